@@ -1,0 +1,37 @@
+"""Errors that a user or a bad message can cause; anything else is a bug and ends the process."""
+
+
+class LtmError(Exception):
+    """Bad input. The message holds the value, the place it came from and what would be right."""
+
+
+class ConfigError(LtmError):
+    """A site, scenario or parameter file that cannot be taken."""
+
+
+class RasterError(LtmError):
+    """A DEM or fuel raster that cannot be taken."""
+
+
+class CameraError(LtmError):
+    """A camera calibration that cannot be taken."""
+
+
+class PoseError(LtmError):
+    """A camera pose that cannot be taken."""
+
+
+class ImageError(LtmError):
+    """An image, depth image or label image that cannot be taken."""
+
+
+class MessageError(LtmError):
+    """A message whose fields contradict each other or the contract of its topic."""
+
+
+class ModelError(LtmError):
+    """A network or its manifest that cannot be taken."""
+
+
+class RecordingError(LtmError):
+    """A bag or photo folder that cannot be read or written."""

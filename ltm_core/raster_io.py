@@ -1,0 +1,57 @@
+"""Writing GeoTIFFs; reading is where each raster's type is defined."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import RasterError
+from ltm_core.grid import GridGeometry
+
+
+def write_geotiff(
+    path: Path | str,
+    array: NDArray[np.generic],
+    geometry: GridGeometry,
+    nodata: float | None = None,
+    colormap: Mapping[int, tuple[int, int, int]] | None = None,
+    tags: Mapping[str, str] | None = None,
+) -> None:
+    """Write an (H, W) or (bands, H, W) array as a tiled, deflated GeoTIFF.
+
+    `colormap`: value -> RGB, for uint8 rasters. The bytes depend on the arguments alone. Raises RasterError where
+    the geometry has no CRS or does not fit the array.
+    """
+    import rasterio
+
+    if geometry.crs is None:
+        raise RasterError(f"{path}: a GeoTIFF needs a CRS, but this raster is in a bare map frame")
+    bands = array if array.ndim == 3 else array[None]
+    if bands.shape[1:] != geometry.shape:
+        raise RasterError(f"{path}: array of {bands.shape[1:]} does not fit a raster of {geometry.shape}")
+    predictor = 3 if np.issubdtype(array.dtype, np.floating) else 2
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        width=geometry.width,
+        height=geometry.height,
+        count=len(bands),
+        dtype=array.dtype,
+        crs=geometry.crs,
+        transform=geometry.transform(),
+        nodata=nodata,
+        tiled=True,
+        blockxsize=256,
+        blockysize=256,
+        compress="deflate",
+        predictor=predictor,
+    ) as sink:
+        sink.write(bands)
+        if colormap is not None:
+            sink.write_colormap(1, {value: (*rgb, 255) for value, rgb in colormap.items()})
+        if tags:
+            sink.update_tags(**tags)
