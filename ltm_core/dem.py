@@ -27,9 +27,7 @@ class Dem:
     def __post_init__(self) -> None:
         elevation = np.ascontiguousarray(self.elevation, np.float32)
         if elevation.shape != self.geometry.shape:
-            raise RasterError(
-                f"elevation of shape {elevation.shape} does not fit a raster of {self.geometry.shape}"
-            )
+            raise RasterError(f"elevation of shape {elevation.shape} does not fit a raster of {self.geometry.shape}")
         if min(elevation.shape) < 2:
             raise RasterError(f"a DEM needs at least 2 x 2 heights to span a surface, got {elevation.shape}")
         if not np.isfinite(elevation).any():
@@ -50,14 +48,10 @@ class Dem:
             with rasterio.open(path) as source:
                 stated = _crs_of(source.crs, crs, path)
                 if np.issubdtype(np.dtype(source.dtypes[0]), np.complexfloating):
-                    raise RasterError(
-                        f"{path}: band 1 is {source.dtypes[0]}; elevation must be a real number"
-                    )
+                    raise RasterError(f"{path}: band 1 is {source.dtypes[0]}; elevation must be a real number")
                 t = source.transform
                 if t.b or t.d:
-                    raise RasterError(
-                        f"{path}: rotated raster {tuple(t)[:6]}; warp it north-up first (gdalwarp)"
-                    )
+                    raise RasterError(f"{path}: rotated raster {tuple(t)[:6]}; warp it north-up first (gdalwarp)")
                 if not np.isclose(abs(t.a), abs(t.e), rtol=1e-6) or t.a <= 0:
                     raise RasterError(
                         f"{path}: cells must be square, got {t.a} x {t.e} m; warp it first (gdalwarp -tr)"
@@ -111,9 +105,7 @@ def _crs_of(stated: object, given: str | None, path: Path | str) -> str:
     from pyproj import CRS
 
     if stated is None and given is None:
-        raise RasterError(
-            f"{path}: the raster carries no CRS; name it with --crs or `dem: {{crs: EPSG:...}}`"
-        )
+        raise RasterError(f"{path}: the raster carries no CRS; name it with --crs or `dem: {{crs: EPSG:...}}`")
     if stated is None:
         crs = CRS.from_user_input(given)
     else:
@@ -121,8 +113,6 @@ def _crs_of(stated: object, given: str | None, path: Path | str) -> str:
         if given is not None and CRS.from_user_input(given) != crs:
             raise RasterError(f"{path}: the raster is in {crs.name}, but {given} was given")
     if not crs.is_projected or {axis.unit_name for axis in crs.axis_info[:2]} != {"metre"}:
-        raise RasterError(
-            f"{path}: a DEM must be projected in metres, {crs.name} is not; warp it first (gdalwarp)"
-        )
+        raise RasterError(f"{path}: a DEM must be projected in metres, {crs.name} is not; warp it first (gdalwarp)")
     authority = crs.to_authority()
     return ":".join(authority) if authority else crs.to_wkt()

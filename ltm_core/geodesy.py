@@ -30,9 +30,7 @@ def ray_bend(curvature: bool, refraction: float) -> float:
     c = (1 - k) / (2 R). Zero on a flat earth. Source: surveying's combined correction, e.g. Torge, Geodesy, 5.1.
     """
     if not 0 <= refraction < 1:
-        raise ConfigError(
-            f"refraction coefficient must lie in [0, 1), standard air is 0.13; got {refraction}"
-        )
+        raise ConfigError(f"refraction coefficient must lie in [0, 1), standard air is 0.13; got {refraction}")
     return (1 - refraction) / (2 * EARTH_RADIUS) if curvature else 0.0
 
 
@@ -52,9 +50,7 @@ class SiteFrame:
         try:
             crs = CRS.from_user_input(self.crs)
         except CRSError as error:
-            raise ConfigError(
-                f"unknown CRS {self.crs!r}: give an EPSG code such as EPSG:32611 ({error})"
-            ) from error
+            raise ConfigError(f"unknown CRS {self.crs!r}: give an EPSG code such as EPSG:32611 ({error})") from error
         if not crs.is_projected or {axis.unit_name for axis in crs.axis_info[:2]} != {"metre"}:
             raise ConfigError(
                 f"a site needs a projected CRS in metres, such as its UTM zone; {self.crs!r} is {crs.name}"
@@ -84,9 +80,7 @@ class SiteFrame:
         """An azimuth from true north as the azimuth from grid north at a map point, degrees in [0, 360)."""
         return (azimuth_deg - self.grid_convergence_deg(x, y)) % 360.0
 
-    def magnetic_to_grid_deg(
-        self, azimuth_deg: float, x: float, y: float, on: date, height: float = 0.0
-    ) -> float:
+    def magnetic_to_grid_deg(self, azimuth_deg: float, x: float, y: float, on: date, height: float = 0.0) -> float:
         """A compass azimuth as the azimuth from grid north, degrees in [0, 360). Declination: WMM, see below."""
         lon, lat = self.to_lonlat(x, y)
         true = azimuth_deg + magnetic_declination_deg(float(lon), float(lat), on, height)
@@ -109,9 +103,7 @@ def magnetic_declination_deg(lon: float, lat: float, on: date, height: float = 0
     }
     epoch = 5 * math.floor(year / 5)
     if epoch not in epochs:
-        raise ConfigError(
-            f"no World Magnetic Model for {on}: the models cover 2010-2029; give true-north azimuths"
-        )
+        raise ConfigError(f"no World Magnetic Model for {on}: the models cover 2010-2029; give true-north azimuths")
     model = GeoMag(coefficients_file=epochs[epoch])
     return float(model.calculate(glat=lat, glon=lon, alt=height / 1000, time=year).d)
 

@@ -31,10 +31,7 @@ class GridGeometry:
     crs: str | None = None
 
     def __post_init__(self) -> None:
-        if (
-            not all(math.isfinite(v) for v in (self.x_min, self.y_max, self.resolution))
-            or self.resolution <= 0
-        ):
+        if not all(math.isfinite(v) for v in (self.x_min, self.y_max, self.resolution)) or self.resolution <= 0:
             raise RasterError(
                 f"raster geometry needs finite edges and a positive resolution, got x_min={self.x_min}, "
                 f"y_max={self.y_max}, resolution={self.resolution}"
@@ -88,9 +85,7 @@ class GridGeometry:
 
     def translated(self, dx: float, dy: float, crs: str | None = None) -> GridGeometry:
         """The same raster with its edges moved by (dx, dy) metres; `crs` names the frame that it is then in."""
-        return GridGeometry(
-            self.x_min + dx, self.y_max + dy, self.resolution, self.width, self.height, crs=crs
-        )
+        return GridGeometry(self.x_min + dx, self.y_max + dy, self.resolution, self.width, self.height, crs=crs)
 
     def window(self, row: int, col: int, height: int, width: int) -> GridGeometry:
         """The part of the raster whose first cell is (row, col)."""

@@ -90,9 +90,7 @@ class Pose:
         q = np.asarray(quaternion, np.float64)
         norm = float(np.linalg.norm(q))
         if q.shape != (4,) or not np.isfinite(q).all() or abs(norm - 1.0) > 1e-3:
-            raise PoseError(
-                f"orientation must be a unit quaternion (x, y, z, w), got {q.tolist()} (norm {norm:.6g})"
-            )
+            raise PoseError(f"orientation must be a unit quaternion (x, y, z, w), got {q.tolist()} (norm {norm:.6g})")
         return cls(np.asarray(position, np.float64), Rotation.from_quat(q).as_matrix())
 
     @property
