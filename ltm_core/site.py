@@ -1,0 +1,168 @@
+"""One site: its terrain, frame, fuel grid and cameras, as typed configuration. Defaults stand here and nowhere else."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import ConfigError, PoseError
+from ltm_core.geodesy import SiteFrame, ray_bend
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+
+
+def _ros_name(name: str) -> str:
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
+        raise ValueError(f"{name!r} becomes part of topic names: use a-z, 0-9 and _, starting with a letter")
+    return name
+
+
+RosName = Annotated[str, AfterValidator(_ros_name)]
+
+
+class Config(BaseModel):
+    """Base of all configuration: unknown keys are errors, values do not change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=(), allow_inf_nan=False)
+
+
+class DemConfig(Config):
+    path: Path
+    """Raster file, relative to the site file."""
+    crs: str | None = None
+    """Only for a raster that carries none."""
+
+
+class FuelConfig(Config):
+    resolution: float = Field(30.0, gt=0)
+    """Cell size, metres; LANDFIRE's is 30."""
+    phase: float = 15.0
+    """Cell edges lie at phase mod resolution in the site's CRS; LANDFIRE's at 15 mod 30."""
+    max_range: float = Field(6000.0, gt=0)
+    """Metres beyond which a pixel's footprint is too coarse to vote for a cell."""
+
+
+class CalibrationConfig(Config):
+    """Either `hfov_deg` or fx (and fy, cx, cy where they are known)."""
+
+    width: int = Field(gt=0)
+    height: int = Field(gt=0)
+    hfov_deg: float | None = Field(None, gt=0, lt=180)
+    fx: float | None = Field(None, gt=0)
+    fy: float | None = Field(None, gt=0)
+    cx: float | None = None
+    cy: float | None = None
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """(k1, k2, p1, p2, k3), Brown-Conrady, the order of CameraInfo's plumb_bob."""
+
+    @model_validator(mode="after")
+    def _one_focal_length(self) -> CalibrationConfig:
+        if (self.hfov_deg is None) == (self.fx is None):
+            raise ValueError("give either hfov_deg or fx, not both and not neither")
+        return self
+
+    def camera(self) -> Camera:
+        if self.fx is None:
+            assumed = Camera.from_fov(self.width, self.height, self.hfov_deg or 0.0)
+            fx, fy = assumed.fx, assumed.fy
+        else:
+            fx, fy = self.fx, self.fy if self.fy is not None else self.fx
+        cx = self.cx if self.cx is not None else (self.width - 1) / 2
+        cy = self.cy if self.cy is not None else (self.height - 1) / 2
+        return Camera(self.width, self.height, fx, fy, cx, cy, self.distortion)
+
+
+class PoseConfig(Config):
+    """A surveyed pose. Give z (metres, in the DEM's vertical datum) or `height_above_ground` (mast, tripod)."""
+
+    x: float
+    """Metres in the site's CRS (not minus its origin)."""
+    y: float
+    z: float | None = None
+    height_above_ground: float | None = Field(None, ge=0)
+    azimuth_deg: float
+    """Clockwise from grid north."""
+    pitch_deg: float = 0.0
+    """Up from the horizon."""
+    roll_deg: float = 0.0
+    """Of the camera, clockwise about its viewing direction."""
+
+    @model_validator(mode="after")
+    def _one_height(self) -> PoseConfig:
+        if (self.z is None) == (self.height_above_ground is None):
+            raise ValueError("give either z or height_above_ground, not both and not neither")
+        return self
+
+    def pose(self, dem: Dem, frame: SiteFrame) -> Pose:
+        """In the map frame. Raises PoseError where the ground under a camera given above it is not known."""
+        x, y = self.x - frame.x_origin, self.y - frame.y_origin
+        z = self.z
+        if z is None:
+            ground = float(dem.elevation_at(x, y))
+            if ground != ground:
+                raise PoseError(f"no terrain under the camera at ({self.x}, {self.y}): give its z instead")
+            z = ground + (self.height_above_ground or 0.0)
+        return Pose.from_angles((x, y, z), self.azimuth_deg, self.pitch_deg, self.roll_deg)
+
+
+class CameraConfig(Config):
+    image: Literal["compressed", "raw"] = "compressed"
+    """`image_raw/compressed` (JPEG or PNG) or `image_raw`."""
+    calibration: CalibrationConfig | None = None
+    """None: from the camera_info topic."""
+    pose: PoseConfig | None = None
+    """None: from the pose topic."""
+
+
+class Site(Config):
+    name: RosName
+    crs: str
+    origin: tuple[float, float]
+    """(x, y) in the CRS that is (0, 0) of the map frame; near the site, so that float32 holds millimetres."""
+    dem: DemConfig
+    curvature: bool = True
+    refraction: float = Field(0.13, ge=0, lt=1)
+    fuel: FuelConfig = FuelConfig()
+    labels: str = "labels.yaml"
+    """Label set in config/."""
+    model: str = "spine"
+    """Segmentation manifest: a name in config/models/ or a path."""
+    cameras: dict[RosName, CameraConfig] = Field(min_length=1)
+    nodes: dict[RosName, dict[str, Any]] = {}
+    """Parameters a node type: `nodes: {capture: {pose_tolerance: 0.1}}`. Each node refuses what it does not know."""
+
+    @property
+    def frame(self) -> SiteFrame:
+        return SiteFrame(self.crs, *self.origin)
+
+    @property
+    def bend(self) -> float:
+        return ray_bend(self.curvature, self.refraction)
+
+    def open_dem(self) -> Dem:
+        """The DEM in the map frame."""
+        return Dem.open(self.dem.path, self.dem.crs).in_frame(self.frame)
+
+    def fuel_geometry(self, dem: Dem) -> GridGeometry:
+        """The fuel grid over the DEM (given in the map frame), in the map frame, snapped in the site's CRS."""
+        x, y = self.origin
+        x_min, y_min, x_max, y_max = dem.geometry.bounds
+        snapped = GridGeometry.snapped(
+            (x_min + x, y_min + y, x_max + x, y_max + y), self.fuel.resolution, self.fuel.phase
+        )
+        return snapped.translated(-x, -y)
+
+    def in_crs(self, geometry: GridGeometry) -> GridGeometry:
+        """A raster of the map frame as a raster of the site's CRS, for files."""
+        return geometry.translated(*self.origin, crs=self.crs)
+
+    def camera(self, name: str) -> CameraConfig:
+        """Raises ConfigError naming the cameras there are."""
+        if name not in self.cameras:
+            raise ConfigError(f"site {self.name} has no camera {name!r}; it has {', '.join(self.cameras)}")
+        return self.cameras[name]

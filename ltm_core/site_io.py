@@ -1,0 +1,19 @@
+"""Reading site files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ltm_core.config_io import load_yaml
+from ltm_core.site import Site
+
+
+def load_site(path: Path | str) -> Site:
+    """Read a site YAML; its relative paths become relative to the file. Raises ConfigError, see `config_io`."""
+    path = Path(path).expanduser().resolve()
+    site = load_yaml(path, Site)
+    changes: dict[str, object] = {"dem": site.dem.model_copy(update={"path": path.parent / site.dem.path})}
+    beside = path.parent / site.model
+    if beside.suffix == ".yaml" and beside.is_file():
+        changes["model"] = str(beside)
+    return site.model_copy(update=changes)
