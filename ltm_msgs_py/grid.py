@@ -1,0 +1,132 @@
+"""North-up class grids <-> nav_msgs/OccupancyGrid.
+
+OccupancyGrid counts rows from the south, its origin is the outer corner of the south-west cell, and its cells are int8
+with -1 as unknown. Ours count from the north and are uint8 with 255 as unknown. This is the one place with the flip.
+"""
+
+from __future__ import annotations
+
+from array import array as int8_array
+from typing import Any
+
+import numpy as np
+from nav_msgs.msg import OccupancyGrid
+from numpy.typing import NDArray
+
+from ltm_core.errors import MessageError
+from ltm_core.grid import GridGeometry
+from ltm_msgs_py.stamp import make_header, ns_to_time
+
+UNKNOWN = 255
+LARGEST_CLASS = 127
+
+Classes = NDArray[np.uint8]
+
+
+def classes_to_msg(classes: Classes, geometry: GridGeometry, stamp_ns: int, frame_id: str = "map") -> OccupancyGrid:
+    """A grid of class indices, (H, W) uint8 north up with 255 unknown, as an OccupancyGrid with -1 unknown.
+
+    Class indices 0..127 fit int8; codes such as fuel model numbers (up to 204) do not. Raises MessageError on those, or
+    on a shape other than the geometry's.
+    """
+    if classes.shape != geometry.shape or classes.dtype != np.uint8:
+        raise MessageError(f"class grid is {classes.shape} {classes.dtype}, its geometry says {geometry.shape} uint8")
+    too_large = (classes > LARGEST_CLASS) & (classes != UNKNOWN)
+    if too_large.any():
+        row, col = np.argwhere(too_large)[0]
+        raise MessageError(
+            f"class {classes[row, col]} at row {row}, col {col} does not fit OccupancyGrid's int8: send class indices "
+            f"0..{LARGEST_CLASS} with a palette, {UNKNOWN} for unknown"
+        )
+    msg = OccupancyGrid(header=make_header(stamp_ns, frame_id))
+    msg.info.map_load_time = ns_to_time(stamp_ns)
+    msg.info.resolution = float(geometry.resolution)
+    msg.info.height, msg.info.width = geometry.shape
+    msg.info.origin.position.x = float(geometry.x_min)
+    msg.info.origin.position.y = float(geometry.y_min)
+    msg.info.origin.orientation.w = 1.0
+    data = int8_array("b")
+    # As int8 bits, 255 is -1: the flip is the whole conversion.
+    data.frombytes(np.ascontiguousarray(np.flipud(classes)).data.cast("B"))
+    msg.data = data
+    return msg
+
+
+def tile_to_msg(
+    classes: Classes,
+    geometry: GridGeometry,
+    window: tuple[int, int, int, int],
+    stamp_ns: int,
+    frame_id: str = "map",
+) -> OccupancyGrid:
+    """The part `window` = (row, col, height, width) of a class grid as an OccupancyGrid of its own.
+
+    Raises MessageError when the window leaves the grid, and as `classes_to_msg` does.
+    """
+    row, col, height, width = window
+    if row < 0 or col < 0 or height < 1 or width < 1 or row + height > geometry.height or col + width > geometry.width:
+        raise MessageError(
+            f"tile row, col, height, width = {window} leaves the grid of {geometry.height} x {geometry.width} cells"
+        )
+    part = classes[row : row + height, col : col + width]
+    return classes_to_msg(part, geometry.window(row, col, height, width), stamp_ns, frame_id)
+
+
+def msg_to_classes(msg: Any, crs: str | None = None) -> tuple[Classes, GridGeometry]:
+    """The class grid, (H, W) uint8 north up with 255 unknown, and the geometry of an OccupancyGrid.
+
+    Raises MessageError when the data's length is not width * height, a cell is below -1, the grid is empty, turned,
+    tilted, or its resolution or origin are not finite.
+    """
+    info = msg.info
+    height, width = int(info.height), int(info.width)
+    if height < 1 or width < 1 or len(msg.data) != height * width:
+        raise MessageError(
+            f"OccupancyGrid of {width} x {height} cells holds {len(msg.data)} values, must hold width * height >= 1"
+        )
+    # info.resolution is float32 on the wire: take the shortest decimal that it stands for, so 0.1 comes back as 0.1.
+    resolution = float(str(np.float32(info.resolution)))
+    x_min, y_min = float(info.origin.position.x), float(info.origin.position.y)
+    if not np.isfinite([resolution, x_min, y_min]).all() or resolution <= 0:
+        raise MessageError(
+            f"OccupancyGrid needs a positive resolution and a finite origin, got {info.resolution}, ({x_min}, {y_min})"
+        )
+    q = info.origin.orientation
+    turned = max(abs(q.x), abs(q.y), abs(q.z))
+    if not (turned <= 1e-6 and abs(abs(q.w) - 1) <= 1e-3):
+        raise MessageError(
+            f"OccupancyGrid's origin is turned: orientation {q.x, q.y, q.z, q.w}; only north-up grids (0, 0, 0, 1)"
+        )
+    cells = np.frombuffer(msg.data, np.int8).reshape(height, width)
+    if cells.min() < -1:
+        south_row, col = np.argwhere(cells < -1)[0]
+        raise MessageError(
+            f"OccupancyGrid cell {cells[south_row, col]} at data row {south_row}, col {col} is below -1 (unknown)"
+        )
+    classes = np.flipud(cells).astype(np.uint8)
+    return classes, GridGeometry(x_min, y_min + height * resolution, resolution, width, height, crs)
+
+
+def tile_window(tile: GridGeometry, grid: GridGeometry) -> tuple[int, int, int, int]:
+    """Where a tile lies in a grid: (row, col, height, width).
+
+    Raises MessageError when its cells are of another size, do not coincide with the grid's (to a thousandth of a
+    cell), or leave it.
+    """
+    row = (grid.y_max - tile.y_max) / grid.resolution
+    col = (tile.x_min - grid.x_min) / grid.resolution
+    if (
+        abs(tile.resolution - grid.resolution) > 1e-6 * grid.resolution
+        or abs(row - round(row)) > 1e-3
+        or abs(col - round(col)) > 1e-3
+    ):
+        raise MessageError(
+            f"tile with corner ({tile.x_min}, {tile.y_max}) and cells of {tile.resolution} m does not fall on the "
+            f"cells of the grid with corner ({grid.x_min}, {grid.y_max}) and cells of {grid.resolution} m"
+        )
+    window = (round(row), round(col), tile.height, tile.width)
+    if min(window[:2]) < 0 or window[0] + tile.height > grid.height or window[1] + tile.width > grid.width:
+        raise MessageError(
+            f"tile row, col, height, width = {window} leaves the grid of {grid.height} x {grid.width} cells"
+        )
+    return window

@@ -1,0 +1,62 @@
+"""LabelSet <-> the JSON of the latched topic `labels/info` (std_msgs/String)."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from std_msgs.msg import String
+
+from ltm_core.errors import MessageError
+from ltm_core.vision.labels import UNLABELLED, LabelSet
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class _Label(_Strict):
+    id: int = Field(ge=0, lt=UNLABELLED)
+    name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")
+    color: list[int] = Field(min_length=3, max_length=3)
+    ground_cover: bool
+
+
+class _LabelInfo(_Strict):
+    unlabelled: int
+    labels: list[_Label] = Field(min_length=1)
+
+
+def label_set_to_msg(labels: LabelSet) -> String:
+    """The classes, their colours and their part in votes, as JSON."""
+    return String(data=json.dumps(labels.info()))
+
+
+def msg_to_label_set(msg: Any) -> LabelSet:
+    """The label set that a `labels/info` message describes.
+
+    Raises MessageError on anything but the JSON of `LabelSet.info()`: unknown or missing keys, ids with gaps or out of
+    order, a name twice, a colour outside 0..255, another id for unlabelled.
+    """
+    try:
+        info = _LabelInfo.model_validate_json(msg.data)
+    except ValidationError as error:
+        where = "; ".join(f"{'.'.join(map(str, e['loc'])) or 'document'}: {e['msg']}" for e in error.errors()[:3])
+        raise MessageError(f"labels/info is not a label set: {where}; got {msg.data[:120]!r}") from error
+    ids = [label.id for label in info.labels]
+    names = [label.name for label in info.labels]
+    if ids != list(range(len(ids))) or len(set(names)) != len(names):
+        raise MessageError(
+            f"labels/info must have the ids 0..{len(ids) - 1} in order and distinct names; got {ids}, {names}"
+        )
+    if info.unlabelled != UNLABELLED:
+        raise MessageError(f"labels/info says unlabelled is {info.unlabelled}, here it is {UNLABELLED}")
+    for label in info.labels:
+        if not all(0 <= channel <= 255 for channel in label.color):
+            raise MessageError(f"labels/info: color of {label.name} is {label.color}, must be 0..255")
+    return LabelSet(
+        names=tuple(names),
+        colors=tuple((c[0], c[1], c[2]) for c in (label.color for label in info.labels)),
+        ground_cover=tuple(label.ground_cover for label in info.labels),
+    )

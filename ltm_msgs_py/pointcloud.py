@@ -1,0 +1,109 @@
+"""Named columns <-> sensor_msgs/PointCloud2: the layout that votes and points share."""
+
+from __future__ import annotations
+
+import sys
+from array import array as byte_array
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2, PointField
+
+from ltm_core.errors import MessageError
+from ltm_msgs_py.stamp import make_header
+
+Columns = dict[str, NDArray[Any]]
+
+_DTYPES: dict[int, np.dtype[Any]] = {
+    PointField.INT8: np.dtype(np.int8),
+    PointField.UINT8: np.dtype(np.uint8),
+    PointField.INT16: np.dtype(np.int16),
+    PointField.UINT16: np.dtype(np.uint16),
+    PointField.INT32: np.dtype(np.int32),
+    PointField.UINT32: np.dtype(np.uint32),
+    PointField.FLOAT32: np.dtype(np.float32),
+    PointField.FLOAT64: np.dtype(np.float64),
+}
+_DATATYPES = {dtype: datatype for datatype, dtype in _DTYPES.items()}
+
+
+def columns_to_msg(
+    columns: Mapping[str, NDArray[Any]], stamp_ns: int, frame_id: str, is_dense: bool = True
+) -> PointCloud2:
+    """Columns of N values each, packed without gaps in their order, as an unorganised PointCloud2.
+
+    Raises MessageError on columns of unequal length or of a dtype that PointField does not have.
+    """
+    lengths = {name: column.shape for name, column in columns.items()}
+    if len(set(lengths.values())) != 1 or any(len(shape) != 1 for shape in lengths.values()):
+        raise MessageError(f"point columns must be one-dimensional and equally long, got {lengths}")
+    (count,) = next(iter(lengths.values()))
+    fields, dtypes, offset = [], [], 0
+    for name, column in columns.items():
+        if column.dtype not in _DATATYPES:
+            taken = ", ".join(str(dtype) for dtype in _DATATYPES)
+            raise MessageError(f"point column {name!r} is {column.dtype}; PointField has {taken}")
+        fields.append(PointField(name=name, offset=offset, datatype=_DATATYPES[column.dtype], count=1))
+        dtypes.append((name, column.dtype))
+        offset += column.dtype.itemsize
+    points = np.empty(count, np.dtype(dtypes))
+    for name, column in columns.items():
+        points[name] = column
+    msg = PointCloud2(header=make_header(stamp_ns, frame_id), height=1, width=count, fields=fields)
+    msg.is_bigendian = sys.byteorder == "big"
+    msg.point_step, msg.row_step = offset, offset * count
+    msg.is_dense = is_dense
+    data = byte_array("B")
+    data.frombytes(points.tobytes())
+    msg.data = data
+    return msg
+
+
+def msg_to_columns(msg: Any) -> Columns:
+    """The columns of a PointCloud2 by name, each (N,) in native byte order, N = height * width.
+
+    Raises MessageError when sizes contradict the data's length, a field leaves its point, has a name twice, an
+    unknown datatype, or holds more than one element.
+    """
+    height, width = int(msg.height), int(msg.width)
+    point_step, row_step, size = int(msg.point_step), int(msg.row_step), len(msg.data)
+    if min(height, width) < 0 or point_step < 1 or row_step < width * point_step or size != height * row_step:
+        raise MessageError(
+            f"PointCloud2 of height {height}, width {width}, point_step {point_step}, row_step {row_step} holds {size} "
+            f"bytes; row_step must be at least width * point_step = {width * point_step}, data height * row_step"
+        )
+    names, formats, offsets = [], [], []
+    for field in msg.fields:
+        dtype = _DTYPES.get(int(field.datatype))
+        if dtype is None or field.count != 1:
+            raise MessageError(
+                f"PointCloud2 field {field.name!r} has datatype {field.datatype} and count {field.count}; "
+                f"taken: datatypes {min(_DTYPES)}..{max(_DTYPES)}, one element each"
+            )
+        if field.name in names:
+            raise MessageError(f"PointCloud2 has the field {field.name!r} twice")
+        if field.offset < 0 or field.offset + dtype.itemsize > point_step:
+            raise MessageError(
+                f"PointCloud2 field {field.name!r} at offset {field.offset} leaves its point of {point_step} bytes"
+            )
+        names.append(field.name)
+        formats.append(dtype.newbyteorder(">" if msg.is_bigendian else "<"))
+        offsets.append(int(field.offset))
+    if not names:
+        raise MessageError("PointCloud2 has no fields")
+    layout = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": point_step})
+    rows = np.frombuffer(msg.data, np.uint8).reshape(height, row_step)[:, : width * point_step]
+    points = np.ascontiguousarray(rows).reshape(-1).view(layout)
+    return {name: np.ascontiguousarray(points[name], points[name].dtype.newbyteorder("=")) for name in names}
+
+
+def take(columns: Columns, name: str, dtype: Any, what: str) -> NDArray[Any]:
+    """The column `name`, which must be there with that dtype. Raises MessageError naming what is there."""
+    if name not in columns:
+        raise MessageError(f"{what} lacks the field {name!r}; it has {', '.join(columns)}")
+    column = columns[name]
+    if column.dtype != np.dtype(dtype):
+        raise MessageError(f"{what}: field {name!r} is {column.dtype}, must be {np.dtype(dtype)}")
+    return column

@@ -1,0 +1,46 @@
+"""Nanoseconds <-> builtin_interfaces/Time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from std_msgs.msg import Header
+
+from ltm_core.errors import MessageError
+
+NS_PER_S = 1_000_000_000
+LATEST_NS = 2**31 * NS_PER_S - 1
+"""The last nanosecond that builtin_interfaces/Time (int32 seconds) can hold: 19 January 2038, 03:14:07 UTC."""
+
+
+def ns_to_time(stamp_ns: int) -> Time:
+    """A stamp in nanoseconds since the epoch as a Time. Raises MessageError when it is negative or past `LATEST_NS`."""
+    stamp_ns = int(stamp_ns)
+    if not 0 <= stamp_ns <= LATEST_NS:
+        raise MessageError(
+            f"stamp {stamp_ns} ns does not fit builtin_interfaces/Time, which holds 0 to {LATEST_NS} ns "
+            "(int32 seconds); are these seconds, or another epoch?"
+        )
+    seconds, nanoseconds = divmod(stamp_ns, NS_PER_S)
+    return Time(sec=seconds, nanosec=nanoseconds)
+
+
+def time_to_ns(time: Any) -> int:
+    """A Time as nanoseconds since the epoch. Raises MessageError on negative seconds or nanosec of a second or more."""
+    sec, nanosec = int(time.sec), int(time.nanosec)
+    if sec < 0 or not 0 <= nanosec < NS_PER_S:
+        raise MessageError(
+            f"stamp sec={sec} nanosec={nanosec} is no time: sec must be >= 0 and nanosec in [0, {NS_PER_S})"
+        )
+    return sec * NS_PER_S + nanosec
+
+
+def make_header(stamp_ns: int, frame_id: str) -> Header:
+    """A std_msgs/Header. Raises MessageError as `ns_to_time` does."""
+    return Header(stamp=ns_to_time(stamp_ns), frame_id=frame_id)
+
+
+def stamp_of(msg: Any) -> int:
+    """The `header.stamp` of any stamped message, nanoseconds. Raises MessageError as `time_to_ns` does."""
+    return time_to_ns(msg.header.stamp)
