@@ -1,0 +1,82 @@
+"""Legends, as strips that go under a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import cv2
+import numpy as np
+
+from ltm_core.pictures.ranges import SKY_COLOR, RangeScale, scale_colors
+from ltm_core.pictures.text import draw_texts, metres, text_width
+from ltm_core.pictures.types import Palette, Rgb
+
+PAPER = (250, 250, 249)
+INK = (38, 40, 44)
+
+
+def range_legend(width: int, scale: RangeScale | None = None, sky: bool = True) -> Rgb:
+    """The colour scale with its round ranges, (h, `width`, 3)."""
+    scale = scale or RangeScale()
+    size = _text_size(width)
+    height, bar = round(size * 3.4), round(size * 1.1)
+    strip = _paper(height, width)
+    sky_width = round(size * 3) if sky else 0
+    left, right = round(size * 1.8), width - round(size * 1.8) - (sky_width + size if sky else 0)
+    top = round(size * 0.5)
+    ramp = scale_colors()[np.linspace(0, 255, max(right - left, 2)).round().astype(int)]
+    strip[top : top + bar, left : left + len(ramp)] = ramp
+    texts: list[tuple[str, float, float]] = []
+    end = -float("inf")
+    for tick in scale.ticks():
+        x = left + float(scale.fraction(tick)) * (right - left)
+        cv2.line(strip, (round(x), top + bar), (round(x), top + bar + size // 3), INK, 1)
+        half = text_width(metres(tick), size) / 2
+        if x - half > end + size * 0.5 and x + half < width:
+            texts.append((metres(tick), x, top + bar + size * 0.5))
+            end = x + half
+    if sky:
+        x = width - round(size * 0.9) - sky_width
+        strip[top : top + bar, x : x + sky_width] = SKY_COLOR
+        cv2.rectangle(strip, (x, top), (x + sky_width, top + bar - 1), INK, 1)
+        texts.append(("sky", x + sky_width / 2, top + bar + size * 0.5))
+    return draw_texts(strip, [(text, x, y, "mt") for text, x, y in texts], size, INK)
+
+
+def label_legend(width: int, label_set: Palette, ids: Iterable[int] | None = None) -> Rgb:
+    """A swatch and name for each class in `ids` (default: all), in as many rows as the width asks, (h, `width`, 3)."""
+    shown = sorted(set(ids)) if ids is not None else range(len(label_set.names))
+    size = _text_size(width)
+    swatch, row_height = round(size * 1.1), round(size * 1.9)
+    places: list[tuple[int, int, int]] = []
+    x, row = size, 0
+    for label in shown:
+        if not 0 <= label < len(label_set.names):
+            continue
+        step = swatch + round(size * 0.5) + text_width(str(label_set.names[label]), size) + round(size * 1.4)
+        if x + step > width and x > size:
+            x, row = size, row + 1
+        places.append((label, x, row))
+        x += step
+    strip = _paper((row + 1) * row_height + size // 2, width)
+    texts: list[tuple[str, float, float]] = []
+    for label, x, row in places:
+        y = row * row_height + size // 2
+        color = tuple(int(c) for c in np.asarray(label_set.colors[label]))
+        cv2.rectangle(strip, (x, y), (x + swatch, y + swatch), color, -1)
+        cv2.rectangle(strip, (x, y), (x + swatch, y + swatch), INK, 1)
+        texts.append((str(label_set.names[label]), x + swatch + size * 0.5, y + swatch / 2))
+    return draw_texts(strip, [(text, x, y, "lm") for text, x, y in texts], size, INK)
+
+
+def with_legend(picture: Rgb, *legends: Rgb) -> Rgb:
+    """`picture` with strips of the same width under it."""
+    return np.concatenate([picture, *legends], axis=0)
+
+
+def _text_size(width: int) -> int:
+    return max(11, min(26, round(width / 52)))
+
+
+def _paper(height: int, width: int) -> Rgb:
+    return np.full((height, width, 3), PAPER, np.uint8)

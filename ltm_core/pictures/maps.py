@@ -1,0 +1,247 @@
+"""Maps: classes over shaded relief, with cameras, legend, scale bar and north arrow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import RasterError
+from ltm_core.grid import GridGeometry
+from ltm_core.pictures.legend import INK, PAPER, label_legend, with_legend
+from ltm_core.pictures.overlay import label_colors
+from ltm_core.pictures.terrain import hillshade, terrain_colors
+from ltm_core.pictures.text import Anchor, draw_texts, metres
+from ltm_core.pictures.types import UNLABELLED, Labels, Palette, Rgb
+
+_SEEN = (225, 87, 20)
+_SHIFT = 4  # OpenCV draws at 1/16 pixel
+
+
+@dataclass(frozen=True)
+class MapCamera:
+    """A camera on a map: where it stands, in the map frame, and the sector it looks into (metres, degrees)."""
+
+    name: str
+    camera: Camera
+    position: tuple[float, float]
+    azimuth_deg: float
+    reach: float = 3000.0
+
+    def sector(self, steps: int = 24) -> NDArray[np.float64]:
+        """Outline (N, 2) of the sector in map coordinates, from the camera round and back."""
+        half = self.camera.hfov_deg / 2
+        angles = np.deg2rad(np.linspace(self.azimuth_deg - half, self.azimuth_deg + half, steps))
+        arc = np.column_stack([np.sin(angles), np.cos(angles)]) * self.reach
+        return np.asarray(np.vstack([[0.0, 0.0], arc, [0.0, 0.0]]) + np.asarray(self.position), np.float64)
+
+
+def labelled_shade(
+    classes: Labels, geometry: GridGeometry, label_set: Palette, dem: Dem, view: GridGeometry, opacity: float = 0.6
+) -> Rgb:
+    """Class colours over grey relief on the raster `view`, (H, W, 3); cells that are 255 show the bare relief.
+
+    Cells of both rasters are looked up at the centres of the view's pixels. Raises RasterError where classes and
+    geometry disagree or the rasters are in different CRSs.
+    """
+    if classes.shape != geometry.shape:
+        raise RasterError(f"classes of shape {classes.shape} do not fit a raster of {geometry.shape}")
+    known = {g.crs for g in (geometry, dem.geometry, view) if g.crs is not None}
+    if len(known) > 1:
+        raise RasterError(f"a map needs its rasters in one CRS, got {' and '.join(sorted(known))}")
+    picture = _relief(dem, view)
+    ids = _nearest(classes, geometry, view, UNLABELLED)
+    colors = label_colors(ids, label_set)
+    # Shade the class colours too, or steep ground loses its shape under them.
+    tinted = np.asarray(colors * (0.45 + 0.55 * picture[..., :1] / 255.0), np.uint8)
+    mixed = np.asarray(cv2.addWeighted(picture, 1 - opacity, tinted, opacity, 12.0), np.uint8)
+    return np.where((ids != UNLABELLED)[..., None], mixed, picture)
+
+
+def fuel_map_picture(
+    classes: Labels,
+    geometry: GridGeometry,
+    label_set: Palette,
+    dem: Dem,
+    cameras: Sequence[MapCamera] = (),
+    bounds: tuple[float, float, float, float] | None = None,
+    width: int = 1200,
+    title: str | None = None,
+) -> Rgb:
+    """The fuel map (H, W) uint8 class ids, 255 unseen, over relief, with the cameras and a legend below.
+
+    `bounds` (x_min, y_min, x_max, y_max): the part shown; default: around all seen cells and cameras.
+    """
+    if bounds is None:
+        bounds = _interesting(classes != UNLABELLED, geometry, cameras, dem.geometry)
+    view = _view(bounds, width)
+    picture = labelled_shade(classes, geometry, label_set, dem, view)
+    picture = _furnish(picture, view, cameras, title)
+    return with_legend(picture, label_legend(width, label_set, np.unique(classes[classes != UNLABELLED]).tolist()))
+
+
+def terrain_map_picture(
+    dem: Dem,
+    seen: NDArray[np.bool_] | None = None,
+    cameras: Sequence[MapCamera] = (),
+    bounds: tuple[float, float, float, float] | None = None,
+    width: int = 1200,
+    title: str | None = None,
+) -> Rgb:
+    """Tinted relief with the cells of `seen` (shape of the DEM) in orange: what the cameras cover."""
+    if seen is not None and seen.shape != dem.elevation.shape:
+        raise RasterError(f"seen cells of shape {seen.shape} do not fit a DEM of {dem.elevation.shape}")
+    if bounds is None:
+        mask = seen if seen is not None else np.isfinite(dem.elevation)
+        bounds = _interesting(mask, dem.geometry, cameras, dem.geometry)
+    view = _view(bounds, width)
+    colors = terrain_colors(dem)
+    bands = [_smooth(colors[..., c].astype(np.float32), dem.geometry, view) for c in range(3)]
+    picture = np.asarray(np.nan_to_num(np.stack(bands, axis=-1), nan=PAPER[0]).round(), np.uint8)
+    if seen is not None:
+        hit = _nearest(seen.astype(np.uint8), dem.geometry, view, 0) > 0
+        mixed = np.asarray(cv2.addWeighted(picture, 0.45, np.full_like(picture, _SEEN), 0.55, 0.0), np.uint8)
+        picture = np.where(hit[..., None], mixed, picture)
+    return _furnish(picture, view, cameras, title)
+
+
+def _relief(dem: Dem, view: GridGeometry) -> Rgb:
+    """Light grey relief on the view; paper where there is no terrain."""
+    shade = _smooth(hillshade(dem), dem.geometry, view)
+    grey = np.clip(70 + 205 * np.nan_to_num(shade, nan=0.0), 0, 255)
+    grey = np.where(np.isfinite(shade), grey, PAPER[0])
+    return np.repeat(grey.round().astype(np.uint8)[..., None], 3, axis=-1)
+
+
+def _smooth(values: NDArray[np.float32], geometry: GridGeometry, view: GridGeometry) -> NDArray[np.float32]:
+    """Values at the view's pixel centres, bilinear; area means first where the view is coarser; NaN outside."""
+    factor = int(view.resolution / geometry.resolution)
+    if factor >= 2:
+        rows, cols = geometry.height // factor, geometry.width // factor
+        if rows >= 2 and cols >= 2:
+            values = np.asarray(
+                cv2.resize(values[: rows * factor, : cols * factor], (cols, rows), interpolation=cv2.INTER_AREA)
+            )
+            geometry = GridGeometry(geometry.x_min, geometry.y_max, geometry.resolution * factor, cols, rows)
+    _, cols_at = geometry.to_grid(view.to_map(0, np.arange(view.width))[0], 0.0)
+    rows_at, _ = geometry.to_grid(0.0, view.to_map(np.arange(view.height), 0)[1])
+    sampled = cv2.remap(
+        values,
+        np.broadcast_to(cols_at.astype(np.float32), view.shape).copy(),
+        np.broadcast_to(rows_at.astype(np.float32)[:, None], view.shape).copy(),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=float("nan"),
+    )
+    return np.asarray(sampled, np.float32)
+
+
+def _nearest(values: Labels, geometry: GridGeometry, view: GridGeometry, outside: int) -> Labels:
+    """The cell under each of the view's pixel centres."""
+    x, _ = view.to_map(0, np.arange(view.width))
+    _, y = view.to_map(np.arange(view.height), 0)
+    row, col = geometry.cell_of(x[None, :], y[:, None])
+    inside = geometry.contains(row, col)
+    picked = values[np.clip(row, 0, geometry.height - 1), np.clip(col, 0, geometry.width - 1)]
+    return np.where(inside, picked, np.uint8(outside))
+
+
+def _view(bounds: tuple[float, float, float, float], width: int) -> GridGeometry:
+    x_min, y_min, x_max, y_max = bounds
+    if not (x_max > x_min and y_max > y_min):
+        raise RasterError(f"a map needs bounds with x_min < x_max and y_min < y_max, got {bounds}")
+    resolution = (x_max - x_min) / width
+    return GridGeometry(x_min, y_max, resolution, width, max(1, round((y_max - y_min) / resolution)))
+
+
+def _interesting(
+    mask: NDArray[np.bool_], geometry: GridGeometry, cameras: Sequence[MapCamera], terrain: GridGeometry
+) -> tuple[float, float, float, float]:
+    """Bounds of the marked cells and the cameras with a margin, not thinner than 5:8, inside the terrain."""
+    xs, ys = [c.position[0] for c in cameras], [c.position[1] for c in cameras]
+    rows, cols = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
+    if len(rows):
+        x, y = geometry.to_map([rows[0], rows[-1]], [cols[0], cols[-1]])
+        xs, ys = [*xs, *x.tolist()], [*ys, *y.tolist()]
+    if not xs:
+        return terrain.bounds
+    centre_x, centre_y = (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
+    half_x = max((max(xs) - min(xs)) / 2 * 1.08, 10 * geometry.resolution)
+    half_y = max((max(ys) - min(ys)) / 2 * 1.08, 10 * geometry.resolution)
+    half_x, half_y = max(half_x, half_y * 0.9), max(half_y, half_x * 0.5)
+    left, right = max(terrain.x_min, centre_x - half_x), min(terrain.x_max, centre_x + half_x)
+    bottom, top = max(terrain.y_min, centre_y - half_y), min(terrain.y_max, centre_y + half_y)
+    return (left, bottom, right, top) if right > left and top > bottom else terrain.bounds
+
+
+def _furnish(picture: Rgb, view: GridGeometry, cameras: Sequence[MapCamera], title: str | None) -> Rgb:
+    """Cameras, scale bar, north arrow and title drawn on a map."""
+    picture = picture.copy()
+    size = max(12, round(view.width / 62))
+    labels: list[tuple[str, float, float, Anchor]] = []
+    for camera in cameras:
+        labels.append(_draw_camera(picture, view, camera, size))
+    labels.append(_draw_scale(picture, view, size))
+    labels.append(_draw_north(picture, size))
+    if title:
+        labels.append((title, size, size * 0.9, "lt"))
+    return draw_texts(picture, labels, size, INK, halo=PAPER)
+
+
+def _pixels(view: GridGeometry, points: NDArray[np.float64]) -> NDArray[np.int32]:
+    row, col = view.to_grid(points[:, 0], points[:, 1])
+    # Far outside, coordinates would overflow OpenCV's fixed point.
+    limit = 50.0 * max(view.shape)
+    return np.asarray(np.clip(np.column_stack([col, row]), -limit, limit) * 2**_SHIFT, np.int32)
+
+
+def _draw_camera(picture: Rgb, view: GridGeometry, camera: MapCamera, size: int) -> tuple[str, float, float, Anchor]:
+    outline = _pixels(view, camera.sector())
+    shaded = picture.copy()
+    cv2.fillPoly(shaded, [outline], (255, 255, 255), cv2.LINE_AA, _SHIFT)
+    picture[:] = cv2.addWeighted(picture, 0.86, shaded, 0.14, 0.0)
+    cv2.polylines(picture, [outline], True, (255, 255, 255), 3, cv2.LINE_AA, _SHIFT)
+    cv2.polylines(picture, [outline], True, INK, 1, cv2.LINE_AA, _SHIFT)
+    row, col = view.to_grid(*camera.position)
+    centre = round(float(col)), round(float(row))
+    if 0 <= centre[0] < view.width and 0 <= centre[1] < view.height:
+        cv2.circle(picture, centre, round(size * 0.42), (255, 255, 255), -1, cv2.LINE_AA)
+        cv2.circle(picture, centre, round(size * 0.3), (200, 30, 45), -1, cv2.LINE_AA)
+    # The name goes behind the camera, where its own view does not cover it.
+    back = math.radians(camera.azimuth_deg + 180)
+    x, y = centre[0] + math.sin(back) * size * 1.2, centre[1] - math.cos(back) * size * 1.2
+    side: Anchor = "lm" if math.sin(back) > 0.3 else "rm" if math.sin(back) < -0.3 else "mm"
+    return camera.name, x, y, side
+
+
+def _draw_scale(picture: Rgb, view: GridGeometry, size: int) -> tuple[str, float, float, Anchor]:
+    target = view.width * view.resolution / 6
+    power = 10 ** math.floor(math.log10(target))
+    length = max(n * power for n in (1, 2, 5) if n * power <= target)
+    x0, y0 = size, picture.shape[0] - size
+    x1 = x0 + round(length / view.resolution)
+    cv2.line(picture, (x0, y0), (x1, y0), PAPER, 7)
+    cv2.line(picture, (x0, y0), (x1, y0), INK, 3)
+    for x in (x0, x1):
+        cv2.line(picture, (x, y0 - size // 3), (x, y0), PAPER, 5)
+        cv2.line(picture, (x, y0 - size // 3), (x, y0), INK, 3)
+    return metres(length), (x0 + x1) / 2, y0 - size * 0.5, "mb"
+
+
+def _draw_north(picture: Rgb, size: int) -> tuple[str, float, float, Anchor]:
+    x, y = picture.shape[1] - 2 * size, size
+    tip, half, height = (x, y), round(size * 0.7), round(size * 2.2)
+    left = np.array([tip, (x - half, y + height), (x, y + round(height * 0.72))], np.int32)
+    right = np.array([tip, (x + half, y + height), (x, y + round(height * 0.72))], np.int32)
+    whole = np.array([tip, left[1], left[2], right[1]], np.int32)
+    cv2.polylines(picture, [whole], True, PAPER, 5, cv2.LINE_AA)
+    cv2.fillPoly(picture, [left], INK, cv2.LINE_AA)
+    cv2.fillPoly(picture, [right], PAPER, cv2.LINE_AA)
+    cv2.polylines(picture, [whole], True, INK, 1, cv2.LINE_AA)
+    return "N", x, y + height + size * 0.2, "mt"

@@ -1,0 +1,82 @@
+"""Depth and labels drawn over the photo."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ltm_core.errors import ImageError
+from ltm_core.pictures.ranges import RangeScale, depth_colors
+from ltm_core.pictures.types import UNLABELLED, Labels, Palette, Rgb
+
+
+def label_colors(labels: Labels, label_set: Palette, unlabelled: tuple[int, int, int] = (70, 70, 74)) -> Rgb:
+    """Colours (..., 3) of class ids (...) uint8; ids without a colour (255 and any not in the set) are `unlabelled`."""
+    table = np.empty((256, 3), np.uint8)
+    table[:] = unlabelled
+    colors = np.asarray(label_set.colors, np.uint8)
+    table[: len(colors)] = colors
+    table[UNLABELLED] = unlabelled
+    return table[np.asarray(labels, np.uint8)]
+
+
+def overlay_depth(
+    image: Rgb, ranges: ArrayLike, scale: RangeScale | None = None, opacity: float = 0.55, contours: bool = True
+) -> Rgb:
+    """Range colours over the photo, which stays plain where the range is sky or unknown.
+
+    `image` (H, W, 3); `ranges` (H, W) metres, or of a size that divides the image's evenly (it is then enlarged to
+    nearest). `contours` adds thin dark lines at the scale's round ranges. Raises ImageError on sizes that disagree.
+    """
+    scale = scale or RangeScale()
+    values = _to_image_size(np.asarray(ranges, np.float32), image)
+    known = np.isfinite(values)
+    mixed = _mix(image, depth_colors(values, scale), opacity)
+    if contours:
+        line = _edges(np.digitize(np.where(known, values, np.inf), scale.ticks()).astype(np.int16)) & known
+        mixed[line] = (mixed[line] * 0.45).astype(np.uint8)
+    return np.where(known[..., None], mixed, image)
+
+
+def overlay_labels(image: Rgb, labels: Labels, label_set: Palette, opacity: float = 0.5) -> Rgb:
+    """Class colours over the photo with thin borders; the photo stays plain where a pixel has no label.
+
+    `labels` (H, W) uint8, or of a size that divides the image's evenly. Raises ImageError on sizes that disagree.
+    """
+    ids = _to_image_size(np.asarray(labels, np.uint8), image)
+    colors = label_colors(ids, label_set)
+    mixed = _mix(image, colors, opacity)
+    edge = _edges(ids.astype(np.int16))
+    mixed[edge] = (colors[edge] * 0.8).astype(np.uint8)
+    return np.where((ids != UNLABELLED)[..., None], mixed, image)
+
+
+def _mix(image: Rgb, colors: Rgb, opacity: float) -> Rgb:
+    return np.asarray(cv2.addWeighted(image, 1 - opacity, colors, opacity, 0.0), np.uint8)
+
+
+def _edges(ids: NDArray[np.int16]) -> NDArray[np.bool_]:
+    """Pixels whose right or lower neighbour differs."""
+    edge = np.zeros(ids.shape, np.bool_)
+    edge[:, :-1] |= ids[:, :-1] != ids[:, 1:]
+    edge[:-1] |= ids[:-1] != ids[1:]
+    return edge
+
+
+def _to_image_size(values: NDArray[Any], image: Rgb) -> NDArray[Any]:
+    """`values`, sampled at every n-th pixel of `image` (`values = full[::n, ::n]`), enlarged to nearest."""
+    (height, width), (rows, cols) = image.shape[:2], values.shape
+    if (rows, cols) == (height, width):
+        return values
+    step = -(-height // rows)
+    if (-(-height // step), -(-width // step)) != (rows, cols):
+        raise ImageError(
+            f"a layer of {cols} x {rows} pixels does not lie on an image of {width} x {height}: "
+            f"it must have every n-th pixel of it"
+        )
+    row = np.minimum((np.arange(height) + step // 2) // step, rows - 1)
+    col = np.minimum((np.arange(width) + step // 2) // step, cols - 1)
+    return np.asarray(values[row[:, None], col])
