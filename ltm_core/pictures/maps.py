@@ -17,7 +17,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pictures.legend import INK, PAPER, label_legend, with_legend
 from ltm_core.pictures.overlay import label_colors
 from ltm_core.pictures.terrain import hillshade, terrain_colors
-from ltm_core.pictures.text import Anchor, draw_texts, metres
+from ltm_core.pictures.text import Anchor, draw_texts, metres, text_width
 from ltm_core.pictures.types import UNLABELLED, Labels, Palette, Rgb
 
 _SEEN = (225, 87, 20)
@@ -43,7 +43,7 @@ class MapCamera:
 
 
 def labelled_shade(
-    classes: Labels, geometry: GridGeometry, label_set: Palette, dem: Dem, view: GridGeometry, opacity: float = 0.6
+    classes: Labels, geometry: GridGeometry, label_set: Palette, dem: Dem, view: GridGeometry, opacity: float = 0.75
 ) -> Rgb:
     """Class colours over grey relief on the raster `view`, (H, W, 3); cells that are 255 show the bare relief.
 
@@ -59,8 +59,8 @@ def labelled_shade(
     ids = _nearest(classes, geometry, view, UNLABELLED)
     colors = label_colors(ids, label_set)
     # Shade the class colours too, or steep ground loses its shape under them.
-    tinted = np.asarray(colors * (0.45 + 0.55 * picture[..., :1] / 255.0), np.uint8)
-    mixed = np.asarray(cv2.addWeighted(picture, 1 - opacity, tinted, opacity, 12.0), np.uint8)
+    tinted = np.clip(colors * (0.35 + 0.85 * picture[..., :1] / 255.0), 0, 255).astype(np.uint8)
+    mixed = np.asarray(cv2.addWeighted(picture, 1 - opacity, tinted, opacity, 0.0), np.uint8)
     return np.where((ids != UNLABELLED)[..., None], mixed, picture)
 
 
@@ -83,7 +83,8 @@ def fuel_map_picture(
     view = _view(bounds, width)
     picture = labelled_shade(classes, geometry, label_set, dem, view)
     picture = _furnish(picture, view, cameras, title)
-    return with_legend(picture, label_legend(width, label_set, np.unique(classes[classes != UNLABELLED]).tolist()))
+    names = label_legend(width, label_set, np.unique(classes[classes != UNLABELLED]).tolist())
+    return with_legend(picture, scale_bar(view), names)
 
 
 def terrain_map_picture(
@@ -108,13 +109,29 @@ def terrain_map_picture(
         hit = _nearest(seen.astype(np.uint8), dem.geometry, view, 0) > 0
         mixed = np.asarray(cv2.addWeighted(picture, 0.45, np.full_like(picture, _SEEN), 0.55, 0.0), np.uint8)
         picture = np.where(hit[..., None], mixed, picture)
-    return _furnish(picture, view, cameras, title)
+    return with_legend(_furnish(picture, view, cameras, title), scale_bar(view))
+
+
+def scale_bar(view: GridGeometry) -> Rgb:
+    """A strip as wide as the map, with a bar of a round length in four parts, (h, view.width, 3)."""
+    size = _text_size(view)
+    target = view.width * view.resolution / 4
+    power = 10 ** math.floor(math.log10(target))
+    length = max(n * power for n in (1, 2, 5) if n * power <= target)
+    strip = np.full((round(size * 2.9), view.width, 3), PAPER, np.uint8)
+    top, bottom = round(size * 0.7), round(size * 1.15)
+    edges = [size + round(length * part / 4 / view.resolution) for part in range(5)]
+    for part in range(4):
+        cv2.rectangle(strip, (edges[part], top), (edges[part + 1], bottom), INK, -1 if part % 2 == 0 else 1)
+    texts: list[tuple[str, float, float, Anchor]] = [("0", edges[0], bottom + size * 0.4, "mt")]
+    texts += [(metres(length * part / 4), edges[part], bottom + size * 0.4, "mt") for part in (2, 4)]
+    return draw_texts(strip, texts, size, INK)
 
 
 def _relief(dem: Dem, view: GridGeometry) -> Rgb:
     """Light grey relief on the view; paper where there is no terrain."""
     shade = _smooth(hillshade(dem), dem.geometry, view)
-    grey = np.clip(70 + 205 * np.nan_to_num(shade, nan=0.0), 0, 255)
+    grey = np.clip(40 + 225 * np.nan_to_num(shade, nan=0.0), 0, 255)
     grey = np.where(np.isfinite(shade), grey, PAPER[0])
     return np.repeat(grey.round().astype(np.uint8)[..., None], 3, axis=-1)
 
@@ -181,17 +198,20 @@ def _interesting(
 
 
 def _furnish(picture: Rgb, view: GridGeometry, cameras: Sequence[MapCamera], title: str | None) -> Rgb:
-    """Cameras, scale bar, north arrow and title drawn on a map."""
+    """Cameras, north arrow and title drawn on a map."""
     picture = picture.copy()
-    size = max(12, round(view.width / 62))
+    size = _text_size(view)
     labels: list[tuple[str, float, float, Anchor]] = []
     for camera in cameras:
         labels.append(_draw_camera(picture, view, camera, size))
-    labels.append(_draw_scale(picture, view, size))
     labels.append(_draw_north(picture, size))
     if title:
         labels.append((title, size, size * 0.9, "lt"))
     return draw_texts(picture, labels, size, INK, halo=PAPER)
+
+
+def _text_size(view: GridGeometry) -> int:
+    return max(12, round(view.width / 62))
 
 
 def _pixels(view: GridGeometry, points: NDArray[np.float64]) -> NDArray[np.int32]:
@@ -216,22 +236,10 @@ def _draw_camera(picture: Rgb, view: GridGeometry, camera: MapCamera, size: int)
     # The name goes behind the camera, where its own view does not cover it.
     back = math.radians(camera.azimuth_deg + 180)
     x, y = centre[0] + math.sin(back) * size * 1.2, centre[1] - math.cos(back) * size * 1.2
-    side: Anchor = "lm" if math.sin(back) > 0.3 else "rm" if math.sin(back) < -0.3 else "mm"
-    return camera.name, x, y, side
-
-
-def _draw_scale(picture: Rgb, view: GridGeometry, size: int) -> tuple[str, float, float, Anchor]:
-    target = view.width * view.resolution / 6
-    power = 10 ** math.floor(math.log10(target))
-    length = max(n * power for n in (1, 2, 5) if n * power <= target)
-    x0, y0 = size, picture.shape[0] - size
-    x1 = x0 + round(length / view.resolution)
-    cv2.line(picture, (x0, y0), (x1, y0), PAPER, 7)
-    cv2.line(picture, (x0, y0), (x1, y0), INK, 3)
-    for x in (x0, x1):
-        cv2.line(picture, (x, y0 - size // 3), (x, y0), PAPER, 5)
-        cv2.line(picture, (x, y0 - size // 3), (x, y0), INK, 3)
-    return metres(length), (x0 + x1) / 2, y0 - size * 0.5, "mb"
+    half, margin = text_width(camera.name, size) / 2, size * 0.5
+    x += half * math.sin(back)
+    x = min(max(x, half + margin), view.width - half - margin)
+    return camera.name, x, min(max(y, size), view.height - size), "mm"
 
 
 def _draw_north(picture: Rgb, size: int) -> tuple[str, float, float, Anchor]:

@@ -55,7 +55,9 @@ def overlay_labels(image: Rgb, labels: Labels, label_set: Palette, opacity: floa
 
 
 def _mix(image: Rgb, colors: Rgb, opacity: float) -> Rgb:
-    return np.asarray(cv2.addWeighted(image, 1 - opacity, colors, opacity, 0.0), np.uint8)
+    """Colours over the photo's brightness alone: the photo's own hues would shift them away from the legend."""
+    grey = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
+    return np.asarray(cv2.addWeighted(grey, 1 - opacity, colors, opacity, 0.0), np.uint8)
 
 
 def _edges(ids: NDArray[np.int16]) -> NDArray[np.bool_]:
