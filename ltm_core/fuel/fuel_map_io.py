@@ -1,0 +1,83 @@
+"""Fuel maps as GeoTIFF files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import ConfigError, RasterError
+from ltm_core.fuel.majority import UNSEEN
+from ltm_core.grid import GridGeometry
+from ltm_core.raster_io import write_geotiff
+from ltm_core.vision.labels import LabelSet
+
+
+def write_fuel_map(path: Path | str, classes: NDArray[np.uint8], geometry: GridGeometry, labels: LabelSet) -> Path:
+    """Write class indices, (H, W) uint8 with 255 unseen, with the palette and the classes' names.
+
+    The file appears whole or not at all. Raises ConfigError where `path` is empty or its folder is missing.
+    """
+    if not str(path):
+        raise ConfigError("no file is configured for the fuel map: set the parameter export_path")
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise ConfigError(f"{path}: the folder {path.parent} does not exist; make it first")
+    partial = path.with_name(f".{path.name}.partial")
+    write_geotiff(
+        partial,
+        classes,
+        geometry,
+        nodata=UNSEEN,
+        colormap=dict(enumerate(labels.colors)),
+        tags={"classes": json.dumps(labels.names)},
+    )
+    partial.replace(path)
+    return path
+
+
+def read_fuel_map(path: Path | str) -> tuple[NDArray[np.uint8], GridGeometry]:
+    """The class indices (255 unseen) and geometry of a fuel map. Raises RasterError on any other raster."""
+    import rasterio
+    from rasterio.errors import RasterioError
+
+    try:
+        with rasterio.open(path) as source:
+            if source.dtypes[0] != "uint8" or source.crs is None:
+                raise RasterError(f"{path}: a fuel map is uint8 with a CRS, this is {source.dtypes[0]}, {source.crs}")
+            t = source.transform
+            geometry = GridGeometry(t.c, t.f, t.a, source.width, source.height, str(source.crs))
+            classes = source.read(1)
+            if source.nodata is not None:
+                classes = np.where(classes == source.nodata, np.uint8(UNSEEN), classes)
+    except RasterioError as error:
+        raise RasterError(f"{path}: not a raster that GDAL can read ({error})") from error
+    return classes, geometry
+
+
+def resampled(
+    classes: NDArray[np.uint8], geometry: GridGeometry, crs: str, phase: float = 15.0
+) -> tuple[NDArray[np.uint8], GridGeometry]:
+    """The map by nearest cell on the grid of the same resolution in another CRS, edges at phase mod resolution.
+
+    EPSG:5070 gives LANDFIRE's grid.
+    """
+    from rasterio.warp import Resampling, reproject, transform_bounds
+
+    bounds = transform_bounds(geometry.crs, crs, *geometry.bounds)
+    target = GridGeometry.snapped(bounds, geometry.resolution, phase, crs)
+    result = np.full(target.shape, UNSEEN, np.uint8)
+    reproject(
+        classes,
+        result,
+        src_transform=geometry.transform(),
+        src_crs=geometry.crs,
+        src_nodata=UNSEEN,
+        dst_transform=target.transform(),
+        dst_crs=crs,
+        dst_nodata=UNSEEN,
+        resampling=Resampling.nearest,
+    )
+    return result, target

@@ -1,0 +1,53 @@
+"""Depth error against truth, by range."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import ImageError
+
+RANGE_BINS = (0.0, 100.0, 300.0, 1000.0, np.inf)
+"""Edges of the range bins that depth is scored in, metres of true depth."""
+
+
+@dataclass(frozen=True)
+class DepthScore:
+    """Errors of one range bin, metres; NaN where no pixel counts."""
+
+    near: float
+    far: float
+    pixels: int
+    rmse: float
+    mae: float
+    median: float
+    """Median absolute error."""
+    bias: float
+    """Mean of estimate minus truth."""
+
+
+def score_depth(estimate: Sequence[NDArray[np.float32]], truth: Sequence[NDArray[np.float32]]) -> list[DepthScore]:
+    """Scores by range bin, then over all, of images in pairs of one shape.
+
+    Pixels count where both are finite. Raises ImageError on a pair of different shapes.
+    """
+    for a, b in zip(estimate, truth, strict=True):
+        if a.shape != b.shape:
+            raise ImageError(f"depth of {a.shape} cannot be scored against truth of {b.shape}")
+    depth = np.concatenate([a.ravel() for a in estimate]) if estimate else np.empty(0, np.float32)
+    true = np.concatenate([b.ravel() for b in truth]) if truth else np.empty(0, np.float32)
+    both = np.isfinite(depth) & np.isfinite(true)
+    error, true = (depth[both] - true[both]).astype(np.float64), true[both]
+    bins = [*zip(RANGE_BINS, RANGE_BINS[1:], strict=False), (0.0, np.inf)]
+    return [_score(error[(true >= near) & (true < far)], near, far) for near, far in bins]
+
+
+def _score(error: NDArray[np.float64], near: float, far: float) -> DepthScore:
+    if len(error) == 0:
+        return DepthScore(near, far, 0, np.nan, np.nan, np.nan, np.nan)
+    size = np.abs(error)
+    rmse = float(np.sqrt(np.mean(error**2)))
+    return DepthScore(near, far, len(error), rmse, float(size.mean()), float(np.median(size)), float(error.mean()))

@@ -1,0 +1,49 @@
+"""A fuel map against the true one, over the cells that were seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import RasterError
+from ltm_core.fuel.majority import UNSEEN
+from ltm_core.grid import GridGeometry
+
+
+@dataclass(frozen=True, eq=False)
+class FuelScore:
+    """`cells`: of the map. `seen`: with a class and a known truth. `right`: of those. `confusion`: (K, K) [true, seen]."""
+
+    cells: int
+    seen: int
+    right: int
+    confusion: NDArray[np.int64]
+
+
+def score_fuel(
+    classes: NDArray[np.uint8],
+    geometry: GridGeometry,
+    truth: NDArray[np.uint8],
+    truth_geometry: GridGeometry,
+    class_count: int,
+) -> FuelScore:
+    """Score a map on the cells that both rasters hold; both in one CRS with coinciding cells.
+
+    Raises RasterError where the grids' cells do not coincide.
+    """
+    row, col = truth_geometry.to_grid(*geometry.to_map(0, 0))
+    offset = np.array([row, col])
+    if geometry.resolution != truth_geometry.resolution or np.abs(offset - np.round(offset)).max() > 1e-3:
+        raise RasterError(f"fuel map on {geometry} cannot be scored against truth on {truth_geometry}: cells differ")
+    rows, cols = np.indices(geometry.shape)
+    rows, cols = rows + round(float(row)), cols + round(float(col))
+    inside = truth_geometry.contains(rows, cols)
+    true = np.full(classes.shape, UNSEEN, np.uint8)
+    true[inside] = truth[rows[inside], cols[inside]]
+    both = (classes < class_count) & (true < class_count)
+    confusion = np.bincount(
+        true[both].astype(np.int64) * class_count + classes[both], minlength=class_count * class_count
+    ).reshape(class_count, class_count)
+    return FuelScore(classes.size, int(both.sum()), int(np.trace(confusion)), confusion)

@@ -1,0 +1,79 @@
+"""A node's work without its transport.
+
+The live node (`ltm_ros.node`) and the offline replay (`ltm_ros.replay.offline`) feed the same handlers with the same
+messages, so what a tower computes live is what a researcher recomputes from the recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+from ltm_core.site import Config
+from ltm_ros.health import Health
+
+
+@dataclass(frozen=True)
+class Topic:
+    """`name`: relative to the node's namespace, or absolute. `latched`: late joiners get the last message."""
+
+    name: str
+    type: type
+    latched: bool = False
+
+
+class NodeConfig(Config):
+    """Parameters that every node takes."""
+
+    site: str
+    """Path of the site file."""
+    camera: str = ""
+    """Name of the node's camera in the site; empty for nodes of the whole site."""
+
+
+class Outlet(Protocol):
+    """Where a handler's messages go."""
+
+    def publish(self, topic: Topic, message: Any) -> None: ...
+
+    def wanted(self, topic: Topic) -> bool:
+        """Whether somebody listens: costly messages are made only then."""
+        ...
+
+
+ConfigT = TypeVar("ConfigT", bound=NodeConfig)
+
+
+class Handler(Generic[ConfigT]):
+    """Base of the handlers: subclasses fill `subscriptions`, `publications` and, where needed, `services`.
+
+    All callbacks run on one thread, in order of arrival. A callback may raise LtmError: the message is dropped, the
+    drop is counted by its cause, and the node lives on.
+    """
+
+    publications: Sequence[Topic] = ()
+
+    def __init__(self, config: ConfigT, outlet: Outlet, health: Health) -> None:
+        self.config = config
+        self.outlet = outlet
+        self.health = health
+
+    @property
+    def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
+        """What to listen to, and who takes each message."""
+        return {}
+
+    @property
+    def services(self) -> Mapping[str, Callable[[], str]]:
+        """std_srvs/Trigger services by name; each returns its answer or raises LtmError."""
+        return {}
+
+    def start(self) -> None:
+        """Called once when publications are open: latched messages go out here."""
+
+    def tick(self, waited: float) -> None:
+        """Called every half second with the seconds since the last call, on a clock that a replay does not stop."""
+
+    def finish(self) -> None:
+        """Called once when no more messages will come."""

@@ -1,0 +1,104 @@
+"""What a node knows of its own work: rates, latencies, drops by cause, the last error."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter, deque
+
+import numpy as np
+
+from ltm_core.errors import LtmError
+
+WINDOW = 200
+"""Messages over which latencies are summarised."""
+
+
+def cause_of(error: LtmError) -> str:
+    """The name under which an error is counted: ImageError -> image."""
+    return type(error).__name__.removesuffix("Error").lower()
+
+
+class Health:
+    """Counters of one node; safe to use from several threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._received = self._published = 0
+        self._dropped: Counter[str] = Counter()
+        self._noted: Counter[str] = Counter()
+        self._gauges: dict[str, str] = {}
+        self._ages: deque[float] = deque(maxlen=WINDOW)
+        self._work: deque[float] = deque(maxlen=WINDOW)
+        self._published_at: deque[float] = deque(maxlen=WINDOW)
+        self._last_error = ""
+        self._last_trouble = -float("inf")
+
+    def received(self) -> None:
+        with self._lock:
+            self._received += 1
+
+    def published(self, age: float | None = None) -> None:
+        """A result went out, `age` seconds after the moment its source was taken (None: not known)."""
+        with self._lock:
+            self._published += 1
+            self._published_at.append(time.monotonic())
+            if age is not None:
+                self._ages.append(age)
+
+    def worked(self, seconds: float) -> None:
+        """A message was handled in `seconds`."""
+        with self._lock:
+            self._work.append(seconds)
+
+    def drop(self, cause: str, why: str) -> None:
+        """An input was given up; `why` holds the value and the remedy."""
+        with self._lock:
+            self._dropped[cause] += 1
+            self._last_error = f"{cause}: {why}"
+            self._last_trouble = time.monotonic()
+
+    def note(self, event: str) -> None:
+        """Count something worth knowing that loses nothing."""
+        with self._lock:
+            self._noted[event] += 1
+
+    def gauge(self, name: str, value: object) -> None:
+        """State a current value, such as a queue's length."""
+        with self._lock:
+            self._gauges[name] = str(value)
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        with self._lock:
+            return dict(self._dropped)
+
+    @property
+    def last_error(self) -> str:
+        return self._last_error
+
+    @property
+    def troubled(self) -> bool:
+        """Whether something was dropped in the last ten seconds."""
+        return time.monotonic() - self._last_trouble < 10.0
+
+    def summary(self) -> dict[str, str]:
+        """Key -> value as `/diagnostics` carries them; times in milliseconds, rates in Hz."""
+        with self._lock:
+            values = {"received": str(self._received), "published": str(self._published)}
+            values["dropped"] = str(sum(self._dropped.values()))
+            values |= {f"dropped.{cause}": str(n) for cause, n in sorted(self._dropped.items())}
+            values |= {f"noted.{event}": str(n) for event, n in sorted(self._noted.items())}
+            values["rate_hz"] = f"{_rate(self._published_at):.2f}"
+            for name, times in (("latency", self._ages), ("work", self._work)):
+                if times:
+                    p50, p95 = np.percentile(np.array(times) * 1000, (50, 95))
+                    values |= {f"{name}_p50_ms": f"{p50:.1f}", f"{name}_p95_ms": f"{p95:.1f}"}
+            values |= self._gauges
+            values["last_error"] = self._last_error
+            return values
+
+
+def _rate(moments: deque[float]) -> float:
+    recent = [t for t in moments if time.monotonic() - t < 10.0]
+    return (len(recent) - 1) / (recent[-1] - recent[0]) if len(recent) > 1 and recent[-1] > recent[0] else 0.0

@@ -1,0 +1,218 @@
+"""The live side of a handler: an rclpy node that feeds it and sends what it makes."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from pydantic_core import PydanticUndefined
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import Trigger
+
+from ltm_core.config_io import checked
+from ltm_core.errors import LtmError
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.handler import ConfigT, Handler, Topic
+from ltm_ros.health import Health, cause_of
+
+QUEUE = 30
+"""Messages that wait for a busy handler before the newest is dropped and counted."""
+EX_CONFIG = 78
+"""Exit status of a node whose configuration cannot work (sysexits.h): restarting it does not help."""
+
+
+def stream_qos(latched: bool = False) -> QoSProfile:
+    """Reliable, keeps the last 10; latched topics keep the last one for late joiners."""
+    if latched:
+        return QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    return QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+
+
+class HandlerNode(Node):  # type: ignore[misc]
+    """Runs one handler: messages queue up for a worker thread, so that the middleware is drained while it works."""
+
+    def __init__(self, name: str, config_type: type[ConfigT], handler_type: Callable[..., Handler[ConfigT]]) -> None:
+        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        config = read_parameters(self, config_type)
+        self.health = Health()
+        self._publishers_by_topic: dict[Topic, Any] = {}
+        self._inbox: queue.Queue[tuple[Callable[[Any], None], Any] | None] = queue.Queue(QUEUE)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._camera = config.camera
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._last_tick = time.monotonic()
+        self.handler = handler_type(config, self, self.health)
+        for topic in self.handler.publications:
+            self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, stream_qos(topic.latched))
+        self.handler.start()
+        for topic, callback in self.handler.subscriptions.items():
+            self.create_subscription(topic.type, topic.name, self._enqueue(callback), stream_qos(topic.latched))
+        for service, action in self.handler.services.items():
+            self.create_service(Trigger, service, self._serve(action))
+        # Not on ROS time: a replay that has ended stops that clock, and diagnostics must go on.
+        self.create_timer(0.5, self._tick, clock=self._steady)
+        self.create_timer(1.0, self.publish_diagnostics, clock=self._steady)
+        self._worker = threading.Thread(target=self._work, name=f"{name} worker", daemon=True)
+        self._worker.start()
+
+    def publish(self, topic: Topic, message: Any) -> None:
+        """Part of Outlet."""
+        self._publishers_by_topic[topic].publish(message)
+        if not topic.latched:
+            self.health.published((self.get_clock().now().nanoseconds - stamp_of(message)) / 1e9)
+
+    def wanted(self, topic: Topic) -> bool:
+        """Part of Outlet."""
+        return bool(self._publishers_by_topic[topic].get_subscription_count() > 0)
+
+    def publish_diagnostics(self) -> None:
+        self.health.gauge("queue", self._inbox.qsize())
+        summary = self.health.summary()
+        troubled = self.health.troubled
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.WARN if troubled else DiagnosticStatus.OK,
+            name=self.get_fully_qualified_name(),
+            hardware_id=self._camera,
+            message=summary["last_error"] if troubled else "ok",
+            values=[KeyValue(key=key, value=value) for key, value in summary.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def close(self) -> None:
+        """Let the worker finish what waits, tell the handler, send the last diagnostics."""
+        with contextlib.suppress(queue.Full):
+            self._inbox.put(None, timeout=2.0)
+        self._worker.join(timeout=5.0)
+        if not self._worker.is_alive():
+            self._guarded(lambda _: self.handler.finish(), None)
+        self.publish_diagnostics()
+
+    def _enqueue(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        def take(message: Any) -> None:
+            self.health.received()
+            self._offer(callback, message)
+
+        return take
+
+    def _offer(self, callback: Callable[[Any], None], message: Any) -> None:
+        try:
+            self._inbox.put_nowait((callback, message))
+        except queue.Full:
+            self.health.drop("overload", f"{QUEUE} messages wait already; slow the camera down or give it more cores")
+
+    def _tick(self) -> None:
+        if self._inbox.full():
+            return
+        now = time.monotonic()
+        waited, self._last_tick = now - self._last_tick, now
+        self._offer(lambda _: self.handler.tick(waited), None)
+
+    def _work(self) -> None:
+        while (item := self._inbox.get()) is not None:
+            callback, message = item
+            started = time.perf_counter()
+            try:
+                self._guarded(callback, message)
+            except BaseException:
+                # A bug: end the whole process at once, with its traceback, and let the graph restart it.
+                sys.excepthook(*sys.exc_info())
+                os._exit(1)
+            if message is not None:
+                self.health.worked(time.perf_counter() - started)
+
+    def _guarded(self, callback: Callable[[Any], None], message: Any) -> None:
+        try:
+            callback(message)
+        except LtmError as error:
+            self.health.drop(cause_of(error), str(error))
+            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+
+    def _serve(self, action: Callable[[], str]) -> Callable[[Any, Any], Any]:
+        def answer(_: Any, response: Any) -> Any:
+            """Runs the action on the worker, between messages: handlers know one thread only."""
+            outcome: queue.Queue[tuple[bool, str]] = queue.Queue(1)
+
+            def act(_: Any) -> None:
+                try:
+                    outcome.put((True, action()))
+                except LtmError as error:
+                    outcome.put((False, str(error)))
+
+            try:
+                self._inbox.put((act, None), timeout=5.0)
+                response.success, response.message = outcome.get(timeout=30.0)
+            except (queue.Full, queue.Empty):
+                response.success, response.message = False, "the node is too busy; try again"
+            return response
+
+        return answer
+
+
+def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:
+    """The node's parameters as typed configuration, fixed from here on. Raises ConfigError, e.g. on unknown ones."""
+    given = {
+        name: parameter.value
+        for name, parameter in node.get_parameters_by_prefix("").items()
+        if name not in ("use_sim_time", "start_type_description_service") and not name.startswith("qos_overrides.")
+    }
+    config = checked(model, given, f"parameters of node {node.get_fully_qualified_name()}")
+    for name, field in model.model_fields.items():
+        if name not in given and field.default is not PydanticUndefined:
+            node.declare_parameter(name, _ros_value(getattr(config, name)))
+
+    def refuse(parameters: list[Parameter]) -> SetParametersResult:
+        changed = ", ".join(p.name for p in parameters if p.name in model.model_fields)
+        return SetParametersResult(
+            successful=not changed,
+            reason=f"{changed}: fixed while the node runs; change the site file" if changed else "",
+        )
+
+    node.add_on_set_parameters_callback(refuse)
+    return config
+
+
+def _ros_value(value: object) -> object:
+    return value if isinstance(value, bool | int | float | str | list) else str(value)
+
+
+def run_node(name: str, config_type: type[ConfigT], handler_type: Callable[..., Handler[ConfigT]]) -> None:
+    """Body of every node's `main`: spin until SIGINT or SIGTERM, then finish what waits and send a last report.
+
+    Exits with EX_CONFIG where the configuration cannot work, so that the graph does not start it for ever.
+    """
+    stopping = threading.Event()
+    # rclpy's own handlers would shut the context down before the handler has finished and published.
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stopping.set())
+    try:
+        node = HandlerNode(name, config_type, handler_type)
+    except LtmError as error:
+        print(f"{name}: cannot start: {error}", file=sys.stderr)
+        rclpy.try_shutdown()
+        sys.exit(EX_CONFIG)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    while rclpy.ok() and not stopping.is_set():
+        executor.spin_once(timeout_sec=0.1)
+    node.close()
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.try_shutdown()

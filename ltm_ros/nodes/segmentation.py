@@ -1,0 +1,58 @@
+"""segmentation: labels every pixel with what covers the ground there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+from pydantic import Field
+
+from ltm_core.resources import config_path
+from ltm_core.site_io import load_site
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.segmenter import Segmenter
+from ltm_msgs_py.image import image_to_msg, msg_to_rgb
+from ltm_msgs_py.label_info import label_set_to_msg
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.handler import Handler, NodeConfig, Outlet
+from ltm_ros.health import Health
+from ltm_ros.node import run_node
+from ltm_ros.topics import LABELS_CONFIDENCE, LABELS_IMAGE, LABELS_INFO, POSED_IMAGE
+
+
+class SegmentationConfig(NodeConfig):
+    model: str = ""
+    """Manifest name or path; empty: the site's."""
+    threads: int = Field(1, ge=1)
+    """Cores that the network may use."""
+
+
+class Segmentation(Handler[SegmentationConfig]):
+    publications = (LABELS_IMAGE, LABELS_CONFIDENCE, LABELS_INFO)
+
+    def __init__(self, config: SegmentationConfig, outlet: Outlet, health: Health) -> None:
+        super().__init__(config, outlet, health)
+        site = load_site(config.site)
+        site.camera(config.camera)
+        self._labels = LabelSet.load(config_path(site.labels))
+        self._segmenter = Segmenter.open(config.model or site.model, threads=config.threads)
+
+    @property
+    def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
+        return {POSED_IMAGE: self.on_image}
+
+    def start(self) -> None:
+        self.outlet.publish(LABELS_INFO, label_set_to_msg(self._labels))
+
+    def on_image(self, message: Any) -> None:
+        stamp, frame_id = stamp_of(message), message.header.frame_id
+        segmentation = self._segmenter.segment(msg_to_rgb(message))
+        self.outlet.publish(LABELS_CONFIDENCE, image_to_msg(segmentation.confidence, "mono8", stamp, frame_id))
+        self.outlet.publish(LABELS_IMAGE, image_to_msg(segmentation.labels, "mono8", stamp, frame_id))
+
+
+main = partial(run_node, "segmentation", SegmentationConfig, Segmentation)
+
+if __name__ == "__main__":
+    main()

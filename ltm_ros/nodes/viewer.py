@@ -1,0 +1,125 @@
+"""viewer: shows the running graph in Rerun, live or into an .rrd file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from pydantic import Field
+
+from ltm_core.depth.range_image import RangeImage
+from ltm_core.resources import config_path
+from ltm_core.site_io import load_site
+from ltm_core.vision.labels import LabelSet
+from ltm_msgs_py.camera_info import msg_to_camera
+from ltm_msgs_py.grid import msg_to_classes
+from ltm_msgs_py.image import msg_to_array, msg_to_depth, msg_to_rgb
+from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.handler import Handler, NodeConfig, Outlet, Topic
+from ltm_ros.health import Health
+from ltm_ros.join import StampJoin
+from ltm_ros.node import run_node
+from ltm_ros.rerun_view import RerunView
+from ltm_ros.topics import (
+    DEPTH_CAMERA_INFO,
+    DEPTH_IMAGE,
+    FUEL_MAP,
+    LABELS_IMAGE,
+    POSED_IMAGE,
+    POSED_POSE,
+    camera_topic,
+    site_topic,
+)
+
+DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray)
+POINT_STEP = 12
+"""Every how many pixels a depth image gives a point in the 3D view."""
+
+
+class ViewerConfig(NodeConfig):
+    save: str = ""
+    """.rrd file to write; empty: none."""
+    serve: bool = False
+    """Serve a live view on loopback."""
+    web_port: int = Field(9090, ge=0, lt=65536)
+    grpc_port: int = Field(9876, ge=1, lt=65536)
+
+
+class Viewer(Handler[ViewerConfig]):
+    def __init__(self, config: ViewerConfig, outlet: Outlet, health: Health) -> None:
+        super().__init__(config, outlet, health)
+        self._site = load_site(config.site)
+        self._view = RerunView(
+            f"ltm {self._site.name}",
+            self._site,
+            self._site.open_dem(),
+            LabelSet.load(config_path(self._site.labels)),
+            save=Path(config.save) if config.save else None,
+            serve=config.serve,
+            web_port=config.web_port,
+            grpc_port=config.grpc_port,
+        )
+        names = ("image", "depth", "info", "labels", "pose")
+        self._joins = {camera: StampJoin(names, partial(self._show, camera), health) for camera in self._site.cameras}
+
+    @property
+    def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
+        parts = {
+            "image": POSED_IMAGE,
+            "depth": DEPTH_IMAGE,
+            "info": DEPTH_CAMERA_INFO,
+            "labels": LABELS_IMAGE,
+            "pose": POSED_POSE,
+        }
+        taken: dict[Topic, Callable[[Any], None]] = {
+            Topic(camera_topic(self._site.name, camera, topic), topic.type): partial(self._join, camera, part)
+            for camera in self._site.cameras
+            for part, topic in parts.items()
+        }
+        taken[Topic(site_topic(self._site.name, FUEL_MAP), FUEL_MAP.type, latched=True)] = self.on_fuel_map
+        taken[DIAGNOSTICS] = self.on_diagnostics
+        return taken
+
+    def on_fuel_map(self, message: Any) -> None:
+        self._view.log_fuel_map(stamp_of(message), *msg_to_classes(message))
+
+    def on_diagnostics(self, message: Any) -> None:
+        for status in message.status:
+            values = {}
+            for item in status.values:
+                if item.key.endswith(("_ms", "_hz")) or item.key in ("received", "published", "dropped", "queue"):
+                    values[item.key] = float(item.value)
+            self._view.log_diagnostics(stamp_of(message), status.name, values)
+            if status.level != b"\x00":
+                self._view.log_text("WARN", f"{status.name}: {status.message}")
+
+    def finish(self) -> None:
+        for join in self._joins.values():
+            join.finish()
+        self._view.close()
+
+    def _join(self, camera: str, part: str, message: Any) -> None:
+        self._joins[camera].add(part, stamp_of(message), message)
+
+    def _show(self, camera: str, image: Any, depth: Any, info: Any, labels: Any, pose: Any) -> None:
+        stamp, where, model = stamp_of(image), msg_to_pose(pose, "map"), msg_to_camera(info)
+        rgb, metres, classes = msg_to_rgb(image), msg_to_depth(depth), msg_to_array(labels, ("mono8",))
+        self._view.log_pose(camera, stamp, where, model)
+        self._view.log_image(camera, stamp, rgb)
+        self._view.log_depth(camera, stamp, metres, model)
+        self._view.log_labels(camera, stamp, classes)
+        every = slice(None, None, POINT_STEP)
+        sparse = RangeImage.from_depth(metres[every, every], model.scaled(POINT_STEP), where, self._site.bend)
+        points = sparse.points().reshape(-1, 3)
+        seen = points[:, 2] == points[:, 2]
+        self._view.log_points(camera, stamp, points[seen], rgb[every, every].reshape(-1, 3)[seen])
+
+
+main = partial(run_node, "viewer", ViewerConfig, Viewer)
+
+if __name__ == "__main__":
+    main()

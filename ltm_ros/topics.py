@@ -1,0 +1,53 @@
+"""The topics of the graph. Names are relative to `/<site>/<camera>/` or, under SITE, to `/<site>/`."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from std_msgs.msg import String
+
+from ltm_ros.handler import Topic
+
+IMAGE_RAW = Topic("image_raw", Image)
+IMAGE_COMPRESSED = Topic("image_raw/compressed", CompressedImage)
+CAMERA_INFO = Topic("camera_info", CameraInfo)
+POSE = Topic("pose", PoseWithCovarianceStamped)
+
+POSED_IMAGE = Topic("posed/image", Image)
+POSED_CAMERA_INFO = Topic("posed/camera_info", CameraInfo)
+POSED_POSE = Topic("posed/pose", PoseWithCovarianceStamped)
+
+DEPTH_IMAGE = Topic("depth/image", Image)
+DEPTH_CAMERA_INFO = Topic("depth/camera_info", CameraInfo)
+ALIGNMENT = Topic("alignment", Image)
+
+LABELS_IMAGE = Topic("labels/image", Image)
+LABELS_CONFIDENCE = Topic("labels/confidence", Image)
+LABELS_INFO = Topic("labels/info", String, latched=True)
+
+FUEL_VOTES = Topic("fuel/votes", PointCloud2)
+
+FUEL_MAP = Topic("fuel_map", OccupancyGrid, latched=True)
+FUEL_MAP_UPDATE = Topic("fuel_map/update", OccupancyGrid)
+FUEL_MAP_INFO = Topic("fuel_map/info", String, latched=True)
+
+TRUTH_DEPTH = Topic("truth/depth", Image)
+TRUTH_GROUND_DEPTH = Topic("truth/ground_depth", Image)
+TRUTH_LABELS = Topic("truth/labels", Image)
+TRUTH_CAMERA_INFO = Topic("truth/camera_info", CameraInfo)
+
+CAMERA_INPUTS = (IMAGE_RAW, IMAGE_COMPRESSED, CAMERA_INFO, POSE)
+"""What a recording must hold for the graph to run on it."""
+CAMERA_TRUTH = (TRUTH_DEPTH, TRUTH_GROUND_DEPTH, TRUTH_LABELS, TRUTH_CAMERA_INFO)
+"""What a simulated recording holds besides; no node of the graph listens to it."""
+
+
+def camera_topic(site: str, camera: str, topic: Topic) -> str:
+    """A camera topic's absolute name."""
+    return f"/{site}/{camera}/{topic.name}"
+
+
+def site_topic(site: str, topic: Topic) -> str:
+    """A site topic's absolute name."""
+    return f"/{site}/{topic.name}"
