@@ -43,7 +43,7 @@ class MapCamera:
 
 
 def labelled_shade(
-    classes: Labels, geometry: GridGeometry, label_set: Palette, dem: Dem, view: GridGeometry, opacity: float = 0.75
+    classes: Labels, geometry: GridGeometry, label_set: Palette, dem: Dem, view: GridGeometry, opacity: float = 0.8
 ) -> Rgb:
     """Class colours over grey relief on the raster `view`, (H, W, 3); cells that are 255 show the bare relief.
 
@@ -59,7 +59,7 @@ def labelled_shade(
     ids = _nearest(classes, geometry, view, UNLABELLED)
     colors = label_colors(ids, label_set)
     # Shade the class colours too, or steep ground loses its shape under them.
-    tinted = np.clip(colors * (0.35 + 0.85 * picture[..., :1] / 255.0), 0, 255).astype(np.uint8)
+    tinted = np.clip(colors * (0.4 + 0.62 * picture[..., :1] / 255.0), 0, 255).astype(np.uint8)
     mixed = np.asarray(cv2.addWeighted(picture, 1 - opacity, tinted, opacity, 0.0), np.uint8)
     return np.where((ids != UNLABELLED)[..., None], mixed, picture)
 
