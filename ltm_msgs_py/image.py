@@ -191,7 +191,7 @@ def decode_rgb(data: bytes, what: str = "image") -> Bytes:
             f"{what} ({len(data)} bytes, beginning {data[:8].hex(' ') or 'with nothing'}) is neither jpeg nor png; "
             "publish one of these, or raw images"
         )
-    # OpenCV fills the missing part of a cut JPEG with grey and says nothing, so look for its end ourselves.
+    # OpenCV 4 fills the missing part of a cut JPEG with grey and says nothing, so look for its end ourselves.
     if found == "jpeg" and not _jpeg_is_whole(data):
         raise ImageError(f"{what} ({len(data)} bytes of jpeg) is cut short: it has no end-of-image marker")
     try:

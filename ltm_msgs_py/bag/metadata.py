@@ -1,0 +1,138 @@
+"""rosbag2's metadata.yaml, version 9 (Jazzy)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ltm_core.errors import RecordingError
+
+VERSION = 9
+FILE_NAME = "metadata.yaml"
+
+_FOREVER = {"sec": 9223372036, "nsec": 854775807}
+
+
+@dataclass
+class TopicRecord:
+    """What metadata says of one topic."""
+
+    topic: str
+    type_name: str
+    type_hash: str
+    qos: list[dict[str, Any]]
+    message_count: int = 0
+
+
+def qos_profile(latched: bool, depth: int) -> list[dict[str, Any]]:
+    """The offered QoS of one publisher: reliable, keep last, transient local when latched."""
+    return [
+        {
+            "history": "keep_last",
+            "depth": depth,
+            "reliability": "reliable",
+            "durability": "transient_local" if latched else "volatile",
+            "deadline": dict(_FOREVER),
+            "lifespan": dict(_FOREVER),
+            "liveliness": "automatic",
+            "liveliness_lease_duration": dict(_FOREVER),
+            "avoid_ros_namespace_conventions": False,
+        }
+    ]
+
+
+def is_latched(offered_qos_profiles: str) -> bool:
+    """Whether a channel's `offered_qos_profiles` (YAML) has a transient local publisher.
+
+    Versions below 9 write RMW's number for it (1), later ones its name. Text that is no such list: False.
+    """
+    try:
+        profiles = yaml.safe_load(offered_qos_profiles) if offered_qos_profiles else []
+    except yaml.YAMLError:
+        return False
+    if not isinstance(profiles, list):
+        return False
+    return any(isinstance(p, dict) and p.get("durability") in ("transient_local", 1) for p in profiles)
+
+
+def bag_information(
+    file_name: str, start_ns: int, end_ns: int, topics: Sequence[TopicRecord], custom_data: Mapping[str, str]
+) -> dict[str, Any]:
+    """The content of `rosbag2_bagfile_information` for a bag of one MCAP file."""
+    start = {"nanoseconds_since_epoch": start_ns}
+    duration = {"nanoseconds": end_ns - start_ns}
+    count = sum(topic.message_count for topic in topics)
+    return {
+        "version": VERSION,
+        "storage_identifier": "mcap",
+        "duration": duration,
+        "starting_time": start,
+        "message_count": count,
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": topic.topic,
+                    "type": topic.type_name,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": topic.qos,
+                    "type_description_hash": topic.type_hash,
+                },
+                "message_count": topic.message_count,
+            }
+            for topic in topics
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file_name],
+        "files": [{"path": file_name, "starting_time": start, "duration": duration, "message_count": count}],
+        "custom_data": dict(custom_data) or None,
+        "ros_distro": "jazzy",
+    }
+
+
+def to_yaml(data: Any) -> str:
+    """Block-style YAML without anchors, which yaml-cpp and people read alike."""
+
+    class Dumper(yaml.SafeDumper):
+        def ignore_aliases(self, data: Any) -> bool:
+            return True
+
+    return yaml.dump(data, Dumper=Dumper, sort_keys=False, default_flow_style=False)
+
+
+def bag_files(folder: Path) -> list[Path] | None:
+    """The MCAP files that a bag folder's metadata.yaml lists, in their order; None where it has no metadata.yaml.
+
+    Raises RecordingError on metadata that is not rosbag2's, another storage, whole-file compression, or files that are
+    missing or lie outside the folder.
+    """
+    path = folder / FILE_NAME
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise RecordingError(f"cannot read {path}: {error}") from error
+    info = document.get("rosbag2_bagfile_information") if isinstance(document, dict) else None
+    names = info.get("relative_file_paths") if isinstance(info, dict) else None
+    if not isinstance(info, dict) or not isinstance(names, list) or not all(isinstance(n, str) for n in names):
+        raise RecordingError(
+            f"{path} is not rosbag2 metadata: it lacks rosbag2_bagfile_information.relative_file_paths"
+        )
+    storage, mode = info.get("storage_identifier"), str(info.get("compression_mode") or "none").lower()
+    if storage != "mcap" or mode != "none":
+        raise RecordingError(
+            f"{folder} is a bag with storage {storage!r} and compression mode {mode!r}; only plain mcap is read "
+            "(compression inside the MCAP is fine): convert it with `ros2 bag convert` or `rosbags-convert`"
+        )
+    files = []
+    for name in names:
+        file = folder / Path(name).name
+        if Path(name).is_absolute() or ".." in Path(name).parts or not file.is_file():
+            raise RecordingError(f"{path} lists the file {name!r}, which is not in {folder}")
+        files.append(file)
+    return files

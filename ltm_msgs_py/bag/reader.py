@@ -1,0 +1,160 @@
+"""Reading a bag: a rosbag2 folder of MCAP files, or one bare MCAP file."""
+
+from __future__ import annotations
+
+import heapq
+import logging
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rclpy.serialization import deserialize_message
+
+from ltm_core.errors import RecordingError
+from ltm_msgs_py.bag.mcap_index import McapIndex
+from ltm_msgs_py.bag.metadata import bag_files, is_latched
+from ltm_msgs_py.bag.schemas import message_class
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """One topic of a bag. `latched`: its publisher was transient local. `encoding`: cdr in every ROS 2 bag."""
+
+    type_name: str
+    message_count: int
+    latched: bool
+    encoding: str
+
+
+@dataclass(frozen=True)
+class BagMessage:
+    """One recorded message: `raw` is its CDR; received at `log_time_ns`, sent at `publish_time_ns`."""
+
+    topic: str
+    log_time_ns: int
+    publish_time_ns: int
+    type_name: str
+    raw: bytes
+
+
+class BagReader:
+    """The topics and messages of a bag.
+
+    A bag that was cut short or has broken parts is read as far as it goes; `damage` then says what is missing and at
+    which byte, and it is logged as a warning. Later chunks are only checked when their messages are read, so look at
+    `damage` again afterwards.
+    """
+
+    def __init__(self, path: Path | str, allow_damaged: bool = True) -> None:
+        """Open a bag folder or an .mcap file.
+
+        Raises RecordingError when there is none, it is another format, or, without `allow_damaged`, it is damaged.
+        """
+        self.path = Path(path)
+        self._notes: list[str] = []
+        self._files = [McapIndex.open(file) for file in self._mcap_files()]
+        self._topics = self._collect_topics()
+        for note in self.damage:
+            if not allow_damaged:
+                raise RecordingError(note)
+            _log.warning("%s", note)
+
+    @property
+    def damage(self) -> tuple[str, ...]:
+        """What could not be read so far, in words with byte offsets; empty for a whole bag."""
+        return (*self._notes, *(note for file in self._files for note in file.damage))
+
+    @property
+    def start_ns(self) -> int | None:
+        """Log time of the first message; None for an empty bag."""
+        return min((f.start_ns for f in self._files if f.start_ns is not None), default=None)
+
+    @property
+    def end_ns(self) -> int | None:
+        """Log time of the last message; None for an empty bag."""
+        return max((f.end_ns for f in self._files if f.end_ns is not None), default=None)
+
+    def topics(self) -> dict[str, str]:
+        """Type names by topic."""
+        return {topic: info.type_name for topic, info in self._topics.items()}
+
+    def topic_infos(self) -> dict[str, TopicInfo]:
+        """Type, message count and QoS by topic."""
+        return dict(self._topics)
+
+    def messages(
+        self, topics: Collection[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[BagMessage]:
+        """Messages with start_ns <= log time < end_ns in the order of their log time; equal times in file order.
+
+        `topics`: only these (None: all); a topic that the bag does not have gives no messages.
+        """
+        streams = [
+            (
+                BagMessage(
+                    channel.topic,
+                    message.log_time,
+                    message.publish_time,
+                    self._topics[channel.topic].type_name,
+                    message.data,
+                )
+                for channel, message in file.messages(
+                    {i for i, c in file.channels.items() if topics is None or c.topic in topics}, start_ns, end_ns
+                )
+            )
+            for file in self._files
+        ]
+        return heapq.merge(*streams, key=lambda m: m.log_time_ns)
+
+    def decode(self, message: BagMessage) -> Any:
+        """The message object of the standard Python interface.
+
+        Raises RecordingError on a type that is not installed, an encoding other than CDR, or bytes that do not decode.
+        """
+        info = self._topics.get(message.topic)
+        if info is not None and info.encoding != "cdr":
+            raise RecordingError(f"{message.topic} in {self.path} is encoded as {info.encoding!r}, only cdr is read")
+        cls = message_class(message.type_name)
+        try:
+            return deserialize_message(message.raw, cls)
+        except Exception as error:  # RMWError is the binding's own; std::bad_alloc comes as MemoryError
+            raise RecordingError(
+                f"{message.topic} at {message.log_time_ns} ns in {self.path}: {len(message.raw)} bytes do not decode "
+                f"as {message.type_name} ({str(error).splitlines()[0]})"
+            ) from error
+
+    def _mcap_files(self) -> list[Path]:
+        if self.path.is_file():
+            return [self.path]
+        if not self.path.is_dir():
+            raise RecordingError(f"no bag at {self.path}: give a bag folder or an .mcap file")
+        files = bag_files(self.path)
+        if files is not None:
+            return files
+        files = sorted(self.path.glob("*.mcap"), key=lambda p: (len(p.name), p.name))  # _2 before _10
+        if not files:
+            raise RecordingError(f"{self.path} is no bag: it holds neither metadata.yaml nor any .mcap file")
+        self._notes.append(f"{self.path} has no metadata.yaml: its recording was not finished; reading its .mcap files")
+        return files
+
+    def _collect_topics(self) -> dict[str, TopicInfo]:
+        topics: dict[str, TopicInfo] = {}
+        for file in self._files:
+            for channel_id, channel in sorted(file.channels.items()):
+                schema = file.schemas.get(channel.schema_id)
+                type_name = schema.name if schema is not None else ""
+                known = topics.get(channel.topic)
+                if known is not None and known.type_name != type_name:
+                    raise RecordingError(
+                        f"topic {channel.topic} in {self.path} has two types: {known.type_name} and {type_name}"
+                    )
+                topics[channel.topic] = TopicInfo(
+                    type_name,
+                    file.counts.get(channel_id, 0) + (known.message_count if known else 0),
+                    is_latched(channel.metadata.get("offered_qos_profiles", "")) or bool(known and known.latched),
+                    channel.message_encoding,
+                )
+        return topics

@@ -1,0 +1,135 @@
+"""Message types by name: their Python class, their `ros2msg` definition with all that it depends on, their hash."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import json
+import os
+import re
+import sys
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from ltm_core.errors import RecordingError
+
+_TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
+_PRIMITIVES = {
+    *("bool", "byte", "char", "string", "wstring", "float32", "float64"),
+    *("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"),
+}
+_SEPARATOR = "=" * 80
+
+
+def split_type_name(type_name: str) -> tuple[str, str]:
+    """(package, message) of `package/msg/Message`. Raises RecordingError on any other form."""
+    match = _TYPE_NAME.fullmatch(type_name)
+    if match is None:
+        raise RecordingError(f"{type_name!r} is no message type name; expected the form package/msg/Message")
+    return match[1], match[2]
+
+
+def type_name_of(msg: Any) -> str:
+    """The type name of a message object, such as sensor_msgs/msg/Image."""
+    cls = type(msg)
+    return f"{cls.__module__.partition('.')[0]}/msg/{cls.__name__}"
+
+
+@lru_cache
+def message_class(type_name: str) -> Any:
+    """The Python class of a message type.
+
+    A bag is foreign input, and importing runs code: so only packages that install a definition of that very message
+    are imported. Raises RecordingError when the name is malformed or its package is not installed.
+    """
+    package, message = split_type_name(type_name)
+    if _installed_file(package, f"{message}.msg") is None:
+        raise RecordingError(
+            f"message type {type_name} is not installed here; install the package {package} (pip: "
+            f"ros-jazzy-{package.replace('_', '-')}, apt: ros-jazzy-{package.replace('_', '-')})"
+        )
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), message)
+    except (ImportError, AttributeError) as error:
+        raise RecordingError(f"message type {type_name} is installed but cannot be imported: {error}") from error
+
+
+@lru_cache
+def schema_text(type_name: str) -> str:
+    """The `ros2msg` schema of a type: its definition, then each dependency after a line of 80 `=` and `MSG: pkg/Name`.
+
+    Definitions come from the installed packages, else from the Jazzy type store of `rosbags`. Raises RecordingError
+    when neither has the type.
+    """
+    parts = [_definition(type_name)]
+    todo, done = _dependencies(type_name, parts[0]), {type_name}
+    while todo:
+        dependency = todo.pop(0)
+        if dependency in done:
+            continue
+        done.add(dependency)
+        text = _definition(dependency)
+        package, message = split_type_name(dependency)
+        parts.append(f"{_SEPARATOR}\nMSG: {package}/{message}\n{text}")
+        todo += _dependencies(dependency, text)
+    return "\n".join(part.rstrip("\n") for part in parts) + "\n"
+
+
+@lru_cache
+def type_hash(type_name: str) -> str:
+    """The RIHS01 hash of a type (REP-2011), or an empty string where its package does not ship one."""
+    package, message = split_type_name(type_name)
+    path = _installed_file(package, f"{message}.json")
+    if path is None:
+        return ""
+    hashes = {entry["type_name"]: entry["hash_string"] for entry in json.loads(path.read_text())["type_hashes"]}
+    return str(hashes.get(type_name, ""))
+
+
+def _definition(type_name: str) -> str:
+    package, message = split_type_name(type_name)
+    path = _installed_file(package, f"{message}.msg")
+    return _store_definition(type_name) if path is None else path.read_text(encoding="utf-8")
+
+
+def _store_definition(type_name: str) -> str:
+    try:
+        from rosbags.typesys import Stores, get_typestore
+
+        text, _ = get_typestore(Stores.ROS2_JAZZY).generate_msgdef(type_name, ros_version=2)
+    except Exception as error:  # rosbags absent, or one of its own errors for a type that it does not have
+        raise RecordingError(
+            f"no definition of message type {type_name}: no share/<package>/msg in "
+            f"{os.environ.get('AMENT_PREFIX_PATH', '(AMENT_PREFIX_PATH not set)')} or {sys.prefix}, and not in "
+            f"rosbags' Jazzy store ({type(error).__name__}); install its package"
+        ) from error
+    return str(text).partition(_SEPARATOR)[0]
+
+
+def _dependencies(type_name: str, text: str) -> list[str]:
+    package, _ = split_type_name(type_name)
+    found = []
+    for line in text.splitlines():
+        words = line.partition("#")[0].split()
+        if len(words) < 2:
+            continue
+        base = re.split(r"[\[<]", words[0], maxsplit=1)[0]  # cut array and string bounds off
+        if base in _PRIMITIVES:
+            continue
+        owner, _, message = base.rpartition("/")
+        found.append(f"{owner.removesuffix('/msg') or package}/msg/{message}")
+    return found
+
+
+def _installed_file(package: str, name: str) -> Path | None:
+    """`share/<package>/msg/<name>` under an ament prefix, or above the installed Python package (the pip wheels)."""
+    prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    spec = importlib.util.find_spec(package)
+    if spec is not None and spec.origin is not None:
+        prefixes += Path(spec.origin).parents
+    for prefix in prefixes:
+        path = prefix / "share" / package / "msg" / name
+        if path.is_file():
+            return path
+    return None
