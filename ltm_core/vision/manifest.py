@@ -1,0 +1,150 @@
+"""Model manifests: what a network file is, what goes in, what comes out, and what its classes mean to us."""
+
+import os
+from pathlib import Path
+from typing import Final, Literal
+
+from pydantic import Field, PrivateAttr, field_validator, model_validator
+
+from ltm_core.config_io import load_yaml
+from ltm_core.errors import ConfigError, ModelError
+from ltm_core.resources import config_path
+from ltm_core.vision.strict import StrictModel
+
+MODEL_PATH_VARIABLE: Final = "LTM_MODEL_PATH"
+
+
+class InputSpec(StrictModel):
+    """The image that the network takes: one image a run, resized (aspect not kept) to `width` x `height` pixels.
+
+    A float network gets `(value * scale - mean) / std` for each channel, values 0..255 before; a uint8 network
+    gets the bytes as they are.
+    """
+
+    width: int = Field(gt=0)
+    height: int = Field(gt=0)
+    layout: Literal["NCHW", "NHWC"]
+    dtype: Literal["float32", "uint8"]
+    channels: Literal["rgb", "bgr"] = "rgb"
+    scale: float = Field(default=1.0, gt=0)
+    mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    std: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    name: str | None = None  # of the graph's input; needed only where the graph has several
+
+    @field_validator("std")
+    @classmethod
+    def _std_positive(cls, std: tuple[float, float, float]) -> tuple[float, float, float]:
+        if min(std) <= 0:
+            raise ValueError("each value must be above 0")
+        return std
+
+    @model_validator(mode="after")
+    def _bytes_stay_bytes(self) -> "InputSpec":
+        if self.dtype == "uint8" and (self.scale != 1.0 or any(self.mean) or set(self.std) != {1.0}):
+            raise ValueError("scale, mean and std belong to float32 inputs; remove them for dtype uint8")
+        return self
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """Shape of the input tensor."""
+        if self.layout == "NCHW":
+            return (1, 3, self.height, self.width)
+        return (1, self.height, self.width, 3)
+
+
+class OutputSpec(StrictModel):
+    """The tensor that the network gives, at any resolution.
+
+    kind: `logits` and `probabilities` have a class axis (`layout` says where); `ids` is an integer class a pixel.
+    One channel of `probabilities` with two classes is the probability of the second.
+    """
+
+    kind: Literal["logits", "probabilities", "ids"]
+    layout: Literal["NCHW", "NHWC"] = "NCHW"
+    name: str | None = None  # of the graph's output; the first where absent
+
+
+class Manifest(StrictModel):
+    """A network file with all that is needed to run it and to judge it; YAML on disk.
+
+    `mapping` gives each of the network's classes one of our label names (or `unlabelled`); a class it leaves out
+    is unlabelled.
+    """
+
+    name: str
+    file: Path
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+    input: InputSpec
+    output: OutputSpec
+    classes: tuple[str, ...] = Field(min_length=1)
+    mapping: dict[str, str]
+    licence: str
+    card: str  # a Markdown file beside the manifest, or a few words
+    source: str = ""  # where the file can be had, for the message when it is absent
+    _folder: Path = PrivateAttr(default=Path())
+
+    @model_validator(mode="after")
+    def _classes_are_known(self) -> "Manifest":
+        repeated = sorted({name for name in self.classes if self.classes.count(name) > 1})
+        if repeated:
+            raise ValueError(f"classes has {', '.join(repeated)} more than once")
+        unknown = sorted(set(self.mapping) - set(self.classes))
+        if unknown:
+            raise ValueError(f"mapping names {', '.join(unknown)}, not among classes ({', '.join(self.classes)})")
+        return self
+
+    @classmethod
+    def load(cls, path: Path) -> "Manifest":
+        """Read a manifest. Raises ModelError naming the file and each key at fault."""
+        try:
+            manifest = load_yaml(path, cls)
+        except ConfigError as reason:
+            raise ModelError(str(reason)) from reason
+        manifest._folder = path.resolve().parent
+        return manifest
+
+    @classmethod
+    def find(cls, path_or_name: str | Path) -> "Manifest":
+        """Read a manifest by path (`*.yaml`) or by the name of one that ships in `config/models`."""
+        text = str(path_or_name)
+        if text.endswith((".yaml", ".yml")) or os.sep in text:
+            return cls.load(Path(path_or_name))
+        path = models_folder() / f"{text}.yaml"
+        if not path.is_file():
+            names = ", ".join(shipped_names()) or "none"
+            raise ModelError(f"no model is called {text!r}; models here: {names} (or give the path of a manifest)")
+        return cls.load(path)
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the manifest file: where its relative paths start."""
+        return self._folder
+
+    def model_file(self) -> Path:
+        """Path of the network: beside the manifest, else in a folder of `LTM_MODEL_PATH`, by path or bare name.
+
+        Raises ModelError with every place looked at.
+        """
+        places = [self.folder / self.file]
+        if not self.file.is_absolute():
+            for folder in filter(None, os.environ.get(MODEL_PATH_VARIABLE, "").split(os.pathsep)):
+                places += [Path(folder) / self.file, Path(folder) / self.file.name]
+        for place in places:
+            if place.is_file():
+                return place
+        looked = ", ".join(dict.fromkeys(str(place) for place in places))
+        source = f" (source: {self.source})" if self.source else ""
+        raise ModelError(
+            f"model {self.name!r}: no file {self.file}; looked at {looked}. "
+            f"Put it in one of these places or name its folder in {MODEL_PATH_VARIABLE}{source}"
+        )
+
+
+def models_folder() -> Path:
+    """Folder of the manifests that ship with the system."""
+    return config_path("labels.yaml").parent / "models"
+
+
+def shipped_names() -> list[str]:
+    """Names of the manifests in `config/models`, sorted."""
+    return sorted(path.stem for path in models_folder().glob("*.yaml"))

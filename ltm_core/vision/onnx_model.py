@@ -1,0 +1,114 @@
+"""One ONNX network in ONNX Runtime: checked when opened, run on one image at a time."""
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import onnxruntime as ort
+
+from ltm_core.errors import ModelError
+from ltm_core.vision.manifest import Manifest
+
+_ELEMENT_TYPES = {"float32": "tensor(float)", "uint8": "tensor(uint8)"}
+
+
+class OnnxModel:
+    """The network of a manifest, its file's checksum and its tensors compared with what the manifest states.
+
+    Raises ModelError, with what was expected and what was found, when the file is absent, has another checksum,
+    is not an ONNX network that the runtime can load, or has other inputs or outputs.
+    """
+
+    def __init__(self, manifest: Manifest, threads: int = 1) -> None:
+        self.manifest = manifest
+        self.path = manifest.model_file()
+        content = self.path.read_bytes()
+        found = hashlib.sha256(content).hexdigest()
+        if found != manifest.sha256:
+            raise ModelError(
+                f"model {manifest.name!r}: {self.path} has sha256 {found}, expected {manifest.sha256}; "
+                "fetch the file again, or state the new checksum if the network was changed on purpose"
+            )
+        self._session = _session(content, self.path, threads)
+        self._input_name = self._checked_input()
+        self._output_name = self._checked_output()
+
+    def run(self, tensor: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Run the network on a tensor of the manifest's input shape and dtype; gives its output tensor."""
+        (output,) = self._session.run([self._output_name], {self._input_name: tensor})
+        return np.asarray(output)
+
+    def _checked_input(self) -> str:
+        spec = self.manifest.input
+        nodes = {node.name: node for node in self._session.get_inputs()}
+        name = self._named(spec.name, list(nodes), "input")
+        if len(nodes) > 1:
+            raise self._wrong("inputs", "one image", f"{len(nodes)} ({', '.join(nodes)})")
+        node = nodes[name]
+        if node.type != _ELEMENT_TYPES[spec.dtype]:
+            raise self._wrong(f"input {name!r}: type", _ELEMENT_TYPES[spec.dtype], node.type)
+        if not _fits(node.shape, spec.shape):
+            expected = f"{list(spec.shape)} ({spec.layout}, {spec.width} x {spec.height})"
+            raise self._wrong(f"input {name!r}: shape", expected, node.shape)
+        return name
+
+    def _checked_output(self) -> str:
+        spec = self.manifest.output
+        nodes = {node.name: node for node in self._session.get_outputs()}
+        name = self._named(spec.name, list(nodes), "output")
+        node = nodes[name]
+        if spec.kind == "ids":
+            if not node.type.startswith(("tensor(int", "tensor(uint")):
+                raise self._wrong(f"output {name!r}: type", "an integer tensor of class ids", node.type)
+            if len(node.shape) not in (2, 3, 4):
+                raise self._wrong(f"output {name!r}: shape", "[1, height, width]", node.shape)
+            return name
+        if node.type != "tensor(float)":
+            raise self._wrong(f"output {name!r}: type", f"tensor(float) of {spec.kind}", node.type)
+        count = len(self.manifest.classes)
+        allowed = (count, 1) if spec.kind == "probabilities" and count == 2 else (count,)
+        axis = 1 if spec.layout == "NCHW" else 3
+        channels = node.shape[axis] if len(node.shape) == 4 else None
+        if len(node.shape) != 4 or (isinstance(channels, int) and channels not in allowed):
+            shape = f"[1, {count}, h, w]" if spec.layout == "NCHW" else f"[1, h, w, {count}]"
+            raise self._wrong(f"output {name!r}: shape", f"{shape} ({spec.layout}, {count} classes)", node.shape)
+        return name
+
+    def _named(self, wanted: str | None, present: list[str], what: str) -> str:
+        if wanted is None:
+            return present[0]
+        if wanted not in present:
+            raise self._wrong(what, repr(wanted), ", ".join(map(repr, present)))
+        return wanted
+
+    def _wrong(self, what: str, expected: object, found: object) -> ModelError:
+        return ModelError(
+            f"model {self.manifest.name!r} ({self.path}): {what}: expected {expected}, found {found}; "
+            "mend the manifest or use the network that it describes"
+        )
+
+
+def _session(content: bytes, path: Path, threads: int) -> ort.InferenceSession:
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    # Waiting threads sleep: a tower's cores are shared with the tracer and the camera driver.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        return ort.InferenceSession(content, sess_options=options, providers=["CPUExecutionProvider"])
+    # The runtime's errors have no common base but Exception; each of them means that this file cannot be run.
+    except Exception as reason:
+        raise ModelError(
+            f"{path}: expected an ONNX network, found {len(content)} bytes that ONNX Runtime "
+            f"{ort.__version__} refuses: {reason}"
+        ) from reason
+
+
+def _fits(found: list[int | str | None], expected: tuple[int, ...]) -> bool:
+    """Whether a graph's shape (names and None are free axes) takes a tensor of the expected shape."""
+    return len(found) == len(expected) and all(
+        not isinstance(size, int) or size == want for size, want in zip(found, expected, strict=True)
+    )

@@ -1,0 +1,148 @@
+"""Photo -> label image: one network behind its manifest, at any photo size."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ltm_core.errors import ImageError, ModelError
+from ltm_core.vision.labels import UNLABELLED, LabelSet
+from ltm_core.vision.manifest import InputSpec, Manifest
+from ltm_core.vision.onnx_model import OnnxModel
+from ltm_core.vision.upsample import upsampled_winner
+
+DEFAULT_MODEL = "spine"
+
+
+@dataclass(frozen=True)
+class Segmentation:
+    """What each pixel shows.
+
+    `labels` (H, W) uint8: ids of the label set, 255 unlabelled. `confidence` (H, W) uint8: the network's probability
+    of that label x 255; 0 where unlabelled; 255 wherever labelled by a network that gives bare ids.
+    """
+
+    labels: npt.NDArray[np.uint8]
+    confidence: npt.NDArray[np.uint8]
+
+
+class Segmenter:
+    """Runs the network of a manifest on RGB photos of any size.
+
+    Probabilities of the network's classes that map to one label are summed before the winner is chosen, so that two
+    halves of one label (`grass` and `field`, say) are not beaten by a third class. `threads` is the number of CPU
+    threads of ONNX Runtime. Raises ModelError: see OnnxModel, and for a mapping to a label that does not exist.
+    """
+
+    def __init__(self, manifest: Manifest, threads: int = 1, labels: LabelSet | None = None) -> None:
+        self.manifest = manifest
+        self.labels = LabelSet.load() if labels is None else labels
+        class_labels = _class_labels(manifest, self.labels)
+        self._group_labels = np.unique(class_labels)
+        # (G, K): 1 where network class K belongs to label G
+        self._groups = (self._group_labels[:, None] == class_labels[None, :]).astype(np.float32)
+        self._label_of_id = np.full(256, UNLABELLED, dtype=np.uint8)
+        self._label_of_id[: len(class_labels)] = class_labels[:256]
+        self._model = OnnxModel(manifest, threads)
+
+    @classmethod
+    def open(
+        cls, path_or_name: str | Path = DEFAULT_MODEL, threads: int = 1, labels: LabelSet | None = None
+    ) -> "Segmenter":
+        """A segmenter by its manifest's path, or by the name of one in `config/models`."""
+        return cls(Manifest.find(path_or_name), threads, labels)
+
+    @property
+    def model_path(self) -> Path:
+        """The network file in use."""
+        return self._model.path
+
+    def segment(self, image: npt.NDArray[np.uint8]) -> Segmentation:
+        """Label a photo (H, W, 3) uint8 RGB; the result has the photo's size.
+
+        Raises ImageError for another shape or dtype, ModelError when the network's output is not what its manifest
+        states.
+        """
+        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or image.size == 0:
+            raise ImageError(f"segment: image is {image.shape} {image.dtype}, expected (H, W, 3) uint8 RGB")
+        height, width = image.shape[:2]
+        output = self._model.run(input_tensor(image, self.manifest.input))
+        if self.manifest.output.kind == "ids":
+            return self._from_ids(output, height, width)
+        winner, confidence = upsampled_winner(self._label_probabilities(output), height, width)
+        labels = self._group_labels[winner]
+        if UNLABELLED in self._group_labels:
+            confidence[labels == UNLABELLED] = 0
+        return Segmentation(labels, confidence)
+
+    def _from_ids(self, output: npt.NDArray[Any], height: int, width: int) -> Segmentation:
+        ids = np.squeeze(output)
+        if ids.ndim != 2:
+            raise ModelError(f"model {self.manifest.name!r}: ids have shape {output.shape}, expected (1, h, w)")
+        # Out-of-range ids have no class, so no label.
+        known = np.where((ids >= 0) & (ids < len(self.manifest.classes)), ids, 255).astype(np.uint8)
+        labels = cv2.resize(self._label_of_id[known], (width, height), interpolation=cv2.INTER_NEAREST_EXACT)
+        labels = np.asarray(labels, dtype=np.uint8)
+        return Segmentation(labels, np.where(labels == UNLABELLED, 0, 255).astype(np.uint8))
+
+    def _label_probabilities(self, output: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+        """Network output -> (G, h, w) probability of each label that the network knows."""
+        spec = self.manifest.output
+        scores = output[0] if spec.layout == "NCHW" else np.moveaxis(output[0], -1, 0)
+        count, rows, cols = scores.shape
+        scores = np.ascontiguousarray(scores, dtype=np.float32).reshape(count, -1)
+        if not np.isfinite(scores.sum()):
+            raise ModelError(
+                f"model {self.manifest.name!r}: its {spec.kind} hold NaN or infinity; the network is broken"
+            )
+        if spec.kind == "logits":
+            scores = np.exp(scores - scores.max(axis=0))
+            grouped = (self._groups @ scores) / scores.sum(axis=0)
+        else:
+            low, high = float(scores.min()), float(scores.max())
+            if low < -1e-3 or high > 1.0 + 1e-3:
+                raise ModelError(
+                    f"model {self.manifest.name!r}: output lies in {low:.3g}..{high:.3g}, expected probabilities of "
+                    "0..1; if these are logits, say `kind: logits` in the manifest"
+                )
+            if count == 1:
+                scores = np.concatenate([1.0 - scores, scores])
+            grouped = self._groups @ scores
+        return np.asarray(np.clip(grouped, 0.0, 1.0), dtype=np.float32).reshape(-1, rows, cols)
+
+
+def input_tensor(image: npt.NDArray[np.uint8], spec: InputSpec) -> npt.NDArray[Any]:
+    """Photo (H, W, 3) uint8 RGB -> the tensor that a network takes, resized without keeping the aspect.
+
+    Shrinks by area (no aliasing), enlarges bilinearly.
+    """
+    height, width = image.shape[:2]
+    if (width, height) != (spec.width, spec.height):
+        shrinks = spec.width <= width and spec.height <= height
+        method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+        image = np.asarray(cv2.resize(image, (spec.width, spec.height), interpolation=method), dtype=np.uint8)
+    if spec.channels == "bgr":
+        image = image[..., ::-1]
+    tensor: npt.NDArray[Any] = image
+    if spec.dtype == "float32":
+        std = np.asarray(spec.std, dtype=np.float32)
+        factor = np.float32(spec.scale) / std
+        offset = np.asarray(spec.mean, dtype=np.float32) / std
+        tensor = image.astype(np.float32) * factor - offset
+    if spec.layout == "NCHW":
+        tensor = np.moveaxis(tensor, -1, 0)
+    return np.ascontiguousarray(tensor[None])
+
+
+def _class_labels(manifest: Manifest, labels: LabelSet) -> npt.NDArray[np.uint8]:
+    """Our label id of each of the network's classes, (K,) uint8."""
+    for name, label in manifest.mapping.items():
+        if label != "unlabelled" and label not in labels.names:
+            raise ModelError(
+                f"model {manifest.name!r}: mapping.{name}: no label is called {label!r}; "
+                f"labels: {', '.join(labels.names)}, unlabelled"
+            )
+    return np.array([labels.id_of(manifest.mapping.get(name, "unlabelled")) for name in manifest.classes], np.uint8)

@@ -1,0 +1,79 @@
+"""Class probabilities at a network's resolution -> winning class and its probability at the photo's resolution."""
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+Float32 = npt.NDArray[np.float32]
+UInt8 = npt.NDArray[np.uint8]
+
+
+def upsampled_winner(probabilities: Float32, height: int, width: int) -> tuple[UInt8, UInt8]:
+    """Most probable class of each pixel of a `height` x `width` image, interpolated bilinearly.
+
+    `probabilities` is (K, h, w) float32 in 0..1. Both grids cover the same field of view edge to edge (pixel
+    centres at half-integers, as in `cv2.resize`). Returns (H, W) uint8 indices into K, the lower one on a tie, and
+    (H, W) uint8 probability x 255, rounded. One pass, no (K, H, W) array in between.
+    """
+    _, rows, cols = probabilities.shape
+    row_below, row_weight = _neighbours(rows, height)
+    col_right, col_weight = _neighbours(cols, width)
+    winner = np.empty((height, width), dtype=np.uint8)
+    confidence = np.empty((height, width), dtype=np.uint8)
+    _interpolate(
+        np.ascontiguousarray(probabilities, dtype=np.float32),
+        row_below,
+        row_weight,
+        col_right,
+        col_weight,
+        winner,
+        confidence,
+    )
+    return winner, confidence
+
+
+def _neighbours(size: int, target: int) -> tuple[npt.NDArray[np.int32], Float32]:
+    """For each of `target` samples the index of the first of its two source samples, and the second's weight."""
+    centre = (np.arange(target) + 0.5) * (size / target) - 0.5
+    centre = np.clip(centre, 0.0, size - 1.0)
+    first = np.minimum(centre.astype(np.int32), max(size - 2, 0)).astype(np.int32)
+    return first, (centre - first).astype(np.float32)
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz"})  # type: ignore[untyped-decorator]
+def _interpolate(
+    probabilities: Float32,
+    row_first: npt.NDArray[np.int32],
+    row_weight: Float32,
+    col_first: npt.NDArray[np.int32],
+    col_weight: Float32,
+    winner: UInt8,
+    confidence: UInt8,
+) -> None:
+    classes, rows, cols = probabilities.shape
+    height, width = winner.shape
+    line = np.empty(cols + 1, dtype=np.float32)
+    best = np.empty(width, dtype=np.float32)
+    for row in range(height):
+        upper = row_first[row]
+        lower = min(upper + 1, rows - 1)
+        down = row_weight[row]
+        for k in range(classes):
+            for col in range(cols):
+                above = probabilities[k, upper, col]
+                line[col] = above + down * (probabilities[k, lower, col] - above)
+            line[cols] = line[cols - 1]
+            if k == 0:
+                for col in range(width):
+                    left = line[col_first[col]]
+                    best[col] = left + col_weight[col] * (line[col_first[col] + 1] - left)
+                    winner[row, col] = 0
+            else:
+                for col in range(width):
+                    left = line[col_first[col]]
+                    value = left + col_weight[col] * (line[col_first[col] + 1] - left)
+                    if value > best[col]:
+                        best[col] = value
+                        winner[row, col] = k
+        for col in range(width):
+            confidence[row, col] = np.uint8(best[col] * np.float32(255.0) + np.float32(0.5))

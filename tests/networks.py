@@ -1,0 +1,104 @@
+"""Small ONNX networks with known answers: a linear colour classifier, in every layout that a manifest can state."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import yaml
+from onnx import TensorProto, helper, numpy_helper
+
+WIDTH, HEIGHT = 48, 32
+# The classes of the classifier, each the photo colour that it answers to.
+COLORS = {"blue": (0, 0, 255), "red": (255, 0, 0), "lime": (0, 255, 0), "olive": (0, 200, 0), "white": (255, 255, 255)}
+MAPPING = {"blue": "sky", "red": "built", "lime": "grass", "olive": "grass"}  # white is left out: unlabelled
+
+
+def write_classifier(
+    folder: Path,
+    kind: str = "logits",
+    layout: str = "NCHW",
+    dtype: str = "float32",
+    channels: str = "rgb",
+    stride: int = 2,
+    gain: float = 40.0,
+    **manifest_changes: Any,
+) -> Path:
+    """Write `colors.onnx` and its manifest; gives the manifest's path.
+
+    Score of a class is -|rgb - colour|^2 plus a term that all share, of the photo averaged over `stride` pixels:
+    linear, so one 1x1 convolution. Output is at 1/stride of the input.
+    """
+    colors = np.array(list(COLORS.values()), np.float32) / 255.0
+    weight = (2.0 * gain * colors)[..., None, None]
+    bias = -gain * (colors**2).sum(axis=1)
+    if channels == "bgr":
+        weight = weight[:, ::-1]
+    nodes, last = [], "image"
+    constants = [numpy_helper.from_array(np.ascontiguousarray(weight), "w"), numpy_helper.from_array(bias, "b")]
+    if dtype == "uint8":
+        constants.append(numpy_helper.from_array(np.float32(255.0), "byte"))
+        nodes += [helper.make_node("Cast", [last], ["f"], to=TensorProto.FLOAT)]
+        nodes += [helper.make_node("Div", ["f", "byte"], ["unit"])]
+        last = "unit"
+    if layout == "NHWC":
+        nodes.append(helper.make_node("Transpose", [last], ["planes"], perm=[0, 3, 1, 2]))
+        last = "planes"
+    size = [stride, stride]
+    nodes.append(helper.make_node("AveragePool", [last], ["mean"], kernel_shape=size, strides=size))
+    nodes.append(helper.make_node("Conv", ["mean", "w", "b"], ["scores"]))
+    last = "scores"
+    rows, cols, count = HEIGHT // stride, WIDTH // stride, len(COLORS)
+    shape = [1, count, rows, cols]
+    if kind == "probabilities":
+        nodes.append(helper.make_node("Softmax", [last], ["soft"], axis=1))
+        last = "soft"
+    if kind == "ids":
+        nodes.append(helper.make_node("ArgMax", [last], ["ids"], axis=1, keepdims=0))
+        last, shape = "ids", [1, rows, cols]
+    elif layout == "NHWC":
+        nodes.append(helper.make_node("Transpose", [last], ["last"], perm=[0, 2, 3, 1]))
+        last, shape = "last", [1, rows, cols, count]
+    element = TensorProto.UINT8 if dtype == "uint8" else TensorProto.FLOAT
+    image_shape = [1, 3, HEIGHT, WIDTH] if layout == "NCHW" else [1, HEIGHT, WIDTH, 3]
+    graph = helper.make_graph(
+        nodes,
+        "colors",
+        [helper.make_tensor_value_info("image", element, image_shape)],
+        [helper.make_tensor_value_info(last, TensorProto.INT64 if kind == "ids" else TensorProto.FLOAT, shape)],
+        constants,
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    onnx.checker.check_model(model)
+    (folder / "colors.onnx").write_bytes(model.SerializeToString())
+    image = {"width": WIDTH, "height": HEIGHT, "layout": layout, "dtype": dtype, "channels": channels}
+    if dtype == "float32":
+        image["scale"] = 1.0 / 255.0
+    manifest = {
+        "name": "colors",
+        "file": "colors.onnx",
+        "sha256": hashlib.sha256((folder / "colors.onnx").read_bytes()).hexdigest(),
+        "input": image,
+        "output": {"kind": kind, "layout": layout},
+        "classes": list(COLORS),
+        "mapping": MAPPING,
+        "licence": "Apache-2.0",
+        "card": "a linear classifier of colours, for tests",
+    }
+    return write_manifest(folder / "colors.yaml", {**manifest, **manifest_changes})
+
+
+def write_manifest(path: Path, content: dict[str, Any]) -> Path:
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def changed(path: Path, **changes: Any) -> Path:
+    """The manifest at `path` with other values: `changed(p, input={"width": 3})` merges into that key's mapping."""
+    content = yaml.safe_load(path.read_text())
+    for key, value in changes.items():
+        content[key] = {**content[key], **value} if isinstance(value, dict) and key != "mapping" else value
+    return write_manifest(path, content)

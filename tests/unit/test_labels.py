@@ -1,0 +1,85 @@
+"""Label taxonomy: ids that recordings rely on, colours, and what may not be changed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from ltm_core.errors import ConfigError
+from ltm_core.resources import config_path
+from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
+
+
+def _written(tmp_path: Path, **changes: object) -> Path:
+    """The shipped label file with entries replaced (or removed: None)."""
+    content = yaml.safe_load(config_path("labels.yaml").read_text())
+    for name, entry in changes.items():
+        if entry is None:
+            del content["labels"][name]
+        else:
+            content["labels"][name] = entry
+    path = tmp_path / "labels.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def test_shipped_labels_have_the_ids_of_recorded_images() -> None:
+    labels = LabelSet.load()
+    assert labels.names == ("sky", "grass", "shrub", "tree", "bare", "water", "built")
+    assert [labels.id_of(label.name.lower()) for label in Label] == [0, 1, 2, 3, 4, 5, 6]
+    assert len(set(labels.colors)) == len(labels)
+
+
+def test_only_sky_and_unknown_ids_do_not_vote() -> None:
+    votes = LabelSet.load().votes_table
+    assert votes.nonzero()[0].tolist() == [1, 2, 3, 4, 5, 6]
+    assert not votes[UNLABELLED]
+
+
+def test_names_and_ids_answer_each_other() -> None:
+    labels = LabelSet.load()
+    assert labels.id_of("unlabelled") == UNLABELLED
+    assert labels.name_of(UNLABELLED) == "unlabelled"
+    assert [labels.id_of(labels.name_of(i)) for i in range(len(labels))] == list(range(len(labels)))
+    with pytest.raises(ConfigError, match=r"'bush'.*shrub"):
+        labels.id_of("bush")
+
+
+def test_info_survives_json() -> None:
+    info = json.loads(json.dumps(LabelSet.load().info()))
+    assert info["unlabelled"] == 255
+    assert info["labels"][Label.WATER]["name"] == "water"
+    assert [entry["id"] for entry in info["labels"]] == [0, 1, 2, 3, 4, 5, 6]
+
+
+def test_a_class_can_be_appended(tmp_path: Path) -> None:
+    path = _written(tmp_path, snow={"id": 7, "color": [250, 250, 255], "ground_cover": True})
+    labels = LabelSet.load(path)
+    assert labels.id_of("snow") == 7
+    assert labels.votes_table[7]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"sky": {"id": 0, "colour": [1, 2, 3], "ground_cover": False}}, r"labels\.sky\.colour: unknown key"),
+        ({"sky": {"id": 0, "color": [1, 2, 3]}}, r"labels\.sky\.ground_cover: missing"),
+        ({"grass": {"id": 2, "color": [1, 2, 3], "ground_cover": True}}, r"ids are \[0, 2, 2, 3, 4, 5, 6\]"),
+        ({"built": None}, r"labels\.built\.id: found no such label, expected 6"),
+        ({"snow": {"id": 9, "color": [1, 2, 3], "ground_cover": True}}, r"each of 0\.\.7 once"),
+        ({"water": {"id": 5, "color": [1, 2, 300], "ground_cover": True}}, r"labels\.water\.color.*300"),
+    ],
+)
+def test_a_wrong_file_is_refused_by_the_key_at_fault(tmp_path: Path, changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        LabelSet.load(_written(tmp_path, **changes))
+
+
+def test_swapped_built_in_ids_are_refused(tmp_path: Path) -> None:
+    entry = {"color": [1, 2, 3], "ground_cover": True}
+    path = _written(tmp_path, grass={"id": 2, **entry}, shrub={"id": 1, **entry})
+    with pytest.raises(ConfigError, match=r"labels\.grass\.id: found 2, expected 1"):
+        LabelSet.load(path)
