@@ -1,0 +1,93 @@
+"""The layout of the view. Always explicit: an automatic one would add map views, which fetch tiles from the network."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import rerun.blueprint as rrb
+
+from ltm_ros.rerun_view.scene import Eye
+
+TIMELINE = "stamp"
+
+
+@dataclass(frozen=True)
+class MapWindow:
+    """The part of the fuel grid that its view shows first, in cells: column and row ranges."""
+
+    columns: tuple[float, float]
+    rows: tuple[float, float]
+
+
+def site_blueprint(cameras: Sequence[str], eye: Eye, window: MapWindow, live: bool) -> rrb.Blueprint:
+    """Tabs: the site (terrain, fuel grid, a camera's pictures, latencies), all cameras, the graph's health."""
+    overview = rrb.Vertical(
+        rrb.Horizontal(_terrain(cameras, eye), _fuel_grid(window), column_shares=[5, 3]),
+        rrb.Horizontal(
+            rrb.Tabs(*(_camera_row(camera) for camera in cameras), active_tab=0),
+            _latency("Latency"),
+            column_shares=[3, 1],
+        ),
+        row_shares=[3, 2],
+        name="Site",
+    )
+    gallery = rrb.Vertical(*(_camera_row(camera) for camera in cameras), name="Cameras")
+    health = rrb.Vertical(
+        rrb.Horizontal(_latency("Latency, ms"), _plot("Rate, Hz", "/health/rate")),
+        rrb.Horizontal(_plot("Messages", "/health/count"), rrb.TextLogView(origin="/log", name="Log")),
+        name="Health",
+    )
+    return rrb.Blueprint(
+        rrb.Tabs(overview, gallery, health, active_tab=0),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following" if live else None),
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def _terrain(cameras: Sequence[str], eye: Eye) -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(
+        origin="/map",
+        name="Terrain",
+        # Labels lie under their camera for the 2D view; here they would cover the photo in its frustum.
+        contents=["+ $origin/**", *(f"- $origin/cameras/{camera}/labels" for camera in cameras)],
+        background=(226, 234, 242),
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=(0.0, 0.0, 1.0)
+        ),
+    )
+
+
+def _fuel_grid(window: MapWindow) -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(
+        origin="/fuel_map",
+        name="Fuel map",
+        visual_bounds=rrb.VisualBounds2D(x_range=window.columns, y_range=window.rows),
+    )
+
+
+def _camera_row(camera: str) -> rrb.Horizontal:
+    origin = f"/map/cameras/{camera}"
+    return rrb.Horizontal(
+        rrb.Spatial2DView(origin=origin, contents="+ $origin/photo", name=f"{camera}: image"),
+        rrb.Spatial2DView(origin=f"/depth/{camera}", name=f"{camera}: depth"),
+        rrb.Spatial2DView(origin=origin, contents=["+ $origin/photo", "+ $origin/labels"], name=f"{camera}: labels"),
+        name=camera,
+    )
+
+
+def _latency(name: str) -> rrb.TimeSeriesView:
+    return _plot(name, "/health/latency")
+
+
+def _plot(name: str, origin: str) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin=origin,
+        name=name,
+        axis_y=rrb.ScalarAxis(range=None, zoom_lock=False),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+    )

@@ -1,0 +1,128 @@
+"""Rerun's viewer and server processes, on loopback only, ended with all their children."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from urllib.parse import quote
+
+from ltm_core.errors import ConfigError
+
+LOOPBACK = "127.0.0.1"
+_PR_SET_PDEATHSIG = 1
+
+
+def rerun_binary() -> Path:
+    """The viewer itself: the `rerun` script is a wrapper that leaves it running when killed.
+
+    Raises ConfigError where rerun-sdk is not installed.
+    """
+    spec = find_spec("rerun_cli")
+    for folder in (spec.submodule_search_locations or []) if spec else []:
+        binary = Path(folder) / "rerun"
+        if binary.is_file():
+            return binary
+    found = shutil.which("rerun")
+    if found is None:
+        raise ConfigError("the Rerun viewer is not installed: pip install 'ltm[view]'")
+    return Path(found)
+
+
+def grpc_url(port: int) -> str:
+    return f"rerun+http://{LOOPBACK}:{port}/proxy"
+
+
+def web_url(web_port: int, grpc_port: int) -> str:
+    """The page that shows what the gRPC server at `grpc_port` holds."""
+    return f"http://{LOOPBACK}:{web_port}/?url={quote(grpc_url(grpc_port), safe='')}"
+
+
+class RerunProcess:
+    """A running Rerun binary in a process group of its own, which ends when this process does."""
+
+    def __init__(self, arguments: Sequence[str], quiet: bool = True) -> None:
+        sink = subprocess.DEVNULL if quiet else None
+        self._process = subprocess.Popen(
+            [str(rerun_binary()), "--bind", LOOPBACK, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=sink,
+            stderr=sink,
+            start_new_session=True,
+            preexec_fn=_end_with_parent(),
+        )
+
+    @classmethod
+    def serve(cls, web_port: int, grpc_port: int, memory_limit: str = "1GiB") -> RerunProcess:
+        """A gRPC server that keeps what it is sent for late viewers, and the web viewer's page.
+
+        Raises ConfigError where a port is taken or the server does not come up.
+        """
+        for port in (web_port, grpc_port):
+            _refuse_taken(port)
+        ports = ["--web-viewer-port", str(web_port), "--port", str(grpc_port)]
+        process = cls(["--serve-web", *ports, "--server-memory-limit", memory_limit])
+        try:
+            process.wait_until_listening(grpc_port)
+            process.wait_until_listening(web_port)
+        except ConfigError:
+            process.stop()
+            raise
+        return process
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def wait(self) -> int:
+        """Until the viewer is closed; its exit status."""
+        return self._process.wait()
+
+    def running(self) -> bool:
+        return self._process.poll() is None
+
+    def wait_until_listening(self, port: int, timeout: float = 20.0) -> None:
+        """Raises ConfigError when the process ends or `timeout` seconds pass first."""
+        deadline = time.monotonic() + timeout
+        while time.monotonic() < deadline:
+            if not self.running():
+                raise ConfigError(f"the Rerun server ended with status {self._process.returncode} at its start")
+            with contextlib.suppress(OSError), socket.create_connection((LOOPBACK, port), timeout=0.2):
+                return
+            time.sleep(0.05)
+        raise ConfigError(f"the Rerun server does not answer on {LOOPBACK}:{port} after {timeout:g} s")
+
+    def stop(self, grace: float = 3.0) -> None:
+        """End the process and all its children."""
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, number)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(timeout=grace)
+                return
+
+
+def _refuse_taken(port: int) -> None:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((LOOPBACK, port))
+        except OSError as error:
+            raise ConfigError(f"port {port} on {LOOPBACK} is taken ({error.strerror}): choose another one") from error
+
+
+def _end_with_parent() -> Callable[[], None] | None:
+    """Linux: let the kernel end the child when this process dies, even by SIGKILL, so that its port comes free."""
+    if sys.platform != "linux":
+        return None
+    libc = ctypes.CDLL(None, use_errno=True)
+    return lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM) and None

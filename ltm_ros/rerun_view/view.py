@@ -1,0 +1,236 @@
+"""What the graph makes, shown in Rerun: live on loopback, or written to an .rrd file, or both."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from threading import Lock
+
+import cv2
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import ImageError, PoseError
+from ltm_core.grid import GridGeometry
+from ltm_core.pictures import MapCamera, RangeScale, labelled_shade, to_jpeg
+from ltm_core.pictures.types import UNLABELLED, Labels, Palette, Rgb
+from ltm_core.pose import Pose
+from ltm_core.site import Site
+from ltm_ros.rerun_view import frames, scene
+from ltm_ros.rerun_view.blueprint import TIMELINE, MapWindow, site_blueprint
+from ltm_ros.rerun_view.server import RerunProcess, grpc_url, web_url
+
+MAX_POINTS = 15_000
+"""Points of one depth image in the 3D view."""
+RELIEF_PIXELS = 2048
+"""Longer side of the relief under the fuel grid."""
+
+
+class RerunView:
+    """One site in Rerun. Methods may be called from any thread.
+
+    `save`: .rrd file to write; `serve`: a web viewer on loopback at `web_port`, fed from `grpc_port`. Stamps are
+    nanoseconds. Raises ConfigError where a port is taken.
+    """
+
+    def __init__(
+        self,
+        application_id: str,
+        site: Site,
+        dem: Dem,
+        label_set: Palette,
+        *,
+        save: Path | None = None,
+        serve: bool = False,
+        web_port: int = 9090,
+        grpc_port: int = 9876,
+    ) -> None:
+        self._site, self._dem, self._palette = site, dem, label_set
+        self._lock = Lock()
+        self._scale = RangeScale()
+        self._reach = site.fuel.max_range
+        self._cameras: dict[str, MapCamera] = {}
+        self._poses: dict[str, Pose] = {}
+        self._live = serve
+        self._server = RerunProcess.serve(web_port, grpc_port) if serve else None
+        self.url = web_url(web_port, grpc_port) if serve else None
+        self._recording = rr.RecordingStream(application_id)
+        sinks: list[rr.FileSink | rr.GrpcSink] = []
+        if save is not None:
+            save.parent.mkdir(parents=True, exist_ok=True)
+            sinks.append(rr.FileSink(save))
+        if serve:
+            sinks.append(rr.GrpcSink(grpc_url(grpc_port)))
+        for name, config in site.cameras.items():
+            # A camera whose pose or calibration comes by topic is placed when it first shows itself.
+            if config.pose and config.calibration:
+                with contextlib.suppress(PoseError):
+                    self._place(name, config.pose.pose(dem, site.frame), config.calibration.camera())
+        self._fuel = scene.FuelLayer(dem, site.fuel_geometry(dem), label_set)
+        self._fuel_geometry = site.fuel_geometry(dem)
+        self._known_tiles: set[str] = set()
+        if sinks:
+            self._recording.set_sinks(*sinks, default_blueprint=self._blueprint())
+        self._log_scene()
+
+    def log_image(self, camera: str, stamp_ns: int, rgb: Rgb) -> None:
+        """The camera's image, (H, W, 3) uint8."""
+        with self._at(stamp_ns):
+            self._recording.log(f"map/cameras/{camera}/photo", frames.photo(rgb))
+
+    def log_depth(self, camera: str, stamp_ns: int, depth: NDArray[np.float32], model: Camera) -> None:
+        """Depth (H, W) along the optical axis, metres; +inf sky, NaN unknown. Raises ImageError on another size."""
+        if depth.shape != (model.height, model.width):
+            raise ImageError(f"depth of {camera} is {depth.shape}, its calibration says {model.height} x {model.width}")
+        with self._at(stamp_ns):
+            self._recording.log(f"depth/{camera}", frames.depth_picture(depth, self._scale))
+
+    def log_labels(self, camera: str, stamp_ns: int, labels: Labels) -> None:
+        """Class ids (H, W) uint8, 255 unlabelled, of the size of the image."""
+        with self._at(stamp_ns):
+            self._recording.log(f"map/cameras/{camera}/labels", frames.label_image(labels))
+
+    def log_pose(self, camera: str, stamp_ns: int, pose: Pose, model: Camera) -> None:
+        """Where the camera stands; its first pose also decides where the view starts from."""
+        with self._at(stamp_ns):
+            entity = f"map/cameras/{camera}"
+            self._recording.log(entity, frames.transform(pose), frames.pinhole(model, self._reach * 0.08))
+            new = camera not in self._cameras
+            if new or self._poses[camera] != pose:
+                self._place(camera, pose, model)
+                self._log_on_map(camera)
+            if new:
+                self._recording.send_blueprint(self._blueprint())
+
+    def log_points(
+        self, camera: str, stamp_ns: int, points: NDArray[np.floating], colors: NDArray[np.uint8] | None = None
+    ) -> None:
+        """Points (N, 3) that the camera sees, map frame, with colours (N, 3); thinned to `MAX_POINTS`."""
+        kept = scene.thinned(points, MAX_POINTS)
+        with self._at(stamp_ns):
+            self._recording.log(
+                f"map/points/{camera}",
+                rr.Points3D(
+                    points[kept].astype(np.float32),
+                    colors=None if colors is None else colors[kept],
+                    radii=rr.Radius.ui_points(1.5),
+                ),
+            )
+
+    def log_fuel_map(self, stamp_ns: int, classes: Labels, geometry: GridGeometry) -> None:
+        """The fuel map (H, W) of class ids, 255 unseen, map frame. Raises RasterError where shapes disagree."""
+        with self._at(stamp_ns):
+            if geometry != self._fuel_geometry:
+                self._fuel_geometry = geometry
+                self._fuel = scene.FuelLayer(self._dem, geometry, self._palette)
+                self._known_tiles.clear()
+                self._log_relief()
+            for tile in self._fuel.changed(classes):
+                self._log_tile(tile)
+            self._recording.log("fuel_map/classes", rr.SegmentationImage(classes, opacity=0.7, draw_order=1.0))
+
+    def log_diagnostics(self, stamp_ns: int, node_name: str, values: Mapping[str, float]) -> None:
+        """A node's measures: `..._ms` go to the latency plot, `..._hz` to rates, the rest to counts."""
+        with self._at(stamp_ns):
+            for key, value in values.items():
+                kind = "latency" if key.endswith("_ms") else "rate" if key.endswith("_hz") else "count"
+                node = node_name.strip("/")
+                short = key.removesuffix("_ms").removesuffix("_hz")
+                self._recording.log(f"health/{kind}/{node}/{short}", rr.Scalars(value))
+
+    def log_text(self, level: str, text: str) -> None:
+        """A line for the log, at the time of what was logged before."""
+        with self._lock:
+            self._recording.log("log", rr.TextLog(text, level=level))
+
+    def close(self) -> None:
+        """Write what is pending, finish the file, end the server."""
+        with self._lock:
+            self._recording.flush()
+            self._recording.disconnect()
+            if self._server is not None:
+                self._server.stop()
+
+    @contextlib.contextmanager
+    def _at(self, stamp_ns: int) -> Iterator[None]:
+        with self._lock:
+            self._recording.set_time(TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
+            yield
+
+    def _place(self, camera: str, pose: Pose, model: Camera) -> None:
+        x, y, _ = pose.position
+        self._poses[camera] = pose
+        self._cameras[camera] = MapCamera(camera, model, (float(x), float(y)), pose.angles_deg[0], self._reach)
+
+    def _blueprint(self) -> object:
+        names = list(self._site.cameras) + [name for name in self._cameras if name not in self._site.cameras]
+        poses = [self._poses[name] for name in self._cameras]
+        positions = np.array([pose.position for pose in poses]).reshape(-1, 3)
+        azimuths = np.array([pose.angles_deg[0] for pose in poses])
+        eye = scene.overview_eye(self._dem, positions, azimuths, self._reach * 0.6)
+        return site_blueprint(names, eye, self._window(), self._live)
+
+    def _window(self) -> MapWindow:
+        """Around the cameras' sectors, within the grid."""
+        g = self._fuel_geometry
+        outline = [camera.sector() for camera in self._cameras.values()]
+        corners = np.vstack(outline) if outline else np.array([[g.x_min, g.y_min], [g.x_max, g.y_max]])
+        row, col = g.to_grid(corners[:, 0], corners[:, 1])
+        row, col = np.clip(row + 0.5, 0, g.height), np.clip(col + 0.5, 0, g.width)
+        return MapWindow((float(col.min()), float(col.max())), (float(row.min()), float(row.max())))
+
+    def _log_scene(self) -> None:
+        with self._lock:
+            log = self._recording
+            log.log("/", frames.annotation_context(self._palette), static=True)
+            log.log("map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+            log.log("map/terrain", frames.mesh(scene.terrain_mesh(self._dem)), static=True)
+            self._log_relief()
+            for name in self._cameras:
+                self._log_on_map(name)
+
+    def _log_relief(self) -> None:
+        """The relief under the fuel grid, finer than the cells, in units of cells."""
+        g = self._fuel_geometry
+        finer = max(1, RELIEF_PIXELS // max(g.shape))
+        view = GridGeometry(g.x_min, g.y_max, g.resolution / finer, g.width * finer, g.height * finer, g.crs)
+        none = np.full(g.shape, UNLABELLED, np.uint8)
+        picture = labelled_shade(none, g, self._palette, self._dem, view)
+        longest = max(picture.shape[:2])
+        if longest > RELIEF_PIXELS:
+            shrink = RELIEF_PIXELS / longest
+            picture = np.asarray(
+                cv2.resize(picture, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA), np.uint8
+            )
+        self._recording.log(
+            "fuel_map/relief",
+            rr.Transform3D(scale=(g.width / picture.shape[1], g.height / picture.shape[0], 1.0)),
+            rr.EncodedImage(contents=to_jpeg(picture, 88), media_type="image/jpeg", draw_order=-1.0),
+            static=True,
+        )
+
+    def _log_on_map(self, camera: str) -> None:
+        """The camera's place and sector on the fuel grid. At the current time, or static before there is one."""
+        placed = self._cameras[camera]
+        row, col = self._fuel_geometry.to_grid(placed.sector()[:, 0], placed.sector()[:, 1])
+        outline = np.column_stack([col, row]) + 0.5
+        entity = f"fuel_map/cameras/{camera}"
+        color = (200, 30, 45)
+        self._recording.log(f"{entity}/sector", rr.LineStrips2D([outline], colors=[color], draw_order=2.0))
+        self._recording.log(
+            entity,
+            rr.Points2D(outline[:1], labels=[camera], colors=[color], radii=rr.Radius.ui_points(5.0), draw_order=3.0),
+        )
+
+    def _log_tile(self, tile: scene.FuelTile) -> None:
+        entity = f"map/fuel/{tile.name}"
+        if tile.name not in self._known_tiles:
+            # Where a tile lies never changes, so it is sent once.
+            self._known_tiles.add(tile.name)
+            still = rr.Mesh3D.from_fields(vertex_positions=tile.vertices, albedo_factor=(255, 255, 255, 200))
+            self._recording.log(entity, still, static=True)
+        self._recording.log(entity, rr.Mesh3D.from_fields(triangle_indices=tile.triangles, vertex_colors=tile.colors))
