@@ -1,0 +1,10 @@
+"""Algorithm 1 of the paper, made exact and fast: what point of the terrain does each pixel see?
+
+`TerrainTracer` is the tracer; `march` keeps the paper's own fixed-step march as a baseline; `reference` is a slow,
+independent float64 tracer that tests hold the fast one against.
+"""
+
+from ltm_core.depth.range_image import RangeImage
+from ltm_core.tracing.tracer import TerrainTracer
+
+__all__ = ["RangeImage", "TerrainTracer"]

@@ -1,0 +1,110 @@
+"""The maximum pyramid: for each block of cells, a height that no ground in the block exceeds.
+
+Level L holds blocks of 2^L x 2^L cells; a block is *closed*: its bound covers all (2^L + 1)^2 nodes, those it shares
+with its neighbours too, so the bilinear surface over the block never rises above it. Level 0 (single cells) is not
+stored: the tracer reads the nodes there. All levels lie in one flat array, which adds a third to the memory of the
+elevations.
+
+A bound is the highest node (or ceiling of an enclosed hole), +inf where the block holds some outer hole and must be
+opened, or NaN where all its cells are outer holes, so that it can be crossed in one step (see `holes`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Heights = NDArray[np.float32]
+
+
+class MaximumPyramid(NamedTuple):
+    """Bounds of all levels in one flat array.
+
+    Level L (1 <= L <= `top_level`) is row-major at `bounds[offsets[L]:]`, `widths[L]` blocks a row; index 0 of both
+    is unused.
+    """
+
+    bounds: Heights
+    offsets: NDArray[np.int64]
+    widths: NDArray[np.int64]
+
+    @property
+    def top_level(self) -> int:
+        """The level at which one block covers the raster."""
+        return len(self.offsets) - 1
+
+
+def build_pyramid(filled: Heights) -> MaximumPyramid:
+    """Pyramid over the cells between the (H, W) nodes of `filled` (see `holes.with_ceilings`); H and W at least 2."""
+    heights, widths, offsets = [filled.shape[0] - 1], [filled.shape[1] - 1], [0]
+    total = 0
+    while len(heights) == 1 or heights[-1] > 1 or widths[-1] > 1:
+        heights.append((heights[-1] + 1) // 2)
+        widths.append((widths[-1] + 1) // 2)
+        offsets.append(total)
+        total += heights[-1] * widths[-1]
+    bounds = np.empty(total, dtype=np.float32)
+    _bounds_from_nodes(filled, bounds[: heights[1] * widths[1]].reshape(heights[1], widths[1]))
+    for level in range(2, len(heights)):
+        below = bounds[offsets[level - 1] : offsets[level]].reshape(heights[level - 1], widths[level - 1])
+        here = bounds[offsets[level] : offsets[level] + heights[level] * widths[level]]
+        _bounds_from_bounds(below, here.reshape(heights[level], widths[level]))
+    return MaximumPyramid(bounds, np.array(offsets, dtype=np.int64), np.array(widths, dtype=np.int64))
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _bounds_from_nodes(nodes: Heights, bounds: Heights) -> None:
+    """Level 1: the bound of 2 x 2 cells from their 3 x 3 nodes."""
+    n_rows, n_cols = nodes.shape
+    for i in range(bounds.shape[0]):
+        row0, row_end = 2 * i, min(2 * i + 2, n_rows - 1)
+        for j in range(bounds.shape[1]):
+            col0, col_end = 2 * j, min(2 * j + 2, n_cols - 1)
+            highest = np.float32(-np.inf)
+            any_outer = False
+            for row in range(row0, row_end + 1):
+                for col in range(col0, col_end + 1):
+                    node = nodes[row, col]
+                    if node > highest:
+                        highest = node
+                    elif node != node:
+                        any_outer = True
+            if any_outer:
+                highest = (
+                    np.float32(np.nan) if _all_cells_outer(nodes, row0, row_end, col0, col_end) else np.float32(np.inf)
+                )
+            bounds[i, j] = highest
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _all_cells_outer(nodes: Heights, row0: int, row_end: int, col0: int, col_end: int) -> bool:
+    for row in range(row0, row_end):
+        for col in range(col0, col_end):
+            if not np.isnan(nodes[row, col] + nodes[row, col + 1] + nodes[row + 1, col] + nodes[row + 1, col + 1]):
+                return False
+    return True
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _bounds_from_bounds(below: Heights, bounds: Heights) -> None:
+    """A level from the one below: the maximum of up to 2 x 2 blocks."""
+    for i in range(bounds.shape[0]):
+        row_end = min(2 * i + 2, below.shape[0])
+        for j in range(bounds.shape[1]):
+            col_end = min(2 * j + 2, below.shape[1])
+            highest = np.float32(-np.inf)
+            outer = 0
+            for row in range(2 * i, row_end):
+                for col in range(2 * j, col_end):
+                    bound = below[row, col]
+                    if bound > highest:
+                        highest = bound
+                    elif bound != bound:
+                        outer += 1
+            if outer > 0:
+                every = (row_end - 2 * i) * (col_end - 2 * j)
+                highest = np.float32(np.nan) if outer == every else np.float32(np.inf)
+            bounds[i, j] = highest

@@ -1,0 +1,159 @@
+"""The terrain tracer: pixels to the terrain that they see.
+
+Source: Algorithm 1 (pixel-based on-raster ray tracing) of the LTM paper, made exact: instead of sampling the nearest
+DEM cell at fixed steps, each ray is intersected with the bilinear surface, and earth curvature and refraction bend
+it.
+
+**The ray.** Horizontal range r (metres along the map), height z(r) = z0 + s r + bend r^2, where s is the ray's slope
+at the camera and bend = (1 - k) / 2R (`geodesy.ray_bend`). Slant range is r sqrt(1 + s^2).
+
+**The ground.** The surface is bilinear in each cell between four DEM cell centres. A cell with a nodata corner is a
+hole: an *enclosed* one is taken to be no higher than its ceiling, the highest known centre around it; an *outer* one,
+which reaches the raster's edge, is outside the DEM (see `holes`).
+
+**The answer** for a ray is
+
+* the range to the first point where it is on or below known ground;
+* NaN (unknown) if, before that, it passes an enclosed hole at or below its ceiling, or crosses an outer hole after it
+  has been over known ground; and NaN if it comes into known ground from outside the DEM already below the surface;
+* +inf (sky) if it meets no ground and leaves the raster while it climbs against the local horizon (s + 2 bend r >=
+  0), since nothing known blocks it; NaN if it leaves while it descends, since it will meet ground that is not in the
+  DEM. A ray that never comes over the raster is judged by its slope at the camera.
+
+A camera may stand outside the DEM: space between it and the first known ground counts as free.
+"""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.depth.range_image import RangeImage
+from ltm_core.errors import PoseError, RasterError
+from ltm_core.geodesy import ray_bend
+from ltm_core.pose import Pose
+from ltm_core.tracing.holes import with_ceilings
+from ltm_core.tracing.pyramid import build_pyramid
+from ltm_core.tracing.traversal import Ground, trace_directions
+
+# Numba's fallback threading layer dies when two threads launch parallel kernels at once.
+_ONE_LAUNCH = threading.Lock()
+
+
+class TerrainTracer:
+    """Traces images over one DEM.
+
+    Args:
+        dem: the terrain, in the frame of the poses. Adds a third of its elevations' memory.
+        curvature: bend rays for the earth's curvature and refraction.
+        refraction: coefficient k; 0.13 is the surveyors' daytime mean.
+
+    Raises RasterError for a DEM with infinite heights.
+    """
+
+    def __init__(self, dem: Dem, curvature: bool = True, refraction: float = 0.13) -> None:
+        elevation = np.ascontiguousarray(dem.elevation, np.float32)
+        if np.isinf(elevation).any():
+            row, col = (int(i[0]) for i in np.nonzero(np.isinf(elevation)))
+            raise RasterError(f"the DEM is infinite at row {row}, column {col}; mark unknown heights as nodata (NaN)")
+        self.dem = dem
+        self.bend = ray_bend(curvature, refraction)
+        filled = with_ceilings(elevation)
+        height, width = elevation.shape
+        pyramid = build_pyramid(filled)
+        self._ground = Ground(
+            elevation.ravel(),
+            filled.ravel(),
+            width,
+            height,
+            pyramid.bounds,
+            pyramid.offsets,
+            pyramid.widths,
+            float(np.nanmax(elevation)),
+        )
+
+    def trace(self, camera: Camera, pose: Pose) -> RangeImage:
+        """Range of every pixel.
+
+        Raises PoseError when the pose is not finite, the camera is not above the ground (by how much is said), or it
+        stands in an enclosed hole of the DEM, below the ground around it.
+        """
+        flat = self._trace(pose.position, pose.rotation, camera.rays().reshape(-1, 3))
+        ranges = flat.reshape(camera.height, camera.width)
+        return RangeImage(ranges, camera, pose, self.bend, self.dem.geometry)
+
+    def trace_rays(self, origin: ArrayLike, directions: ArrayLike) -> NDArray[np.float32]:
+        """Slant range in metres of rays from one origin, (N,) float32.
+
+        Args:
+            origin: (3,) x, y, z in the map frame.
+            directions: (N, 3) x, y, z, of any length; a zero or non-finite one gives NaN.
+
+        Raises PoseError as `trace` does.
+        """
+        rays = np.ascontiguousarray(directions, np.float64)
+        if rays.ndim != 2 or rays.shape[1] != 3:
+            raise PoseError(f"ray directions must be (N, 3), got {rays.shape}")
+        with np.errstate(invalid="ignore", divide="ignore"):
+            rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        rays.flags.writeable = False  # as a camera's are: one compiled kernel serves both
+        return self._trace(np.asarray(origin, np.float64), np.eye(3), rays)
+
+    def ground_clearance(self, pose: Pose) -> float:
+        """Height of the camera above the terrain, metres; negative under the ground, NaN outside the DEM and in
+        holes.
+        """
+        x, y, z = pose.position
+        return float(z - self.dem.elevation_at(x, y))
+
+    def _trace(
+        self, origin: NDArray[np.float64], rotation: NDArray[np.float64], rays: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        self._check(origin, rotation)
+        row, col = self.dem.geometry.to_grid(origin[0], origin[1])
+        ranges = np.empty(len(rays), dtype=np.float32)
+        with _ONE_LAUNCH:
+            trace_directions(
+                self._ground,
+                float(col),
+                float(row),
+                float(origin[2]),
+                np.ascontiguousarray(rotation, np.float64),
+                rays,
+                float(self.dem.geometry.resolution),
+                self.bend,
+                ranges,
+            )
+        return ranges
+
+    def _check(self, origin: NDArray[np.float64], rotation: NDArray[np.float64]) -> None:
+        if origin.shape != (3,) or not np.isfinite(origin).all() or not np.isfinite(rotation).all():
+            raise PoseError(f"camera pose is not finite: position {origin.tolist()}, rotation {rotation.tolist()}")
+        x, y, z = (float(v) for v in origin)
+        clearance = z - float(self.dem.elevation_at(x, y))
+        if clearance <= 0.0:
+            raise PoseError(
+                f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) is {abs(clearance):.2f} m under the ground, which is at "
+                f"{z - clearance:.2f} m: check its height, the vertical datum (ellipsoidal or geoid) and the position"
+            )
+        ceiling = self._hole_ceiling(x, y)
+        if ceiling is not None and z <= ceiling:
+            raise PoseError(
+                f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) stands in a nodata hole of the DEM, {ceiling - z:.2f} m below "
+                f"the highest ground around it ({ceiling:.2f} m): fill the hole, or raise the camera above it"
+            )
+
+    def _hole_ceiling(self, x: float, y: float) -> float | None:
+        """Ceiling of the enclosed hole under (x, y); None where there is none."""
+        row, col = (float(v) for v in self.dem.geometry.to_grid(x, y))
+        height, width = self.dem.elevation.shape
+        if not (0 <= row <= height - 1 and 0 <= col <= width - 1):
+            return None
+        r, c = min(int(row), height - 2), min(int(col), width - 2)
+        known = self.dem.elevation[r : r + 2, c : c + 2]
+        filled = self._ground.filled.reshape(height, width)[r : r + 2, c : c + 2]
+        return float(filled.max()) if np.isnan(known).any() and not np.isnan(filled).any() else None
