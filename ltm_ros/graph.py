@@ -1,0 +1,207 @@
+"""The node graph of a site as plain data: `ltm run` and `ros2 launch` render the same description. Knows no ROS."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ltm_core.errors import ConfigError
+from ltm_core.site import Site
+
+ParameterValue = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
+
+PACKAGE = "ltm"
+NODES_MODULE = "ltm_ros.nodes"
+
+CAMERA_NODES = ("capture", "depth", "segmentation", "fuel_votes")
+"""Node types that every camera has one of, in `/<site>/<camera>`."""
+SITE_NODES = ("fuel_map",)
+"""Node types that a site has one of, in `/<site>`."""
+OPTIONAL_NODES = ("viewer", "recorder")
+"""Site-level node types that run on request; the graph works without them."""
+NODE_TYPES = CAMERA_NODES + SITE_NODES + OPTIONAL_NODES
+
+BUSY_NODES = ("depth", "segmentation")
+"""Node types that compute on several threads; the others get one."""
+OWN_PARAMETERS = ("site", "camera", "use_sim_time")
+"""Parameters that the graph itself gives; a site file cannot."""
+
+# What ROS allows for a name and a namespace.
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+
+
+@dataclass(frozen=True)
+class NodeSpec:
+    """One process of the graph."""
+
+    name: str
+    namespace: str
+    """Absolute, such as `/ridge/north`."""
+    module: str
+    """Python module that runs the node: `python -m ltm_ros.nodes.depth`."""
+    parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
+    remappings: Sequence[tuple[str, str]] = ()
+    required: bool = True
+    """Whether the graph is of use without it."""
+    busy: bool = False
+    """Whether it computes on several threads."""
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name):
+            raise ConfigError(f"node name {self.name!r}: use letters, digits and _, starting with a letter")
+        if not _NAMESPACE.fullmatch(self.namespace):
+            raise ConfigError(f"namespace {self.namespace!r} of node {self.name}: expected the form /site/camera")
+
+    @property
+    def executable(self) -> str:
+        """Its name in `ros2 run ltm ...`."""
+        return self.module.rpartition(".")[2]
+
+    @property
+    def full_name(self) -> str:
+        """Fully qualified, as ROS and `/diagnostics` name it: `/ridge/north/depth`."""
+        return f"{self.namespace}/{self.name}"
+
+    @property
+    def label(self) -> str:
+        """Short and unique within a site, for logs and `kill`: `north/depth`, `fuel_map`."""
+        return "/".join([*self.namespace.split("/")[2:], self.name])
+
+
+@dataclass(frozen=True)
+class Graph:
+    """All processes of a site. Labels are unique."""
+
+    site: str
+    nodes: tuple[NodeSpec, ...]
+
+    def __post_init__(self) -> None:
+        labels = [node.label for node in self.nodes]
+        twice = sorted({label for label in labels if labels.count(label) > 1})
+        if twice:
+            raise ConfigError(f"graph of {self.site}: more than one node {', '.join(twice)}")
+
+    def __iter__(self) -> Iterator[NodeSpec]:
+        return iter(self.nodes)
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    def node(self, label: str) -> NodeSpec:
+        """Raises ConfigError naming the nodes there are."""
+        for node in self.nodes:
+            if node.label == label:
+                return node
+        raise ConfigError(f"no node {label!r} in the graph of {self.site}; it has {', '.join(n.label for n in self)}")
+
+
+def describe(
+    site: Site,
+    path: Path | str,
+    *,
+    cameras: Sequence[str] = (),
+    sim_time: bool = False,
+    view: Mapping[str, ParameterValue] | None = None,
+    record: Mapping[str, ParameterValue] | None = None,
+    parameters: Mapping[str, Mapping[str, ParameterValue]] | None = None,
+) -> Graph:
+    """The graph of `site`, which was read from `path`.
+
+    `cameras`: only these (empty: all). `view`, `record`: also run the viewer, the recorder, with these parameters.
+    `parameters`: by node type, over those of the site file. Raises ConfigError for an unknown camera or node type, a
+    parameter that the graph itself gives, and a value that ROS has no parameter type for.
+    """
+    place = Path(path).expanduser().resolve()
+    given = _overrides(site, place, parameters or {})
+    for extra, values in (("viewer", view), ("recorder", record)):
+        given[extra] = given.get(extra, {}) | dict(values or {})
+    common: dict[str, ParameterValue] = {"site": str(place), "use_sim_time": sim_time}
+
+    def spec(kind: str, namespace: str, own: Mapping[str, ParameterValue]) -> NodeSpec:
+        return NodeSpec(
+            name=kind,
+            namespace=namespace,
+            module=f"{NODES_MODULE}.{kind}",
+            parameters=common | dict(own) | given.get(kind, {}),
+            required=kind not in OPTIONAL_NODES,
+            busy=kind in BUSY_NODES,
+        )
+
+    chosen = list(cameras) or list(site.cameras)
+    for camera in chosen:
+        site.camera(camera)
+    nodes = [spec(kind, f"/{site.name}", {}) for kind in SITE_NODES]
+    nodes += [spec(kind, f"/{site.name}/{camera}", {"camera": camera}) for camera in chosen for kind in CAMERA_NODES]
+    if view is not None:
+        nodes.append(spec("viewer", f"/{site.name}", {}))
+    if record is not None:
+        nodes.append(spec("recorder", f"/{site.name}", {}))
+    return Graph(site.name, tuple(nodes))
+
+
+def parameters_yaml(parameters: Mapping[str, ParameterValue]) -> str:
+    """A ROS parameters file for one node of any name. Strings are quoted: bare `y` or `on` would become booleans."""
+    lines = ["/**:", "  ros__parameters:"]
+    for name, value in parameters.items():
+        lines.append(f"    {name}: {_scalar_or_list(value)}")
+    return "\n".join(lines) + "\n"
+
+
+def _scalar_or_list(value: ParameterValue) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(_scalar(item) for item in value)}]"
+    return _scalar(value)
+
+
+def _scalar(value: bool | int | float | str) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    text: str = yaml.safe_dump(value, default_style='"' if isinstance(value, str) else None, width=1 << 30)
+    return text.removesuffix("\n").removesuffix("\n...")
+
+
+def _overrides(
+    site: Site, place: Path, parameters: Mapping[str, Mapping[str, ParameterValue]]
+) -> dict[str, dict[str, ParameterValue]]:
+    merged: dict[str, dict[str, ParameterValue]] = {}
+    for where, source in ((f"{place}: nodes", site.nodes), ("parameters", parameters)):
+        for kind, values in source.items():
+            if kind not in NODE_TYPES:
+                raise ConfigError(f"{where}: unknown node {kind!r}; known are {', '.join(NODE_TYPES)}")
+            for name, value in _flat(values).items():
+                if name in OWN_PARAMETERS:
+                    raise ConfigError(f"{where}.{kind}.{name}: the graph gives this parameter itself; remove it")
+                merged.setdefault(kind, {})[name] = _ros_value(value, f"{where}.{kind}.{name}")
+    return merged
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested mappings as ROS has them: `{a: {b: 1}}` is parameter `a.b`."""
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{prefix}{name}.")
+        else:
+            flat[f"{prefix}{name}"] = value
+    return flat
+
+
+def _ros_value(value: object, place: str) -> ParameterValue:
+    """Raises ConfigError: ROS knows booleans, integers, floats, strings and non-empty lists of one of them."""
+    if isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, list | tuple) and value:
+        items = list(value)
+        if all(isinstance(item, bool) for item in items) or all(isinstance(item, str) for item in items):
+            return items
+        if all(isinstance(item, int | float) and not isinstance(item, bool) for item in items):
+            return items if all(isinstance(item, int) for item in items) else [float(item) for item in items]
+    raise ConfigError(
+        f"{place} = {value!r}: a parameter is a boolean, integer, float, string or non-empty list of one of these"
+    )

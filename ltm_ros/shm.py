@@ -1,0 +1,171 @@
+"""Shared memory that Fast DDS leaves in /dev/shm when a process is killed: find it and remove it.
+
+A segment or port of Fast DDS is a file with a lock file beside it (`_el` exclusive, `_sl` shared) on which its owner
+holds a flock for as long as it lives; the kernel lets go of the lock however the owner dies. A port has a semaphore
+besides. Only what nobody locks and nobody maps is removed, so other graphs on the machine are safe.
+
+Standard library only: `guardian` runs this after the graph's own process is gone.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import shutil
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+SHM_FOLDER = Path("/dev/shm")
+
+# A participant creates a file and locks it an instant later; what is younger than this may be in between.
+MIN_AGE_S = 1.0
+
+BYTES_PER_PARTICIPANT = 72 << 20
+"""What a node takes of /dev/shm with config/fastdds.xml (Fast DDS reserves its segment in full at the start)."""
+
+_OBJECT = re.compile(r"^(?:sem\.)?(?P<base>fastrtps_(?:port\d{1,5}|[0-9a-f]{16}))(?:_el|_sl|_mutex)?$")
+
+
+@dataclass(frozen=True)
+class SharedMemory:
+    """What Fast DDS has in /dev/shm: names of segments and ports, each with its files."""
+
+    in_use: tuple[str, ...]
+    stale: tuple[str, ...]
+    young: tuple[str, ...]
+    """Not locked, but too new to be sure that nobody is about to."""
+    stale_bytes: int
+
+    @property
+    def segments_in_use(self) -> int:
+        return sum(1 for name in self.in_use if "port" not in name)
+
+
+def survey(folder: Path = SHM_FOLDER, min_age_s: float = MIN_AGE_S) -> SharedMemory:
+    """Look at every Fast DDS object in `folder`; changes nothing."""
+    return _walk(folder, min_age_s, remove=False)
+
+
+def remove_stale(folder: Path = SHM_FOLDER, min_age_s: float = MIN_AGE_S) -> SharedMemory:
+    """Remove the objects of dead processes. What belongs to another user and cannot be removed is left."""
+    return _walk(folder, min_age_s, remove=True)
+
+
+def free_bytes(folder: Path = SHM_FOLDER) -> int | None:
+    """Room left in /dev/shm; None where there is none."""
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return None
+
+
+def _walk(folder: Path, min_age_s: float, remove: bool) -> SharedMemory:
+    objects: dict[str, list[Path]] = {}
+    try:
+        entries = sorted(folder.iterdir())
+    except OSError:
+        entries = []
+    for path in entries:
+        match = _OBJECT.match(path.name)
+        if match:
+            objects.setdefault(match["base"], []).append(path)
+    mapped = _mapped_names(folder) if objects else set()
+    in_use: list[str] = []
+    stale: list[str] = []
+    young: list[str] = []
+    stale_bytes = 0
+    for base, paths in objects.items():
+        if base in mapped:
+            in_use.append(base)
+            continue
+        if _age_s(paths) < min_age_s:
+            young.append(base)
+            continue
+        locks = _take_locks(paths)
+        if locks is None:
+            in_use.append(base)
+            continue
+        try:
+            stale.append(base)
+            stale_bytes += sum(_allocated_bytes(path) for path in paths)
+            if remove:
+                # Lock files last, while we hold them: a new participant that opens one of this name then waits for
+                # a file that is gone and makes its own.
+                for path in sorted(paths, key=_is_lock):
+                    _unlink(path)
+        finally:
+            for descriptor in locks:
+                os.close(descriptor)
+    return SharedMemory(tuple(in_use), tuple(stale), tuple(young), stale_bytes)
+
+
+def _is_lock(path: Path) -> bool:
+    return path.name.endswith(("_el", "_sl"))
+
+
+def _take_locks(paths: list[Path]) -> list[int] | None:
+    """Descriptors that hold every lock file of one object, or None when somebody else holds one."""
+    descriptors: list[int] = []
+    for path in filter(_is_lock, paths):
+        try:
+            descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        except FileNotFoundError:
+            continue
+        except OSError:
+            break
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(descriptor)
+            break
+        descriptors.append(descriptor)
+    else:
+        return descriptors
+    for descriptor in descriptors:
+        os.close(descriptor)
+    return None
+
+
+def _mapped_names(folder: Path) -> set[str]:
+    """Bases of the objects that a process we may look at has mapped (a sender maps a port without locking it)."""
+    names: set[str] = set()
+    prefix = f"{folder}/fastrtps_"
+    for maps in Path("/proc").glob("[0-9]*/maps"):
+        try:
+            content = maps.read_text(errors="replace")
+        except OSError:
+            continue
+        if prefix not in content:
+            continue
+        for line in content.splitlines():
+            path = line[line.find("/") :] if prefix in line else ""
+            match = _OBJECT.match(Path(path).name) if path and not path.endswith("(deleted)") else None
+            if match:
+                names.add(match["base"])
+    return names
+
+
+def _age_s(paths: list[Path]) -> float:
+    newest = 0.0
+    for path in paths:
+        try:
+            newest = max(newest, path.stat().st_ctime)
+        except OSError:
+            continue
+    return time.time() - newest
+
+
+def _allocated_bytes(path: Path) -> int:
+    try:
+        return path.stat().st_blocks * 512
+    except OSError:
+        return 0
+
+
+def _unlink(path: Path) -> None:
+    try:
+        path.unlink()
+    except OSError:
+        return
