@@ -9,29 +9,28 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from mcap_ros2.reader import read_ros2_messages
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
 
-rosbags_highlevel = pytest.importorskip("rosbags.highlevel", reason="needs rosbags: pip install 'ltm[dev]'")
-mcap_ros2 = pytest.importorskip("mcap_ros2.reader", reason="needs mcap-ros2-support: pip install 'ltm[dev]'")
-pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'ltm[ros]'")
-
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
-from rosgraph_msgs.msg import Clock  # noqa: E402
-from std_msgs.msg import String  # noqa: E402
-
-from ltm_core.camera import Camera  # noqa: E402
-from ltm_core.fuel.votes import CellVotes  # noqa: E402
-from ltm_core.grid import GridGeometry  # noqa: E402
-from ltm_core.pose import Pose  # noqa: E402
-from ltm_msgs_py.bag.reader import BagReader  # noqa: E402
-from ltm_msgs_py.bag.schemas import type_name_of  # noqa: E402
-from ltm_msgs_py.bag.writer import BagWriter  # noqa: E402
-from ltm_msgs_py.camera_info import camera_to_msg  # noqa: E402
-from ltm_msgs_py.grid import classes_to_msg, tile_to_msg  # noqa: E402
-from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg  # noqa: E402
-from ltm_msgs_py.points import points_to_msg  # noqa: E402
-from ltm_msgs_py.pose import pose_to_msg, pose_to_stamped  # noqa: E402
-from ltm_msgs_py.stamp import ns_to_time  # noqa: E402
-from ltm_msgs_py.votes import votes_to_msg  # noqa: E402
+from ltm_core.camera import Camera
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.bag.schemas import type_name_of
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.camera_info import camera_to_msg
+from ltm_msgs_py.grid import classes_to_msg, tile_to_msg
+from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
+from ltm_msgs_py.points import points_to_msg
+from ltm_msgs_py.pose import pose_to_msg, pose_to_stamped
+from ltm_msgs_py.stamp import ns_to_time
+from ltm_msgs_py.votes import votes_to_msg
 
 T0 = 1_700_000_000_123_456_789
 LATCHED = {"/ridge/fuel_map", "/ridge/fuel_map/info", "/ridge/east/labels/info"}
@@ -137,16 +136,14 @@ def same(ours: Any, theirs: Any) -> bool:
 
 
 def by_rosbags(path: Path) -> Iterator[tuple[str, int, Any]]:
-    from rosbags.typesys import Stores, get_typestore
-
-    with rosbags_highlevel.AnyReader([path], default_typestore=get_typestore(Stores.EMPTY)) as reader:
+    with AnyReader([path], default_typestore=get_typestore(Stores.EMPTY)) as reader:
         for connection, log_time, raw in reader.messages():
             yield connection.topic, log_time, reader.deserialize(raw, connection.msgtype)
 
 
 def by_mcap_ros2(path: Path) -> Iterator[tuple[str, int, Any]]:
     (file,) = path.glob("*.mcap")
-    for item in mcap_ros2.read_ros2_messages(str(file)):
+    for item in read_ros2_messages(str(file)):
         yield item.channel.topic, item.log_time_ns, item.ros_msg
 
 
@@ -171,8 +168,6 @@ def test_what_is_read_is_what_was_written(bag: Path) -> None:
 
 
 def test_rosbags_takes_the_metadata_as_version_9(bag: Path) -> None:
-    from rosbags.rosbag2 import Reader
-
     with Reader(bag) as reader:
         assert reader.message_count == 2 * len(every_message())
         assert reader.start_time == T0
@@ -188,8 +183,6 @@ def test_rosbags_takes_the_metadata_as_version_9(bag: Path) -> None:
 
 
 def test_type_hashes_are_those_that_rosbags_computes(bag: Path) -> None:
-    from rosbags.typesys import Stores, get_typestore
-
     store = get_typestore(Stores.ROS2_JAZZY)
     info = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     for entry in info["topics_with_message_count"]:

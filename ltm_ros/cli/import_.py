@@ -1,0 +1,69 @@
+"""`ltm import`: photos with a pose file or EXIF become a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def import_(
+    images: Annotated[
+        list[Path], typer.Option("--images", help="Photo or folder of photos: JPEG, PNG, HEIC. Repeatable.")
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Bag folder to write.")],
+    poses: Annotated[
+        Path | None,
+        typer.Option("--poses", help="CSV or YAML: name, x y z or lon lat, azimuth_deg, fx, ... Before EXIF."),
+    ] = None,
+    site: Annotated[Path | None, typer.Option("--site", help="Site file: frame, DEM, camera names.")] = None,
+    camera: Annotated[str | None, typer.Option("--camera", help="Camera that took the photos.")] = None,
+    pitch_deg: Annotated[float, typer.Option(help="Pitch of photos without one; EXIF has none.")] = 0.0,
+    roll_deg: Annotated[float, typer.Option(help="Roll of photos without one; EXIF has none.")] = 0.0,
+    height_above_ground: Annotated[float, typer.Option(min=0, help="Metres, where no height is known.")] = 2.0,
+    geoid_undulation_m: Annotated[
+        float, typer.Option(help="Geoid above ellipsoid, metres, where EXIF altitudes are ellipsoidal.")
+    ] = 0.0,
+    sensor_width_mm: Annotated[
+        float | None, typer.Option(min=0.1, help="Long side of the sensor, for EXIF focal lengths in mm.")
+    ] = None,
+    skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Leave out photos that cannot be taken.")] = False,
+) -> None:
+    """Make a bag from photos: image_raw/compressed, camera_info and pose, ready for `ltm replay`."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.table import Table
+
+    from ltm_core.site_io import load_site
+    from ltm_ros.importer.build import import_photos
+    from ltm_ros.importer.georeference import Assumptions
+
+    console = Console()
+    columns = (TextColumn("Importing photos"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task("import", total=None)
+        report = import_photos(
+            images,
+            out,
+            poses,
+            load_site(site) if site is not None else None,
+            camera,
+            Assumptions(pitch_deg, roll_deg, height_above_ground, geoid_undulation_m, sensor_width_mm),
+            skip_bad,
+            lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    by_note: dict[str, list[str]] = {}
+    for name, note in report.notes:
+        by_note.setdefault(note, []).append(name)
+    for note, names in by_note.items():
+        others = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        console.print(f"[yellow]{names[0]}{others}: {note}", highlight=False)
+    for file, why in report.skipped:
+        console.print(f"[red]left out {file.name}: {why}", highlight=False)
+    table = Table("topics", "photos", title=str(report.bag))
+    for name, count in report.cameras.items():
+        table.add_row(f"/{report.site}/{name}/{{image_raw/compressed, camera_info, pose}}", str(count))
+    console.print(table)
+    if site is None:
+        console.print(f"frame: {report.crs}, origin {report.origin}; a site file for it needs a DEM in that CRS")

@@ -1,0 +1,169 @@
+"""From photos to a bag: what `ltm import` does between its options and its table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ltm_core.config_io import checked
+from ltm_core.errors import ConfigError, LtmError, RecordingError
+from ltm_core.geodesy import SiteFrame
+from ltm_core.site import Site
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.camera_info import camera_to_msg
+from ltm_msgs_py.image import compressed_to_msg
+from ltm_msgs_py.pose import pose_to_msg
+from ltm_ros.importer.georeference import Assumptions, PlacedPhoto, place
+from ltm_ros.importer.photo import find_photos, read_photo
+from ltm_ros.importer.pose_file import PhotoPose, read_pose_file
+from ltm_ros.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
+
+_APART_NS = 1_000_000
+"""Photos of one camera with equal stamps (bursts within a second) are moved this far apart."""
+
+
+@dataclass
+class ImportReport:
+    """What an import did. `skipped`: (photo, why). `cameras`: photos a camera."""
+
+    bag: Path
+    site: str
+    crs: str
+    origin: tuple[float, float]
+    cameras: dict[str, int] = field(default_factory=dict)
+    skipped: list[tuple[Path, str]] = field(default_factory=list)
+    notes: list[tuple[str, str]] = field(default_factory=list)
+
+
+def import_photos(
+    images: Sequence[Path],
+    out: Path,
+    poses: Path | None = None,
+    site: Site | None = None,
+    camera: str | None = None,
+    assumed: Assumptions | None = None,
+    skip_bad: bool = False,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> ImportReport:
+    """Write a bag with image_raw/compressed, camera_info and pose of every photo, in the order of their stamps.
+
+    `images`: photo files and folders. With `poses`, only photos that it names are taken. `site`: frame, DEM and camera
+    names; without it the frame is the UTM zone of the first photo, with an origin near it. `camera`: for photos whose
+    row names none; by default the site's only camera. `skip_bad`: leave photos out that cannot be taken, instead
+    of stopping. `progress(done, total)`: each photo is read twice, to place it and to write it.
+
+    Raises LtmError children, each with photo, value and remedy; the bag is not begun unless every photo is placed.
+    """
+    assumed = assumed or Assumptions()
+    files = find_photos(images)
+    rows = read_pose_file(poses) if poses is not None else None
+    if rows is not None:
+        found = len(files)
+        files = _named_in(files, rows, poses)
+    frame = site.frame if site is not None else _frame_of(files, rows)
+    dem = site.open_dem() if site is not None else None
+    report = ImportReport(out, site.name if site is not None else "site", frame.crs, (frame.x_origin, frame.y_origin))
+
+    if rows is not None and len(files) < found:
+        report.notes.append((str(poses), f"does not name {found - len(files)} of the {found} photos: left out"))
+
+    placed: list[tuple[str, Path, PhotoPose, int]] = []
+    for done, file in enumerate(files):
+        row = rows[file.name] if rows is not None else PhotoPose(name=file.name)
+        try:
+            name = _camera_name(row, camera, site)
+            item = place(read_photo(file), row, frame, dem, assumed)
+        except ConfigError:
+            raise
+        except LtmError as error:
+            if not skip_bad:
+                raise
+            report.skipped.append((file, str(error)))
+        else:
+            # Only what orders the photos is kept: a season's photos do not fit in memory.
+            placed.append((name, file, row, item.stamp_ns))
+            report.notes += [(file.name, note) for note in item.notes]
+        progress(done + 1, 2 * len(files))
+    if not placed:
+        raise RecordingError(f"none of {len(files)} photos could be taken; the first: {report.skipped[0][1]}")
+    placed = _apart(placed, report)
+
+    origin = f"{frame.x_origin!r} {frame.y_origin!r}"
+    custom = {"ltm_source": "photos", "ltm_site": report.site, "ltm_crs": frame.crs, "ltm_origin": origin}
+    with BagWriter(out, compression=None, custom_data=custom) as writer:  # JPEG does not get smaller
+        for done, (name, file, row, stamp_ns) in enumerate(placed):
+            _write(writer, report.site, name, place(read_photo(file), row, frame, dem, assumed), stamp_ns)
+            report.cameras[name] = report.cameras.get(name, 0) + 1
+            progress(len(files) + done + 1, len(files) + len(placed))
+    return report
+
+
+def _write(writer: BagWriter, site: str, camera: str, item: PlacedPhoto, stamp_ns: int) -> None:
+    optical = f"{camera}_optical"
+    image = compressed_to_msg(item.photo.data, item.photo.image_format, stamp_ns, optical)
+    for topic, msg in (
+        (CAMERA_INFO, camera_to_msg(item.camera, stamp_ns, optical)),
+        (POSE, pose_to_msg(item.pose, stamp_ns)),
+        (IMAGE_COMPRESSED, image),
+    ):
+        writer.write(camera_topic(site, camera, topic), msg, stamp_ns)
+
+
+def _named_in(files: list[Path], rows: dict[str, PhotoPose], poses: Path | None) -> list[Path]:
+    missing = sorted(rows.keys() - {file.name for file in files})
+    if missing:
+        raise RecordingError(
+            f"pose file {poses} names {len(missing)} photos that are not there: {', '.join(missing[:5])}"
+        )
+    return [file for file in files if file.name in rows]
+
+
+def _camera_name(row: PhotoPose, given: str | None, site: Site | None) -> str:
+    name = row.camera or given
+    if site is None:
+        return checked(PhotoPose, {"name": "-", "camera": name or "camera"}, "--camera").camera or ""
+    if name is None:
+        if len(site.cameras) > 1:
+            raise ConfigError(
+                f"site {site.name} has the cameras {', '.join(site.cameras)}: say which one took the photos, with "
+                "--camera or a column `camera` in the pose file"
+            )
+        (name,) = site.cameras
+    site.camera(name)
+    return name
+
+
+def _frame_of(files: list[Path], rows: dict[str, PhotoPose] | None) -> SiteFrame:
+    """The UTM zone of the first photo that has a position, with an origin on the nearest kilometre."""
+    for file in files:
+        row = rows[file.name] if rows is not None else PhotoPose(name=file.name)
+        if row.x is not None:
+            raise ConfigError(f"{file.name} has x, y in the pose file: name the site that they belong to, with --site")
+        lon, lat = row.lon, row.lat
+        if lon is None or lat is None:
+            exif = read_photo(file).exif
+            lon, lat = exif.lon, exif.lat
+        if lon is not None and lat is not None:
+            zone = min(math.floor((lon + 180) / 6) + 1, 60)
+            crs = f"EPSG:{32600 + zone if lat >= 0 else 32700 + zone}"
+            x, y = SiteFrame(crs).from_lonlat(lon, lat)
+            return SiteFrame(crs, round(float(x), -3), round(float(y), -3))
+    raise RecordingError("no photo has a position in EXIF: give them x, y or lon, lat in a pose file (--poses)")
+
+
+def _apart(
+    placed: list[tuple[str, Path, PhotoPose, int]], report: ImportReport
+) -> list[tuple[str, Path, PhotoPose, int]]:
+    """In the order of their stamps, with no stamp twice for a camera."""
+    ordered = sorted(placed, key=lambda item: (item[3], item[1].name))
+    last: dict[str, int] = {}
+    result = []
+    for name, file, row, stamp_ns in ordered:
+        if name in last and stamp_ns <= last[name]:
+            stamp_ns = last[name] + _APART_NS
+            report.notes.append((file.name, "has the stamp of the photo before it: moved 1 ms on"))
+        last[name] = stamp_ns
+        result.append((name, file, row, stamp_ns))
+    return sorted(result, key=lambda item: item[3])

@@ -1,0 +1,97 @@
+"""Photo files: finding them, and their pixels upright as JPEG or PNG bytes."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pillow_heif
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from ltm_core.errors import ImageError, RecordingError
+from ltm_msgs_py.image import decode_rgb, encode_rgb
+from ltm_ros.importer.exif import ExifFacts, exif_facts
+
+SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif")
+_FORMATS = {"JPEG": "jpeg", "MPO": "jpeg", "PNG": "png"}
+_REENCODED_QUALITY = 95
+
+
+@dataclass(frozen=True)
+class Photo:
+    """One photo. `data`: `image_format` (jpeg or png) bytes of the upright image, `width` x `height` pixels.
+
+    `reencoded`: whether `data` differs from the file, because it is HEIC or was turned upright.
+    """
+
+    path: Path
+    data: bytes
+    image_format: str
+    width: int
+    height: int
+    exif: ExifFacts
+    reencoded: bool
+
+
+def find_photos(paths: Iterable[Path]) -> list[Path]:
+    """The photos among files and in folders (not below them), by name in each folder.
+
+    Raises RecordingError when a path does not exist, two photos share a file name, or there is none at all.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            found += sorted(
+                p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and p.is_file()
+            )
+        elif path.is_file():
+            found.append(path)
+        else:
+            raise RecordingError(f"no photo or folder at {path}")
+    names: dict[str, Path] = {}
+    for path in found:
+        if path.name in names:
+            raise RecordingError(f"two photos are called {path.name}: {names[path.name]} and {path}")
+        names[path.name] = path
+    if not found:
+        raise RecordingError(f"no photos in {', '.join(map(str, paths))}; looked for {', '.join(SUFFIXES)}")
+    return found
+
+
+def read_photo(path: Path) -> Photo:
+    """Read a JPEG, PNG or HEIC photo, told by its content.
+
+    JPEG and PNG keep their very bytes unless EXIF says that the image is to be turned; then, and for HEIC, the upright
+    image is compressed anew (JPEG quality 95). Raises ImageError on anything else, or on a file that does not decode.
+    """
+    pillow_heif.register_heif_opener()
+    try:
+        data = path.read_bytes()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow warns of large images and odd EXIF; what matters is checked here
+            with Image.open(io.BytesIO(data)) as image:
+                found = image.format or "unknown"
+                facts = exif_facts(image.getexif(), str(path))
+                if found not in _FORMATS and found != "HEIF":
+                    raise ImageError(f"{path} is {found}; photos must be JPEG, PNG or HEIC")
+                # libheif has already turned a HEIC image upright, whatever its EXIF says.
+                if found in _FORMATS and facts.orientation == 1:
+                    pixels = decode_rgb(data, str(path))
+                    height, width = pixels.shape[:2]
+                    return Photo(path, data, _FORMATS[found], width, height, facts, reencoded=False)
+                upright = image if found == "HEIF" else ImageOps.exif_transpose(image)
+                pixels = np.asarray(upright.convert("RGB"), np.uint8)
+    except UnidentifiedImageError as error:
+        raise ImageError(
+            f"{path} is no photo that can be read: it is not JPEG, PNG or HEIC, or it is cut short"
+        ) from error
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ImageError(f"{path} cannot be read: {error}") from error
+    image_format = "png" if found == "PNG" else "jpeg"
+    height, width = pixels.shape[:2]
+    encoded = encode_rgb(pixels, image_format, _REENCODED_QUALITY)
+    return Photo(path, encoded, image_format, width, height, facts, reencoded=True)
