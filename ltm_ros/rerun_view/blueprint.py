@@ -20,22 +20,26 @@ class MapWindow:
     rows: tuple[float, float]
 
 
-def site_blueprint(cameras: Sequence[str], eye: Eye, window: MapWindow, live: bool) -> rrb.Blueprint:
+def site_blueprint(site: str, cameras: Sequence[str], eye: Eye, window: MapWindow, live: bool) -> rrb.Blueprint:
     """Tabs: the site (terrain, fuel grid, a camera's pictures, latencies), all cameras, the graph's health."""
     overview = rrb.Vertical(
         rrb.Horizontal(_terrain(cameras, eye), _fuel_grid(window), column_shares=[5, 3]),
-        rrb.Horizontal(
-            rrb.Tabs(*(_camera_row(camera) for camera in cameras), active_tab=0),
-            _latency("Latency"),
-            column_shares=[3, 1],
-        ),
-        row_shares=[3, 2],
+        rrb.Tabs(*(_camera_row(site, camera, timed=True) for camera in cameras), active_tab=0),
+        row_shares=[5, 3],
         name="Site",
     )
-    gallery = rrb.Vertical(*(_camera_row(camera) for camera in cameras), name="Cameras")
+    gallery = rrb.Vertical(*(_camera_row(site, camera, timed=False) for camera in cameras), name="Cameras")
     health = rrb.Vertical(
-        rrb.Horizontal(_latency("Latency, ms"), _plot("Rate, Hz", "/health/rate")),
-        rrb.Horizontal(_plot("Messages", "/health/count"), rrb.TextLogView(origin="/log", name="Log")),
+        rrb.Horizontal(
+            _plot("Latency p95 (ms)", "/health/latency_p95_ms"),
+            _plot("Work p95 (ms)", "/health/work_p95_ms"),
+            _plot("Rate (Hz)", "/health/rate_hz"),
+        ),
+        rrb.Horizontal(
+            _plot("Waiting messages", "/health/queue"),
+            _plot("Dropped messages", "/health/dropped"),
+            rrb.TextLogView(origin="/log", name="Log"),
+        ),
         name="Health",
     )
     return rrb.Blueprint(
@@ -70,24 +74,18 @@ def _fuel_grid(window: MapWindow) -> rrb.Spatial2DView:
     )
 
 
-def _camera_row(camera: str) -> rrb.Horizontal:
+def _camera_row(site: str, camera: str, timed: bool) -> rrb.Horizontal:
+    """Image, depth and labels side by side, and the latencies of this camera's nodes if `timed`."""
     origin = f"/map/cameras/{camera}"
-    return rrb.Horizontal(
+    views: list[rrb.View] = [
         rrb.Spatial2DView(origin=origin, contents="+ $origin/photo", name=f"{camera}: image"),
         rrb.Spatial2DView(origin=f"/depth/{camera}", name=f"{camera}: depth"),
         rrb.Spatial2DView(origin=origin, contents=["+ $origin/photo", "+ $origin/labels"], name=f"{camera}: labels"),
-        name=camera,
-    )
-
-
-def _latency(name: str) -> rrb.TimeSeriesView:
-    return _plot(name, "/health/latency")
+    ]
+    if timed:
+        views.append(_plot("Latency p95 (ms)", f"/health/latency_p95_ms/{site}/{camera}"))
+    return rrb.Horizontal(*views, name=camera)
 
 
 def _plot(name: str, origin: str) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(
-        origin=origin,
-        name=name,
-        axis_y=rrb.ScalarAxis(range=None, zoom_lock=False),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
-    )
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop))

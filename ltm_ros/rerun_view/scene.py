@@ -164,9 +164,9 @@ def overview_eye(dem: Dem, positions: NDArray[np.float64], azimuths_deg: NDArray
     ground = float(dem.elevation_at(*centre))
     if not math.isfinite(ground):
         ground = (lowest + highest) / 2
-    x, y = centre + behind * radius * 1.5
+    x, y = centre + behind * radius * 1.25
     return Eye(
-        (float(x), float(y), max(ground + radius * 1.1, highest + 0.1 * radius)),
+        (float(x), float(y), max(ground + radius * 0.8, highest + 0.1 * radius)),
         (float(centre[0]), float(centre[1]), ground),
     )
 

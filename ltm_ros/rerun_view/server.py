@@ -53,7 +53,7 @@ class RerunProcess:
     def __init__(self, arguments: Sequence[str], quiet: bool = True) -> None:
         sink = subprocess.DEVNULL if quiet else None
         self._process = subprocess.Popen(
-            [str(rerun_binary()), "--bind", LOOPBACK, *arguments],
+            [str(rerun_binary()), "--bind", LOOPBACK, "--hide-welcome-screen", *arguments],
             stdin=subprocess.DEVNULL,
             stdout=sink,
             stderr=sink,

@@ -98,7 +98,7 @@ class RerunView:
         """Where the camera stands; its first pose also decides where the view starts from."""
         with self._at(stamp_ns):
             entity = f"map/cameras/{camera}"
-            self._recording.log(entity, frames.transform(pose), frames.pinhole(model, self._reach * 0.08))
+            self._recording.log(entity, frames.transform(pose), frames.pinhole(model, self._reach * 0.15))
             new = camera not in self._cameras
             if new or self._poses[camera] != pose:
                 self._place(camera, pose, model)
@@ -134,13 +134,10 @@ class RerunView:
             self._recording.log("fuel_map/classes", rr.SegmentationImage(classes, opacity=0.7, draw_order=1.0))
 
     def log_diagnostics(self, stamp_ns: int, node_name: str, values: Mapping[str, float]) -> None:
-        """A node's measures: `..._ms` go to the latency plot, `..._hz` to rates, the rest to counts."""
+        """A node's measures by name, as `/diagnostics` carries them: rate_hz, latency_p95_ms, dropped, ..."""
         with self._at(stamp_ns):
             for key, value in values.items():
-                kind = "latency" if key.endswith("_ms") else "rate" if key.endswith("_hz") else "count"
-                node = node_name.strip("/")
-                short = key.removesuffix("_ms").removesuffix("_hz")
-                self._recording.log(f"health/{kind}/{node}/{short}", rr.Scalars(value))
+                self._recording.log(f"health/{key}/{node_name.strip('/')}", rr.Scalars(value))
 
     def log_text(self, level: str, text: str) -> None:
         """A line for the log, at the time of what was logged before."""
@@ -172,16 +169,19 @@ class RerunView:
         positions = np.array([pose.position for pose in poses]).reshape(-1, 3)
         azimuths = np.array([pose.angles_deg[0] for pose in poses])
         eye = scene.overview_eye(self._dem, positions, azimuths, self._reach * 0.6)
-        return site_blueprint(names, eye, self._window(), self._live)
+        return site_blueprint(self._site.name, names, eye, self._window(), self._live)
 
     def _window(self) -> MapWindow:
-        """Around the cameras' sectors, within the grid."""
+        """Around the cameras and the ground before them."""
         g = self._fuel_geometry
         outline = [camera.sector() for camera in self._cameras.values()]
         corners = np.vstack(outline) if outline else np.array([[g.x_min, g.y_min], [g.x_max, g.y_max]])
         row, col = g.to_grid(corners[:, 0], corners[:, 1])
-        row, col = np.clip(row + 0.5, 0, g.height), np.clip(col + 0.5, 0, g.width)
-        return MapWindow((float(col.min()), float(col.max())), (float(row.min()), float(row.max())))
+        margin = 0.06 * max(np.ptp(row), np.ptp(col))
+        return MapWindow(
+            (float(col.min() - margin), float(col.max() + margin)),
+            (float(row.min() - margin), float(row.max() + margin)),
+        )
 
     def _log_scene(self) -> None:
         with self._lock:
@@ -219,7 +219,7 @@ class RerunView:
         row, col = self._fuel_geometry.to_grid(placed.sector()[:, 0], placed.sector()[:, 1])
         outline = np.column_stack([col, row]) + 0.5
         entity = f"fuel_map/cameras/{camera}"
-        color = (200, 30, 45)
+        color = (255, 64, 160)
         self._recording.log(f"{entity}/sector", rr.LineStrips2D([outline], colors=[color], draw_order=2.0))
         self._recording.log(
             entity,
