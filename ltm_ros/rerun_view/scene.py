@@ -147,7 +147,6 @@ def overview_eye(dem: Dem, positions: NDArray[np.float64], azimuths_deg: NDArray
     DEM from the south.
     """
     g = dem.geometry
-    lowest, highest = float(np.nanmin(dem.elevation)), float(np.nanmax(dem.elevation))
     if len(positions):
         angles = np.deg2rad(azimuths_deg)
         headings = np.column_stack([np.sin(angles), np.cos(angles)])
@@ -163,12 +162,12 @@ def overview_eye(dem: Dem, positions: NDArray[np.float64], azimuths_deg: NDArray
     radius = max(float(np.hypot(*(high - low))) / 2, 10 * g.resolution)
     ground = float(dem.elevation_at(*centre))
     if not math.isfinite(ground):
-        ground = (lowest + highest) / 2
-    x, y = centre + behind * radius * 1.25
-    return Eye(
-        (float(x), float(y), max(ground + radius * 0.8, highest + 0.1 * radius)),
-        (float(centre[0]), float(centre[1]), ground),
-    )
+        ground = float(np.nanmean(dem.elevation))
+    x, y = centre + behind * radius * 1.1
+    # Over a mountain behind the cameras the eye must not start inside it.
+    under = float(dem.elevation_at(x, y))
+    height = max(ground + radius * 0.8, under + radius * 0.2 if math.isfinite(under) else -math.inf)
+    return Eye((float(x), float(y), height), (float(centre[0]), float(centre[1]), ground))
 
 
 def thinned(points: NDArray[np.floating], most: int) -> NDArray[np.intp]:

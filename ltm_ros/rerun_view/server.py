@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import quote
 
-from ltm_core.errors import ConfigError
+from ltm_core.errors import ConfigError, RecordingError
 
 LOOPBACK = "127.0.0.1"
 _PR_SET_PDEATHSIG = 1
@@ -96,7 +96,7 @@ class RerunProcess:
         while time.monotonic() < deadline:
             if not self.running():
                 raise ConfigError(f"the Rerun server ended with status {self._process.returncode} at its start")
-            with contextlib.suppress(OSError), socket.create_connection((LOOPBACK, port), timeout=0.2):
+            if listens(port):
                 return
             time.sleep(0.05)
         raise ConfigError(f"the Rerun server does not answer on {LOOPBACK}:{port} after {timeout:g} s")
@@ -109,6 +109,22 @@ class RerunProcess:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(timeout=grace)
                 return
+
+
+def listens(port: int) -> bool:
+    """Whether something accepts connections at a loopback port."""
+    with contextlib.suppress(OSError), socket.create_connection((LOOPBACK, port), timeout=0.2):
+        return True
+    return False
+
+
+def send_file(recording: Path, grpc_port: int) -> None:
+    """Give an .rrd file to the server at `grpc_port`. Raises RecordingError when the server does not take it."""
+    sent = subprocess.run(
+        [str(rerun_binary()), "--connect", grpc_url(grpc_port), str(recording)], capture_output=True, text=True
+    )
+    if sent.returncode:
+        raise RecordingError(f"{recording}: the Rerun server did not take it ({sent.stderr.strip()[-300:]})")
 
 
 def _refuse_taken(port: int) -> None:

@@ -103,6 +103,7 @@ class RerunView:
             if new or self._poses[camera] != pose:
                 self._place(camera, pose, model)
                 self._log_on_map(camera)
+                self._log_name(camera)
             if new:
                 self._recording.send_blueprint(self._blueprint())
 
@@ -192,6 +193,7 @@ class RerunView:
             self._log_relief()
             for name in self._cameras:
                 self._log_on_map(name)
+                self._log_name(name)
 
     def _log_relief(self) -> None:
         """The relief under the fuel grid, finer than the cells, in units of cells."""
@@ -219,12 +221,19 @@ class RerunView:
         row, col = self._fuel_geometry.to_grid(placed.sector()[:, 0], placed.sector()[:, 1])
         outline = np.column_stack([col, row]) + 0.5
         entity = f"fuel_map/cameras/{camera}"
-        color = (255, 64, 160)
+        color = (255, 110, 190)
         self._recording.log(f"{entity}/sector", rr.LineStrips2D([outline], colors=[color], draw_order=2.0))
         self._recording.log(
             entity,
             rr.Points2D(outline[:1], labels=[camera], colors=[color], radii=rr.Radius.ui_points(5.0), draw_order=3.0),
         )
+
+    def _log_name(self, camera: str) -> None:
+        """The camera's name in the 3D view, where its own entity shows nothing but the frustum."""
+        here = rr.Points3D(
+            [self._poses[camera].position], labels=[camera], colors=[(255, 240, 246)], radii=rr.Radius.ui_points(4.0)
+        )
+        self._recording.log(f"map/names/{camera}", here)
 
     def _log_tile(self, tile: scene.FuelTile) -> None:
         entity = f"map/fuel/{tile.name}"

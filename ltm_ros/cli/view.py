@@ -1,0 +1,138 @@
+"""`ltm view`: watch a running graph in Rerun, or open a recorded .rrd file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from ltm_ros.rerun_view.server import RerunProcess
+    from ltm_ros.runner import Runner
+
+
+def view(
+    site: Annotated[Path | None, typer.Option("--site", help="Site file: watch the graph that runs for it.")] = None,
+    rrd: Annotated[Path | None, typer.Option("--rrd", help="Recording to open instead.")] = None,
+    web: Annotated[
+        bool | None,
+        typer.Option("--web/--native", help="Browser or window. Default: a window where there is a screen."),
+    ] = None,
+    save: Annotated[Path | None, typer.Option("--save", help="Also write what is shown to this .rrd file.")] = None,
+    screenshot: Annotated[
+        Path | None, typer.Option("--screenshot", help="With --rrd: write a PNG of the view, show nothing.")
+    ] = None,
+    open_browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page of --web.")] = True,
+    web_port: Annotated[int, typer.Option(min=1, max=65535)] = 9090,
+    grpc_port: Annotated[int, typer.Option(min=1, max=65535)] = 9876,
+) -> None:
+    """Show a site in Rerun: its graph while it runs, or a recording. Listens on loopback only; Ctrl-C ends it."""
+    from ltm_core.errors import ConfigError, RecordingError
+
+    if (site is None) == (rrd is None):
+        raise ConfigError("give either --site (a running graph) or --rrd (a recording), not both and not neither")
+    in_browser = web if web is not None else not _has_screen()
+    if rrd is not None:
+        if not rrd.is_file():
+            raise RecordingError(f"{rrd}: no such recording; `ltm run --view` and `ltm view --save` write them")
+        if screenshot is not None:
+            from ltm_ros.rerun_view.screenshot import screenshot as draw
+
+            draw(rrd, screenshot)
+            typer.echo(f"wrote {screenshot}")
+            return
+        _show_file(rrd, in_browser, open_browser, web_port, grpc_port)
+        return
+    if screenshot is not None:
+        raise ConfigError("--screenshot takes a recording: give --rrd, not --site")
+    assert site is not None
+    _show_graph(site, save, in_browser, open_browser, web_port, grpc_port)
+
+
+def _show_file(rrd: Path, in_browser: bool, open_browser: bool, web_port: int, grpc_port: int) -> None:
+    from ltm_ros.rerun_view.server import RerunProcess, send_file, web_url
+
+    if not in_browser:
+        _until_ended(RerunProcess(["--port", "auto", str(rrd)], quiet=False))
+        return
+    server = RerunProcess.serve(web_port, grpc_port)
+    try:
+        send_file(rrd, grpc_port)
+        _announce(web_url(web_port, grpc_port), open_browser)
+    except BaseException:
+        server.stop()
+        raise
+    _until_ended(server)
+
+
+def _show_graph(
+    path: Path, save: Path | None, in_browser: bool, open_browser: bool, web_port: int, grpc_port: int
+) -> None:
+    from dataclasses import replace
+
+    from ltm_core.errors import ConfigError
+    from ltm_core.site_io import load_site
+    from ltm_ros.graph import Graph, ParameterValue, describe
+    from ltm_ros.rerun_view.server import RerunProcess, grpc_url, web_url
+    from ltm_ros.runner import Runner, new_log_folder
+
+    site = load_site(path)
+    wanted: dict[str, ParameterValue] = {"serve": True, "web_port": web_port, "grpc_port": grpc_port}
+    if save is not None:
+        wanted["save"] = str(save.resolve())
+    # A name of its own: the graph may run a viewer that writes a file.
+    node = replace(describe(site, path, view=wanted).node("viewer"), name="live_view", required=True)
+    with Runner(Graph(site.name, (node,)), log_folder=new_log_folder(site.name)) as runner:
+        if not _comes_up(runner, web_port):
+            raise ConfigError("the viewer node could not start; what it said stands above")
+        if in_browser:
+            _announce(web_url(web_port, grpc_port), open_browser)
+            _until_ended(None, runner)
+        else:
+            _until_ended(RerunProcess(["--port", "auto", "--connect", grpc_url(grpc_port)], quiet=False), runner)
+
+
+def _comes_up(runner: Runner, port: int, timeout: float = 60.0) -> bool:
+    import time
+
+    from ltm_ros.rerun_view.server import listens
+
+    deadline = time.monotonic() + timeout
+    while time.monotonic() < deadline and not runner.given_up:
+        if listens(port):
+            return True
+        time.sleep(0.1)
+    return False
+
+
+def _until_ended(process: RerunProcess | None, runner: Runner | None = None) -> None:
+    """Until the viewer is closed, its node is given up, or SIGINT, SIGTERM or SIGHUP comes; then end the viewer."""
+    import signal
+    import threading
+
+    stopping = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: stopping.set())
+    try:
+        while not stopping.wait(0.2):
+            if (process is not None and not process.running()) or (runner is not None and runner.given_up):
+                break
+    finally:
+        if process is not None:
+            process.stop()
+
+
+def _announce(url: str, open_browser: bool) -> None:
+    import webbrowser
+
+    typer.echo(f"watch it at {url}\nCtrl-C ends it")
+    if open_browser:
+        webbrowser.open(url)
+
+
+def _has_screen() -> bool:
+    import os
+    import sys
+
+    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
