@@ -100,9 +100,9 @@ def msg_to_array(msg: Any, encodings: tuple[str, ...] = tuple(ENCODINGS)) -> NDA
     rows = np.frombuffer(msg.data, np.uint8).reshape(height, step)[:, :row_bytes]
     if step % dtype.itemsize:
         rows = np.ascontiguousarray(rows)  # a padded row that ends inside a sample leaves the next one unaligned
-    shape = (height, width) if spec.channels == 1 else (height, width, spec.channels)
-    strides = (rows.strides[0], spec.channels * dtype.itemsize, dtype.itemsize)[: len(shape)]
-    pixels: NDArray[Any] = np.ndarray(shape, dtype, buffer=rows, strides=strides)
+    pixels: NDArray[Any] = rows.view(dtype)
+    if spec.channels > 1:
+        pixels = pixels.reshape(height, width, spec.channels)
     return pixels if dtype.isnative else pixels.astype(spec.dtype)
 
 

@@ -39,11 +39,10 @@ class BagWriter:
         if compression not in _COMPRESSIONS:
             raise RecordingError(f"bag compression must be 'zstd' or None, got {compression!r}")
         self.path = Path(path)
+        self.require_free(self.path)
         self.file = self.path / f"{self.path.resolve().name}_0.mcap"
         try:
             self.path.mkdir(parents=True, exist_ok=True)
-            if any(self.path.iterdir()):
-                raise RecordingError(f"cannot write a bag to {self.path}: it is not empty; remove it or name another")
             self._stream = self.file.open("xb")
         except OSError as error:
             raise RecordingError(f"cannot write a bag to {self.path}: {error}") from error
@@ -55,6 +54,14 @@ class BagWriter:
         self._schemas: dict[str, int] = {}
         self._start_ns, self._end_ns = _LATEST_NS, 0
         self._closed = False
+
+    @staticmethod
+    def require_free(path: Path) -> None:
+        """Raises RecordingError unless `path` does not exist or is an empty folder."""
+        if path.is_dir() and not any(path.iterdir()):
+            return
+        if path.exists():
+            raise RecordingError(f"cannot write a bag to {path}: it exists already; remove it or name another")
 
     def add_topic(self, topic: str, type_name: str, latched: bool = False, depth: int = 10) -> None:
         """Announce a topic and its QoS before its first message; `latched`: transient local.

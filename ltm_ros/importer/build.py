@@ -57,6 +57,7 @@ def import_photos(
     Raises LtmError children, each with photo, value and remedy; the bag is not begun unless every photo is placed.
     """
     assumed = assumed or Assumptions()
+    BagWriter.require_free(out)
     files = find_photos(images)
     rows = read_pose_file(poses) if poses is not None else None
     if rows is not None:

@@ -1,0 +1,204 @@
+"""Whatever a core type holds, its message gives it back; any message is read or refused, and nothing else."""
+
+from __future__ import annotations
+
+from array import array
+from typing import Any
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import Image, PointCloud2, PointField
+
+from ltm_core.camera import Camera
+from ltm_core.errors import ImageError, MessageError
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
+from ltm_msgs_py.grid import classes_to_msg, msg_to_classes, tile_window
+from ltm_msgs_py.image import ENCODINGS, image_to_msg, msg_to_array
+from ltm_msgs_py.points import msg_to_points, points_to_msg
+from ltm_msgs_py.pose import msg_to_pose, pose_to_msg
+from ltm_msgs_py.stamp import LATEST_NS, ns_to_time, time_to_ns
+from ltm_msgs_py.votes import msg_to_votes, votes_to_msg
+
+quick = settings(max_examples=60, deadline=None)
+
+stamps = st.integers(0, LATEST_NS)
+finite = st.floats(-1e6, 1e6)
+uint32s = st.integers(0, 2**32 - 1)
+
+
+def on_the_wire(msg: Any) -> Any:
+    """The message as another process receives it: float32 fields rounded, arrays of their own."""
+    return deserialize_message(serialize_message(msg), type(msg))
+
+
+@quick
+@given(stamps)
+def test_stamps(stamp_ns: int) -> None:
+    assert time_to_ns(on_the_wire(ns_to_time(stamp_ns))) == stamp_ns
+
+
+@quick
+@given(st.data(), st.sampled_from(sorted(ENCODINGS)), st.integers(1, 9), st.integers(1, 9), stamps)
+def test_images(data: st.DataObject, encoding: str, height: int, width: int, stamp_ns: int) -> None:
+    spec = ENCODINGS[encoding]
+    shape = (height, width) if spec.channels == 1 else (height, width, spec.channels)
+    image = data.draw(arrays(spec.dtype, shape))
+    back = msg_to_array(on_the_wire(image_to_msg(image, encoding, stamp_ns, "c")))
+    assert back.tobytes() == image.tobytes()
+
+
+@quick
+@given(
+    st.integers(1, 9000),
+    st.integers(1, 9000),
+    st.floats(1e-3, 1e6),
+    st.floats(1e-3, 1e6),
+    finite,
+    finite,
+    st.tuples(*[st.floats(-2, 2)] * 5),
+    stamps,
+)
+def test_cameras(
+    width: int,
+    height: int,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    distortion: tuple[float, float, float, float, float],
+    stamp_ns: int,
+) -> None:
+    camera = Camera(width, height, fx, fy, cx, cy, distortion)
+    assert msg_to_camera(on_the_wire(camera_to_msg(camera, stamp_ns, "c"))) == camera
+
+
+@quick
+@given(st.tuples(finite, finite, finite), st.floats(0, 360), st.floats(-90, 90), st.floats(-180, 180), stamps)
+def test_poses(position: tuple[float, float, float], azimuth: float, pitch: float, roll: float, stamp_ns: int) -> None:
+    pose = Pose.from_angles(position, azimuth, pitch, roll)
+    back = msg_to_pose(on_the_wire(pose_to_msg(pose, stamp_ns)))
+    np.testing.assert_array_equal(back.position, pose.position)
+    np.testing.assert_allclose(back.rotation, pose.rotation, atol=4e-15)
+
+
+@quick
+@given(
+    st.data(), st.integers(1, 8), st.integers(1, 8), st.integers(-(10**6), 10**6), st.integers(-(10**6), 10**6), stamps
+)
+def test_class_grids(data: st.DataObject, height: int, width: int, x: int, y: int, stamp_ns: int) -> None:
+    allowed = st.one_of(st.integers(0, 127), st.just(255))
+    classes = data.draw(arrays(np.uint8, (height, width), elements=allowed))
+    resolution = data.draw(st.sampled_from([30.0, 10.0, 1.0, 0.5, 0.1]))
+    geometry = GridGeometry(x / 2, y / 2, resolution, width, height)
+    back, found = msg_to_classes(on_the_wire(classes_to_msg(classes, geometry, stamp_ns)))
+    np.testing.assert_array_equal(back, classes)
+    assert tile_window(found, geometry) == (0, 0, height, width)
+    assert found.resolution == resolution
+
+
+@quick
+@given(st.data(), st.integers(1, 7), st.integers(1, 9), st.integers(1, 5), stamps)
+def test_votes(data: st.DataObject, height: int, width: int, classes: int, stamp_ns: int) -> None:
+    geometry = GridGeometry(-4515.0, 8025.0, 30.0, width, height)
+    cells = np.array(sorted(data.draw(st.sets(st.integers(0, height * width - 1)))), np.int32)
+    n = len(cells)
+    votes = CellVotes(
+        geometry,
+        cells // width,
+        cells % width,
+        data.draw(arrays(np.uint32, (n, classes))),
+        data.draw(arrays(np.float32, n)),
+        stamp_ns,
+        "east",
+    )
+    names = tuple(f"class_{k}" for k in range(classes))
+    back = msg_to_votes(on_the_wire(votes_to_msg(votes, names)), geometry, names, "east")
+    for given_part, found in (
+        (votes.rows, back.rows),
+        (votes.cols, back.cols),
+        (votes.counts, back.counts),
+        (votes.z, back.z),
+    ):
+        assert found.dtype == given_part.dtype
+        assert found.tobytes() == given_part.tobytes()
+    assert back.stamp_ns == stamp_ns
+
+
+@quick
+@given(st.data(), st.integers(0, 20), st.booleans(), st.booleans())
+def test_points(data: st.DataObject, count: int, coloured: bool, labelled: bool) -> None:
+    xyz = data.draw(arrays(np.float32, (count, 3)))
+    rgb = data.draw(arrays(np.uint8, (count, 3))) if coloured else None
+    label = data.draw(arrays(np.uint8, count)) if labelled else None
+    back = msg_to_points(on_the_wire(points_to_msg(xyz, 1, "map", rgb, label)))
+    assert back.xyz.tobytes() == xyz.tobytes()
+    assert (back.rgb is None) == (rgb is None)
+    assert (back.label is None) == (label is None)
+    assert rgb is None or np.array_equal(back.rgb, rgb)
+    assert label is None or np.array_equal(back.label, label)
+
+
+@quick
+@given(
+    st.sampled_from([*sorted(ENCODINGS), "yuv422", ""]),
+    st.integers(0, 5),
+    st.integers(0, 5),
+    st.integers(0, 70),
+    st.binary(max_size=200),
+    st.booleans(),
+)
+def test_any_image_is_read_or_refused(
+    encoding: str, height: int, width: int, step: int, content: bytes, big: bool
+) -> None:
+    msg = Image(height=height, width=width, step=step, encoding=encoding, is_bigendian=int(big))
+    msg.data = array("B", content)
+    try:
+        pixels = msg_to_array(msg)
+    except ImageError:
+        return
+    assert pixels.shape[:2] == (height, width)
+    assert len(content) == height * step
+
+
+fields = st.builds(
+    PointField,
+    name=st.sampled_from(["x", "y", "z", "row", "col", "grass", "rgb", "label", ""]),
+    offset=st.one_of(st.integers(0, 40), uint32s),
+    datatype=st.integers(0, 10),
+    count=st.integers(0, 3),
+)
+
+
+@quick
+@given(
+    st.lists(fields, max_size=9),
+    st.one_of(st.integers(0, 4), uint32s),
+    st.one_of(st.integers(0, 4), uint32s),
+    st.one_of(st.integers(0, 40), uint32s),
+    st.one_of(st.integers(0, 160), uint32s),
+    st.binary(max_size=320),
+    st.booleans(),
+)
+def test_any_point_cloud_is_read_or_refused(
+    given_fields: list[PointField],
+    height: int,
+    width: int,
+    point_step: int,
+    row_step: int,
+    content: bytes,
+    big: bool,
+) -> None:
+    msg = PointCloud2(height=height, width=width, point_step=point_step, row_step=row_step, is_bigendian=big)
+    msg.fields = given_fields
+    msg.data = array("B", content)
+    try:
+        points = msg_to_points(msg)
+    except MessageError:
+        return
+    assert len(points.xyz) == height * width

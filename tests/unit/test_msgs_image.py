@@ -1,0 +1,271 @@
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from array import array
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+from sensor_msgs.msg import CompressedImage, Image
+
+from ltm_core.errors import ImageError
+from ltm_msgs_py.image import (
+    ENCODINGS,
+    compressed_to_msg,
+    compressed_to_rgb,
+    depth_to_msg,
+    encode_rgb,
+    image_to_msg,
+    msg_to_array,
+    msg_to_depth,
+    msg_to_rgb,
+)
+
+H, W = 11, 17
+
+
+def pixels(encoding: str) -> NDArray[Any]:
+    spec = ENCODINGS[encoding]
+    shape = (H, W) if spec.channels == 1 else (H, W, spec.channels)
+    rng = np.random.default_rng(3)
+    if spec.dtype.kind == "f":
+        return (rng.random(shape) * 5000).astype(spec.dtype)
+    return rng.integers(0, np.iinfo(spec.dtype).max + 1, shape, dtype=spec.dtype)
+
+
+def raw_message(data: bytes, encoding: str, height: int, width: int, step: int, big: bool = False) -> Image:
+    msg = Image(height=height, width=width, encoding=encoding, step=step, is_bigendian=int(big))
+    msg.data = array("B", data)
+    return msg
+
+
+@pytest.mark.parametrize("encoding", sorted(ENCODINGS))
+def test_every_encoding_round_trips_bit_by_bit(encoding: str) -> None:
+    image = pixels(encoding)
+    msg = image_to_msg(image, encoding, 12_000_000_034, "east_optical")
+    assert (msg.height, msg.width, msg.step) == (H, W, image.strides[0])
+    assert (msg.header.stamp.sec, msg.header.stamp.nanosec, msg.header.frame_id) == (12, 34, "east_optical")
+    back = msg_to_array(msg)
+    assert back.dtype == image.dtype
+    np.testing.assert_array_equal(back, image)
+
+
+def test_strided_images_are_written_in_their_own_order() -> None:
+    image = pixels("rgb8")[::-1, ::2]
+    np.testing.assert_array_equal(msg_to_rgb(image_to_msg(image, "rgb8", 0, "")), image)
+    reused = image_to_msg(np.ascontiguousarray(image[::-1]), "rgb8", 0, "")
+    np.testing.assert_array_equal(msg_to_rgb(image_to_msg(image, "rgb8", 0, "", out=reused)), image)
+
+
+def test_a_message_handed_back_keeps_its_buffer_and_takes_everything_new() -> None:
+    first = image_to_msg(pixels("rgb8"), "rgb8", 1, "a")
+    buffer = first.data
+    image = pixels("rgb8")[::-1].copy()
+    msg = image_to_msg(image, "rgb8", 2_000_000_000, "b", out=first)
+    assert msg is first
+    assert msg.data is buffer
+    assert (msg.header.frame_id, msg.header.stamp.sec) == ("b", 2)
+    np.testing.assert_array_equal(msg_to_rgb(msg), image)
+
+
+def test_a_message_of_another_size_gets_a_new_buffer() -> None:
+    msg = image_to_msg(pixels("rgb8"), "rgb8", 1, "a")
+    depth = pixels("32FC1")
+    image_to_msg(depth, "32FC1", 1, "a", out=msg)
+    np.testing.assert_array_equal(msg_to_depth(msg), depth)
+
+
+def test_rgb8_and_32fc1_are_read_without_a_copy() -> None:
+    rgb = image_to_msg(pixels("rgb8"), "rgb8", 0, "")
+    depth = image_to_msg(pixels("32FC1"), "32FC1", 0, "")
+    assert np.shares_memory(msg_to_rgb(rgb), np.frombuffer(rgb.data, np.uint8))
+    assert np.shares_memory(msg_to_depth(depth), np.frombuffer(depth.data, np.uint8))
+
+
+def test_colours_land_in_their_channels() -> None:
+    colour = np.array([[[10, 20, 30], [40, 50, 60]]], np.uint8)
+    alpha = np.full((1, 2, 1), 99, np.uint8)
+    bgr = np.ascontiguousarray(colour[..., ::-1])
+    for encoding, image in {
+        "rgb8": colour,
+        "bgr8": bgr,
+        "rgba8": np.dstack([colour, alpha]),
+        "bgra8": np.dstack([bgr, alpha]),
+    }.items():
+        np.testing.assert_array_equal(msg_to_rgb(image_to_msg(image, encoding, 0, "")), colour, err_msg=encoding)
+
+
+def test_grey_goes_to_all_channels_and_mono16_keeps_its_high_byte() -> None:
+    grey = np.array([[0, 7, 255]], np.uint8)
+    expected = np.repeat(grey[..., None], 3, axis=2)
+    np.testing.assert_array_equal(msg_to_rgb(image_to_msg(grey, "mono8", 0, "")), expected)
+    deep = grey.astype(np.uint16) * 256 + 255
+    np.testing.assert_array_equal(msg_to_rgb(image_to_msg(deep, "mono16", 0, "")), expected)
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "mono16", "32FC1", "32FC3"])
+@pytest.mark.parametrize("padding", [4, 3])
+def test_row_padding_is_cut_off(encoding: str, padding: int) -> None:
+    image = pixels(encoding)
+    rows = [row.tobytes() + b"\xee" * padding for row in image]
+    msg = raw_message(b"".join(rows), encoding, H, W, len(rows[0]))
+    np.testing.assert_array_equal(msg_to_array(msg), image)
+
+
+@pytest.mark.parametrize("encoding", ["mono16", "16UC1", "32FC1", "32FC3"])
+def test_big_endian_images_come_out_native(encoding: str) -> None:
+    image = pixels(encoding)
+    swapped = image.astype(image.dtype.newbyteorder(">"))
+    back = msg_to_array(raw_message(swapped.tobytes(), encoding, H, W, image.strides[0], big=True))
+    assert back.dtype.isnative
+    np.testing.assert_array_equal(back, image)
+
+
+def test_depth_in_millimetres_becomes_metres_with_zero_unknown() -> None:
+    msg = image_to_msg(np.array([[0, 1500, 65535]], np.uint16), "16UC1", 0, "")
+    np.testing.assert_allclose(msg_to_depth(msg), np.float32([[np.nan, 1.5, 65.535]]), rtol=1e-7)
+
+
+def test_depth_keeps_sky_and_unknown() -> None:
+    depth = np.float32([[1.25, np.inf, np.nan]])
+    np.testing.assert_array_equal(msg_to_depth(depth_to_msg(depth, 0, "")), depth)
+
+
+@pytest.mark.parametrize("encoding", ["bayer_rggb8", "yuv422", "8UC3", "", "32FC1", "rgb8; jpeg"])
+def test_colour_encodings_not_taken_are_named_with_those_that_are(encoding: str) -> None:
+    with pytest.raises(ImageError, match=r"taken: rgb8, bgr8, rgba8, bgra8, mono8, mono16") as caught:
+        msg_to_rgb(raw_message(bytes(12), encoding, 1, 1, 12))
+    assert repr(encoding) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("height", "width", "step", "size"),
+    [
+        (H, W, W * 3, H * W * 3 - 1),
+        (H, W, W * 3, H * W * 3 + 1),
+        (H, W, W * 3 - 1, H * (W * 3 - 1)),
+        (H, W, 0, 0),
+        (0, W, W * 3, 0),
+        (H, 0, 0, 0),
+        (-H, -W, W * 3, H * W * 3),
+        (2**32 - 1, 2**32 - 1, 2**32 - 1, 12),
+    ],
+)
+def test_sizes_that_lie_are_refused(height: int, width: int, step: int, size: int) -> None:
+    with pytest.raises(ImageError, match=f"{width} x {height} with step {step} holds {size} bytes"):
+        msg_to_rgb(raw_message(bytes(size), "rgb8", height, width, step))
+
+
+@pytest.mark.parametrize(
+    ("image", "encoding"),
+    [
+        (np.zeros((H, W), np.uint8), "rgb8"),
+        (np.zeros((H, W, 4), np.uint8), "rgb8"),
+        (np.zeros((H, W, 3), np.float32), "rgb8"),
+        (np.zeros((H, W), np.float64), "32FC1"),
+        (np.zeros((0, W), np.uint8), "mono8"),
+        (np.zeros((H, W, 1), np.uint8), "mono8"),
+    ],
+)
+def test_arrays_that_do_not_fit_their_encoding_are_refused(image: NDArray[Any], encoding: str) -> None:
+    with pytest.raises(ImageError, match=encoding):
+        image_to_msg(image, encoding, 0, "")
+
+
+def test_an_unknown_encoding_cannot_be_written() -> None:
+    with pytest.raises(ImageError, match="yuv422"):
+        image_to_msg(pixels("rgb8"), "yuv422", 0, "")
+
+
+def smooth() -> NDArray[np.uint8]:
+    v, u = np.mgrid[0:48, 0:80]
+    return np.stack([u * 3, v * 5, 255 - u * 2], axis=-1).astype(np.uint8)
+
+
+def test_png_is_exact_and_jpeg_close() -> None:
+    image = smooth()
+    png = compressed_to_msg(encode_rgb(image, "png"), "png", 7, "c")
+    np.testing.assert_array_equal(compressed_to_rgb(png), image)
+    jpeg = compressed_to_rgb(compressed_to_msg(encode_rgb(image, "jpeg", 95), "jpeg", 7, "c"))
+    assert np.abs(jpeg.astype(int) - image).mean() < 3
+    assert png.header.stamp.nanosec == 7
+
+
+def test_compressed_bytes_travel_verbatim() -> None:
+    data = encode_rgb(smooth())
+    assert bytes(compressed_to_msg(data, "jpeg", 0, "").data) == data
+
+
+def test_exif_orientation_does_not_turn_the_pixels() -> None:
+    stream = io.BytesIO()
+    picture = PillowImage.fromarray(smooth())
+    exif = picture.getexif()
+    exif[0x0112] = 6
+    picture.save(stream, "JPEG", exif=exif, quality=95)
+    decoded = compressed_to_rgb(compressed_to_msg(stream.getvalue(), "jpeg", 0, ""))
+    assert decoded.shape == smooth().shape
+
+
+def jpeg_with_thumbnail() -> bytes:
+    """A JPEG whose EXIF holds a whole JPEG, so that an end marker stands before the image's own data."""
+    stream = io.BytesIO()
+    payload = b"Exif\0\0" + encode_rgb(smooth()[:16, :16])
+    PillowImage.fromarray(smooth()).save(stream, "JPEG", exif=payload)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("kept", [0.35, 0.6, 0.95])
+@pytest.mark.parametrize("kind", ["jpeg", "png", "thumbnail"])
+def test_images_cut_short_are_refused_with_size_and_format(kind: str, kept: float) -> None:
+    rng = np.random.default_rng(0)
+    noise = cv2.GaussianBlur(rng.integers(0, 256, (120, 200, 3), np.uint8), (5, 5), 2)
+    whole = jpeg_with_thumbnail() if kind == "thumbnail" else encode_rgb(noise, kind)
+    data = whole[: int(len(whole) * kept)]
+    msg = CompressedImage(format="jpeg" if kind == "thumbnail" else kind)
+    msg.data = array("B", data)
+    with pytest.raises(ImageError, match=f"{len(data)} bytes of {msg.format}"):
+        compressed_to_rgb(msg)
+
+
+@pytest.mark.parametrize("data", [b"", b"\xff\xd8", bytes(500), b"GIF89a" + bytes(50), b"\x00" * 12 + b"\x89PNG"])
+def test_what_is_neither_jpeg_nor_png_is_refused(data: bytes) -> None:
+    msg = CompressedImage(format="16UC1; compressedDepth png")
+    msg.data = array("B", data)
+    with pytest.raises(ImageError, match=rf"compressedDepth png' \({len(data)} bytes.*neither jpeg nor png"):
+        compressed_to_rgb(msg)
+    with pytest.raises(ImageError, match=f"{len(data)} bytes"):
+        compressed_to_msg(data, "jpeg", 0, "")
+
+
+def test_jpeg_garbage_with_the_right_ends_is_refused() -> None:
+    msg = CompressedImage(format="jpeg")
+    msg.data = array("B", b"\xff\xd8\xff\xda\x00\x04" + bytes(300) + b"\xff\xd9")
+    with pytest.raises(ImageError, match="308 bytes of jpeg"):
+        compressed_to_rgb(msg)
+
+
+def test_a_png_that_claims_ten_gigapixels_is_refused() -> None:
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", 100_000, 100_000, 8, 2, 0, 0, 0))
+    msg = CompressedImage(format="png")
+    msg.data = array("B", b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", zlib.compress(bytes(99))) + chunk(b"IEND", b""))
+    with pytest.raises(ImageError, match="bytes of png"):
+        compressed_to_rgb(msg)
+
+
+@pytest.mark.parametrize(("image_format", "quality"), [("gif", 90), ("jpeg", 0), ("jpeg", 101)])
+def test_compression_that_there_is_not_is_refused(image_format: str, quality: int) -> None:
+    with pytest.raises(ImageError, match=image_format):
+        encode_rgb(smooth(), image_format, quality)
+
+
+def test_a_format_that_is_not_the_datas_is_refused() -> None:
+    with pytest.raises(ImageError, match="that is png"):
+        compressed_to_msg(encode_rgb(smooth(), "png"), "jpeg", 0, "")

@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from ltm_core.errors import PoseError
+from ltm_core.pose import Pose
+from ltm_msgs_py.pose import msg_to_pose, pose_to_msg, pose_to_stamped
+
+POSE = Pose.from_angles((722.0, 671.0, 770.0), 230.77, -5.79, -0.77)
+
+
+@pytest.mark.parametrize("convert", [pose_to_msg, pose_to_stamped])
+def test_a_pose_survives_to_the_last_bits(convert: object) -> None:
+    msg = convert(POSE, 9_000_000_001)  # type: ignore[operator]
+    back = msg_to_pose(msg, "map")
+    np.testing.assert_array_equal(back.position, POSE.position)
+    np.testing.assert_allclose(back.rotation, POSE.rotation, atol=1e-15)
+    assert (msg.header.frame_id, msg.header.stamp.sec, msg.header.stamp.nanosec) == ("map", 9, 1)
+
+
+def test_a_level_camera_that_looks_north_has_the_known_quaternion() -> None:
+    """Optical x, y, z = map east, down, north: a quarter turn about x, clockwise."""
+    msg = pose_to_stamped(Pose.from_angles((0, 0, 0), 0.0), 0)
+    q = msg.pose.orientation
+    np.testing.assert_allclose([q.x, q.y, q.z, q.w], [-math.sqrt(0.5), 0, 0, math.sqrt(0.5)], atol=1e-15)
+
+
+def test_covariance_is_carried_row_by_row() -> None:
+    covariance = np.arange(36.0).reshape(6, 6)
+    np.testing.assert_array_equal(pose_to_msg(POSE, 0, covariance=covariance).pose.covariance, np.arange(36.0))
+    np.testing.assert_array_equal(pose_to_msg(POSE, 0).pose.covariance, np.zeros(36))
+
+
+@pytest.mark.parametrize("covariance", [np.zeros((3, 3)), np.full((6, 6), np.nan)])
+def test_covariance_of_another_kind_is_refused(covariance: np.ndarray) -> None:
+    with pytest.raises(PoseError, match="6 x 6"):
+        pose_to_msg(POSE, 0, covariance=covariance)
+
+
+def test_a_quaternion_that_is_unit_within_a_thousandth_is_normalised() -> None:
+    msg = pose_to_stamped(POSE, 0)
+    o = msg.pose.orientation
+    o.x, o.y, o.z, o.w = (v * 1.0009 for v in (o.x, o.y, o.z, o.w))
+    np.testing.assert_allclose(msg_to_pose(msg).rotation, POSE.rotation, atol=1e-14)
+
+
+@pytest.mark.parametrize("field", ["x", "y", "z"])
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_position_that_is_not_finite_is_refused(field: str, value: float) -> None:
+    msg = pose_to_msg(POSE, 0)
+    setattr(msg.pose.pose.position, field, value)
+    with pytest.raises(PoseError, match=str(value)):
+        msg_to_pose(msg)
+
+
+@pytest.mark.parametrize(
+    "quaternion", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.01), (math.nan, 0.0, 0.0, 1.0), (1.0, 1.0, 0.0, 0.0)]
+)
+def test_a_quaternion_that_is_no_rotation_is_refused(quaternion: tuple[float, ...]) -> None:
+    msg = pose_to_msg(POSE, 0)
+    o = msg.pose.pose.orientation
+    o.x, o.y, o.z, o.w = quaternion
+    with pytest.raises(PoseError, match="unit quaternion"):
+        msg_to_pose(msg)
+
+
+def test_an_unset_orientation_is_refused_or_is_the_identity_of_the_message() -> None:
+    """geometry_msgs/Quaternion starts as (0, 0, 0, 1), which is a rotation; a zeroed one is caught above."""
+    msg = pose_to_stamped(POSE, 0)
+    msg.pose.orientation = type(msg.pose.orientation)()
+    np.testing.assert_array_equal(msg_to_pose(msg).rotation, np.eye(3))
+
+
+def test_a_pose_in_another_frame_is_refused() -> None:
+    with pytest.raises(PoseError, match=r"'odom', wanted 'map'"):
+        msg_to_pose(pose_to_msg(POSE, 0, "odom"), "map")
