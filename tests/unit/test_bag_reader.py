@@ -1,0 +1,294 @@
+from __future__ import annotations
+
+import logging
+import struct
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from mcap.writer import CompressionType, Writer
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
+
+from ltm_core.errors import RecordingError
+from ltm_msgs_py.bag.reader import BagMessage, BagReader
+from ltm_msgs_py.bag.schemas import schema_text
+from ltm_msgs_py.bag.writer import BagWriter
+
+COUNT = 40
+
+
+def text(i: int) -> str:
+    return f"{i}:" + "x" * 400
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    """Two topics in chunks of a few messages; log times run 1000, 1010, ... with each fourth pair swapped."""
+    times = [1000 + 10 * i for i in range(COUNT)]
+    for i in range(3, COUNT, 4):
+        times[i - 1], times[i] = times[i], times[i - 1]
+    with BagWriter(tmp_path / "bag", compression=None, chunk_size=2500) as writer:
+        writer.add_topic("/odd", "std_msgs/msg/String", latched=True)
+        for i, time in enumerate(times):
+            writer.write("/odd" if i % 2 else "/even", String(data=text(i)), time, time - 1)
+    return tmp_path / "bag"
+
+
+def chunk_spans(file: Path) -> list[tuple[int, int]]:
+    """(offset, length) of each chunk record, read by the layout of the MCAP specification."""
+    data, at, spans = file.read_bytes(), 8, []
+    while at < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        if opcode == 6:
+            spans.append((at, 9 + length))
+        at += 9 + length
+    return spans
+
+
+def messages_in(file: Path, chunk: tuple[int, int]) -> int:
+    """How many message records an uncompressed chunk holds, by the same specification."""
+    data, (start, length) = file.read_bytes(), chunk
+    at, count = start + 9 + 40, 0  # times 8 + 8, size 8, crc 4, empty compression name 4, data length 8
+    while at < start + length:
+        opcode, size = struct.unpack_from("<BQ", data, at)
+        count += opcode == 5
+        at += 9 + size
+    return count
+
+
+def numbers(reader: BagReader, **query: Any) -> list[int]:
+    return [int(reader.decode(m).data.partition(":")[0]) for m in reader.messages(**query)]
+
+
+def test_topics_counts_qos_and_times(bag: Path) -> None:
+    reader = BagReader(bag)
+    assert reader.topics() == {"/odd": "std_msgs/msg/String", "/even": "std_msgs/msg/String"}
+    infos = reader.topic_infos()
+    assert (infos["/odd"].message_count, infos["/odd"].latched) == (COUNT // 2, True)
+    assert (infos["/even"].message_count, infos["/even"].latched) == (COUNT // 2, False)
+    assert (reader.start_ns, reader.end_ns, reader.damage) == (1000, 1000 + 10 * (COUNT - 1), ())
+
+
+@pytest.mark.parametrize("bare", [False, True])
+def test_messages_come_by_log_time(bag: Path, bare: bool) -> None:
+    reader = BagReader(bag / "bag_0.mcap" if bare else bag)
+    messages = list(reader.messages())
+    assert [m.log_time_ns for m in messages] == [1000 + 10 * i for i in range(COUNT)]
+    assert [m.publish_time_ns for m in messages] == [999 + 10 * i for i in range(COUNT)]
+    assert sorted(numbers(reader)) == list(range(COUNT))
+    assert reader.decode(messages[2]).data == text(3)  # logged first, written second
+
+
+def test_topics_and_times_are_chosen(bag: Path) -> None:
+    reader = BagReader(bag)
+    assert all(n % 2 for n in numbers(reader, topics={"/odd"}))
+    assert [m.log_time_ns for m in reader.messages(start_ns=1100, end_ns=1130)] == [1100, 1110, 1120]
+    assert [m.log_time_ns for m in reader.messages(topics=["/odd"], start_ns=1100, end_ns=1130)] == [1100]
+    assert list(reader.messages(topics=[])) == []
+    assert list(reader.messages(topics=["/absent"])) == []
+    assert list(reader.messages(start_ns=10_000)) == []
+
+
+def test_two_readings_at_once_do_not_disturb_each_other(bag: Path) -> None:
+    reader = BagReader(bag)
+    pairs = list(zip(reader.messages(), reader.messages(), strict=True))
+    assert len(pairs) == COUNT
+    assert all(a == b for a, b in pairs)
+
+
+def test_messages_of_equal_time_keep_the_order_of_the_file(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", chunk_size=300) as writer:
+        for i in range(30):
+            writer.write(f"/t{i % 3}", String(data=str(i)), 500)
+    assert numbers(BagReader(tmp_path / "bag")) == list(range(30))
+
+
+def test_a_split_bag_is_read_as_one(tmp_path: Path) -> None:
+    parts = []
+    for part in range(2):
+        with BagWriter(tmp_path / f"part{part}") as writer:
+            for i in range(part * 5, part * 5 + 5):
+                writer.write("/a", String(data=str(i)), 1000 + i)
+        parts.append(tmp_path / f"part{part}/part{part}_0.mcap")
+    split = tmp_path / "split"
+    split.mkdir()
+    names = [f"split_{i}.mcap" for i in range(2)]
+    for part_file, name in zip(parts, names, strict=True):
+        part_file.rename(split / name)
+    info = yaml.safe_load((tmp_path / "part0/metadata.yaml").read_text())
+    info["rosbag2_bagfile_information"]["relative_file_paths"] = names
+    (split / "metadata.yaml").write_text(yaml.safe_dump(info))
+    reader = BagReader(split)
+    assert numbers(reader) == list(range(10))
+    assert reader.topic_infos()["/a"].message_count == 10
+    assert (reader.start_ns, reader.end_ns) == (1000, 1009)
+
+
+@pytest.mark.parametrize("cut", ["summary", "index", "chunk", "head"])
+def test_a_file_cut_short_is_read_up_to_the_cut_which_is_named(
+    bag: Path, cut: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = bag / "bag_0.mcap"
+    data, spans = file.read_bytes(), chunk_spans(file)
+    start, length = spans[3]
+    expected = sum(messages_in(file, span) for span in spans[: {"summary": len(spans), "index": 4}.get(cut, 3)])
+    end = {"summary": len(data) - 20, "index": start + length + 3, "chunk": start + length // 2, "head": start + 4}[cut]
+    file.write_bytes(data[:end])
+    with caplog.at_level(logging.WARNING):
+        reader = BagReader(bag)
+    found = numbers(reader)
+    assert expected > 0
+    assert sorted(found) == list(range(expected))
+    assert sum(info.message_count for info in reader.topic_infos().values()) == len(found)
+    (note,) = reader.damage
+    assert f"byte {end}" in note
+    assert note in caplog.text
+    if cut == "chunk":
+        assert f"the record at byte {start} should have {length - 9} bytes" in note
+    with pytest.raises(RecordingError, match=f"byte {end}"):
+        BagReader(bag, allow_damaged=False)
+
+
+def test_a_broken_chunk_is_left_out_and_named_by_its_byte(bag: Path) -> None:
+    file = bag / "bag_0.mcap"
+    data = bytearray(file.read_bytes())
+    (start, length), lost = chunk_spans(file)[2], messages_in(file, chunk_spans(file)[2])
+    data[start + length // 2] ^= 0xFF
+    file.write_bytes(data)
+    reader = BagReader(bag)
+    found = numbers(reader)
+    assert COUNT - len(found) == lost > 0
+    (note,) = reader.damage
+    assert f"byte {start} is broken" in note
+    assert "crc" in note
+
+
+def test_a_broken_chunk_in_a_file_without_summary_is_left_out_too(bag: Path) -> None:
+    file = bag / "bag_0.mcap"
+    data = bytearray(file.read_bytes())
+    start, length = chunk_spans(file)[2]
+    data[start + length // 2] ^= 0xFF
+    file.write_bytes(data[:-20])
+    reader = BagReader(bag)
+    assert 0 < len(numbers(reader)) < COUNT
+    assert len(reader.damage) == 2
+    assert any(f"byte {start} is broken" in note for note in reader.damage)
+
+
+def test_every_length_that_a_file_can_be_cut_to_is_read_or_refused(bag: Path, tmp_path: Path) -> None:
+    data = (bag / "bag_0.mcap").read_bytes()
+    counts = []
+    for end in range(0, len(data), 211):
+        file = tmp_path / "cut.mcap"
+        file.write_bytes(data[:end])
+        if end < 8:
+            with pytest.raises(RecordingError):
+                BagReader(file)
+            continue
+        reader = BagReader(file)
+        counts.append(len(list(reader.messages())))
+        assert len(reader.damage) == 1
+    assert counts == sorted(counts)
+    assert counts[0] == 0
+    assert counts[-1] == COUNT
+
+
+def write_mcap(path: Path, chunking: bool = True, encoding: str = "cdr", schema: str = "std_msgs/msg/String") -> Path:
+    with path.open("wb") as stream:
+        writer = Writer(stream, use_chunking=chunking, compression=CompressionType.LZ4)
+        writer.start(profile="ros2")
+        text = schema_text("std_msgs/msg/String").encode()
+        channel = writer.register_channel("/a", encoding, writer.register_schema(schema, "ros2msg", text))
+        for i in (2, 0, 1):
+            writer.add_message(channel, i, serialize_message(String(data=str(i))), i)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize("chunking", [True, False])
+def test_files_of_another_writer_are_read(tmp_path: Path, chunking: bool) -> None:
+    """lz4 chunks, or none at all (rosbag2's preset `fastwrite`)."""
+    reader = BagReader(write_mcap(tmp_path / "a.mcap", chunking))
+    assert numbers(reader) == [0, 1, 2]
+    assert reader.damage == ()
+
+
+def test_a_type_that_is_not_installed_is_named_when_it_is_decoded(tmp_path: Path) -> None:
+    reader = BagReader(write_mcap(tmp_path / "a.mcap", schema="acme_msgs/msg/Rocket"))
+    assert reader.topics() == {"/a": "acme_msgs/msg/Rocket"}
+    with pytest.raises(RecordingError, match="acme_msgs/msg/Rocket is not installed"):
+        reader.decode(next(reader.messages()))
+
+
+def test_an_encoding_other_than_cdr_is_named_when_it_is_decoded(tmp_path: Path) -> None:
+    reader = BagReader(write_mcap(tmp_path / "a.mcap", encoding="protobuf"))
+    with pytest.raises(RecordingError, match=r"/a .* encoded as 'protobuf'"):
+        reader.decode(next(reader.messages()))
+
+
+@pytest.mark.parametrize("raw", [b"", b"\0\1", b"\xff" * 40, b"\0\1\0\0\xff\xff\xff\x7fabc"])
+def test_bytes_that_do_not_decode_are_refused_with_topic_and_time(bag: Path, raw: bytes) -> None:
+    reader = BagReader(bag)
+    with pytest.raises(RecordingError, match=rf"/odd at 77 ns .*{len(raw)} bytes do not decode as std_msgs/msg/String"):
+        reader.decode(BagMessage("/odd", 77, 77, "std_msgs/msg/String", raw))
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (b"", "is empty"),
+        (b"SQLite format 3\0" + bytes(100), "sqlite3 bag"),
+        (b"#ROSBAG V2.0\n", "ROS 1 bag"),
+        (b"\xff\xd8\xff\xe0" + bytes(50), "begins with ff d8 ff e0"),
+        (b"\x89MCA", "begins with 89 4d 43 41"),
+    ],
+)
+def test_foreign_files_are_named(tmp_path: Path, content: bytes, complaint: str) -> None:
+    (tmp_path / "a.mcap").write_bytes(content)
+    with pytest.raises(RecordingError, match=complaint):
+        BagReader(tmp_path / "a.mcap")
+    with pytest.raises(RecordingError, match=complaint):
+        BagReader(tmp_path)
+
+
+def test_no_bag_is_no_bag(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="no bag at"):
+        BagReader(tmp_path / "absent")
+    with pytest.raises(RecordingError, match=r"neither metadata\.yaml nor any \.mcap"):
+        BagReader(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"storage_identifier": "sqlite3"}, "storage 'sqlite3'"),
+        ({"compression_mode": "FILE", "compression_format": "zstd"}, "compression mode 'file'"),
+        ({"relative_file_paths": ["absent.mcap"]}, r"'absent\.mcap', which is not in"),
+        ({"relative_file_paths": ["../bag/bag_0.mcap"]}, "which is not in"),
+        ({"relative_file_paths": None}, "relative_file_paths"),
+        ({"relative_file_paths": [3]}, "relative_file_paths"),
+    ],
+)
+def test_metadata_that_does_not_fit_is_refused(bag: Path, change: dict[str, object], complaint: str) -> None:
+    path = bag / "metadata.yaml"
+    document = yaml.safe_load(path.read_text())
+    document["rosbag2_bagfile_information"].update(change)
+    path.write_text(yaml.safe_dump(document))
+    with pytest.raises(RecordingError, match=complaint):
+        BagReader(bag)
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{", "rosbag2_bagfile_information: 3", "\x00"])
+def test_metadata_that_is_none_is_refused(bag: Path, content: str) -> None:
+    (bag / "metadata.yaml").write_text(content)
+    with pytest.raises(RecordingError, match=r"metadata\.yaml"):
+        BagReader(bag)
+
+
+def test_a_topic_with_two_types_is_refused(tmp_path: Path) -> None:
+    for i, schema in enumerate(["std_msgs/msg/String", "std_msgs/msg/Header"]):
+        write_mcap(tmp_path / f"a_{i}.mcap", schema=schema)
+    with pytest.raises(RecordingError, match="two types: std_msgs/msg/String and std_msgs/msg/Header"):
+        BagReader(tmp_path)

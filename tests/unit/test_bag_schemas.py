@@ -1,0 +1,95 @@
+from __future__ import annotations
+
+import re
+import sys
+
+import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from sensor_msgs.msg import Image
+
+from ltm_core.errors import RecordingError
+from ltm_msgs_py.bag import schemas
+from ltm_msgs_py.bag.schemas import message_class, schema_text, type_hash, type_name_of
+
+TYPES = [
+    "std_msgs/msg/String",
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/CompressedImage",
+    "sensor_msgs/msg/CameraInfo",
+    "sensor_msgs/msg/PointCloud2",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/PoseStamped",
+    "nav_msgs/msg/OccupancyGrid",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "rosgraph_msgs/msg/Clock",
+    "visualization_msgs/msg/MarkerArray",
+]
+
+
+def test_a_schema_holds_each_dependency_once_in_the_ros2msg_form() -> None:
+    parts = schema_text("nav_msgs/msg/OccupancyGrid").split("=" * 80 + "\n")
+    heads = [part.splitlines()[0] for part in parts[1:]]
+    assert sorted(heads) == [
+        "MSG: builtin_interfaces/Time",
+        "MSG: geometry_msgs/Point",
+        "MSG: geometry_msgs/Pose",
+        "MSG: geometry_msgs/Quaternion",
+        "MSG: nav_msgs/MapMetaData",
+        "MSG: std_msgs/Header",
+    ]
+    assert re.search(r"^int8\[\] data$", parts[0], re.MULTILINE)
+
+
+@pytest.mark.parametrize("type_name", TYPES)
+def test_another_parser_finds_the_fields_of_the_python_class(type_name: str) -> None:
+    parsed = get_types_from_msg(schema_text(type_name), type_name)
+    _, fields = parsed[type_name]
+    assert [name for name, _ in fields] == list(message_class(type_name).get_fields_and_field_types())
+
+
+@pytest.mark.parametrize("type_name", TYPES)
+def test_without_installed_definitions_the_type_store_of_rosbags_gives_the_same_fields(
+    type_name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    installed = get_types_from_msg(schema_text(type_name), type_name)
+    schema_text.cache_clear()
+    monkeypatch.setattr(schemas, "_installed_file", lambda package, name: None)
+    stored = get_types_from_msg(schema_text(type_name), type_name)
+    schema_text.cache_clear()
+    assert {name: fields for name, (_, fields) in stored.items()} == {
+        name: fields for name, (_, fields) in installed.items()
+    }
+
+
+def test_hashes_are_those_of_rosbags() -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for type_name in TYPES:
+        assert type_hash(type_name) == store.hash_rihs01(type_name)
+
+
+def test_a_message_knows_its_type_and_the_type_its_class() -> None:
+    assert type_name_of(Image()) == "sensor_msgs/msg/Image"
+    assert message_class("sensor_msgs/msg/Image") is Image
+
+
+@pytest.mark.parametrize(
+    "name", ["", "Image", "sensor_msgs/Image", "sensor_msgs/srv/SetCameraInfo", "../msg/Image", "a.b/msg/C", "os/msg/c"]
+)
+def test_names_of_another_form_are_refused(name: str) -> None:
+    with pytest.raises(RecordingError, match="package/msg/Message"):
+        message_class(name)
+
+
+@pytest.mark.parametrize("name", ["acme_msgs/msg/Rocket", "sensor_msgs/msg/Rocket"])
+def test_types_that_are_not_installed_are_named_with_their_package(name: str) -> None:
+    with pytest.raises(RecordingError, match=f"{name} is not installed.*{name.split('/')[0].replace('_', '-')}"):
+        message_class(name)
+    with pytest.raises(RecordingError, match=f"no definition of message type {name}"):
+        schema_text(name)
+
+
+def test_a_bag_cannot_make_us_import_any_module_it_names() -> None:
+    sys.modules.pop("antigravity", None)
+    with pytest.raises(RecordingError, match="not installed"):
+        message_class("antigravity/msg/Flight")
+    assert "antigravity" not in sys.modules

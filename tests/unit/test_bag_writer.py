@@ -1,0 +1,188 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+from mcap.reader import make_reader
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Header, String
+
+from ltm_core.errors import RecordingError
+from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.bag.writer import BagWriter, Compression
+
+
+def information(bag: Path) -> dict[str, object]:
+    document = yaml.safe_load((bag / "metadata.yaml").read_text())
+    info = document["rosbag2_bagfile_information"]
+    assert isinstance(info, dict)
+    return info
+
+
+def test_the_layout_is_rosbag2s(tmp_path: Path) -> None:
+    bag = tmp_path / "walk"
+    with BagWriter(bag, custom_data={"ltm_site": "ridge"}) as writer:
+        writer.add_topic("/ridge/info", "std_msgs/msg/String", latched=True)
+        writer.write("/ridge/info", String(data="a"), 5_000)
+        writer.write("/ridge/note", String(data="b"), 9_000, 8_000)
+    assert sorted(p.name for p in bag.iterdir()) == ["metadata.yaml", "walk_0.mcap"]
+    info = information(bag)
+    assert (info["version"], info["storage_identifier"], info["message_count"]) == (9, "mcap", 2)
+    assert info["starting_time"] == {"nanoseconds_since_epoch": 5_000}
+    assert info["duration"] == {"nanoseconds": 4_000}
+    assert info["relative_file_paths"] == ["walk_0.mcap"]
+    assert info["custom_data"] == {"ltm_site": "ridge"}
+
+    with (bag / "walk_0.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert reader.get_header().profile == "ros2"
+        (record,) = reader.iter_metadata()
+        messages = list(reader.iter_messages())
+    assert record.name == "rosbag2"
+    assert yaml.safe_load(record.metadata["serialized_metadata"]) == info
+    schema, channel, message = messages[1]
+    assert schema is not None
+    assert (schema.name, schema.encoding, channel.message_encoding) == ("std_msgs/msg/String", "ros2msg", "cdr")
+    assert (message.log_time, message.publish_time, message.sequence) == (9_000, 8_000, 0)
+    (qos,) = yaml.safe_load(messages[0][1].metadata["offered_qos_profiles"])
+    assert (qos["durability"], qos["reliability"], qos["history"]) == ("transient_local", "reliable", "keep_last")
+
+
+def test_an_empty_bag_is_a_bag(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "none"):
+        pass
+    reader = BagReader(tmp_path / "none")
+    assert (reader.topics(), list(reader.messages()), reader.start_ns, reader.damage) == ({}, [], None, ())
+
+
+@pytest.mark.parametrize("compression", ["zstd", None])
+def test_compression_is_the_chunks(tmp_path: Path, compression: Compression) -> None:
+    with BagWriter(tmp_path / "bag", compression=compression) as writer:
+        writer.write("/a", String(data="x" * 100_000), 1)
+    size = (tmp_path / "bag/bag_0.mcap").stat().st_size
+    assert size < 10_000 if compression else size > 100_000
+
+
+def test_raw_messages_are_kept_byte_by_byte(tmp_path: Path) -> None:
+    raw = serialize_message(String(data="raw"))
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write_raw("/a", "std_msgs/msg/String", raw, 3)
+    (message,) = BagReader(tmp_path / "bag").messages()
+    assert message.raw == raw
+
+
+@pytest.mark.parametrize(
+    ("act", "complaint"),
+    [
+        (lambda w: w.write("/a", Header(), 2), "/a holds std_msgs/msg/String"),
+        (lambda w: w.write_raw("/a", "std_msgs/msg/Header", bytes(8), 2), "/a holds std_msgs/msg/String"),
+        (lambda w: w.add_topic("/a", "std_msgs/msg/Header"), "/a is already"),
+        (lambda w: w.add_topic("/a", "std_msgs/msg/String", latched=True), "/a is already"),
+        (lambda w: w.write("note", String(), 2), "'note' must be absolute"),
+        (lambda w: w.write_raw("/b", "acme/msg/Rocket", bytes(8), 2), "acme/msg/Rocket"),
+        (lambda w: w.write_raw("/b", "Rocket", bytes(8), 2), "package/msg/Message"),
+        (lambda w: w.write_raw("/a", "std_msgs/msg/String", b"", 2), "0 bytes for /a are no CDR"),
+        (lambda w: w.write_raw("/a", "std_msgs/msg/String", b'{"data": 1}', 2), "no CDR"),
+        (lambda w: w.write("/a", String(), -1), "log -1"),
+        (lambda w: w.write("/a", String(), 1, -5), "publish -5"),
+        (lambda w: w.write("/a", String(), 2**63), str(2**63)),
+    ],
+)
+def test_what_cannot_be_written_is_refused_and_the_rest_stays(
+    tmp_path: Path, act: Callable[[BagWriter], None], complaint: str
+) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/a", String(data="first"), 1)
+        with pytest.raises(RecordingError, match=complaint):
+            act(writer)
+        writer.write("/a", String(data="last"), 3)
+    reader = BagReader(tmp_path / "bag")
+    assert [reader.decode(m).data for m in reader.messages()] == ["first", "last"]
+
+
+def test_a_topic_announced_twice_alike_is_one(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        for _ in range(2):
+            writer.add_topic("/a", "std_msgs/msg/String", latched=True)
+    assert list(BagReader(tmp_path / "bag").topics()) == ["/a"]
+
+
+def test_nothing_that_exists_is_overwritten(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/a", String(data="kept"), 1)
+    with pytest.raises(RecordingError, match="exists already"):
+        BagWriter(tmp_path / "bag")
+    (tmp_path / "file").write_text("kept")
+    with pytest.raises(RecordingError, match="exists already"):
+        BagWriter(tmp_path / "file")
+    with pytest.raises(RecordingError, match="cannot write a bag"):
+        BagWriter(tmp_path / "file" / "below")
+    assert BagReader(tmp_path / "bag").topic_infos()["/a"].message_count == 1
+
+
+def test_an_unknown_compression_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="'lz4'"):
+        BagWriter(tmp_path / "bag", compression="lz4")  # type: ignore[arg-type]
+    assert not (tmp_path / "bag").exists()
+
+
+def test_a_closed_bag_takes_nothing_more_and_closes_twice(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "bag")
+    writer.write("/a", String(), 1)
+    writer.close()
+    writer.close()
+    with pytest.raises(RecordingError, match="is closed"):
+        writer.write("/a", String(), 2)
+
+
+def test_metadata_appears_only_when_the_bag_is_finished_also_after_an_error(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+
+    def record() -> None:
+        with BagWriter(bag) as writer:
+            writer.write("/a", String(data="kept"), 1)
+            assert not (bag / "metadata.yaml").exists()
+            raise KeyError("something else went wrong")
+
+    with pytest.raises(KeyError):
+        record()
+    assert information(bag)["message_count"] == 1
+
+
+def test_a_full_disk_is_reported_as_such(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "bag", compression=None, chunk_size=1000)
+    with Path("/dev/full").open("wb", buffering=0) as full:
+        os.dup2(full.fileno(), writer._stream.fileno())
+        with pytest.raises(RecordingError, match="No space left"):  # noqa: PT012
+            for i in range(50):
+                writer.write("/a", String(data="x" * 10_000), i)
+        with pytest.raises(RecordingError, match="No space left"):
+            writer.close()
+    assert not (tmp_path / "bag/metadata.yaml").exists()
+
+
+def test_what_was_flushed_survives_sigkill(tmp_path: Path) -> None:
+    script = f"""
+        import os, signal
+        from std_msgs.msg import String
+        from ltm_msgs_py.bag.writer import BagWriter
+        writer = BagWriter({str(tmp_path / "bag")!r})
+        for i in range(7):
+            writer.write("/a", String(data=str(i)), i)
+        writer.flush()
+        writer.write("/a", String(data="lost"), 8)
+        os.kill(os.getpid(), signal.SIGKILL)
+    """
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(script)], check=False)
+    assert done.returncode == -signal.SIGKILL
+    reader = BagReader(tmp_path / "bag")
+    assert [reader.decode(m).data for m in reader.messages()] == [str(i) for i in range(7)]
+    assert any("metadata.yaml" in note for note in reader.damage)
+    assert any("without a footer" in note for note in reader.damage)
