@@ -1,0 +1,75 @@
+"""`ltm trace`: one picture, without ROS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def trace(
+    dem: Annotated[Path, typer.Option(help="Elevation raster that GDAL reads, projected, in metres.")],
+    pose: Annotated[Path, typer.Option(help="YAML: position, angles and camera (see docs of PictureConfig).")],
+    out: Annotated[Path, typer.Option(help="Folder for the results; made if it is not there.")],
+    image: Annotated[Path | None, typer.Option(help="The photo, to draw the depth over.")] = None,
+    crs: Annotated[str | None, typer.Option(help="CRS of a raster that carries none, such as EPSG:32611.")] = None,
+) -> None:
+    """Trace one picture to the terrain: depth and alignment rasters, depth over the photo, a map of the seen cells."""
+    import numpy as np
+    from rich.console import Console
+    from rich.table import Table
+
+    from ltm_core.dem import Dem
+    from ltm_core.pictures import to_png
+    from ltm_core.trace_io import cell_counts, load_picture_config, read_photo, set_up_picture, write_trace
+    from ltm_core.trace_pictures import depth_picture, map_picture
+    from ltm_core.tracing import TerrainTracer
+
+    console = Console()
+    config = load_picture_config(pose)
+    setup = set_up_picture(config, Dem.open(dem, crs))
+    photo = None if image is None else read_photo(image, setup.camera)
+    with console.status("tracing"):
+        tracer = TerrainTracer(setup.dem, config.curvature, config.refraction)
+        traced = tracer.trace(setup.camera, setup.pose)
+    with console.status("writing"):
+        written = write_trace(out, traced, setup.frame)
+        counts = cell_counts(traced)
+        title = f"what {image.name if image else pose.stem} sees"
+        pictures = {
+            "depth.png": depth_picture(traced, setup.dem, photo),
+            "map.png": map_picture(traced, setup.dem, counts, title),
+        }
+        for name, picture in pictures.items():
+            written.append(out / name)
+            written[-1].write_bytes(to_png(picture))
+
+    ranges = traced.range
+    known = ranges[np.isfinite(ranges)]
+    cell_area = setup.dem.geometry.resolution**2
+    table = Table(title=f"{setup.camera.width} x {setup.camera.height} pixels over {dem.name}", show_header=False)
+    clearance = tracer.ground_clearance(setup.pose)
+    table.add_row("camera above the ground", "outside the DEM" if np.isnan(clearance) else f"{clearance:.1f} m")
+    for name, share in (
+        ("terrain", np.isfinite(ranges).mean()),
+        ("sky", np.isposinf(ranges).mean()),
+        ("unknown (outside the DEM, nodata)", np.isnan(ranges).mean()),
+    ):
+        table.add_row(name, f"{share:.1%} of the pixels")
+    if known.size:
+        near, median, far = np.percentile(known, [0, 50, 100])
+        table.add_row("range: least, median, greatest", f"{near:,.0f} m, {median:,.0f} m, {far:,.0f} m")
+    seen = int((counts > 0).sum())
+    table.add_row("DEM cells seen", f"{seen:,} ({seen * cell_area / 1e6:,.2f} km²)")
+    console.print(table)
+    if not known.size:
+        x, y = setup.frame.x_origin + setup.pose.position[0], setup.frame.y_origin + setup.pose.position[1]
+        covered = setup.dem.geometry.translated(setup.frame.x_origin, setup.frame.y_origin).bounds
+        console.print(
+            f"[yellow]No pixel sees the terrain. The camera stands at ({x:.0f}, {y:.0f}) in {setup.frame.crs}, where "
+            f"the DEM covers x {covered[0]:.0f} to {covered[2]:.0f}, y {covered[1]:.0f} to {covered[3]:.0f}. "
+            "Check position, its crs, azimuth and pitch."
+        )
+    for path in written:
+        console.print(f"  {path}", highlight=False)
