@@ -221,7 +221,7 @@ class RerunView:
         row, col = self._fuel_geometry.to_grid(placed.sector()[:, 0], placed.sector()[:, 1])
         outline = np.column_stack([col, row]) + 0.5
         entity = f"fuel_map/cameras/{camera}"
-        color = (255, 110, 190)
+        color = (235, 40, 135)
         self._recording.log(f"{entity}/sector", rr.LineStrips2D([outline], colors=[color], draw_order=2.0))
         self._recording.log(
             entity,
@@ -231,7 +231,7 @@ class RerunView:
     def _log_name(self, camera: str) -> None:
         """The camera's name in the 3D view, where its own entity shows nothing but the frustum."""
         here = rr.Points3D(
-            [self._poses[camera].position], labels=[camera], colors=[(255, 240, 246)], radii=rr.Radius.ui_points(4.0)
+            [self._poses[camera].position], labels=[camera], colors=[(235, 40, 135)], radii=rr.Radius.ui_points(4.0)
         )
         self._recording.log(f"map/names/{camera}", here)
 
