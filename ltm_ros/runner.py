@@ -223,9 +223,15 @@ class Runner:
             log_file=self.log_folder / f"{spec.label.replace('/', '.')}.log",
             console=self._say,
             policy=self._policy,
-            on_group=lambda group, alive: self._order(f"{'group' if alive else 'forget'} {group}"),
+            on_group=self._on_group,
             on_given_up=self._changed.set,
         )
+
+    def _on_group(self, group: int, alive: bool) -> None:
+        self._order(f"{'group' if alive else 'forget'} {group}")
+        if not alive:
+            # Each crash leaves a segment of 70 MB: a node that keeps crashing would fill the memory.
+            shm.remove_stale()
 
     def _environment(self, threads: int) -> dict[str, str]:
         base = os.environ | self._extra_environment

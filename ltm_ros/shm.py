@@ -2,7 +2,7 @@
 
 A segment or port of Fast DDS is a file with a lock file beside it (`_el` exclusive, `_sl` shared) on which its owner
 holds a flock for as long as it lives; the kernel lets go of the lock however the owner dies. A port has a semaphore
-besides. Only what nobody locks and nobody maps is removed, so other graphs on the machine are safe.
+besides. Only what no living process owns is removed, so other graphs on the machine are safe.
 
 Standard library only: `guardian` runs this after the graph's own process is gone.
 """
@@ -77,7 +77,9 @@ def _walk(folder: Path, min_age_s: float, remove: bool) -> SharedMemory:
     young: list[str] = []
     stale_bytes = 0
     for base, paths in objects.items():
-        if base in mapped:
+        # Peers keep a dead owner's segment mapped for a while; its lock alone tells. A port is a queue that senders map
+        # without a lock, and what has no lock file can only be judged by who maps it.
+        if base in mapped and ("port" in base or not any(map(_is_lock, paths))):
             in_use.append(base)
             continue
         if _age_s(paths) < min_age_s:

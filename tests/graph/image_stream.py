@@ -1,0 +1,78 @@
+"""One end of an image stream, as a process: `python image_stream.py publish|subscribe TOPIC FRAMES [RATE]`.
+
+Images are 1080p rgb8; each carries its number in the stamp and, as content, a byte that follows from the number. The
+subscriber prints the numbers that it received, in order, with a `!` after those whose content is wrong.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+import rclpy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Image
+
+HEIGHT, WIDTH = 1080, 1920
+QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+SUBSCRIBERS = 3
+PATIENCE_S = 20.0
+
+
+def content(number: int) -> int:
+    return (7 * number + 3) % 256
+
+
+def publish(node: Any, topic: str, frames: int, rate: float) -> None:
+    publisher = node.create_publisher(Image, topic, QOS)
+    deadline = time.monotonic() + PATIENCE_S
+    while publisher.get_subscription_count() < SUBSCRIBERS:
+        assert time.monotonic() < deadline, f"only {publisher.get_subscription_count()} subscribers came"
+        time.sleep(0.05)
+    # The subscribers' side of the match may still be under way.
+    time.sleep(1.0)
+    message = Image(height=HEIGHT, width=WIDTH, encoding="rgb8", step=3 * WIDTH)
+    start = time.monotonic()
+    for number in range(frames):
+        message.header.stamp.sec = number
+        message.data = bytes([content(number)]) * (HEIGHT * WIDTH * 3)
+        publisher.publish(message)
+        time.sleep(max(0.0, start + (number + 1) / rate - time.monotonic()))
+    # A writer that goes takes what a slow reader still lacks with it.
+    while publisher.get_subscription_count() > 0 and time.monotonic() < start + frames / rate + PATIENCE_S:
+        time.sleep(0.05)
+
+
+def subscribe(node: Any, topic: str, frames: int) -> None:
+    received: list[str] = []
+    last = [0.0]
+
+    def take(message: Any) -> None:
+        number = message.header.stamp.sec
+        right = len(message.data) == HEIGHT * WIDTH * 3 and {*message.data[:: HEIGHT * 8]} == {content(number)}
+        received.append(f"{number}" if right else f"{number}!")
+        last[0] = time.monotonic()
+
+    node.create_subscription(Image, topic, take, QOS)
+    print("ready", flush=True)
+    deadline = time.monotonic() + PATIENCE_S
+    while len(received) < frames and time.monotonic() < (last[0] + PATIENCE_S / 2 if received else deadline):
+        rclpy.spin_once(node, timeout_sec=0.2)
+    print(" ".join(received), flush=True)
+
+
+def main() -> None:
+    role, topic, frames = sys.argv[1], sys.argv[2], int(sys.argv[3])
+    rclpy.init()
+    node = rclpy.create_node(role)
+    if role == "publish":
+        publish(node, topic, frames, float(sys.argv[4]))
+    else:
+        subscribe(node, topic, frames)
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,49 @@
+"""What a graph may have left on the machine: processes, shared-memory ports and segments."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from ltm_ros import shm
+
+
+def processes_of_domain(domain: int) -> list[str]:
+    """Command lines of the processes that were started with this domain in their environment."""
+    found = []
+    mark = f"ROS_DOMAIN_ID={domain}".encode()
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if mark in (folder / "environ").read_bytes().split(b"\0") and int(folder.name) != os.getpid():
+                found.append(f"{folder.name}: {(folder / 'cmdline').read_bytes().replace(bytes(1), b' ').decode()}")
+        except OSError:
+            continue
+    return found
+
+
+def ports_of_domain(domain: int) -> list[str]:
+    """Shared-memory ports of a domain's participants; DDS numbers them 250 a domain from 7400 on."""
+    seen = shm.survey(min_age_s=0.0)
+    first = 7400 + 250 * domain
+    names = [name for name in (*seen.in_use, *seen.stale, *seen.young) if name.startswith("fastrtps_port")]
+    return [name for name in names if first <= int(name.removeprefix("fastrtps_port")) < first + 250]
+
+
+def segments_of_process(pid: int) -> set[str]:
+    """Shared-memory segments that a process has mapped (its own, and those of its peers)."""
+    names = set()
+    for line in Path(f"/proc/{pid}/maps").read_text().splitlines():
+        path = Path(line.split()[-1])
+        if path.parent == shm.SHM_FOLDER and path.name.startswith("fastrtps_") and "port" not in path.name:
+            names.add(path.name)
+    return names
+
+
+def wait_gone(look: Callable[[], list[str]], patience_s: float = 5.0) -> list[str]:
+    """What `look` still finds after `patience_s`; empty as soon as it finds nothing."""
+    deadline = time.monotonic() + patience_s
+    while (left := look()) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    return list(left)

@@ -1,0 +1,194 @@
+"""The runner on real ROS processes: they come up, come back, and leave nothing."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from leftovers import processes_of_domain, segments_of_process, wait_gone
+
+from ltm_ros import shm
+from ltm_ros.graph import Graph, NodeSpec
+from ltm_ros.runner import GraphError, Runner
+from ltm_ros.supervisor import RestartPolicy, State
+
+pytestmark = pytest.mark.graph
+
+HERE = Path(__file__).parent
+QUICK = RestartPolicy(initial_s=0.1, maximum_s=0.4, config_tries=2)
+
+
+def spec(name: str, camera: str = "north", behaviour: str = "well") -> NodeSpec:
+    return NodeSpec(name, f"/ridge/{camera}", "nodes_for_tests", {"behaviour": behaviour, "title": "on"})
+
+
+class Started:
+    """A runner with its console's lines."""
+
+    def __init__(self, domain: int, logs: Path, *nodes: NodeSpec, stop_s: float = 5.0) -> None:
+        self.lines: list[str] = []
+        self.runner = Runner(
+            Graph("ridge", nodes),
+            log_folder=logs,
+            domain_id=domain,
+            console=self.lines.append,
+            policy=QUICK,
+            stop_s=stop_s,
+            environment={"PYTHONPATH": str(HERE)},
+        )
+        self.runner.start()
+
+    def wait_for(self, condition: Callable[[], object], patience_s: float = 30.0) -> None:
+        deadline = time.monotonic() + patience_s
+        while not condition():
+            assert time.monotonic() < deadline, "\n".join(self.lines)
+            time.sleep(0.05)
+
+
+@pytest.fixture
+def start(ros_domain: int, tmp_path: Path) -> Iterator[Callable[..., Started]]:
+    started: list[Started] = []
+
+    def start(*nodes: NodeSpec, stop_s: float = 5.0) -> Started:
+        started.append(Started(ros_domain, tmp_path / "logs", *nodes, stop_s=stop_s))
+        return started[-1]
+
+    yield start
+    for one in started:
+        one.runner.stop()
+
+
+def test_comes_up_and_stops_in_order(start: Callable[..., Started], tmp_path: Path) -> None:
+    graph = start(spec("depth"), spec("capture", "south"), spec("depth", "south"))
+    graph.runner.wait_until_ready(30)
+    pids = {label: process.pid for label, process in graph.runner.processes.items()}
+    assert list(pids) == ["north/depth", "south/capture", "south/depth"]
+    assert len({*pids.values()}) == 3
+    graph.runner.stop()
+    for label, process in graph.runner.processes.items():
+        assert (process.state, process.restarts) == (State.STOPPED, 0)
+        # Each line bears its node's label, on the console and in a file of its own.
+        hello = f"hello from /ridge/{label} pid {pids[label]}"
+        assert f"[{label}] {hello}" in graph.lines
+        assert f"[{label}] goodbye" in graph.lines
+        log = (tmp_path / "logs" / f"{label.replace('/', '.')}.log").read_text()
+        assert hello in log
+        assert "goodbye" in log
+
+
+def test_killed_node_comes_back_alone(start: Callable[..., Started]) -> None:
+    graph = start(spec("depth"), spec("capture"))
+    graph.runner.wait_until_ready(30)
+    depth, capture = graph.runner.processes["north/depth"], graph.runner.processes["north/capture"]
+    first, other = depth.pid, capture.pid
+    assert graph.runner.kill("north/depth")
+    graph.wait_for(lambda: depth.starts == 2 and depth.running)
+    graph.runner.wait_until_ready(30)
+    assert depth.pid != first
+    assert depth.last_exit == "killed by SIGKILL"
+    assert (capture.pid, capture.restarts) == (other, 0)
+    assert any(line.startswith("[north/depth] -- killed by SIGKILL after ") for line in graph.lines)
+
+
+def test_wrong_configuration_is_given_up_with_its_reason(start: Callable[..., Started]) -> None:
+    graph = start(spec("depth", behaviour="config_error"), spec("capture"))
+    with pytest.raises(GraphError, match=r"not ready: north/depth\n.*given up.*2 starts.*78") as error:
+        graph.runner.wait_until_ready(30)
+    assert "the DEM moon.tif does not exist" in str(error.value)
+    assert graph.runner.given_up == ["north/depth"]
+    assert graph.runner.processes["north/capture"].running
+    verdicts = [line for line in graph.lines if "given up" in line]
+    assert len(verdicts) == 1
+    assert verdicts[0].endswith("the DEM moon.tif does not exist")
+
+
+def test_names_the_node_that_is_not_ready(start: Callable[..., Started]) -> None:
+    graph = start(spec("depth", behaviour="silent"), spec("capture"))
+    with pytest.raises(GraphError, match="not ready: north/depth\n"):
+        graph.runner.wait_until_ready(3)
+    graph.runner.wait_until_ready(30, discovered_suffices=True)
+
+
+def test_ends_a_node_that_will_not_stop(start: Callable[..., Started]) -> None:
+    graph = start(spec("depth", behaviour="stubborn"), spec("capture"), stop_s=1.0)
+    graph.runner.wait_until_ready(30)
+    pid = graph.runner.processes["north/depth"].pid
+    assert pid is not None
+    segments = segments_of_process(pid)
+    assert segments
+    graph.runner.stop()
+    assert any("SIGKILL to north/depth, still running" in line for line in graph.lines)
+    assert "[north/capture] goodbye" in graph.lines
+    assert not [name for name in segments if (shm.SHM_FOLDER / name).exists()]
+
+
+def test_ends_what_a_dead_node_had_started(start: Callable[..., Started]) -> None:
+    graph = start(spec("viewer", behaviour="with_child"))
+    graph.runner.wait_until_ready(30)
+    children = [int(found[1]) for line in graph.lines if (found := re.search(r"child (\d+)", line))]
+    graph.runner.kill("north/viewer")
+    graph.wait_for(lambda: graph.runner.processes["north/viewer"].starts == 2)
+    assert len(children) == 1
+    assert not Path(f"/proc/{children[0]}").exists()
+
+
+RUN = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from test_runner_processes import HERE, QUICK, spec
+from ltm_ros.graph import Graph
+from ltm_ros.runner import Runner
+nodes = (spec("depth"), spec("capture"), spec("viewer", behaviour="stubborn"))[: int(sys.argv[3])]
+runner = Runner(Graph("ridge", nodes), log_folder=sys.argv[2], policy=QUICK, environment={"PYTHONPATH": str(HERE)})
+sys.exit(runner.run())
+"""
+
+
+def _run_in_process(logs: Path, nodes: int, pids: dict[str, int]) -> subprocess.Popen[str]:
+    """`Runner.run` in a process of its own, once all its nodes have said hello; fills in their process ids."""
+    runner = subprocess.Popen(
+        [sys.executable, "-c", RUN, str(HERE), str(logs), str(nodes)], stdout=subprocess.PIPE, text=True
+    )
+    assert runner.stdout is not None
+    for line in runner.stdout:
+        if found := re.search(r"hello from (\S+) pid (\d+)", line):
+            pids[found[1]] = int(found[2])
+        if len(pids) == nodes:
+            break
+    return runner
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_to_the_runner_ends_everything(ros_domain: int, tmp_path: Path, number: int) -> None:
+    pids: dict[str, int] = {}
+    runner = _run_in_process(tmp_path, 2, pids)
+    runner.send_signal(number)
+    output, _ = runner.communicate(timeout=30)
+    assert runner.returncode == 0
+    assert "SIGTERM to" not in output
+    assert processes_of_domain(ros_domain) == []
+
+
+def test_killed_runner_leaves_nothing(ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    pids: dict[str, int] = {}
+    runner = _run_in_process(tmp_path, 3, pids)
+    segments = set().union(*map(segments_of_process, pids.values()))
+    assert len(segments) >= 3
+    assert list(temporary.glob("ltm-run-*/*.yaml"))
+    runner.kill()
+    runner.communicate()
+    left = wait_gone(lambda: processes_of_domain(ros_domain), patience_s=30.0)
+    assert left == []
+    assert not [pid for pid in pids.values() if Path(f"/proc/{pid}").exists()]
+    assert list(temporary.glob("ltm-run-*")) == []
+    assert not [name for name in segments if os.path.lexists(shm.SHM_FOLDER / name)]

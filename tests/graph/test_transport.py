@@ -1,0 +1,95 @@
+"""config/fastdds.xml carries an image stream to several processes without loss."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from leftovers import segments_of_process
+
+from ltm_core.resources import config_path
+from ltm_ros import shm
+
+pytestmark = pytest.mark.graph
+
+STREAM = Path(__file__).parent / "image_stream.py"
+FRAMES = 50
+# Frames a second. 6.2 MB each to three readers: 187 MB/s arrive.
+RATE = 10.0
+
+
+def _end(role: str, *rest: str) -> subprocess.Popen[str]:
+    command = [sys.executable, str(STREAM), role, "/ridge/north/posed/image", str(FRAMES), *rest]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+
+
+def _stream() -> list[list[str]]:
+    """What each of three subscribers received of one stream."""
+    subscribers = [_end("subscribe") for _ in range(3)]
+    publisher = _end("publish", str(RATE))
+    received = [subscriber.communicate(timeout=90)[0].splitlines()[-1].split() for subscriber in subscribers]
+    publisher.communicate(timeout=90)
+    assert publisher.returncode == 0
+    return received
+
+
+def test_full_hd_at_10_hz_reaches_three_subscribers_whole(ros_domain: int) -> None:
+    whole = [[str(number) for number in range(FRAMES)]] * 3
+    received = _stream()
+    if received != whole:
+        # A process that gets no core for longer than the queue's 10 frames last (1 s) loses some on any transport: on
+        # a machine that others keep busy, one more try tells the transport from the machine.
+        print(f"first try received {[len(numbers) for numbers in received]} of {FRAMES}")
+        received = _stream()
+    assert received == whole
+
+
+def test_profile_is_the_one_in_use(ros_domain: int) -> None:
+    """A participant has the big segment: a profile that Fast DDS cannot read would be passed over with a warning."""
+    subscriber = _end("subscribe")
+    assert subscriber.stdout is not None
+    assert subscriber.stdout.readline() == "ready\n"
+    sizes = [(shm.SHM_FOLDER / name).stat().st_size for name in segments_of_process(subscriber.pid)]
+    subscriber.terminate()
+    subscriber.communicate()
+    # The file says 64 MiB; Fast DDS adds its own book-keeping.
+    assert "<segment_size>67108864</segment_size>" in config_path("fastdds.xml").read_text()
+    assert 64 << 20 < max(sizes) < shm.BYTES_PER_PARTICIPANT
+
+
+def test_removes_the_memory_of_the_killed_and_only_that(ros_domain: int) -> None:
+    killed, living = _end("subscribe"), _end("subscribe")
+    for one in (killed, living):
+        assert one.stdout is not None
+        assert one.stdout.readline() == "ready\n"
+    time.sleep(shm.MIN_AGE_S)
+    of_killed, of_living = locked_by(killed.pid), locked_by(living.pid)
+    assert of_killed
+    assert of_living
+    assert of_killed | of_living <= {*shm.survey().in_use}
+    killed.kill()
+    killed.communicate()
+    seen = shm.survey()
+    assert segments(of_killed) <= {*seen.stale}
+    assert of_living <= {*seen.in_use}
+    assert seen.stale_bytes > 64 << 20
+    shm.remove_stale()
+    assert of_living <= {*shm.survey().in_use}
+    assert not any((shm.SHM_FOLDER / name).exists() for name in segments(of_killed))
+    living.terminate()
+    living.communicate()
+    shm.remove_stale()
+    assert not any((shm.SHM_FOLDER / name).exists() for name in of_killed | of_living)
+
+
+def locked_by(pid: int) -> set[str]:
+    """Segments and ports that a process owns: it has their lock files open."""
+    targets = [link.readlink() for link in Path(f"/proc/{pid}/fd").iterdir()]
+    return {path.name[:-3] for path in targets if path.name.startswith("fastrtps_") and path.name.endswith("_el")}
+
+
+def segments(names: set[str]) -> set[str]:
+    return {name for name in names if "port" not in name}
