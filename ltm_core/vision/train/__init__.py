@@ -1,0 +1,1 @@
+"""Training of the segmentation network on rendered frames (needs the extra `train`)."""

@@ -1,0 +1,176 @@
+"""Changes to rendered frames, so that a network trained on them does not take a renderer's look for the world.
+
+All work on float32 RGB (H, W, 3) in 0..1 and labels (H, W) uint8; each draws from the generator it is given.
+"""
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.train.config import AugmentConfig
+
+Image = npt.NDArray[np.float32]
+Labels = npt.NDArray[np.uint8]
+Rng = np.random.Generator
+
+
+def augmented(
+    image: npt.NDArray[np.uint8], labels: Labels, size: tuple[int, int], chances: AugmentConfig, rng: Rng
+) -> tuple[npt.NDArray[np.uint8], Labels]:
+    """A changed copy of a frame at `size` (height, width)."""
+    if rng.random() < chances.flip:
+        image, labels = image[:, ::-1], labels[:, ::-1]
+    image, labels = _resized_crop(image, labels, size, rng if rng.random() < chances.crop else None)
+    photo = image.astype(np.float32) / 255.0
+    if rng.random() < chances.ground_tint:
+        photo = _ground_tint(photo, labels, rng)
+    if rng.random() < chances.snow:
+        photo = _snow(photo, labels, rng)
+    if rng.random() < chances.new_sky:
+        photo = _new_sky(photo, labels, rng)
+    if rng.random() < chances.haze:
+        photo = _haze(photo, labels, rng)
+    if rng.random() < chances.light:
+        photo = _light(photo, rng)
+    if rng.random() < chances.grey:
+        photo = np.repeat(photo.mean(axis=2, keepdims=True), 3, axis=2)
+    if rng.random() < chances.blur:
+        photo = np.asarray(cv2.GaussianBlur(photo, (0, 0), rng.uniform(0.4, 1.6)), np.float32)
+    if rng.random() < chances.noise:
+        sigma = rng.uniform(0.004, 0.05)
+        photo = photo + rng.normal(0.0, sigma, (*size, 1 if rng.random() < 0.4 else 3)).astype(np.float32)
+    result = np.round(np.clip(photo, 0.0, 1.0) * 255.0).astype(np.uint8)
+    if rng.random() < chances.jpeg:
+        _, code = cv2.imencode(".jpg", result, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(25, 90))])
+        result = np.asarray(cv2.imdecode(code, cv2.IMREAD_COLOR), np.uint8)
+    return result, labels
+
+
+def _resized_crop(
+    image: npt.NDArray[np.uint8], labels: Labels, size: tuple[int, int], rng: Rng | None
+) -> tuple[npt.NDArray[np.uint8], Labels]:
+    """A window of the frame, of another scale, aspect and slight tilt, at `size`; the whole frame without `rng`."""
+    height, width = labels.shape
+    target_height, target_width = size
+    scale, aspect, tilt, centre = 1.0, 1.0, 0.0, (0.5, 0.5)
+    if rng is not None:
+        scale = rng.uniform(0.4, 1.15)  # of the frame's height; above 1 the rest is unlabelled
+        aspect = np.exp(rng.uniform(-0.35, 0.35))
+        tilt = np.radians(rng.normal(0.0, 3.0))
+        room = max(0.0, 1.0 - scale) / 2.0
+        centre = (0.5 + rng.uniform(-room, room), 0.5 + rng.uniform(-room, room))
+    # matrix from target pixels to frame pixels
+    sy, sx = scale * height / target_height, scale * aspect * width / target_width
+    cos, sin = np.cos(tilt), np.sin(tilt)
+    linear = np.array([[cos * sx, -sin * sy], [sin * sx, cos * sy]])
+    middle = np.array([(target_width - 1) / 2.0, (target_height - 1) / 2.0])
+    offset = np.array([centre[0] * width - 0.5, centre[1] * height - 0.5]) - linear @ middle
+    matrix = np.column_stack([linear, offset])
+    flags = cv2.WARP_INVERSE_MAP
+    shape = (target_width, target_height)
+    photo = cv2.warpAffine(image, matrix, shape, flags=flags | cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
+    truth = cv2.warpAffine(
+        labels, matrix, shape, flags=flags | cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=UNLABELLED
+    )
+    return np.asarray(photo, np.uint8), np.asarray(truth, np.uint8)
+
+
+def fractal_noise(size: tuple[int, int], rng: Rng, coarsest: int = 4, octaves: int = 5, fall: float = 0.55) -> Image:
+    """Smooth noise (H, W) in 0..1: `octaves` grids of random values, each twice as fine and `fall` times as strong."""
+    height, width = size
+    total = np.zeros(size, np.float32)
+    for octave in range(octaves):
+        cells = coarsest * 2**octave
+        grid = rng.random((max(2, cells * height // width), cells), dtype=np.float32)
+        total += np.float32(fall**octave) * np.asarray(cv2.resize(grid, (width, height), interpolation=cv2.INTER_CUBIC))
+    low, high = total.min(), total.max()
+    return np.asarray((total - low) / max(float(high - low), 1e-6), np.float32)
+
+
+def _soft_mask(mask: npt.NDArray[np.bool_]) -> Image:
+    """A mask with its edge softened over about two pixels, as a lens would; (H, W, 1)."""
+    return np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 0.7), np.float32)[..., None]
+
+
+def _new_sky(photo: Image, labels: Labels, rng: Rng) -> Image:
+    """Another sky: a vertical gradient between two sky colours under fractal clouds, from clear to overcast."""
+    sky = labels == Label.SKY
+    if not sky.any():
+        return photo
+    height, width = labels.shape
+    blue = np.array([rng.uniform(0.15, 0.55), rng.uniform(0.35, 0.7), rng.uniform(0.6, 1.0)])
+    warm = np.array([rng.uniform(0.7, 1.0), rng.uniform(0.5, 0.8), rng.uniform(0.3, 0.75)])
+    grey = np.full(3, rng.uniform(0.35, 1.0)) + rng.normal(0.0, 0.02, 3)
+    top = (blue, blue, grey, warm * 0.8)[rng.integers(4)]
+    low = (np.minimum(blue + rng.uniform(0.1, 0.45), 1.0), grey, warm, blue)[rng.integers(4)]
+    ramp = np.linspace(0.0, 1.0, height, dtype=np.float32)[:, None, None] ** rng.uniform(0.5, 2.0)
+    new = top * (1.0 - ramp) + low * ramp
+    if rng.random() < 0.7:
+        cover = rng.uniform(0.25, 0.9)
+        clouds = fractal_noise((height, width), rng, coarsest=int(rng.integers(2, 7)), fall=rng.uniform(0.45, 0.7))
+        density = np.clip((clouds - (1.0 - cover)) / rng.uniform(0.08, 0.5), 0.0, 1.0)[..., None]
+        shade = fractal_noise((height, width), rng, coarsest=3)[..., None]
+        white = rng.uniform(0.75, 1.05) - rng.uniform(0.0, 0.5) * shade
+        new = new * (1.0 - density) + white * density
+    weight = _soft_mask(sky)
+    return np.asarray(photo * (1.0 - weight) + new * weight, np.float32)
+
+
+def _ground_tint(photo: Image, labels: Labels, rng: Rng) -> Image:
+    """Each ground class with its own shift of colour and contrast, patchy: other species, soils and seasons."""
+    result = photo
+    patches = fractal_noise((labels.shape[0], labels.shape[1]), rng, coarsest=3, octaves=4)[..., None]
+    for label in Label:
+        mask = labels == label
+        if label == Label.SKY or not mask.any():
+            continue
+        spread = 0.3 if label in (Label.BARE, Label.BUILT) else 0.2
+        first = np.exp(rng.normal(0.0, spread, 3) * 0.6 + rng.normal(0.0, spread))
+        second = np.exp(rng.normal(0.0, spread, 3) * 0.6 + rng.normal(0.0, spread))
+        mean = photo[mask].mean(axis=0)
+        contrast = rng.uniform(0.7, 1.4)
+        tint = first * patches + second * (1.0 - patches)
+        changed = (mean + (photo - mean) * contrast) * tint
+        weight = _soft_mask(mask)
+        result = np.asarray(result * (1.0 - weight) + changed * weight, np.float32)
+    return np.asarray(np.clip(result, 0.0, 1.0), np.float32)
+
+
+def _snow(photo: Image, labels: Labels, rng: Rng) -> Image:
+    """Patches of snow on bare ground (still `bare`: it is not sky, and nothing burns on it)."""
+    bare = labels == Label.BARE
+    cover = fractal_noise((labels.shape[0], labels.shape[1]), rng, coarsest=5) < rng.uniform(0.3, 0.9)
+    weight = _soft_mask(bare & cover) * np.float32(rng.uniform(0.6, 1.0))
+    shade = photo.mean(axis=2, keepdims=True)
+    white = np.clip(0.62 + 0.9 * (shade - shade.mean()) + np.array([0.0, 0.01, 0.04]), 0.0, 1.0)
+    return np.asarray(photo * (1.0 - weight) + white * weight, np.float32)
+
+
+def _haze(photo: Image, labels: Labels, rng: Rng) -> Image:
+    """Air light that grows towards the skyline: without a depth image, height in the picture stands for distance."""
+    height = labels.shape[0]
+    sky_rows = np.flatnonzero((labels == Label.SKY).mean(axis=1) > 0.5)
+    skyline = int(sky_rows[-1]) if sky_rows.size else 0
+    rows = np.arange(height, dtype=np.float32)
+    nearness = np.clip((rows - skyline) / max(1.0, rng.uniform(0.2, 0.9) * height), 0.0, 1.0)
+    strength = (rng.uniform(0.1, 0.75) * (1.0 - nearness) ** rng.uniform(1.0, 2.5))[:, None, None]
+    air = np.clip(rng.uniform(0.55, 0.95) + rng.normal(0.0, 0.06, 3), 0.0, 1.0)
+    return np.asarray(photo * (1.0 - strength) + air * strength, np.float32)
+
+
+def _light(photo: Image, rng: Rng) -> Image:
+    """Exposure, gamma, colour temperature, contrast, saturation and vignetting of another camera and hour."""
+    temperature, green = rng.normal(0.0, 0.12), rng.normal(0.0, 0.05)
+    gains = np.exp(np.array([temperature, green, -temperature]) + rng.normal(0.0, 0.22))
+    photo = np.clip(photo * gains, 0.0, 1.0) ** np.exp(rng.normal(0.0, 0.22))
+    mean = photo.mean()
+    photo = mean + (photo - mean) * rng.uniform(0.6, 1.4)
+    grey = photo.mean(axis=2, keepdims=True)
+    photo = grey + (photo - grey) * rng.uniform(0.4, 1.5)
+    if rng.random() < 0.3:
+        height, width = photo.shape[:2]
+        y, x = np.linspace(-1, 1, height)[:, None], np.linspace(-1, 1, width)[None]
+        fall = 1.0 - rng.uniform(0.0, 0.4) * (x**2 + y**2) / 2.0
+        photo = photo * fall[..., None].astype(np.float32)
+    return np.asarray(np.clip(photo, 0.0, 1.0), np.float32)
