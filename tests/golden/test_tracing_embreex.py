@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scenes import Floats, directions, rough_terrain, standing
 
 from ltm_core.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from tests.scenes import Floats, directions, rough_terrain, standing
 
 embreex = pytest.importorskip("embreex")
 

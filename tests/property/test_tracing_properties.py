@@ -6,12 +6,12 @@ import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scenes import Floats
 
 from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.reference import trace_reference
-from tests.scenes import Floats
 
 ROWS, COLS = 7, 12
 heights = st.floats(0, 40, width=32)

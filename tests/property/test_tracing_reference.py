@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scenes import Floats, directions, rough_terrain, standing, with_holes
 
 from ltm_core.dem import Dem
 from ltm_core.errors import PoseError
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.reference import trace_reference
-from tests.scenes import Floats, directions, rough_terrain, standing, with_holes
 
 RAYS_A_POSE = 500
 

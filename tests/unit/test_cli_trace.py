@@ -7,12 +7,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scenes import rough_terrain
 
 from ltm_core.dem import Dem
 from ltm_core.errors import PoseError
 from ltm_core.grid import GridGeometry
 from ltm_ros.cli.trace import trace
-from tests.scenes import rough_terrain
 
 POSE = """
 position: [400060.5, 3799930.25, {z}]

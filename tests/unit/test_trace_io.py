@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import rasterio
 from PIL import Image
+from scenes import rough_terrain
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -23,7 +24,6 @@ from ltm_core.trace_io import (
     write_trace,
 )
 from ltm_core.tracing import TerrainTracer
-from tests.scenes import rough_terrain
 
 POSE = """
 position: [400060.5, 3799930.25]

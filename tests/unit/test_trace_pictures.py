@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scenes import rough_terrain, standing
 
 from ltm_core.camera import Camera
 from ltm_core.depth.range_image import RangeImage
@@ -10,7 +11,6 @@ from ltm_core.pose import Pose
 from ltm_core.trace_io import cell_counts
 from ltm_core.trace_pictures import depth_picture, draw_skyline, map_picture, shaded_view
 from ltm_core.tracing import TerrainTracer
-from tests.scenes import rough_terrain, standing
 
 CAMERA = Camera.from_fov(330, 210, 60.0)
 DEM = rough_terrain(51)

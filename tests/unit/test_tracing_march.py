@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scenes import rough_terrain, standing, tilted_plane
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -12,7 +13,6 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.march import march, march_image, proportional_rays
-from tests.scenes import rough_terrain, standing, tilted_plane
 
 
 def test_depth_on_a_plain_is_the_first_step_below_it() -> None:

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from scenes import RIDGE_X, RIDGE_Z, Floats, cone, directions, ridge, rough_terrain, tilted_plane
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -14,7 +15,6 @@ from ltm_core.geodesy import ray_bend
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
-from tests.scenes import RIDGE_X, RIDGE_Z, Floats, cone, directions, ridge, rough_terrain, tilted_plane
 
 CAMERA = Camera(width=161, height=97, fx=120.0, fy=124.0, cx=77.0, cy=50.5, distortion=(-0.12, 0.03, 1e-3, -5e-4, 0.0))
 MILLIMETRE = 1e-3
