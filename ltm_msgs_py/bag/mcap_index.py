@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import heapq
 import struct
+import zlib
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -20,15 +21,21 @@ from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, Message, Schema
 from mcap.stream_reader import breakup_chunk
+from zstandard import ZstdError
 
 from ltm_core.errors import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
+_OPCODES = {*range(1, 16), *range(128, 256)}  # those of the specification, and those left to its users
 _RECORD_HEAD = struct.Struct("<BQ")
+_TAIL = struct.Struct("<BQQQI8s")  # the footer record and the closing magic
 _LARGEST_CHUNK = 4 << 30
 
-# What the mcap library lets through when bytes are not what they should be (zstd raises RuntimeError's children).
-_BROKEN = (McapError, ValueError, struct.error, KeyError, RuntimeError, EOFError, MemoryError, OverflowError)
+# What the mcap library and what it uses raise when bytes are not what they should be.
+_BROKEN = (
+    *(McapError, ZstdError, struct.error, ValueError, LookupError),
+    *(RuntimeError, EOFError, MemoryError, OverflowError, OSError),
+)
 
 
 @dataclass(frozen=True, order=True)
@@ -104,9 +111,11 @@ class McapIndex:
     def _read_summary(self, stream: BinaryIO) -> bool:
         """Fill in from the summary section; False where the file has none that serves."""
         try:
+            if not _summary_is_sound(stream):
+                return False
             stream.seek(0)
             summary = SeekingReader(stream).get_summary()
-        except (*_BROKEN, OSError):
+        except _BROKEN:
             return False
         if summary is None or summary.statistics is None or not summary.channels:
             return False
@@ -142,8 +151,10 @@ class McapIndex:
                     f"ends at byte {size} (was its recorder killed?); all records before it are read"
                 )
                 return
-            if opcode == Opcode.FOOTER:
+            if opcode == Opcode.FOOTER and offset + _TAIL.size == size:
                 return
+            if opcode == Opcode.FOOTER or opcode not in _OPCODES:
+                self._note(offset, ValueError(f"opcode {opcode} does not belong there"))
             try:
                 self._take(stream, offset, opcode, length)
             except _BROKEN as error:
@@ -201,6 +212,18 @@ class McapIndex:
         note = f"{self.path}: the record at byte {offset} is broken and left out ({type(error).__name__}: {error})"
         if note not in self.damage:
             self.damage.append(note)
+
+
+def _summary_is_sound(stream: BinaryIO) -> bool:
+    """Whether the file ends in a footer whose checksum of the summary section, if it has one, is right."""
+    size = stream.seek(0, 2)
+    stream.seek(size - _TAIL.size)
+    opcode, length, summary_start, _, checksum, magic = _TAIL.unpack(stream.read(_TAIL.size))
+    if (opcode, length, magic) != (Opcode.FOOTER, 20, MAGIC) or not len(MAGIC) <= summary_start < size:
+        return False
+    stream.seek(summary_start)
+    covered = stream.read(size - len(MAGIC) - 4 - summary_start)
+    return checksum in (0, zlib.crc32(covered))
 
 
 def _read_chunk(stream: BinaryIO, offset: int) -> Chunk:

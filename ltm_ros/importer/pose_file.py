@@ -5,14 +5,18 @@ from __future__ import annotations
 import csv
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from ltm_core.config_io import checked
 from ltm_core.errors import ConfigError
 from ltm_core.site import Config, RosName
+
+
+def _unquoted(value: object) -> object:
+    return "true" if value is True else value  # YAML reads the bare word as a boolean
 
 
 class PhotoPose(Config):
@@ -36,7 +40,7 @@ class PhotoPose(Config):
     """Metres; instead of z."""
     azimuth_deg: float | None = None
     """Of the optical axis, clockwise from the north that `azimuth_ref` names."""
-    azimuth_ref: Literal["grid", "true", "magnetic"] = "grid"
+    azimuth_ref: Annotated[Literal["grid", "true", "magnetic"], BeforeValidator(_unquoted)] = "grid"
     pitch_deg: float | None = Field(None, ge=-90, le=90)
     roll_deg: float | None = None
     fx: float | None = Field(None, gt=0)

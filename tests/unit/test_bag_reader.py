@@ -3,6 +3,7 @@ from __future__ import annotations
 import logging
 import struct
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import pytest
@@ -292,3 +293,23 @@ def test_a_topic_with_two_types_is_refused(tmp_path: Path) -> None:
         write_mcap(tmp_path / f"a_{i}.mcap", schema=schema)
     with pytest.raises(RecordingError, match="two types: std_msgs/msg/String and std_msgs/msg/Header"):
         BagReader(tmp_path)
+
+
+def test_random_damage_never_goes_unnoticed(bag: Path, tmp_path: Path) -> None:
+    """Bytes overwritten or cut off at random: all messages, or fewer with a note, or a refusal. Nothing else."""
+    data, random = (bag / "bag_0.mcap").read_bytes(), Random(11)
+    for _ in range(150):
+        broken = bytearray(data)
+        for _ in range(random.choice([1, 1, 3])):
+            at = random.randrange(len(broken))
+            size = random.choice([1, 4, 8])
+            broken[at : at + size] = random.choice([random.randbytes(size), b"\xff" * size, bytes(size)])
+        if random.random() < 0.3:
+            del broken[random.randrange(len(broken)) :]
+        file = tmp_path / "broken.mcap"
+        file.write_bytes(broken)
+        try:
+            reader = BagReader(file)
+        except RecordingError:
+            continue
+        assert len(list(reader.messages())) == COUNT or reader.damage
