@@ -50,10 +50,10 @@ def train(
     out = out or Path("out/train") / settings.name
     labels, console = LabelSet.load(), Console()
     split = read_split(folder, settings.split, len(labels))
-    console.print(
-        f"frames: {len(split.train)} to train on, {len(split.validation)} to choose by "
-        f"({', '.join(settings.split.validation)}), {len(split.test)} to score ({', '.join(settings.split.test)})"
-    )
+    parts = {"train": split.train, "validation": split.validation, "test": split.test}
+    for part, part_frames in parts.items():
+        scenarios = sorted({frame.path.parent.name for frame in part_frames})
+        console.print(f"{part}: {len(part_frames)} frames of {', '.join(scenarios) or 'no scenario'}")
     torch.set_num_threads(threads)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as bar:
@@ -61,9 +61,11 @@ def train(
 
         def report(progress: loop.Progress) -> None:
             bar.update(task, completed=progress.step, description=f"training, loss {progress.loss:.3f}")
+            if progress.step % 50 == 0:
+                console.print(f"step {progress.step}: loss {progress.loss:.3f}")
             if progress.validation is not None:
                 iou = progress.validation.mean_iou
-                console.print(f"step {progress.step}: loss {progress.loss:.3f}, mean IoU {iou:.3f}")
+                console.print(f"step {progress.step}: validation mean IoU {iou:.3f}")
 
         network, validation = loop.train(settings, split, len(labels), report)
     manifest = export(network, settings, labels, out)
@@ -71,13 +73,13 @@ def train(
     test = score_segmenter(segmenter, ((frame.image, frame.labels) for frame in split.test))
     milliseconds = segment_milliseconds(segmenter, [frame.image for frame in split.test[:4]])
     console.print(score_table(labels.names, test, f"{settings.name} on {', '.join(settings.split.test)} (unseen)"))
-    console.print(f"validation mean IoU {validation.mean_iou:.3f}")
+    if split.validation:
+        console.print(f"validation mean IoU {validation.mean_iou:.3f}")
     console.print(f"one thread, {split.test[0].labels.shape[1]} px wide frames: {_median_text(milliseconds)}")
     size = manifest.with_suffix(".onnx").stat().st_size
     console.print(f"wrote {manifest} and {manifest.with_suffix('.onnx').name} ({size / 1e6:.2f} MB)")
     scores = {
-        "frames": {"train": len(split.train), "validation": len(split.validation), "test": len(split.test)},
-        "validation_mean_iou": validation.mean_iou,
+        "frames": {part: len(part_frames) for part, part_frames in parts.items()},
         "test_mean_iou": test.mean_iou,
         "test_confusion": test.confusion.tolist(),
     }

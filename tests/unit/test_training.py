@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError, ImageError, RecordingError
-from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
+from ltm_core.vision.labels import Label, LabelSet
 from ltm_core.vision.segmenter import Segmenter
-from ltm_core.vision.train.augment import augmented, fractal_noise
+from ltm_core.vision.train.augment import OUTSIDE, augmented, fractal_noise
 from ltm_core.vision.train.config import AugmentConfig, NetworkConfig, OptimiserConfig, SplitConfig, TrainingConfig
 from ltm_core.vision.train.frames import read_frames, read_split
 
@@ -94,7 +94,7 @@ def test_augmentation_repeats_with_its_seed_and_keeps_labels_on_their_pixels() -
         np.testing.assert_array_equal(truth, again[1])
         assert photo.shape == (72, 80, 3)
         distance = np.abs(photo[:, :, None].astype(int) - COLORS.astype(int)).sum(axis=-1)
-        known = truth != UNLABELLED
+        known = truth != OUTSIDE
         assert known.mean() > 0.5
         assert (distance.argmin(axis=-1) == truth)[known].mean() > 0.85
 
@@ -110,7 +110,7 @@ def test_every_augmentation_gives_a_photo_and_leaves_labels_be() -> None:
         photo, truth = augmented(image, labels, SIZE, every, np.random.default_rng(seed))
         assert photo.dtype == np.uint8
         assert photo.std() > 1.0
-        assert set(np.unique(truth)) <= {*np.unique(labels), UNLABELLED}
+        assert set(np.unique(truth)) <= {*np.unique(labels), OUTSIDE}
 
 
 def test_a_short_training_repeats_and_its_model_labels_unseen_frames(frames: Path, tmp_path: Path) -> None:

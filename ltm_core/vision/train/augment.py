@@ -7,12 +7,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.labels import Label
 from ltm_core.vision.train.config import AugmentConfig
 
 Image = npt.NDArray[np.float32]
 Labels = npt.NDArray[np.uint8]
 Rng = np.random.Generator
+
+OUTSIDE = 254  # label of pixels that a crop has from outside its frame: nothing at all is known of them
 
 
 def augmented(
@@ -55,7 +57,7 @@ def _resized_crop(
     target_height, target_width = size
     scale, aspect, tilt, centre = 1.0, 1.0, 0.0, (0.5, 0.5)
     if rng is not None:
-        scale = rng.uniform(0.4, 1.15)  # of the frame's height; above 1 the rest is unlabelled
+        scale = rng.uniform(0.4, 1.15)  # of the frame's height; above 1 the rest is OUTSIDE
         aspect = np.exp(rng.uniform(-0.35, 0.35))
         tilt = np.radians(rng.normal(0.0, 3.0))
         room = max(0.0, 1.0 - scale) / 2.0
@@ -71,7 +73,7 @@ def _resized_crop(
     shape = (target_width, target_height)
     photo = cv2.warpAffine(image, matrix, shape, flags=flags | cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
     truth = cv2.warpAffine(
-        labels, matrix, shape, flags=flags | cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=UNLABELLED
+        labels, matrix, shape, flags=flags | cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=OUTSIDE
     )
     return np.asarray(photo, np.uint8), np.asarray(truth, np.uint8)
 

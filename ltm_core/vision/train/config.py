@@ -10,12 +10,12 @@ from ltm_core.vision.strict import StrictModel
 class SplitConfig(StrictModel):
     """Whole scenarios (folders of frames) held out: `validation` picks the weights, `test` gives the scores.
 
-    All other scenarios train the network. No frame of one scene is ever in two parts, so the scores are of unseen
-    ground.
+    Without validation scenarios the last weights are kept. All other scenarios train the network. No frame of one
+    scene is ever in two parts, so the scores are of unseen ground.
     """
 
-    validation: tuple[str, ...]
-    test: tuple[str, ...]
+    validation: tuple[str, ...] = ()
+    test: tuple[str, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
     def _parts_are_apart(self) -> "SplitConfig":
@@ -44,6 +44,8 @@ class OptimiserConfig(StrictModel):
     average: float = Field(default=0.99, ge=0, lt=1)  # decay of the running average of weights that is kept
     class_weight_power: float = Field(default=0.4, ge=0, le=1)  # weight = (1 / share of pixels) ** power
     label_smoothing: float = Field(default=0.05, ge=0, lt=0.5)
+    # The simulator labels only the ground of its land cover map; the ranges beyond are 255, but no sky.
+    unlabelled_is_ground: bool = True
     validate_every: int = Field(default=100, ge=1)
 
 

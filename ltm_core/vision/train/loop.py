@@ -14,8 +14,8 @@ from torch.nn import functional
 
 from ltm_core.errors import ModelError
 from ltm_core.metrics.segmentation import SegmentationScore
-from ltm_core.vision.labels import UNLABELLED
-from ltm_core.vision.train.augment import augmented
+from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.train.augment import OUTSIDE, augmented
 from ltm_core.vision.train.config import OptimiserConfig, TrainingConfig
 from ltm_core.vision.train.frames import Frame, Split
 from ltm_core.vision.train.network import SpineNetwork
@@ -37,7 +37,10 @@ class Progress:
 def train(
     config: TrainingConfig, split: Split, classes: int, report: Callable[[Progress], None]
 ) -> tuple[SpineNetwork, SegmentationScore]:
-    """Train on `split.train`; gives the averaged weights that scored best (mean IoU) on `split.validation`."""
+    """Train on `split.train`; gives the network with averaged weights and its score on `split.validation`.
+
+    They are the weights that scored best (mean IoU), or the last ones where no frames validate.
+    """
     torch.manual_seed(config.seed)
     network = SpineNetwork(classes, config.network).to(memory_format=torch.channels_last)
     average = copy.deepcopy(network).eval()
@@ -50,7 +53,7 @@ def train(
         for group in optimiser.param_groups:
             group["lr"] = _learning_rate(config.optimiser, step)
         network.train()
-        loss = _loss(network(photos), labels, weights, config.optimiser.label_smoothing)
+        loss = _loss(network(photos), labels, weights, config.optimiser)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         if not torch.isfinite(torch.nn.utils.clip_grad_norm_(network.parameters(), 2.0)):
@@ -59,12 +62,13 @@ def train(
         # A short memory at first, so that the average does not drag the random start along.
         _follow(average, network, min(config.optimiser.average, step / (step + 10)))
         validation = None
-        if step % config.optimiser.validate_every == 0 or step == config.optimiser.steps:
+        if split.validation and (step % config.optimiser.validate_every == 0 or step == config.optimiser.steps):
             validation = score(average, split.validation, config, classes)
             if validation.mean_iou > best:
                 best, best_score, best_state = validation.mean_iou, validation, copy.deepcopy(average.state_dict())
         report(Progress(step, float(loss.detach()), validation, best))
-    average.load_state_dict(best_state)
+    if split.validation:
+        average.load_state_dict(best_state)
     return average, best_score
 
 
@@ -131,10 +135,20 @@ def _class_weights(frames: list[Frame], classes: int, power: float) -> Tensor:
     return torch.from_numpy((weights / (weights * share).sum()).astype(np.float32))
 
 
-def _loss(logits: Tensor, labels: Tensor, weights: Tensor, smoothing: float) -> Tensor:
-    """Weighted cross-entropy at the labels' resolution."""
+def _loss(logits: Tensor, labels: Tensor, weights: Tensor, config: OptimiserConfig) -> Tensor:
+    """Weighted cross-entropy at the labels' resolution; unlabelled ground counts only against sky."""
     large = functional.interpolate(logits, labels.shape[1:], mode="bilinear", align_corners=False)
-    return functional.cross_entropy(large, labels.long(), weights, ignore_index=UNLABELLED, label_smoothing=smoothing)
+    target = labels.long()
+    target[labels == OUTSIDE] = UNLABELLED
+    loss = functional.cross_entropy(
+        large, target, weights, ignore_index=UNLABELLED, label_smoothing=config.label_smoothing
+    )
+    ground = labels == UNLABELLED
+    if config.unlabelled_is_ground and bool(ground.any()):
+        others = torch.cat([large[:, : Label.SKY], large[:, Label.SKY + 1 :]], dim=1)
+        not_sky = torch.logsumexp(others, dim=1) - torch.logsumexp(large, dim=1)
+        loss = loss - not_sky[ground].sum() / labels.numel()
+    return loss
 
 
 def _learning_rate(config: OptimiserConfig, step: int) -> float:
