@@ -54,17 +54,20 @@ def _list(console: Console) -> None:
     from ltm_core.vision.segmenter import DEFAULT_MODEL
 
     table = Table("model", "input", "output", "licence", "state")
+    faults = []
     for name in shipped_names():
         try:
             manifest = Manifest.find(name)
         except ModelError as reason:
-            table.add_row(name, "", "", "", str(reason))
+            table.add_row(name, "", "", "", "[red]not usable[/red]")
+            faults.append(str(reason))
             continue
         try:
             path = OnnxModel(manifest).path
-            state = f"ready: {path} ({path.stat().st_size / 1e6:.1f} MB)"
+            state = f"[green]ready[/green], {path.stat().st_size / 1e6:.1f} MB"
         except ModelError as reason:
-            state = str(reason)
+            state = "[red]not usable[/red]"
+            faults.append(str(reason))
         spec = manifest.input
         table.add_row(
             f"{name} (default)" if name == DEFAULT_MODEL else name,
@@ -74,3 +77,5 @@ def _list(console: Console) -> None:
             state,
         )
     console.print(table)
+    for fault in faults:
+        console.print(fault, markup=False, highlight=False)
