@@ -51,18 +51,13 @@ def view(
 
 
 def _show_file(rrd: Path, in_browser: bool, open_browser: bool, web_port: int, grpc_port: int) -> None:
-    from ltm_ros.rerun_view.server import RerunProcess, send_file, web_url
+    from ltm_ros.rerun_view.server import RerunProcess, web_url
 
     if not in_browser:
         _until_ended(RerunProcess(["--port", "auto", str(rrd)], quiet=False))
         return
-    server = RerunProcess.serve(web_port, grpc_port)
-    try:
-        send_file(rrd, grpc_port)
-        _announce(web_url(web_port, grpc_port), open_browser)
-    except BaseException:
-        server.stop()
-        raise
+    server = RerunProcess.serve(web_port, grpc_port, rrd)
+    _announce(web_url(web_port, grpc_port), open_browser)
     _until_ended(server)
 
 

@@ -85,8 +85,7 @@ def _texture(dem: Dem) -> Rgb:
 
 @dataclass(frozen=True, eq=False)
 class FuelTile:
-    """One tile of the fuel layer: four `vertices` a cell (32 x 32 cells or fewer), the `triangles` of the cells that
-    are seen, and a colour a vertex."""
+    """The seen cells of one tile of the fuel layer: four `vertices` and two `triangles` a cell, a colour a vertex."""
 
     name: str
     vertices: Vertices
@@ -123,13 +122,12 @@ class FuelLayer:
         z = self._surface.elevation_at(*np.meshgrid(x, y)) + self._lift
         corners = np.stack([*np.meshgrid(x, y), z], axis=-1).astype(np.float32)
         quads = np.stack([corners[:-1, :-1], corners[1:, :-1], corners[:-1, 1:], corners[1:, 1:]], axis=2)
-        known = np.isfinite(quads[..., 2]).all(axis=2)
-        cells = np.nonzero(((part != UNLABELLED) & known).ravel())[0].astype(np.uint32) * 4
-        triangles = (cells[:, None, None] + np.array([[0, 1, 2], [2, 1, 3]], np.uint32)).reshape(-1, 3)
-        colors = np.repeat(label_colors(part, self._palette).reshape(-1, 3), 4, axis=0)
-        return FuelTile(
-            f"r{row // TILE:03d}_c{col // TILE:03d}", np.nan_to_num(quads.reshape(-1, 3)), triangles, colors
-        )
+        seen = (part != UNLABELLED) & np.isfinite(quads[..., 2]).all(axis=2)
+        first = 4 * np.arange(np.count_nonzero(seen), dtype=np.uint32)
+        triangles = first[:, None, None] + np.array([[0, 1, 2], [2, 1, 3]], np.uint32)
+        colors = np.repeat(label_colors(part[seen], self._palette), 4, axis=0)
+        name = f"r{row // TILE:03d}_c{col // TILE:03d}"
+        return FuelTile(name, quads[seen].reshape(-1, 3), triangles.reshape(-1, 3), colors)
 
 
 @dataclass(frozen=True)

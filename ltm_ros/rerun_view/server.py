@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import quote
 
-from ltm_core.errors import ConfigError, RecordingError
+from ltm_core.errors import ConfigError
 
 LOOPBACK = "127.0.0.1"
 _PR_SET_PDEATHSIG = 1
@@ -62,15 +62,18 @@ class RerunProcess:
         )
 
     @classmethod
-    def serve(cls, web_port: int, grpc_port: int, memory_limit: str = "1GiB") -> RerunProcess:
-        """A gRPC server that keeps what it is sent for late viewers, and the web viewer's page.
+    def serve(
+        cls, web_port: int, grpc_port: int, recording: Path | None = None, memory_limit: str = "1GiB"
+    ) -> RerunProcess:
+        """A gRPC server that keeps what it is sent (and `recording`) for late viewers, and the web viewer's page.
 
         Raises ConfigError where a port is taken or the server does not come up.
         """
         for port in (web_port, grpc_port):
             _refuse_taken(port)
         ports = ["--web-viewer-port", str(web_port), "--port", str(grpc_port)]
-        process = cls(["--serve-web", *ports, "--server-memory-limit", memory_limit])
+        files = [str(recording)] if recording is not None else []
+        process = cls([*files, "--serve-web", *ports, "--server-memory-limit", memory_limit])
         try:
             process.wait_until_listening(grpc_port)
             process.wait_until_listening(web_port)
@@ -116,15 +119,6 @@ def listens(port: int) -> bool:
     with contextlib.suppress(OSError), socket.create_connection((LOOPBACK, port), timeout=0.2):
         return True
     return False
-
-
-def send_file(recording: Path, grpc_port: int) -> None:
-    """Give an .rrd file to the server at `grpc_port`. Raises RecordingError when the server does not take it."""
-    sent = subprocess.run(
-        [str(rerun_binary()), "--connect", grpc_url(grpc_port), str(recording)], capture_output=True, text=True
-    )
-    if sent.returncode:
-        raise RecordingError(f"{recording}: the Rerun server did not take it ({sent.stderr.strip()[-300:]})")
 
 
 def _refuse_taken(port: int) -> None:

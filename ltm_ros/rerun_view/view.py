@@ -72,7 +72,6 @@ class RerunView:
                     self._place(name, config.pose.pose(dem, site.frame), config.calibration.camera())
         self._fuel = scene.FuelLayer(dem, site.fuel_geometry(dem), label_set)
         self._fuel_geometry = site.fuel_geometry(dem)
-        self._known_tiles: set[str] = set()
         if sinks:
             self._recording.set_sinks(*sinks, default_blueprint=self._blueprint())
         self._log_scene()
@@ -128,7 +127,6 @@ class RerunView:
             if geometry != self._fuel_geometry:
                 self._fuel_geometry = geometry
                 self._fuel = scene.FuelLayer(self._dem, geometry, self._palette)
-                self._known_tiles.clear()
                 self._log_relief()
             for tile in self._fuel.changed(classes):
                 self._log_tile(tile)
@@ -237,9 +235,13 @@ class RerunView:
 
     def _log_tile(self, tile: scene.FuelTile) -> None:
         entity = f"map/fuel/{tile.name}"
-        if tile.name not in self._known_tiles:
-            # Where a tile lies never changes, so it is sent once.
-            self._known_tiles.add(tile.name)
-            still = rr.Mesh3D.from_fields(vertex_positions=tile.vertices, albedo_factor=(255, 255, 255, 200))
-            self._recording.log(entity, still, static=True)
-        self._recording.log(entity, rr.Mesh3D.from_fields(triangle_indices=tile.triangles, vertex_colors=tile.colors))
+        if len(tile.triangles) == 0:
+            self._recording.log(entity, rr.Clear(recursive=False))
+            return
+        mesh = rr.Mesh3D(
+            vertex_positions=tile.vertices,
+            triangle_indices=tile.triangles,
+            vertex_colors=tile.colors,
+            albedo_factor=(255, 255, 255, 200),
+        )
+        self._recording.log(entity, mesh)
