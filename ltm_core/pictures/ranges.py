@@ -82,7 +82,7 @@ def depth_colors(
     fraction = (scale or RangeScale()).fraction(values)
     known = np.isfinite(fraction)
     index = np.where(known, fraction * 255, 0).round().astype(np.uint8)
-    colors = scale_colors()[index]
+    colors = scale_colors()[index].copy()
     colors[~known] = unknown
     colors[np.isposinf(values)] = sky
     return colors

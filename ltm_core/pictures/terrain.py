@@ -24,7 +24,8 @@ def hillshade(dem: Dem, altitude_deg: float = 45.0, exaggeration: float = 1.0) -
     east, north = _slopes(dem.elevation, dem.geometry.resolution / exaggeration)
     altitude = np.deg2rad(altitude_deg)
     norm = np.sqrt(1.0 + east * east + north * north)
-    shade = np.zeros_like(east)
+    # Horn's differences leave the middle cell out, so a lone missing height would get a shade.
+    shade = np.where(np.isfinite(dem.elevation), np.float32(0), np.float32(np.nan))
     for azimuth_deg, weight in _LIGHTS:
         azimuth = np.deg2rad(azimuth_deg)
         light = np.cos(altitude) * np.array([np.sin(azimuth), np.cos(azimuth)])

@@ -1,0 +1,277 @@
+"""Pictures: colours mean what the legend says, layers lie where they should."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import ImageError, RasterError
+from ltm_core.grid import GridGeometry
+from ltm_core.pictures import (
+    MapCamera,
+    RangeScale,
+    depth_colors,
+    fit,
+    fuel_map_picture,
+    hillshade,
+    hypsometric,
+    label_colors,
+    label_legend,
+    labelled_shade,
+    overlay_depth,
+    overlay_labels,
+    panel,
+    range_legend,
+    terrain_colors,
+    terrain_map_picture,
+    to_jpeg,
+    to_png,
+    with_legend,
+)
+from ltm_core.pictures.ranges import SKY_COLOR, UNKNOWN_COLOR, scale_colors
+from ltm_core.vision.labels import LabelSet
+
+LABELS = LabelSet.load()
+
+
+def plane(rows: int, cols: int, east: float, north: float, resolution: float = 10.0) -> Dem:
+    """A tilted plane that rises by `east` and `north` a metre."""
+    geometry = GridGeometry(100.0, 900.0, resolution, cols, rows)
+    x, y = geometry.to_map(*np.mgrid[:rows, :cols])
+    return Dem((50 + east * x + north * y).astype(np.float32), geometry)
+
+
+def photo(rows: int, cols: int) -> np.ndarray:
+    return np.random.default_rng(5).integers(0, 255, (rows, cols, 3)).astype(np.uint8)
+
+
+def test_range_scale_is_logarithmic_and_keeps_its_ends() -> None:
+    scale = RangeScale(10.0, 1000.0)
+    np.testing.assert_allclose(scale.fraction([1, 10, 100, 1000, 9e9]), [0, 0, 0.5, 1, 1], atol=1e-6)
+    assert np.isnan(scale.fraction([np.nan, np.inf, -np.inf, 0.0, -3.0])).all()
+    assert scale.ticks() == [10, 20, 50, 100, 200, 500, 1000]
+
+
+@pytest.mark.parametrize(("near", "far"), [(0.0, 10.0), (10.0, 10.0), (20.0, 10.0), (1.0, np.inf), (np.nan, 5.0)])
+def test_range_scale_refuses_what_is_no_scale(near: float, far: float) -> None:
+    with pytest.raises(ImageError, match="near < far"):
+        RangeScale(near, far)
+
+
+@pytest.mark.parametrize("ranges", [[55.0, 90.0, 4200.0, np.inf, np.nan], [1.0, 1.0], [999.0], [0.3, 0.31]])
+def test_fitted_scale_holds_the_ranges_between_round_ends(ranges: list[float]) -> None:
+    scale = RangeScale.of(ranges)
+    finite = [r for r in ranges if np.isfinite(r)]
+    low, high = np.percentile(finite, [0.5, 99.5])
+    assert scale.near <= low
+    assert scale.far >= high
+    assert f"{scale.near:e}"[0] in "125"
+    assert f"{scale.far:e}"[0] in "125"
+
+
+def test_fitted_scale_of_nothing_is_the_default() -> None:
+    assert RangeScale.of([np.nan, np.inf, -2.0]) == RangeScale()
+
+
+def test_depth_colours_separate_near_far_sky_and_unknown() -> None:
+    ranges = np.array([[30.0, 30_000.0, np.inf], [np.nan, -np.inf, 948.0]], np.float32)
+    colors = depth_colors(ranges)
+    assert colors.shape == (2, 3, 3)
+    assert colors.dtype == np.uint8
+    np.testing.assert_array_equal(colors[0, 0], scale_colors()[0])
+    np.testing.assert_array_equal(colors[0, 1], scale_colors()[255])
+    np.testing.assert_array_equal(colors[0, 2], SKY_COLOR)
+    np.testing.assert_array_equal(colors[1, :2], [UNKNOWN_COLOR, UNKNOWN_COLOR])
+    assert colors[0, 0, 0] > colors[0, 0, 2], "near is warm"
+    assert colors[0, 1, 2] > colors[0, 1, 1], "far is cold"
+
+
+def test_range_legend_shows_the_colours_of_its_ranges() -> None:
+    scale = RangeScale(100.0, 10_000.0)
+    strip = range_legend(700, scale, sky=False)
+    assert strip.shape[1:] == (700, 3)
+    row = strip[10].astype(int)
+    middle = np.abs(row - depth_colors(1000.0, scale).astype(int)).sum(axis=1)
+    assert abs(int(middle.argmin()) - 350) <= 2
+
+
+def test_label_colours_follow_the_palette() -> None:
+    ids = np.array([[0, 3, 255], [6, 200, 1]], np.uint8)
+    colors = label_colors(ids, LABELS, unlabelled=(1, 2, 3))
+    np.testing.assert_array_equal(colors[0, 1], LABELS.colors[3])
+    np.testing.assert_array_equal(colors[1, 2], LABELS.colors[1])
+    np.testing.assert_array_equal(colors[0, 2], (1, 2, 3))
+    np.testing.assert_array_equal(colors[1, 1], (1, 2, 3))
+
+
+def test_label_legend_wraps_and_shows_only_what_is_asked() -> None:
+    wide, narrow = label_legend(900, LABELS), label_legend(160, LABELS)
+    assert narrow.shape[0] > 2 * wide.shape[0]
+    some = label_legend(900, LABELS, ids=[3, 250])
+    tree = (some == np.array(LABELS.colors[3])).all(axis=-1)
+    grass = (some == np.array(LABELS.colors[1])).all(axis=-1)
+    assert tree.sum() > 100
+    assert not grass.any()
+
+
+def test_overlays_leave_the_photo_where_nothing_is_known() -> None:
+    image = photo(30, 44)
+    ranges = np.full((30, 44), np.inf, np.float32)
+    ranges[20:, 10:] = 500.0
+    mixed = overlay_depth(image, ranges)
+    np.testing.assert_array_equal(mixed[:20], image[:20])
+    assert (mixed[25:, 15:] != image[25:, 15:]).any(axis=-1).mean() > 0.9
+    labels = np.full((30, 44), 255, np.uint8)
+    labels[:8, 30:] = 2
+    mixed = overlay_labels(image, labels, LABELS)
+    np.testing.assert_array_equal(mixed[8:], image[8:])
+    assert (mixed[:7, 31:43] != image[:7, 31:43]).any(axis=-1).mean() > 0.9
+
+
+def test_overlay_takes_a_layer_sampled_at_every_nth_pixel() -> None:
+    """`labels = full[::4, ::4]` on an image whose size 4 does not divide: sample i lies at pixel 4 i."""
+    full = np.zeros((30, 45), np.uint8)
+    full[:, 24:] = 3
+    mixed = overlay_labels(np.full((30, 45, 3), 128, np.uint8), full[::4, ::4], LABELS, opacity=1.0)
+    is_tree = (mixed == np.array(LABELS.colors[3])).all(axis=-1)
+    first = np.nonzero(is_tree[15])[0][0]
+    assert 22 <= first <= 24
+
+
+def test_overlay_refuses_a_layer_that_does_not_lie_on_the_image() -> None:
+    with pytest.raises(ImageError, match="31 x 17"):
+        overlay_depth(photo(30, 44), np.ones((17, 31), np.float32))
+
+
+def test_contours_stand_where_the_range_crosses_a_round_value() -> None:
+    ranges = np.broadcast_to(np.linspace(150.0, 250.0, 101, dtype=np.float32)[:, None], (101, 7)).copy()
+    image = np.full((101, 7, 3), 200, np.uint8)
+    dark = overlay_depth(image, ranges, contours=True).astype(int).sum(axis=2)
+    plain = overlay_depth(image, ranges, contours=False).astype(int).sum(axis=2)
+    lines = np.nonzero((dark < plain).all(axis=1))[0]
+    assert lines.tolist() == [49], "200 m lies at row 50, the line just above it"
+
+
+@pytest.mark.parametrize(("east", "north"), [(0.0, 0.0), (0.3, 0.0), (-0.4, 0.2), (0.1, -0.5)])
+def test_hillshade_of_a_plane_is_lamberts_cosine(east: float, north: float) -> None:
+    shade = hillshade(plane(12, 17, east, north), altitude_deg=40.0)
+    normal = np.array([-east, -north, 1.0]) / np.sqrt(1 + east**2 + north**2)
+    expected = 0.0
+    for azimuth_deg, weight in ((315, 0.5), (270, 0.2), (0, 0.2), (225, 0.1)):
+        a, h = np.deg2rad(azimuth_deg), np.deg2rad(40.0)
+        light = np.array([np.sin(a) * np.cos(h), np.cos(a) * np.cos(h), np.sin(h)])
+        expected += weight * max(0.0, float(normal @ light))
+    np.testing.assert_allclose(shade[1:-1, 1:-1], expected, atol=2e-4)
+
+
+def test_north_west_slopes_are_lit_and_unknown_heights_stay_unknown() -> None:
+    assert hillshade(plane(9, 14, 0.3, -0.3))[4, 6] > hillshade(plane(9, 14, -0.3, 0.3))[4, 6] + 0.2
+    dem = plane(9, 14, 0.1, 0.0)
+    elevation = dem.elevation.copy()
+    elevation[4, 5] = np.nan
+    shade = hillshade(Dem(elevation, dem.geometry))
+    assert np.isnan(shade[3:6, 4:7]).all()
+    assert np.isfinite(shade[:, 8:]).all()
+    assert terrain_colors(Dem(elevation, dem.geometry)).shape == (9, 14, 3)
+
+
+def test_hypsometric_tints_run_from_low_to_high() -> None:
+    tints = hypsometric(np.array([[0.0, 500.0, 1000.0, np.nan]], np.float32), 0.0, 1000.0)
+    assert tints[0, 2].min() > 230, "summits are white"
+    assert tints[0, 0, 1] > tints[0, 0, 0], "lowland is green"
+    assert (tints[0, 3] != tints[0, 2]).any()
+
+
+def test_map_shows_each_class_where_its_cell_lies() -> None:
+    dem = plane(60, 90, 0.05, 0.02)
+    geometry = GridGeometry(220.0, 800.0, 30.0, 12, 8)
+    classes = np.full((8, 12), 255, np.uint8)
+    classes[1, 9] = 3
+    view = GridGeometry(100.0, 900.0, 2.0, 450, 300)
+    picture = labelled_shade(classes, geometry, LABELS, dem, view)
+    bare = labelled_shade(np.full((8, 12), 255, np.uint8), geometry, LABELS, dem, view)
+    rows, cols = np.nonzero((picture != bare).any(axis=-1))
+    x, y = view.to_map([rows.min(), rows.max()], [cols.min(), cols.max()])
+    np.testing.assert_allclose(x, [220 + 9 * 30, 220 + 10 * 30], atol=2.0)
+    np.testing.assert_allclose(y, [800 - 30, 800 - 60], atol=2.0)
+    patch = picture[rows.min() : rows.max(), cols.min() : cols.max()].reshape(-1, 3).mean(axis=0)
+    nearest = np.linalg.norm(np.array(LABELS.colors) - patch, axis=1).argmin()
+    assert LABELS.names[nearest] == "tree"
+
+
+def test_map_refuses_rasters_that_do_not_fit() -> None:
+    dem = plane(20, 30, 0.0, 0.0)
+    with pytest.raises(RasterError, match=r"\(4, 5\)"):
+        fuel_map_picture(np.zeros((4, 5), np.uint8), GridGeometry(100.0, 900.0, 30.0, 6, 4), LABELS, dem)
+    geometry = GridGeometry(100.0, 900.0, 30.0, 6, 4, "EPSG:32611")
+    elsewhere = Dem(dem.elevation, dem.geometry.translated(0.0, 0.0, "EPSG:25832"))
+    with pytest.raises(RasterError, match="one CRS"):
+        fuel_map_picture(np.zeros((4, 6), np.uint8), geometry, LABELS, elsewhere)
+    with pytest.raises(RasterError, match="seen cells"):
+        terrain_map_picture(dem, np.zeros((20, 29), bool))
+
+
+def test_camera_sector_spans_its_field_of_view() -> None:
+    camera = MapCamera("north", Camera.from_fov(640, 480, 60.0), (400.0, 500.0), 90.0, reach=200.0)
+    outline = camera.sector(steps=3)
+    np.testing.assert_allclose(outline[0], (400, 500))
+    np.testing.assert_allclose(outline[2], (600, 500))
+    np.testing.assert_allclose(outline[1], (400 + 200 * np.sin(np.pi / 3), 600))
+
+
+@pytest.mark.parametrize("width", [300, 640])
+def test_whole_maps_have_their_width_and_a_legend(width: int) -> None:
+    dem = plane(60, 90, 0.05, 0.02)
+    camera = MapCamera("north", Camera.from_fov(640, 480, 60.0), (400.0, 500.0), 200.0, reach=200.0)
+    geometry = GridGeometry(220.0, 800.0, 30.0, 12, 8)
+    classes = np.full((8, 12), 255, np.uint8)
+    classes[2:5, 3:9] = 2
+    picture = fuel_map_picture(classes, geometry, LABELS, dem, [camera], width=width, title="Fuel")
+    assert picture.shape[1] == width
+    swatch = (picture[-40:] == np.array(LABELS.colors[2])).all(axis=-1)
+    assert swatch.any(), "the legend names the class that occurs"
+    seen = np.zeros(dem.elevation.shape, bool)
+    seen[10:30, 20:60] = True
+    assert terrain_map_picture(dem, seen, [camera], width=width).shape[1] == width
+    assert fuel_map_picture(np.full((8, 12), 255, np.uint8), geometry, LABELS, dem, width=width).shape[1] == width
+
+
+def test_panel_places_pictures_row_by_row() -> None:
+    colors = [(200, 10, 10), (10, 200, 10), (10, 10, 200)]
+    pictures = [(str(i), np.full((40, 80, 3), color, np.uint8)) for i, color in enumerate(colors)]
+    sheet = panel(pictures, columns=2, width=160)
+    centres = []
+    for color in colors:
+        rows, cols = np.nonzero((sheet == np.array(color)).all(axis=-1))
+        assert len(rows) == 80 * 160
+        centres.append((rows.mean(), cols.mean()))
+    assert centres[0][0] == centres[1][0] < centres[2][0]
+    assert centres[0][1] == centres[2][1] < centres[1][1]
+    with pytest.raises(ImageError, match="at least one"):
+        panel([])
+
+
+def test_fit_keeps_proportions_and_legends_stack() -> None:
+    assert fit(photo(30, 44), 22).shape == (15, 22, 3)
+    assert fit(photo(30, 44), 88).shape == (60, 88, 3)
+    image = photo(30, 440)
+    whole = with_legend(image, range_legend(440), label_legend(440, LABELS))
+    np.testing.assert_array_equal(whole[:30], image)
+
+
+def test_encoded_pictures_keep_channels(tmp_path: Path) -> None:
+    image = np.zeros((16, 24, 3), np.uint8)
+    image[:, :12] = (250, 20, 10)
+    (tmp_path / "a.png").write_bytes(to_png(image))
+    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "a.png"))[..., ::-1], image)
+    decoded = cv2.imdecode(np.frombuffer(to_jpeg(image, 95), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    assert np.abs(decoded[:, :8].astype(int) - image[:, :8]).max() < 25
+    with pytest.raises(ImageError, match="float64"):
+        to_png(np.zeros((4, 4, 3)))  # type: ignore[arg-type]
+    with pytest.raises(ImageError, match=r"\(4, 4\)"):
+        to_jpeg(np.zeros((4, 4), np.uint8))
