@@ -77,3 +77,12 @@ class Handler(Generic[ConfigT]):
 
     def finish(self) -> None:
         """Called once when no more messages will come."""
+
+
+@dataclass(frozen=True)
+class NodeType(Generic[ConfigT]):
+    """What a node module offers as `NODE`: its name, its parameters and its work."""
+
+    name: str
+    config: type[ConfigT]
+    handler: Callable[[ConfigT, Outlet, Health], Handler[ConfigT]]

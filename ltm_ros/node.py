@@ -10,13 +10,11 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from pydantic_core import PydanticUndefined
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -27,7 +25,8 @@ from std_srvs.srv import Trigger
 from ltm_core.config_io import checked
 from ltm_core.errors import LtmError
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.handler import ConfigT, Handler, Topic
+from ltm_ros.diagnostics import DiagnosticsPublisher
+from ltm_ros.handler import ConfigT, NodeType, Topic
 from ltm_ros.health import Health, cause_of
 
 QUEUE = 30
@@ -43,20 +42,25 @@ def stream_qos(latched: bool = False) -> QoSProfile:
     return QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 
+class ClosableNode(Protocol):
+    """A node that has something to finish before it goes."""
+
+    def close(self) -> None: ...
+
+    def destroy_node(self) -> None: ...
+
+
 class HandlerNode(Node):  # type: ignore[misc]
     """Runs one handler: messages queue up for a worker thread, so that the middleware is drained while it works."""
 
-    def __init__(self, name: str, config_type: type[ConfigT], handler_type: Callable[..., Handler[ConfigT]]) -> None:
-        super().__init__(name, automatically_declare_parameters_from_overrides=True)
-        config = read_parameters(self, config_type)
+    def __init__(self, node_type: NodeType[ConfigT]) -> None:
+        super().__init__(node_type.name, automatically_declare_parameters_from_overrides=True)
+        config = read_parameters(self, node_type.config)
         self.health = Health()
         self._publishers_by_topic: dict[Topic, Any] = {}
         self._inbox: queue.Queue[tuple[Callable[[Any], None], Any] | None] = queue.Queue(QUEUE)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._camera = config.camera
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._last_tick = time.monotonic()
-        self.handler = handler_type(config, self, self.health)
+        self.handler = node_type.handler(config, self, self.health)
         for topic in self.handler.publications:
             self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, stream_qos(topic.latched))
         self.handler.start()
@@ -64,10 +68,9 @@ class HandlerNode(Node):  # type: ignore[misc]
             self.create_subscription(topic.type, topic.name, self._enqueue(callback), stream_qos(topic.latched))
         for service, action in self.handler.services.items():
             self.create_service(Trigger, service, self._serve(action))
-        # Not on ROS time: a replay that has ended stops that clock, and diagnostics must go on.
-        self.create_timer(0.5, self._tick, clock=self._steady)
-        self.create_timer(1.0, self.publish_diagnostics, clock=self._steady)
-        self._worker = threading.Thread(target=self._work, name=f"{name} worker", daemon=True)
+        self._diagnostics = DiagnosticsPublisher(self, self.health, config.camera)
+        self.create_timer(0.5, self._tick, clock=DiagnosticsPublisher.steady_clock())
+        self._worker = threading.Thread(target=self._work, name=f"{node_type.name} worker", daemon=True)
         self._worker.start()
 
     def publish(self, topic: Topic, message: Any) -> None:
@@ -80,21 +83,6 @@ class HandlerNode(Node):  # type: ignore[misc]
         """Part of Outlet."""
         return bool(self._publishers_by_topic[topic].get_subscription_count() > 0)
 
-    def publish_diagnostics(self) -> None:
-        self.health.gauge("queue", self._inbox.qsize())
-        summary = self.health.summary()
-        troubled = self.health.troubled
-        status = DiagnosticStatus(
-            level=DiagnosticStatus.WARN if troubled else DiagnosticStatus.OK,
-            name=self.get_fully_qualified_name(),
-            hardware_id=self._camera,
-            message=summary["last_error"] if troubled else "ok",
-            values=[KeyValue(key=key, value=value) for key, value in summary.items()],
-        )
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(array)
-
     def close(self) -> None:
         """Let the worker finish what waits, tell the handler, send the last diagnostics."""
         with contextlib.suppress(queue.Full):
@@ -102,7 +90,7 @@ class HandlerNode(Node):  # type: ignore[misc]
         self._worker.join(timeout=5.0)
         if not self._worker.is_alive():
             self._guarded(lambda _: self.handler.finish(), None)
-        self.publish_diagnostics()
+        self._diagnostics.publish()
 
     def _enqueue(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         def take(message: Any) -> None:
@@ -114,6 +102,7 @@ class HandlerNode(Node):  # type: ignore[misc]
     def _offer(self, callback: Callable[[Any], None], message: Any) -> None:
         try:
             self._inbox.put_nowait((callback, message))
+            self.health.gauge("queue", self._inbox.unfinished_tasks)
         except queue.Full:
             self.health.drop("overload", f"{QUEUE} messages wait already; slow the camera down or give it more cores")
 
@@ -136,6 +125,8 @@ class HandlerNode(Node):  # type: ignore[misc]
                 os._exit(1)
             if message is not None:
                 self.health.worked(time.perf_counter() - started)
+            self._inbox.task_done()
+            self.health.gauge("queue", self._inbox.unfinished_tasks)
 
     def _guarded(self, callback: Callable[[Any], None], message: Any) -> None:
         try:
@@ -192,18 +183,23 @@ def _ros_value(value: object) -> object:
     return value if isinstance(value, bool | int | float | str | list) else str(value)
 
 
-def run_node(name: str, config_type: type[ConfigT], handler_type: Callable[..., Handler[ConfigT]]) -> None:
+def run_node(node_type: NodeType[ConfigT]) -> None:
     """Body of every node's `main`: spin until SIGINT or SIGTERM, then finish what waits and send a last report.
 
     Exits with EX_CONFIG where the configuration cannot work, so that the graph does not start it for ever.
     """
+    run_until_stopped(node_type.name, lambda: HandlerNode(node_type))
+
+
+def run_until_stopped(name: str, make: Callable[[], ClosableNode]) -> None:
+    """Spin the node that `make` makes until SIGINT or SIGTERM, then `close` it while it can still publish."""
     stopping = threading.Event()
-    # rclpy's own handlers would shut the context down before the handler has finished and published.
+    # rclpy's own handlers would shut the context down before the node has finished and published.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopping.set())
     try:
-        node = HandlerNode(name, config_type, handler_type)
+        node = make()
     except LtmError as error:
         print(f"{name}: cannot start: {error}", file=sys.stderr)
         rclpy.try_shutdown()

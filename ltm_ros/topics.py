@@ -42,6 +42,12 @@ CAMERA_INPUTS = (IMAGE_RAW, IMAGE_COMPRESSED, CAMERA_INFO, POSE)
 CAMERA_TRUTH = (TRUTH_DEPTH, TRUTH_GROUND_DEPTH, TRUTH_LABELS, TRUTH_CAMERA_INFO)
 """What a simulated recording holds besides; no node of the graph listens to it."""
 
+RECORDED = (
+    (*CAMERA_INPUTS, *CAMERA_TRUTH, POSED_POSE, DEPTH_IMAGE, DEPTH_CAMERA_INFO, LABELS_IMAGE, LABELS_INFO, FUEL_VOTES),
+    (FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_INFO),
+)
+"""What a recording holds unless told otherwise, of each camera and of the site: all but decoded copies of images."""
+
 
 def camera_topic(site: str, camera: str, topic: Topic) -> str:
     """A camera topic's absolute name."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +42,7 @@ def score_depth(estimate: Sequence[NDArray[np.float32]], truth: Sequence[NDArray
     true = np.concatenate([b.ravel() for b in truth]) if truth else np.empty(0, np.float32)
     both = np.isfinite(depth) & np.isfinite(true)
     error, true = (depth[both] - true[both]).astype(np.float64), true[both]
-    bins = [*zip(RANGE_BINS, RANGE_BINS[1:], strict=False), (0.0, np.inf)]
+    bins = [*pairwise(RANGE_BINS), (0.0, np.inf)]
     return [_score(error[(true >= near) & (true < far)], near, far) for near, far in bins]
 
 

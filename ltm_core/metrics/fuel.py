@@ -14,7 +14,10 @@ from ltm_core.grid import GridGeometry
 
 @dataclass(frozen=True, eq=False)
 class FuelScore:
-    """`cells`: of the map. `seen`: with a class and a known truth. `right`: of those. `confusion`: (K, K) [true, seen]."""
+    """`cells`: of the map. `seen`: with a class and a known truth. `right`: of those.
+
+    `confusion`: (K, K) cells by [true class, mapped class].
+    """
 
     cells: int
     seen: int

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any
 
 from pydantic import Field
@@ -17,7 +16,7 @@ from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.image import compressed_to_rgb, image_to_msg, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose, pose_to_msg
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.handler import Handler, NodeConfig, Outlet
+from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet
 from ltm_ros.health import Health
 from ltm_ros.node import run_node
 from ltm_ros.topics import (
@@ -151,7 +150,12 @@ def _remember(memory: OrderedDict[int, Any], stamp: int, value: Any) -> None:
         memory.popitem(last=False)
 
 
-main = partial(run_node, "capture", CaptureConfig, Capture)
+NODE = NodeType("capture", CaptureConfig, Capture)
+
+
+def main() -> None:
+    run_node(NODE)
+
 
 if __name__ == "__main__":
     main()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.handler import Handler, NodeConfig, Outlet
+from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet
 from ltm_ros.health import Health
 from ltm_ros.join import StampJoin
 from ltm_ros.node import run_node
@@ -66,7 +65,12 @@ class Depth(Handler[NodeConfig]):
             self.outlet.publish(ALIGNMENT, image_to_msg(ranges.points(), "32FC3", stamp, "map"))
 
 
-main = partial(run_node, "depth", NodeConfig, Depth)
+NODE = NodeType("depth", NodeConfig, Depth)
+
+
+def main() -> None:
+    run_node(NODE)
+
 
 if __name__ == "__main__":
     main()

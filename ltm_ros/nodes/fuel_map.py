@@ -19,7 +19,7 @@ from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.grid import classes_to_msg, tile_to_msg
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.votes import msg_to_votes
-from ltm_ros.handler import Handler, NodeConfig, Outlet, Topic
+from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.health import Health
 from ltm_ros.node import run_node
 from ltm_ros.topics import FUEL_MAP, FUEL_MAP_INFO, FUEL_MAP_UPDATE, FUEL_VOTES, camera_topic
@@ -103,7 +103,12 @@ class FuelMap(Handler[FuelMapConfig]):
         self.outlet.publish(FUEL_MAP, classes_to_msg(self._map.classes(), self._map.geometry, self._newest))
 
 
-main = partial(run_node, "fuel_map", FuelMapConfig, FuelMap)
+NODE = NodeType("fuel_map", FuelMapConfig, FuelMap)
+
+
+def main() -> None:
+    run_node(NODE)
+
 
 if __name__ == "__main__":
     main()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.votes import votes_to_msg
-from ltm_ros.handler import Handler, NodeConfig, Outlet
+from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet
 from ltm_ros.health import Health
 from ltm_ros.join import StampJoin
 from ltm_ros.node import run_node
@@ -66,7 +65,12 @@ class FuelVotes(Handler[NodeConfig]):
         self.outlet.publish(FUEL_VOTES, votes_to_msg(votes, self._labels.names))
 
 
-main = partial(run_node, "fuel_votes", NodeConfig, FuelVotes)
+NODE = NodeType("fuel_votes", NodeConfig, FuelVotes)
+
+
+def main() -> None:
+    run_node(NODE)
+
 
 if __name__ == "__main__":
     main()

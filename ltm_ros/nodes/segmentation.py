@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any
 
 from pydantic import Field
@@ -15,7 +14,7 @@ from ltm_core.vision.segmenter import Segmenter
 from ltm_msgs_py.image import image_to_msg, msg_to_rgb
 from ltm_msgs_py.label_info import label_set_to_msg
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.handler import Handler, NodeConfig, Outlet
+from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet
 from ltm_ros.health import Health
 from ltm_ros.node import run_node
 from ltm_ros.topics import LABELS_CONFIDENCE, LABELS_IMAGE, LABELS_INFO, POSED_IMAGE
@@ -52,7 +51,12 @@ class Segmentation(Handler[SegmentationConfig]):
         self.outlet.publish(LABELS_IMAGE, image_to_msg(segmentation.labels, "mono8", stamp, frame_id))
 
 
-main = partial(run_node, "segmentation", SegmentationConfig, Segmentation)
+NODE = NodeType("segmentation", SegmentationConfig, Segmentation)
+
+
+def main() -> None:
+    run_node(NODE)
+
 
 if __name__ == "__main__":
     main()

@@ -19,7 +19,7 @@ from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.image import msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.handler import Handler, NodeConfig, Outlet, Topic
+from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.health import Health
 from ltm_ros.join import StampJoin
 from ltm_ros.node import run_node
@@ -119,7 +119,12 @@ class Viewer(Handler[ViewerConfig]):
         self._view.log_points(camera, stamp, points[seen], rgb[every, every].reshape(-1, 3)[seen])
 
 
-main = partial(run_node, "viewer", ViewerConfig, Viewer)
+NODE = NodeType("viewer", ViewerConfig, Viewer)
+
+
+def main() -> None:
+    run_node(NODE)
+
 
 if __name__ == "__main__":
     main()

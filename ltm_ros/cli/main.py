@@ -1,0 +1,62 @@
+"""The command `ltm`. Commands import what they need when they run, so that `ltm --help` is quick."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from ltm_core.errors import LtmError
+from ltm_ros.cli.demo import demo
+from ltm_ros.cli.doctor import doctor
+from ltm_ros.cli.export import export
+from ltm_ros.cli.import_ import import_
+from ltm_ros.cli.models import models
+from ltm_ros.cli.record import record
+from ltm_ros.cli.replay import replay
+from ltm_ros.cli.run import run
+from ltm_ros.cli.simulate import simulate
+from ltm_ros.cli.trace import trace
+from ltm_ros.cli.train import train
+from ltm_ros.cli.view import view
+
+cli = typer.Typer(
+    name="ltm",
+    help="Live terrain and fuel maps from fire-watch cameras.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_show_locals=False,
+)
+cli.command()(demo)
+cli.command()(run)
+cli.command()(replay)
+cli.command()(record)
+cli.command(name="import")(import_)
+cli.command()(trace)
+cli.command()(simulate)
+cli.command()(train)
+cli.command()(export)
+cli.command()(view)
+cli.command()(doctor)
+cli.add_typer(models, name="models")
+
+
+def app() -> None:
+    """Entry point: bad input ends with a message and status 1, not with a traceback."""
+    try:
+        cli()
+    except LtmError as error:
+        print(f"ltm: {error}", file=sys.stderr)
+        sys.exit(1)
+    except ModuleNotFoundError as error:
+        extra = {"rclpy": "ros", "rerun": "view", "mitsuba": "sim", "torch": "train", "rosbags": "eval"}.get(
+            (error.name or "").partition(".")[0]
+        )
+        if extra is None:
+            raise
+        print(f"ltm: needs {error.name}: pip install 'ltm[{extra}]', or see `ltm doctor`", file=sys.stderr)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    app()

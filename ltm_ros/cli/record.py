@@ -1,0 +1,32 @@
+"""`ltm record`: topics of a running graph into a bag."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def record(
+    site: Annotated[Path, typer.Option("--site", help="Site file.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Bag folder to write.")],
+    topics: Annotated[
+        list[str] | None,
+        typer.Argument(help="Topics or patterns such as '/site/*/depth/*'; default: the site's inputs and results."),
+    ] = None,
+    sim_time: Annotated[bool, typer.Option("--sim-time", help="Stamp by /clock, as beside a replay.")] = False,
+    domain: Annotated[int | None, typer.Option(help="ROS domain of the graph; default: the environment's.")] = None,
+) -> None:
+    """Record a site's topics to OUT until Ctrl-C."""
+    from ltm_core.site_io import load_site
+    from ltm_ros.graph import Graph, ParameterValue, describe
+    from ltm_ros.runner import Runner, print_line
+
+    parameters: dict[str, ParameterValue] = {"bag": str(out.resolve())}
+    if topics:
+        parameters["topics"] = list(topics)
+    config = load_site(site)
+    whole = describe(config, site, sim_time=sim_time, record=parameters)
+    runner = Runner(Graph(config.name, (whole.node("recorder"),)), domain_id=domain, console=print_line)
+    raise typer.Exit(runner.run())

@@ -1,0 +1,89 @@
+"""`ltm replay`: a recording through the graph."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def replay(
+    bag: Annotated[Path, typer.Argument(help="Bag folder or .mcap file.")],
+    site: Annotated[Path, typer.Option("--site", help="Site file.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for what comes out.")] = Path("out/replay"),
+    offline: Annotated[
+        bool, typer.Option("--offline", help="One process, no DDS, as fast as it goes, bit-repeatable.")
+    ] = False,
+    rate: Annotated[float, typer.Option(help="Live: 2 plays twice as fast.")] = 1.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Live: start again at the end, until Ctrl-C.")] = False,
+    start: Annotated[float, typer.Option(min=0, help="Seconds into the recording.")] = 0.0,
+    duration: Annotated[float | None, typer.Option(min=0, help="Seconds to play.")] = None,
+    record: Annotated[bool, typer.Option("--record", help="Also write a bag of the results.")] = False,
+    rrd: Annotated[bool, typer.Option("--rrd", help="Live: also write a Rerun recording.")] = False,
+    domain: Annotated[int | None, typer.Option(help="ROS domain of the graph; default: the environment's.")] = None,
+    publish_only: Annotated[
+        bool, typer.Option("--publish-only", help="Live: play into a graph that runs already (with sim time).")
+    ] = False,
+) -> None:
+    """Replay BAG through the graph of SITE and write its fuel map to OUT/fuel_map.tif."""
+    import threading
+
+    from rich.console import Console
+
+    from ltm_core.errors import ConfigError
+    from ltm_ros.cli.progress import message_bar, stop_on_signals
+    from ltm_ros.cli.summary import node_rows, print_nodes
+    from ltm_ros.replay.run import ReplayOptions, run_live, run_offline
+
+    if offline and (loop or rrd or publish_only or rate != 1.0):
+        raise ConfigError("--offline knows no time: leave --rate, --loop, --rrd and --publish-only away")
+    console = Console()
+    if publish_only:
+        _publish(bag, site, rate, loop, start, duration, domain)
+        return
+    out.mkdir(parents=True, exist_ok=True)
+    options = ReplayOptions(
+        start,
+        duration,
+        export=out / "fuel_map.tif",
+        record=out / "bag" if record else None,
+        rrd=out / "replay.rrd" if rrd else None,
+        rate=rate,
+        loop=loop,
+        domain_id=domain,
+    )
+    stopping = threading.Event()
+    with message_bar(console, "replay") as progress:
+        if offline:
+            summaries = run_offline(bag, site, options, progress)
+        else:
+            with stop_on_signals(stopping):
+                summaries = run_live(bag, site, options, progress, console.print, out / "log", stopping.is_set)
+    print_nodes(console, node_rows(summaries))
+    console.print(f"fuel map: {out / 'fuel_map.tif'}")
+
+
+def _publish(
+    bag: Path, site: Path, rate: float, loop: bool, start: float, duration: float | None, domain: int | None
+) -> None:
+    import threading
+
+    from rich.console import Console
+
+    from ltm_core.site_io import load_site
+    from ltm_ros.cli.progress import message_bar, stop_on_signals
+    from ltm_ros.replay.live import LivePlayer
+    from ltm_ros.replay.selection import Selection
+    from ltm_ros.ros_environment import apply_to_process
+
+    apply_to_process(domain)
+    selection = Selection.open(bag, load_site(site), start, duration)
+    stopping = threading.Event()
+    with (
+        stop_on_signals(stopping),
+        LivePlayer(selection, rate) as player,
+        message_bar(Console(), "replay") as progress,
+    ):
+        player.wait_for_listeners()
+        player.play(loop, lambda done: progress(done, selection.message_count), stopping.is_set)

@@ -1,0 +1,138 @@
+"""recorder: writes topics, as they come off the wire, into an MCAP bag."""
+
+from __future__ import annotations
+
+import queue
+import re
+import sys
+import threading
+from fnmatch import fnmatchcase
+from functools import partial
+from pathlib import Path
+
+from pydantic import Field
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from ltm_core.errors import ConfigError, LtmError
+from ltm_core.site_io import load_site
+from ltm_msgs_py.bag.schemas import message_class
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_ros.diagnostics import DiagnosticsPublisher
+from ltm_ros.handler import NodeConfig
+from ltm_ros.health import Health, cause_of
+from ltm_ros.node import read_parameters, run_until_stopped
+from ltm_ros.topics import RECORDED, camera_topic, site_topic
+
+QUEUE_BYTES = 512 << 20
+"""Bytes that may wait for the disk before messages are dropped and counted."""
+
+
+class RecorderConfig(NodeConfig):
+    bag: str
+    """Folder to write; must not hold anything yet."""
+    topics: list[str] = Field(default_factory=list)
+    """Absolute names or patterns (`/site/*/depth/*`); empty: the site's inputs, results, truth and diagnostics."""
+
+
+class Recorder(Node):  # type: ignore[misc]
+    """Subscribes raw, so a message costs no decoding; a thread of its own waits for the disk."""
+
+    def __init__(self) -> None:
+        super().__init__("recorder", automatically_declare_parameters_from_overrides=True)
+        config = read_parameters(self, RecorderConfig)
+        self.health = Health()
+        self._patterns = _patterns(config)
+        self._taken: set[str] = set()
+        self._queue: queue.Queue[tuple[str, str, bytes, int] | None] = queue.Queue()
+        self._waiting = 0
+        self._lock = threading.Lock()
+        self._writer = BagWriter(_free_folder(Path(config.bag)))
+        self.create_timer(0.2, self._discover, clock=DiagnosticsPublisher.steady_clock())
+        self._diagnostics = DiagnosticsPublisher(self, self.health)
+        self._thread = threading.Thread(target=self._write, name="recorder disk", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Write what waits and finish the bag."""
+        self._queue.put(None)
+        self._thread.join()
+        try:
+            self._writer.close()
+        except LtmError as error:
+            self.health.drop(cause_of(error), str(error))
+            print(f"recorder: {error}", file=sys.stderr)
+        self._diagnostics.publish()
+
+    def _discover(self) -> None:
+        """Subscribe to topics as they appear; durability and reliability follow what is offered."""
+        for topic, types in self.get_topic_names_and_types():
+            if topic in self._taken or not any(fnmatchcase(topic, pattern) for pattern in self._patterns):
+                continue
+            offers = self.get_publishers_info_by_topic(topic)
+            if not offers:
+                continue
+            self._taken.add(topic)
+            try:
+                message_type = message_class(types[0])
+                latched = all(o.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers)
+                reliable = all(o.qos_profile.reliability == ReliabilityPolicy.RELIABLE for o in offers)
+                self._writer.add_topic(topic, types[0], latched)
+            except LtmError as error:
+                self.health.drop(cause_of(error), f"{topic}: {error}")
+                continue
+            qos = QoSProfile(
+                depth=10,
+                reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+                durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+            )
+            self.create_subscription(message_type, topic, partial(self._take, topic, types[0]), qos, raw=True)
+
+    def _take(self, topic: str, type_name: str, cdr: bytes) -> None:
+        self.health.received()
+        with self._lock:
+            if self._waiting + len(cdr) > QUEUE_BYTES:
+                self.health.drop("overload", f"{QUEUE_BYTES >> 20} MB wait for the disk; record fewer topics")
+                return
+            self._waiting += len(cdr)
+        self._queue.put((topic, type_name, cdr, self.get_clock().now().nanoseconds))
+
+    def _write(self) -> None:
+        while (item := self._queue.get()) is not None:
+            topic, type_name, cdr, log_time_ns = item
+            try:
+                self._writer.write_raw(topic, type_name, cdr, log_time_ns)
+                self.health.published()
+            except LtmError as error:
+                self.health.drop(cause_of(error), str(error))
+                self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+            with self._lock:
+                self._waiting -= len(cdr)
+                self.health.gauge("queue_bytes", self._waiting)
+
+
+def _patterns(config: RecorderConfig) -> list[str]:
+    for pattern in config.topics:
+        if not re.fullmatch(r"/[A-Za-z0-9_/*?\[\]-]+", pattern):
+            raise ConfigError(f"topic {pattern!r} to record: give absolute names or patterns such as /site/*/depth/*")
+    if config.topics:
+        return list(config.topics)
+    site = load_site(config.site)
+    cameras, whole_site = RECORDED
+    names = [camera_topic(site.name, camera, topic) for camera in site.cameras for topic in cameras]
+    return [*names, *(site_topic(site.name, topic) for topic in whole_site), "/diagnostics"]
+
+
+def _free_folder(path: Path) -> Path:
+    """`path`, or after a restart `path_1`, ...: a bag is never written over."""
+    candidate, n = path, 0
+    while candidate.is_dir() and any(candidate.iterdir()):
+        n += 1
+        candidate = path.with_name(f"{path.name}_{n}")
+    return candidate
+
+
+main = partial(run_until_stopped, "recorder", Recorder)
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Recordings through the graph: live over DDS, or offline through the same handlers."""

@@ -1,0 +1,161 @@
+"""Live replay: a recording published over DDS in its own time, with `/clock`."""
+
+from __future__ import annotations
+
+import struct
+import threading
+import time
+from collections.abc import Callable, Collection
+from types import TracebackType
+from typing import Any, Self
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+
+from ltm_core.errors import RecordingError
+from ltm_msgs_py.bag.schemas import message_class
+from ltm_msgs_py.stamp import ns_to_time
+from ltm_ros.replay.selection import Selection
+
+CLOCK_PERIOD = 0.01
+"""Seconds of real time between `/clock` messages."""
+QUIET = 2.5
+"""Seconds without any change in a graph's diagnostics after which its work is done."""
+
+
+class LivePlayer:
+    """Publishes a selection and watches the diagnostics of the graph that works on it. A context manager."""
+
+    def __init__(self, selection: Selection, rate: float = 1.0) -> None:
+        """`rate`: of playing, 2 = twice as fast. Raises RecordingError unless it is positive."""
+        if not 0 < rate < 1e4:
+            raise RecordingError(f"replay rate must be a positive number such as 1 or 0.5, got {rate}")
+        self._selection, self._rate = selection, rate
+        self._context = Context()
+        rclpy.init(context=self._context)
+        self._node = Node("player", context=self._context, enable_rosout=False)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        qos = QoSProfile(depth=30, reliability=ReliabilityPolicy.RELIABLE)
+        self._publishers = {
+            topic: self._node.create_publisher(message_class(type_name), topic, qos)
+            for topic, type_name in selection.types.items()
+        }
+        self._clock = self._node.create_publisher(Clock, "/clock", 10)
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
+        self.summaries: dict[str, dict[str, str]] = {}
+        """The last diagnostics of every node, by full name."""
+        self._changed = time.monotonic()
+        self._epoch = (time.monotonic(), selection.begin_ns)
+        self._stopping = threading.Event()
+        self._threads = [threading.Thread(target=target, daemon=True) for target in (self._spin, self._tick)]
+
+    def __enter__(self) -> Self:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stopping.set()
+        for thread in self._threads:
+            thread.join()
+        self._executor.shutdown()
+        self._node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def wait_for_listeners(self, timeout: float = 30.0) -> None:
+        """Until somebody listens to the images and the number of listeners has stood still for a second.
+
+        Raises RecordingError after `timeout` seconds: no graph of this site runs in this ROS domain.
+        """
+        deadline, last, since = time.monotonic() + timeout, -1, time.monotonic()
+        while time.monotonic() < deadline:
+            counts = {topic: publisher.get_subscription_count() for topic, publisher in self._publishers.items()}
+            images = [count for topic, count in counts.items() if "/image_raw" in topic]
+            if sum(counts.values()) != last:
+                last, since = sum(counts.values()), time.monotonic()
+            if min(images) > 0 and time.monotonic() - since > 1.0:
+                return
+            time.sleep(0.05)
+        topics = ", ".join(topic for topic in self._publishers if "/image_raw" in topic)
+        raise RecordingError(
+            f"in {timeout:.0f} s nobody has subscribed to {topics}: "
+            "start the site's graph in the same ROS_DOMAIN_ID, or let `ltm replay` start it"
+        )
+
+    def play(
+        self,
+        loop: bool = False,
+        progress: Callable[[int], None] = lambda done: None,
+        stopped: Callable[[], bool] = bool,
+    ) -> int:
+        """Publish every message at its time; the number published. `stopped` ends it early.
+
+        With `loop`, stamps of later rounds are moved on with the clock: a stamp stands for one moment only.
+        """
+        span = self._selection.end_ns - self._selection.begin_ns
+        self._epoch = (time.monotonic(), self._selection.begin_ns)
+        published, shift = 0, 0
+        while True:
+            for message in self._selection:
+                self._sleep_until(message.log_time_ns + shift, stopped)
+                if stopped():
+                    return published
+                self._publishers[message.topic].publish(_moved(message.raw, shift) if shift else message.raw)
+                published += 1
+                progress(published)
+            if not loop:
+                return published
+            shift += span
+
+    def drain(self, nodes: Collection[str], timeout: float = 120.0) -> bool:
+        """Wait until the nodes' diagnostics stand still with empty queues: all work is done. False after `timeout`."""
+        deadline = time.monotonic() + timeout
+        self._changed = time.monotonic()
+        while time.monotonic() < deadline:
+            known = [self.summaries.get(name) for name in nodes]
+            idle = all(s is not None and s.get("queue", "0") == "0" for s in known)
+            if idle and time.monotonic() - self._changed > QUIET:
+                return True
+            time.sleep(0.1)
+        return False
+
+    def now_ns(self) -> int:
+        """The replay's time."""
+        real, bag_ns = self._epoch
+        return bag_ns + round((time.monotonic() - real) * self._rate * 1e9)
+
+    def _sleep_until(self, bag_ns: int, stopped: Callable[[], bool]) -> None:
+        while (wait := (bag_ns - self.now_ns()) / 1e9 / self._rate) > 0 and not stopped():
+            time.sleep(min(wait, 0.1))
+
+    def _tick(self) -> None:
+        while not self._stopping.wait(CLOCK_PERIOD):
+            self._clock.publish(Clock(clock=ns_to_time(self.now_ns())))
+
+    def _spin(self) -> None:
+        while not self._stopping.is_set():
+            self._executor.spin_once(timeout_sec=0.1)
+
+    def _on_diagnostics(self, message: Any) -> None:
+        for status in message.status:
+            summary = {item.key: item.value for item in status.values}
+            before = self.summaries.get(status.name, {})
+            if any(before.get(key) != summary.get(key) for key in ("received", "published", "dropped")):
+                self._changed = time.monotonic()
+            self.summaries[status.name] = summary
+
+
+def _moved(cdr: bytes, shift_ns: int) -> bytes:
+    """A serialised stamped message with its header's stamp moved: sec and nanosec follow the 4-byte encapsulation."""
+    order = "<" if cdr[1] & 1 else ">"
+    sec, nanosec = struct.unpack_from(f"{order}iI", cdr, 4)
+    stamp = ns_to_time(sec * 1_000_000_000 + nanosec + shift_ns)
+    return cdr[:4] + struct.pack(f"{order}iI", stamp.sec, stamp.nanosec) + cdr[12:]

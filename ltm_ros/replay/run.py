@@ -1,0 +1,89 @@
+"""A whole replay: start the graph, play the recording through it, wait until its work is done, stop it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ltm_core.errors import LtmError
+from ltm_core.site_io import load_site
+from ltm_ros.graph import Graph, ParameterValue, describe
+from ltm_ros.replay.live import LivePlayer
+from ltm_ros.replay.offline import replay_offline
+from ltm_ros.replay.selection import Selection
+from ltm_ros.ros_environment import apply_to_process
+from ltm_ros.runner import Runner
+
+NodeParameters = dict[str, ParameterValue]
+
+
+@dataclass(frozen=True)
+class ReplayOptions:
+    """`start`, `duration`: seconds of the recording. `export`: GeoTIFF of the fuel map. `record`: bag of the results.
+
+    `rrd`: Rerun recording. `rate`, `loop`, `domain_id`: of live replay only.
+    """
+
+    start: float = 0.0
+    duration: float | None = None
+    export: Path | None = None
+    record: Path | None = None
+    rrd: Path | None = None
+    rate: float = 1.0
+    loop: bool = False
+    domain_id: int | None = None
+
+
+def graph_of(site_path: Path, options: ReplayOptions, sim_time: bool) -> Graph:
+    """The site's graph with what the options ask for."""
+    fuel_map: NodeParameters = {}
+    if options.export is not None:
+        fuel_map["export_path"] = str(options.export.resolve())
+    return describe(
+        load_site(site_path),
+        site_path,
+        sim_time=sim_time,
+        view=None if options.rrd is None else {"save": str(options.rrd.resolve())},
+        record=None if options.record is None or not sim_time else {"bag": str(options.record.resolve())},
+        parameters={"fuel_map": fuel_map},
+    )
+
+
+def run_offline(
+    bag: Path, site_path: Path, options: ReplayOptions, progress: Callable[[int, int], None]
+) -> dict[str, dict[str, str]]:
+    """Without DDS; each node's health summary. Raises LtmError on bad input."""
+    selection = Selection.open(bag, load_site(site_path), options.start, options.duration)
+    graph = graph_of(site_path, options, sim_time=False)
+    total = selection.message_count
+    return replay_offline(selection, graph, options.record, lambda done: progress(done, total))
+
+
+def run_live(
+    bag: Path,
+    site_path: Path,
+    options: ReplayOptions,
+    progress: Callable[[int, int], None],
+    console: Callable[[str], None],
+    log_folder: Path | None = None,
+    stopped: Callable[[], bool] = bool,
+) -> dict[str, dict[str, str]]:
+    """With the whole graph as processes of their own; the last diagnostics of every node by full name.
+
+    Raises LtmError when the graph does not come up or does not finish its work.
+    """
+    selection = Selection.open(bag, load_site(site_path), options.start, options.duration)
+    apply_to_process(options.domain_id)
+    graph = graph_of(site_path, options, sim_time=True)
+    names = [node.full_name for node in graph]
+    total = selection.message_count
+    with Runner(graph, domain_id=options.domain_id, log_folder=log_folder, console=console) as runner:
+        runner.wait_until_ready(timeout_s=180.0)
+        with LivePlayer(selection, options.rate) as player:
+            player.wait_for_listeners()
+            player.play(options.loop, lambda done: progress(done, total), stopped)
+            if not player.drain(names):
+                raise LtmError("the graph is still at work two minutes after the recording's end; see its logs")
+            runner.stop()
+            return dict(player.summaries)

@@ -1,0 +1,85 @@
+"""Frames that `ltm simulate` rendered -> a recording for the graph, with truth on topics of its own."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ltm_core.camera import Camera
+from ltm_core.depth.range_image import RangeImage
+from ltm_core.errors import RecordingError
+from ltm_core.pose import Pose
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.camera_info import camera_to_msg
+from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
+from ltm_msgs_py.pose import pose_to_msg
+from ltm_ros.handler import Topic
+from ltm_ros.topics import (
+    CAMERA_INFO,
+    IMAGE_COMPRESSED,
+    POSE,
+    TRUTH_CAMERA_INFO,
+    TRUTH_DEPTH,
+    TRUTH_GROUND_DEPTH,
+    TRUTH_LABELS,
+    camera_topic,
+)
+
+
+def write_simulated_bag(
+    frames: Path,
+    out: Path,
+    site: str,
+    quality: int = 85,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> int:
+    """Write the frames of a `ltm simulate` folder as a bag of site `site`; the number of frames.
+
+    `quality`: JPEG quality of the images. Truth depth is along the optical axis (REP-118), of every n-th pixel as the
+    scenario says, with a camera_info of its own. Raises RecordingError on a folder without frames.json.
+    """
+    index_file = frames / "frames.json"
+    try:
+        index = json.loads(index_file.read_text(encoding="utf-8"))
+    except (OSError, json.JSONDecodeError) as error:
+        raise RecordingError(
+            f"{index_file}: no index of simulated frames ({error}); `ltm simulate` writes one"
+        ) from error
+    entries = index["frames"]
+    with BagWriter(out) as bag:
+        for done, entry in enumerate(entries, start=1):
+            _write_frame(bag, frames, entry, site, index["truth_step"], quality)
+            progress(done, len(entries))
+    return len(entries)
+
+
+def _write_frame(bag: BagWriter, folder: Path, entry: dict[str, Any], site: str, step: int, quality: int) -> None:
+    name, stamp = entry["camera_name"], int(entry["stamp_ns"])
+    optical = f"{name}_optical"
+    camera = Camera(**entry["camera"] | {"distortion": tuple(entry["camera"]["distortion"])})
+    pose = Pose.from_angles(entry["position"], entry["azimuth_deg"], entry["pitch_deg"], entry["roll_deg"])
+    image = cv2.imread(str(folder / entry["image"]), cv2.IMREAD_COLOR)
+    if image is None:
+        raise RecordingError(f"{folder / entry['image']}: the frame's picture is missing or broken; render it again")
+    jpeg = encode_rgb(np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8), "jpeg", quality)
+    sampled = camera.scaled(step)
+    with np.load(folder / entry["truth"]) as truth:
+        surface = RangeImage(truth["range_surface"].astype(np.float32), sampled, pose).depth()
+        ground = RangeImage(truth["range_ground"].astype(np.float32), sampled, pose).depth()
+        labels = truth["labels"].astype(np.uint8)
+
+    def write(topic: Topic, message: Any) -> None:
+        bag.write(camera_topic(site, name, topic), message, stamp)
+
+    write(CAMERA_INFO, camera_to_msg(camera, stamp, optical))
+    write(POSE, pose_to_msg(pose, stamp))
+    write(IMAGE_COMPRESSED, compressed_to_msg(jpeg, "jpeg", stamp, optical))
+    write(TRUTH_CAMERA_INFO, camera_to_msg(sampled, stamp, optical))
+    write(TRUTH_DEPTH, depth_to_msg(surface, stamp, optical))
+    write(TRUTH_GROUND_DEPTH, depth_to_msg(ground, stamp, optical))
+    write(TRUTH_LABELS, image_to_msg(labels, "mono8", stamp, optical))
