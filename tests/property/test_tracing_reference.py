@@ -80,12 +80,13 @@ def test_cameras_outside_and_high_above() -> None:
     assert np.isfinite(np.concatenate(seen)).sum() > 500
 
 
-def test_strongly_bent_rays() -> None:
-    """A bend ten thousand times the earth's, so that rays dip into cells and rise out of them again."""
+@pytest.mark.parametrize(("bend", "low_deg"), [(7e-4, -20.0), (1e-2, -50.0)])
+def test_strongly_bent_rays(bend: float, low_deg: float) -> None:
+    """Bends far beyond the earth's, so that rays dip into cells and blocks and rise out of them again."""
     dem = with_holes(rough_terrain(6, relief=25.0), 6, specks=20, margin=False)
     rng = np.random.default_rng(6)
     for p in poses(dem, rng, 8):
-        compare(dem, p, directions(rng, RAYS_A_POSE, -20, 5), bend=7e-4)
+        compare(dem, p, directions(rng, RAYS_A_POSE, low_deg, 5), bend=bend)
 
 
 def test_rays_along_grid_lines_and_through_nodes() -> None:

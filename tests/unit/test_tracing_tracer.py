@@ -161,6 +161,21 @@ def test_curvature_and_refraction_lower_the_far_ground() -> None:
     assert traced[0] < traced[2] < traced[1]
 
 
+def test_a_bent_ray_that_only_grazes_the_plain_hits_it() -> None:
+    """It dips a centimetre under the plain in the middle of a block, and is above it at both of the block's edges."""
+    plain = Dem(np.zeros((40, 300), np.float32), GridGeometry(-50.0, 4000.0, 100.0, 300, 40))
+    bend = ray_bend(True, 0.13)
+    lowest_at = 4480.0
+    slope = -2 * bend * lowest_at
+    height = slope * slope / (4 * bend) - 0.01
+    # Columns are x / 100: the camera at 47.2, the lowest point at 92, between block edges 88 and 96.
+    dips, clears = (
+        TerrainTracer(plain).trace_rays((4720.0, 2010.0, height + more), [(1.0, 0.0, slope)])[0] for more in (0.0, 0.02)
+    )
+    assert dips == pytest.approx((lowest_at - np.sqrt(0.01 / bend)) * np.hypot(1, slope), abs=0.01)
+    assert np.isposinf(clears)
+
+
 def test_straight_down_and_straight_up() -> None:
     dem = rough_terrain(13)
     origin = np.array([100.3, -60.7, 1000.0])
@@ -217,8 +232,10 @@ def test_an_enclosed_hole_blocks_only_below_its_rim() -> None:
     assert np.isfinite(climbing_over)
 
 
-def test_an_outer_hole_is_outside_the_dem() -> None:
-    tracer = TerrainTracer(with_nodata(MARGIN), curvature=False)
+@pytest.mark.parametrize("first", [40, 41])
+def test_an_outer_hole_is_outside_the_dem(first: int) -> None:
+    """Whether its edges fall between the pyramid's blocks (41) or into them (40)."""
+    tracer = TerrainTracer(with_nodata((slice(0, 60), slice(first, 60))), curvature=False)
     origin = (10.5, 29.5, 60.0)
     before, across_to_the_step, across_to_the_sky, into = tracer.trace_rays(
         origin, [(1, 0, -0.5), (1, 0, -0.05), (1, 0, 0.4), (1, 0, -0.25)]
