@@ -30,13 +30,19 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
+def thread_limits(busy: bool, environ: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """Thread variables of a node, less those that are set: half the cores for one that computes much, else one."""
+    threads = max(1, available_cores() // 2) if busy else 1
+    return {name: str(threads) for name in THREAD_VARIABLES if not environ.get(name)}
+
+
 def ros_environment(
-    base: Mapping[str, str] | None = None, *, domain_id: int | None = None, threads: int | None = None
+    base: Mapping[str, str] | None = None, *, domain_id: int | None = None, busy: bool | None = None
 ) -> dict[str, str]:
     """A copy of `base` (default: this process's environment) completed for a ROS process of ours.
 
-    `threads` bounds the thread pools of numerical libraries, so that the nodes of a machine do not fight for its cores.
-    Only `domain_id` replaces what is already there. Raises ConfigError for a domain out of range.
+    `busy` bounds the thread pools of numerical libraries (`thread_limits`), so that the nodes of a machine do not fight
+    for its cores. Only `domain_id` replaces what is already there. Raises ConfigError for a domain out of range.
     """
     environment = dict(os.environ if base is None else base)
     if domain_id is not None:
@@ -49,12 +55,16 @@ def ros_environment(
             environment[name] = str(config_path("fastdds.xml"))
     if not environment.get("AMENT_PREFIX_PATH") and (Path(sys.prefix) / "share/ament_index").is_dir():
         environment["AMENT_PREFIX_PATH"] = sys.prefix
-    if threads is not None:
-        for name in THREAD_VARIABLES:
-            environment.setdefault(name, str(max(1, threads)))
+    if busy is not None:
+        environment |= thread_limits(busy, environment)
     _make_importable(environment)
     _renew_bootstrap(environment)
     return environment
+
+
+def ros_additions(environ: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """Only what `ros_environment` adds to `environ` or changes in it."""
+    return {name: value for name, value in ros_environment(environ).items() if environ.get(name) != value}
 
 
 def apply_to_process(domain_id: int | None = None, environ: MutableMapping[str, str] = os.environ) -> None:

@@ -19,7 +19,7 @@ from typing import TextIO
 from ltm_core.errors import LtmError
 from ltm_ros import shm
 from ltm_ros.graph import Graph, NodeSpec, parameters_yaml
-from ltm_ros.ros_environment import available_cores, ros_environment
+from ltm_ros.ros_environment import ros_environment
 from ltm_ros.supervisor import Console, NodeProcess, RestartPolicy, State
 
 KEPT_RUNS = 10
@@ -127,7 +127,7 @@ class Runner:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             text=True,
-            env=self._environment(threads=1),
+            env=self._environment(busy=False),
             start_new_session=True,
         )
         self._order(f"group {watch.pid}")
@@ -219,7 +219,7 @@ class Runner:
         return NodeProcess(
             label=spec.label,
             command=command,
-            environment=self._environment(threads=max(1, available_cores() // 2) if spec.busy else 1),
+            environment=self._environment(spec.busy),
             log_file=self.log_folder / f"{spec.label.replace('/', '.')}.log",
             console=self._say,
             policy=self._policy,
@@ -233,9 +233,9 @@ class Runner:
             # Each crash leaves a segment of 70 MB: a node that keeps crashing would fill the memory.
             shm.remove_stale()
 
-    def _environment(self, threads: int) -> dict[str, str]:
+    def _environment(self, busy: bool) -> dict[str, str]:
         base = os.environ | self._extra_environment
-        return ros_environment(base, domain_id=self._domain_id, threads=threads)
+        return ros_environment(base, domain_id=self._domain_id, busy=busy)
 
     def _signal_until_stopped(self, processes: list[NodeProcess], number: int, patience_s: float) -> None:
         """Signals a node again when a new process of it appears: one may just have been starting."""
@@ -278,7 +278,7 @@ class Runner:
             [sys.executable, "-m", "ltm_ros.guardian"],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
-            env=self._environment(threads=1),
+            env=self._environment(busy=False),
             start_new_session=True,
             text=True,
         )

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from leftovers import segments_of_process
 
 from ltm_core.resources import config_path
 from ltm_ros import shm
+from ltm_ros.ros_environment import PROFILE_VARIABLES
 
 pytestmark = pytest.mark.graph
 
@@ -45,6 +48,21 @@ def test_full_hd_at_10_hz_reaches_three_subscribers_whole(ros_domain: int) -> No
         print(f"first try received {[len(numbers) for numbers in received]} of {FRAMES}")
         received = _stream()
     assert received == whole
+
+
+def test_probe_tells_what_a_participant_gets(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    with_profile = _probe()
+    assert with_profile["rmw"] == "rmw_fastrtps_cpp"
+    assert 64 << 20 < with_profile["segment_bytes"][0] < shm.BYTES_PER_PARTICIPANT
+    for name in PROFILE_VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+    assert all(size < 1 << 20 for size in _probe()["segment_bytes"])
+
+
+def _probe() -> dict[str, Any]:
+    command = [sys.executable, "-m", "ltm_ros.transport_probe"]
+    answer: dict[str, Any] = json.loads(subprocess.check_output(command, text=True, timeout=60).splitlines()[-1])
+    return answer
 
 
 def test_profile_is_the_one_in_use(ros_domain: int) -> None:

@@ -46,10 +46,10 @@ def test_only_some_cameras_in_simulated_time() -> None:
 
 
 def test_viewer_and_recorder_on_request_are_not_required() -> None:
-    graph = describe(site(), "ridge.yaml", view={"serve": True}, record={"folder": "/bags/today"})
+    graph = describe(site(), "ridge.yaml", view={"serve": True}, record={"bag": "/bags/today"})
     viewer, recorder = graph.node("viewer"), graph.node("recorder")
     assert (viewer.full_name, viewer.parameters["serve"], viewer.required) == ("/ridge/viewer", True, False)
-    assert (recorder.full_name, recorder.parameters["folder"], recorder.required) == (
+    assert (recorder.full_name, recorder.parameters["bag"], recorder.required) == (
         "/ridge/recorder",
         "/bags/today",
         False,

@@ -1,0 +1,44 @@
+"""`ltm doctor`: what is installed, what is in use, what is missing and the command that mends it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+
+def doctor(json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False) -> None:
+    """Look at the installation. Exit code 1 when something required is missing."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from ltm_ros.doctor import State, as_json, examine, healthy, summed_up
+
+    findings = examine()
+    if json:
+        typer.echo(as_json(findings))
+        raise typer.Exit(0 if healthy(findings) else 1)
+    styles = {State.OK: "green", State.OPTIONAL: "dim", State.WARNING: "yellow", State.MISSING: "bold red"}
+    table = Table("", "", "what", "found")
+    area = ""
+    for finding in summed_up(findings):
+        if finding.area != area:
+            table.add_section()
+        table.add_row(
+            escape(finding.area) if finding.area != area else "",
+            f"[{styles[finding.state]}]{finding.state}[/]",
+            escape(finding.name),
+            escape(finding.detail),
+        )
+        area = finding.area
+    for column in table.columns:
+        column.overflow = "fold"
+    Console().print(table)
+    # Below the table, unbroken, so that they can be copied.
+    for finding in findings:
+        if finding.remedy:
+            typer.echo(f"{finding.state} {finding.name}: {finding.remedy}")
+    missing = [finding.name for finding in findings if finding.state is State.MISSING]
+    typer.echo(f"missing: {', '.join(missing)}" if missing else "nothing required is missing")
+    raise typer.Exit(1 if missing else 0)
