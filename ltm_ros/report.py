@@ -45,8 +45,8 @@ class NodeRow:
         causes = {key.removeprefix("dropped."): value for key, value in summary.items() if key.startswith("dropped.")}
         return cls(
             node,
-            int(summary.get("received", 0)),
-            int(summary.get("published", 0)),
+            int(summary.get("frames_in", 0)),
+            int(summary.get("frames_out", 0)),
             int(summary.get("dropped", 0)),
             float(summary.get("latency_p50_ms", math.nan)),
             float(summary.get("latency_p95_ms", math.nan)),

@@ -138,7 +138,7 @@ img { display: block; width: 100%; height: auto; border-radius: 8px; border: 1px
 <h2>Nodes</h2>
 <div class="scroll"><table class="wide">
 <tr><th>node</th>
-<th class="n">messages in</th>
+<th class="n">frames in</th>
 <th class="n">out</th>
 <th class="n">dropped</th>
 <th class="n">latency p50, ms</th>

@@ -55,6 +55,7 @@ class RerunView:
         self._reach = site.fuel.max_range
         self._cameras: dict[str, MapCamera] = {}
         self._poses: dict[str, Pose] = {}
+        self._shown: set[str] = set()
         self._live = serve
         self._server = RerunProcess.serve(web_port, grpc_port) if serve else None
         self.url = web_url(web_port, grpc_port) if serve else None
@@ -94,16 +95,17 @@ class RerunView:
             self._recording.log(f"map/cameras/{camera}/labels", frames.label_image(labels))
 
     def log_pose(self, camera: str, stamp_ns: int, pose: Pose, model: Camera) -> None:
-        """Where the camera stands; its first pose also decides where the view starts from."""
+        """Where the camera stands. Where the site file does not say it, the first pose moves the view there."""
         with self._at(stamp_ns):
             entity = f"map/cameras/{camera}"
             self._recording.log(entity, frames.transform(pose), frames.pinhole(model, self._reach * 0.15))
-            new = camera not in self._cameras
-            if new or self._poses[camera] != pose:
+            expected = self._poses.get(camera)
+            if camera not in self._shown or expected != pose:
+                self._shown.add(camera)
                 self._place(camera, pose, model)
                 self._log_on_map(camera)
                 self._log_name(camera)
-            if new:
+            if expected is None:
                 self._recording.send_blueprint(self._blueprint())
 
     def log_points(
@@ -128,6 +130,9 @@ class RerunView:
                 self._fuel_geometry = geometry
                 self._fuel = scene.FuelLayer(self._dem, geometry, self._palette)
                 self._log_relief()
+                self._recording.log("map/fuel", rr.Clear(recursive=True))
+                for name in self._shown:
+                    self._log_on_map(name)
             for tile in self._fuel.changed(classes):
                 self._log_tile(tile)
             self._recording.log("fuel_map/classes", rr.SegmentationImage(classes, opacity=0.7, draw_order=1.0))
@@ -189,9 +194,6 @@ class RerunView:
             log.log("map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
             log.log("map/terrain", frames.mesh(scene.terrain_mesh(self._dem)), static=True)
             self._log_relief()
-            for name in self._cameras:
-                self._log_on_map(name)
-                self._log_name(name)
 
     def _log_relief(self) -> None:
         """The relief under the fuel grid, finer than the cells, in units of cells."""
@@ -214,7 +216,7 @@ class RerunView:
         )
 
     def _log_on_map(self, camera: str) -> None:
-        """The camera's place and sector on the fuel grid. At the current time, or static before there is one."""
+        """The camera's place and sector on the fuel grid."""
         placed = self._cameras[camera]
         row, col = self._fuel_geometry.to_grid(placed.sector()[:, 0], placed.sector()[:, 1])
         outline = np.column_stack([col, row]) + 0.5
