@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ltm_core.vision.labels import Label
+from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.train.config import AugmentConfig
 
 Image = npt.NDArray[np.float32]
@@ -107,7 +107,7 @@ def _new_sky(photo: Image, labels: Labels, rng: Rng) -> Image:
     top = (blue, blue, grey, warm * 0.8)[rng.integers(4)]
     low = (np.minimum(blue + rng.uniform(0.1, 0.45), 1.0), grey, warm, blue)[rng.integers(4)]
     ramp = np.linspace(0.0, 1.0, height, dtype=np.float32)[:, None, None] ** rng.uniform(0.5, 2.0)
-    new = top * (1.0 - ramp) + low * ramp
+    new = np.broadcast_to(top * (1.0 - ramp) + low * ramp, photo.shape)
     if rng.random() < 0.7:
         cover = rng.uniform(0.25, 0.9)
         clouds = fractal_noise((height, width), rng, coarsest=int(rng.integers(2, 7)), fall=rng.uniform(0.45, 0.7))
@@ -115,28 +115,35 @@ def _new_sky(photo: Image, labels: Labels, rng: Rng) -> Image:
         shade = fractal_noise((height, width), rng, coarsest=3)[..., None]
         white = rng.uniform(0.75, 1.05) - rng.uniform(0.0, 0.5) * shade
         new = new * (1.0 - density) + white * density
+    # Far ranges wear the horizon's colour: they change with it, else their old haze would give the skyline away.
+    rows = np.flatnonzero(sky.any(axis=1))
+    horizon = sky.copy()
+    horizon[: rows[0] + (rows[-1] - rows[0]) * 3 // 4] = False
+    shift = (new[horizon].mean(axis=0) + 0.02) / (photo[horizon].mean(axis=0) + 0.02)
+    photo = np.where((labels == UNLABELLED)[..., None], photo * shift.astype(np.float32), photo)
     weight = _soft_mask(sky)
-    return np.asarray(photo * (1.0 - weight) + new * weight, np.float32)
+    return np.asarray(np.clip(photo * (1.0 - weight) + new * weight, 0.0, 1.0), np.float32)
 
 
 def _ground_tint(photo: Image, labels: Labels, rng: Rng) -> Image:
     """Each ground class with its own shift of colour and contrast, patchy: other species, soils and seasons."""
-    result = photo
-    patches = fractal_noise((labels.shape[0], labels.shape[1]), rng, coarsest=3, octaves=4)[..., None]
+    # One row for each value that a label image can hold; ones and zeros leave a pixel as it is.
+    first, second = np.ones((256, 3), np.float32), np.ones((256, 3), np.float32)
+    contrast, mean = np.ones((256, 1), np.float32), np.zeros((256, 3), np.float32)
+    coarse_photo, coarse_labels = photo[::3, ::3], labels[::3, ::3]
     for label in Label:
-        mask = labels == label
+        mask = coarse_labels == label
         if label == Label.SKY or not mask.any():
             continue
         spread = 0.3 if label in (Label.BARE, Label.BUILT) else 0.2
-        first = np.exp(rng.normal(0.0, spread, 3) * 0.6 + rng.normal(0.0, spread))
-        second = np.exp(rng.normal(0.0, spread, 3) * 0.6 + rng.normal(0.0, spread))
-        mean = photo[mask].mean(axis=0)
-        contrast = rng.uniform(0.7, 1.4)
-        tint = first * patches + second * (1.0 - patches)
-        changed = (mean + (photo - mean) * contrast) * tint
-        weight = _soft_mask(mask)
-        result = np.asarray(result * (1.0 - weight) + changed * weight, np.float32)
-    return np.asarray(np.clip(result, 0.0, 1.0), np.float32)
+        first[label] = np.exp(rng.normal(0.0, spread, 3) * 0.6 + rng.normal(0.0, spread))
+        second[label] = np.exp(rng.normal(0.0, spread, 3) * 0.6 + rng.normal(0.0, spread))
+        mean[label] = coarse_photo[mask].mean(axis=0)
+        contrast[label] = rng.uniform(0.7, 1.4)
+    patches = fractal_noise((labels.shape[0], labels.shape[1]), rng, coarsest=3, octaves=4)[..., None]
+    tint = second[labels] + (first - second)[labels] * patches
+    level = (mean * (1.0 - contrast))[labels]
+    return np.asarray(np.clip((photo * contrast[labels] + level) * tint, 0.0, 1.0), np.float32)
 
 
 def _snow(photo: Image, labels: Labels, rng: Rng) -> Image:
@@ -165,7 +172,8 @@ def _light(photo: Image, rng: Rng) -> Image:
     """Exposure, gamma, colour temperature, contrast, saturation and vignetting of another camera and hour."""
     temperature, green = rng.normal(0.0, 0.12), rng.normal(0.0, 0.05)
     gains = np.exp(np.array([temperature, green, -temperature]) + rng.normal(0.0, 0.22))
-    photo = np.clip(photo * gains, 0.0, 1.0) ** np.exp(rng.normal(0.0, 0.22))
+    gamma = np.float32(np.exp(rng.normal(0.0, 0.22)))
+    photo = np.clip(photo * gains.astype(np.float32), 0.0, 1.0) ** gamma
     mean = photo.mean()
     photo = mean + (photo - mean) * rng.uniform(0.6, 1.4)
     grey = photo.mean(axis=2, keepdims=True)

@@ -44,8 +44,9 @@ class OptimiserConfig(StrictModel):
     average: float = Field(default=0.99, ge=0, lt=1)  # decay of the running average of weights that is kept
     class_weight_power: float = Field(default=0.4, ge=0, le=1)  # weight = (1 / share of pixels) ** power
     label_smoothing: float = Field(default=0.05, ge=0, lt=0.5)
-    # The simulator labels only the ground of its land cover map; the ranges beyond are 255, but no sky.
-    unlabelled_is_ground: bool = True
+    # The simulator labels only the ground of its land cover map; the ranges beyond are 255, but no sky. Weight of
+    # that knowledge, below 1 because haze makes the farthest ones look like it.
+    unlabelled_not_sky: float = Field(default=0.3, ge=0)
     validate_every: int = Field(default=100, ge=1)
 
 

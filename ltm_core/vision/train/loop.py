@@ -144,10 +144,10 @@ def _loss(logits: Tensor, labels: Tensor, weights: Tensor, config: OptimiserConf
         large, target, weights, ignore_index=UNLABELLED, label_smoothing=config.label_smoothing
     )
     ground = labels == UNLABELLED
-    if config.unlabelled_is_ground and bool(ground.any()):
+    if config.unlabelled_not_sky > 0 and bool(ground.any()):
         others = torch.cat([large[:, : Label.SKY], large[:, Label.SKY + 1 :]], dim=1)
         not_sky = torch.logsumexp(others, dim=1) - torch.logsumexp(large, dim=1)
-        loss = loss - not_sky[ground].sum() / labels.numel()
+        loss = loss - config.unlabelled_not_sky * not_sky[ground].sum() / labels.numel()
     return loss
 
 
