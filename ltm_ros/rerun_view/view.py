@@ -133,9 +133,11 @@ class RerunView:
                 self._recording.log("map/fuel", rr.Clear(recursive=True))
                 for name in self._shown:
                     self._log_on_map(name)
-            for tile in self._fuel.changed(classes):
+            changed = list(self._fuel.changed(classes))
+            for tile in changed:
                 self._log_tile(tile)
-            self._recording.log("fuel_map/classes", rr.SegmentationImage(classes, opacity=0.7, draw_order=1.0))
+            if changed:
+                self._recording.log("fuel_map/classes", rr.SegmentationImage(classes, opacity=0.7, draw_order=1.0))
 
     def log_diagnostics(self, stamp_ns: int, node_name: str, values: Mapping[str, float]) -> None:
         """A node's measures by name, as `/diagnostics` carries them: rate_hz, latency_p95_ms, dropped, ..."""

@@ -26,6 +26,7 @@ from ltm_core.vision.labels import LabelSet
 
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 
+from ltm_ros.cli.view import view as view_command
 from ltm_ros.rerun_view import RerunView, frames, scene
 from ltm_ros.rerun_view.screenshot import screenshot
 from ltm_ros.rerun_view.server import RerunProcess, grpc_url, listens, web_url
@@ -311,6 +312,33 @@ def test_server_ends_when_its_process_is_killed(ports: tuple[int, int]) -> None:
     while listens(grpc) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not listens(grpc)
+
+
+def test_an_unchanged_fuel_map_is_not_written_again(tmp_path: Path) -> None:
+    view = RerunView("ltm ridge", site(north={}), hills(), LABELS, save=tmp_path / "a.rrd")
+    geometry = GridGeometry(-600.0, 900.0, 30.0, 40, 30)
+    classes = np.full((30, 40), 255, np.uint8)
+    for moment in range(6):
+        classes[3, 4] = 1 + moment // 3
+        view.log_fuel_map(STAMP + moment, classes, geometry)
+    view.close()
+    rows = chunks(tmp_path / "a.rrd")
+    assert [row["stamp"] - STAMP for row in rows["/fuel_map/classes"]] == [0, 3]
+    assert [row["stamp"] - STAMP for row in rows["/map/fuel/r000_c000"]] == [0, 3]
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "remedy"),
+    [
+        ({}, ConfigError, "either --site"),
+        ({"site": Path("a.yaml"), "rrd": Path("b.rrd")}, ConfigError, "not both"),
+        ({"rrd": Path("no/such.rrd")}, RecordingError, r"no/such\.rrd: no such recording"),
+        ({"site": Path("a.yaml"), "screenshot": Path("a.png")}, ConfigError, "give --rrd"),
+    ],
+)
+def test_view_command_refuses_what_it_cannot_show(given: dict[str, Path], error: type[Exception], remedy: str) -> None:
+    with pytest.raises(error, match=remedy):
+        view_command(**given)
 
 
 def test_urls_name_the_loopback() -> None:
