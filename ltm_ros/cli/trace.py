@@ -10,7 +10,7 @@ import typer
 
 def trace(
     dem: Annotated[Path, typer.Option(help="Elevation raster that GDAL reads, projected, in metres.")],
-    pose: Annotated[Path, typer.Option(help="YAML: position, angles and camera (see docs of PictureConfig).")],
+    pose: Annotated[Path, typer.Option(help="YAML: position, azimuth, pitch, roll, camera (ltm_core.trace_io).")],
     out: Annotated[Path, typer.Option(help="Folder for the results; made if it is not there.")],
     image: Annotated[Path | None, typer.Option(help="The photo, to draw the depth over.")] = None,
     crs: Annotated[str | None, typer.Option(help="CRS of a raster that carries none, such as EPSG:32611.")] = None,
