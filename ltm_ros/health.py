@@ -24,7 +24,8 @@ class Health:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._received = self._published = 0
+        self._received: Counter[str] = Counter()
+        self._published: Counter[str] = Counter()
         self._dropped: Counter[str] = Counter()
         self._noted: Counter[str] = Counter()
         self._gauges: dict[str, str] = {}
@@ -34,14 +35,14 @@ class Health:
         self._last_error = ""
         self._last_trouble = -float("inf")
 
-    def received(self) -> None:
+    def received(self, topic: str) -> None:
         with self._lock:
-            self._received += 1
+            self._received[topic] += 1
 
-    def published(self, age: float | None = None) -> None:
+    def published(self, topic: str, age: float | None = None) -> None:
         """A result went out, `age` seconds after the moment its source was taken (None: not known)."""
         with self._lock:
-            self._published += 1
+            self._published[topic] += 1
             self._published_at.append(time.monotonic())
             if age is not None:
                 self._ages.append(age)
@@ -85,7 +86,8 @@ class Health:
     def summary(self) -> dict[str, str]:
         """Key -> value as `/diagnostics` carries them; times in milliseconds, rates in Hz."""
         with self._lock:
-            values = {"received": str(self._received), "published": str(self._published)}
+            values = {"frames_in": str(_frames(self._received)), "frames_out": str(_frames(self._published))}
+            values |= {"received": str(self._received.total()), "published": str(self._published.total())}
             values["dropped"] = str(sum(self._dropped.values()))
             values |= {f"dropped.{cause}": str(n) for cause, n in sorted(self._dropped.items())}
             values |= {f"noted.{event}": str(n) for event, n in sorted(self._noted.items())}
@@ -97,6 +99,21 @@ class Health:
             values |= self._gauges
             values["last_error"] = self._last_error
             return values
+
+
+def _frames(messages: Counter[str]) -> int:
+    """Frames behind messages: a frame has one message on each topic of its camera, so the fullest topic counts.
+
+    Topics are relative to the node or `/site/camera/...`; site topics and `/diagnostics` carry no frames of a camera.
+    """
+    fullest: dict[str, int] = {}
+    for topic, count in messages.items():
+        parts = topic.split("/")
+        if topic.startswith("/") and len(parts) < 4:
+            continue
+        camera = parts[2] if topic.startswith("/") else ""
+        fullest[camera] = max(fullest.get(camera, 0), count)
+    return sum(fullest.values())
 
 
 def _rate(moments: deque[float]) -> float:

@@ -65,7 +65,9 @@ class HandlerNode(Node):  # type: ignore[misc]
             self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, stream_qos(topic.latched))
         self.handler.start()
         for topic, callback in self.handler.subscriptions.items():
-            self.create_subscription(topic.type, topic.name, self._enqueue(callback), stream_qos(topic.latched))
+            self.create_subscription(
+                topic.type, topic.name, self._enqueue(topic.name, callback), stream_qos(topic.latched)
+            )
         for service, action in self.handler.services.items():
             self.create_service(Trigger, service, self._serve(action))
         self._diagnostics = DiagnosticsPublisher(self, self.health, config.camera)
@@ -77,7 +79,7 @@ class HandlerNode(Node):  # type: ignore[misc]
         """Part of Outlet."""
         self._publishers_by_topic[topic].publish(message)
         if not topic.latched:
-            self.health.published((self.get_clock().now().nanoseconds - stamp_of(message)) / 1e9)
+            self.health.published(topic.name, (self.get_clock().now().nanoseconds - stamp_of(message)) / 1e9)
 
     def wanted(self, topic: Topic) -> bool:
         """Part of Outlet."""
@@ -92,9 +94,9 @@ class HandlerNode(Node):  # type: ignore[misc]
             self._guarded(lambda _: self.handler.finish(), None)
         self._diagnostics.publish()
 
-    def _enqueue(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+    def _enqueue(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         def take(message: Any) -> None:
-            self.health.received()
+            self.health.received(topic)
             self._offer(callback, message)
 
         return take

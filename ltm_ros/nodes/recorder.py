@@ -26,6 +26,8 @@ from ltm_ros.topics import RECORDED, camera_topic, site_topic
 
 QUEUE_BYTES = 512 << 20
 """Bytes that may wait for the disk before messages are dropped and counted."""
+FLUSH = ("", "", b"", 0)
+"""An item of the queue that hands what is written so far to the operating system, so that it survives a kill."""
 
 
 class RecorderConfig(NodeConfig):
@@ -48,6 +50,7 @@ class Recorder(Node):  # type: ignore[misc]
         self._waiting = 0
         self._lock = threading.Lock()
         self._writer = BagWriter(_free_folder(Path(config.bag)))
+        self.create_timer(1.0, lambda: self._queue.put(FLUSH), clock=DiagnosticsPublisher.steady_clock())
         self.create_timer(0.2, self._discover, clock=DiagnosticsPublisher.steady_clock())
         self._diagnostics = DiagnosticsPublisher(self, self.health)
         self._thread = threading.Thread(target=self._write, name="recorder disk", daemon=True)
@@ -89,7 +92,7 @@ class Recorder(Node):  # type: ignore[misc]
             self.create_subscription(message_type, topic, partial(self._take, topic, types[0]), qos, raw=True)
 
     def _take(self, topic: str, type_name: str, cdr: bytes) -> None:
-        self.health.received()
+        self.health.received(topic)
         with self._lock:
             if self._waiting + len(cdr) > QUEUE_BYTES:
                 self.health.drop("overload", f"{QUEUE_BYTES >> 20} MB wait for the disk; record fewer topics")
@@ -101,8 +104,11 @@ class Recorder(Node):  # type: ignore[misc]
         while (item := self._queue.get()) is not None:
             topic, type_name, cdr, log_time_ns = item
             try:
+                if item == FLUSH:
+                    self._writer.flush()
+                    continue
                 self._writer.write_raw(topic, type_name, cdr, log_time_ns)
-                self.health.published()
+                self.health.published(topic)
             except LtmError as error:
                 self.health.drop(cause_of(error), str(error))
                 self.get_logger().warning(str(error), throttle_duration_sec=5.0)

@@ -22,7 +22,7 @@ from ltm_msgs_py.bag.schemas import message_class
 from ltm_msgs_py.stamp import ns_to_time
 from ltm_ros.replay.selection import Selection
 
-CLOCK_PERIOD = 0.01
+CLOCK_PERIOD = 0.025
 """Seconds of real time between `/clock` messages."""
 QUIET = 2.5
 """Seconds without any change in a graph's diagnostics after which its work is done."""
@@ -148,7 +148,7 @@ class LivePlayer:
         for status in message.status:
             summary = {item.key: item.value for item in status.values}
             before = self.summaries.get(status.name, {})
-            if any(before.get(key) != summary.get(key) for key in ("received", "published", "dropped")):
+            if any(before.get(key) != summary.get(key) for key in ("frames_in", "frames_out", "dropped")):
                 self._changed = time.monotonic()
             self.summaries[status.name] = summary
 

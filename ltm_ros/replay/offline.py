@@ -25,7 +25,7 @@ class OfflineGraph:
 
     def __init__(self, graph: Graph, record: BagWriter | None = None) -> None:
         self.healths: dict[str, Health] = {}
-        self._listeners: dict[str, list[tuple[Health, Callable[[Any], None]]]] = defaultdict(list)
+        self._listeners: dict[str, list[tuple[str, Health, Callable[[Any], None]]]] = defaultdict(list)
         self._waiting: deque[tuple[str, Any]] = deque()
         self._record = record
         self._now_ns = 0
@@ -65,13 +65,13 @@ class OfflineGraph:
         handler = node.handler(checked(node.config, given, f"parameters of {spec.label}"), outlet, health)
         self._handlers.append((health, handler))
         for topic, callback in handler.subscriptions.items():
-            self._listeners[_absolute(spec.namespace, topic)].append((health, callback))
+            self._listeners[_absolute(spec.namespace, topic)].append((topic.name, health, callback))
 
     def _drain(self) -> None:
         while self._waiting:
             topic, message = self._waiting.popleft()
-            for health, callback in self._listeners.get(topic, ()):
-                health.received()
+            for name, health, callback in self._listeners.get(topic, ()):
+                health.received(name)
                 _guarded(health, partial(callback, message))
 
 
@@ -82,7 +82,7 @@ class _Outlet:
     def publish(self, topic: Topic, message: Any) -> None:
         self._graph.publish(_absolute(self._namespace, topic), message, topic.latched)
         if not topic.latched:
-            self._health.published()
+            self._health.published(topic.name)
 
     def wanted(self, topic: Topic) -> bool:
         return self._graph.listened(_absolute(self._namespace, topic))
@@ -103,9 +103,9 @@ def replay_offline(
         offline = OfflineGraph(graph, writer)
         recording = offline.healths["recording"] = Health()
         for done, message in enumerate(selection, start=1):
-            recording.received()
+            recording.received(message.topic)
             _guarded(recording, partial(_deliver, offline, selection.reader, message))
-            recording.published()
+            recording.published(message.topic)
             progress(done)
         offline.finish()
     finally:
