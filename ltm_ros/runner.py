@@ -82,6 +82,7 @@ class Runner:
         self._guardian: subprocess.Popen[str] | None = None
         self._guardian_lock = threading.Lock()
         self._changed = threading.Event()
+        self._stopping = threading.Event()
 
     def __enter__(self) -> Runner:
         self.start()
@@ -142,7 +143,9 @@ class Runner:
         reader.start()
         try:
             deadline = time.monotonic() + timeout_s + 5.0
-            while watch.poll() is None and time.monotonic() < deadline and not self.given_up:
+            while watch.poll() is None and time.monotonic() < deadline:
+                if self.given_up or self._stopping.is_set():
+                    break
                 self._changed.wait(0.05)
                 self._changed.clear()
         finally:
@@ -166,6 +169,7 @@ class Runner:
 
     def stop(self) -> None:
         """End every node (SIGINT, after `stop_s` SIGTERM, 2 s later SIGKILL) and remove what is left. Idempotent."""
+        self._stopping.set()
         with self._lock:
             processes = list(self.processes.values())
             for process in processes:
@@ -195,17 +199,31 @@ class Runner:
         numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
         former = {number: signal.signal(number, lambda *_: stopping.set()) for number in numbers}
         required = [spec.label for spec in self.graph if spec.required]
+        herald = threading.Thread(target=self._announce, name="announce", daemon=True)
         try:
             self.start()
+            herald.start()
             while not stopping.wait(0.2):
                 if all(label in self.given_up for label in required):
                     self._say("-- no node is left to run")
                     break
         finally:
             self.stop()
+            if herald.ident is not None:
+                herald.join(5.0)
             for number, handler in former.items():
                 signal.signal(number, handler)
         return 1 if any(label in self.given_up for label in required) else 0
+
+    def _announce(self) -> None:
+        """Say when the graph is up, or what is not."""
+        try:
+            self.wait_until_ready(120.0)
+            self._say(f"-- all {len(self.graph)} nodes are up")
+        except GraphError as error:
+            if not self._stopping.is_set():
+                for line in str(error).splitlines():
+                    self._say(f"-- {line}")
 
     def _process(self, spec: NodeSpec) -> NodeProcess:
         assert self._folder is not None

@@ -169,10 +169,23 @@ def _run_in_process(logs: Path, nodes: int, pids: dict[str, int]) -> subprocess.
 def test_signal_to_the_runner_ends_everything(ros_domain: int, tmp_path: Path, number: int) -> None:
     pids: dict[str, int] = {}
     runner = _run_in_process(tmp_path, 2, pids)
+    assert runner.stdout is not None
+    # Only lines of the runner itself have no label.
+    assert [line for line in iter(runner.stdout.readline, "-- all 2 nodes are up\n") if line.startswith("--")] == []
     runner.send_signal(number)
     output, _ = runner.communicate(timeout=30)
     assert runner.returncode == 0
     assert "SIGTERM to" not in output
+    assert processes_of_domain(ros_domain) == []
+
+
+def test_signal_while_the_graph_comes_up_ends_everything(ros_domain: int, tmp_path: Path) -> None:
+    runner = _run_in_process(tmp_path, 1, {})
+    runner.terminate()
+    output, _ = runner.communicate(timeout=30)
+    assert runner.returncode == 0
+    assert "nodes are up" not in output
+    assert "not ready" not in output
     assert processes_of_domain(ros_domain) == []
 
 
