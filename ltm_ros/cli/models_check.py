@@ -42,7 +42,7 @@ def check(
     if photos and sky_masks is not None:
         _score_sky(console, segmenter, photos, sky_masks)
     if frames is not None:
-        pairs = [(frame.image, frame.labels) for frame in read_frames(frames, len(segmenter.labels))]
+        pairs = [(frame.image, frame.labels) for frame in read_frames(frames, len(segmenter.labels), sampled=True)]
         score = score_segmenter(segmenter, pairs)
         console.print(score_table(segmenter.labels.names, score, f"{manifest.name} on {frames}"))
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError, ImageError, RecordingError
-from ltm_core.vision.labels import Label, LabelSet
+from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.segmenter import Segmenter
 from ltm_core.vision.train.augment import OUTSIDE, augmented, fractal_noise
 from ltm_core.vision.train.config import AugmentConfig, NetworkConfig, OptimiserConfig, SplitConfig, TrainingConfig
@@ -76,6 +76,16 @@ def test_labels_of_another_size_or_unknown_id_are_refused(tmp_path: Path) -> Non
     _write(tmp_path / "unknown", 2, np.full(SIZE, 7, np.uint8))
     with pytest.raises(ImageError, match=r"holds label 7, expected ids below 7 or 255"):
         read_frames(tmp_path / "unknown", 7)
+
+
+def test_sampled_labels_can_score_but_not_train(tmp_path: Path) -> None:
+    truth = _frame(4)[1]
+    _write(tmp_path / "frames", 4, truth[::4, ::4])
+    (frame,) = read_frames(tmp_path / "frames", 7, sampled=True)
+    np.testing.assert_array_equal(frame.labels[::4, ::4], truth[::4, ::4])
+    assert np.sum(frame.labels != UNLABELLED) == 16 * 24
+    with pytest.raises(ImageError, match=r"\(16, 24\) uint8, expected \(64, 96\)"):
+        read_frames(tmp_path / "frames", 7)
 
 
 def test_a_folder_without_frames_says_what_it_expects(tmp_path: Path) -> None:
