@@ -24,6 +24,18 @@ def _ros_name(name: str) -> str:
 
 RosName = Annotated[str, AfterValidator(_ros_name)]
 
+SITE_NAMES = ("fuel_map", "terrain", "viewer", "recorder")
+"""Nodes and topics that stand beside the cameras in `/<site>/`: no camera may be called so."""
+
+
+def _camera_name(name: str) -> str:
+    if name in SITE_NAMES:
+        raise ValueError(f"{name!r} is a node of the site, so no camera can have this name")
+    return name
+
+
+CameraName = Annotated[RosName, AfterValidator(_camera_name)]
+
 
 class Config(BaseModel):
     """Base of all configuration: unknown keys are errors, values do not change."""
@@ -84,7 +96,7 @@ class PoseConfig(Config):
     """Metres in the site's CRS (not minus its origin)."""
     y: float
     z: float | None = None
-    height_above_ground: float | None = Field(None, ge=0)
+    height_above_ground: float | None = Field(None, gt=0)
     azimuth_deg: float
     """Clockwise from grid north."""
     pitch_deg: float = 0.0
@@ -132,7 +144,7 @@ class Site(Config):
     """Label set in config/."""
     model: str = "spine"
     """Segmentation manifest: a name in config/models/ or a path."""
-    cameras: dict[RosName, CameraConfig] = Field(min_length=1)
+    cameras: dict[CameraName, CameraConfig] = Field(min_length=1)
     nodes: dict[RosName, dict[str, Any]] = {}
     """Parameters a node type: `nodes: {capture: {pose_tolerance: 0.1}}`. Each node refuses what it does not know."""
 

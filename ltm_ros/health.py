@@ -9,6 +9,7 @@ from collections import Counter, deque
 import numpy as np
 
 from ltm_core.errors import LtmError
+from ltm_core.site import SITE_NAMES
 
 WINDOW = 200
 """Messages over which latencies are summarised."""
@@ -109,7 +110,7 @@ def _frames(messages: Counter[str]) -> int:
     fullest: dict[str, int] = {}
     for topic, count in messages.items():
         parts = topic.split("/")
-        if topic.startswith("/") and len(parts) < 4:
+        if topic.startswith("/") and (len(parts) < 4 or parts[2] in SITE_NAMES):
             continue
         camera = parts[2] if topic.startswith("/") else ""
         fullest[camera] = max(fullest.get(camera, 0), count)

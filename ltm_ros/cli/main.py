@@ -38,7 +38,7 @@ cli.command()(train)
 cli.command()(export)
 cli.command()(view)
 cli.command()(doctor)
-cli.add_typer(models, name="models")
+cli.command()(models)
 
 
 def app() -> None:

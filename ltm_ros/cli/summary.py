@@ -18,14 +18,18 @@ def node_rows(summaries: Mapping[str, Mapping[str, str]]) -> list[NodeRow]:
 
 def print_nodes(console: Console, rows: Sequence[NodeRow]) -> None:
     """Messages in and out, drops by cause, and latency from the moment a frame was taken."""
-    table = Table(title="nodes", title_justify="left")
-    table.add_column("node")
-    for name in ("in", "out", "drops", "latency p50 ms", "p95 ms", "work p50 ms"):
-        table.add_column(name, justify="right")
-    table.add_column("why dropped")
+    table = Table(title="nodes: frames and latency", title_justify="left")
+    table.add_column("node", no_wrap=True)
+    for name in ("in", "out", "drops", "p50 ms", "p95 ms", "work ms"):
+        table.add_column(name, justify="right", no_wrap=True)
+    if any(row.causes for row in rows):
+        table.add_column("why dropped")
     for row in rows:
         times = (row.latency_p50_ms, row.latency_p95_ms, row.work_p50_ms)
         shown = ["" if math.isnan(t) else f"{t:.0f}" for t in times]
         drops = f"[red]{row.dropped}[/red]" if row.dropped else "0"
-        table.add_row(row.node, str(row.received), str(row.published), drops, *shown, row.causes)
+        name = "/".join(row.node.split("/")[2:]) or row.node
+        causes = [row.causes] if row.causes else []
+        table.add_row(name, str(row.received), str(row.published), drops, *shown, *causes)
     console.print(table)
+    console.print("in, out: frames; p50, p95: latency since the frame was taken; work: the node's own time, median")

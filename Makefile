@@ -1,0 +1,49 @@
+# Everything runs in .venv, which each target makes from nothing: Python >= 3.11 and a C library are all it needs.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+
+# A graph started here never meets one on the network.
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+
+.PHONY: demo demo-real test test-all bench lint format clean
+
+$(INSTALLED): pyproject.toml constraints.txt setup.py setup.cfg
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.12")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip -c constraints.txt
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[ros,view]'
+	touch $@
+
+$(VENV)/.installed-dev: $(INSTALLED)
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[ros,view,sim,dev]'
+	touch $@
+
+demo: $(INSTALLED)
+	$(BIN)/ltm demo --out out/demo
+
+demo-real: $(INSTALLED)
+	$(BIN)/ltm demo --real --out out/demo-real
+
+test: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m "not slow and not graph" -n 2 -q
+	$(BIN)/python -m pytest -m "not slow and graph" -q
+
+test-all: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -q
+
+bench: $(VENV)/.installed-dev
+	$(BIN)/ltm bench trace
+
+lint: $(VENV)/.installed-dev
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+format: $(VENV)/.installed-dev
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+clean:
+	rm -rf out build *.egg-info

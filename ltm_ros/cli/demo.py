@@ -1,0 +1,93 @@
+"""`ltm demo`: see the whole system work on the recording that ships with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def demo(
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Default: out/demo, with --real out/demo-real.")
+    ] = None,
+    real: Annotated[
+        bool, typer.Option("--real", help="A real photo with control points instead, where its data is present.")
+    ] = False,
+    domain: Annotated[int, typer.Option(min=0, max=232, help="ROS domain of the demo's graph.")] = 87,
+) -> None:
+    """Run the live graph on a small recording and leave a report, a fuel map and a Rerun recording in OUT."""
+    import shutil
+
+    from rich.console import Console
+
+    from ltm_core.errors import ConfigError
+
+    console = Console()
+    target = out or Path("out/demo-real" if real else "out/demo")
+    if target.exists() and any(target.iterdir()):
+        if not (target / "report.html").is_file() and not (target / "log").is_dir():
+            raise ConfigError(f"{target} holds something that is not a former demo; name another folder with --out")
+        shutil.rmtree(target)
+    (_real if real else _simulated)(target, domain, console)
+
+
+def _simulated(out: Path, domain: int, console: "Console") -> None:  # noqa: F821, UP037
+    from rich.table import Table
+
+    from ltm_core.resources import project_path
+    from ltm_ros.cli.progress import message_bar
+    from ltm_ros.cli.summary import print_nodes
+    from ltm_ros.demo.simulated import run_demo
+
+    with message_bar(console, "demo") as progress:
+        result = run_demo(
+            project_path("bags/demo"), out, domain, progress, lambda line: console.print(line, markup=False)
+        )
+    print_nodes(console, result.nodes)
+    table = Table(title="against truth", title_justify="left", show_header=False)
+    table.add_column("what")
+    table.add_column("figure", justify="right")
+    for score in result.score.surface:
+        name = "all" if score.near == 0 and score.far == float("inf") else f"{score.near:.0f}-{score.far:.0f} m"
+        if score.pixels:
+            table.add_row(f"depth, median error, {name}", f"{score.median:.2f} m")
+    table.add_row("depth against bare ground, median error", f"{result.score.ground[-1].median:.2f} m")
+    table.add_row("labels right", f"{100 * result.score.labels.accuracy:.1f} %")
+    table.add_row("fuel cells seen", f"{result.fuel.seen} of {result.fuel.cells}")
+    table.add_row(
+        "fuel cells right", f"{result.fuel.right} ({100 * result.fuel.right / max(1, result.fuel.seen):.1f} %)"
+    )
+    console.print(table)
+    console.print(f"report: {out / 'report.html'}   Rerun: ltm view --rrd {out / 'demo.rrd'}")
+    drops = sum(row.dropped for row in result.nodes)
+    if drops:
+        console.print(f"[red]{drops} messages were dropped; the table says where and why[/red]")
+        raise typer.Exit(1)
+
+
+def _real(out: Path, domain: int, console: "Console") -> None:  # noqa: F821, UP037
+    from rich.table import Table
+
+    from ltm_core.resources import config_path
+    from ltm_ros.cli.progress import message_bar
+    from ltm_ros.cli.summary import print_nodes
+    from ltm_ros.demo.real import medians, run_real_demo
+
+    site, poses = config_path("sites/engabreen.yaml"), config_path("sites/engabreen_poses.csv")
+    with message_bar(console, "demo") as progress:
+        points, nodes = run_real_demo(
+            site, poses, out, domain, progress, lambda line: console.print(line, markup=False)
+        )
+    print_nodes(console, nodes)
+    table = Table(title="control points: traced against surveyed", title_justify="left")
+    for column in ("point", "range m", "distance m", "hidden by the DEM"):
+        table.add_column(column, justify="right")
+    for point in points:
+        hidden = "yes" if point.hidden else ""
+        table.add_row(point.name, f"{point.range:.0f}", f"{point.distance:.2f}", hidden)
+    console.print(table)
+    over_all, over_clear = medians(points)
+    console.print(f"median {over_all:.2f} m over all, {over_clear:.2f} m over points that the DEM does not hide")
+    console.print(f"report: {out / 'report.html'}")

@@ -1,0 +1,127 @@
+"""What a demonstration run leaves: pictures, the report, and the conditions under which it ran."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.dem import Dem
+from ltm_core.grid import GridGeometry
+from ltm_core.pictures import MapCamera, fuel_map_picture, overlay_depth, overlay_labels, panel, to_png
+from ltm_core.site import Site
+from ltm_core.vision.labels import LabelSet
+from ltm_ros.report import CameraPictures
+from ltm_ros.run_score import RecordedFrame
+
+Rgb = NDArray[np.uint8]
+HEADING_STEP_DEG = 20.0
+"""Frames of a camera that look into directions at least so far apart are shown, the first of each."""
+
+
+def headings(frames: Iterable[RecordedFrame]) -> list[RecordedFrame]:
+    """The first frame of every heading of every camera: a patrol returns to the same view again and again."""
+    shown: list[RecordedFrame] = []
+    for frame in frames:
+        azimuth = frame.pose.angles_deg[0]
+        apart = [
+            abs((azimuth - other.pose.angles_deg[0] + 180) % 360 - 180) >= HEADING_STEP_DEG
+            for other in shown
+            if other.camera_name == frame.camera_name
+        ]
+        if all(apart):
+            shown.append(frame)
+    return shown
+
+
+def camera_pictures(frames: Sequence[RecordedFrame], labels: LabelSet) -> list[CameraPictures]:
+    """Photo, depth and labels of each frame, for the report."""
+    return [
+        CameraPictures.of(
+            frame.camera_name,
+            frame.photo,
+            frame.depth,
+            frame.labels,
+            labels,
+            caption="azimuth {:.0f}°, pitch {:.1f}°".format(*frame.pose.angles_deg[:2]),
+        )
+        for frame in frames
+    ]
+
+
+def map_picture(
+    classes: NDArray[np.uint8],
+    geometry: GridGeometry,
+    site: Site,
+    dem: Dem,
+    frames: Sequence[RecordedFrame],
+    labels: LabelSet,
+    title: str,
+) -> Rgb:
+    """The fuel map over relief with the cameras and the sectors that they looked into."""
+    x, y = site.origin
+    in_map = geometry.translated(-x, -y)
+    named: set[str] = set()
+    cameras = []
+    for frame in frames:
+        name = "" if frame.camera_name in named else frame.camera_name
+        named.add(frame.camera_name)
+        place = (float(frame.pose.position[0]), float(frame.pose.position[1]))
+        cameras.append(MapCamera(name, frame.camera, place, frame.pose.angles_deg[0]))
+    return fuel_map_picture(classes, in_map, labels, dem, cameras, title=title)
+
+
+def write_pictures(folder: Path, frames: Sequence[RecordedFrame], fuel_map: Rgb, labels: LabelSet) -> None:
+    """PNG files: an overview of the frame that looks deepest into the land, the map, and every frame's sheet."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "fuel_map.png").write_bytes(to_png(fuel_map))
+    deepest = max(frames, key=_depth_span)
+    for frame in frames:
+        sheet = [
+            ("photo", frame.photo),
+            ("depth traced to the terrain", overlay_depth(frame.photo, frame.depth)),
+            ("labels", overlay_labels(frame.photo, frame.labels, labels)),
+        ]
+        name = f"{frame.camera_name}_{frame.pose.angles_deg[0]:03.0f}.png"
+        (folder / name).write_bytes(to_png(panel(sheet, columns=3, width=800)))
+        if frame is deepest:
+            (folder / "overview.png").write_bytes(to_png(_overview(sheet, fuel_map)))
+
+
+def _depth_span(frame: RecordedFrame) -> float:
+    """How many octaves the middle nine tenths of the depths span."""
+    known = frame.depth[np.isfinite(frame.depth)]
+    low, high = np.percentile(known, (5, 95)) if known.size else (1.0, 1.0)
+    return float(np.log2(high / low))
+
+
+def _overview(sheet: Sequence[tuple[str, Rgb]], fuel_map: Rgb, width: int = 640) -> Rgb:
+    """The sheet's pictures in a column, and beside them the map at the same height."""
+    left = panel(sheet, columns=1, width=width)
+    title = panel([("fuel map of all frames and cameras", fuel_map)], columns=1, width=width)
+    margin = title.shape[0] - round(fuel_map.shape[0] * width / fuel_map.shape[1])
+    fitting = round((left.shape[0] - margin) * fuel_map.shape[1] / fuel_map.shape[0])
+    right = panel([("fuel map of all frames and cameras", fuel_map)], columns=1, width=fitting)
+    height = max(left.shape[0], right.shape[0])
+    return np.hstack([_padded(left, height), _padded(right, height)])
+
+
+def _padded(picture: Rgb, height: int) -> Rgb:
+    missing = height - picture.shape[0]
+    return np.pad(picture, ((0, missing), (0, 0), (0, 0)), mode="edge")
+
+
+def conditions(site: Site, seconds: float, frames: int) -> list[tuple[str, str]]:
+    """What a reader must know to judge the figures."""
+    return [
+        ("site", f"{site.name}: {len(site.cameras)} cameras, {site.crs}"),
+        ("frames", str(frames)),
+        ("network", site.model),
+        ("graph", "one process a node, Fast DDS over shared memory"),
+        ("wall time", f"{seconds:.0f} s, start of the graph included"),
+        ("machine", f"{len(os.sched_getaffinity(0))} cores, {platform.machine()}, Python {platform.python_version()}"),
+    ]

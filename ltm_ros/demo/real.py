@@ -1,0 +1,147 @@
+"""`make demo-real`: a real photo with surveyed control points through the live graph.
+
+For each control point: how far the point that the graph traced for its pixel lies from where it was surveyed.
+"""
+
+from __future__ import annotations
+
+import csv
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ltm_core.dem import Dem
+from ltm_core.depth.range_image import RangeImage
+from ltm_core.errors import RecordingError
+from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.resources import config_path
+from ltm_core.site import Site
+from ltm_core.site_io import load_site
+from ltm_core.tracing import TerrainTracer
+from ltm_core.vision.labels import LabelSet
+from ltm_ros.cli.summary import node_rows
+from ltm_ros.demo.outcome import camera_pictures, conditions, map_picture, write_pictures
+from ltm_ros.importer.build import import_photos
+from ltm_ros.replay.run import ReplayOptions, run_live
+from ltm_ros.report import NodeRow, ReportData, Table, write_report
+from ltm_ros.run_score import RecordedFrame, recorded_frames
+
+PHOTO = "IMG_8902.jpg"
+CONTROL_POINTS = "gcp8902.csv"
+OCCLUDED_BEYOND = 5.0
+"""Metres by which the terrain on the line of sight may miss a surveyed point before the DEM counts as hiding it."""
+
+
+@dataclass(frozen=True)
+class ControlPoint:
+    """A surveyed point: its pixel (counted from 0), and the metres between survey and traced point; NaN: not traced.
+
+    `hidden`: the DEM, which is coarser than the ground, has no surface at the point as seen from the camera.
+    """
+
+    name: str
+    u: float
+    v: float
+    surveyed: tuple[float, float, float]
+    distance: float
+    range: float
+    hidden: bool
+
+
+def run_real_demo(
+    site_path: Path,
+    poses: Path,
+    out: Path,
+    domain_id: int | None,
+    progress: Callable[[int, int], None],
+    console: Callable[[str], None],
+) -> tuple[list[ControlPoint], list[NodeRow]]:
+    """Import the photo, replay it live into `out` (empty or new), and measure.
+
+    Raises LtmError, for example where the data is absent.
+    """
+    site = load_site(site_path)
+    folder = site.dem.path.parent
+    if not (folder / PHOTO).is_file():
+        raise RecordingError(f"{folder / PHOTO}: the real photo is not here; it is not part of the repository")
+    labels = LabelSet.load(config_path(site.labels))
+    out.mkdir(parents=True, exist_ok=True)
+    import_photos([folder / PHOTO], out / "imported", poses, site)
+    started = time.monotonic()
+    options = ReplayOptions(
+        export=out / "fuel_map.tif", record=out / "recording", rrd=out / "demo.rrd", domain_id=domain_id
+    )
+    summaries = run_live(out / "imported", site_path, options, progress, console, out / "log")
+    seconds = time.monotonic() - started
+    frames = list(recorded_frames(out / "recording", site))
+    if not frames:
+        raise RecordingError(f"the graph sent no depth and labels for {PHOTO}; see {out / 'log'}")
+    dem = site.open_dem()
+    points = control_points(folder / CONTROL_POINTS, frames[0], dem, site)
+    nodes = node_rows(summaries)
+
+    classes, geometry = read_fuel_map(out / "fuel_map.tif")
+    fuel_map = map_picture(classes, geometry, site, dem, frames, labels, "fuel map")
+    write_pictures(out / "pictures", frames, fuel_map, labels)
+    write_report(
+        out / "report.html",
+        ReportData(
+            title="LTM on a real photo",
+            summary=(
+                "A time-lapse photo of the glacier Engabreen through the live graph. The table compares each surveyed "
+                "control point with the point that was traced for its pixel."
+            ),
+            conditions=conditions(site, seconds, len(frames)),
+            nodes=nodes,
+            cameras=camera_pictures(frames, labels),
+            fuel_map=fuel_map,
+            label_set=labels,
+            recording="demo.rrd",
+            tables=(_table(points),),
+        ),
+    )
+    return points, nodes
+
+
+def control_points(path: Path, frame: RecordedFrame, dem: Dem, site: Site) -> list[ControlPoint]:
+    """Each control point of the file against the point traced for its pixel. The file counts pixels from 1."""
+    traced = RangeImage.from_depth(frame.depth, frame.camera, frame.pose, site.bend).points()
+    tracer = TerrainTracer(dem, site.curvature, site.refraction)
+    x0, y0 = site.origin
+    found = []
+    with path.open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            u, v = float(row["u"]) - 1, float(row["v"]) - 1
+            x, y, z = float(row["x_e"]), float(row["y_n"]), float(row["z"])
+            surveyed = np.array([x - x0, y - y0, z])
+            sight = surveyed - frame.pose.position
+            length = float(np.linalg.norm(sight))
+            hit = float(tracer.trace_rays(frame.pose.position, sight[None])[0])
+            distance = float(np.linalg.norm(traced[round(v), round(u)] - surveyed))
+            hidden = not abs(hit - length) <= OCCLUDED_BEYOND
+            found.append(ControlPoint(row["id"], u, v, (x, y, z), distance, length, hidden))
+    return found
+
+
+def medians(points: list[ControlPoint]) -> tuple[float, float]:
+    """Median distance in metres over all points, and over those that the DEM does not hide."""
+    everything = [p.distance for p in points]
+    clear = [p.distance for p in points if not p.hidden]
+    return float(np.median(everything)), float(np.median(clear)) if clear else float("nan")
+
+
+def _table(points: list[ControlPoint]) -> Table:
+    rows = [
+        (p.name, round(p.u, 1), round(p.v, 1), round(p.range), round(p.distance, 2), "yes" if p.hidden else "")
+        for p in points
+    ]
+    over_all, over_clear = medians(points)
+    note = (
+        f"Median distance {over_all:.2f} m over all {len(points)} points, {over_clear:.2f} m over those that the DEM "
+        f"does not hide. Hidden: on the line of sight from the camera the DEM's surface misses the surveyed point by "
+        f"more than {OCCLUDED_BEYOND:g} m."
+    )
+    return Table("Control points", ("point", "u, px", "v, px", "range, m", "distance, m", "hidden"), rows, note)
