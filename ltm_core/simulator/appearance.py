@@ -1,0 +1,104 @@
+"""Colours of a southern-Californian hillside: linear reflectances of plants and ground by season."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.grid import GridGeometry
+from ltm_core.simulator import noise
+from ltm_core.simulator.landcover import BARE, GRASS, SHRUB, TREE, LandCover
+
+Array = NDArray[np.float64]
+Field = NDArray[np.float32]
+
+
+def _rgb(*values: float) -> Array:
+    return np.array(values, np.float64)
+
+
+@dataclass(frozen=True)
+class Palette:
+    """Linear RGB reflectances."""
+
+    grass: Array
+    chamise: Array  # dark chaparral
+    sage: Array  # grey-green coastal scrub
+    buckwheat: Array  # rust-brown flower heads
+    oak: Array
+    conifer: Array
+    soil: Array
+    rock: Array
+    litter: Array
+    track: Array
+
+
+def palette(green: float, seed: int) -> Palette:
+    """The colours of one season (`green` 0 cured .. 1 a wet spring), varied a little from site to site."""
+    rng = np.random.default_rng([seed, 77])
+
+    def vary(color: Array) -> Array:
+        return np.asarray(color * rng.uniform(0.88, 1.14) * (1 + 0.04 * rng.normal(size=3)), np.float64)
+
+    def season(cured: Array, wet: Array) -> Array:
+        return vary((1 - green) * cured + green * wet)
+
+    return Palette(
+        grass=season(_rgb(0.40, 0.305, 0.155), _rgb(0.135, 0.19, 0.055)),
+        chamise=season(_rgb(0.088, 0.088, 0.042), _rgb(0.066, 0.092, 0.034)),
+        sage=season(_rgb(0.165, 0.158, 0.098), _rgb(0.125, 0.155, 0.085)),
+        buckwheat=season(_rgb(0.175, 0.105, 0.058), _rgb(0.15, 0.15, 0.08)),
+        oak=vary(_rgb(0.050, 0.064, 0.026)),
+        conifer=vary(_rgb(0.036, 0.053, 0.027)),
+        soil=vary(_rgb(0.33, 0.264, 0.168)),
+        rock=vary(_rgb(0.345, 0.31, 0.24)),
+        litter=vary(_rgb(0.16, 0.125, 0.08)),
+        track=vary(_rgb(0.47, 0.385, 0.275)),
+    )
+
+
+def ground_texture(cover: LandCover, geometry: GridGeometry, colors: Palette, green: float, seed: int) -> Field:
+    """Reflectance (H, W, 3) of the ground itself at the cells of `geometry`, plants left out.
+
+    Classes melt into one another over a few metres along ragged edges; brightness varies from hundreds of metres
+    down to the cell.
+    """
+    xs = geometry.to_map(0, np.arange(geometry.width))[0]
+    ys = geometry.to_map(np.arange(geometry.height), 0)[1]
+    cell = geometry.resolution
+    ragged = [7.0 * noise.fractal(xs, ys, 24.0, seed + 301 + k, octaves=3, gain=0.6) for k in range(2)]
+    x, y = xs[None, :] + ragged[0], ys[:, None] + ragged[1]
+    classes = cover.at(x, y)
+    broad = noise.fractal(xs, ys, 420.0, seed + 311, octaves=5, gain=0.6)[..., None]
+    fine = noise.fractal(xs, ys, max(26.0, 4 * cell), seed + 313, octaves=5, gain=0.75)[..., None]
+    patchy = noise.fractal(xs, ys, max(60.0, 6 * cell), seed + 317, octaves=4, gain=0.6)[..., None]
+    moist = np.clip(cover.sample(cover.moisture, x, y)[..., None], -1, 1)
+    stones = np.clip(0.5 + 1.8 * patchy, 0, 1)
+    grass = colors.grass * (1 + 0.25 * broad) + np.clip(moist + 0.6 * patchy - 0.1, 0, 1) * 0.35 * (
+        _rgb(0.14, 0.165, 0.06) - colors.grass
+    )
+    thin = np.clip(1.6 * patchy - 0.15, 0, 0.65)
+    grass = (1 - thin) * grass + thin * (0.6 * colors.soil + 0.4 * colors.litter)
+    under_shrub = (1 - 0.55 * stones) * colors.litter + 0.55 * stones * colors.soil
+    under_tree = 0.6 * colors.litter + 0.4 * grass
+    rills = noise.fractal(xs, ys, max(16.0, 4 * cell), seed + 319, octaves=3, gain=0.7, ridged=True)[..., None]
+    bare = ((1 - stones) * colors.soil + stones * colors.rock) * (1 + 0.3 * rills + 0.2 * patchy)
+    out = np.empty((*geometry.shape, 3), np.float32)
+    out[:] = bare
+    for class_id, color in ((GRASS, grass), (SHRUB, under_shrub), (TREE, under_tree)):
+        out = np.where((classes == class_id)[..., None], color, out).astype(np.float32)
+    road = cover.road[_cells(cover, xs, ys)]
+    out = np.where((road & (classes == BARE))[..., None], colors.track, out)
+    out *= 1 + 0.16 * broad + 0.34 * fine
+    return np.clip(out, 0.015, 0.75).astype(np.float32)
+
+
+def _cells(cover: LandCover, xs: Array, ys: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    row, _ = cover.geometry.cell_of(0.0, ys)
+    _, col = cover.geometry.cell_of(xs, 0.0)
+    rows, cols = np.meshgrid(
+        np.clip(row, 0, cover.geometry.height - 1), np.clip(col, 0, cover.geometry.width - 1), indexing="ij"
+    )
+    return rows, cols

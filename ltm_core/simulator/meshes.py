@@ -1,0 +1,155 @@
+"""Procedural plants: triangle soups with a colour a triangle, a metre a unit, z up, standing on z = 0."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Rng = np.random.Generator
+
+
+@dataclass(frozen=True)
+class Soup:
+    """`triangles` (N, 3, 3) metres, `colors` (N, 3) linear reflectances."""
+
+    triangles: Array
+    colors: Array
+
+    def moved(self, x: float, y: float, scale: float, turn: float, tint: float = 1.0) -> Soup:
+        """Scaled, turned about z (radians), set at (x, y), its colours multiplied by `tint`."""
+        c, s = np.cos(turn), np.sin(turn)
+        rotation = scale * np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return Soup(self.triangles @ rotation.T + (x, y, 0.0), np.clip(self.colors * tint, 0.0, 0.95))
+
+    @staticmethod
+    def joined(parts: list[Soup]) -> Soup:
+        return Soup(np.concatenate([p.triangles for p in parts]), np.concatenate([p.colors for p in parts]))
+
+
+def _directions(rng: Rng, n: int, lowest: float) -> Array:
+    """Unit vectors spread evenly over the sphere's part with z >= lowest."""
+    z = lowest + (1 - lowest) * (np.arange(n) + rng.uniform(0.2, 0.8, n)) / n
+    angle = np.arange(n) * 2.399963 + rng.uniform(0, 2 * np.pi)
+    flat = np.sqrt(np.maximum(0.0, 1 - z * z))
+    return np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
+
+
+def cards(rng: Rng, center: Array, outward: Array, size: float, color: Array, spread: float = 0.55) -> Soup:
+    """Leaf clumps: one ragged quad at each centre, facing about `outward`, brighter the higher it faces."""
+    n = len(center)
+    normal = outward + spread * rng.normal(size=(n, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    helper = rng.normal(size=(n, 3))
+    u = np.cross(normal, helper)
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    v = np.cross(normal, u)
+    half = size * rng.uniform(0.55, 1.15, (n, 1))
+    corners = [
+        center + half * (a * u + b * v) * rng.uniform(0.6, 1.25, (n, 1))
+        for a, b in ((-1, -0.6), (1, -0.7), (0.8, 0.9), (-0.7, 0.8))
+    ]
+    triangles = np.concatenate([np.stack(corners[:3], axis=1), np.stack([corners[0], corners[2], corners[3]], axis=1)])
+    light = 0.72 + 0.4 * np.clip(outward[:, 2], -0.5, 1) + 0.16 * rng.normal(size=n)
+    tint = color * np.clip(light, 0.3, 1.7)[:, None] * (1 + 0.05 * rng.normal(size=(n, 3)))
+    return Soup(triangles, np.clip(np.concatenate([tint, tint]), 0.005, 0.9))
+
+
+def lump(rng: Rng, radius: tuple[float, float, float], z: float, color: Array, rings: int = 4, sides: int = 7) -> Soup:
+    """A closed lumpy ellipsoid about (0, 0, z): the dark inside of a crown, or a whole far plant."""
+    theta = np.linspace(0, np.pi, rings + 1)
+    phi = np.arange(sides) * 2 * np.pi / sides + rng.uniform(0, 1)
+    grid = np.empty((rings + 1, sides, 3))
+    bump = 1 + 0.22 * rng.normal(size=(rings + 1, sides)).clip(-1.5, 1.5)
+    bump[[0, -1]] = 1
+    for i, t in enumerate(theta):
+        grid[i] = np.stack([np.sin(t) * np.cos(phi), np.sin(t) * np.sin(phi), np.full(sides, np.cos(t))], axis=1)
+    points = grid * bump[..., None] * np.array(radius) + (0, 0, z)
+    shade = (0.62 + 0.38 * grid[..., 2])[..., None] * color * (1 + 0.12 * rng.normal(size=(rings + 1, sides, 1)))
+    triangles, colors = [], []
+    for i in range(rings):
+        j = (np.arange(sides) + 1) % sides
+        a, b, c, d = (i, np.arange(sides)), (i + 1, np.arange(sides)), (i + 1, j), (i, j)
+        for tri in ((a, b, c), (a, c, d)):
+            triangles.append(np.stack([points[k] for k in tri], axis=1))
+            colors.append(np.mean([shade[k] for k in tri], axis=0))
+    return Soup(np.concatenate(triangles), np.clip(np.concatenate(colors), 0.005, 0.9))
+
+
+def _trunk(height: float, radius: float, color: Array, lean: tuple[float, float] = (0.0, 0.0), sides: int = 5) -> Soup:
+    phi = np.arange(sides + 1) * 2 * np.pi / sides
+    foot = np.stack([radius * np.cos(phi), radius * np.sin(phi), np.full(sides + 1, -0.6)], axis=1)
+    top = np.stack(
+        [0.5 * radius * np.cos(phi) + lean[0], 0.5 * radius * np.sin(phi) + lean[1], np.full(sides + 1, height)], axis=1
+    )
+    triangles = np.concatenate(
+        [np.stack([foot[:-1], foot[1:], top[1:]], axis=1), np.stack([foot[:-1], top[1:], top[:-1]], axis=1)]
+    )
+    return Soup(triangles, np.broadcast_to(color, (len(triangles), 3)).copy())
+
+
+def shrub(rng: Rng, radius: float, height: float, color: Array, leaves: int) -> Soup:
+    """A chaparral shrub: two or three overlapping domes of leaf clumps over a dark inside."""
+    parts = []
+    for _ in range(int(rng.integers(2, 4))):
+        r, h = radius * rng.uniform(0.55, 0.85), height * rng.uniform(0.65, 1.0)
+        x, y = rng.normal(0, 0.38 * radius, 2)
+        inner = lump(rng, (0.78 * r, 0.78 * r, 0.5 * h), 0.4 * h, 0.55 * color, rings=3, sides=6).moved(x, y, 1, 0)
+        d = _directions(rng, max(6, leaves // 2), -0.15)
+        at = d * (r, r, 0.56 * h) * rng.uniform(0.82, 1.1, (len(d), 1)) + (x, y, 0.42 * h)
+        parts += [inner, cards(rng, at, d, 0.15 * r + 0.05, color * rng.uniform(0.85, 1.15))]
+    return Soup.joined(parts)
+
+
+def oak(rng: Rng, radius: float, height: float, color: Array, leaves: int) -> Soup:
+    """A live oak: short trunk, a broad crown of rounded clumps."""
+    bark = np.array([0.09, 0.075, 0.06])
+    parts = [_trunk(0.45 * height, 0.06 * radius + 0.08, bark, tuple(rng.normal(0, 0.12 * radius, 2)))]
+    clumps = int(rng.integers(8, 13))
+    for d in _directions(rng, clumps, -0.25):
+        at = d * (0.62 * radius, 0.62 * radius, 0.3 * height) + (0, 0, 0.62 * height)
+        r = radius * rng.uniform(0.34, 0.5)
+        tint = color * rng.uniform(0.8, 1.2)
+        core = lump(rng, (0.82 * r, 0.82 * r, 0.66 * r), 0, 0.6 * tint, rings=4, sides=7)
+        out = _directions(rng, leaves // clumps, -0.5)
+        skin = cards(rng, out * (r, r, 0.8 * r) * rng.uniform(0.85, 1.1, (len(out), 1)), out, 0.1 * r + 0.04, tint)
+        clump = Soup.joined([core, skin])
+        parts.append(Soup(clump.triangles + at, clump.colors))
+    return Soup.joined(parts)
+
+
+def conifer(rng: Rng, radius: float, height: float, color: Array, leaves: int) -> Soup:
+    """A pine or bigcone fir: a straight trunk and whorls of drooping boughs, narrower upwards, ragged."""
+    parts = [_trunk(0.96 * height, 0.022 * height, np.array([0.11, 0.08, 0.06]))]
+    n = leaves
+    up = np.sqrt(rng.uniform(0.0, 1.0, n))
+    z = height * (0.16 + 0.84 * (1 - up))
+    reach = radius * up**0.9 * (0.68 + 0.32 * np.sin(z / height * 30 + rng.uniform(0, 6))) + 0.1
+    angle = rng.uniform(0, 2 * np.pi, n)
+    out = np.stack([np.cos(angle), np.sin(angle), np.full(n, 0.55)], axis=1)
+    inward = rng.uniform(0.3, 1.0, n) ** 0.7
+    at = np.stack([reach * inward * np.cos(angle), reach * inward * np.sin(angle), z - 0.12 * reach * inward], axis=1)
+    parts.append(
+        cards(rng, at, out / np.linalg.norm(out, axis=1, keepdims=True), 0.06 * radius + 0.07, color, spread=0.45)
+    )
+    cone = lump(rng, (0.42 * radius, 0.42 * radius, 0.45 * height), 0.52 * height, 0.5 * color, rings=5, sides=7)
+    taper = np.clip(1.25 - cone.triangles[..., 2:] / height, 0.08, 1.0)
+    parts.append(Soup(cone.triangles * np.concatenate([taper, taper, np.ones_like(taper)], axis=-1), cone.colors))
+    return Soup.joined(parts)
+
+
+def tuft(rng: Rng, radius: float, height: float, color: Array, blades: int) -> Soup:
+    """A grass tuft: thin blades from a common foot, bent outwards."""
+    angle = rng.uniform(0, 2 * np.pi, blades)
+    out = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    foot = 0.4 * radius * rng.normal(size=(blades, 2))
+    tall = height * rng.uniform(0.5, 1.1, blades)
+    side = 0.03 * np.stack([-out[:, 1], out[:, 0]], axis=1)
+    top = foot + out * radius * rng.uniform(0.3, 1.0, (blades, 1))
+    flat = np.zeros((blades, 1))
+    a, b = np.hstack([foot - side, flat]), np.hstack([foot + side, flat])
+    triangles = np.stack([a, b, np.hstack([top, tall[:, None]])], axis=1)
+    tint = color * (1 + 0.15 * rng.normal(size=(blades, 1)))
+    return Soup(triangles, np.clip(0.9 * tint, 0.01, 0.9))

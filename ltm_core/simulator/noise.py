@@ -1,0 +1,122 @@
+"""Seeded band-limited noise fields on regular grids, in map coordinates.
+
+Every field is a function of (seed, map position), not of the raster it is sampled on: the same patch of ground
+has the same value at any resolution.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+Field = NDArray[np.float32]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _hash(ix: int, iy: int, seed: int) -> float:
+    """Uniform [0, 1) out of a lattice point (integer mix after Murmur3's finaliser)."""
+    h = np.uint32((ix * 374761393 + iy * 668265263 + seed * 2246822519) & 0xFFFFFFFF)
+    h ^= h >> np.uint32(15)
+    h = np.uint32((np.uint64(h) * np.uint64(2246822519)) & np.uint64(0xFFFFFFFF))
+    h ^= h >> np.uint32(13)
+    h = np.uint32((np.uint64(h) * np.uint64(3266489917)) & np.uint64(0xFFFFFFFF))
+    h ^= h >> np.uint32(16)
+    return float(h) / 4294967296.0
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _gradient_noise(x: float, y: float, seed: int) -> float:
+    """Perlin's gradient noise, about [-1, 1], zero mean, quintic fade."""
+    ix = int(np.floor(x))
+    iy = int(np.floor(y))
+    fx = x - ix
+    fy = y - iy
+    u = fx * fx * fx * (fx * (fx * 6.0 - 15.0) + 10.0)
+    v = fy * fy * fy * (fy * (fy * 6.0 - 15.0) + 10.0)
+    corners = np.empty(4)
+    for k in range(4):
+        ox = k & 1
+        oy = k >> 1
+        angle = 2.0 * np.pi * _hash(ix + ox, iy + oy, seed)
+        corners[k] = np.cos(angle) * (fx - ox) + np.sin(angle) * (fy - oy)
+    low = corners[0] + u * (corners[1] - corners[0])
+    high = corners[2] + u * (corners[3] - corners[2])
+    return float(1.4142 * (low + v * (high - low)))
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _fractal_rows(
+    xs: Float, ys: Float, out: Field, wavelength: float, octaves: int, gain: float, ridged: bool, seed: int
+) -> None:
+    for r in range(ys.size):
+        for c in range(xs.size):
+            total = 0.0
+            norm = 0.0
+            amplitude = 1.0
+            scale = 1.0 / wavelength
+            for o in range(octaves):
+                n = _gradient_noise(xs[c] * scale + 17.3 * o, ys[r] * scale - 9.1 * o, seed + 101 * o)
+                if ridged:
+                    n = 1.0 - 2.0 * abs(n)
+                total += amplitude * n
+                norm += amplitude
+                amplitude *= gain
+                scale *= 2.0
+            out[r, c] = total / norm
+
+
+def fractal(
+    xs: Float, ys: Float, wavelength: float, seed: int, octaves: int = 4, gain: float = 0.5, ridged: bool = False
+) -> Field:
+    """Fractal noise at the grid ``ys`` x ``xs`` (map metres): (len(ys), len(xs)) float32, about [-1, 1].
+
+    ``wavelength`` is the longest octave's, in metres; ``ridged`` folds each octave into crests.
+    """
+    out = np.empty((ys.size, xs.size), dtype=np.float32)
+    _fractal_rows(
+        np.ascontiguousarray(xs, np.float64),
+        np.ascontiguousarray(ys, np.float64),
+        out,
+        float(wavelength),
+        octaves,
+        gain,
+        ridged,
+        seed & 0x7FFFFFF,
+    )
+    return out
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _fractal_points(x: Float, y: Float, out: Float, wavelength: float, seed: int) -> None:
+    for i in range(x.size):
+        a, b = x[i] / wavelength, y[i] / wavelength
+        low = _gradient_noise(a, b, seed)
+        out[i] = (low + 0.5 * _gradient_noise(2 * a + 5.5, 2 * b - 3.1, seed + 101)) / 1.5
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _uniform_points(x: Float, y: Float, out: Float, seed: int) -> None:
+    for i in range(x.size):
+        out[i] = _hash(int(np.floor(x[i] * 100.0)), int(np.floor(y[i] * 100.0)), seed)
+
+
+def at_points(x: Float, y: Float, wavelength: float, seed: int) -> Float:
+    """Two octaves of noise, about [-1, 1], at scattered map points (N,)."""
+    out = np.empty(x.size)
+    _fractal_points(
+        np.ascontiguousarray(x, np.float64),
+        np.ascontiguousarray(y, np.float64),
+        out,
+        float(wavelength),
+        seed & 0x7FFFFFF,
+    )
+    return out
+
+
+def uniform_at(x: Float, y: Float, seed: int) -> Float:
+    """A uniform number in [0, 1) for each map point (N,), the same whenever that point (to 1 cm) is asked for."""
+    out = np.empty(x.size)
+    _uniform_points(np.ascontiguousarray(x, np.float64), np.ascontiguousarray(y, np.float64), out, seed & 0x7FFFFFF)
+    return out

@@ -1,0 +1,104 @@
+"""Mitsuba sensors out of our cameras: radiance images and ranges through pixel centres."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.camera import Camera
+from ltm_core.errors import CameraError
+from ltm_core.pose import Pose
+from ltm_core.simulator.scene import View, mitsuba
+
+Image = NDArray[np.float32]
+
+_NEAR = 0.1  # m
+
+
+def _sensor(
+    camera: Camera, pose: Pose, sampler: dict[str, Any], pixel_format: str, shift: tuple[float, float] = (0.0, 0.0)
+) -> Any:
+    """Pinhole sensor; `shift` (du, dv) moves where in the pixel a centre sample falls. Raises CameraError on
+    distortion."""
+    mi = mitsuba()
+    if any(camera.distortion):
+        raise CameraError(
+            f"the renderer takes undistorted cameras, got distortion {camera.distortion}: "
+            "render a wider image and warp it"
+        )
+    if abs(camera.fx - camera.fy) > 1e-6 * camera.fx:
+        raise CameraError(f"the renderer takes square pixels, got fx={camera.fx}, fy={camera.fy}")
+    right, down, forward = pose.rotation.T
+    # Mitsuba's camera looks along +z with +x to the left and +y up
+    matrix = np.eye(4)
+    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2], matrix[:3, 3] = -right, -down, forward, pose.position
+    return mi.load_dict(
+        {
+            "type": "perspective",
+            "fov": float(np.degrees(2 * np.arctan(camera.width / 2 / camera.fx))),
+            "fov_axis": "x",
+            # Our centre (u) sits at u + 0.5 of Mitsuba's image plane, which spans [0, width]
+            "principal_point_offset_x": 0.5 - (camera.cx + 0.5 - shift[0]) / camera.width,
+            "principal_point_offset_y": 0.5 - (camera.cy + 0.5 - shift[1]) / camera.height,
+            "near_clip": _NEAR,
+            "far_clip": 1e6,
+            "to_world": mi.ScalarTransform4f(matrix),
+            "film": {
+                "type": "hdrfilm",
+                "width": camera.width,
+                "height": camera.height,
+                "rfilter": {"type": "box"},
+                "pixel_format": pixel_format,
+                "component_format": "float32",
+            },
+            "sampler": sampler,
+        }
+    )
+
+
+def render_radiance(view: View, camera: Camera, pose: Pose, samples: int, seed: int) -> Image:
+    """Linear RGB radiance (H, W, 3) without haze; the same seed gives the same image."""
+    mi = mitsuba()
+    sensor = _sensor(camera, pose, {"type": "independent", "sample_count": samples}, "rgb")
+    integrator = mi.load_dict({"type": "direct", "emitter_samples": 1, "bsdf_samples": 0})
+    return np.asarray(mi.render(view.full, sensor=sensor, integrator=integrator, spp=samples, seed=seed), np.float32)
+
+
+def render_range(scene: Any, camera: Camera, pose: Pose, shift: tuple[float, float] = (0.0, 0.0)) -> Image:
+    """Range along the ray (H, W) through each pixel's centre plus `shift` pixels; +inf where nothing is hit."""
+    mi = mitsuba()
+    sensor = _sensor(camera, pose, {"type": "stratified", "sample_count": 1, "jitter": False}, "luminance", shift)
+    t = np.asarray(mi.render(scene, sensor=sensor, integrator=mi.load_dict({"type": "depth"}), spp=1), np.float64)
+    t = t.reshape(camera.height, camera.width)
+    # Mitsuba starts its rays on the near plane
+    u = (np.arange(camera.width) + shift[0] - camera.cx) / camera.fx
+    v = (np.arange(camera.height) + shift[1] - camera.cy) / camera.fy
+    start = _NEAR * np.sqrt(1 + u[None, :] ** 2 + v[:, None] ** 2)
+    return np.where(t > 0, t + start, np.inf).astype(np.float32)
+
+
+def air_length(ranges: Image, camera: Camera, pose: Pose) -> Image:
+    """Metres of the site's haze in front of each pixel (H, W), out of its range.
+
+    Sky rays leave the haze through its top, 100 m over the eye; those level or lower see nothing but haze (the
+    sky model
+    is black under the horizon).
+    """
+    up = np.asarray(camera.rays() @ pose.rotation[2], np.float32)
+    return np.where(np.isinf(ranges), 100.0 / np.maximum(up, 1e-4), ranges).astype(np.float32)
+
+
+def airlight(view: View, camera: Camera, pose: Pose) -> NDArray[np.float32]:
+    """Radiance (3,) of the sky just over the horizon in the camera's heading: what haze fades to."""
+    azimuth, _, _ = pose.angles_deg
+    strip = Camera.from_fov(96, 2, min(camera.hfov_deg, 90.0))
+    level = Pose.from_angles((0.0, 0.0, 0.0), azimuth, 1.0)
+    mi = mitsuba()
+    sensor = _sensor(strip, level, {"type": "independent", "sample_count": 8}, "rgb")
+    sky = np.asarray(
+        mi.render(view.sky, sensor=sensor, integrator=mi.load_dict({"type": "path", "max_depth": 2}), spp=8, seed=0)
+    )
+    # The median leaves the sun's disc out
+    return np.asarray(np.median(sky.reshape(-1, 3), axis=0), np.float32)

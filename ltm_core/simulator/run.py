@@ -1,0 +1,121 @@
+"""A scenario rendered frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.camera import Camera
+from ltm_core.pose import Pose
+from ltm_core.simulator.imaging import add_haze, develop
+from ltm_core.simulator.landcover import LandCover, make_landcover
+from ltm_core.simulator.render import air_length, airlight, render_radiance, render_range
+from ltm_core.simulator.scenario import Scenario
+from ltm_core.simulator.scene import SceneBuilder, View
+from ltm_core.simulator.terrain import Terrain, make_terrain
+from ltm_core.simulator.truth import FrameTruth, frame_truth
+from ltm_core.simulator.viewpoints import draw_viewpoints
+
+# Where in a pixel the distances for haze are taken, besides its centre
+_HAZE_SAMPLES = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One frame to be rendered."""
+
+    camera_name: str
+    camera: Camera
+    pose: Pose
+    stamp_ns: int
+    mast: float
+
+
+@dataclass(frozen=True)
+class SimulatedFrame:
+    """One rendered frame: `image` (H, W, 3) uint8 sRGB and what is true of it."""
+
+    shot: Shot
+    image: NDArray[np.uint8]
+    truth: FrameTruth
+
+
+@dataclass(frozen=True)
+class SimulatedSite:
+    """The ground and what grows on it."""
+
+    terrain: Terrain
+    cover: LandCover
+
+
+def make_site(scenario: Scenario) -> SimulatedSite:
+    """The true site of a scenario: a function of its seed, terrain and vegetation alone."""
+    terrain = make_terrain(scenario.terrain, scenario.seed)
+    return SimulatedSite(terrain, make_landcover(terrain, scenario.vegetation, scenario.seed))
+
+
+def plan_shots(scenario: Scenario, site: SimulatedSite) -> list[Shot]:
+    """All frames, one eye point after another, each eye's in time order."""
+    shots: list[Shot] = []
+    for setup in scenario.cameras:
+        camera = scenario.camera_model(setup.hfov_deg)
+        eye = np.array([setup.x, setup.y, float(site.terrain.site.at(setup.x, setup.y)) + setup.mast])
+        patrol = setup.patrol
+        pitches = patrol.pitch_deg * len(patrol.azimuth_deg) if len(patrol.pitch_deg) == 1 else patrol.pitch_deg
+        for k, (azimuth, pitch) in enumerate(list(zip(patrol.azimuth_deg, pitches, strict=True)) * patrol.rounds):
+            stamp = scenario.start_ns + round((patrol.start_s + k * patrol.interval_s) * 1e9)
+            pose = Pose.from_angles(eye, azimuth, pitch, patrol.roll_deg)
+            shots.append(Shot(setup.name, camera, pose, stamp, setup.mast))
+    if scenario.views is not None:
+        for place, views in enumerate(draw_viewpoints(site.terrain.site, scenario.views, scenario.seed)):
+            for v in views:
+                pose = Pose.from_angles(v.eye, v.azimuth_deg, v.pitch_deg, v.roll_deg)
+                mast = float(v.eye[2] - site.terrain.site.at(v.eye[0], v.eye[1]))
+                stamp = scenario.start_ns + len(shots) * 2_000_000_000
+                shots.append(Shot(f"view{place:02d}", scenario.camera_model(v.hfov_deg), pose, stamp, mast))
+    return shots
+
+
+def render_shots(scenario: Scenario, site: SimulatedSite, shots: list[Shot]) -> Iterator[SimulatedFrame]:
+    """Render `shots` one after another; the scene is rebuilt only where the eye moves.
+
+    Nothing in the scene moves, so a pose that comes again shares its light and its truth with the first time; the
+    sensor's noise is its own.
+    """
+    builder = SceneBuilder(scenario, site.terrain, site.cover)
+    view: View | None = None
+    eye: NDArray[np.float64] | None = None
+    seen: dict[tuple[Camera, Pose], _Light] = {}
+    for k, shot in enumerate(shots):
+        if view is None or eye is None or not np.array_equal(eye, shot.pose.position):
+            view, eye = None, shot.pose.position  # the old scene goes before the new one comes
+            seen.clear()
+            view = builder.view(eye)
+        seed = scenario.seed * 10_007 + k
+        key = (shot.camera, shot.pose)
+        if key not in seen:
+            seen[key] = _light(scenario, site, view, shot, seed)
+        light = seen[key]
+        image = develop(light.radiance, shot.camera, scenario.imaging, seed, light.is_sky)
+        yield SimulatedFrame(shot, image, light.truth)
+
+
+@dataclass(frozen=True)
+class _Light:
+    radiance: NDArray[np.float32]
+    is_sky: NDArray[np.bool_]
+    truth: FrameTruth
+
+
+def _light(scenario: Scenario, site: SimulatedSite, view: View, shot: Shot, seed: int) -> _Light:
+    """What reaches the lens, and what is true of it."""
+    camera, pose = shot.camera, shot.pose
+    radiance = render_radiance(view, camera, pose, scenario.imaging.samples, seed)
+    ranges = [render_range(view.full, camera, pose, shift) for shift in _HAZE_SAMPLES]
+    air = [air_length(r, camera, pose) for r in ranges]
+    hazy = add_haze(radiance, air, airlight(view, camera, pose), scenario.atmosphere)
+    truth = frame_truth(view, camera.scaled(scenario.truth_step), pose, site.cover)
+    return _Light(hazy, np.isinf(ranges[0]), truth)

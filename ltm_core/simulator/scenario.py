@@ -1,0 +1,172 @@
+"""What a simulated recording is made of: the typed scenario behind `ltm simulate SCENARIO.yaml`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from ltm_core.camera import Camera
+from ltm_core.errors import ConfigError
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class TerrainConfig(_Strict):
+    """The ground. Lengths in metres; the site is the square [0, size]^2 of the map frame."""
+
+    size: float = Field(4000.0, gt=0)
+    resolution: float = Field(4.0, gt=0)
+    surroundings: float = Field(8192.0, gt=0)  # side of the evolved range around the site, same centre
+    relief: float = Field(620.0, gt=0)
+    base_elevation: float = 340.0
+    erodibility: float = Field(2.0e-6, gt=0)
+    diffusivity: float = Field(0.0008, ge=0)  # m^2/a: larger rounds ridges off
+    repose: float = Field(0.95, gt=0)  # tangent of the steepest stable slope
+    roughness: float = Field(1.0, ge=0)  # m, relief below the evolution's scale
+
+
+class VegetationConfig(_Strict):
+    """Cover of the land in wishes: the shares of the site that each class should hold, the rest is shrub."""
+
+    tree: float = Field(0.2, ge=0, le=1)
+    grass: float = Field(0.22, ge=0, le=1)
+    bare: float = Field(0.07, ge=0, le=1)
+    road: bool = True
+    patch: float = Field(260.0, gt=0)  # m, the longest wavelength of patches
+    green: float = Field(0.25, ge=0, le=1)  # 0: cured, 1: a wet spring
+    detail_radius: float = Field(1300.0, gt=0)  # m round a camera within which every shrub has its own shape
+    grass_radius: float = Field(220.0, ge=0)  # m round a camera within which grass stands as blades
+
+    @model_validator(mode="after")
+    def _shares(self) -> VegetationConfig:
+        if self.tree + self.grass + self.bare > 1:
+            raise ValueError(f"tree + grass + bare is {self.tree + self.grass + self.bare:.2f}, must be at most 1")
+        return self
+
+
+class SunConfig(_Strict):
+    azimuth_deg: float = 215.0
+    elevation_deg: float = Field(38.0, gt=2, le=90)
+    turbidity: float = Field(3.5, ge=1, le=10)
+
+
+class AtmosphereConfig(_Strict):
+    """Haze: radiance L at distance d is seen as L exp(-d / visibility) + airlight (1 - exp(-d / visibility))."""
+
+    visibility: float = Field(11000.0, gt=0)  # m, 1/e length in green
+    blue: float = 0.35  # how much faster blue fades than red: exponents 1 - blue/2 (red) .. 1 + blue/2 (blue)
+
+
+class ImagingConfig(_Strict):
+    samples: int = Field(24, ge=1)  # light paths a pixel
+    exposure: float = Field(1.0, gt=0)  # relative to the automatic one
+    vignetting: float = Field(0.25, ge=0, le=1)  # part of cos^4 fall-off applied
+    noise: float = Field(1.0, ge=0)  # sensor noise relative to a small daylight camera
+    denoise: bool = True
+
+
+class PatrolConfig(_Strict):
+    """A moving head's round: every azimuth in turn, `rounds` times, one frame each `interval_s`."""
+
+    azimuth_deg: Annotated[list[float], Field(min_length=1)]
+    pitch_deg: list[float] = [-6.0]  # one for all azimuths or one each
+    roll_deg: float = 0.0
+    rounds: int = Field(1, ge=1)
+    interval_s: float = Field(2.0, gt=0)
+    start_s: float = 0.0
+
+    @model_validator(mode="after")
+    def _one_pitch_each(self) -> PatrolConfig:
+        if len(self.pitch_deg) not in (1, len(self.azimuth_deg)):
+            raise ValueError(
+                f"{len(self.pitch_deg)} pitches for {len(self.azimuth_deg)} azimuths: give one, or one each"
+            )
+        return self
+
+
+class CameraSetup(_Strict):
+    """A camera on a mast at map (x, y), `mast` metres above the true ground."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    x: float
+    y: float
+    mast: float = Field(15.0, gt=0)
+    hfov_deg: float = Field(55.0, gt=0, lt=170)
+    patrol: PatrolConfig
+
+
+class ViewsConfig(_Strict):
+    """Seeded viewpoints for training: knolls and slopes, with heights, headings and fields of view drawn at random."""
+
+    positions: int = Field(8, ge=1)
+    views: int = Field(8, ge=1)  # frames a position
+    mast: tuple[float, float] = (2.0, 25.0)
+    pitch_deg: tuple[float, float] = (-14.0, 1.0)
+    roll_deg: tuple[float, float] = (-3.0, 3.0)
+    hfov_deg: tuple[float, float] = (35.0, 68.0)
+
+
+class ImageSize(_Strict):
+    width: int = Field(1920, ge=8)
+    height: int = Field(1080, ge=8)
+
+
+class Scenario(_Strict):
+    """One simulated recording. Unknown keys are refused; defaults stand here and nowhere else."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    seed: int = Field(ge=0)
+    crs: str = "EPSG:32611"
+    origin: tuple[float, float] = (380000.0, 3806000.0)  # map (0, 0) in the CRS
+    start_ns: int = 1_750_000_000_000_000_000
+    truth_step: int = Field(4, ge=1)
+    curvature: bool = True  # earth curvature with refraction 0.13, as the tracer assumes
+    image: ImageSize = ImageSize()
+    terrain: TerrainConfig = TerrainConfig()
+    vegetation: VegetationConfig = VegetationConfig()
+    sun: SunConfig = SunConfig()
+    atmosphere: AtmosphereConfig = AtmosphereConfig()
+    imaging: ImagingConfig = ImagingConfig()
+    dem_resolution: float = Field(5.0, gt=0)
+    dem_sigma: float = Field(0.7, ge=0)  # m, smooth error of the DEM handed to the system
+    cameras: list[CameraSetup] = []
+    views: ViewsConfig | None = None
+
+    @model_validator(mode="after")
+    def _something_to_see(self) -> Scenario:
+        if not self.cameras and self.views is None:
+            raise ValueError("no camera: give `cameras` or `views`")
+        names = [c.name for c in self.cameras]
+        if len(set(names)) != len(names):
+            raise ValueError(f"camera names must differ, got {names}")
+        for c in self.cameras:
+            if not (0 < c.x < self.terrain.size and 0 < c.y < self.terrain.size):
+                raise ValueError(f"camera {c.name} at ({c.x}, {c.y}) is outside the site [0, {self.terrain.size}]^2")
+        return self
+
+    def camera_model(self, hfov_deg: float) -> Camera:
+        """The undistorted camera of this scenario's image size."""
+        return Camera.from_fov(self.image.width, self.image.height, hfov_deg)
+
+
+def load_scenario(path: Path | str) -> Scenario:
+    """Read a scenario file. Raises ConfigError naming the file, the key and what is wrong with it."""
+    path = Path(path)
+    try:
+        data: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as e:
+        raise ConfigError(f"cannot read scenario {path}: {e.strerror}; give the path of a scenario YAML") from e
+    except yaml.YAMLError as e:
+        raise ConfigError(f"scenario {path} is not YAML: {e}") from e
+    if not isinstance(data, dict):
+        raise ConfigError(f"scenario {path} must be a mapping of keys, got {type(data).__name__}")
+    try:
+        return Scenario(**data)
+    except ValidationError as e:
+        problems = "; ".join(f"{'.'.join(map(str, p['loc'])) or 'scenario'}: {p['msg']}" for p in e.errors())
+        raise ConfigError(f"scenario {path}: {problems}") from e

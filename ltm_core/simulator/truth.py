@@ -1,0 +1,72 @@
+"""What a frame's pixels truly show: ranges, classes, and the site's fuel raster."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.camera import Camera
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+from ltm_core.simulator.landcover import GRASS, SKY, TREE, UNLABELLED, LandCover
+from ltm_core.simulator.render import render_range
+from ltm_core.simulator.scene import View
+
+_SAME = 1e-3  # relative: ranges closer than this are one surface
+
+
+@dataclass(frozen=True)
+class FrameTruth:
+    """Of each pixel of `camera`: `range_surface` to what is seen, `range_ground` to the bare ground behind it (both
+    (H, W) float32, slant metres, +inf sky), `labels` (H, W) uint8."""
+
+    range_surface: NDArray[np.float32]
+    range_ground: NDArray[np.float32]
+    labels: NDArray[np.uint8]
+    camera: Camera
+
+
+def frame_truth(view: View, camera: Camera, pose: Pose, cover: LandCover) -> FrameTruth:
+    """Cast a ray through every pixel centre of `camera`, with everything standing and with the plants taken away
+    kind by kind.
+
+    The class is the kind whose removal lengthens the ray; the ground itself takes the class map's (under trees:
+    grass), and ranges beyond the
+    map stay unlabelled.
+    """
+    ranges = [render_range(scene, camera, pose) for _, scene in view.layers]
+    labels = _ground_labels(ranges[0], camera, pose, view.bend, cover)
+    for k in range(1, len(ranges)):
+        nearer = ranges[k] < ranges[k - 1] - _SAME * 0.01 * np.where(np.isfinite(ranges[k]), ranges[k], 0)
+        labels[nearer] = view.layers[k][0]
+    return FrameTruth(ranges[-1], ranges[0], labels, camera)
+
+
+def _ground_labels(
+    ranges: NDArray[np.float32], camera: Camera, pose: Pose, bend: float, cover: LandCover
+) -> NDArray[np.uint8]:
+    rays = camera.rays() @ pose.rotation.T
+    hit = np.isfinite(ranges)
+    points = pose.position + rays * np.where(hit, ranges, 0.0)[..., None]
+    labels = cover.at(points[..., 0], points[..., 1]).copy()
+    labels[~cover.geometry.contains(*cover.geometry.cell_of(points[..., 0], points[..., 1]))] = UNLABELLED
+    labels[labels == TREE] = GRASS  # what shows between crowns is their understorey
+    labels[~hit] = SKY
+    return labels
+
+
+def fuel_truth(cover: LandCover, geometry: GridGeometry, offset: tuple[float, float]) -> NDArray[np.uint8]:
+    """Majority class of each cell of `geometry` (CRS coordinates; `offset` is the CRS position of map (0, 0)); ties
+    go to the lower id."""
+    fine = cover.geometry
+    rows, cols = np.mgrid[0 : fine.height, 0 : fine.width]
+    x, y = fine.to_map(rows, cols)
+    row, col = geometry.cell_of(x + offset[0], y + offset[1])
+    inside = geometry.contains(row, col)
+    counts = np.zeros((geometry.height * geometry.width, 8), np.int64)
+    np.add.at(counts, ((row * geometry.width + col)[inside], np.minimum(cover.classes[inside], 7)), 1)
+    out = counts.argmax(axis=1).astype(np.uint8)
+    out[counts.sum(axis=1) == 0] = 255
+    return np.asarray(out.reshape(geometry.shape), np.uint8)
