@@ -60,6 +60,7 @@ class HandlerNode(Node):  # type: ignore[misc]
         self._publishers_by_topic: dict[Topic, Any] = {}
         self._inbox: queue.Queue[tuple[Callable[[Any], None], Any] | None] = queue.Queue(QUEUE)
         self._last_tick = time.monotonic()
+        self._results = 0
         self.handler = node_type.handler(config, self, self.health)
         for topic in self.handler.publications:
             self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, stream_qos(topic.latched))
@@ -79,6 +80,7 @@ class HandlerNode(Node):  # type: ignore[misc]
         """Part of Outlet."""
         self._publishers_by_topic[topic].publish(message)
         if not topic.latched:
+            self._results += 1
             self.health.published(topic.name, (self.get_clock().now().nanoseconds - stamp_of(message)) / 1e9)
 
     def wanted(self, topic: Topic) -> bool:
@@ -118,14 +120,15 @@ class HandlerNode(Node):  # type: ignore[misc]
     def _work(self) -> None:
         while (item := self._inbox.get()) is not None:
             callback, message = item
-            started = time.perf_counter()
+            started, results = time.perf_counter(), self._results
             try:
                 self._guarded(callback, message)
             except BaseException:
                 # A bug: end the whole process at once, with its traceback, and let the graph restart it.
                 sys.excepthook(*sys.exc_info())
                 os._exit(1)
-            if message is not None:
+            # A message that only waits for others to join it tells nothing of the work on a frame.
+            if self._results > results or not self.handler.publications:
                 self.health.worked(time.perf_counter() - started)
             self._inbox.task_done()
             self.health.gauge("queue", self._inbox.unfinished_tasks)

@@ -108,6 +108,7 @@ class LivePlayer:
                 self._sleep_until(message.log_time_ns + shift, stopped)
                 if stopped():
                     return published
+                self._publish_clock()  # no node shall receive a message from its future
                 self._publishers[message.topic].publish(_moved(message.raw, shift) if shift else message.raw)
                 published += 1
                 progress(published)
@@ -138,7 +139,10 @@ class LivePlayer:
 
     def _tick(self) -> None:
         while not self._stopping.wait(CLOCK_PERIOD):
-            self._clock.publish(Clock(clock=ns_to_time(self.now_ns())))
+            self._publish_clock()
+
+    def _publish_clock(self) -> None:
+        self._clock.publish(Clock(clock=ns_to_time(self.now_ns())))
 
     def _spin(self) -> None:
         while not self._stopping.is_set():
