@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
-from ltm_core.pictures import MapCamera, fuel_map_picture, overlay_depth, overlay_labels, panel, to_png
+from ltm_core.pictures import MapCamera, RangeScale, fuel_map_picture, overlay_depth, overlay_labels, panel, to_png
 from ltm_core.site import Site
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.report import CameraPictures
@@ -38,7 +38,12 @@ def headings(frames: Iterable[RecordedFrame]) -> list[RecordedFrame]:
     return shown
 
 
-def camera_pictures(frames: Sequence[RecordedFrame], labels: LabelSet) -> list[CameraPictures]:
+def range_scale(frames: Sequence[RecordedFrame]) -> RangeScale:
+    """One colour scale for all frames of a run, fitted to what they see."""
+    return RangeScale.of(np.concatenate([frame.depth[::8, ::8].ravel() for frame in frames]))
+
+
+def camera_pictures(frames: Sequence[RecordedFrame], labels: LabelSet, scale: RangeScale) -> list[CameraPictures]:
     """Photo, depth and labels of each frame, for the report."""
     return [
         CameraPictures.of(
@@ -48,6 +53,7 @@ def camera_pictures(frames: Sequence[RecordedFrame], labels: LabelSet) -> list[C
             frame.labels,
             labels,
             caption="azimuth {:.0f}°, pitch {:.1f}°".format(*frame.pose.angles_deg[:2]),
+            scale=scale,
         )
         for frame in frames
     ]
@@ -60,7 +66,6 @@ def map_picture(
     dem: Dem,
     frames: Sequence[RecordedFrame],
     labels: LabelSet,
-    title: str,
 ) -> Rgb:
     """The fuel map over relief with the cameras and the sectors that they looked into."""
     x, y = site.origin
@@ -72,10 +77,12 @@ def map_picture(
         named.add(frame.camera_name)
         place = (float(frame.pose.position[0]), float(frame.pose.position[1]))
         cameras.append(MapCamera(name, frame.camera, place, frame.pose.angles_deg[0]))
-    return fuel_map_picture(classes, in_map, labels, dem, cameras, title=title)
+    return fuel_map_picture(classes, in_map, labels, dem, cameras)
 
 
-def write_pictures(folder: Path, frames: Sequence[RecordedFrame], fuel_map: Rgb, labels: LabelSet) -> None:
+def write_pictures(
+    folder: Path, frames: Sequence[RecordedFrame], fuel_map: Rgb, labels: LabelSet, scale: RangeScale
+) -> None:
     """PNG files: an overview of the frame that looks deepest into the land, the map, and every frame's sheet."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "fuel_map.png").write_bytes(to_png(fuel_map))
@@ -83,7 +90,7 @@ def write_pictures(folder: Path, frames: Sequence[RecordedFrame], fuel_map: Rgb,
     for frame in frames:
         sheet = [
             ("photo", frame.photo),
-            ("depth traced to the terrain", overlay_depth(frame.photo, frame.depth)),
+            ("depth traced to the terrain", overlay_depth(frame.photo, frame.depth, scale)),
             ("labels", overlay_labels(frame.photo, frame.labels, labels)),
         ]
         name = f"{frame.camera_name}_{frame.pose.angles_deg[0]:03.0f}.png"

@@ -23,7 +23,7 @@ from ltm_core.site_io import load_site
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.cli.summary import node_rows
-from ltm_ros.demo.outcome import camera_pictures, conditions, map_picture, write_pictures
+from ltm_ros.demo.outcome import camera_pictures, conditions, map_picture, range_scale, write_pictures
 from ltm_ros.importer.build import import_photos
 from ltm_ros.replay.run import ReplayOptions, run_live
 from ltm_ros.report import NodeRow, ReportData, Table, write_report
@@ -84,8 +84,9 @@ def run_real_demo(
     nodes = node_rows(summaries)
 
     classes, geometry = read_fuel_map(out / "fuel_map.tif")
-    fuel_map = map_picture(classes, geometry, site, dem, frames, labels, "fuel map")
-    write_pictures(out / "pictures", frames, fuel_map, labels)
+    fuel_map = map_picture(classes, geometry, site, dem, frames, labels)
+    scale = range_scale(frames)
+    write_pictures(out / "pictures", frames, fuel_map, labels, scale)
     write_report(
         out / "report.html",
         ReportData(
@@ -96,9 +97,10 @@ def run_real_demo(
             ),
             conditions=conditions(site, seconds, len(frames)),
             nodes=nodes,
-            cameras=camera_pictures(frames, labels),
+            cameras=camera_pictures(frames, labels, scale),
             fuel_map=fuel_map,
             label_set=labels,
+            scale=scale,
             recording="demo.rrd",
             tables=(_table(points),),
         ),

@@ -14,7 +14,7 @@ from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.cli.summary import node_rows
-from ltm_ros.demo.outcome import camera_pictures, conditions, headings, map_picture, write_pictures
+from ltm_ros.demo.outcome import camera_pictures, conditions, headings, map_picture, range_scale, write_pictures
 from ltm_ros.replay.run import ReplayOptions, run_live
 from ltm_ros.report import NodeRow, ReportData, write_report
 from ltm_ros.run_score import RunScore, recorded_frames, score_run
@@ -63,8 +63,9 @@ def run_demo(
 
     shown = headings(recorded_frames(out / "recording", site))
     dem = site.open_dem()
-    fuel_map = map_picture(classes, geometry, site, dem, shown, labels, "fuel map")
-    write_pictures(out / "pictures", shown, fuel_map, labels)
+    fuel_map = map_picture(classes, geometry, site, dem, shown, labels)
+    scale = range_scale(shown)
+    write_pictures(out / "pictures", shown, fuel_map, labels, scale)
     data = ReportData(
         title="LTM demonstration",
         summary=(
@@ -74,12 +75,13 @@ def run_demo(
         ),
         conditions=conditions(site, seconds, score.frames),
         nodes=nodes,
-        cameras=camera_pictures(shown, labels),
+        cameras=camera_pictures(shown, labels, scale),
         fuel_map=fuel_map,
         depth=score.surface,
         labels=score.labels,
         fuel=fuel,
         label_set=labels,
+        scale=scale,
         recording="demo.rrd",
         files=(
             ("fuel_map.tif", "class indices per 30 m cell, 255 unseen"),
