@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 def demo(
@@ -33,7 +36,7 @@ def demo(
     (_real if real else _simulated)(target, domain, console)
 
 
-def _simulated(out: Path, domain: int, console: "Console") -> None:  # noqa: F821, UP037
+def _simulated(out: Path, domain: int, console: Console) -> None:
     from rich.table import Table
 
     from ltm_core.resources import project_path
@@ -67,7 +70,7 @@ def _simulated(out: Path, domain: int, console: "Console") -> None:  # noqa: F82
         raise typer.Exit(1)
 
 
-def _real(out: Path, domain: int, console: "Console") -> None:  # noqa: F821, UP037
+def _real(out: Path, domain: int, console: Console) -> None:
     from rich.table import Table
 
     from ltm_core.resources import config_path

@@ -21,12 +21,13 @@ def record(
     """Record a site's topics to OUT until Ctrl-C."""
     from ltm_core.site_io import load_site
     from ltm_ros.graph import Graph, ParameterValue, describe
-    from ltm_ros.runner import Runner, print_line
+    from ltm_ros.runner import Runner, new_log_folder
 
     parameters: dict[str, ParameterValue] = {"bag": str(out.resolve())}
     if topics:
         parameters["topics"] = list(topics)
     config = load_site(site)
     whole = describe(config, site, sim_time=sim_time, record=parameters)
-    runner = Runner(Graph(config.name, (whole.node("recorder"),)), domain_id=domain, console=print_line)
+    graph = Graph(config.name, (whole.node("recorder"),))
+    runner = Runner(graph, domain_id=domain, log_folder=new_log_folder(config.name))
     raise typer.Exit(runner.run())

@@ -66,7 +66,7 @@ def run_live(
     options: ReplayOptions,
     progress: Callable[[int, int], None],
     console: Callable[[str], None],
-    log_folder: Path | None = None,
+    log_folder: Path,
     stopped: Callable[[], bool] = bool,
 ) -> dict[str, dict[str, str]]:
     """With the whole graph as processes of their own; the last diagnostics of every node by full name.
