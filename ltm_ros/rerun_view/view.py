@@ -178,11 +178,11 @@ class RerunView:
         return site_blueprint(self._site.name, names, eye, self._window(), self._live)
 
     def _window(self) -> MapWindow:
-        """Around the cameras and the ground before them."""
+        """Around the cameras and the ground before them, as far as the fuel grid goes."""
         g = self._fuel_geometry
         outline = [camera.sector() for camera in self._cameras.values()]
         corners = np.vstack(outline) if outline else np.array([[g.x_min, g.y_min], [g.x_max, g.y_max]])
-        row, col = g.to_grid(corners[:, 0], corners[:, 1])
+        row, col = g.to_grid(corners[:, 0].clip(g.x_min, g.x_max), corners[:, 1].clip(g.y_min, g.y_max))
         margin = 0.06 * max(np.ptp(row), np.ptp(col))
         return MapWindow(
             (float(col.min() - margin), float(col.max() + margin)),
