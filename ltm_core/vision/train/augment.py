@@ -135,7 +135,7 @@ def _ground_tint(photo: Image, labels: Labels, rng: Rng) -> Image:
         mask = coarse_labels == label
         if label == Label.SKY or not mask.any():
             continue
-        spread = 0.3 if label in (Label.BARE, Label.BUILT) else 0.2
+        spread = 0.15  # more, and dry grass could not be told from pale soil
         first[label] = np.exp(rng.normal(0.0, spread, 3) * 0.6 + rng.normal(0.0, spread))
         second[label] = np.exp(rng.normal(0.0, spread, 3) * 0.6 + rng.normal(0.0, spread))
         mean[label] = coarse_photo[mask].mean(axis=0)

@@ -35,7 +35,7 @@ class NetworkConfig(StrictModel):
 
 
 class OptimiserConfig(StrictModel):
-    steps: int = Field(default=1200, ge=1)
+    steps: int = Field(default=1100, ge=1)
     batch: int = Field(default=8, ge=1)
     small: float = Field(default=0.7, ge=0, le=1)  # share of the steps, the first, at two thirds of the size
     learning_rate: float = Field(default=4e-3, gt=0)
@@ -56,7 +56,7 @@ class AugmentConfig(StrictModel):
     flip: float = 0.5
     crop: float = 0.75
     new_sky: float = 0.45
-    ground_tint: float = 0.5
+    ground_tint: float = 0.35
     snow: float = 0.12
     haze: float = 0.4
     light: float = 0.9
