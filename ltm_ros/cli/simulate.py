@@ -13,6 +13,9 @@ def simulate(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the frames; made if missing.")],
     first: Annotated[int, typer.Option(help="Number of the first frame to render (to go on after a stop).")] = 0,
     limit: Annotated[int | None, typer.Option(help="Render at most so many frames.")] = None,
+    bag: Annotated[
+        Path | None, typer.Option(help="Also write the frames as a recording (MCAP), with truth topics.")
+    ] = None,
     site_only: Annotated[bool, typer.Option("--site-only", help="Write dem.tif and fuel_truth.tif only.")] = False,
 ) -> None:
     """Render SCENARIO: pictures, truth (ranges and labels), frames.json, the DEM handed to the system, the true
@@ -53,3 +56,10 @@ def simulate(
             entries.append(write_frame(out, number, frame))
             write_index(out, config, entries)
             progress.update(task, completed=number + 1 - first)
+        if bag is not None:
+            from ltm_ros.simulated_bag import write_simulated_bag
+
+            task = progress.add_task(f"{config.name}: recording {bag}", total=len(entries))
+            write_simulated_bag(
+                out, bag, config.name, progress=lambda done, total: progress.update(task, completed=done, total=total)
+            )
