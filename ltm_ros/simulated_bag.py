@@ -36,7 +36,7 @@ def write_simulated_bag(
     frames: Path,
     out: Path,
     site: str,
-    quality: int = 80,
+    quality: int = 78,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> int:
     """Write the frames of a `ltm simulate` folder as a bag of site `site`; the number of frames.
