@@ -30,7 +30,11 @@ from ltm_ros.handler import ConfigT, NodeType, Topic
 from ltm_ros.health import Health, cause_of
 
 QUEUE = 30
-"""Messages that wait for a busy handler before the newest is dropped and counted."""
+QUEUE_PER_TOPIC = 10
+"""Messages that wait for a busy handler before the newest is dropped and counted: the greater of the two bounds, for a
+frame brings a message on each topic."""
+QUEUE_BYTES = 512 << 20
+"""Bytes of image data that wait at most: the viewer of twenty towers shall not fill the memory."""
 EX_CONFIG = 78
 """Exit status of a node whose configuration cannot work (sysexits.h): restarting it does not help."""
 
@@ -50,6 +54,39 @@ class ClosableNode(Protocol):
     def destroy_node(self) -> None: ...
 
 
+_Item = tuple[Callable[[Any], None], Any]
+
+
+class _Inbox(queue.Queue[_Item | None]):
+    """Callbacks with their messages; full when there are too many of them, or when they hold too many bytes."""
+
+    def __init__(self, messages: int, most_bytes: int) -> None:
+        super().__init__(messages)
+        self._most_bytes = most_bytes
+        self._bytes_in = self._bytes_out = 0  # each written by one thread only
+
+    @property
+    def waiting_bytes(self) -> int:
+        return self._bytes_in - self._bytes_out
+
+    def offer(self, callback: Callable[[Any], None], message: Any) -> None:
+        """Raises queue.Full at once where there is no room. A message alone always has room."""
+        size = _data_bytes(message)
+        if size and self.waiting_bytes and self.waiting_bytes + size > self._most_bytes:
+            raise queue.Full
+        self.put_nowait((callback, message))
+        self._bytes_in += size
+
+    def done(self, message: Any) -> None:
+        """The worker has finished with a message that was offered."""
+        self._bytes_out += _data_bytes(message)
+        self.task_done()
+
+
+def _data_bytes(message: Any) -> int:
+    return len(getattr(message, "data", ()))
+
+
 class HandlerNode(Node):  # type: ignore[misc]
     """Runs one handler: messages queue up for a worker thread, so that the middleware is drained while it works."""
 
@@ -58,10 +95,10 @@ class HandlerNode(Node):  # type: ignore[misc]
         config = read_parameters(self, node_type.config)
         self.health = Health()
         self._publishers_by_topic: dict[Topic, Any] = {}
-        self._inbox: queue.Queue[tuple[Callable[[Any], None], Any] | None] = queue.Queue(QUEUE)
         self._last_tick = time.monotonic()
         self._results = 0
         self.handler = node_type.handler(config, self, self.health)
+        self._inbox = _Inbox(max(QUEUE, QUEUE_PER_TOPIC * len(self.handler.subscriptions)), QUEUE_BYTES)
         for topic in self.handler.publications:
             self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, stream_qos(topic.latched))
         self.handler.start()
@@ -81,7 +118,9 @@ class HandlerNode(Node):  # type: ignore[misc]
         self._publishers_by_topic[topic].publish(message)
         if not topic.latched:
             self._results += 1
-            self.health.published(topic.name, (self.get_clock().now().nanoseconds - stamp_of(message)) / 1e9)
+            now = self.get_clock().now().nanoseconds
+            # 0: simulated time that has not begun for this node, so nothing is known of the age.
+            self.health.published(topic.name, (now - stamp_of(message)) / 1e9 if now else None)
 
     def wanted(self, topic: Topic) -> bool:
         """Part of Outlet."""
@@ -105,10 +144,14 @@ class HandlerNode(Node):  # type: ignore[misc]
 
     def _offer(self, callback: Callable[[Any], None], message: Any) -> None:
         try:
-            self._inbox.put_nowait((callback, message))
+            self._inbox.offer(callback, message)
             self.health.gauge("queue", self._inbox.unfinished_tasks)
         except queue.Full:
-            self.health.drop("overload", f"{QUEUE} messages wait already; slow the camera down or give it more cores")
+            self.health.drop(
+                "overload",
+                f"{self._inbox.qsize()} messages ({self._inbox.waiting_bytes >> 20} MB) wait already; "
+                "slow the camera down or give it more cores",
+            )
 
     def _tick(self) -> None:
         if self._inbox.full():
@@ -130,7 +173,7 @@ class HandlerNode(Node):  # type: ignore[misc]
             # A message that only waits for others to join it tells nothing of the work on a frame.
             if self._results > results or not self.handler.publications:
                 self.health.worked(time.perf_counter() - started)
-            self._inbox.task_done()
+            self._inbox.done(message)
             self.health.gauge("queue", self._inbox.unfinished_tasks)
 
     def _guarded(self, callback: Callable[[Any], None], message: Any) -> None:

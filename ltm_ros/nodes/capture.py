@@ -9,6 +9,7 @@ from typing import Any
 from pydantic import Field
 
 from ltm_core.camera import Camera
+from ltm_core.errors import LtmError
 from ltm_core.frame import PosedImage
 from ltm_core.pose import Pose
 from ltm_core.site_io import load_site
@@ -17,7 +18,7 @@ from ltm_msgs_py.image import compressed_to_rgb, image_to_msg, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose, pose_to_msg
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet
-from ltm_ros.health import Health
+from ltm_ros.health import Health, cause_of
 from ltm_ros.node import run_node
 from ltm_ros.topics import (
     CAMERA_INFO,
@@ -107,11 +108,20 @@ class Capture(Handler[CaptureConfig]):
             self._give_up(stamp, "the recording or the node ended")
 
     def _send_ready(self) -> None:
+        """Raises the last of the errors of images that cannot be sent, when all that can be are."""
+        errors = []
         for stamp in sorted(self._images):
             pose, calibration = self._pose_for(stamp), self._calibration_for(stamp)
             if pose is not None and calibration is not None:
                 message, _ = self._images.pop(stamp)
-                self._send(message, stamp, calibration, *pose)
+                try:
+                    self._send(message, stamp, calibration, *pose)
+                except LtmError as error:
+                    errors.append(error)
+        for earlier in errors[:-1]:
+            self.health.drop(cause_of(earlier), str(earlier))
+        if errors:
+            raise errors[-1]
 
     def _pose_for(self, stamp: int) -> tuple[Pose, Any] | None:
         if self._fixed_pose is not None:

@@ -19,6 +19,7 @@ from ltm_core.site_io import load_site
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_ros.diagnostics import DiagnosticsPublisher
+from ltm_ros.free_path import free_path
 from ltm_ros.handler import NodeConfig
 from ltm_ros.health import Health, cause_of
 from ltm_ros.node import read_parameters, run_until_stopped
@@ -32,7 +33,7 @@ FLUSH = ("", "", b"", 0)
 
 class RecorderConfig(NodeConfig):
     bag: str
-    """Folder to write; must not hold anything yet."""
+    """Folder to write; where it holds something already, `<bag>_1` and so on is written instead."""
     topics: list[str] = Field(default_factory=list)
     """Absolute names or patterns (`/site/*/depth/*`); empty: the site's inputs, results, truth and diagnostics."""
 
@@ -49,7 +50,7 @@ class Recorder(Node):  # type: ignore[misc]
         self._queue: queue.Queue[tuple[str, str, bytes, int] | None] = queue.Queue()
         self._waiting = 0
         self._lock = threading.Lock()
-        self._writer = BagWriter(_free_folder(Path(config.bag)))
+        self._writer = BagWriter(free_path(Path(config.bag)))
         self.create_timer(1.0, lambda: self._queue.put(FLUSH), clock=DiagnosticsPublisher.steady_clock())
         self.create_timer(0.2, self._discover, clock=DiagnosticsPublisher.steady_clock())
         self._diagnostics = DiagnosticsPublisher(self, self.health)
@@ -127,15 +128,6 @@ def _patterns(config: RecorderConfig) -> list[str]:
     cameras, whole_site = RECORDED
     names = [camera_topic(site.name, camera, topic) for camera in site.cameras for topic in cameras]
     return [*names, *(site_topic(site.name, topic) for topic in whole_site), "/diagnostics"]
-
-
-def _free_folder(path: Path) -> Path:
-    """`path`, or after a restart `path_1`, ...: a bag is never written over."""
-    candidate, n = path, 0
-    while candidate.is_dir() and any(candidate.iterdir()):
-        n += 1
-        candidate = path.with_name(f"{path.name}_{n}")
-    return candidate
 
 
 main = partial(run_until_stopped, "recorder", Recorder)

@@ -19,6 +19,7 @@ from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.image import msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.free_path import free_path
 from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.health import Health
 from ltm_ros.join import StampJoin
@@ -42,7 +43,7 @@ POINT_STEP = 12
 
 class ViewerConfig(NodeConfig):
     save: str = ""
-    """.rrd file to write; empty: none."""
+    """.rrd file to write; empty: none. Where it exists, `<name>_1.rrd` and so on is written instead."""
     serve: bool = False
     """Serve a live view on loopback."""
     web_port: int = Field(9090, ge=0, lt=65536)
@@ -58,7 +59,7 @@ class Viewer(Handler[ViewerConfig]):
             self._site,
             self._site.open_dem(),
             LabelSet.load(config_path(self._site.labels)),
-            save=Path(config.save) if config.save else None,
+            save=free_path(Path(config.save)) if config.save else None,
             serve=config.serve,
             web_port=config.web_port,
             grpc_port=config.grpc_port,

@@ -70,8 +70,9 @@ class LivePlayer:
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
-    def wait_for_listeners(self, timeout: float = 30.0) -> None:
-        """Until somebody listens to the images and the number of listeners has stood still for a second.
+    def wait_for_listeners(self, nodes: int = 0, timeout: float = 30.0) -> None:
+        """Until somebody listens to the images, at least `nodes` nodes to the clock, and the number of listeners has
+        stood still for a second.
 
         Raises RecordingError after `timeout` seconds: no graph of this site runs in this ROS domain.
         """
@@ -79,14 +80,16 @@ class LivePlayer:
         while time.monotonic() < deadline:
             counts = {topic: publisher.get_subscription_count() for topic, publisher in self._publishers.items()}
             images = [count for topic, count in counts.items() if "/image_raw" in topic]
-            if sum(counts.values()) != last:
-                last, since = sum(counts.values()), time.monotonic()
-            if min(images) > 0 and time.monotonic() - since > 1.0:
+            # DDS discovers each pair of processes by itself, and a node that does not know the player yet has no time.
+            clocks = self._clock.get_subscription_count()
+            if sum(counts.values()) + clocks != last:
+                last, since = sum(counts.values()) + clocks, time.monotonic()
+            if min(images) > 0 and clocks >= nodes and time.monotonic() - since > 1.0:
                 return
             time.sleep(0.05)
         topics = ", ".join(topic for topic in self._publishers if "/image_raw" in topic)
         raise RecordingError(
-            f"in {timeout:.0f} s nobody has subscribed to {topics}: "
+            f"in {timeout:.0f} s nobody has subscribed to {topics}, or fewer than {nodes} nodes to /clock: "
             "start the site's graph in the same ROS_DOMAIN_ID, or let `ltm replay` start it"
         )
 

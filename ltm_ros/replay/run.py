@@ -76,12 +76,14 @@ def run_live(
     selection = Selection.open(bag, load_site(site_path), options.start, options.duration)
     apply_to_process(options.domain_id)
     graph = graph_of(site_path, options, sim_time=True)
+    if options.rrd is not None:
+        options.rrd.unlink(missing_ok=True)  # else the viewer would write another beside that of the last replay
     names = [node.full_name for node in graph]
     total = selection.message_count
     with Runner(graph, domain_id=options.domain_id, log_folder=log_folder, console=console) as runner:
         runner.wait_until_ready(timeout_s=180.0)
         with LivePlayer(selection, options.rate) as player:
-            player.wait_for_listeners()
+            player.wait_for_listeners(len(graph))
             player.play(options.loop, lambda done: progress(done, total), stopped)
             if not player.drain(names):
                 raise LtmError("the graph is still at work two minutes after the recording's end; see its logs")
