@@ -69,6 +69,29 @@ def march(dem: Dem, origin: ArrayLike, directions: ArrayLike, step: float = 1.0)
     return depth
 
 
+def march_arrays(dem: Dem, origin: ArrayLike, directions: ArrayLike, step: float = 1.0) -> NDArray[np.float32]:
+    """The same march in plain NumPy, all rays a step at a time: what the paper's algorithm costs without a compiler."""
+    start = np.asarray(origin, np.float64)
+    rays = np.asarray(directions, np.float64)
+    depth = np.full(len(rays), np.nan, np.float32)
+    level = np.abs(rays[:, :2]).sum(axis=1) <= 1e-12
+    depth[level & (rays[:, 2] >= 0)] = np.inf
+    under_way = np.flatnonzero(np.isfinite(rays).all(axis=1) & ~(level & (rays[:, 2] >= 0)))
+    position = np.broadcast_to(start, (under_way.size, 3)).copy()
+    geometry, elevation = dem.geometry, dem.elevation
+    while under_way.size:
+        row, col = geometry.cell_of(position[:, 0], position[:, 1])
+        inside = (row >= 0) & (row < geometry.height) & (col >= 0) & (col < geometry.width)
+        ground = elevation[np.where(inside, row, 0), np.where(inside, col, 0)]
+        met = inside & (ground >= position[:, 2])
+        depth[under_way[~inside]] = np.inf
+        depth[under_way[met]] = np.hypot(*(position[met, :2] - start[:2]).T)
+        on = inside & (ground < position[:, 2])
+        under_way, position = under_way[on], position[on]
+        position += rays[under_way] * step
+    return depth
+
+
 def march_image(dem: Dem, camera: Camera, pose: Pose, step: float = 1.0) -> NDArray[np.float32]:
     """Algorithm 1 for a whole image with the paper's proportional rays: horizontal distance, (H, W) float32 metres."""
     rays = proportional_rays(camera, pose).reshape(-1, 3)

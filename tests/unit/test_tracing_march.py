@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import rough_terrain, standing, tilted_plane
+from scenes import directions, rough_terrain, standing, tilted_plane
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -12,7 +12,7 @@ from ltm_core.errors import PoseError
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.march import march, march_image, proportional_rays
+from ltm_core.tracing.march import march, march_arrays, march_image, proportional_rays
 
 
 def test_depth_on_a_plain_is_the_first_step_below_it() -> None:
@@ -73,3 +73,12 @@ def test_the_march_is_within_a_few_metres_of_the_tracer() -> None:
 def test_refuses_what_cannot_be_marched(origin: tuple[float, ...], step: float) -> None:
     with pytest.raises(PoseError, match="cannot march"):
         march(tilted_plane().dem, origin, [(1, 0, 0)], step)
+
+
+def test_numpy_march_is_the_same_march() -> None:
+    dem = rough_terrain(22)
+    dem.elevation[40:44, 100:130] = np.nan
+    position = standing(dem, 120.0, 60.0, 15.0)
+    rays = directions(np.random.default_rng(22), 700)
+    rays[:3] = [(0, 0, 1), (0, 0, -1), (np.nan, 0, 1)]
+    np.testing.assert_allclose(march_arrays(dem, position, rays), march(dem, position, rays), rtol=1e-6)

@@ -1,0 +1,1 @@
+"""Measured comparisons with other people's ray tracers, on terrain that anybody can make again."""
