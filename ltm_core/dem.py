@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS
 
 from ltm_core.errors import RasterError
 from ltm_core.geodesy import SiteFrame
@@ -39,7 +41,7 @@ class Dem:
         """Read band 1 of any raster that GDAL reads, of any numeric dtype, scaled and with nodata as NaN.
 
         `crs`: the CRS of a raster that carries none; giving one that contradicts the file's is an error. Rows stored
-        south-up are turned. Raises RasterError: not readable, no CRS, geographic, rotated, or cells not square.
+        south-up are turned. Raises RasterError: not readable, no CRS or not in metres, rotated, or cells not square.
         """
         import rasterio
         from rasterio.errors import RasterioError
@@ -49,6 +51,8 @@ class Dem:
                 stated = _crs_of(source.crs, crs, path)
                 if np.issubdtype(np.dtype(source.dtypes[0]), np.complexfloating):
                     raise RasterError(f"{path}: band 1 is {source.dtypes[0]}; elevation must be a real number")
+                if re.search(r"f(oo|ee)?t\b", source.units[0] or "", re.IGNORECASE):
+                    raise RasterError(f"{path}: heights are in {source.units[0]}; convert them to metres first")
                 t = source.transform
                 if t.b or t.d:
                     raise RasterError(f"{path}: rotated raster {tuple(t)[:6]}; warp it north-up first (gdalwarp)")
@@ -72,10 +76,8 @@ class Dem:
 
     def in_frame(self, frame: SiteFrame) -> Dem:
         """The same DEM in a site's map frame (CRS minus origin). Raises RasterError where the CRSs differ."""
-        from pyproj import CRS
-
         crs = self.geometry.crs
-        if crs is None or CRS.from_user_input(crs) != CRS.from_user_input(frame.crs):
+        if crs is None or CRS.from_user_input(crs) != _horizontal(CRS.from_user_input(frame.crs)):
             raise RasterError(
                 f"DEM is in {crs}, the site in {frame.crs}: warp it once with gdalwarp -r bilinear -t_srs {frame.crs}"
             )
@@ -102,17 +104,28 @@ class Dem:
 
 
 def _crs_of(stated: object, given: str | None, path: Path | str) -> str:
-    from pyproj import CRS
+    """The horizontal CRS: what a site is compared with; a stated height system is only checked to be in metres."""
+    from pyproj.exceptions import CRSError
 
-    if stated is None and given is None:
+    try:
+        named = None if given is None else CRS.from_user_input(given)
+    except CRSError as error:
+        raise RasterError(f"{path}: unknown CRS {given!r}: give an EPSG code such as EPSG:32611 ({error})") from error
+    crs = named if stated is None else CRS.from_user_input(stated)
+    if crs is None:
         raise RasterError(f"{path}: the raster carries no CRS; name it with --crs or `dem: {{crs: EPSG:...}}`")
-    if stated is None:
-        crs = CRS.from_user_input(given)
-    else:
-        crs = CRS.from_user_input(stated)
-        if given is not None and CRS.from_user_input(given) != crs:
-            raise RasterError(f"{path}: the raster is in {crs.name}, but {given} was given")
+    for axis in crs.axis_info[2:]:
+        if axis.unit_name != "metre":
+            raise RasterError(f"{path}: heights of {crs.name} are in {axis.unit_name}; convert them to metres first")
+    crs = _horizontal(crs)
+    if named is not None and _horizontal(named) != crs:
+        raise RasterError(f"{path}: the raster is in {crs.name}, but {given} was given")
     if not crs.is_projected or {axis.unit_name for axis in crs.axis_info[:2]} != {"metre"}:
         raise RasterError(f"{path}: a DEM must be projected in metres, {crs.name} is not; warp it first (gdalwarp)")
     authority = crs.to_authority()
-    return ":".join(authority) if authority else crs.to_wkt()
+    return ":".join(authority) if authority else str(crs.to_wkt())
+
+
+def _horizontal(crs: CRS) -> CRS:
+    """Lidar DEMs often name their height system too (a compound CRS), which a site's CRS does not."""
+    return crs.sub_crs_list[0] if crs.is_compound else crs

@@ -72,10 +72,14 @@ class Pose:
 
     @property
     def angles_deg(self) -> tuple[float, float, float]:
-        """(azimuth in [0, 360), pitch, roll) in degrees; straight up or down the azimuth is that of the image's top."""
+        """(azimuth in [0, 360), pitch, roll) in degrees.
+
+        Straight down the azimuth is that of the image's top, straight up that of its bottom, and roll is 0.
+        """
         right, down, forward = self.rotation.T
-        pitch = math.asin(max(-1.0, min(1.0, forward[2])))
-        if math.hypot(forward[0], forward[1]) > 1e-12:
+        level = math.hypot(forward[0], forward[1])
+        pitch = math.atan2(forward[2], level)
+        if level > 1e-12:
             azimuth = math.atan2(forward[0], forward[1])
         else:
             top = -down if forward[2] < 0 else down
