@@ -8,6 +8,7 @@ import typer
 
 from ltm_core.errors import LtmError
 from ltm_ros.cli.bench import bench
+from ltm_ros.cli.bench import bench
 from ltm_ros.cli.demo import demo
 from ltm_ros.cli.doctor import doctor
 from ltm_ros.cli.export import export
@@ -40,6 +41,7 @@ cli.command()(export)
 cli.command()(view)
 cli.command()(doctor)
 cli.command()(models)
+cli.add_typer(bench, name="bench")
 cli.add_typer(bench, name="bench")
 
 
