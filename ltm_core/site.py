@@ -37,6 +37,17 @@ def _camera_name(name: str) -> str:
 CameraName = Annotated[RosName, AfterValidator(_camera_name)]
 
 
+def _projected_crs(crs: str) -> str:
+    try:
+        SiteFrame(crs)
+    except ConfigError as error:
+        raise ValueError(str(error)) from error
+    return crs
+
+
+ProjectedCrs = Annotated[str, AfterValidator(_projected_crs)]
+
+
 class Config(BaseModel):
     """Base of all configuration: unknown keys are errors, values do not change."""
 
@@ -133,7 +144,7 @@ class CameraConfig(Config):
 
 class Site(Config):
     name: RosName
-    crs: str
+    crs: ProjectedCrs
     origin: tuple[float, float]
     """(x, y) in the CRS that is (0, 0) of the map frame; near the site, so that float32 holds millimetres."""
     dem: DemConfig
