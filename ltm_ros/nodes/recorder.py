@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import queue
 import re
 import sys
 import threading
+from collections.abc import Callable
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
@@ -27,8 +29,6 @@ from ltm_ros.topics import RECORDED, camera_topic, site_topic
 
 QUEUE_BYTES = 512 << 20
 """Bytes that may wait for the disk before messages are dropped and counted."""
-FLUSH = ("", "", b"", 0)
-"""An item of the queue that hands what is written so far to the operating system, so that it survives a kill."""
 
 
 class RecorderConfig(NodeConfig):
@@ -39,7 +39,7 @@ class RecorderConfig(NodeConfig):
 
 
 class Recorder(Node):  # type: ignore[misc]
-    """Subscribes raw, so a message costs no decoding; a thread of its own waits for the disk."""
+    """Subscribes raw, so a message costs no decoding; a thread of its own, the only writer, waits for the disk."""
 
     def __init__(self) -> None:
         super().__init__("recorder", automatically_declare_parameters_from_overrides=True)
@@ -47,11 +47,12 @@ class Recorder(Node):  # type: ignore[misc]
         self.health = Health()
         self._patterns = _patterns(config)
         self._taken: set[str] = set()
-        self._queue: queue.Queue[tuple[str, str, bytes, int] | None] = queue.Queue()
+        self._queue: queue.Queue[Callable[[], None] | None] = queue.Queue()
         self._waiting = 0
         self._lock = threading.Lock()
         self._writer = BagWriter(free_path(Path(config.bag)))
-        self.create_timer(1.0, lambda: self._queue.put(FLUSH), clock=DiagnosticsPublisher.steady_clock())
+        # Handed to the operating system every second, so that it survives a kill.
+        self.create_timer(1.0, lambda: self._queue.put(self._writer.flush), clock=DiagnosticsPublisher.steady_clock())
         self.create_timer(0.2, self._discover, clock=DiagnosticsPublisher.steady_clock())
         self._diagnostics = DiagnosticsPublisher(self, self.health)
         self._thread = threading.Thread(target=self._write, name="recorder disk", daemon=True)
@@ -81,10 +82,10 @@ class Recorder(Node):  # type: ignore[misc]
                 message_type = message_class(types[0])
                 latched = all(o.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offers)
                 reliable = all(o.qos_profile.reliability == ReliabilityPolicy.RELIABLE for o in offers)
-                self._writer.add_topic(topic, types[0], latched)
             except LtmError as error:
                 self.health.drop(cause_of(error), f"{topic}: {error}")
                 continue
+            self._queue.put(partial(self._writer.add_topic, topic, types[0], latched))
             qos = QoSProfile(
                 depth=10,
                 reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
@@ -99,20 +100,25 @@ class Recorder(Node):  # type: ignore[misc]
                 self.health.drop("overload", f"{QUEUE_BYTES >> 20} MB wait for the disk; record fewer topics")
                 return
             self._waiting += len(cdr)
-        self._queue.put((topic, type_name, cdr, self.get_clock().now().nanoseconds))
+        self._queue.put(partial(self._store, topic, type_name, cdr, self.get_clock().now().nanoseconds))
 
     def _write(self) -> None:
-        while (item := self._queue.get()) is not None:
-            topic, type_name, cdr, log_time_ns = item
+        while (work := self._queue.get()) is not None:
             try:
-                if item == FLUSH:
-                    self._writer.flush()
-                    continue
-                self._writer.write_raw(topic, type_name, cdr, log_time_ns)
-                self.health.published(topic)
+                work()
             except LtmError as error:
                 self.health.drop(cause_of(error), str(error))
                 self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+            except BaseException:
+                # A bug: a recorder that does not record shall not seem to; the graph starts another.
+                sys.excepthook(*sys.exc_info())
+                os._exit(1)
+
+    def _store(self, topic: str, type_name: str, cdr: bytes, log_time_ns: int) -> None:
+        try:
+            self._writer.write_raw(topic, type_name, cdr, log_time_ns)
+            self.health.published(topic)
+        finally:
             with self._lock:
                 self._waiting -= len(cdr)
                 self.health.gauge("queue_bytes", self._waiting)
