@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError, RasterError
 from ltm_core.fuel.majority import UNSEEN
+from ltm_core.geodesy import SiteFrame
 from ltm_core.grid import GridGeometry
 from ltm_core.raster_io import write_geotiff
 from ltm_core.vision.labels import LabelSet
@@ -18,7 +19,8 @@ from ltm_core.vision.labels import LabelSet
 def write_fuel_map(path: Path | str, classes: NDArray[np.uint8], geometry: GridGeometry, labels: LabelSet) -> Path:
     """Write class indices, (H, W) uint8 with 255 unseen, with the palette and the classes' names.
 
-    The file appears whole or not at all. Raises ConfigError where `path` is empty or its folder is missing.
+    The file appears whole or not at all. Raises ConfigError where `path` is empty, its folder is missing or the file
+    cannot be written.
     """
     if not str(path):
         raise ConfigError("no file is configured for the fuel map: set the parameter export_path")
@@ -26,15 +28,19 @@ def write_fuel_map(path: Path | str, classes: NDArray[np.uint8], geometry: GridG
     if not path.parent.is_dir():
         raise ConfigError(f"{path}: the folder {path.parent} does not exist; make it first")
     partial = path.with_name(f".{path.name}.partial")
-    write_geotiff(
-        partial,
-        classes,
-        geometry,
-        nodata=UNSEEN,
-        colormap=dict(enumerate(labels.colors)),
-        tags={"classes": json.dumps(labels.names)},
-    )
-    partial.replace(path)
+    try:
+        write_geotiff(
+            partial,
+            classes,
+            geometry,
+            nodata=UNSEEN,
+            colormap=dict(enumerate(labels.colors)),
+            tags={"classes": json.dumps(labels.names)},
+        )
+        partial.replace(path)
+    except OSError as error:  # rasterio's own errors of opening a file among them
+        partial.unlink(missing_ok=True)
+        raise ConfigError(f"{path}: the fuel map cannot be written there ({error})") from error
     return path
 
 
@@ -48,6 +54,8 @@ def read_fuel_map(path: Path | str) -> tuple[NDArray[np.uint8], GridGeometry]:
             if source.dtypes[0] != "uint8" or source.crs is None:
                 raise RasterError(f"{path}: a fuel map is uint8 with a CRS, this is {source.dtypes[0]}, {source.crs}")
             t = source.transform
+            if t.b or t.d or t.a <= 0 or t.e != -t.a:
+                raise RasterError(f"{path}: a fuel map is north-up with square cells, this has {tuple(t)[:6]}")
             geometry = GridGeometry(t.c, t.f, t.a, source.width, source.height, str(source.crs))
             classes = source.read(1)
             if source.nodata is not None:
@@ -62,10 +70,11 @@ def resampled(
 ) -> tuple[NDArray[np.uint8], GridGeometry]:
     """The map by nearest cell on the grid of the same resolution in another CRS, edges at phase mod resolution.
 
-    EPSG:5070 gives LANDFIRE's grid.
+    EPSG:5070 gives LANDFIRE's grid. Raises ConfigError where `crs` is unknown or not projected in metres.
     """
     from rasterio.warp import Resampling, reproject, transform_bounds
 
+    SiteFrame(crs)  # cells of 30 degrees or feet would be no map
     bounds = transform_bounds(geometry.crs, crs, *geometry.bounds)
     target = GridGeometry.snapped(bounds, geometry.resolution, phase, crs)
     result = np.full(target.shape, UNSEEN, np.uint8)

@@ -41,7 +41,7 @@ def score_depth(estimate: Sequence[NDArray[np.float32]], truth: Sequence[NDArray
     depth = np.concatenate([a.ravel() for a in estimate]) if estimate else np.empty(0, np.float32)
     true = np.concatenate([b.ravel() for b in truth]) if truth else np.empty(0, np.float32)
     both = np.isfinite(depth) & np.isfinite(true)
-    error, true = (depth[both] - true[both]).astype(np.float64), true[both]
+    error, true = depth[both].astype(np.float64) - true[both], true[both]
     bins = [*pairwise(RANGE_BINS), (0.0, np.inf)]
     return [_score(error[(true >= near) & (true < far)], near, far) for near, far in bins]
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pyproj import CRS
 
 from ltm_core.errors import RasterError
 from ltm_core.fuel.majority import UNSEEN
@@ -34,8 +35,11 @@ def score_fuel(
 ) -> FuelScore:
     """Score a map on the cells that both rasters hold; both in one CRS with coinciding cells.
 
-    Raises RasterError where the grids' cells do not coincide.
+    Raises RasterError where the grids' cells do not coincide, or their CRSs differ.
     """
+    crs, truth_crs = geometry.crs, truth_geometry.crs
+    if crs != truth_crs and (crs is None or truth_crs is None or CRS(crs) != CRS(truth_crs)):
+        raise RasterError(f"fuel map in {crs} cannot be scored against truth in {truth_crs}: warp one to the other")
     row, col = truth_geometry.to_grid(*geometry.to_map(0, 0))
     offset = np.array([row, col])
     if geometry.resolution != truth_geometry.resolution or np.abs(offset - np.round(offset)).max() > 1e-3:

@@ -1,0 +1,85 @@
+"""The majority vote of a fuel cell."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from ltm_core.errors import ImageError
+from ltm_core.fuel.majority import UNSEEN, MajorityFuelMap
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.grid import GridGeometry
+
+GRID = GridGeometry(15.0, 105.0, 30.0, 4, 3)
+
+
+def votes(cells: dict[tuple[int, int], list[int]], geometry: GridGeometry = GRID, classes: int = 3) -> CellVotes:
+    rows, cols = np.array(list(cells), np.int32).reshape(-1, 2).T
+    counts = np.array(list(cells.values()), np.uint32).reshape(-1, classes)
+    return CellVotes(geometry, rows, cols, counts, np.zeros(len(rows), np.float32), 0, "north")
+
+
+FRAMES = [
+    votes({(0, 1): [5, 4, 0], (2, 3): [0, 0, 1]}),
+    votes({(0, 1): [0, 2, 3], (1, 0): [0, 2, 2]}),
+    votes({(2, 3): [1, 0, 0], (1, 2): [0, 0, 9]}),
+]
+
+
+def test_totals_win_not_frames() -> None:
+    fuel = MajorityFuelMap(GRID, 3)
+    for frame in FRAMES:
+        fuel.add(frame)
+    expected = np.full((3, 4), UNSEEN)
+    expected[0, 1] = 1  # 5, 6, 3
+    expected[1, 0] = 1  # 0, 2, 2: of equals, the first class
+    expected[2, 3] = 0  # 1, 0, 1
+    expected[1, 2] = 2
+    np.testing.assert_array_equal(fuel.classes(), expected)
+    assert fuel.classes().dtype == np.uint8
+    share = fuel.share()
+    assert share[0, 1] == pytest.approx(6 / 14)
+    assert share[1, 2] == 1.0
+    np.testing.assert_array_equal(np.isnan(share), expected == UNSEEN)
+
+
+def test_order_does_not_matter() -> None:
+    maps = []
+    for order in itertools.permutations(FRAMES):
+        fuel = MajorityFuelMap(GRID, 3)
+        for frame in order:
+            fuel.add(frame)
+        maps.append(fuel.classes().tobytes())
+    assert len(maps) == 6
+    assert len(set(maps)) == 1
+
+
+def test_the_changed_tile() -> None:
+    fuel = MajorityFuelMap(GRID, 3)
+    assert fuel.add(FRAMES[0]) == (0, 1, 3, 3)
+    assert fuel.add(votes({(1, 2): [1, 0, 0]})) == (1, 2, 1, 1)
+    assert fuel.add(votes({})) is None
+
+
+def test_a_map_without_votes() -> None:
+    fuel = MajorityFuelMap(GRID, 3)
+    assert (fuel.classes() == UNSEEN).all()
+    assert np.isnan(fuel.share()).all()
+
+
+def test_counts_beyond_32_bits() -> None:
+    fuel = MajorityFuelMap(GRID, 3)
+    for _ in range(2):
+        fuel.add(votes({(0, 0): [2**32 - 1, 2**32 - 2, 0]}))
+    assert fuel.totals[0, 0].tolist() == [2**33 - 2, 2**33 - 4, 0]
+
+
+def test_foreign_votes_are_refused() -> None:
+    fuel = MajorityFuelMap(GRID, 3)
+    with pytest.raises(ImageError, match=r"votes of north are on GridGeometry\(x_min=45.0"):
+        fuel.add(votes({(0, 0): [1, 0, 0]}, GRID.translated(30.0, 0.0)))
+    with pytest.raises(ImageError, match="count 2 classes, this map 3"):
+        fuel.add(votes({(0, 0): [1, 0]}, classes=2))
+    assert not fuel.totals.any()
