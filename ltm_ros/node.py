@@ -28,6 +28,7 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.diagnostics import DiagnosticsPublisher
 from ltm_ros.handler import ConfigT, NodeType, Topic
 from ltm_ros.health import Health, cause_of
+from ltm_ros.wiring import LISTENERS
 
 QUEUE = 30
 QUEUE_PER_TOPIC = 10
@@ -154,6 +155,8 @@ class HandlerNode(Node):  # type: ignore[misc]
             )
 
     def _tick(self) -> None:
+        for topic, publisher in self._publishers_by_topic.items():
+            self.health.gauge(LISTENERS + topic.name, publisher.get_subscription_count())
         if self._inbox.full():
             return
         now = time.monotonic()

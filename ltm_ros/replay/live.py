@@ -21,6 +21,7 @@ from ltm_core.errors import RecordingError
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_msgs_py.stamp import ns_to_time
 from ltm_ros.replay.selection import Selection
+from ltm_ros.wiring import unmatched
 
 CLOCK_PERIOD = 0.025
 """Seconds of real time between `/clock` messages."""
@@ -71,26 +72,29 @@ class LivePlayer:
         rclpy.try_shutdown(context=self._context)
 
     def wait_for_listeners(self, nodes: int = 0, timeout: float = 30.0) -> None:
-        """Until somebody listens to the images, at least `nodes` nodes to the clock, and the number of listeners has
-        stood still for a second.
+        """Until somebody listens to the images, at least `nodes` nodes have reported and listen to the clock, all have
+        found each other, and nothing of that has changed for a second.
 
         Raises RecordingError after `timeout` seconds: no graph of this site runs in this ROS domain.
         """
         deadline, last, since = time.monotonic() + timeout, -1, time.monotonic()
+        known, loose = 0, list[str]()
         while time.monotonic() < deadline:
             counts = {topic: publisher.get_subscription_count() for topic, publisher in self._publishers.items()}
             images = [count for topic, count in counts.items() if "/image_raw" in topic]
-            # DDS discovers each pair of processes by itself, and a node that does not know the player yet has no time.
-            clocks = self._clock.get_subscription_count()
-            if sum(counts.values()) + clocks != last:
-                last, since = sum(counts.values()) + clocks, time.monotonic()
-            if min(images) > 0 and clocks >= nodes and time.monotonic() - since > 1.0:
+            summaries = dict(self.summaries)
+            known = min(self._clock.get_subscription_count(), len(summaries))
+            loose = unmatched(self._node, summaries)
+            if (now := sum(counts.values()) + known) != last or loose:
+                last, since = now, time.monotonic()
+            if min(images) > 0 and known >= nodes and time.monotonic() - since > 1.0:
                 return
             time.sleep(0.05)
         topics = ", ".join(topic for topic in self._publishers if "/image_raw" in topic)
         raise RecordingError(
-            f"in {timeout:.0f} s nobody has subscribed to {topics}, or fewer than {nodes} nodes to /clock: "
-            "start the site's graph in the same ROS_DOMAIN_ID, or let `ltm replay` start it"
+            f"in {timeout:.0f} s nobody has subscribed to {topics}, {known} of {nodes} nodes were up, or they had not "
+            f"found each other ({', '.join(loose) or 'no topic'} not matched): start the site's graph in the same "
+            "ROS_DOMAIN_ID and with sim time, or let `ltm replay` start it"
         )
 
     def play(

@@ -6,10 +6,12 @@ import fcntl
 import os
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from leftovers import ports_of_domain, processes_of_domain, wait_gone
+from small_site import SmallSite, write_small_site
 
 from ltm_ros.ros_environment import PROFILE_VARIABLES, ros_environment
 
@@ -22,6 +24,19 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
     Afterwards the test fails when a process of that domain or a shared-memory port of it is left.
     """
+    with _own_domain(monkeypatch) as domain:
+        yield domain
+
+
+@pytest.fixture(scope="module")
+def module_ros_domain() -> Iterator[int]:
+    """As `ros_domain`, for a graph that all tests of a module share."""
+    with pytest.MonkeyPatch.context() as monkeypatch, _own_domain(monkeypatch) as domain:
+        yield domain
+
+
+@contextmanager
+def _own_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     lock, domain = _claim_domain()
     for name in (*PROFILE_VARIABLES, "RMW_IMPLEMENTATION", "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY"):
         monkeypatch.delenv(name, raising=False)
@@ -34,6 +49,12 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
         assert not (left := wait_gone(lambda: ports_of_domain(domain))), f"shared memory left behind: {left}"
     finally:
         os.close(lock)
+
+
+@pytest.fixture(scope="module")
+def small_site(tmp_path_factory: pytest.TempPathFactory) -> SmallSite:
+    """The small site with its recording, in a folder of its own."""
+    return write_small_site(tmp_path_factory.mktemp("small_site"))
 
 
 def _claim_domain() -> tuple[int, int]:

@@ -1,0 +1,28 @@
+"""Whether the nodes of a graph have found each other: before that, what they send is lost without a trace."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from rclpy.node import Node
+
+LISTENERS = "listeners."
+"""Prefix of the diagnostics key that holds how many subscribers a node's publisher is matched with."""
+
+
+def unmatched(node: Node, summaries: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """Topics that have more subscribers than their publisher is matched with, or the other way round.
+
+    DDS discovers each pair of processes by itself: that `node` knows of two others says nothing of what these know of
+    each other. So their own word counts, `summaries`: the latest diagnostics of every node, by full name.
+    """
+    found = []
+    for name, summary in summaries.items():
+        namespace = name.rpartition("/")[0]
+        for key, value in summary.items():
+            if key.startswith(LISTENERS):
+                topic = key.removeprefix(LISTENERS)
+                topic = topic if topic.startswith("/") else f"{namespace}/{topic}"
+                if node.count_subscribers(topic) != int(value):
+                    found.append(topic)
+    return found

@@ -1,0 +1,122 @@
+"""A participant beside the graph under test: it sends, listens, calls, and reads the diagnostics."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.node import stream_qos
+from ltm_ros.wiring import unmatched
+
+PATIENCE_S = 60.0
+
+
+class Bystander:
+    """A context manager; its node spins in a thread of its own."""
+
+    def __init__(self) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context)
+        self.node = Node("bystander", context=self._context, enable_rosout=False)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self.heard: dict[str, list[Any]] = defaultdict(list)
+        """Messages by topic, in the order of arrival."""
+        self.summaries: dict[str, dict[str, str]] = {}
+        """The last diagnostics of every node, by full name."""
+        self._senders: dict[str, Any] = {}
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, 200)
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stopping.set()
+        self._thread.join()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def listen(self, topic: str, message_type: type, latched: bool = False) -> None:
+        """Keep what comes on `topic`, an absolute name."""
+        self.node.create_subscription(message_type, topic, self.heard[topic].append, stream_qos(latched))
+
+    def open(self, topic: str, message_type: type, listeners: int = 1) -> None:
+        """Prepare to send on `topic`; waits until so many listen."""
+        sender = self._senders[topic] = self.node.create_publisher(message_type, topic, stream_qos())
+        wait_for(lambda: sender.get_subscription_count() >= listeners, f"{listeners} listeners on {topic}")
+
+    def send(self, topic: str, message: Any) -> None:
+        """A message, or the bytes of one, on a topic that is open."""
+        self._senders[topic].publish(message)
+
+    def stamps(self, topic: str) -> list[int]:
+        """Stamps of what came on `topic`."""
+        return [stamp_of(message) for message in list(self.heard[topic])]
+
+    def wait_for_stamp(self, topic: str, stamp_ns: int) -> Any:
+        """The message of that stamp on `topic`."""
+        wait_for(lambda: stamp_ns in self.stamps(topic), f"stamp {stamp_ns} on {topic}", lambda: self.summaries)
+        return self.heard[topic][self.stamps(topic).index(stamp_ns)]
+
+    def count(self, node: str, key: str) -> int:
+        """A counter of a node's diagnostics; 0 where it is not there."""
+        return int(self.summaries.get(node, {}).get(key, "0"))
+
+    def dropped(self, node: str) -> dict[str, int]:
+        """What a node has dropped so far, by cause."""
+        drops = {k.partition(".")[2]: int(v) for k, v in self.summaries[node].items() if k.startswith("dropped.")}
+        assert sum(drops.values()) == self.count(node, "dropped")
+        return drops
+
+    def wait_for_wiring(self, nodes: int) -> None:
+        """Until so many nodes have reported and all of them are matched with all that listen to them."""
+        wait_for(
+            lambda: len(self.summaries) >= nodes and not unmatched(self.node, dict(self.summaries)),
+            f"{nodes} nodes that have found each other",
+            lambda: (self.summaries.keys(), unmatched(self.node, self.summaries)),
+        )
+
+    def call(self, service: str) -> tuple[bool, str]:
+        """Call a Trigger service: its success and its message."""
+        client = self.node.create_client(Trigger, service)
+        assert client.wait_for_service(PATIENCE_S), service
+        answer = client.call_async(Trigger.Request())
+        wait_for(answer.done, f"an answer of {service}")
+        self.node.destroy_client(client)
+        return bool(answer.result().success), str(answer.result().message)
+
+    def _diagnosed(self, message: Any) -> None:
+        for status in message.status:
+            self.summaries[status.name] = {item.key: item.value for item in status.values}
+
+    def _spin(self) -> None:
+        while not self._stopping.is_set():
+            self._executor.spin_once(timeout_sec=0.1)
+
+
+def wait_for(
+    condition: Callable[[], object], what: str, state: Callable[[], object] = lambda: "", patience_s: float = PATIENCE_S
+) -> None:
+    """Until `condition` holds. Fails with `what` was awaited and the `state` of things."""
+    deadline = time.monotonic() + patience_s
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {patience_s} s for {what}; {state()}"
+        time.sleep(0.05)

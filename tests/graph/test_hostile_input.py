@@ -1,0 +1,388 @@
+"""What cameras and strangers may send to a running graph: each counted by its cause, none fatal, and work goes on."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from bystander import Bystander, wait_for
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.serialization import serialize_message
+from small_site import BEGIN_NS, MAST, NAME, TOWER, SmallSite
+
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.vision.labels import LabelSet
+from ltm_msgs_py.camera_info import camera_to_msg
+from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
+from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.votes import votes_to_msg
+from ltm_ros.graph import Graph, describe
+from ltm_ros.runner import Runner
+from ltm_ros.topics import (
+    CAMERA_INFO,
+    DEPTH_IMAGE,
+    FUEL_MAP_UPDATE,
+    FUEL_VOTES,
+    IMAGE_COMPRESSED,
+    IMAGE_RAW,
+    POSE,
+    POSED_CAMERA_INFO,
+    POSED_IMAGE,
+    POSED_POSE,
+    camera_topic,
+    site_topic,
+)
+
+pytestmark = pytest.mark.graph
+
+NODES = (
+    "fuel_map",
+    "tower/capture",
+    "tower/depth",
+    "tower/segmentation",
+    "tower/fuel_votes",
+    "mast/capture",
+    "mast/depth",
+)
+INPUTS = {
+    **{topic: camera_topic(NAME, "tower", topic) for topic in (IMAGE_COMPRESSED, CAMERA_INFO, POSE, FUEL_VOTES)},
+    **{topic: camera_topic(NAME, "tower", topic) for topic in (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE)},
+    IMAGE_RAW: camera_topic(NAME, "mast", IMAGE_RAW),
+}
+MAP_UPDATE = site_topic(NAME, FUEL_MAP_UPDATE)
+MAST_DEPTH = camera_topic(NAME, "mast", DEPTH_IMAGE)
+
+
+class Living:
+    """A running graph without recorder and viewer, and somebody who sends to it."""
+
+    def __init__(self, small: SmallSite, runner: Runner, bystander: Bystander) -> None:
+        self.small, self.runner, self.bystander = small, runner, bystander
+        self._stamp = BEGIN_NS
+        tower, mast = small.frames(1)
+        self.tower, self.jpeg = tower, encode_rgb(small.photo(tower), quality=95)
+        self.mast, self.photo = mast, small.photo(mast)
+        self.counted: dict[str, Counter[str]] = {label: Counter() for label in NODES}
+        """What every node has counted up to the end of the last test."""
+
+    def stamp(self) -> int:
+        """A new one, a second after the last."""
+        self._stamp += 10**9
+        return self._stamp
+
+    def send(self, topic: Any, *messages: Any) -> None:
+        for message in messages:
+            self.bystander.send(INPUTS[topic], message)
+
+    def image(self, stamp: int, data: bytes | None = None) -> Any:
+        """The tower's photo, or any other bytes in its place."""
+        message = compressed_to_msg(self.jpeg, "jpeg", stamp, "tower_optical")
+        if data is not None:
+            message.data = array("B", data)
+        return message
+
+    def info(self, stamp: int) -> Any:
+        return camera_to_msg(TOWER, stamp, "tower_optical")
+
+    def pose(self, stamp: int) -> Any:
+        return pose_to_msg(self.tower.pose, stamp)
+
+    def raw(self, stamp: int) -> Any:
+        return image_to_msg(self.photo, "rgb8", stamp, "mast_optical")
+
+    def posed(self, stamp: int, *images: Any) -> None:
+        """Pose and calibration, and the images that go with them."""
+        self.send(CAMERA_INFO, self.info(stamp))
+        self.send(POSE, self.pose(stamp))
+        self.send(IMAGE_COMPRESSED, *images)
+
+    def good_frame(self) -> None:
+        """One of each camera goes through the whole graph."""
+        stamp = self.stamp()
+        self.posed(stamp, self.image(stamp))
+        self.send(IMAGE_RAW, self.raw(stamp))
+        self.bystander.wait_for_stamp(MAP_UPDATE, stamp)
+        self.bystander.wait_for_stamp(MAST_DEPTH, stamp)
+
+    def counters(self) -> dict[str, Counter[str]]:
+        """Drops and notes of every node, from diagnostics that came after this call."""
+        self.bystander.summaries.clear()
+        names = {label: f"/{NAME}/{label}" for label in NODES}
+        wait_for(lambda: self.bystander.summaries.keys() >= {*names.values()}, "diagnostics of every node")
+        latest = dict(self.bystander.summaries)
+        return {
+            label: Counter({k: int(v) for k, v in latest[name].items() if k.startswith(("dropped.", "noted."))})
+            for label, name in names.items()
+        }
+
+    def pids(self) -> dict[str, int | None]:
+        return {label: process.pid for label, process in self.runner.processes.items()}
+
+
+@pytest.fixture(scope="module")
+def living(small_site: SmallSite, module_ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Living]:
+    whole = describe(small_site.site, small_site.path)
+    graph = Graph(NAME, tuple(whole.node(label) for label in NODES))
+    logs = tmp_path_factory.mktemp("log")
+    runner = Runner(graph, domain_id=module_ros_domain, log_folder=logs, console=lambda line: None)
+    with runner, Bystander() as bystander:
+        runner.wait_until_ready(120.0)
+        bystander.listen(MAP_UPDATE, FUEL_MAP_UPDATE.type)
+        bystander.listen(MAST_DEPTH, DEPTH_IMAGE.type)
+        for topic, name in INPUTS.items():
+            bystander.open(name, topic.type)
+        living = Living(small_site, runner, bystander)
+        bystander.wait_for_wiring(len(graph))
+        living.good_frame()
+        yield living
+        assert living.counters() == living.counted, "something was counted after the last test had looked"
+
+
+@pytest.fixture
+def survives(living: Living) -> Callable[..., None]:
+    """Call it with what must have been counted, `{node: {counter: increase}}`, after sending.
+
+    A good frame comes through, nothing else has been counted, and every node is still the same process.
+    """
+    pids = living.pids()
+
+    def check(expected: dict[str, dict[str, int]]) -> None:
+        living.good_frame()
+        deadline = time.monotonic() + 60.0
+        while True:
+            now = living.counters()
+            more = {label: dict(now[label] - living.counted[label]) for label in NODES}
+            grown = {label: counters for label, counters in more.items() if counters}
+            if grown == expected or time.monotonic() > deadline:
+                break
+        living.counted = now
+        assert grown == expected
+        assert living.pids() == pids
+        assert all(process.starts == 1 for process in living.runner.processes.values())
+
+    return check
+
+
+def test_broken_compressed_images(living: Living, survives: Callable[..., None]) -> None:
+    rng = np.random.default_rng(3)
+    other_size = encode_rgb(rng.integers(0, 255, (90, 161, 3), dtype=np.uint8))
+    broken = [
+        rng.bytes(5000),
+        living.jpeg[: len(living.jpeg) // 2],
+        b"",
+        b"\x89PNG\r\n\x1a\n" + rng.bytes(300),
+        living.jpeg[:20] + rng.bytes(2000) + b"\xff\xd9",
+        other_size,
+    ]
+    for data in broken:
+        stamp = living.stamp()
+        living.posed(stamp, living.image(stamp, data))
+    survives({"tower/capture": {"dropped.image": len(broken)}})
+
+
+def test_broken_raw_images(living: Living, survives: Callable[..., None]) -> None:
+    def bayer(message: Any) -> None:
+        message.encoding, message.step = "bayer_rggb8", MAST.width
+        message.data = array("B", bytes(MAST.width * MAST.height))
+
+    def small_step(message: Any) -> None:
+        message.step = 3 * MAST.width - 1
+
+    def short(message: Any) -> None:
+        message.data = message.data[:-1]
+
+    def vast(message: Any) -> None:
+        message.width = message.height = message.step = 2**32 - 1
+
+    def empty(message: Any) -> None:
+        message.width = message.height = message.step = 0
+        message.data = array("B")
+
+    def depths(message: Any) -> None:
+        message.encoding = "32FC1"
+
+    def other_size(message: Any) -> None:
+        message.height -= 1
+        message.data = message.data[: message.height * message.step]
+
+    ways = [bayer, small_step, short, vast, empty, depths, other_size]
+    for spoil in ways:
+        message = living.raw(living.stamp())
+        spoil(message)
+        living.send(IMAGE_RAW, message)
+    survives({"mast/capture": {"dropped.image": len(ways)}})
+
+
+def test_no_pose_and_impossible_poses(living: Living, survives: Callable[..., None]) -> None:
+    def nan(message: Any) -> None:
+        message.pose.pose.position.x = float("nan")
+
+    def infinite(message: Any) -> None:
+        message.pose.pose.position.z = float("inf")
+
+    def zero_quaternion(message: Any) -> None:
+        message.pose.pose.orientation.w = 0.0
+        message.pose.pose.orientation.x = message.pose.pose.orientation.y = message.pose.pose.orientation.z = 0.0
+
+    def other_frame(message: Any) -> None:
+        message.header.frame_id = "odom"
+
+    ways = [nan, infinite, zero_quaternion, other_frame]
+    for spoil in ways:
+        stamp = living.stamp()
+        message = living.pose(stamp)
+        spoil(message)
+        living.send(POSE, message)
+        living.send(IMAGE_COMPRESSED, living.image(stamp))
+    living.send(IMAGE_COMPRESSED, living.image(living.stamp()))
+    # The images wait for a pose in vain.
+    survives({"tower/capture": {"dropped.pose": len(ways), "dropped.no_pose": len(ways) + 1}})
+
+
+def test_camera_under_the_ground(living: Living, survives: Callable[..., None]) -> None:
+    stamp = living.stamp()
+    message = living.pose(stamp)
+    message.pose.pose.position.z -= 50.0
+    living.send(CAMERA_INFO, living.info(stamp))
+    living.send(POSE, message)
+    living.send(IMAGE_COMPRESSED, living.image(stamp))
+    survives({"tower/depth": {"dropped.pose": 1}})
+
+
+def test_camera_at_the_end_of_the_world(living: Living, survives: Callable[..., None]) -> None:
+    for x, z in ((1e9, 400.0), (1e300, 400.0), (560.0, 1e300), (-1e300, -1e300)):
+        stamp = living.stamp()
+        message = living.pose(stamp)
+        message.pose.pose.position.x, message.pose.pose.position.z = x, z
+        living.send(CAMERA_INFO, living.info(stamp))
+        living.send(POSE, message)
+        living.send(IMAGE_COMPRESSED, living.image(stamp))
+    # It sees nothing of the terrain; that is no error.
+    survives({"fuel_map": {"noted.empty_votes": 4}})
+
+
+def test_bad_calibrations(living: Living, survives: Callable[..., None]) -> None:
+    def uncalibrated(message: Any) -> None:
+        message.k = np.zeros(9)
+
+    def nan(message: Any) -> None:
+        message.k[4] = float("nan")
+
+    def behind(message: Any) -> None:
+        message.k[0] = -message.k[0]
+
+    def fisheye(message: Any) -> None:
+        message.distortion_model = "equidistant"
+
+    ways = [uncalibrated, nan, behind, fisheye]
+    for spoil in ways:
+        message = living.info(living.stamp())
+        spoil(message)
+        living.send(CAMERA_INFO, message)
+    survives({"tower/capture": {"dropped.camera": len(ways)}})
+
+
+def test_stamps_that_are_none(living: Living, survives: Callable[..., None]) -> None:
+    for topic, make in ((IMAGE_COMPRESSED, living.image), (POSE, living.pose), (CAMERA_INFO, living.info)):
+        for sec, nanosec in ((-5, 0), (5, 10**9)):
+            message = make(0)
+            message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
+            living.send(topic, message)
+    survives({"tower/capture": {"dropped.message": 6}})
+
+
+def test_stamps_twice_and_in_disorder(living: Living, survives: Callable[..., None]) -> None:
+    early, late = living.stamp(), living.stamp()
+    living.posed(late, living.image(late))
+    living.posed(early, living.image(early))
+    for stamp in (late, early):
+        living.bystander.wait_for_stamp(MAP_UPDATE, stamp)
+    living.send(IMAGE_COMPRESSED, living.image(early), living.image(late))
+    survives({"tower/capture": {"noted.out_of_order": 1, "dropped.duplicate": 2}})
+
+
+def test_votes_of_a_foreign_grid(living: Living, survives: Callable[..., None]) -> None:
+    small, names = living.small, LabelSet.load().names
+    geometry = small.site.fuel_geometry(small.dem)
+
+    def votes(stamp: int, shift: float = 0.0, classes: int = len(names)) -> Any:
+        rows, cols = np.array([3, 4], np.int32), np.array([7, 2], np.int32)
+        counts = np.ones((2, classes), np.uint32)
+        other = geometry.translated(shift, 0.0)
+        cells = CellVotes(other, rows, cols, counts, np.zeros(2, np.float32), stamp, "tower")
+        return votes_to_msg(cells, names[:classes])
+
+    outside = votes(living.stamp())
+    points = np.frombuffer(outside.data, np.uint8).reshape(2, outside.point_step).copy()
+    offset = next(field.offset for field in outside.fields if field.name == "row")
+    points[1, offset : offset + 4] = np.frombuffer(np.int32(10**6).tobytes(), np.uint8)
+    outside.data = array("B", points.tobytes())
+    cut = votes(living.stamp())
+    cut.data = cut.data[:-3]
+    strange = [votes(living.stamp(), shift=15.0), votes(living.stamp(), classes=3), outside, cut]
+    good = votes(living.stamp())
+    living.send(FUEL_VOTES, *strange, good, good)
+    survives({"fuel_map": {"dropped.message": len(strange), "dropped.duplicate": 1}})
+
+
+def test_strangers_on_inner_topics(living: Living, survives: Callable[..., None]) -> None:
+    image = image_to_msg(np.zeros((4, 6), np.float32), "32FC1", living.stamp(), "tower_optical")
+    info, pose = living.info(living.stamp()), living.pose(living.stamp())
+    info.header = pose.header
+    info.k = np.zeros(9)
+    living.send(POSED_IMAGE, image)
+    living.send(POSED_CAMERA_INFO, info)
+    living.send(POSED_POSE, pose)
+    survives({"tower/segmentation": {"dropped.image": 1}, "tower/depth": {"dropped.camera": 1}})
+
+
+def test_bytes_that_are_no_message(living: Living, survives: Callable[..., None]) -> None:
+    """DDS itself refuses them, or what it makes of them is refused."""
+    for topic in INPUTS:
+        living.send(topic, b"\x00\x01\x00\x00\xff", b"\x00\x01\x00\x00" + b"\xff" * 60)
+    survives({})
+
+
+def test_names_that_are_no_text(living: Living, survives: Callable[..., None]) -> None:
+    """ROS strings are bytes: nothing makes a driver send UTF-8."""
+    stamp = living.stamp()
+    for topic, message in (
+        (CAMERA_INFO, living.info(stamp)),
+        (POSE, living.pose(stamp)),
+        (IMAGE_COMPRESSED, living.image(stamp)),
+        (IMAGE_RAW, living.raw(stamp)),
+    ):
+        name = b"map" if topic is POSE else b"_optical"
+        data = serialize_message(message)
+        assert name in data
+        living.send(topic, data.replace(name, b"\xff" * len(name)))
+    living.bystander.wait_for_stamp(MAST_DEPTH, stamp)
+    survives({"tower/capture": {"dropped.pose": 1, "dropped.no_pose": 1}})
+
+
+def test_parameters_are_fixed_while_a_node_runs(living: Living) -> None:
+    bystander = living.bystander
+    client = bystander.node.create_client(SetParameters, f"/{NAME}/tower/capture/set_parameters")
+    assert client.wait_for_service(60.0)
+    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=9.0)
+    wanted = [Parameter(name=name, value=value) for name in ("max_wait", "pose_tolerance", "unheard_of")]
+    answer = client.call_async(SetParameters.Request(parameters=wanted))
+    wait_for(answer.done, "an answer")
+    results = answer.result().results
+    assert [result.successful for result in results] == [False] * 3
+    assert [result.reason for result in results[:2]] == [
+        f"{name}: fixed while the node runs; change the site file" for name in ("max_wait", "pose_tolerance")
+    ]
+
+
+def test_saving_without_a_path_is_refused(living: Living, survives: Callable[..., None]) -> None:
+    done, answer = living.bystander.call(f"/{NAME}/fuel_map/save")
+    assert not done
+    assert "export_path" in answer
+    survives({})

@@ -1,0 +1,296 @@
+"""A site's whole graph on a small recording, every node a process: nothing is lost, and what dies comes back."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bystander import Bystander, wait_for
+from small_site import BEGIN_NS, FRAMES, NAME, SmallSite, paint_at
+
+from ltm_core.errors import RecordingError
+from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.vision.segmenter import Segmenter
+from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.graph import CAMERA_NODES, describe
+from ltm_ros.handler import Topic
+from ltm_ros.replay.live import LivePlayer
+from ltm_ros.replay.run import ReplayOptions, run_offline
+from ltm_ros.replay.selection import Selection
+from ltm_ros.runner import Runner
+from ltm_ros.supervisor import RestartPolicy
+from ltm_ros.topics import (
+    DEPTH_CAMERA_INFO,
+    DEPTH_IMAGE,
+    FUEL_MAP_UPDATE,
+    FUEL_VOTES,
+    IMAGE_COMPRESSED,
+    IMAGE_RAW,
+    LABELS_IMAGE,
+    POSED_POSE,
+    camera_topic,
+    site_topic,
+)
+
+pytestmark = pytest.mark.graph
+
+CAMERAS = ("tower", "mast")
+
+
+@dataclass(frozen=True, eq=False)
+class Replayed:
+    """A graph that still runs after a replay, and what it left."""
+
+    small: SmallSite
+    runner: Runner
+    bystander: Bystander
+    summaries: dict[str, dict[str, str]]
+    """Diagnostics of every node at the replay's end."""
+    out: Path
+
+    @property
+    def pids(self) -> dict[str, int | None]:
+        return {label: process.pid for label, process in self.runner.processes.items()}
+
+
+@pytest.fixture(scope="module")
+def replayed(
+    small_site: SmallSite, module_ros_domain: int, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Replayed]:
+    """The small recording has gone through the graph; recorder and viewer have finished their files and run again."""
+    out = tmp_path_factory.mktemp("replayed")
+    (out / "map").mkdir()
+    lines: list[str] = []
+    graph = describe(
+        small_site.site,
+        small_site.path,
+        sim_time=True,
+        view={"save": str(out / "view.rrd")},
+        record={"bag": str(out / "recording")},
+        parameters={"fuel_map": {"export_path": str(out / "map" / "fuel_map.tif")}},
+    )
+    runner = Runner(
+        graph,
+        domain_id=module_ros_domain,
+        log_folder=out / "log",
+        console=lines.append,
+        policy=RestartPolicy(initial_s=0.1, maximum_s=1.0),
+    )
+    with runner, Bystander() as bystander:
+        runner.wait_until_ready(120.0)
+        with LivePlayer(Selection.open(small_site.bag, small_site.site)) as player:
+            player.wait_for_listeners(len(graph), 60.0)
+            player.play()
+            assert player.drain([node.full_name for node in graph]), player.summaries
+            summaries = dict(player.summaries)
+        finish_files(runner)
+        yield Replayed(small_site, runner, bystander, summaries, out)
+        assert not [line for line in lines if "Traceback" in line], "\n".join(lines)
+
+
+def test_no_frame_is_lost(replayed: Replayed) -> None:
+    summaries = replayed.summaries
+    assert summaries.keys() >= {f"/{NAME}/{label}" for label in replayed.runner.processes}
+    for camera in CAMERAS:
+        for node in CAMERA_NODES:
+            summary = summaries[f"/{NAME}/{camera}/{node}"]
+            counts = [summary[key] for key in ("frames_in", "frames_out", "dropped")]
+            assert counts == [str(FRAMES), str(FRAMES), "0"], (camera, node, summary)
+            # Ages are of simulated time: a node that had no clock yet would be fifty years off.
+            assert -1000 < float(summary["latency_p50_ms"]) < 600_000, (camera, node, summary)
+    for node in ("fuel_map", "recorder", "viewer"):
+        summary = summaries[f"/{NAME}/{node}"]
+        assert (summary["frames_in"], summary["dropped"]) == (str(2 * FRAMES), "0"), (node, summary)
+
+
+def test_recording_holds_every_frame_with_its_results(replayed: Replayed) -> None:
+    small = replayed.small
+    reader = BagReader(replayed.out / "recording", allow_damaged=False)
+    for camera in CAMERAS:
+        stamps = [frame.stamp_ns for frame in small.frames() if frame.camera_name == camera]
+        for topic in (POSED_POSE, DEPTH_IMAGE, DEPTH_CAMERA_INFO, LABELS_IMAGE, FUEL_VOTES):
+            assert [stamp_of(message) for message in recorded(reader, camera, topic)] == stamps, (camera, topic)
+    given = BagReader(small.bag)
+    for topic in given.topics():
+        assert decoded(reader, topic) == decoded(given, topic), topic
+
+
+def test_recorded_depth_is_what_the_tracer_answers(replayed: Replayed) -> None:
+    small = replayed.small
+    reader = BagReader(replayed.out / "recording")
+    depths = {(c, stamp_of(m)): msg_to_depth(m) for c in CAMERAS for m in recorded(reader, c, DEPTH_IMAGE)}
+    for frame in small.frames():
+        expected = small.tracer.trace(frame.camera, frame.pose).depth()
+        assert np.isfinite(expected).mean() > 0.5
+        np.testing.assert_allclose(depths[frame.camera_name, frame.stamp_ns], expected, rtol=1e-6)
+
+
+def test_recorded_labels_are_what_the_network_answers(replayed: Replayed) -> None:
+    segmenter = Segmenter.open(replayed.small.site.model)
+    reader = BagReader(replayed.out / "recording")
+    for camera, topic in (("tower", IMAGE_COMPRESSED), ("mast", IMAGE_RAW)):
+        labels = {stamp_of(m): msg_to_array(m, ("mono8",)) for m in recorded(reader, camera, LABELS_IMAGE)}
+        images = recorded(reader, camera, topic)
+        assert len(images) == FRAMES
+        for message in images:
+            photo = compressed_to_rgb(message) if topic is IMAGE_COMPRESSED else msg_to_rgb(message)
+            expected = segmenter.segment(photo).labels
+            assert len(np.unique(expected)) > 2
+            np.testing.assert_array_equal(labels[stamp_of(message)], expected)
+
+
+def test_saved_map_is_that_of_the_offline_replay(replayed: Replayed, tmp_path: Path) -> None:
+    small, saved = replayed.small, replayed.out / "map" / "fuel_map.tif"
+    done, answer = replayed.bystander.call(f"/{NAME}/fuel_map/save")
+    assert done, answer
+    assert answer == f"fuel map of {2 * FRAMES} frames written to fuel_map.tif"
+    assert [path.name for path in saved.parent.iterdir()] == ["fuel_map.tif"]
+    offline = tmp_path / "offline.tif"
+    run_offline(small.bag, small.path, ReplayOptions(export=offline), lambda done, total: None)
+    assert saved.read_bytes() == offline.read_bytes()
+
+    classes, geometry = read_fuel_map(saved)
+    x0, y0 = small.site.origin
+    truth = paint_at(*geometry.translated(-x0, -y0).to_map(*np.mgrid[: geometry.height, : geometry.width]))
+    seen = classes != 255
+    assert seen.sum() > 300
+    # The network sees 48 x 32 pixels, so squares run into each other far away.
+    assert (classes == truth)[seen].mean() > 0.75
+
+
+def test_viewer_has_written_every_frame(replayed: Replayed) -> None:
+    pytest.importorskip("rerun", reason="the viewer's extra is not installed")
+    assert photos_in(replayed.out / "view.rrd") == dict.fromkeys(CAMERAS, FRAMES)
+
+
+VICTIMS: dict[str, Topic | None] = {
+    "tower/capture": POSED_POSE,
+    "tower/depth": DEPTH_IMAGE,
+    "tower/segmentation": LABELS_IMAGE,
+    "tower/fuel_votes": FUEL_VOTES,
+    "fuel_map": FUEL_MAP_UPDATE,
+    "viewer": None,
+    "recorder": None,
+}
+"""A node of each type, and a topic that shows its work."""
+
+
+def test_killed_nodes_come_back_and_the_others_run_on(replayed: Replayed, tmp_path: Path) -> None:
+    small, runner, bystander, out = replayed.small, replayed.runner, replayed.bystander, replayed.out
+    bag = small.write_bag(tmp_path / "later", begin_ns=BEGIN_NS + 3600 * 10**9)
+    for victim, topic in VICTIMS.items():
+        if topic is not None:
+            bystander.listen(_name_of(victim, topic), topic.type)
+    before = replayed.pids
+    again: dict[str, int] = {}
+    with looping(LivePlayer(Selection.open(bag, small.site)), len(runner.graph)) as player:
+        for victim, topic in VICTIMS.items():
+            others = {label: pid for label, pid in replayed.pids.items() if label != victim}
+            process = runner.processes[victim]
+            starts = process.starts
+            assert runner.kill(victim)
+            wait_for(lambda p=process, n=starts: p.starts == n + 1 and p.running, f"{victim} again")
+            assert process.last_exit == "killed by SIGKILL"
+            # Whatever carries a later stamp than this has been made by the new process.
+            again[victim] = player.now_ns()
+            if topic is not None:
+                name = _name_of(victim, topic)
+                wait_for(
+                    lambda n=name, v=victim: max(bystander.stamps(n), default=0) > again[v],
+                    f"work of {victim} after its restart",
+                    lambda: bystander.summaries,
+                )
+            elif victim == "viewer":
+                # Its counters began anew, in a process that did not see the frames before.
+                full = f"/{NAME}/{victim}"
+                bystander.summaries.pop(full, None)
+                wait_for(lambda f=full: bystander.count(f, "frames_in") > 10, f"frames at {victim} after its restart")
+            else:
+                wait_for(
+                    lambda: sum(map(bool, recorded_depths(out / "recording_2").values())) == len(CAMERAS),
+                    "depths in the next bag",
+                )
+            assert {label: pid for label, pid in replayed.pids.items() if label != victim} == others, victim
+        newest = player.now_ns()
+        wait_for(
+            lambda: max(bystander.stamps(_name_of("tower/fuel_votes", FUEL_VOTES))) > newest, "votes at the very end"
+        )
+    assert {label for label, pid in replayed.pids.items() if pid != before[label]} == VICTIMS.keys()
+    assert runner.given_up == []
+    finish_files(runner)
+
+    # What was written before a kill is there, and after it a new file goes on.
+    assert not (out / "recording_1" / "metadata.yaml").exists()
+    assert BagReader(out / "recording_2", allow_damaged=False).damage == ()
+    until, since = recorded_depths(out / "recording_1"), recorded_depths(out / "recording_2")
+    for camera in CAMERAS:
+        assert until[camera][-1] < again["recorder"] < since[camera][-1]
+    pytest.importorskip("rerun", reason="the viewer's extra is not installed")
+    assert min(photos_in(out / "view_2.rrd").values()) > 0
+
+
+def finish_files(runner: Runner) -> None:
+    """Let recorder and viewer end as on a clean stop; the runner starts them again."""
+    for label in ("recorder", "viewer"):
+        starts = runner.processes[label].starts
+        runner.kill(label, signal.SIGINT)
+        wait_for(lambda p=runner.processes[label], n=starts: p.starts > n and p.running, f"{label} again")
+
+
+def recorded_depths(bag: Path) -> dict[str, list[int]]:
+    """Stamps of each camera's depth images in a bag, which may be missing, empty or unfinished."""
+    try:
+        reader = BagReader(bag)
+    except RecordingError:
+        return {}
+    return {camera: [stamp_of(m) for m in recorded(reader, camera, DEPTH_IMAGE)] for camera in CAMERAS}
+
+
+@contextmanager
+def looping(player: LivePlayer, nodes: int) -> Iterator[LivePlayer]:
+    """Plays round after round in a thread of its own."""
+    stopping = threading.Event()
+    with player:
+        player.wait_for_listeners(nodes, 60.0)
+        thread = threading.Thread(target=lambda: player.play(loop=True, stopped=stopping.is_set))
+        thread.start()
+        try:
+            yield player
+        finally:
+            stopping.set()
+            thread.join()
+
+
+def recorded(reader: BagReader, camera: str, topic: Topic) -> list[Any]:
+    """Messages of a camera's topic, by their stamps."""
+    return decoded(reader, camera_topic(NAME, camera, topic))
+
+
+def decoded(reader: BagReader, topic: str) -> list[Any]:
+    return sorted((reader.decode(m) for m in reader.messages([topic])), key=stamp_of)
+
+
+def photos_in(path: Path) -> dict[str, int]:
+    """How many photos of each camera a Rerun recording holds."""
+    from rerun.chunk import RrdReader
+
+    counts = dict.fromkeys(CAMERAS, 0)
+    for chunk in RrdReader(str(path)).stream():
+        for camera in CAMERAS:
+            if str(chunk.entity_path) == f"/map/cameras/{camera}/photo":
+                counts[camera] += chunk.to_record_batch().num_rows
+    return counts
+
+
+def _name_of(victim: str, topic: Topic) -> str:
+    camera, _, _ = victim.rpartition("/")
+    return camera_topic(NAME, camera, topic) if camera else site_topic(NAME, topic)
