@@ -38,6 +38,8 @@ class Camera:
             raise CameraError(f"distortion needs (k1, k2, p1, p2, k3), got {self.distortion}")
         if not all(math.isfinite(v) for v in values):
             raise CameraError(f"camera intrinsics must be finite, got {values}")
+        if max(map(abs, self.distortion)) > 1e15:  # beyond it the model's own terms overflow
+            raise CameraError(f"distortion {self.distortion} is no lens's; it is (k1, k2, p1, p2, k3) of plumb_bob")
         if self.width < 1 or self.height < 1:
             raise CameraError(f"camera image size must be positive, got {self.width} x {self.height}")
         if self.fx <= 0 or self.fy <= 0:
@@ -107,9 +109,10 @@ class Camera:
 def _fold_radius_squared(distortion: tuple[float, float, float, float, float]) -> float:
     """Squared undistorted radius where the radial model stops growing: beyond it two rays share a pixel."""
     k1, k2, _, _, k3 = distortion
-    # d/dr (r (1 + k1 r^2 + k2 r^4 + k3 r^6)) = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 with s = r^2
-    roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])
-    positive = [r.real for r in roots if abs(r.imag) < 1e-12 and r.real > 0]
+    # d/dr (r (1 + k1 r^2 + k2 r^4 + k3 r^6)) = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 with s = r^2; solved for 1 / s, since
+    # the polynomial's first coefficient is then 1 and not the smallest of them.
+    roots = np.roots([1.0, 3 * k1, 5 * k2, 7 * k3])
+    positive = [1 / float(r.real) for r in roots if abs(r.imag) < 1e-12 and r.real > 0]
     return min(positive, default=math.inf)
 
 

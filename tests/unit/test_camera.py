@@ -108,6 +108,7 @@ def test_scaled_needs_a_step() -> None:
         ((64, 40, 40.0, 40.0, float("nan"), 1.0), "finite"),
         ((64, 40, 40.0, 40.0, 1.0, 1.0, (0.0, 0.0, 0.0, 0.0, float("inf"))), "finite"),
         ((64, 40, 40.0, 40.0, 1.0, 1.0, (0.1, 0.2)), "k1, k2, p1, p2, k3"),
+        ((64, 40, 40.0, 40.0, 1.0, 1.0, (0.1, 1e300, 0.0, 0.0, 0.0)), "no lens"),
     ],
 )
 def test_no_camera(values: tuple, message: str) -> None:
