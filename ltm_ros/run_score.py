@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,13 +19,15 @@ from ltm_core.pose import Pose
 from ltm_core.site import Site
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.camera_info import msg_to_camera
-from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth
+from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.handler import Topic
 from ltm_ros.topics import (
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
     IMAGE_COMPRESSED,
+    IMAGE_RAW,
     LABELS_IMAGE,
     POSED_POSE,
     TRUTH_CAMERA_INFO,
@@ -73,17 +75,18 @@ class RunScore:
     labels: SegmentationScore
 
 
-_PARTS = {
-    "camera": (DEPTH_CAMERA_INFO, msg_to_camera),
-    "pose": (POSED_POSE, msg_to_pose),
-    "photo": (IMAGE_COMPRESSED, compressed_to_rgb),
-    "depth": (DEPTH_IMAGE, msg_to_depth),
-    "labels": (LABELS_IMAGE, lambda m: msg_to_array(m, ("mono8",))),
-    "truth_camera": (TRUTH_CAMERA_INFO, msg_to_camera),
-    "truth_depth": (TRUTH_DEPTH, msg_to_depth),
-    "truth_ground_depth": (TRUTH_GROUND_DEPTH, msg_to_depth),
-    "truth_labels": (TRUTH_LABELS, lambda m: msg_to_array(m, ("mono8",))),
-}
+_PARTS: tuple[tuple[str, Topic, Callable[[Any], Any]], ...] = (
+    ("camera", DEPTH_CAMERA_INFO, msg_to_camera),
+    ("pose", POSED_POSE, msg_to_pose),
+    ("photo", IMAGE_COMPRESSED, compressed_to_rgb),
+    ("photo", IMAGE_RAW, msg_to_rgb),
+    ("depth", DEPTH_IMAGE, msg_to_depth),
+    ("labels", LABELS_IMAGE, lambda m: msg_to_array(m, ("mono8",))),
+    ("truth_camera", TRUTH_CAMERA_INFO, msg_to_camera),
+    ("truth_depth", TRUTH_DEPTH, msg_to_depth),
+    ("truth_ground_depth", TRUTH_GROUND_DEPTH, msg_to_depth),
+    ("truth_labels", TRUTH_LABELS, lambda m: msg_to_array(m, ("mono8",))),
+)
 _NEEDED = ("camera", "pose", "photo", "depth", "labels")
 
 
@@ -91,7 +94,7 @@ def recorded_frames(bag: Path, site: Site) -> Iterator[RecordedFrame]:
     """The frames of a recorded run that came out with depth and labels, one camera after the other, in time order."""
     reader = BagReader(bag)
     for camera in site.cameras:
-        topics = {camera_topic(site.name, camera, topic): (part, take) for part, (topic, take) in _PARTS.items()}
+        topics = {camera_topic(site.name, camera, topic): (part, take) for part, topic, take in _PARTS}
         frames: dict[int, dict[str, Any]] = defaultdict(dict)
         for message in reader.messages(list(topics)):
             part, take = topics[message.topic]

@@ -22,7 +22,7 @@ def export(
     from ltm_core.site_io import load_site
     from ltm_core.vision.labels import LabelSet
 
-    if source.suffix in (".tif", ".tiff"):
+    if source.suffix.lower() in (".tif", ".tiff"):
         classes, geometry = read_fuel_map(source)
         labels = LabelSet.load()
     else:

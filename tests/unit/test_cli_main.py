@@ -1,0 +1,99 @@
+"""The command `ltm`: what it says of itself, and how bad input ends."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from ltm_core.errors import RasterError
+from ltm_ros.cli import main
+
+COMMANDS = (
+    "demo", "run", "replay", "record", "import", "trace", "simulate", "train", "export", "view", "doctor", "models",
+)  # fmt: skip
+
+
+def ltm(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"COLUMNS": "200", "NO_COLOR": "1"}
+    command = [sys.executable, "-m", "ltm_ros.cli.main", *arguments]
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(command: str) -> None:
+    result = CliRunner().invoke(main.cli, [command, "--help"], env={"COLUMNS": "200"})
+    assert result.exit_code == 0, result.output
+    assert f"Usage: ltm {command}" in result.output
+
+
+def test_help_names_every_command() -> None:
+    result = CliRunner().invoke(main.cli, ["--help"], env={"COLUMNS": "200"})
+    assert result.exit_code == 0
+    assert all(f" {command} " in result.output for command in COMMANDS)
+
+
+def test_help_is_quick_because_it_imports_nothing_heavy() -> None:
+    heavy = ("rclpy", "rasterio", "numba", "cv2", "onnxruntime", "scipy", "torch", "mitsuba", "rerun", "matplotlib")
+    code = f"import ltm_ros.cli.main, sys; print([m for m in {heavy} if m in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
+
+
+def test_bad_input_is_a_message_not_a_traceback(tmp_path: Path) -> None:
+    result = ltm("export", "absent.tif", "--out", "o.tif", folder=tmp_path)
+    assert result.returncode == 1
+    assert result.stderr.startswith("ltm: absent.tif: not a raster that GDAL can read")
+    assert "Traceback" not in result.stderr
+
+
+def test_an_unknown_option_is_a_usage_error(tmp_path: Path) -> None:
+    result = ltm("export", "--no-such-option", folder=tmp_path)
+    assert result.returncode == 2
+    assert "--no-such-option" in result.stderr
+
+
+def test_offline_replay_knows_no_time(tmp_path: Path) -> None:
+    result = ltm("replay", "bag", "--site", "s.yaml", "--offline", "--rate", "2", folder=tmp_path)
+    assert result.returncode == 1
+    assert "--offline knows no time" in result.stderr
+    assert not any(tmp_path.iterdir())
+
+
+def _raising(error: Exception) -> None:
+    raise error
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (RasterError("dem.tif: broken"), "ltm: dem.tif: broken\n"),
+        (
+            ModuleNotFoundError("No module named 'rerun'", name="rerun.blueprint"),
+            "ltm: needs rerun.blueprint: pip install 'ltm[view]', or see `ltm doctor`\n",
+        ),
+        (
+            ModuleNotFoundError("No module named 'mitsuba'", name="mitsuba"),
+            "ltm: needs mitsuba: pip install 'ltm[sim]'",
+        ),
+    ],
+)
+def test_what_a_user_can_mend(
+    error: Exception, message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(main, "cli", lambda: _raising(error))
+    with pytest.raises(SystemExit) as ended:
+        main.app()
+    assert ended.value.code == 1
+    assert capsys.readouterr().err.startswith(message)
+
+
+@pytest.mark.parametrize("error", [ModuleNotFoundError("x", name="ltm_core.absent"), ZeroDivisionError("bug")])
+def test_bugs_keep_their_traceback(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(main, "cli", lambda: _raising(error))
+    with pytest.raises(type(error)):
+        main.app()
