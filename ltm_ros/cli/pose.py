@@ -1,0 +1,125 @@
+"""`ltm pose`: a camera's pose and calibration from ground control points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from ltm_core.camera import Camera
+    from ltm_core.resection import Resection
+    from ltm_core.resection_io import ResectionSetup
+
+
+def pose(
+    gcps: Annotated[Path, typer.Option(help="CSV of control points: id, x, y, z (or lon, lat, z), u, v.")],
+    pose_guess: Annotated[Path, typer.Option(help="Pose file of what is known: position, camera; angles if they are.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Pose file to write; `ltm trace --pose` reads it.")],
+    dem: Annotated[Path | None, typer.Option(help="Elevation raster: the points are traced to it too.")] = None,
+    free: Annotated[str, typer.Option(help="Fitted besides the angles: focal, k1, position; or none.")] = "focal,k1",
+    first_pixel: Annotated[
+        float, typer.Option(help="Number of the first pixel's centre in the CSV: 0 (OpenCV), 1 (Matlab), 0.5.")
+    ] = 0.0,
+    position_sigma: Annotated[float | None, typer.Option(help="How well the position is known, metres.")] = None,
+    sigma_px: Annotated[float, typer.Option(help="What a marked pixel is worth at best, pixels.")] = 1.0,
+    report: Annotated[Path | None, typer.Option(help="JSON with residuals and covariance.")] = None,
+    crs: Annotated[str | None, typer.Option(help="CRS of the control points where no DEM states it.")] = None,
+) -> None:
+    """Fit a camera to surveyed points marked in its picture."""
+    from typing import cast
+
+    from rich.console import Console
+
+    from ltm_core.config_io import load_yaml
+    from ltm_core.dem import Dem
+    from ltm_core.geodesy import ray_bend
+    from ltm_core.resection import Parameter, resect
+    from ltm_core.resection_io import GuessConfig, read_control_points, set_up_resection, write_pose, write_report
+
+    guess = load_yaml(pose_guess, GuessConfig)
+    setup = set_up_resection(guess, None if dem is None else Dem.open(dem, crs), crs)
+    names = [name.strip() for name in free.split(",") if name.strip() not in ("", "none", "angles")]
+    result = resect(
+        read_control_points(gcps, setup.frame, first_pixel),
+        setup.camera,
+        setup.position,
+        guess.angles_deg,
+        cast("list[Parameter]", names),
+        ray_bend(guess.curvature, guess.refraction),
+        position_sigma,
+        sigma_px,
+    )
+    write_pose(out, result, guess, setup.frame)
+    if report is not None:
+        write_report(report, result)
+    console = Console()
+    console.print(_parameters(result, setup.camera, setup))
+    console.print(_points(result, setup, guess.curvature, guess.refraction))
+    for name, reason in result.held.items():
+        console.print(f"[yellow]{name} is held[/]: {reason}", highlight=False)
+    if result.outliers:
+        console.print(f"[yellow]left out as outliers[/]: {', '.join(result.outliers)}", highlight=False)
+    console.print(f"  {out}", highlight=False)
+
+
+def _parameters(result: Resection, start: Camera, setup: ResectionSetup) -> Table:
+    from rich.table import Table
+
+    azimuth, pitch, roll = result.pose.angles_deg
+    x, y, z = (float(v) for v in result.pose.position)
+    values = {
+        "azimuth_deg": f"{azimuth:.4f}",
+        "pitch_deg": f"{pitch:.4f}",
+        "roll_deg": f"{roll:.4f}",
+        "fx": f"{result.camera.fx:.2f}",
+        "k1": f"{result.camera.distortion[0]:.5f}",
+        "x": f"{x + setup.frame.x_origin:.2f}",
+        "y": f"{y + setup.frame.y_origin:.2f}",
+        "z": f"{z:.2f}",
+    }
+    started = {"fx": f"{start.fx:.2f}", "k1": f"{start.distortion[0]:.5f}"}
+    started |= {
+        "x": f"{setup.position[0] + setup.frame.x_origin:.2f}",
+        "y": f"{setup.position[1] + setup.frame.y_origin:.2f}",
+        "z": f"{setup.position[2]:.2f}",
+    }
+    table = Table("parameter", "fitted", "sigma", "given", title="camera")
+    for name, value in values.items():
+        sigma = result.sigmas.get(name)
+        table.add_row(name, value, "held" if sigma is None else f"{sigma:.3g}", started.get(name, ""))
+    return table
+
+
+def _points(result: Resection, setup: ResectionSetup, curvature: bool, refraction: float) -> Table:
+    import numpy as np
+    from rich.table import Table
+
+    median = float(np.median(result.residual_px))
+    title = f"{len(result.used)} points: median residual {median:.2f} px"
+    table = Table("point", "u", "v", "du px", "dv px", "residual px")
+    traced = None
+    if setup.dem is not None:
+        from ltm_core.resection_check import traced_errors
+        from ltm_core.tracing import TerrainTracer
+
+        tracer = TerrainTracer(setup.dem, curvature, refraction)
+        traced = traced_errors(result, tracer)
+        seen = traced.visible
+        table.add_column("traced off by")
+        table.add_column("terrain")
+        title += f"; traced against surveyed: median {np.median(traced.errors):.2f} m"
+        if seen.any():
+            title += f", {np.median(traced.errors[seen]):.2f} m on the {seen.sum()} that the DEM does not hide"
+    for k, name in enumerate(result.points.names):
+        u, v = result.points.pixels[k]
+        du, dv = result.residuals[k]
+        cells = [name, f"{u:.1f}", f"{v:.1f}", f"{du:.2f}", f"{dv:.2f}", f"{result.residual_px[k]:.2f}"]
+        if traced is not None:
+            cells += [f"{traced.errors[k]:.2f} m", "seen" if traced.visible[k] else "hidden or outside"]
+        table.add_row(*cells, style=None if result.used[k] else "red")
+    table.title = title
+    return table

@@ -1,0 +1,119 @@
+"""`ltm viewshed`: what one camera or a network of cameras covers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from ltm_core.geodesy import SiteFrame
+    from ltm_core.viewshed import View
+    from ltm_core.visibility import SightLines
+
+
+def viewshed(
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="GeoTIFF: cameras that see a cell, best footprint, visible height.")
+    ],
+    site: Annotated[Path | None, typer.Option(help="Site file: all its cameras with calibration and pose.")] = None,
+    pose: Annotated[
+        Path | None, typer.Option(help="Instead of a site: the pose file of one camera; needs --dem.")
+    ] = None,
+    dem: Annotated[Path | None, typer.Option(help="Elevation raster for --pose.")] = None,
+    resolution: Annotated[
+        float | None, typer.Option(help="Cell size of the result, metres; default the DEM's.")
+    ] = None,
+    target_height: Annotated[float, typer.Option(help="Metres above the ground that are to be seen.")] = 0.0,
+    max_range: Annotated[float | None, typer.Option(help="Metres beyond which a camera counts as blind.")] = None,
+    all_round: Annotated[
+        bool, typer.Option("--all-round", help="Cameras turn: their directions do not matter.")
+    ] = False,
+    picture: Annotated[Path | None, typer.Option(help="PNG to draw; default beside the GeoTIFF.")] = None,
+    crs: Annotated[str | None, typer.Option(help="CRS of a raster that carries none, such as EPSG:32611.")] = None,
+) -> None:
+    """Map what cameras cover: seen by how many, how finely, and how high smoke must rise to be seen."""
+    import math
+
+    import numpy as np
+    from rich.console import Console
+    from rich.table import Table
+
+    from ltm_core.errors import ConfigError
+    from ltm_core.pictures import to_png
+    from ltm_core.viewshed import viewshed as covered
+    from ltm_core.viewshed_io import coverage_picture, write_coverage
+
+    console = Console()
+    if (site is None) == (pose is None):
+        raise ConfigError("give either --site S.yaml, or --pose P.yaml with --dem")
+    if site is not None:
+        sight, frame, views, skipped = _from_site(site)
+    elif pose is not None and dem is not None:
+        sight, frame, views = _from_pose(pose, dem, crs)
+        skipped = []
+    else:
+        raise ConfigError("--pose needs the terrain too: --dem D.tif")
+    if skipped:
+        console.print(f"[yellow]without calibration or pose, left out[/]: {', '.join(skipped)}", highlight=False)
+    with console.status("lines of sight"):
+        reach = math.inf if max_range is None else max_range
+        coverage = covered(sight, views, resolution, target_height, reach, all_round)
+    picture = out.with_suffix(".png") if picture is None else picture
+    with console.status("writing"):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        write_coverage(out, coverage, frame)
+        picture.write_bytes(to_png(coverage_picture(coverage, sight.dem, views, _title(views, target_height))))
+
+    geometry = coverage.geometry
+    table = Table(title=f"{geometry.width} x {geometry.height} cells of {geometry.resolution:g} m", show_header=False)
+    for cameras in range(1, min(len(views), 4) + 1):
+        table.add_row(f"seen by {cameras} or more", f"{coverage.share(cameras):.1%} of the ground")
+    seen = np.isfinite(coverage.footprint)
+    if seen.any():
+        table.add_row("footprint of a pixel, median", f"{np.median(coverage.footprint[seen]):.2f} m")
+    hidden = coverage.height[(coverage.count == 0) & np.isfinite(coverage.height)]
+    if hidden.size:
+        low, high = np.percentile(hidden, [50, 90])
+        table.add_row("hidden ground: visible from", f"{low:.0f} m above it (median), {high:.0f} m (90 %)")
+    console.print(table)
+    for path in (out, picture):
+        console.print(f"  {path}", highlight=False)
+
+
+def _title(views: list[View], target_height: float) -> str:
+    what = "the ground" if target_height == 0 else f"{target_height:g} m above the ground"
+    return f"cameras that see {what}" if len(views) > 1 else f"{what}, seen from {views[0].name}"
+
+
+def _from_site(path: Path) -> tuple[SightLines, SiteFrame, list[View], list[str]]:
+    from ltm_core.errors import ConfigError
+    from ltm_core.site_io import load_site
+    from ltm_core.viewshed import View
+    from ltm_core.visibility import SightLines
+
+    site = load_site(path)
+    terrain = site.open_dem()
+    views, skipped = [], []
+    for name, camera in site.cameras.items():
+        if camera.calibration is None or camera.pose is None:
+            skipped.append(name)
+        else:
+            views.append(View(name, camera.calibration.camera(), camera.pose.pose(terrain, site.frame)))
+    if not views:
+        raise ConfigError(f"{path}: no camera has both calibration and pose ({', '.join(skipped)} come as topics)")
+    return SightLines(terrain, site.curvature, site.refraction), site.frame, views, skipped
+
+
+def _from_pose(path: Path, dem: Path, crs: str | None) -> tuple[SightLines, SiteFrame, list[View]]:
+    from ltm_core.dem import Dem
+    from ltm_core.trace_io import load_picture_config, set_up_picture
+    from ltm_core.viewshed import View
+    from ltm_core.visibility import SightLines
+
+    config = load_picture_config(path)
+    setup = set_up_picture(config, Dem.open(dem, crs))
+    sight = SightLines(setup.dem, config.curvature, config.refraction)
+    return sight, setup.frame, [View(path.stem, setup.camera, setup.pose)]
