@@ -21,11 +21,17 @@ which reaches the raster's edge, is outside the DEM (see `holes`).
   DEM. A ray that never comes over the raster is judged by its slope at the camera.
 
 A camera may stand outside the DEM: space between it and the first known ground counts as free.
+
+**The ways.** `trace` goes by the wedge profile of the camera's position (`profile`, `sweep`), which is kept: a tower
+pays for it once, whatever it pans, tilts and zooms to. Rays where a profile cannot help go by the maximum pyramid
+(`traversal`). Both give the same answer for every ray.
 """
 
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,12 +42,22 @@ from ltm_core.depth.range_image import RangeImage
 from ltm_core.errors import PoseError, RasterError
 from ltm_core.geodesy import ray_bend
 from ltm_core.pose import Pose
+from ltm_core.tracing.caches import BoundedCache, TracerStatistics
 from ltm_core.tracing.holes import with_ceilings
+from ltm_core.tracing.profile import SECTOR, WEDGES_A_FACE, Wedges, extended, mark_sectors, no_wedges
 from ltm_core.tracing.pyramid import build_pyramid
+from ltm_core.tracing.sweep import sweep_image
 from ltm_core.tracing.traversal import Ground, trace_directions
 
 # Numba's fallback threading layer dies when two threads launch parallel kernels at once.
 _ONE_LAUNCH = threading.Lock()
+# Fewer pixels than this do not repay the profile of a position that may never be seen again.
+_FEW_PIXELS = 40_000
+_MARK_EVERY = 8  # pixels
+_PROFILE_BYTES = 64 * 2**20
+_FRAME_BYTES = 48 * 2**20
+
+Way = Literal["auto", "profile", "pyramid"]
 
 
 class TerrainTracer:
@@ -75,16 +91,77 @@ class TerrainTracer:
             pyramid.widths,
             float(np.nanmax(elevation)),
         )
+        self._profiles = BoundedCache[Wedges](_PROFILE_BYTES, lambda wedges: sum(a.nbytes for a in wedges))
+        self._frames = BoundedCache[NDArray[np.float32]](_FRAME_BYTES, lambda ranges: ranges.nbytes)
+        self._counts = TracerStatistics()
 
-    def trace(self, camera: Camera, pose: Pose) -> RangeImage:
-        """Range of every pixel.
+    @property
+    def statistics(self) -> TracerStatistics:
+        """How often what is kept of earlier frames served, and how much is kept."""
+        return replace(self._counts, profile_bytes=self._profiles.held_bytes, frame_bytes=self._frames.held_bytes)
+
+    def trace(self, camera: Camera, pose: Pose, way: Way = "auto") -> RangeImage:
+        """Range of every pixel; the array is read-only, since it is given again for the same camera and pose.
+
+        Args:
+            way: "profile" or "pyramid" forces one and keeps no frame; where a profile cannot serve (a camera that is
+                not over known ground), all go by the pyramid.
 
         Raises PoseError when the pose is not finite, the camera is not above the ground (by how much is said), or it
         stands in an enclosed hole of the DEM, below the ground around it.
         """
-        flat = self._trace(pose.position, pose.rotation, camera.rays().reshape(-1, 3))
-        ranges = flat.reshape(camera.height, camera.width)
+        seen = (camera, pose.position.tobytes(), pose.rotation.tobytes(), self.bend)
+        ranges = self._frames.get(seen) if way == "auto" else None
+        frame_hit = ranges is not None
+        if ranges is None:
+            self._check(pose.position, pose.rotation)
+            profile_hit, ranges = self._trace_image(camera, pose, way)
+            ranges.flags.writeable = False
+            if way == "auto":
+                self._frames.put(seen, ranges)
+        else:
+            profile_hit = False
+        with _ONE_LAUNCH:
+            self._counts = replace(
+                self._counts,
+                frames=self._counts.frames + 1,
+                frame_hits=self._counts.frame_hits + frame_hit,
+                profile_hits=self._counts.profile_hits + profile_hit,
+            )
         return RangeImage(ranges, camera, pose, self.bend, self.dem.geometry)
+
+    def _trace_image(self, camera: Camera, pose: Pose, way: Way) -> tuple[bool, NDArray[np.float32]]:
+        """Whether the profile was there, and the ranges (H, W)."""
+        rays = camera.rays()
+        row, col = (float(v) for v in self.dem.geometry.to_grid(*pose.position[:2]))
+        place = (pose.position.tobytes(), self.bend)
+        kept = self._profiles.get(place)
+        few = way == "auto" and kept is None and camera.width * camera.height < _FEW_PIXELS
+        if way == "pyramid" or few or not self._stands_over_known_ground(row, col):
+            flat = self._trace(pose.position, pose.rotation, rays.reshape(-1, 3))
+            return False, flat.reshape(camera.height, camera.width)
+        origin = col, row, float(pose.position[2])
+        rotation = np.ascontiguousarray(pose.rotation, np.float64)
+        resolution = float(self.dem.geometry.resolution)
+        ranges = np.empty((camera.height, camera.width), np.float32)
+        with _ONE_LAUNCH:
+            marked = np.zeros(4 * WEDGES_A_FACE // SECTOR, np.bool_)
+            mark_sectors(rays, rotation, _MARK_EVERY, marked)
+            wanted = (np.flatnonzero(marked)[:, None] * SECTOR + np.arange(SECTOR)).ravel()
+            before = no_wedges() if kept is None else kept
+            wedges = extended(before, wanted, self._ground, *origin, self.bend * resolution**2)
+            sweep_image(self._ground, wedges, *origin, rotation, rays, resolution, self.bend, ranges)
+        if wedges is not before:
+            self._profiles.put(place, wedges)
+        return wedges is before, ranges
+
+    def _stands_over_known_ground(self, row: float, col: float) -> bool:
+        """Whether (row, col) lies on the raster and in no outer hole."""
+        height, width = self.dem.elevation.shape
+        if not (0 <= row <= height - 1 and 0 <= col <= width - 1):
+            return False
+        r, c = min(int(row), height - 2), min(int(col), width - 2)
+        return not np.isnan(self._ground.filled.reshape(height, width)[r : r + 2, c : c + 2]).any()
 
     def trace_rays(self, origin: ArrayLike, directions: ArrayLike) -> NDArray[np.float32]:
         """Slant range in metres of rays from one origin, (N,) float32.
@@ -101,7 +178,9 @@ class TerrainTracer:
         with np.errstate(invalid="ignore", divide="ignore"):
             rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
         rays.flags.writeable = False  # as a camera's are: one compiled kernel serves both
-        return self._trace(np.asarray(origin, np.float64), np.eye(3), rays)
+        position = np.asarray(origin, np.float64)
+        self._check(position, np.eye(3))
+        return self._trace(position, np.eye(3), rays)
 
     def ground_clearance(self, pose: Pose) -> float:
         """Height of the camera above the terrain, metres; negative under the ground, NaN outside the DEM and in
@@ -113,7 +192,6 @@ class TerrainTracer:
     def _trace(
         self, origin: NDArray[np.float64], rotation: NDArray[np.float64], rays: NDArray[np.float64]
     ) -> NDArray[np.float32]:
-        self._check(origin, rotation)
         row, col = self.dem.geometry.to_grid(origin[0], origin[1])
         ranges = np.empty(len(rays), dtype=np.float32)
         with _ONE_LAUNCH:

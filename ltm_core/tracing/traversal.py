@@ -1,11 +1,11 @@
 """The tracing kernels: the first point at which a ray meets the bilinear surface, by way of the maximum pyramid.
 
 Everything here is in *grid units*: x = column, y = row (nodes at integers), horizontal range q in cells, heights in
-metres. A ray leaves (ox, oy, oz) along the horizontal unit vector (cx, cy); its height is z(q) = oz + s q + bend q^2,
-the parabola that earth curvature and refraction give it. Blocks whose bound the ray clears are stepped over; the
-others are opened, down to cells, where the surface under the ray is a quadratic in q and its first root the exact
-hit. A block is left through an edge with a whole coordinate, and the next cell follows from that integer, never from
-a nudged position, so no cell can be skipped or met twice.
+metres. A ray leaves (ox, oy, oz) along the horizontal vector (cx, cy), in lengths of which q is counted (1 cell, or
+up to sqrt(2)); its height is z(q) = oz + s q + bend q^2, the parabola that earth curvature and refraction give it.
+Blocks whose bound the ray clears are stepped over; the others are opened, down to cells, where the surface under the
+ray is a quadratic in q and its first root the exact hit. A block is left through an edge with a whole coordinate, and
+the next cell follows from that integer, never from a nudged position, so no cell can be skipped or met twice.
 
 What ends a ray is defined in `tracer`; `reference` computes the same by brute force.
 """
@@ -51,7 +51,28 @@ class Ground(NamedTuple):
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)  # type: ignore[untyped-decorator]
 def first_hit(ground: Ground, ox: float, oy: float, oz: float, cx: float, cy: float, s: float, bend: float) -> float:
-    """Horizontal range in cells to the first hit; +inf for sky, NaN for unknown."""
+    """Range q to the first hit, in lengths of (cx, cy); +inf for sky, NaN for unknown."""
+    return hit_from(ground, ox, oy, oz, cx, cy, s, bend, 0.0, False, _START_LEVEL)
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)  # type: ignore[untyped-decorator]
+def hit_from(
+    ground: Ground,
+    ox: float,
+    oy: float,
+    oz: float,
+    cx: float,
+    cy: float,
+    s: float,
+    bend: float,
+    start: float,
+    entered: bool,
+    level: int,
+) -> float:
+    """`first_hit` of a ray that is known to meet nothing before q = `start`.
+
+    `entered`: whether it has been over known ground until there; `level`: that of the first block looked at.
+    """
     nodes, filled, width, height, top = ground.nodes, ground.filled, ground.width, ground.height, ground.top
     bounds, offsets, widths = ground.bounds, ground.offsets, ground.widths
     x_last = width - 1
@@ -81,6 +102,9 @@ def first_hit(ground: Ground, ox: float, oy: float, oz: float, cx: float, cy: fl
         return np.inf if s >= 0.0 else np.nan
     rises_at_exit = s + 2.0 * bend * q_out >= 0.0
     beyond = np.inf if rises_at_exit else np.nan
+    q_in = max(q_in, start)
+    if q_in > q_out:
+        return beyond
     sag = 0.25 * max(bend, 0.0)  # the parabola lies at most sag * dq^2 below its chord
     ahead_x = 1 if cx > 0.0 else 0
     ahead_y = 1 if cy > 0.0 else 0
@@ -89,9 +113,8 @@ def first_hit(ground: Ground, ox: float, oy: float, oz: float, cx: float, cy: fl
     z = oz + q * (s + bend * q)
     ix = min(max(math.floor(ox + cx * q), 0), x_last - 1)
     iy = min(max(math.floor(oy + cy * q), 0), y_last - 1)
-    level = min(_START_LEVEL, offsets.size - 1)
-    entered = False  # has the ray been over known ground?
-    lost = False  # has it crossed an outer hole since?
+    level = min(level, offsets.size - 1)
+    lost = False  # has it crossed an outer hole since it was over known ground?
     while True:
         bx = ix >> level
         by = iy >> level

@@ -1,0 +1,153 @@
+"""The fast path against the pyramid traversal: on every pixel the same kind and the same range."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import rough_terrain, with_holes
+
+from ltm_core.bench.terrain import ridged_terrain
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import PoseError
+from ltm_core.geodesy import SiteFrame
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+from ltm_core.tracing import TerrainTracer
+
+
+def with_trees(dem: Dem, seed: int) -> Dem:
+    """`dem` as a surface model: trees of 4 to 20 m, a few cells wide, on a third of it."""
+    rng = np.random.default_rng(seed)
+    elevation = dem.elevation.copy()
+    rows, cols = elevation.shape
+    for _ in range(rows * cols // 40):
+        row, col = rng.integers(0, rows), rng.integers(0, cols)
+        radius, tall = rng.integers(1, 4), rng.uniform(4, 20)
+        elevation[max(row - radius, 0) : row + radius, max(col - radius, 0) : col + radius] += np.float32(tall)
+    return Dem(elevation, dem.geometry)
+
+
+def random_pose(dem: Dem, rng: np.random.Generator) -> Pose:
+    """Mast 0.5 to 40 m above known ground, roll +-30, pitch -35 to 10."""
+    while True:
+        row, col = (rng.uniform(0, n - 1) for n in dem.elevation.shape)
+        x, y = (float(v) for v in dem.geometry.to_map(row, col))
+        ground = float(dem.elevation_at(x, y))
+        mast = float(np.exp(rng.uniform(np.log(0.5), np.log(40.0))))
+        if np.isfinite(ground):
+            angles = rng.uniform(0, 360), rng.uniform(-35, 10), rng.uniform(-30, 30)
+            return Pose.from_angles((x, y, ground + mast), *angles)
+
+
+def random_camera(rng: np.random.Generator, width: int, height: int) -> Camera:
+    return Camera.from_fov(width, height, float(rng.uniform(5, 90)))
+
+
+def assert_ways_agree(dem: Dem, seed: int, poses: int, width: int, height: int) -> None:
+    rng = np.random.default_rng(seed)
+    tracer = TerrainTracer(dem)
+    hits = pixels = 0
+    for _ in range(poses):
+        camera, pose = random_camera(rng, width, height), random_pose(dem, rng)
+        try:
+            slow = tracer.trace(camera, pose, way="pyramid").range
+        except PoseError:  # in a lake, below its rim
+            continue
+        fast = tracer.trace(camera, pose, way="profile").range
+        wrong = np.argwhere((np.isnan(fast) != np.isnan(slow)) | (np.isinf(fast) != np.isinf(slow)))
+        assert len(wrong) == 0, f"{len(wrong)} pixels, first {wrong[0]} of {camera} at {pose}"
+        hit = np.isfinite(slow)
+        off = np.abs(fast[hit] - slow[hit])
+        assert (off <= 1e-4 + np.spacing(slow[hit])).all(), f"range off by up to {off.max()} m for {camera} at {pose}"
+        hits += int(hit.sum())
+        pixels += hit.size
+    assert tracer.statistics.profile_bytes > 0
+    assert pixels > 0.8 * poses * width * height
+    assert hits > 0.2 * pixels
+
+
+def ridged(size: int) -> Dem:
+    return ridged_terrain(size)
+
+
+def treed(size: int) -> Dem:
+    return with_trees(ridged_terrain(size), 1)
+
+
+def holed(size: int) -> Dem:
+    return with_holes(ridged_terrain(size), 2, enclosed=size // 20, specks=size // 3)
+
+
+def treed_and_holed(size: int) -> Dem:
+    return with_holes(with_trees(ridged_terrain(size), 3), 4, enclosed=size // 20, specks=size // 3, margin=False)
+
+
+def margin_only(size: int) -> Dem:
+    return with_holes(ridged_terrain(size), 5, enclosed=0, specks=0)
+
+
+KINDS = [ridged, treed, holed, treed_and_holed, margin_only]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_pixel(kind) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
+    dem = kind(700)
+    oblong = Dem(dem.elevation[:523], GridGeometry(412_000.0, 3_801_000.0, 1.0, 700, 523))
+    assert_ways_agree(oblong, 11, poses=12, width=161, height=121)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_pixel_of_sixty_poses(kind) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
+    assert_ways_agree(kind(2000), 12, poses=60, width=320, height=240)
+
+
+def big_tujunga(data: Path) -> Dem:
+    dem = Dem.open(data / "dem_bigtujunga" / "bigtujunga.tif")
+    return dem.in_frame(SiteFrame(str(dem.geometry.crs), dem.geometry.x_min, dem.geometry.y_min))
+
+
+def test_every_pixel_of_real_mountains(shared_data: Path) -> None:
+    assert_ways_agree(big_tujunga(shared_data), 13, poses=10, width=161, height=121)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("holes", [False, True])
+def test_every_pixel_of_sixty_poses_in_real_mountains(shared_data: Path, holes: bool) -> None:
+    dem = big_tujunga(shared_data)
+    assert_ways_agree(with_holes(dem, 6, margin=False) if holes else dem, 14, poses=60, width=320, height=240)
+
+
+@pytest.mark.parametrize("bend", [-3e-4, 7e-4, 1e-2])
+def test_strongly_bent_rays(bend: float) -> None:
+    """Bends far beyond the earth's; a negative one is a strong duct, that curves rays more than the earth."""
+    dem = with_holes(rough_terrain(6, relief=25.0), 6, specks=20, margin=False)
+    rng = np.random.default_rng(6)
+    tracer = TerrainTracer(dem)
+    tracer.bend = bend
+    for _ in range(8):
+        camera, pose = random_camera(rng, 121, 83), random_pose(dem, rng)
+        try:
+            slow = tracer.trace(camera, pose, way="pyramid").range
+        except PoseError:
+            continue
+        np.testing.assert_allclose(tracer.trace(camera, pose, way="profile").range, slow, rtol=1e-6)
+
+
+def test_on_node_lines_and_at_the_rim() -> None:
+    """Positions on nodes and on the raster's outermost node lines, cameras along the axes and straight down."""
+    dem = rough_terrain(8)
+    tracer = TerrainTracer(dem)
+    rows, cols = dem.elevation.shape
+    for row, col in [(0, 0), (rows - 1, cols - 1), (0, 77.0), (55.0, cols - 1), (90.0, 130.0), (90.5, 131.0)]:
+        x, y = (float(v) for v in dem.geometry.to_map(row, col))
+        for azimuth in (0.0, 45.0, 90.0, 180.0, 270.0, 225.0):
+            for pitch in (-10.0, -90.0, 30.0):
+                pose = Pose.from_angles((x, y, float(dem.elevation_at(x, y)) + 6.0), azimuth, pitch, 0.0)
+                camera = Camera(81, 61, 50.0, 50.0, 40.0, 30.0)
+                slow = tracer.trace(camera, pose, way="pyramid").range
+                fast = tracer.trace(camera, pose, way="profile").range
+                np.testing.assert_allclose(fast, slow, rtol=1e-6, err_msg=f"{row} {col} {azimuth} {pitch}")
