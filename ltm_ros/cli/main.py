@@ -8,7 +8,6 @@ import typer
 
 from ltm_core.errors import LtmError
 from ltm_ros.cli.bench import bench
-from ltm_ros.cli.bench import bench
 from ltm_ros.cli.demo import demo
 from ltm_ros.cli.doctor import doctor
 from ltm_ros.cli.export import export
@@ -41,7 +40,6 @@ cli.command()(export)
 cli.command()(view)
 cli.command()(doctor)
 cli.command()(models)
-cli.add_typer(bench, name="bench")
 cli.add_typer(bench, name="bench")
 
 

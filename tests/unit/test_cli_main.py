@@ -14,7 +14,8 @@ from ltm_core.errors import RasterError
 from ltm_ros.cli import main
 
 COMMANDS = (
-    "demo", "run", "replay", "record", "import", "trace", "simulate", "train", "export", "view", "doctor", "models",
+    "demo", "run", "replay", "record", "import", "trace", "simulate", "train", "export", "bench", "view", "doctor",
+    "models",
 )  # fmt: skip
 
 
@@ -35,6 +36,12 @@ def test_help_names_every_command() -> None:
     result = CliRunner().invoke(main.cli, ["--help"], env={"COLUMNS": "200"})
     assert result.exit_code == 0
     assert all(f" {command} " in result.output for command in COMMANDS)
+
+
+def test_no_command_stands_twice() -> None:
+    named = [*main.cli.registered_commands, *main.cli.registered_groups]
+    names = [entry.name or getattr(entry.callback, "__name__", "") for entry in named]
+    assert sorted(names) == sorted(COMMANDS)
 
 
 def test_help_is_quick_because_it_imports_nothing_heavy() -> None:
