@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -48,15 +50,20 @@ def write_simulated_bag(
     index_file = frames / "frames.json"
     try:
         index = json.loads(index_file.read_text(encoding="utf-8"))
-    except (OSError, json.JSONDecodeError) as error:
+        entries, step = index["frames"], int(index["truth_step"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise RecordingError(
             f"{index_file}: no index of simulated frames ({error}); `ltm simulate` writes one"
         ) from error
-    entries = index["frames"]
-    with BagWriter(out) as bag:
-        for done, entry in enumerate(entries, start=1):
-            _write_frame(bag, frames, entry, site, index["truth_step"], quality)
-            progress(done, len(entries))
+    writer = BagWriter(out)
+    try:
+        with writer as bag:
+            for done, entry in enumerate(entries, start=1):
+                _write_frame(bag, frames, entry, site, step, quality)
+                progress(done, len(entries))
+    except RecordingError:
+        shutil.rmtree(out, ignore_errors=True)  # half a recording looks like a whole one
+        raise
     return len(entries)
 
 
@@ -70,10 +77,13 @@ def _write_frame(bag: BagWriter, folder: Path, entry: dict[str, Any], site: str,
         raise RecordingError(f"{folder / entry['image']}: the frame's picture is missing or broken; render it again")
     jpeg = encode_rgb(np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8), "jpeg", quality)
     sampled = camera.scaled(step)
-    with np.load(folder / entry["truth"]) as truth:
-        surface = _rounded(RangeImage(truth["range_surface"].astype(np.float32), sampled, pose).depth())
-        ground = _rounded(RangeImage(truth["range_ground"].astype(np.float32), sampled, pose).depth())
-        labels = truth["labels"].astype(np.uint8)
+    try:
+        with np.load(folder / entry["truth"]) as truth:
+            surface = _rounded(RangeImage(truth["range_surface"].astype(np.float32), sampled, pose).depth())
+            ground = _rounded(RangeImage(truth["range_ground"].astype(np.float32), sampled, pose).depth())
+            labels = truth["labels"].astype(np.uint8)
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+        raise RecordingError(f"{folder / entry['truth']}: no truth of the frame ({error}); render it again") from error
 
     def write(topic: Topic, message: Any) -> None:
         bag.write(camera_topic(site, name, topic), message, stamp)

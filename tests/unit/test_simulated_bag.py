@@ -94,3 +94,18 @@ def test_a_missing_picture(simulated: Path, tmp_path: Path) -> None:
     (simulated / "0001.png").unlink()
     with pytest.raises(RecordingError, match=r"0001\.png: the frame's picture is missing"):
         write_simulated_bag(simulated, tmp_path / "bag", "ridge")
+    assert not (tmp_path / "bag").exists(), "half a recording looks like a whole one"
+
+
+def test_truth_that_is_broken(simulated: Path, tmp_path: Path) -> None:
+    (simulated / "0001_truth.npz").write_bytes(b"PK but no archive")
+    with pytest.raises(RecordingError, match=r"0001_truth\.npz: no truth of the frame"):
+        write_simulated_bag(simulated, tmp_path / "bag", "ridge")
+
+
+def test_what_stands_there_already_is_kept(simulated: Path, tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "precious.txt").write_text("keep")
+    with pytest.raises(RecordingError, match="not empty"):
+        write_simulated_bag(simulated, tmp_path / "bag", "ridge")
+    assert (tmp_path / "bag" / "precious.txt").read_text() == "keep"
