@@ -107,7 +107,7 @@ class LivePlayer:
 
         With `loop`, stamps of later rounds are moved on with the clock: a stamp stands for one moment only.
         """
-        span = self._selection.end_ns - self._selection.begin_ns
+        round_ns = _round_ns(self._selection)
         self._epoch = (time.monotonic(), self._selection.begin_ns)
         published, shift = 0, 0
         while True:
@@ -121,7 +121,7 @@ class LivePlayer:
                 progress(published)
             if not loop:
                 return published
-            shift += span
+            shift += round_ns
 
     def drain(self, nodes: Collection[str], timeout: float = 120.0) -> bool:
         """Wait until the nodes' diagnostics stand still with empty queues: all work is done. False after `timeout`."""
@@ -162,6 +162,14 @@ class LivePlayer:
             if any(before.get(key) != summary.get(key) for key in ("frames_in", "frames_out", "dropped")):
                 self._changed = time.monotonic()
             self.summaries[status.name] = summary
+
+
+def _round_ns(selection: Selection) -> int:
+    """How long one round of a loop takes: the selection and a pause as between two of its frames, at least a second,
+    for a recording of one photo has no length.
+    """
+    span = selection.end_ns - selection.begin_ns
+    return max(span + span // max(selection.frame_count - 1, 1), 1_000_000_000)
 
 
 def _moved(cdr: bytes, shift_ns: int) -> bytes:

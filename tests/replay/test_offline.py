@@ -1,0 +1,146 @@
+"""Offline replay: the same handlers as live, without DDS; the same recording gives the same bytes."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_site import FRAMES, NAME, SmallSite
+from typer.testing import CliRunner
+
+from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.image import msg_to_depth
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.cli.main import cli
+from ltm_ros.recorded_map import last_fuel_map
+from ltm_ros.replay.run import ReplayOptions, run_offline
+from ltm_ros.topics import (
+    DEPTH_CAMERA_INFO,
+    DEPTH_IMAGE,
+    FUEL_MAP,
+    FUEL_VOTES,
+    IMAGE_COMPRESSED,
+    LABELS_IMAGE,
+    POSED_POSE,
+    camera_topic,
+    site_topic,
+)
+
+Summaries = dict[str, dict[str, str]]
+
+
+def replayed(small: SmallSite, out: Path, bag: Path | None = None, **options: Any) -> Summaries:
+    """Offline replay into `out`/map.tif and `out`/bag."""
+    out.mkdir()
+    wanted = ReplayOptions(export=out / "map.tif", record=out / "bag", **options)
+    return run_offline(bag or small.bag, small.path, wanted, lambda done, total: None)
+
+
+def messages_of(bag: Path) -> list[tuple[str, int, Any]]:
+    reader = BagReader(bag, allow_damaged=False)
+    return [(m.topic, m.log_time_ns, reader.decode(m)) for m in reader.messages()]
+
+
+def test_twice_gives_the_same_bytes(small_site: SmallSite, tmp_path: Path) -> None:
+    first, second = replayed(small_site, tmp_path / "a"), replayed(small_site, tmp_path / "b")
+    assert (tmp_path / "a/map.tif").read_bytes() == (tmp_path / "b/map.tif").read_bytes()
+    assert messages_of(tmp_path / "a/bag") == messages_of(tmp_path / "b/bag")
+    assert first.keys() == second.keys()
+
+
+def test_every_frame_comes_out_with_its_stamp(small_site: SmallSite, tmp_path: Path) -> None:
+    summaries = replayed(small_site, tmp_path / "out")
+    assert {name: s["dropped"] for name, s in summaries.items()} == dict.fromkeys(summaries, "0")
+    assert summaries[f"/{NAME}/fuel_map"]["frames"] == str(2 * FRAMES)
+    reader = BagReader(tmp_path / "out/bag", allow_damaged=False)
+    for camera in ("tower", "mast"):
+        frames = [f for f in small_site.frames() if f.camera_name == camera]
+        for topic in (POSED_POSE, DEPTH_IMAGE, DEPTH_CAMERA_INFO, LABELS_IMAGE, FUEL_VOTES):
+            messages = [reader.decode(m) for m in reader.messages([camera_topic(NAME, camera, topic)])]
+            assert [stamp_of(m) for m in messages] == [f.stamp_ns for f in frames], (camera, topic)
+            if topic == DEPTH_IMAGE:
+                for frame, message in zip(frames, messages, strict=True):
+                    expected = small_site.tracer.trace(frame.camera, frame.pose).depth()
+                    np.testing.assert_allclose(msg_to_depth(message), expected, rtol=1e-6)
+
+
+def test_recorded_map_is_the_exported_one(small_site: SmallSite, tmp_path: Path) -> None:
+    replayed(small_site, tmp_path / "out")
+    exported, geometry = read_fuel_map(tmp_path / "out/map.tif")
+    recorded, recorded_geometry, _ = last_fuel_map(tmp_path / "out/bag", small_site.site)
+    np.testing.assert_array_equal(recorded, exported)
+    assert recorded_geometry == geometry
+    assert (exported != 255).sum() > 300
+    assert BagReader(tmp_path / "out/bag").topic_infos()[site_topic(NAME, FUEL_MAP)].latched
+
+
+def test_results_can_be_replayed_again(small_site: SmallSite, tmp_path: Path) -> None:
+    """A recording of inputs and results: the inputs are taken, the results made anew."""
+    replayed(small_site, tmp_path / "a")
+    replayed(small_site, tmp_path / "b", bag=tmp_path / "a/bag")
+    assert (tmp_path / "a/map.tif").read_bytes() == (tmp_path / "b/map.tif").read_bytes()
+
+
+def test_span_gives_the_map_of_its_frames(small_site: SmallSite, tmp_path: Path) -> None:
+    whole, part = replayed(small_site, tmp_path / "a"), replayed(small_site, tmp_path / "b", duration=0.6)
+    assert (whole[f"/{NAME}/fuel_map"]["frames_in"], part[f"/{NAME}/fuel_map"]["frames_in"]) == ("12", "5")
+    all_seen, seen = (read_fuel_map(tmp_path / name / "map.tif")[0] != 255 for name in "ab")
+    assert 0 < seen.sum() < all_seen.sum()
+    assert not (seen & ~all_seen).any()
+
+
+def test_truncated_recording_gives_what_it_has(small_site: SmallSite, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "small_chunks", chunk_size=20_000) as bag:
+        for message in BagReader(small_site.bag).messages():
+            bag.write_raw(message.topic, message.type_name, message.raw, message.log_time_ns)
+    whole = next((tmp_path / "small_chunks").glob("*.mcap"))
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    summaries = replayed(small_site, tmp_path / "out", bag=cut)
+    frames = int(summaries[f"/{NAME}/fuel_map"]["frames_in"])
+    assert 2 <= frames < 2 * FRAMES
+    assert summaries[f"/{NAME}/tower/depth"]["dropped"] == "0"
+
+
+def test_message_that_does_not_decode_is_counted_and_passed_over(small_site: SmallSite, tmp_path: Path) -> None:
+    topic, broken = camera_topic(NAME, "tower", IMAGE_COMPRESSED), 0
+    with BagWriter(tmp_path / "broken") as bag:
+        for message in BagReader(small_site.bag).messages():
+            raw = message.raw
+            if message.topic == topic:
+                broken += 1
+                raw = raw if broken != 3 else raw[:30]
+            bag.write_raw(message.topic, message.type_name, raw, message.log_time_ns)
+    summaries = replayed(small_site, tmp_path / "out", bag=tmp_path / "broken")
+    assert summaries["recording"]["dropped.recording"] == "1"
+    assert summaries[f"/{NAME}/tower/capture"]["frames_out"] == str(FRAMES - 1)
+    assert summaries[f"/{NAME}/fuel_map"]["frames_in"] == str(2 * FRAMES - 1)
+
+
+def test_command_line(small_site: SmallSite, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = ["replay", str(small_site.bag), "--site", str(small_site.path), "--out", str(out), "--offline"]
+    result = CliRunner().invoke(cli, [*command, "--record"])
+    assert result.exit_code == 0, result.output
+    assert "tower/capture" in result.output
+    replayed(small_site, tmp_path / "other")
+    assert (out / "fuel_map.tif").read_bytes() == (tmp_path / "other/map.tif").read_bytes()
+    assert messages_of(out / "bag")
+    for wrong in (["--loop"], ["--rate", "2"], ["--rrd"], ["--publish-only"]):
+        refused = CliRunner().invoke(cli, [*command, *wrong])
+        assert refused.exit_code != 0, wrong
+    shutil.rmtree(out)
+
+
+@pytest.mark.parametrize("missing", ["bag", "site"])
+def test_what_is_missing_is_named(small_site: SmallSite, tmp_path: Path, missing: str) -> None:
+    places = {"bag": small_site.bag, "site": small_site.path} | {missing: tmp_path / "nowhere"}
+    command = ["replay", str(places["bag"]), "--site", str(places["site"]), "--out", str(tmp_path), "--offline"]
+    result = CliRunner().invoke(cli, command)
+    assert result.exit_code != 0
+    assert "nowhere" in f"{result.output} {result.exception}"

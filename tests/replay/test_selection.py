@@ -1,0 +1,67 @@
+"""Which messages of a recording a replay takes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from small_site import BEGIN_NS, FRAMES, NAME, PERIOD_NS, SmallSite
+
+from ltm_core.errors import RecordingError
+from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_ros.replay.selection import Selection
+from ltm_ros.topics import DEPTH_IMAGE, TRUTH_LABELS, camera_topic
+
+MESSAGES = FRAMES * (3 + 1)
+PERIOD = PERIOD_NS / 1e9
+
+
+def test_takes_all_inputs_in_the_order_of_time(small_site: SmallSite) -> None:
+    selection = Selection.open(small_site.bag, small_site.site)
+    times = [message.log_time_ns for message in selection]
+    assert times == sorted(times)
+    assert (selection.message_count, selection.frame_count) == (len(times), 2 * FRAMES) == (MESSAGES, 2 * FRAMES)
+    assert (selection.begin_ns, selection.end_ns) == (BEGIN_NS, times[-1] + 1)
+    assert selection.seconds == pytest.approx((FRAMES - 1) * PERIOD + 0.1, abs=1e-6)
+
+
+def test_takes_a_span(small_site: SmallSite) -> None:
+    selection = Selection.open(small_site.bag, small_site.site, start=PERIOD, duration=2 * PERIOD)
+    times = [message.log_time_ns for message in selection]
+    assert min(times) == BEGIN_NS + PERIOD_NS
+    assert max(times) < BEGIN_NS + 3 * PERIOD_NS == selection.end_ns
+    assert (selection.message_count, selection.frame_count) == (8, 4)
+    assert Selection.open(small_site.bag, small_site.site, duration=1e6).message_count == MESSAGES
+
+
+@pytest.mark.parametrize(("start", "duration"), [(60.0, None), (0.0, 0.0), (PERIOD * 0.9, 0.01)])
+def test_empty_span_is_an_error_that_says_how_long_the_recording_is(
+    small_site: SmallSite, start: float, duration: float | None
+) -> None:
+    with pytest.raises(RecordingError, match=r"holds nothing between .* it is 1\.4 s long"):
+        Selection.open(small_site.bag, small_site.site, start, duration)
+
+
+def test_recording_of_another_site_is_an_error_that_names_what_it_holds(small_site: SmallSite) -> None:
+    site = small_site.site.model_copy(update={"name": "meadow"})
+    with pytest.raises(RecordingError, match=rf"no images of site meadow \(mast, tower\).*/{NAME}/tower/image_raw"):
+        Selection.open(small_site.bag, site)
+
+
+def test_empty_recording_is_an_error(small_site: SmallSite, tmp_path: Path) -> None:
+    BagWriter(tmp_path / "empty").close()
+    with pytest.raises(RecordingError, match=r"its topics are \(none\)"):
+        Selection.open(tmp_path / "empty", small_site.site)
+
+
+def test_results_are_never_replayed_and_truth_only_when_asked(small_site: SmallSite, tmp_path: Path) -> None:
+    source = BagReader(small_site.bag)
+    raw = next(m for m in source.messages() if m.type_name == "sensor_msgs/msg/Image")
+    truth, depth = (camera_topic(NAME, "mast", topic) for topic in (TRUTH_LABELS, DEPTH_IMAGE))
+    with BagWriter(tmp_path / "bag") as bag:
+        for topic in (raw.topic, truth, depth, "/other/mast/image_raw"):
+            bag.write_raw(topic, raw.type_name, raw.raw, raw.log_time_ns)
+    taken = [m.topic for m in Selection.open(tmp_path / "bag", small_site.site)]
+    assert sorted(taken) == sorted([raw.topic, truth])
+    assert [m.topic for m in Selection.open(tmp_path / "bag", small_site.site, truth=False)] == [raw.topic]
