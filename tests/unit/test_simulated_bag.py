@@ -106,6 +106,6 @@ def test_truth_that_is_broken(simulated: Path, tmp_path: Path) -> None:
 def test_what_stands_there_already_is_kept(simulated: Path, tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "precious.txt").write_text("keep")
-    with pytest.raises(RecordingError, match="not empty"):
+    with pytest.raises(RecordingError, match="exists already"):
         write_simulated_bag(simulated, tmp_path / "bag", "ridge")
     assert (tmp_path / "bag" / "precious.txt").read_text() == "keep"
