@@ -19,6 +19,8 @@ def record(
     domain: Annotated[int | None, typer.Option(help="ROS domain of the graph; default: the environment's.")] = None,
 ) -> None:
     """Record a site's topics to OUT until Ctrl-C."""
+    from dataclasses import replace
+
     from ltm_core.site_io import load_site
     from ltm_ros.graph import Graph, ParameterValue, describe
     from ltm_ros.runner import Runner, new_log_folder
@@ -28,6 +30,7 @@ def record(
         parameters["topics"] = list(topics)
     config = load_site(site)
     whole = describe(config, site, sim_time=sim_time, record=parameters)
-    graph = Graph(config.name, (whole.node("recorder"),))
+    # Beside a graph the recorder is an extra; here it is all there is to run.
+    graph = Graph(config.name, (replace(whole.node("recorder"), required=True),))
     runner = Runner(graph, domain_id=domain, log_folder=new_log_folder(config.name))
     raise typer.Exit(runner.run())
