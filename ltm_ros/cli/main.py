@@ -13,6 +13,7 @@ from ltm_ros.cli.doctor import doctor
 from ltm_ros.cli.export import export
 from ltm_ros.cli.import_ import import_
 from ltm_ros.cli.models import models
+from ltm_ros.cli.pose import pose
 from ltm_ros.cli.record import record
 from ltm_ros.cli.replay import replay
 from ltm_ros.cli.run import run
@@ -20,6 +21,7 @@ from ltm_ros.cli.simulate import simulate
 from ltm_ros.cli.trace import trace
 from ltm_ros.cli.train import train
 from ltm_ros.cli.view import view
+from ltm_ros.cli.viewshed import viewshed
 
 cli = typer.Typer(
     name="ltm",
@@ -34,6 +36,8 @@ cli.command()(replay)
 cli.command()(record)
 cli.command(name="import")(import_)
 cli.command()(trace)
+cli.command()(pose)
+cli.command()(viewshed)
 cli.command()(simulate)
 cli.command()(train)
 cli.command()(export)
