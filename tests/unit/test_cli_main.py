@@ -15,7 +15,7 @@ from ltm_ros.cli import main
 
 COMMANDS = (
     "demo", "run", "replay", "record", "import", "trace", "simulate", "train", "export", "bench", "view", "doctor",
-    "models",
+    "models", "pose", "viewshed",
 )  # fmt: skip
 
 
