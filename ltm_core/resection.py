@@ -2,8 +2,8 @@
 
 The adjustment minimises the distances in the image between the points' marked pixels and their projections. It goes in
 four steps: a coarse search over pairs of points (each pair and focal length gives a rotation) that outlives gross
-errors; a soft-L1 fit; least squares over the points that this fit does not call outliers; and a test of which
-parameters the points can bear. Source: Luhmann et al., Close-Range Photogrammetry, 3rd ed., 4.2.3 (space resection),
+errors; a fit with robust loss; least squares over the points that this fit does not call outliers; and a test of
+which parameters the points can bear. Source: Luhmann et al., Close-Range Photogrammetry, 3rd ed., 4.2.3 (space resection),
 2.4 (adjustment, precision).
 """
 
@@ -123,7 +123,7 @@ def resect(
     starts = coarse_poses(points, camera, origin, angles_deg, "focal" in chosen, "position" in chosen, bend)
     problem = _Problem(points, bend, origin, sigma)
     rough: tuple[Parameter, ...] = tuple(name for name in chosen if name == "focal")
-    fits = [problem.robust_fit(pose, start, rough, sigma_px) for start, pose in starts]
+    fits = [problem.robust_fit(pose, start, rough, sigma_px, rounds=2) for start, pose in starts]
     best = min(fits, key=lambda fit: _median_px(fit.residuals))
 
     while True:
@@ -156,13 +156,17 @@ class _Problem:
     position: Floats
     position_sigma: Floats | None
 
-    def robust_fit(self, pose: Pose, camera: Camera, free: tuple[Parameter, ...], sigma_px: float) -> _Fit:
-        """Soft-L1 over all points; its scale follows the median residual."""
+    def robust_fit(
+        self, pose: Pose, camera: Camera, free: tuple[Parameter, ...], sigma_px: float, rounds: int = 4
+    ) -> _Fit:
+        """Soft-L1, then Cauchy loss, which gross errors move less; the median residual of all points is its scale."""
         everyone = np.ones(len(self.points.names), bool)
         fit = _Fit(camera, pose, self._residuals(camera, pose), everyone, 0.0, np.empty(0))
-        for _ in range(4):
+        for turn in range(rounds):
             scale = max(sigma_px, _scale(fit.residuals, 3 + _count(free)))
-            fit = self._solve(fit, free, everyone, min(scale, _diagonal(camera) / 20), "soft_l1")
+            fit = self._solve(
+                fit, free, everyone, min(scale, _diagonal(camera) / 20), "soft_l1" if turn == 0 else "cauchy"
+            )
         return fit
 
     def without_outliers(self, fit: _Fit, free: tuple[Parameter, ...], sigma_px: float) -> _Fit:

@@ -26,7 +26,7 @@ FOCAL_FACTORS = np.geomspace(0.4, 2.5, 41)
 MAX_PAIRS = 400
 MIN_SEPARATION = 0.03
 """Of the image's diagonal: points that are closer give no rotation."""
-STARTS = 6
+STARTS = 4
 
 
 def coarse_poses(
