@@ -44,6 +44,8 @@ class Wedges(NamedTuple):
     """How many it has; -1 where it is not built."""
     outer: NDArray[np.float32]
     """Distance at which the wedge first touches an outer hole; +inf where it does not."""
+    highest: NDArray[np.float32]
+    """The last of a wedge's tangents; +inf where it is not built."""
     tangent: NDArray[np.float32]
     """Entries: the highest tangent up to the end of a strip, increasing within a wedge."""
     node: NDArray[np.int32]
@@ -56,6 +58,7 @@ def no_wedges() -> Wedges:
     return Wedges(
         np.zeros(total, np.int64),
         np.full(total, -1, np.int32),
+        np.full(total, np.inf, np.float32),
         np.full(total, np.inf, np.float32),
         np.empty(0, np.float32),
         np.empty(0, np.int32),
@@ -82,7 +85,10 @@ def extended(
     nodes = np.empty(begin[-1], np.int32)
     tangents[: wedges.tangent.size], nodes[: wedges.node.size] = wedges.tangent, wedges.node
     _compact(tangent, node, begin, tangents, nodes)
-    return Wedges(start, count, outer, tangents, nodes)
+    highest = wedges.highest.copy()
+    # A wedge wholly over an outer hole has no entry.
+    highest[missing] = np.where(found > 0, tangents[np.maximum(begin[1:] - 1, 0)], -np.inf)
+    return Wedges(start, count, outer, highest, tangents, nodes)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

@@ -15,12 +15,15 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from ltm_core.tracing.prefetch import prefetch
 from ltm_core.tracing.profile import WEDGES_A_FACE, Wedges
 from ltm_core.tracing.traversal import PLUMB_SINE, Floats, Ground, first_hit, height_at, hit_from
 
 _FASTMATH = {"contract", "nsz"}
 _TILE = 16
-_MOST_CELLS = 24
+_MOST_CELLS = 48
+_MEETS_NOTHING = -1
+_NOT_BUILT = -2
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH, parallel=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -51,49 +54,106 @@ def sweep_image(
     tiles = (width + _TILE - 1) // _TILE
     grid_bend = bend * resolution * resolution
     for tile in prange(tiles):
+        first = tile * _TILE
+        lanes = min(_TILE, width - first)
         hints = np.zeros(_TILE, np.int64)
+        near = np.empty(_TILE, np.int64)
+        majors, ts, slopes = np.empty(_TILE), np.empty(_TILE), np.empty(_TILE)
+        faces = np.empty(_TILE, np.int32)
+        wedge = np.empty(_TILE, np.int32)
         for k in range(height):
             row = height - 1 - k
-            for i in range(min(_TILE, width - tile * _TILE)):
-                col = tile * _TILE + i
-                a, b, c = rays[row, col, 0], rays[row, col, 1], rays[row, col, 2]
-                east = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c
-                south = -(rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c)
-                up = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c
-                if not (east == east and south == south and up == up):
-                    out[row, col] = np.nan
+            _to_grid(rays[row, first : first + lanes], rotation, majors, ts, slopes, faces, wedge)
+            for i in range(lanes):
+                near[i] = _MEETS_NOTHING
+                s = slopes[i] * resolution
+                if not (s <= wedges.highest[wedge[i]]):
                     continue
-                along_x = abs(east) >= abs(south)
-                major, minor = (east, south) if along_x else (south, east)
-                # (cx, cy) has length sqrt(1 + t^2): the slope and the bend of the ray are those for that length.
-                per_major = 1.0 / abs(major)
-                t = minor * per_major
-                forward = major > 0.0
+                if wedges.entries[wedge[i]] < 0:
+                    near[i] = _NOT_BUILT
+                    continue
+                place = first_reaching(wedges.tangent, wedges.start[wedge[i]], wedges.entries[wedge[i]], hints[i], s)
+                hints[i] = place
+                node = np.int64(wedges.node[wedges.start[wedge[i]] + place])
+                near[i] = node
+                _prefetch_start(ground, ox, oy, faces[i], ts[i], node)
+            for i in range(lanes):
+                along_x, forward, t = faces[i] < 2, (faces[i] & 1) == 0, ts[i]
+                per_major = majors[i]
+                s = slopes[i] * resolution
                 sign = 1.0 if forward else -1.0
-                s = up * per_major * resolution
                 bend_here = grid_bend * (1.0 + t * t)
-                if math.sqrt(east * east + south * south) < PLUMB_SINE:
-                    out[row, col] = np.inf if up > 0.0 else oz - height_at(ground, ox, oy)
-                    continue
                 cx, cy = (sign, t) if along_x else (t, sign)
-                face = (0 if along_x else 2) + (0 if forward else 1)
-                wedge = face * WEDGES_A_FACE + min(int((t + 1.0) * (0.5 * WEDGES_A_FACE)), WEDGES_A_FACE - 1)
-                count = wedges.entries[wedge]
-                if count < 0:
+                if not (per_major <= 1.0 / PLUMB_SINE):
+                    out[row, first + i] = straight(ground, ox, oy, oz, rays[row, first + i], rotation)
+                    continue
+                if near[i] == _MEETS_NOTHING:
+                    q = beyond(ground, ox, oy, cx, cy, s, bend_here)
+                elif near[i] == _NOT_BUILT:
                     q = first_hit(ground, ox, oy, oz, cx, cy, s, bend_here)
                 else:
-                    place = first_reaching(wedges.tangent, wedges.start[wedge], count, hints[i], s)
-                    hints[i] = place
-                    if place == count:
-                        q = beyond(ground, ox, oy, cx, cy, s, bend_here)
+                    q = max(sign * (near[i] - (ox if along_x else oy)), 0.0)
+                    if q > wedges.outer[wedge[i]]:
+                        q = first_hit(ground, ox, oy, oz, cx, cy, s, bend_here)
                     else:
-                        node = wedges.node[wedges.start[wedge] + place]
-                        q = max(sign * (node - (ox if along_x else oy)), 0.0)
-                        if q > wedges.outer[wedge]:
-                            q = first_hit(ground, ox, oy, oz, cx, cy, s, bend_here)
-                        else:
-                            q = cell_hit(ground, ox, oy, oz, cx, cy, s, bend_here, q, node, along_x, forward, t)
-                out[row, col] = q * resolution * per_major
+                        q = cell_hit(ground, ox, oy, oz, cx, cy, s, bend_here, q, near[i], along_x, forward, t)
+                out[row, first + i] = q * resolution * per_major
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)  # type: ignore[untyped-decorator]
+def straight(ground: Ground, ox: float, oy: float, oz: float, ray: Floats, rotation: Floats) -> float:
+    """Range of a plumb ray; NaN of one that is none."""
+    up = rotation[2, 0] * ray[0] + rotation[2, 1] * ray[1] + rotation[2, 2] * ray[2]
+    if up > 0.0:
+        return np.inf
+    return oz - height_at(ground, ox, oy) if up < 0.0 else np.nan
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)  # type: ignore[untyped-decorator]
+def _to_grid(
+    rays: Floats,
+    rotation: Floats,
+    per_major: Floats,
+    ts: Floats,
+    slopes: Floats,
+    faces: NDArray[np.int32],
+    wedges: NDArray[np.int32],
+) -> None:
+    """Turn rays into the grid: 1 / |major|, t, slope up / |major|, face and wedge; a loop that vectorizes."""
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = -rotation[1, 0], -rotation[1, 1], -rotation[1, 2]
+    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    for i in range(rays.shape[0]):
+        a, b, c = rays[i, 0], rays[i, 1], rays[i, 2]
+        east = r00 * a + r01 * b + r02 * c
+        south = r10 * a + r11 * b + r12 * c
+        up = r20 * a + r21 * b + r22 * c
+        along_x = abs(east) >= abs(south)
+        major = east if along_x else south
+        minor = south if along_x else east
+        inverse = 1.0 / abs(major)
+        t = minor * inverse
+        face = (np.int32(0) if along_x else np.int32(2)) + (np.int32(0) if major > 0.0 else np.int32(1))
+        place = (t + 1.0) * (0.5 * WEDGES_A_FACE)
+        place = place if place < WEDGES_A_FACE - 1 else WEDGES_A_FACE - 1.0
+        place = place if place > 0.0 else 0.0
+        per_major[i] = inverse
+        ts[i] = t
+        slopes[i] = up * inverse
+        faces[i] = face
+        wedges[i] = face * np.int32(WEDGES_A_FACE) + np.int32(place)
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _prefetch_start(ground: Ground, ox: float, oy: float, face: int, t: float, node: int) -> None:
+    if face < 2:
+        at = int(oy + t * abs(node - ox)) * ground.width + node
+        prefetch(ground.nodes, at)
+        prefetch(ground.nodes, at + ground.width)
+    else:
+        at = node * ground.width + int(ox + t * abs(node - oy))
+        prefetch(ground.nodes, at)
+        prefetch(ground.nodes, at + ground.width if face == 2 else at - ground.width)
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -133,8 +193,11 @@ def first_reaching(tangents: NDArray[np.float32], start: int, count: int, hint: 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)  # type: ignore[untyped-decorator]
 def beyond(ground: Ground, ox: float, oy: float, cx: float, cy: float, s: float, bend: float) -> float:
     """What a ray from over the raster that meets nothing gives: +inf where it leaves climbing, else NaN."""
-    if s >= 0.0 and bend >= 0.0:
-        return np.inf
+    if bend >= 0.0:
+        if s >= 0.0:
+            return np.inf
+        if s + 2.0 * bend * (ground.width + ground.height) < 0.0:
+            return np.nan
     q_x = ((ground.width - 1 if cx > 0.0 else 0) - ox) / cx if cx != 0.0 else np.inf
     q_y = ((ground.height - 1 if cy > 0.0 else 0) - oy) / cy if cy != 0.0 else np.inf
     return np.inf if s + 2.0 * bend * min(q_x, q_y) >= 0.0 else np.nan
