@@ -27,14 +27,21 @@ class Footprints:
 
 
 def ground_normals(dem: Dem, x: Floats, y: Floats) -> Floats:
-    """Upward unit normals (..., 3) of the ground at map points, from height differences over one cell; NaN beside
-    unknown heights.
+    """Upward unit normals (..., 3) of the ground at map points, from height differences over one cell, or over half of
+    one where the other half is unknown; NaN where neither is known.
     """
     half = dem.geometry.resolution / 2
-    east = (dem.elevation_at(x + half, y) - dem.elevation_at(x - half, y)) / (2 * half)
-    north = (dem.elevation_at(x, y + half) - dem.elevation_at(x, y - half)) / (2 * half)
+    here = dem.elevation_at(x, y)
+    east = _slope(dem.elevation_at(x - half, y), here, dem.elevation_at(x + half, y), half)
+    north = _slope(dem.elevation_at(x, y - half), here, dem.elevation_at(x, y + half), half)
     normals = np.stack([-east, -north, np.ones_like(east)], axis=-1)
     return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True), np.float64)
+
+
+def _slope(before: Floats, here: Floats, after: Floats, step: float) -> Floats:
+    whole = (after - before) / (2 * step)
+    half = np.where(np.isnan(after), here - before, after - here) / step
+    return np.where(np.isnan(whole), half, whole)
 
 
 def arrival_directions(position: Floats, points: Floats, bend: float) -> Floats:

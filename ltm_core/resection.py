@@ -3,8 +3,8 @@
 The adjustment minimises the distances in the image between the points' marked pixels and their projections. It goes in
 four steps: a coarse search over pairs of points (each pair and focal length gives a rotation) that outlives gross
 errors; a fit with robust loss; least squares over the points that this fit does not call outliers; and a test of
-which parameters the points can bear. Source: Luhmann et al., Close-Range Photogrammetry, 3rd ed., 4.2.3 (space resection),
-2.4 (adjustment, precision).
+which parameters the points can bear. Source: Luhmann et al., Close-Range Photogrammetry, 3rd ed., 4.2.3 (space
+resection), 2.4 (adjustment, precision).
 """
 
 from __future__ import annotations

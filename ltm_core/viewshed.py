@@ -38,8 +38,8 @@ class Coverage:
 
     `count`: int16, cameras that see the cell at the target's height; -1 where the ground is not known. `footprint`:
     float32 metres, the longer side of a pixel's footprint on the cell's ground, of the camera that sees it best; NaN
-    where none does. `height`: float32 metres above the ground, the least that some camera sees; NaN where no camera
-    looks that way or unknown ground is before it.
+    where none does, or only over a crest whose slope faces away. `height`: float32 metres above the
+    ground, the least that some camera sees; NaN where no camera looks that way or unknown ground is before it.
     """
 
     geometry: GridGeometry

@@ -35,12 +35,15 @@ def test_cells_that_an_image_hits_are_covered() -> None:
     coverage = viewshed(SightLines(dem), [View("one", CAMERA, pose)], target_height=0.1)
     assert len(rows) > 100
     assert (coverage.count[rows, cols] == 1).mean() > 0.99
-    # Cells that no pixel comes near are not covered, where pixels lie closer than cells.
+    # The other way round: a cell that is seen with several pixels on it is met by one.
+    exactly = viewshed(SightLines(dem), [View("one", CAMERA, pose)])
     hit = np.zeros(dem.geometry.shape, bool)
     cells = traced.cells()
     seen = cells[cells[..., 0] >= 0]
     hit[seen[:, 0], seen[:, 1]] = True
-    assert (coverage.count[~hit] == 1).mean() < 0.02
+    fine = exactly.footprint < 0.4
+    assert fine.sum() > 2000
+    assert hit[fine].mean() > 0.995
 
 
 def test_counts_add_up_and_the_best_footprint_wins() -> None:
@@ -69,9 +72,8 @@ def test_footprints_of_a_plane() -> None:
     distance = float(np.hypot(50.0, y - 1.0))
     assert coverage.footprint[row, col] == pytest.approx(distance / 600 * distance / 50, rel=0.01)
     turned = viewshed(sight, [View("one", CAMERA, pose)], all_round=True)
-    inner = np.s_[1:-1, 1:-1]  # the outermost heights have no neighbour to slope to
     assert (turned.count == 1).all()
-    assert np.isfinite(turned.footprint[inner]).all()
+    assert np.isfinite(turned.footprint).all()
     assert turned.footprint[row, col] == pytest.approx(distance / 600 * distance / 50, rel=1e-4)
 
 
@@ -158,9 +160,8 @@ def test_the_command_maps_a_site(folder: Path, capsys: pytest.CaptureFixture[str
         assert source.descriptions[0] == "cameras that see the cell"
         count, footprint, height = source.read()
     assert set(np.unique(count[np.isfinite(count)])) == {0.0, 1.0, 2.0}
-    assert np.array_equal(np.isfinite(footprint) | (count == 0), np.ones(count.shape, bool)) or (
-        np.isnan(footprint[count > 0]).mean() < 0.02
-    )
+    assert np.isnan(footprint[count == 0]).all()
+    assert np.isfinite(footprint[count > 0]).mean() > 0.97
     assert (height[count > 0] <= 0.01).all()
     assert cv2.imread(str(folder / "made" / "cover.png")).shape[1] == 1200
     said = capsys.readouterr().out

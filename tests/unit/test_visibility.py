@@ -113,7 +113,7 @@ def test_states() -> None:
             [300.0, 10.0, 40.0],  # in the valley behind the crest
             [-395.0, 10.0, 102.0],  # behind the camera
             [-390.0, 200.0, 150.0],  # at its side
-            [5000.0, 10.0, 2500.0],  # in the air far beyond the DEM
+            [5000.0, 10.0, 2026.0],  # in the air far beyond the DEM
             [-389.0, 10.0, 90.0],  # below the ground, at the foot of the mast
         ]
     )
