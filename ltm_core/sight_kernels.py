@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-_START_LEVEL = 2
+_LEAF = 2
+"""Below this level of the pyramid single cells are looked at."""
 
 
 class SightTerrain(NamedTuple):
@@ -99,7 +100,7 @@ def blocking_slope(
     i = min(max(math.floor(oy + cy * q), 0), height - 2)
     best = least
     by_ceiling = left_known = over_known = False
-    level = min(_START_LEVEL, top_level)
+    level = min(_LEAF, top_level)
     while True:
         i0, j0 = (i >> level) << level, (j >> level) << level
         size = 1 << level
@@ -111,7 +112,7 @@ def blocking_slope(
         if level > 0:
             bound = bounds[terrain.offsets[level] + (i >> level) * terrain.widths[level] + (j >> level)]
             if bound == bound and _slope_below(bound, oz, bend, q, q_exit) > best:
-                level -= 1
+                level = level - 1 if level > _LEAF else 0
                 continue
             if bound == bound:
                 over_known = True
@@ -153,7 +154,10 @@ def blocking_slope(
         if not (0 <= i <= height - 2 and 0 <= j <= width - 2):
             break
         q = q_exit
-        level = min(level + 1, top_level)
+        if level > 0:
+            level = min(level + 1, top_level)
+        elif i >> _LEAF != i0 >> _LEAF or j >> _LEAF != j0 >> _LEAF:
+            level = min(_LEAF, top_level)
     uncertain = by_ceiling or (best <= least and (left_known or beyond or not over_known))
     return best, 1.0 if uncertain else 0.0
 
