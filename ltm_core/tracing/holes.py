@@ -30,9 +30,9 @@ def with_ceilings(elevation: NDArray[np.float32]) -> NDArray[np.float32]:
     Returns:
         (H, W) float32. The input itself, not a copy, where there is no enclosed hole.
     """
-    missing = np.isnan(elevation)
-    if not missing.any():
+    if not any(np.isnan(row).any() for row in elevation):  # no mask of a whole DEM that needs none
         return elevation
+    missing = np.isnan(elevation)
     hole_of_node, _ = ndimage.label(missing, structure=_TOUCHING)
     edge = np.concatenate([hole_of_node[0], hole_of_node[-1], hole_of_node[:, 0], hole_of_node[:, -1]])
     enclosed = missing & ~np.isin(hole_of_node, np.unique(edge[edge > 0]))

@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from ltm_core.tracing.pyramid import LEAF
 from ltm_core.tracing.traversal import Floats, Ground
 
 WEDGES_A_FACE = 3072
@@ -168,7 +169,7 @@ def _walk_wedge(
             # Strips of blocks are long: the wedge may leave the raster, or not yet have, within one.
             if level == 0:
                 break
-            level -= 1
+            level = level - 1 if level > LEAF else 0
             continue
         j0 = min(max(math.floor(m_low), 0), n_minor - 1)
         j1 = min(math.floor(m_high), n_minor - 1)
@@ -177,7 +178,7 @@ def _walk_wedge(
         t = rise / (d0 if rise >= 0.0 else d1) - drop * (d0 if bend >= 0.0 else d1)
         if h > -np.inf and not t <= highest:
             if level > 0 and (h == np.inf or d0 < _FINE_CELLS * level):
-                level -= 1
+                level = level - 1 if level > LEAF else 0
                 continue
             highest = t + abs(t) * _RELATIVE + _ABSOLUTE
             if entries < tangent.size:
@@ -189,8 +190,9 @@ def _walk_wedge(
             first_outer = d0
         block = low >> level
         cell = high if forward else low - 1
-        if ((cell >> level) ^ block) >> 1 != 0 and level < levels - 1:
-            level += 1
+        above = 1 if level > 0 else LEAF
+        if ((cell >> level) ^ block) >> above != 0 and level + above < levels:
+            level += above
     return entries, first_outer
 
 

@@ -1,9 +1,9 @@
 """The maximum pyramid: for each block of cells, a height that no ground in the block exceeds.
 
 Level L holds blocks of 2^L x 2^L cells; a block is *closed*: its bound covers all (2^L + 1)^2 nodes, those it shares
-with its neighbours too, so the bilinear surface over the block never rises above it. Level 0 (single cells) is not
-stored: the tracer reads the nodes there. All levels lie in one flat array, which adds a third to the memory of the
-elevations.
+with its neighbours too, so the bilinear surface over the block never rises above it. The lowest level that is stored
+is LEAF; from there tracers go straight to single cells (level 0) and read the nodes. All levels lie in one flat array,
+which adds a twelfth to the memory of the elevations.
 
 A bound is the highest node (or ceiling of an enclosed hole), +inf where the block holds some outer hole and must be
 opened, or NaN where all its cells are outer holes, so that it can be crossed in one step (see `holes`).
@@ -19,12 +19,15 @@ from numpy.typing import NDArray
 
 Heights = NDArray[np.float32]
 
+LEAF = 2
+"""The lowest level stored: level 1 alone would cost a quarter of the elevations' memory, and saves little time."""
+
 
 class MaximumPyramid(NamedTuple):
     """Bounds of all levels in one flat array.
 
-    Level L (1 <= L <= `top_level`) is row-major at `bounds[offsets[L]:]`, `widths[L]` blocks a row; index 0 of both
-    is unused.
+    Level L (LEAF <= L <= `top_level`) is row-major at `bounds[offsets[L]:]`, `widths[L]` blocks a row; lower indices
+    of both are unused.
     """
 
     bounds: Heights
@@ -41,14 +44,15 @@ def build_pyramid(filled: Heights) -> MaximumPyramid:
     """Pyramid over the cells between the (H, W) nodes of `filled` (see `holes.with_ceilings`); H and W at least 2."""
     heights, widths, offsets = [filled.shape[0] - 1], [filled.shape[1] - 1], [0]
     total = 0
-    while len(heights) == 1 or heights[-1] > 1 or widths[-1] > 1:
+    while len(heights) <= LEAF or heights[-1] > 1 or widths[-1] > 1:
         heights.append((heights[-1] + 1) // 2)
         widths.append((widths[-1] + 1) // 2)
         offsets.append(total)
-        total += heights[-1] * widths[-1]
+        if len(heights) > LEAF:
+            total += heights[-1] * widths[-1]
     bounds = np.empty(total, dtype=np.float32)
-    _bounds_from_nodes(filled, bounds[: heights[1] * widths[1]].reshape(heights[1], widths[1]))
-    for level in range(2, len(heights)):
+    _bounds_from_nodes(filled, bounds[: heights[LEAF] * widths[LEAF]].reshape(heights[LEAF], widths[LEAF]))
+    for level in range(LEAF + 1, len(heights)):
         below = bounds[offsets[level - 1] : offsets[level]].reshape(heights[level - 1], widths[level - 1])
         here = bounds[offsets[level] : offsets[level] + heights[level] * widths[level]]
         _bounds_from_bounds(below, here.reshape(heights[level], widths[level]))
@@ -57,12 +61,13 @@ def build_pyramid(filled: Heights) -> MaximumPyramid:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _bounds_from_nodes(nodes: Heights, bounds: Heights) -> None:
-    """Level 1: the bound of 2 x 2 cells from their 3 x 3 nodes."""
+    """Level LEAF: the bound of a block of cells from its nodes."""
     n_rows, n_cols = nodes.shape
+    size = 1 << LEAF
     for i in range(bounds.shape[0]):
-        row0, row_end = 2 * i, min(2 * i + 2, n_rows - 1)
+        row0, row_end = size * i, min(size * (i + 1), n_rows - 1)
         for j in range(bounds.shape[1]):
-            col0, col_end = 2 * j, min(2 * j + 2, n_cols - 1)
+            col0, col_end = size * j, min(size * (j + 1), n_cols - 1)
             highest = np.float32(-np.inf)
             any_outer = False
             for row in range(row0, row_end + 1):

@@ -19,6 +19,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from ltm_core.tracing.pyramid import LEAF
+
 Floats = NDArray[np.float64]
 
 # Contracting to FMA is safe; nnan and ninf would break the NaN and infinity that mean hole and sky.
@@ -113,9 +115,10 @@ def hit_from(
     z = oz + q * (s + bend * q)
     ix = min(max(math.floor(ox + cx * q), 0), x_last - 1)
     iy = min(max(math.floor(oy + cy * q), 0), y_last - 1)
-    level = min(level, offsets.size - 1)
+    level = min(level, offsets.size - 1) if level >= LEAF else 0
     lost = False  # has it crossed an outer hole since it was over known ground?
     while True:
+        above = 1 if level > 0 else LEAF
         bx = ix >> level
         by = iy >> level
         x0 = bx << level
@@ -134,7 +137,7 @@ def hit_from(
             elif bound != bound:
                 lost = lost or (entered and dq > TOUCH)
             else:
-                level -= 1
+                level = level - 1 if level > LEAF else 0
                 continue
         else:
             at = np.uint64(iy * width + ix)
@@ -182,15 +185,15 @@ def hit_from(
             if ix < 0 or ix >= x_last:
                 return beyond
             iy = min(max(math.floor(oy + cy * q), y0), y1 - 1)
-            if ((ix >> level) ^ bx) >> 1 != 0:
-                level += 1
+            if ((ix >> level) ^ bx) >> above != 0:
+                level += above
         else:
             iy = y1 if ahead_y else y0 - 1
             if iy < 0 or iy >= y_last:
                 return beyond
             ix = min(max(math.floor(ox + cx * q), x0), x1 - 1)
-            if ((iy >> level) ^ by) >> 1 != 0:
-                level += 1
+            if ((iy >> level) ^ by) >> above != 0:
+                level += above
         level = min(level, offsets.size - 1)
 
 
