@@ -41,9 +41,8 @@ class Segmenter:
         self.manifest = manifest
         self.labels = LabelSet.load() if labels is None else labels
         class_labels = _class_labels(manifest, self.labels)
-        self._group_labels = np.unique(class_labels)
-        # (G, K): 1 where network class K belongs to label G
-        self._groups = (self._group_labels[:, None] == class_labels[None, :]).astype(np.float32)
+        # group of each network class, and the label of each group
+        self._group_labels, self._group_of_class = np.unique(class_labels, return_inverse=True)
         self._label_of_id = np.full(256, UNLABELLED, dtype=np.uint8)
         self._label_of_id[: len(class_labels)] = class_labels[:256]
         self._model = OnnxModel(manifest, threads)
@@ -100,7 +99,7 @@ class Segmenter:
             )
         if spec.kind == "logits":
             scores = np.exp(scores - scores.max(axis=0))
-            grouped = (self._groups @ scores) / scores.sum(axis=0)
+            grouped = self._grouped(scores) / scores.sum(axis=0)
         else:
             low, high = float(scores.min()), float(scores.max())
             if low < -1e-3 or high > 1.0 + 1e-3:
@@ -110,8 +109,15 @@ class Segmenter:
                 )
             if count == 1:
                 scores = np.concatenate([1.0 - scores, scores])
-            grouped = self._groups @ scores
+            grouped = self._grouped(scores)
         return np.asarray(np.clip(grouped, 0.0, 1.0), dtype=np.float32).reshape(-1, rows, cols)
+
+    def _grouped(self, scores: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Sums of the classes (K, N) of each label (G, N); no matrix product, whose threads would spin for cores."""
+        grouped = np.zeros((len(self._group_labels), scores.shape[1]), np.float32)
+        for group, score in zip(self._group_of_class, scores, strict=True):
+            grouped[group] += score
+        return grouped
 
 
 def input_tensor(image: npt.NDArray[np.uint8], spec: InputSpec) -> npt.NDArray[Any]:

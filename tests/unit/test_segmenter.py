@@ -11,6 +11,7 @@ from networks import COLORS, changed, write_classifier
 from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError, ModelError
+from ltm_core.metrics.segmentation import score_labels
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, InputSpec
 from ltm_core.vision.segmenter import Segmenter, input_tensor
@@ -161,6 +162,23 @@ def test_logits_declared_as_probabilities_are_refused(tmp_path: Path) -> None:
     segmenter = Segmenter.open(changed(write_classifier(tmp_path), output={"kind": "probabilities"}))
     with pytest.raises(ModelError, match=r"kind: logits"):
         segmenter.segment(_photo()[0])
+
+
+def test_the_default_network_tells_sky_from_ground() -> None:
+    """A plain scene: blue gradient over rough dark slopes whose crest falls to the right."""
+    segmenter = Segmenter.open()
+    assert segmenter.model_path.stat().st_size < 2.5e6
+    height, width = 540, 960
+    crest = np.linspace(200, 330, width)
+    ground = np.arange(height)[:, None] > crest[None]
+    rng = np.random.default_rng(5)
+    sky = np.array([120, 165, 215]) + np.linspace(0, 50, height)[:, None, None]
+    rough = np.repeat(rng.normal(0.0, 18.0, (height // 4, width // 4)), 4, axis=0).repeat(4, axis=1)[..., None]
+    slope = np.array([70, 72, 45]) + rough
+    photo = np.clip(np.where(ground[..., None], slope, sky), 0, 255).astype(np.uint8)
+    found = segmenter.segment(photo).labels
+    assert score_labels(ground.astype(np.uint8), (found != Label.SKY).astype(np.uint8), 2).iou.min() > 0.9
+    assert np.mean(np.isin(found[ground], [Label.GRASS, Label.SHRUB, Label.TREE, Label.BARE])) > 0.9
 
 
 def test_mosaic_sees_sky_above_ground(shared_models: Path, shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:

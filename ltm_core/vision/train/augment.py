@@ -23,7 +23,7 @@ def augmented(
     """A changed copy of a frame at `size` (height, width)."""
     if rng.random() < chances.flip:
         image, labels = image[:, ::-1], labels[:, ::-1]
-    image, labels = _resized_crop(image, labels, size, rng if rng.random() < chances.crop else None)
+    image, labels = _window(image, labels, size, rng, rescale=rng.random() < chances.rescale)
     photo = image.astype(np.float32) / 255.0
     if rng.random() < chances.ground_tint:
         photo = _ground_tint(photo, labels, rng)
@@ -49,25 +49,29 @@ def augmented(
     return result, labels
 
 
-def _resized_crop(
-    image: npt.NDArray[np.uint8], labels: Labels, size: tuple[int, int], rng: Rng | None
+def _window(
+    image: npt.NDArray[np.uint8], labels: Labels, size: tuple[int, int], rng: Rng, rescale: bool
 ) -> tuple[npt.NDArray[np.uint8], Labels]:
-    """A window of the frame, of another scale, aspect and slight tilt, at `size`; the whole frame without `rng`."""
+    """A window of the frame at `size`, anywhere in it; with `rescale` of another scale, aspect and slight tilt.
+
+    Scales stay near 1: a network that is to tell far trees from shrubs must see them as small as they will come.
+    """
     height, width = labels.shape
     target_height, target_width = size
-    scale, aspect, tilt, centre = 1.0, 1.0, 0.0, (0.5, 0.5)
-    if rng is not None:
-        scale = rng.uniform(0.4, 1.15)  # of the frame's height; above 1 the rest is OUTSIDE
-        aspect = np.exp(rng.uniform(-0.35, 0.35))
+    magnification, aspect, tilt = 1.0, 1.0, 0.0
+    if rescale:
+        magnification = np.exp(rng.uniform(np.log(0.8), np.log(1.7)))
+        aspect = np.exp(rng.uniform(-0.25, 0.25))
         tilt = np.radians(rng.normal(0.0, 3.0))
-        room = max(0.0, 1.0 - scale) / 2.0
-        centre = (0.5 + rng.uniform(-room, room), 0.5 + rng.uniform(-room, room))
     # matrix from target pixels to frame pixels
-    sy, sx = scale * height / target_height, scale * aspect * width / target_width
+    sy, sx = 1.0 / magnification, aspect / magnification
+    room = max(0.0, height - sy * target_height) / 2.0, max(0.0, width - sx * target_width) / 2.0
+    middle_row = (height - 1) / 2.0 + rng.uniform(-1.0, 1.0) * room[0]
+    middle_col = (width - 1) / 2.0 + rng.uniform(-1.0, 1.0) * room[1]
     cos, sin = np.cos(tilt), np.sin(tilt)
     linear = np.array([[cos * sx, -sin * sy], [sin * sx, cos * sy]])
     middle = np.array([(target_width - 1) / 2.0, (target_height - 1) / 2.0])
-    offset = np.array([centre[0] * width - 0.5, centre[1] * height - 0.5]) - linear @ middle
+    offset = np.array([middle_col, middle_row]) - linear @ middle
     matrix = np.column_stack([linear, offset])
     flags = cv2.WARP_INVERSE_MAP
     shape = (target_width, target_height)

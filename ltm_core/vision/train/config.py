@@ -35,15 +35,15 @@ class NetworkConfig(StrictModel):
 
 
 class OptimiserConfig(StrictModel):
-    steps: int = Field(default=1100, ge=1)
+    steps: int = Field(default=1400, ge=1)
     batch: int = Field(default=8, ge=1)
-    small: float = Field(default=0.7, ge=0, le=1)  # share of the steps, the first, at two thirds of the size
-    learning_rate: float = Field(default=4e-3, gt=0)
+    small: float = Field(default=0.85, ge=0, le=1)  # share of the steps, the first, at two thirds of the size
+    learning_rate: float = Field(default=2.5e-3, gt=0)
     warmup: float = Field(default=0.08, ge=0, lt=1)  # share of the steps
     weight_decay: float = Field(default=0.02, ge=0)
     average: float = Field(default=0.99, ge=0, lt=1)  # decay of the running average of weights that is kept
-    class_weight_power: float = Field(default=0.4, ge=0, le=1)  # weight = (1 / share of pixels) ** power
-    label_smoothing: float = Field(default=0.05, ge=0, lt=0.5)
+    class_weight_power: float = Field(default=0.5, ge=0, le=1)  # weight = (1 / share of pixels) ** power
+    label_smoothing: float = Field(default=0.02, ge=0, lt=0.5)
     # The simulator labels only the ground of its land cover map; the ranges beyond are 255, but no sky. Weight of
     # that knowledge, below 1 because haze makes the farthest ones look like it.
     unlabelled_not_sky: float = Field(default=0.3, ge=0)
@@ -54,16 +54,16 @@ class AugmentConfig(StrictModel):
     """Chance of each change to a training frame; their strengths stand beside their code in `augment`."""
 
     flip: float = 0.5
-    crop: float = 0.75
-    new_sky: float = 0.45
-    ground_tint: float = 0.35
-    snow: float = 0.12
-    haze: float = 0.4
-    light: float = 0.9
-    grey: float = 0.08
-    blur: float = 0.25
-    noise: float = 0.5
-    jpeg: float = 0.5
+    rescale: float = 0.7
+    new_sky: float = 0.35
+    ground_tint: float = 0.2
+    snow: float = 0.08
+    haze: float = 0.25
+    light: float = 0.65
+    grey: float = 0.03
+    blur: float = 0.12
+    noise: float = 0.35
+    jpeg: float = 0.3
 
 
 class TrainingConfig(StrictModel):

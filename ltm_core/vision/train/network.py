@@ -42,19 +42,22 @@ class InvertedResidual(nn.Module):  # type: ignore[misc]  # torch is not typed f
 
 
 class StripContext(nn.Module):  # type: ignore[misc]  # torch is not typed for us
-    """Adds what the whole picture, each row and each column hold: rows tell ground from sky, the rest the scene."""
+    """Adds what the whole picture, each row and each column hold: rows tell ground from sky, the rest the scene.
+
+    Its convolutions carry biases, no batch normalisation: over the few means of a small batch that would be noise.
+    """
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        self.whole = _conv_relu(channels, channels)
-        self.rows = _conv_relu(channels, channels)
-        self.columns = _conv_relu(channels, channels)
-        self.join = _conv(channels, channels)
+        self.whole = nn.Conv2d(channels, channels, 1)
+        self.rows = nn.Conv2d(channels, channels, 1)
+        self.columns = nn.Conv2d(channels, channels, 1)
+        self.join = nn.Conv2d(channels, channels, 1)
 
     def forward(self, x: Tensor) -> Tensor:
         context = self.whole(x.mean((2, 3), keepdim=True))
         context = context + self.rows(x.mean(3, keepdim=True)) + self.columns(x.mean(2, keepdim=True))
-        return functional.relu(x + self.join(context))
+        return functional.relu(x + self.join(functional.relu(context)))
 
 
 class DecoderStep(nn.Module):  # type: ignore[misc]  # torch is not typed for us
