@@ -30,7 +30,11 @@ test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "not slow and not graph" -n 2 -q
 	$(BIN)/python -m pytest -m "not slow and graph" -q
 
-test-all: $(VENV)/.installed-dev
+$(VENV)/.installed-all: $(VENV)/.installed-dev
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[ros,view,sim,train,dev]'
+	touch $@
+
+test-all: $(VENV)/.installed-all
 	$(BIN)/python -m pytest -q
 
 bench: $(VENV)/.installed-dev

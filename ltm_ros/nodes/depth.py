@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from ltm_core.camera import Camera
-from ltm_core.depth.range_image import RangeImage
+from ltm_core.dem import Dem
 from ltm_core.pose import Pose
 from ltm_core.site_io import load_site
 from ltm_core.tracing import TerrainTracer
@@ -24,10 +25,7 @@ from ltm_ros.topics import ALIGNMENT, DEPTH_CAMERA_INFO, DEPTH_IMAGE, POSED_CAME
 
 
 class Depth(Handler[NodeConfig]):
-    """Needs no image: calibration and pose decide what the terrain looks like.
-
-    The last frame's trace serves the next while the camera stands still.
-    """
+    """Needs no image: calibration and pose decide what the terrain looks like."""
 
     publications = (DEPTH_IMAGE, DEPTH_CAMERA_INFO, ALIGNMENT)
 
@@ -39,10 +37,7 @@ class Depth(Handler[NodeConfig]):
         self._tracer = TerrainTracer(dem, site.curvature, site.refraction)
         self._frame_id = f"{config.camera}_optical"
         self._join = StampJoin(("info", "pose"), self._trace, health)
-        self._last: RangeImage | None = None
-        # Compile now, or load from numba's cache: the first frame shall not wait for it.
-        above = (*np.array(dem.geometry.to_map(0, 0)), float(np.nanmax(dem.elevation)) + 10.0)
-        self._tracer.trace(Camera.from_fov(3, 2, 50.0), Pose.from_angles(above, 0.0))
+        self._warm_up(dem)
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
@@ -56,13 +51,21 @@ class Depth(Handler[NodeConfig]):
 
     def _trace(self, info: Any, pose: Any) -> None:
         camera, where, stamp = msg_to_camera(info), msg_to_pose(pose, "map"), stamp_of(info)
-        ranges = self._last
-        if ranges is None or ranges.camera != camera or ranges.pose != where:
-            ranges = self._last = self._tracer.trace(camera, where)
+        ranges = self._tracer.trace(camera, where)
         self.outlet.publish(DEPTH_CAMERA_INFO, camera_to_msg(camera, stamp, self._frame_id))
         self.outlet.publish(DEPTH_IMAGE, depth_to_msg(ranges.depth(), stamp, self._frame_id))
         if self.outlet.wanted(ALIGNMENT):
             self.outlet.publish(ALIGNMENT, image_to_msg(ranges.points(), "32FC3", stamp, "map"))
+        for name, count in asdict(self._tracer.statistics).items():
+            self.health.gauge(f"tracer.{name}", count)
+
+    def _warm_up(self, dem: Dem) -> None:
+        """Compile the kernels now, or load them from numba's cache: the first frame shall not wait for it."""
+        summit = np.unravel_index(np.nanargmax(dem.elevation), dem.elevation.shape)
+        x, y = dem.geometry.to_map(*summit)
+        pose = Pose.from_angles((float(x), float(y), float(dem.elevation[summit]) + 10.0), 0.0)
+        for way in ("profile", "pyramid"):
+            self._tracer.trace(Camera.from_fov(3, 2, 50.0), pose, way)
 
 
 NODE = NodeType("depth", NodeConfig, Depth)
