@@ -6,18 +6,20 @@ INSTALLED := $(VENV)/.installed
 
 # A graph started here never meets one on the network.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+# Build back-ends warn of what a user of this Makefile cannot mend.
+PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -c constraints.txt
 
 .PHONY: demo demo-real test test-all bench lint format clean
 
 $(INSTALLED): pyproject.toml constraints.txt setup.py setup.cfg
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip -c constraints.txt
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[ros,view]'
+	$(PIP) --upgrade pip
+	$(PIP) -e '.[ros,view]'
 	touch $@
 
 $(VENV)/.installed-dev: $(INSTALLED)
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[ros,view,sim,dev]'
+	$(PIP) -e '.[ros,view,sim,dev]'
 	touch $@
 
 demo: $(INSTALLED)
@@ -31,7 +33,7 @@ test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "not slow and graph" -q
 
 $(VENV)/.installed-all: $(VENV)/.installed-dev
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[ros,view,sim,train,dev]'
+	$(PIP) -e '.[ros,view,sim,train,dev]'
 	touch $@
 
 test-all: $(VENV)/.installed-all

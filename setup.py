@@ -33,6 +33,7 @@ class PlainDistribution(Distribution):
 
 setup(
     distclass=PlainDistribution,
+    license="Apache-2.0",
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/ltm"]),
         # `colcon build --symlink-install` builds in a folder to which it links only what is named here.
