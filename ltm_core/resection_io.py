@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
 
 from ltm_core.camera import Camera
 from ltm_core.control_points import ControlPoints
@@ -19,8 +18,7 @@ from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, PoseError
 from ltm_core.geodesy import SiteFrame
 from ltm_core.resection import Resection
-from ltm_core.site import CalibrationConfig, Config
-from ltm_core.trace_io import PictureConfig, set_up_picture
+from ltm_core.trace_io import PictureConfig, PlaceConfig, set_up_picture
 
 Floats = NDArray[np.float64]
 
@@ -34,27 +32,14 @@ _COLUMNS = {
 }
 
 
-class GuessConfig(Config):
-    """What is known of a camera before its resection: a pose file whose angles may be left out."""
+class GuessConfig(PlaceConfig):
+    """What is known of a camera before its resection: a pose file whose angles may be left out.
 
-    position: tuple[float, float] | tuple[float, float, float]
-    """[x, y, z], or [x, y] with `height_above_ground`; held, or where the search starts."""
-    crs: str | None = None
-    """CRS of x and y; default the DEM's. In EPSG:4326 they are longitude, latitude in degrees."""
-    height_above_ground: float | None = Field(None, gt=0)
+    The position is held, or is where the search starts.
+    """
+
     azimuth_deg: float | None = None
     """None: all directions are searched."""
-    pitch_deg: float = 0.0
-    roll_deg: float = 0.0
-    camera: CalibrationConfig
-    curvature: bool = True
-    refraction: float = Field(0.13, ge=0, lt=1)
-
-    @model_validator(mode="after")
-    def _one_height(self) -> GuessConfig:
-        if (len(self.position) == 3) == (self.height_above_ground is not None):
-            raise ValueError("give either position [x, y, z], or position [x, y] and height_above_ground")
-        return self
 
     @property
     def angles_deg(self) -> tuple[float, float, float] | None:

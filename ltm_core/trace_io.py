@@ -6,6 +6,7 @@ import json
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +23,8 @@ from ltm_core.raster_io import write_geotiff
 from ltm_core.site import CalibrationConfig, Config
 
 
-class PictureConfig(Config):
-    """One picture: where its camera stood, how it looked, and its calibration."""
+class PlaceConfig(Config):
+    """Where a camera stood and its calibration: what every pose file holds."""
 
     position: tuple[float, float] | tuple[float, float, float]
     """[x, y, z], or [x, y] with `height_above_ground`; z in metres in the DEM's vertical datum."""
@@ -31,8 +32,6 @@ class PictureConfig(Config):
     """CRS of x and y; default the DEM's. In EPSG:4326 they are longitude, latitude in degrees."""
     height_above_ground: float | None = Field(None, gt=0)
     """Metres above the DEM: mast or tripod."""
-    azimuth_deg: float
-    """Of the optical axis, clockwise from the grid north of the DEM's CRS."""
     pitch_deg: float = 0.0
     """Up from the horizon."""
     roll_deg: float = 0.0
@@ -42,10 +41,17 @@ class PictureConfig(Config):
     refraction: float = Field(0.13, ge=0, lt=1)
 
     @model_validator(mode="after")
-    def _one_height(self) -> PictureConfig:
+    def _one_height(self) -> Self:
         if (len(self.position) == 3) == (self.height_above_ground is not None):
             raise ValueError("give either position [x, y, z], or position [x, y] and height_above_ground")
         return self
+
+
+class PictureConfig(PlaceConfig):
+    """One picture: where its camera stood, how it looked, and its calibration."""
+
+    azimuth_deg: float
+    """Of the optical axis, clockwise from the grid north of the DEM's CRS."""
 
 
 @dataclass(frozen=True)

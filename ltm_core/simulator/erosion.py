@@ -75,15 +75,21 @@ def _downstream_order(receiver: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def drainage_area(h: Heights, cell: float) -> Heights:
-    """Upstream area (m^2) of each cell of ``h``, by steepest descent."""
-    receiver, _ = _receivers(h, cell, 0.0, 0)
-    order = _downstream_order(receiver)
-    area = np.full(h.size, cell * cell)
+def _upstream_area(receiver: NDArray[np.int64], order: NDArray[np.int64], cell: float) -> Heights:
+    """Upstream area (m^2) of each cell, flat; `order`: downstream cells before those that drain into them."""
+    area = np.full(receiver.size, cell * cell)
     for k in range(order.size - 1, -1, -1):
         i = order[k]
         if receiver[i] != i:
             area[receiver[i]] += area[i]
+    return area
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def drainage_area(h: Heights, cell: float) -> Heights:
+    """Upstream area (m^2) of each cell of ``h``, by steepest descent."""
+    receiver, _ = _receivers(h, cell, 0.0, 0)
+    area: Heights = _upstream_area(receiver, _downstream_order(receiver), cell)
     return area.reshape(h.shape)
 
 
@@ -134,11 +140,7 @@ def evolve(
                 h[r, c] += uplift[r, c] * time_step
         receiver, distance = _receivers(h, cell, 0.6, seed + step)
         order = _downstream_order(receiver)
-        area = np.full(h.size, cell * cell)
-        for k in range(order.size - 1, -1, -1):
-            i = order[k]
-            if receiver[i] != i:
-                area[receiver[i]] += area[i]
+        area = _upstream_area(receiver, order, cell)
         flat = h.ravel()
         rate = erodibility.ravel()
         for k in range(order.size):

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
-
 from ltm_core.depth.range_image import RangeImage
 from ltm_core.fuel.votes import cast_votes
 from ltm_core.resources import config_path
@@ -34,6 +32,7 @@ class FuelVotes(Handler[NodeConfig]):
         self._dem = self._site.open_dem()
         self._geometry = self._site.fuel_geometry(self._dem)
         self._labels = LabelSet.load(config_path(self._site.labels))
+        self._votes_for = self._labels.votes_table[: len(self._labels)]
         self._join = StampJoin(("depth", "info", "labels", "pose"), self._vote, health)
 
     @property
@@ -57,7 +56,7 @@ class FuelVotes(Handler[NodeConfig]):
             msg_to_array(labels, ("mono8",)),
             self._geometry,
             self._dem,
-            np.array(self._labels.ground_cover),
+            self._votes_for,
             stamp_of(depth),
             self.config.camera,
             self._site.fuel.max_range,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,14 +47,19 @@ class Selection:
             )
         begin = reader.start_ns + round(start * 1e9)
         end = reader.end_ns + 1 if duration is None else min(begin + round(duration * 1e9), reader.end_ns + 1)
-        messages = [m.topic for m in reader.messages(list(types), begin, end)]
-        if not messages:
+        whole = start == 0 and duration is None and not reader.damage
+        counts = (
+            Counter({topic: reader.topic_infos()[topic].message_count for topic in types})
+            if whole  # the bag's index knows; a part, or a bag that is cut, must be read
+            else Counter(message.topic for message in reader.messages(list(types), begin, end))
+        )
+        if not counts.total():
             raise RecordingError(
                 f"{bag} holds nothing between {start} s and {(end - reader.start_ns) / 1e9:.1f} s; "
                 f"it is {(reader.end_ns - reader.start_ns) / 1e9:.1f} s long"
             )
-        frames = sum(topic in images for topic in messages)
-        return cls(reader, types, begin, end, len(messages), frames)
+        frames = sum(counts[topic] for topic in images)
+        return cls(reader, types, begin, end, counts.total(), frames)
 
     def __iter__(self) -> Iterator[BagMessage]:
         return self.reader.messages(list(self.types), self.begin_ns, self.end_ns)
