@@ -22,6 +22,12 @@ DEPTH_IMAGE = Topic("depth/image", Image)
 DEPTH_CAMERA_INFO = Topic("depth/camera_info", CameraInfo)
 ALIGNMENT = Topic("alignment", Image)
 
+FUSED_DEPTH = Topic("fused/depth", Image)
+FUSED_SIGMA = Topic("fused/sigma", Image)
+FUSED_SOURCE = Topic("fused/source", Image)
+FUSED_INFO = Topic("fused/info", String)
+NETWORK_DEPTH = Topic("network/depth", Image)
+
 LABELS_IMAGE = Topic("labels/image", Image)
 LABELS_CONFIDENCE = Topic("labels/confidence", Image)
 LABELS_INFO = Topic("labels/info", String, latched=True)
@@ -31,6 +37,10 @@ FUEL_VOTES = Topic("fuel/votes", PointCloud2)
 FUEL_MAP = Topic("fuel_map", OccupancyGrid, latched=True)
 FUEL_MAP_UPDATE = Topic("fuel_map/update", OccupancyGrid)
 FUEL_MAP_INFO = Topic("fuel_map/info", String, latched=True)
+
+TERRAIN_UPDATE = Topic("terrain/update", PointCloud2)
+TERRAIN_CHANGE = Topic("terrain/change", OccupancyGrid, latched=True)
+TERRAIN_INFO = Topic("terrain/info", String, latched=True)
 
 TRUTH_DEPTH = Topic("truth/depth", Image)
 TRUTH_GROUND_DEPTH = Topic("truth/ground_depth", Image)

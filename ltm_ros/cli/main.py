@@ -10,6 +10,7 @@ from ltm_core.errors import LtmError
 from ltm_ros.cli.bench import bench
 from ltm_ros.cli.demo import demo
 from ltm_ros.cli.doctor import doctor
+from ltm_ros.cli.eval import evaluate
 from ltm_ros.cli.export import export
 from ltm_ros.cli.import_ import import_
 from ltm_ros.cli.models import models
@@ -45,6 +46,7 @@ cli.command()(view)
 cli.command()(doctor)
 cli.command()(models)
 cli.add_typer(bench, name="bench")
+cli.add_typer(evaluate, name="eval")
 
 
 def app() -> None:

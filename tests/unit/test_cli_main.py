@@ -15,7 +15,7 @@ from ltm_ros.cli import main
 
 COMMANDS = (
     "demo", "run", "replay", "record", "import", "trace", "simulate", "train", "export", "bench", "view", "doctor",
-    "models", "pose", "viewshed",
+    "models", "pose", "viewshed", "eval",
 )  # fmt: skip
 
 

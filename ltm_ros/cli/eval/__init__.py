@@ -1,0 +1,25 @@
+"""`ltm eval`: scores against truth. `ltm eval BAG` scores a recorded run; the other commands score one part each.
+
+A part is one module `ltm_ros/cli/eval/<part>.py` with a function of the same name, which imports what it needs when it
+runs.
+"""
+
+from __future__ import annotations
+
+import typer
+from typer.core import TyperGroup
+
+WHOLE = "bag"
+"""The command that runs where the first argument is no command: a recorded run as a whole."""
+
+
+class EvalGroup(TyperGroup):
+    """A group whose default command is `bag`: `ltm eval out/demo/recording`."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
+        if args and args[0] not in self.commands and not {"--help", "-h"} & set(args[:1]):
+            args = [WHOLE, *args]
+        return super().parse_args(ctx, args)
+
+
+evaluate = typer.Typer(cls=EvalGroup, no_args_is_help=True, help="Score a recorded run, or one part of the system.")
