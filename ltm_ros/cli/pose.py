@@ -37,7 +37,8 @@ def pose(
     from ltm_core.config_io import load_yaml
     from ltm_core.dem import Dem
     from ltm_core.geodesy import ray_bend
-    from ltm_core.resection import Parameter, resect
+    from ltm_core.resection import resect
+    from ltm_core.resection_adjustment import Parameter
     from ltm_core.resection_io import GuessConfig, read_control_points, set_up_resection, write_pose, write_report
 
     guess = load_yaml(pose_guess, GuessConfig)
