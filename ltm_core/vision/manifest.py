@@ -13,6 +13,9 @@ from ltm_core.vision.strict import StrictModel
 
 MODEL_PATH_VARIABLE: Final = "LTM_MODEL_PATH"
 
+DEPTH_KINDS: Final = ("relative_inverse", "affine_invariant", "metric")
+"""Kinds of output that are one number a pixel, a depth; the others label pixels."""
+
 
 class InputSpec(StrictModel):
     """The image that the network takes: one image a run, resized (aspect not kept) to `width` x `height` pixels.
@@ -30,6 +33,7 @@ class InputSpec(StrictModel):
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
     std: tuple[float, float, float] = (1.0, 1.0, 1.0)
     name: str | None = None  # of the graph's input; needed only where the graph has several
+    intrinsics: str | None = None  # name of a second input that takes K, (1, 3, 3) float32 in pixels of the first
 
     @field_validator("std")
     @classmethod
@@ -55,20 +59,40 @@ class InputSpec(StrictModel):
 class OutputSpec(StrictModel):
     """The tensor that the network gives, at any resolution.
 
-    kind: `logits` and `probabilities` have a class axis (`layout` says where); `ids` is an integer class a pixel.
-    One channel of `probabilities` with two classes is the probability of the second.
+    Kinds of labels: `logits` and `probabilities` have a class axis (`layout` says where); `ids` is an integer class a
+    pixel. One channel of `probabilities` with two classes is the probability of the second.
+
+    Kinds of depth, one float a pixel: `relative_inverse` is inverse depth but for a scale and a shift (MiDaS, Depth
+    Anything, TCMonoDepth: larger is nearer); `affine_invariant` is depth but for a scale and a shift (Marigold);
+    `metric` is metres along the optical axis, or 1/m where `inverse`. A metric network that answers for one focal
+    length says which, in pixels of its input (`canonical_focal_px`): its metres are then multiplied by the true focal
+    length over that one (Metric3D: 1000; Depth Pro, `inverse`: the input's width).
     """
 
-    kind: Literal["logits", "probabilities", "ids"]
+    kind: Literal["logits", "probabilities", "ids", "relative_inverse", "affine_invariant", "metric"]
     layout: Literal["NCHW", "NHWC"] = "NCHW"
     name: str | None = None  # of the graph's output; the first where absent
+    inverse: bool = False
+    canonical_focal_px: float | None = Field(default=None, gt=0)
+
+    @property
+    def is_depth(self) -> bool:
+        """Whether the output is a depth and not labels."""
+        return self.kind in DEPTH_KINDS
+
+    @model_validator(mode="after")
+    def _metric_alone_has_units(self) -> "OutputSpec":
+        if self.kind != "metric" and (self.inverse or self.canonical_focal_px is not None):
+            raise ValueError(f"inverse and canonical_focal_px belong to kind metric; remove them for {self.kind}")
+        return self
 
 
 class Manifest(StrictModel):
     """A network file with all that is needed to run it and to judge it; YAML on disk.
 
     `mapping` gives each of the network's classes one of our label names (or `unlabelled`); a class it leaves out
-    is unlabelled.
+    is unlabelled. A depth network has neither classes nor mapping. One file may serve two manifests, one of labels and
+    one of depth, that name different outputs.
     """
 
     name: str
@@ -76,8 +100,8 @@ class Manifest(StrictModel):
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
     input: InputSpec
     output: OutputSpec
-    classes: tuple[str, ...] = Field(min_length=1)
-    mapping: dict[str, str]
+    classes: tuple[str, ...] = ()
+    mapping: dict[str, str] = Field(default_factory=dict)
     licence: str
     card: str  # a Markdown file beside the manifest, or a few words
     source: str = ""  # where the file can be had, for the message when it is absent
@@ -85,6 +109,15 @@ class Manifest(StrictModel):
 
     @model_validator(mode="after")
     def _classes_are_known(self) -> "Manifest":
+        if self.output.is_depth:
+            if self.classes or self.mapping:
+                raise ValueError(
+                    f"classes and mapping belong to labels; remove them for output kind {self.output.kind}"
+                )
+            return self
+        if not self.classes or not self.mapping:
+            absent = "classes" if not self.classes else "mapping"
+            raise ValueError(f"{absent}: missing; output kind {self.output.kind} needs it")
         repeated = sorted({name for name in self.classes if self.classes.count(name) > 1})
         if repeated:
             raise ValueError(f"classes has {', '.join(repeated)} more than once")

@@ -34,15 +34,32 @@ class OnnxModel:
         self._session = _session(content, self.path, threads)
         self._input_name = self._checked_input()
         self._output_name = self._checked_output()
+        # A file with heads of labels and of depth computes only the one that is asked for.
+        self._options = ort.RunOptions()
+        self._options.only_execute_path_to_fetches = True
 
-    def run(self, tensor: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Run the network on a tensor of the manifest's input shape and dtype; gives its output tensor."""
-        (output,) = self._session.run([self._output_name], {self._input_name: tensor})
+    def run(self, tensor: npt.NDArray[Any], intrinsics: npt.NDArray[np.float32] | None = None) -> npt.NDArray[Any]:
+        """Run the network on a tensor of the manifest's input shape and dtype; gives its output tensor.
+
+        `intrinsics`: (3, 3) camera matrix in pixels of the input, for a manifest that names an input for it. Raises
+        ModelError where the network needs it and it is not given.
+        """
+        feed = {self._input_name: tensor}
+        if (name := self.manifest.input.intrinsics) is not None:
+            if intrinsics is None:
+                raise self._wrong(f"input {name!r}", "a camera matrix", "none")
+            feed[name] = np.ascontiguousarray(intrinsics, np.float32)[None]
+        (output,) = self._session.run([self._output_name], feed, self._options)
         return np.asarray(output)
 
     def _checked_input(self) -> str:
         spec = self.manifest.input
         nodes = {node.name: node for node in self._session.get_inputs()}
+        if spec.intrinsics is not None:
+            matrix = nodes.pop(self._named(spec.intrinsics, list(nodes), "input for the camera matrix"))
+            if matrix.type != "tensor(float)" or not _fits(matrix.shape, (1, 3, 3)):
+                found = f"{matrix.type} {matrix.shape}"
+                raise self._wrong(f"input {spec.intrinsics!r}", "tensor(float) [1, 3, 3]", found)
         name = self._named(spec.name, list(nodes), "input")
         if len(nodes) > 1:
             raise self._wrong("inputs", "one image", f"{len(nodes)} ({', '.join(nodes)})")
@@ -67,6 +84,10 @@ class OnnxModel:
             return name
         if node.type != "tensor(float)":
             raise self._wrong(f"output {name!r}: type", f"tensor(float) of {spec.kind}", node.type)
+        if spec.is_depth:
+            if not _one_channel(node.shape, spec.layout):
+                raise self._wrong(f"output {name!r}: shape", "[1, h, w], or with one channel", node.shape)
+            return name
         count = len(self.manifest.classes)
         allowed = (count, 1) if spec.kind == "probabilities" and count == 2 else (count,)
         axis = 1 if spec.layout == "NCHW" else 3
@@ -105,6 +126,14 @@ def _session(content: bytes, path: Path, threads: int) -> ort.InferenceSession:
             f"{path}: expected an ONNX network, found {len(content)} bytes that ONNX Runtime "
             f"{ort.__version__} refuses: {reason}"
         ) from reason
+
+
+def _one_channel(shape: list[int | str | None], layout: str) -> bool:
+    """Whether a graph's shape holds one number a pixel: (h, w), (1, h, w) or four axes with one channel."""
+    if len(shape) == 4:
+        channels = shape[1 if layout == "NCHW" else 3]
+        return not isinstance(channels, int) or channels == 1
+    return len(shape) in (2, 3)
 
 
 def _fits(found: list[int | str | None], expected: tuple[int, ...]) -> bool:

@@ -38,6 +38,10 @@ class Segmenter:
     """
 
     def __init__(self, manifest: Manifest, threads: int = 1, labels: LabelSet | None = None) -> None:
+        if manifest.output.is_depth:
+            raise ModelError(
+                f"model {manifest.name!r} gives {manifest.output.kind} depth, not labels; name a segmentation model"
+            )
         self.manifest = manifest
         self.labels = LabelSet.load() if labels is None else labels
         class_labels = _class_labels(manifest, self.labels)

@@ -72,7 +72,7 @@ def _list(console: Console) -> None:
         table.add_row(
             f"{name} (default)" if name == DEFAULT_MODEL else name,
             f"{spec.width} x {spec.height} {spec.dtype}",
-            f"{manifest.output.kind}, {len(manifest.classes)} classes",
+            manifest.output.kind + ("" if manifest.output.is_depth else f", {len(manifest.classes)} classes"),
             manifest.licence,
             state,
         )

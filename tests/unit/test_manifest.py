@@ -28,10 +28,15 @@ def manifest_path(tmp_path: Path) -> Path:
         ({"input": {"width": 0}}, r"input\.width"),
         ({"input": {"std": [1, 0, 1]}}, r"input\.std: .*above 0"),
         ({"input": {"dtype": "uint8"}}, r"input: .*scale, mean and std belong to float32"),
-        ({"output": {"kind": "scores"}}, r"output\.kind.*'logits', 'probabilities' or 'ids'"),
+        ({"output": {"kind": "scores"}}, r"output\.kind.*'logits', 'probabilities', 'ids', 'relative_inverse'"),
         ({"sha256": "12"}, r"sha256"),
         ({"classes": ["blue", "red", "blue"]}, r"classes has blue more than once"),
         ({"mapping": {"purple": "sky"}}, r"mapping names purple, not among classes \(blue, red"),
+        ({"classes": []}, r"classes: missing; output kind logits needs it"),
+        ({"mapping": {}}, r"mapping: missing; output kind logits needs it"),
+        ({"output": {"kind": "relative_inverse"}}, r"classes and mapping belong to labels"),
+        ({"output": {"inverse": True}}, r"output: .*inverse and canonical_focal_px belong to kind metric"),
+        ({"output": {"canonical_focal_px": 700.0}}, r"output: .*belong to kind metric; remove them for logits"),
     ],
 )
 def test_a_wrong_manifest_is_refused_by_the_key_at_fault(
@@ -43,7 +48,7 @@ def test_a_wrong_manifest_is_refused_by_the_key_at_fault(
 
 
 def test_a_missing_key_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match=r"mapping: missing"):
+    with pytest.raises(ModelError, match=r"sha256: missing"):
         Manifest.load(write_manifest(tmp_path / "m.yaml", {"name": "m", "file": "m.onnx"}))
 
 
