@@ -6,12 +6,14 @@ buffer through a view costs 0.12 ms. So buffers are filled in place, and reused 
 
 from __future__ import annotations
 
+import io
 from array import array as byte_array
 from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
+import PIL.Image
 from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image
 
@@ -43,6 +45,9 @@ ENCODINGS = {
 
 COLOUR_ENCODINGS = ("rgb8", "bgr8", "rgba8", "bgra8", "mono8", "mono16")
 DEPTH_ENCODINGS = ("32FC1", "16UC1")
+
+MAX_PIXELS = 80_000_000
+"""Of a compressed image: a few kilobytes can claim gigapixels, and decoding them takes the memory of a tower."""
 
 
 def image_to_msg(image: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str, out: Image | None = None) -> Image:
@@ -194,6 +199,12 @@ def decode_rgb(data: bytes, what: str = "image") -> Bytes:
     # OpenCV 4 fills the missing part of a cut JPEG with grey and says nothing, so look for its end ourselves.
     if found == "jpeg" and not _jpeg_is_whole(data):
         raise ImageError(f"{what} ({len(data)} bytes of jpeg) is cut short: it has no end-of-image marker")
+    width, height = _stated_size(data, f"{what} ({len(data)} bytes of {found})")
+    if width * height > MAX_PIXELS:
+        raise ImageError(
+            f"{what} ({len(data)} bytes of {found}) states a size of {width} x {height}: "
+            f"more than {MAX_PIXELS // 1_000_000} million pixels are not decoded; send a smaller image"
+        )
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
@@ -217,6 +228,17 @@ def _format_of(data: bytes) -> str | None:
     if data[:3] == b"\xff\xd8\xff":
         return "jpeg"
     return "png" if data[:8] == b"\x89PNG\r\n\x1a\n" else None
+
+
+def _stated_size(data: bytes, what: str) -> tuple[int, int]:
+    """(width, height) as the header says, before anything is decoded."""
+    try:
+        with PIL.Image.open(io.BytesIO(data)) as header:
+            return header.size
+    except PIL.Image.DecompressionBombError as error:
+        raise ImageError(f"{what} is too large to decode: {error}") from error
+    except (OSError, SyntaxError, ValueError) as error:
+        raise ImageError(f"{what} is corrupt: its header cannot be read") from error
 
 
 def _jpeg_is_whole(data: bytes) -> bool:

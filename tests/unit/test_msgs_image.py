@@ -260,6 +260,16 @@ def test_a_png_that_claims_ten_gigapixels_is_refused() -> None:
         compressed_to_rgb(msg)
 
 
+def test_a_jpeg_that_claims_gigapixels_is_refused_before_it_is_decoded() -> None:
+    data = bytearray(encode_rgb(smooth(), "jpeg"))
+    frame = data.index(b"\xff\xc0")
+    data[frame + 5 : frame + 9] = struct.pack(">HH", 9_500, 9_000)
+    msg = CompressedImage(format="jpeg")
+    msg.data = array("B", bytes(data))
+    with pytest.raises(ImageError, match="states a size of 9000 x 9500: more than 80 million pixels"):
+        compressed_to_rgb(msg)
+
+
 @pytest.mark.parametrize(("image_format", "quality"), [("gif", 90), ("jpeg", 0), ("jpeg", 101)])
 def test_compression_that_there_is_not_is_refused(image_format: str, quality: int) -> None:
     with pytest.raises(ImageError, match=image_format):
