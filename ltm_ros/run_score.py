@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.errors import RecordingError
-from ltm_core.metrics.depth import DepthScore, score_depth
+from ltm_core.metrics.depth import DepthScore
+from ltm_core.metrics.depth_tally import DepthTally
 from ltm_core.metrics.segmentation import SegmentationScore
 from ltm_core.pose import Pose
 from ltm_core.site import Site
-from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose
-from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.handler import Topic
+from ltm_ros.frame_stream import FrameStream, Parts
 from ltm_ros.topics import (
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
@@ -34,7 +31,6 @@ from ltm_ros.topics import (
     TRUTH_DEPTH,
     TRUTH_GROUND_DEPTH,
     TRUTH_LABELS,
-    camera_topic,
 )
 
 
@@ -75,49 +71,45 @@ class RunScore:
     labels: SegmentationScore
 
 
-_PARTS: tuple[tuple[str, Topic, Callable[[Any], Any]], ...] = (
-    ("camera", DEPTH_CAMERA_INFO, msg_to_camera),
-    ("pose", POSED_POSE, msg_to_pose),
-    ("photo", IMAGE_COMPRESSED, compressed_to_rgb),
-    ("photo", IMAGE_RAW, msg_to_rgb),
-    ("depth", DEPTH_IMAGE, msg_to_depth),
-    ("labels", LABELS_IMAGE, lambda m: msg_to_array(m, ("mono8",))),
-    ("truth_camera", TRUTH_CAMERA_INFO, msg_to_camera),
-    ("truth_depth", TRUTH_DEPTH, msg_to_depth),
-    ("truth_ground_depth", TRUTH_GROUND_DEPTH, msg_to_depth),
-    ("truth_labels", TRUTH_LABELS, lambda m: msg_to_array(m, ("mono8",))),
-)
+_LABELS = ("mono8",)
+_PARTS: Parts = {
+    "camera": ((DEPTH_CAMERA_INFO, msg_to_camera),),
+    "pose": ((POSED_POSE, msg_to_pose),),
+    "photo": ((IMAGE_COMPRESSED, compressed_to_rgb), (IMAGE_RAW, msg_to_rgb)),
+    "depth": ((DEPTH_IMAGE, msg_to_depth),),
+    "labels": ((LABELS_IMAGE, lambda m: msg_to_array(m, _LABELS)),),
+    "truth_camera": ((TRUTH_CAMERA_INFO, msg_to_camera),),
+    "truth_depth": ((TRUTH_DEPTH, msg_to_depth),),
+    "truth_ground_depth": ((TRUTH_GROUND_DEPTH, msg_to_depth),),
+    "truth_labels": ((TRUTH_LABELS, lambda m: msg_to_array(m, _LABELS)),),
+}
 _NEEDED = ("camera", "pose", "photo", "depth", "labels")
 
 
 def recorded_frames(bag: Path, site: Site) -> Iterator[RecordedFrame]:
-    """The frames of a recorded run that came out with depth and labels, one camera after the other, in time order."""
-    reader = BagReader(bag)
+    """The frames of a recorded run that came out with depth and labels, one camera after the other, in time order.
+
+    A frame is handed out as soon as the bag has given all of it, so a bag of hours needs the memory of a few frames.
+    """
+    stream = FrameStream(bag, site.name, list(site.cameras), _PARTS)
     for camera in site.cameras:
-        topics = {camera_topic(site.name, camera, topic): (part, take) for part, topic, take in _PARTS}
-        frames: dict[int, dict[str, Any]] = defaultdict(dict)
-        for message in reader.messages(list(topics)):
-            part, take = topics[message.topic]
-            decoded = reader.decode(message)
-            frames[stamp_of(decoded)][part] = (take, decoded)
-        for stamp, parts in sorted(frames.items()):
-            if all(part in parts for part in _NEEDED):
-                yield RecordedFrame(camera, stamp, **{part: take(message) for part, (take, message) in parts.items()})
+        for frame in stream.frames(_NEEDED, [camera]):
+            parts = {part: frame.take(part) for part in _PARTS}
+            yield RecordedFrame(camera, frame.stamp_ns, **parts)
 
 
 def score_run(bag: Path, site: Site, classes: int) -> RunScore:
     """Scores over all frames that carry truth. Raises RecordingError where none does."""
-    depth, surface, ground = [], [], []
+    surface, ground = DepthTally(), DepthTally()
     labels, count = SegmentationScore.empty(classes), 0
     for frame in recorded_frames(bag, site):
         if frame.truth_depth is None or frame.truth_ground_depth is None or frame.truth_labels is None:
             continue
         step = frame.truth_step
-        depth.append(frame.depth[::step, ::step])
-        surface.append(frame.truth_depth)
-        ground.append(frame.truth_ground_depth)
+        surface.add(frame.depth[::step, ::step], frame.truth_depth)
+        ground.add(frame.depth[::step, ::step], frame.truth_ground_depth)
         labels = labels.plus(frame.truth_labels, frame.labels[::step, ::step])
         count += 1
     if count == 0:
         raise RecordingError(f"{bag} holds no frame with depth, labels and truth: nothing can be scored")
-    return RunScore(count, score_depth(depth, surface), score_depth(depth, ground), labels)
+    return RunScore(count, surface.scores(), ground.scores(), labels)
