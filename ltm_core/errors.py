@@ -35,3 +35,7 @@ class ModelError(LtmError):
 
 class RecordingError(LtmError):
     """A bag or photo folder that cannot be read or written."""
+
+
+class StoreError(LtmError):
+    """A store that cannot be read or written just now: disk full, read-only, in use by another process."""
