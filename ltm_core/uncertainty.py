@@ -69,7 +69,7 @@ def traced_uncertainty(
 
     Raises PoseError for a covariance that is none.
     """
-    matrix = _checked(covariance)
+    matrix = checked_covariance(covariance)
     if not dem_sigma >= 0:
         raise PoseError(f"the sigma of the DEM's heights must be 0 or more metres, got {dem_sigma}")
     shape = traced.range.shape
@@ -118,7 +118,8 @@ def _propagated(
     return (first, second, third), facing
 
 
-def _checked(covariance: ArrayLike) -> Floats:
+def checked_covariance(covariance: ArrayLike) -> Floats:
+    """The covariance of a pose as a (6, 6) matrix. Raises PoseError for one that is none."""
     matrix = np.asarray(covariance, np.float64)
     if matrix.shape != (6, 6) or not np.isfinite(matrix).all():
         raise PoseError(f"a pose covariance must be a finite 6 x 6 matrix, got {matrix.tolist()}")

@@ -1,16 +1,25 @@
-"""Votes of one frame: which fuel cells it sees, and how many of their pixels carry each label."""
+"""Votes of one frame: the fuel cells that it sees, how well, and how many of their pixels carry each label."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.depth.range_image import RangeImage
 from ltm_core.errors import ImageError
+from ltm_core.fuel.sighting import CellSighting, sight_cells
+from ltm_core.fuel.vote_kernel import sum_pixels
 from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+
+FRAME_CAP = 5.0
+"""Pixels of one frame in one cell that count as evidence at most: they see the same plants under the same light, so a
+thousand of them say hardly more than a few."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +29,8 @@ class CellVotes:
     `geometry`: the fuel grid in the map frame. `rows`, `cols`: (N,) int32, its cells that the frame sees, each once,
     in row-major order. `counts`: (N, K) uint32 pixels per class. `z`: (N,) float32 terrain height at the cell
     centres, so that the votes are labelled 3D points, the paper's P(x, y) and L(x, y). `source`: the camera.
+    `confidence`: (N,) float32, the pixels' mean in [0, 1]; None: 1, the labels say nothing of it. `sighting`: how the
+    frame sees each cell; None: not known, and evidence then takes the votes as perfectly placed.
     """
 
     geometry: GridGeometry
@@ -29,6 +40,8 @@ class CellVotes:
     z: NDArray[np.float32]
     stamp_ns: int
     source: str
+    confidence: NDArray[np.float32] | None = None
+    sighting: CellSighting | None = None
 
     def __post_init__(self) -> None:
         n = len(self.rows)
@@ -37,6 +50,10 @@ class CellVotes:
                 f"votes of {self.source} disagree in length: {n} rows, {self.cols.shape} columns, "
                 f"{self.counts.shape} counts, {self.z.shape} heights"
             )
+        if self.confidence is not None and self.confidence.shape != (n,):
+            raise ImageError(f"votes of {self.source} for {n} cells carry confidence of {self.confidence.shape}")
+        if self.sighting is not None and len(self.sighting) != n:
+            raise ImageError(f"votes of {self.source} for {n} cells carry {len(self.sighting)} sightings")
         inside = self.geometry.contains(self.rows, self.cols)
         if not inside.all():
             first = int(np.argmin(inside))
@@ -45,10 +62,112 @@ class CellVotes:
                 f"outside a fuel grid of {self.geometry.shape} cells"
             )
 
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def strongest(self, limit: int) -> CellVotes:
+        """The votes of at most `limit` cells, those that are worth most as evidence: the best placed, with a pixel or
+        more of their own; still in row-major order.
+        """
+        if len(self) <= limit:
+            return self
+        pixels = np.minimum(self.counts.sum(axis=1), FRAME_CAP).astype(np.float64)
+        worth = pixels if self.sighting is None else pixels * self.sighting.placement(self.geometry.resolution)
+        return self.only(np.sort(np.argsort(-worth, kind="stable")[:limit]))
+
+    def only(self, chosen: NDArray[Any]) -> CellVotes:
+        """The votes of some of the cells: indices in rising order, or a mask (N,)."""
+        return replace(
+            self,
+            rows=self.rows[chosen],
+            cols=self.cols[chosen],
+            counts=self.counts[chosen],
+            z=self.z[chosen],
+            confidence=None if self.confidence is None else self.confidence[chosen],
+            sighting=None if self.sighting is None else self.sighting.only(chosen),
+        )
+
     def centres(self) -> NDArray[np.float32]:
         """Map coordinates of the cells' centres on the terrain, (N, 3) metres."""
         x, y = self.geometry.to_map(self.rows, self.cols)
         return np.column_stack([x, y, self.z]).astype(np.float32)
+
+
+class VoteCaster:
+    """Forms the votes of frames over one fuel grid.
+
+    Args:
+        geometry: the fuel grid, in the map frame.
+        dem: the terrain, for the cells' heights and slopes.
+        votes_for: (K,) which classes are ground cover; the sky, and ids of K and more, never vote.
+        max_range: slant metres beyond which pixels are too coarse to vote.
+        bend: of sight by curvature and refraction (`geodesy.ray_bend`).
+    """
+
+    def __init__(
+        self,
+        geometry: GridGeometry,
+        dem: Dem,
+        votes_for: NDArray[np.bool_],
+        max_range: float = np.inf,
+        bend: float = 0.0,
+    ) -> None:
+        self.geometry = geometry
+        self._dem = dem
+        self._classes = len(votes_for)
+        self._counted = np.zeros(256, np.bool_)
+        self._counted[: self._classes] = votes_for
+        self._max_range = max_range
+        self._bend = bend
+
+    def cast(
+        self,
+        distance: NDArray[np.float32],
+        camera: Camera,
+        pose: Pose,
+        labels: NDArray[np.uint8],
+        stamp_ns: int,
+        source: str,
+        confidence: NDArray[np.uint8] | None = None,
+        covariance: ArrayLike | None = None,
+        along_axis: bool = True,
+    ) -> CellVotes:
+        """Count each pixel's label in the fuel cell that it sees.
+
+        Args:
+            distance: (H, W) metres along the optical axis (a REP-118 depth image), or along the rays where not
+                `along_axis`; +inf sky, NaN unknown.
+            labels: (H, W) uint8 class ids.
+            confidence: (H, W) uint8, of the labels, x 255.
+            covariance: (6, 6) of the pose, as in geometry_msgs/PoseWithCovariance; None: the pose is exact.
+
+        Raises ImageError when the images differ in shape, PoseError for a covariance that is none.
+        """
+        shape = (camera.height, camera.width)
+        images: list[tuple[str, NDArray[Any] | None]] = [("labels", labels), ("distances", distance)]
+        for name, image in [*images, ("confidence", confidence)]:
+            if image is not None and image.shape != shape:
+                raise ImageError(f"{name} of {image.shape} and a camera of {shape} of {source} are not of one image")
+        sums = sum_pixels(
+            distance,
+            along_axis,
+            camera,
+            pose,
+            labels,
+            confidence,
+            self._counted,
+            self._classes,
+            self.geometry,
+            self._max_range,
+        )
+        rows = (sums.cells // self.geometry.width).astype(np.int32)
+        cols = (sums.cells % self.geometry.width).astype(np.int32)
+        z = self._dem.elevation_at(*self.geometry.to_map(rows, cols)).astype(np.float32)
+        sighting = sight_cells(
+            sums.x, sums.y, self._dem, self.geometry.resolution, camera, pose, self._bend, covariance
+        )
+        mean = None if confidence is None else (sums.confidence / 255).astype(np.float32)
+        return CellVotes(self.geometry, rows, cols, sums.counts, z, stamp_ns, source, mean, sighting)
 
 
 def cast_votes(
@@ -60,27 +179,21 @@ def cast_votes(
     stamp_ns: int,
     source: str,
     max_range: float = np.inf,
+    confidence: NDArray[np.uint8] | None = None,
+    covariance: ArrayLike | None = None,
 ) -> CellVotes:
-    """Count each pixel's label in the fuel cell that it sees.
-
-    `labels`: (H, W) uint8 class ids. `votes_for`: (K,) which classes are ground cover; the sky, and ids of K and
-    more, never vote. `max_range`: slant metres beyond which pixels are too coarse to vote. Raises ImageError when
-    labels and ranges differ in shape.
-    """
+    """The votes of a traced image; see `VoteCaster.cast`."""
     if labels.shape != ranges.range.shape:
         raise ImageError(f"labels of {labels.shape} and ranges of {ranges.range.shape} are not of one image")
-    classes = len(votes_for)
-    counted = np.zeros(256, bool)
-    counted[:classes] = votes_for
-    voting = np.isfinite(ranges.range) & (ranges.range <= max_range) & counted[labels]
-    points = ranges.points()[voting]
-    row, col = geometry.cell_of(points[:, 0], points[:, 1])
-    inside = geometry.contains(row, col)
-    cell = row[inside] * geometry.width + col[inside]
-    ballots, counts_of = np.unique(cell * classes + labels[voting][inside], return_counts=True)
-    seen, position = np.unique(ballots // classes, return_inverse=True)
-    counts = np.zeros((len(seen), classes), np.uint32)
-    counts[position, ballots % classes] = counts_of
-    rows, cols = (seen // geometry.width).astype(np.int32), (seen % geometry.width).astype(np.int32)
-    z = dem.elevation_at(*geometry.to_map(rows, cols)).astype(np.float32)
-    return CellVotes(geometry, rows, cols, counts, z, stamp_ns, source)
+    caster = VoteCaster(geometry, dem, votes_for, max_range, ranges.bend)
+    return caster.cast(
+        ranges.range,
+        ranges.camera,
+        ranges.pose,
+        labels,
+        stamp_ns,
+        source,
+        confidence,
+        covariance,
+        along_axis=False,
+    )

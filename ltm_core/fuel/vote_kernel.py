@@ -1,0 +1,182 @@
+"""The one pass over a frame's pixels that forms its votes: cell of each pixel, and sums over each cell's pixels."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.camera import Camera
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+
+
+class CellSums(NamedTuple):
+    """Over the pixels of each seen cell, in row-major order of the cells.
+
+    `cells`: (N,) int64 row * width + col in the fuel grid. `counts`: (N, K) uint32 pixels by class. `confidence`: (N,)
+    mean of the pixels' confidence, 0..255. `x`, `y`: (N,) mean map coordinates of what they see, metres.
+    """
+
+    cells: NDArray[np.int64]
+    counts: NDArray[np.uint32]
+    confidence: NDArray[np.float64]
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+
+
+def sum_pixels(
+    distance: NDArray[np.float32],
+    along_axis: bool,
+    camera: Camera,
+    pose: Pose,
+    labels: NDArray[np.uint8],
+    confidence: NDArray[np.uint8] | None,
+    counted: NDArray[np.bool_],
+    classes: int,
+    geometry: GridGeometry,
+    max_range: float,
+) -> CellSums:
+    """Sums over all pixels that see the grid within `max_range` and whose label is `counted` (256,).
+
+    `distance`: (H, W) metres, along the optical axis or (not `along_axis`) along the ray. A pixel's place is rounded
+    to float32, as `RangeImage.points` gives it.
+    """
+    x_tangent, y_tangent = _tangents(camera)
+    east, north = pose.position[:2]
+    first_row, first_col, height, width = _window(geometry, float(east), float(north), max_range)
+    capacity = min(height * width, distance.size)
+    if capacity == 0:
+        nothing = np.zeros(0)
+        return CellSums(nothing.astype(np.int64), np.zeros((0, classes), np.uint32), nothing, nothing, nothing)
+    # calloc'ed: pages that no pixel touches cost nothing.
+    slots = np.zeros(height * width, np.int32)
+    cells = np.zeros(capacity, np.int64)
+    counts = np.zeros((capacity, classes), np.uint32)
+    sums = np.zeros((capacity, 3))
+    used = _scan(
+        _read_only(distance, np.float32),
+        along_axis,
+        x_tangent,
+        y_tangent,
+        np.ascontiguousarray(pose.rotation, np.float64),
+        float(east),
+        float(north),
+        _read_only(labels, np.uint8),
+        _read_only(np.zeros((1, 1), np.uint8) if confidence is None else confidence, np.uint8),
+        confidence is not None,
+        counted,
+        (geometry.x_min, geometry.y_max, geometry.resolution),
+        (first_row, first_col, height, width, geometry.width),
+        float(max_range),
+        slots,
+        cells,
+        counts,
+        sums,
+    )
+    order = np.argsort(cells[:used])
+    pixels = counts[order].sum(axis=1)
+    mean = sums[order] / np.maximum(pixels, 1)[:, None]
+    return CellSums(cells[order], counts[order], mean[:, 2], mean[:, 0] + east, mean[:, 1] + north)
+
+
+def _read_only(array: NDArray[Any], dtype: Any) -> NDArray[Any]:
+    """Contiguous and read-only, so that one compiled kernel serves arrays of messages and of our own."""
+    view: NDArray[Any] = np.ascontiguousarray(array, dtype).view()
+    view.flags.writeable = False
+    return view
+
+
+def _window(geometry: GridGeometry, east: float, north: float, max_range: float) -> tuple[int, int, int, int]:
+    """(row, col, height, width) of the grid's part within reach of the camera."""
+    if not np.isfinite(max_range):
+        return 0, 0, geometry.height, geometry.width
+    row, col = geometry.cell_of([east - max_range, east + max_range], [north + max_range, north - max_range])
+    rows = np.clip([row[0] - 1, row[1] + 2], 0, geometry.height)
+    cols = np.clip([col[0] - 1, col[1] + 2], 0, geometry.width)
+    return int(rows[0]), int(cols[0]), int(rows[1] - rows[0]), int(cols[1] - cols[0])
+
+
+@lru_cache(maxsize=4)
+def _tangents(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """x / z and y / z of the pixels' rays; (1, W) and (H, 1) without distortion, else (H, W) both, NaN without ray."""
+    if any(camera.distortion):
+        rays = camera.rays()
+        return (rays[..., 0] / rays[..., 2]).astype(np.float32), (rays[..., 1] / rays[..., 2]).astype(np.float32)
+    x = (np.arange(camera.width) - camera.cx) / camera.fx
+    y = (np.arange(camera.height) - camera.cy) / camera.fy
+    return x[None].astype(np.float32), y[:, None].astype(np.float32)
+
+
+@numba.njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _scan(
+    distance: Any,
+    along_axis: bool,
+    x_tangent: Any,
+    y_tangent: Any,
+    rotation: Any,
+    east: float,
+    north: float,
+    labels: Any,
+    confidence: Any,
+    has_confidence: bool,
+    counted: Any,
+    grid: tuple[float, float, float],
+    window: tuple[int, int, int, int, int],
+    max_range: float,
+    slots: Any,
+    cells: Any,
+    counts: Any,
+    sums: Any,
+) -> int:
+    """Fills `cells`, `counts` and `sums` (x and y from the camera, confidence); returns how many cells are seen.
+
+    Each image row goes twice: a loop without branches finds the cells, which the compiler turns into vector code; a
+    second one adds up.
+    """
+    height, width = distance.shape
+    x_min, y_max, resolution = grid
+    first_row, first_col, rows, cols, grid_width = window
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    tx, ty = np.empty(width, np.float32), np.empty(width, np.float32)
+    place = np.empty(width, np.int32)
+    dx, dy = np.empty(width, np.float32), np.empty(width, np.float32)
+    used = 0
+    for v in range(height):
+        tx[:] = x_tangent[v if x_tangent.shape[0] > 1 else 0]
+        if y_tangent.shape[1] > 1:
+            ty[:] = y_tangent[v]
+        else:
+            ty[:] = y_tangent[v, 0]
+        for u in range(width):
+            x, y = np.float64(tx[u]), np.float64(ty[u])
+            length = np.sqrt(1.0 + x * x + y * y)
+            d = np.float64(distance[v, u])
+            depth = d if along_axis else d / length
+            slant = d * length if along_axis else d
+            ex = depth * (r00 * x + r01 * y + r02)
+            ny = depth * (r10 * x + r11 * y + r12)
+            dx[u], dy[u] = ex, ny
+            c = (np.float64(np.float32(east + ex)) - x_min) / resolution - first_col
+            r = (y_max - np.float64(np.float32(north + ny))) / resolution - first_row
+            seen = (slant <= max_range) & (d < np.inf) & (c >= 0) & (c < cols) & (r >= 0) & (r < rows)
+            place[u] = np.int32(r) * cols + np.int32(c) if seen else -1
+        for u in range(width):
+            if place[u] < 0 or not counted[labels[v, u]]:
+                continue
+            slot = slots[place[u]] - 1
+            if slot < 0:
+                slot = used
+                used += 1
+                slots[place[u]] = used
+                cells[slot] = (first_row + place[u] // cols) * grid_width + first_col + place[u] % cols
+            counts[slot, labels[v, u]] += np.uint32(1)
+            sums[slot, 0] += dx[u]
+            sums[slot, 1] += dy[u]
+            if has_confidence:
+                sums[slot, 2] += confidence[v, u]
+    return used
