@@ -10,97 +10,70 @@ stepped over when ground as high as its bound, anywhere in it, would not raise t
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ltm_core.tracing.pyramid import LEAF
+from ltm_core.tracing.traversal import TOUCH, Ground, Stage, cell_ceiling, height_at, stretch
+
 Floats = NDArray[np.float64]
+Bits = NDArray[np.uint8]
 
-_LEAF = 2
-"""Below this level of the pyramid single cells are looked at."""
-
-
-class SightTerrain(NamedTuple):
-    """What the kernels know of the terrain."""
-
-    nodes: NDArray[np.float32]
-    """(H, W) elevations, NaN in holes."""
-    filled: NDArray[np.float32]
-    """The same with the ceilings of enclosed holes (`tracing.holes`)."""
-    bounds: NDArray[np.float32]
-    """The `MaximumPyramid` of `filled`, as are the next two."""
-    offsets: NDArray[np.int64]
-    widths: NDArray[np.int64]
+BY_CEILING, LEFT_KNOWN, OVER_KNOWN, BEYOND = 1, 2, 4, 8
+"""What a way has come to: an enclosed hole's ceiling stands highest; an outer hole after known ground; known ground;
+the terrain ends before the target."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def lifts(
-    terrain: SightTerrain, ox: float, oy: float, oz: float, bend: float, targets: Floats, out: Floats, unknown: Floats
-) -> None:
-    """For each target (N, 3: x, y, z) the metres by which it must be raised to be seen: 0 where it is.
+def raise_slopes(ground: Ground, stage: Stage, first: bool, targets: Floats, slopes: Floats, came_to: Bits) -> None:
+    """Take the ways to targets (N, 3: column, row of the stage's raster, z) through one stage.
 
-    `unknown` is 1 where nothing known hides the target but ground that is not known might.
+    `slopes`: (N,) m/m, the greatest slope f of the ground so far, or the target's own where that is greater; NaN for a
+    target that is not finite. `first`: the camera stands over this stage's raster, so that plumb ways end here.
     """
     for k in range(len(targets)):
-        dx, dy, z = targets[k, 0] - ox, targets[k, 1] - oy, targets[k, 2]
+        dx, dy, z = targets[k, 0] - stage.ox, targets[k, 1] - stage.oy, targets[k, 2]
         q = math.hypot(dx, dy)
-        if not math.isfinite(q + z):
-            out[k], unknown[k] = np.nan, 1.0
-        elif q < 1e-6:  # plumb above or below the camera: the ground between them decides
-            out[k], unknown[k] = _plumb_lift(terrain.nodes, ox, oy, z)
-        else:
-            own = (z - oz) / q - bend * q
-            slope, out_of_known = blocking_slope(terrain, ox, oy, oz, dx / q, dy / q, q, bend, own)
-            out[k] = (slope - own) * q
-            unknown[k] = out_of_known
-
-
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _plumb_lift(nodes: NDArray[np.float32], x: float, y: float, z: float) -> tuple[float, float]:
-    if not (0 <= x <= nodes.shape[1] - 1 and 0 <= y <= nodes.shape[0] - 1):
-        return 0.0, 1.0
-    j, i = min(int(x), nodes.shape[1] - 2), min(int(y), nodes.shape[0] - 2)
-    u, v = x - j, y - i
-    top = (1 - u) * nodes[i, j] + u * nodes[i, j + 1]
-    bottom = (1 - u) * nodes[i + 1, j] + u * nodes[i + 1, j + 1]
-    ground = (1 - v) * top + v * bottom
-    if np.isnan(ground):
-        return 0.0, 1.0
-    return max(0.0, ground - z), 0.0
+        if slopes[k] != slopes[k]:
+            continue
+        if q * stage.resolution < 1e-6:  # plumb above or below the camera: the ground between them decides
+            if first:
+                ground_height = height_at(ground, stage.ox, stage.oy)
+                if ground_height == ground_height:
+                    slopes[k] = max(0.0, ground_height - z)
+                    came_to[k] |= OVER_KNOWN
+            continue
+        slope, found = blocking_slope(ground, stage, dx / q, dy / q, q, slopes[k] * stage.resolution)
+        if slope > slopes[k] * stage.resolution:
+            came_to[k] &= np.uint8(255 - BY_CEILING)
+        slopes[k] = slope / stage.resolution
+        came_to[k] |= found
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def blocking_slope(
-    terrain: SightTerrain,
-    ox: float,
-    oy: float,
-    oz: float,
-    cx: float,
-    cy: float,
-    q_end: float,
-    bend: float,
-    least: float,
-) -> tuple[float, float]:
-    """The greatest slope f(q) of the ground over 0 < q <= q_end, or `least` if that is greater; and 1 if it is not
-    known ground that decides: an enclosed hole's ceiling is the highest, or nothing known is above `least` and the way
-    leads over outer holes or beyond the raster.
+    ground: Ground, stage: Stage, cx: float, cy: float, q_end: float, least: float
+) -> tuple[float, np.uint8]:
+    """The greatest slope f(q) of the ground over the stage's part of 0 < q <= q_end, or `least` if that is greater; and
+    what the way has come to there.
     """
-    nodes, filled, bounds = terrain.nodes, terrain.filled, terrain.bounds
-    height, width = nodes.shape
-    top_level = len(terrain.offsets) - 1
+    nodes, bounds, height, width = ground.nodes, ground.bounds, ground.height, ground.width
+    ox, oy, oz, bend = stage.ox, stage.oy, stage.oz, stage.bend
+    top_level = len(ground.offsets) - 1
     inv_cx = 1.0 / cx if cx != 0 else np.inf
     inv_cy = 1.0 / cy if cy != 0 else np.inf
-    q, q_out = _over_raster(ox, oy, cx, cy, inv_cx, inv_cy, q_end, width - 1, height - 1)
+    q, q_out = stretch(stage, cx, cy)
+    beyond = stage.last and (q > q_out or q_out < q_end - 1e-9)
+    q_out = min(q_out, q_end)
     if q > q_out:
-        return least, 1.0
-    beyond = q_out < q_end - 1e-9
+        return least, np.uint8(BEYOND if beyond else 0)
     j = min(max(math.floor(ox + cx * q), 0), width - 2)
     i = min(max(math.floor(oy + cy * q), 0), height - 2)
     best = least
     by_ceiling = left_known = over_known = False
-    level = min(_LEAF, top_level)
+    level = min(LEAF, top_level)
     while True:
         i0, j0 = (i >> level) << level, (j >> level) << level
         size = 1 << level
@@ -110,30 +83,26 @@ def blocking_slope(
         q_y = (y_edge - oy) * inv_cy if cy != 0 else np.inf
         q_exit = max(q, min(q_x, q_y, q_out))
         if level > 0:
-            bound = bounds[terrain.offsets[level] + (i >> level) * terrain.widths[level] + (j >> level)]
+            bound = bounds[ground.offsets[level] + (i >> level) * ground.widths[level] + (j >> level)]
             if bound == bound and _slope_below(bound, oz, bend, q, q_exit) > best:
-                level = level - 1 if level > _LEAF else 0
+                level = level - 1 if level > LEAF else 0
                 continue
             if bound == bound:
                 over_known = True
-            elif over_known and q_exit - q > 1e-9:
+            elif over_known and q_exit - q > TOUCH:
                 left_known = True
         else:
-            a, b = np.float64(nodes[i, j]), np.float64(nodes[i, j + 1])
-            c, d = np.float64(nodes[i + 1, j]), np.float64(nodes[i + 1, j + 1])
+            at = i * width + j
+            a, b = np.float64(nodes[at]), np.float64(nodes[at + 1])
+            c, d = np.float64(nodes[at + width]), np.float64(nodes[at + width + 1])
             if not np.isnan(a + b + c + d):
                 over_known = True
                 slope = _cell_slope(a, b, c, d, ox - j, oy - i, oz, cx, cy, q, q_exit, bend)
                 if slope > best:
                     best, by_ceiling = slope, False
-            elif q_exit - q > 1e-9:
-                ceiling = np.float64(
-                    max(
-                        max(filled[i, j], filled[i, j + 1]),
-                        max(filled[i + 1, j], filled[i + 1, j + 1]),
-                    )
-                )
-                if np.isnan(filled[i, j] + filled[i, j + 1] + filled[i + 1, j] + filled[i + 1, j + 1]):
+            elif q_exit - q > TOUCH:
+                ceiling = cell_ceiling(ground, at)
+                if ceiling != ceiling:
                     left_known = left_known or over_known
                 else:
                     over_known = True
@@ -156,25 +125,10 @@ def blocking_slope(
         q = q_exit
         if level > 0:
             level = min(level + 1, top_level)
-        elif i >> _LEAF != i0 >> _LEAF or j >> _LEAF != j0 >> _LEAF:
-            level = min(_LEAF, top_level)
-    uncertain = by_ceiling or (best <= least and (left_known or beyond or not over_known))
-    return best, 1.0 if uncertain else 0.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _over_raster(
-    ox: float, oy: float, cx: float, cy: float, inv_cx: float, inv_cy: float, q_end: float, x_last: float, y_last: float
-) -> tuple[float, float]:
-    """The part (q_in, q_out) of a way that lies over the nodes; q_in > q_out where none does."""
-    q_in, q_out = 0.0, q_end
-    for o, c, inverse, last in ((ox, cx, inv_cx, x_last), (oy, cy, inv_cy, y_last)):
-        if c != 0.0:
-            a, b = (0.0 - o) * inverse, (last - o) * inverse
-            q_in, q_out = max(q_in, min(a, b)), min(q_out, max(a, b))
-        elif o < 0.0 or o > last:
-            return 1.0, 0.0
-    return q_in, q_out
+        elif i >> LEAF != i0 >> LEAF or j >> LEAF != j0 >> LEAF:
+            level = min(LEAF, top_level)
+    found = (BY_CEILING if by_ceiling else 0) | (LEFT_KNOWN if left_known else 0)
+    return best, np.uint8(found | (OVER_KNOWN if over_known else 0) | (BEYOND if beyond else 0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

@@ -12,13 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
-from ltm_core.errors import PoseError, RasterError
+from ltm_core.errors import PoseError
 from ltm_core.geodesy import ray_bend
 from ltm_core.pose import Pose
-from ltm_core.sight_kernels import SightTerrain, lifts
+from ltm_core.sight_kernels import BEYOND, BY_CEILING, LEFT_KNOWN, OVER_KNOWN, raise_slopes
 from ltm_core.sight_lines import sight_vectors
-from ltm_core.tracing.holes import with_ceilings
-from ltm_core.tracing.pyramid import build_pyramid
+from ltm_core.tracing.levels import grounds, stages
 
 Floats = NDArray[np.float64]
 
@@ -59,20 +58,16 @@ class SightLines:
     """Lines of sight over one DEM. Surface, rays and holes are those of `tracing.TerrainTracer`.
 
     Args:
-        dem: the terrain, in the frame of the points. Adds a third of its elevations' memory.
+        dem: the terrain, in the frame of the points. Adds a twelfth of its elevations' memory.
         curvature, refraction: as for the tracer.
 
     Raises RasterError for a DEM with infinite heights.
     """
 
     def __init__(self, dem: Dem, curvature: bool = True, refraction: float = 0.13) -> None:
-        if np.isinf(dem.elevation).any():
-            raise RasterError("the DEM holds infinite heights; mark unknown heights as nodata (NaN)")
         self.dem = dem
         self.bend = ray_bend(curvature, refraction)
-        filled = with_ceilings(dem.elevation)
-        pyramid = build_pyramid(filled)
-        self._terrain = SightTerrain(dem.elevation, filled, pyramid.bounds, pyramid.offsets, pyramid.widths)
+        self._grounds = grounds(dem)
 
     def lifts(self, origin: ArrayLike, points: ArrayLike) -> tuple[Floats, NDArray[np.bool_]]:
         """How far points must be raised to be seen from `origin`, (N,) metres, 0 where they are seen; and where that
@@ -88,29 +83,28 @@ class SightLines:
         clearance = float(position[2] - self.dem.elevation_at(position[0], position[1]))
         if clearance <= 0:
             raise PoseError(f"camera at {position.tolist()} is {-clearance:.2f} m under the ground; check its height")
-        row, col = self.dem.geometry.to_grid(position[0], position[1])
-        rows, cols = self.dem.geometry.to_grid(targets[:, 0], targets[:, 1])
-        in_grid = np.column_stack([cols, rows, targets[:, 2]])
-        lift, unknown = np.empty(len(targets)), np.empty(len(targets))
-        bend = self.bend * self.dem.geometry.resolution**2
+        across = np.hypot(targets[:, 0] - position[0], targets[:, 1] - position[1])
+        plumb = across < 1e-6
+        with np.errstate(divide="ignore", invalid="ignore"):
+            own = np.where(plumb, 0.0, (targets[:, 2] - position[2]) / across - self.bend * across)
+        own[~np.isfinite(own)] = np.nan
+        slopes, came_to = own.copy(), np.zeros(len(targets), np.uint8)
+        passed = stages(self.dem, position, self.bend)
 
         def work(start: int) -> None:
             part = slice(start, start + _CHUNK)
-            lifts(
-                self._terrain,
-                float(col),
-                float(row),
-                float(position[2]),
-                bend,
-                in_grid[part],
-                lift[part],
-                unknown[part],
-            )
+            for number, (level, stage) in enumerate(passed):
+                rows, cols = self.dem.levels[level].geometry.to_grid(targets[part, 0], targets[part, 1])
+                in_grid = np.column_stack([cols, rows, targets[part, 2]])
+                raise_slopes(self._grounds[level], stage, number == 0, in_grid, slopes[part], came_to[part])
 
         # Threads over a kernel without the GIL, since numba's own parallel launches must not meet another's.
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             list(pool.map(work, range(0, len(targets), _CHUNK)))
-        return lift, unknown > 0
+        lift = np.where(plumb, slopes, (slopes - own) * across)
+        nothing_known = (slopes <= own) & ((came_to & (LEFT_KNOWN | BEYOND) > 0) | (came_to & OVER_KNOWN == 0))
+        nothing_known[plumb] = came_to[plumb] & OVER_KNOWN == 0
+        return lift, (came_to & BY_CEILING > 0) | nothing_known | np.isnan(slopes)
 
     def visible(self, camera: Camera, pose: Pose, points: ArrayLike, tolerance: float = TOLERANCE) -> Visibility:
         """Pixels and states of map points (N, 3). A point is visible when raising it by `tolerance` metres shows it."""

@@ -9,40 +9,137 @@ different things:
   not below it.
 * An **outer** hole reaches the edge of the raster (the margin of a reprojected or clipped DEM). It has no ceiling; it
   is outside the DEM, as the space beyond the raster is.
+
+Enclosed holes are held as runs of NaN nodes along rows, each with its ceiling: a few bytes a run, where a second
+raster with the ceilings filled in would double the memory of a DEM that has one speck of nodata.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy import ndimage
 
-_TOUCHING = np.ones((3, 3), dtype=bool)
+Heights = NDArray[np.float32]
+Ints = NDArray[np.int64]
 
 
-def with_ceilings(elevation: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Elevations in which each NaN node of an enclosed hole holds the hole's ceiling; NaN nodes of outer holes stay
-    NaN.
+class Holes(NamedTuple):
+    """Runs of NaN nodes of enclosed holes, in the order of their flat indices."""
 
-    Args:
-        elevation: (H, W) float32, metres, NaN where nodata.
+    hole_first: Ints
+    """Flat index (row * width + column) of a run's first node."""
+    hole_end: Ints
+    """One past its last."""
+    hole_ceiling: Heights
+    """Of the hole that the run belongs to."""
 
-    Returns:
-        (H, W) float32. The input itself, not a copy, where there is no enclosed hole.
+
+def find_holes(elevation: Heights) -> Holes:
+    """The enclosed holes of (H, W) float32 elevations, NaN where nodata."""
+    row, first, end = _runs(elevation, _count_runs(elevation))
+    hole = _joined(row, first, end)
+    ceiling = _ceilings(elevation, row, first, end, hole)
+    enclosed = ceiling[hole] < np.inf
+    width = elevation.shape[1]
+    return Holes(
+        (row * width + first)[enclosed], (row * width + end)[enclosed], ceiling[hole][enclosed].astype(np.float32)
+    )
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def filled_at(nodes: Heights, holes: Holes, at: int) -> float:
+    """Height of the node with flat index `at`; of one in an enclosed hole, the hole's ceiling; NaN in an outer hole.
+
+    `holes`: anything with the fields of `Holes`.
     """
-    if not any(np.isnan(row).any() for row in elevation):  # no mask of a whole DEM that needs none
-        return elevation
-    missing = np.isnan(elevation)
-    hole_of_node, _ = ndimage.label(missing, structure=_TOUCHING)
-    edge = np.concatenate([hole_of_node[0], hole_of_node[-1], hole_of_node[:, 0], hole_of_node[:, -1]])
-    enclosed = missing & ~np.isin(hole_of_node, np.unique(edge[edge > 0]))
-    if not enclosed.any():
-        return elevation
-    highest_neighbour = ndimage.maximum_filter(np.where(missing, np.float32(-np.inf), elevation), footprint=_TOUCHING)
-    rows, cols = np.nonzero(enclosed)
-    holes, member_of = np.unique(hole_of_node[rows, cols], return_inverse=True)
-    ceiling = np.full(holes.size, -np.inf, dtype=np.float32)
-    np.maximum.at(ceiling, member_of, highest_neighbour[rows, cols])
-    filled = elevation.copy()
-    filled[rows, cols] = ceiling[member_of]
-    return filled
+    height = nodes[at]
+    if height == height:
+        return height
+    low, high = 0, holes.hole_first.size  # the last run that begins at or before `at` is the one before `low`
+    while low < high:
+        middle = (low + high) >> 1
+        if holes.hole_first[middle] <= at:
+            low = middle + 1
+        else:
+            high = middle
+    if low > 0 and at < holes.hole_end[low - 1]:
+        return holes.hole_ceiling[low - 1]
+    return height
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _count_runs(elevation: Heights) -> int:
+    count = 0
+    for i in range(elevation.shape[0]):
+        before = False
+        for j in range(elevation.shape[1]):
+            missing = elevation[i, j] != elevation[i, j]
+            count += missing and not before
+            before = missing
+    return count
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _runs(elevation: Heights, count: int) -> tuple[Ints, Ints, Ints]:
+    """Row, first column and one past the last column of each run of NaN, row after row."""
+    row, first, end = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
+    k = 0
+    for i in range(elevation.shape[0]):
+        before = False
+        for j in range(elevation.shape[1]):
+            missing = elevation[i, j] != elevation[i, j]
+            if missing and not before:
+                row[k], first[k] = i, j
+            if before and not missing:
+                end[k] = j
+                k += 1
+            before = missing
+        if before:
+            end[k] = elevation.shape[1]
+            k += 1
+    return row, first, end
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _joined(row: Ints, first: Ints, end: Ints) -> Ints:
+    """For each run the index of one run that stands for all of its hole: runs that touch, at corners too, are one."""
+    hole = np.arange(row.size)
+    above = 0
+    for k in range(row.size):
+        while above < k and (row[above] < row[k] - 1 or (row[above] == row[k] - 1 and end[above] < first[k])):
+            above += 1
+        other = above
+        while other < k and row[other] == row[k] - 1 and first[other] <= end[k]:
+            a, b = _root(hole, other), _root(hole, k)
+            hole[max(a, b)] = min(a, b)
+            other += 1
+    for k in range(row.size):
+        hole[k] = _root(hole, k)
+    return hole
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _root(hole: Ints, k: int) -> int:
+    while hole[k] != k:
+        hole[k] = hole[hole[k]]
+        k = hole[k]
+    return k
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _ceilings(elevation: Heights, row: Ints, first: Ints, end: Ints, hole: Ints) -> NDArray[np.float64]:
+    """By the index of `hole`: its highest known neighbour, +inf of one that reaches the raster's edge."""
+    height, width = elevation.shape
+    ceiling = np.full(row.size, -np.inf)
+    for k in range(row.size):
+        if row[k] == 0 or row[k] == height - 1 or first[k] == 0 or end[k] == width:
+            ceiling[hole[k]] = np.inf
+            continue
+        for i in range(row[k] - 1, row[k] + 2):
+            for j in range(first[k] - 1, end[k] + 1):
+                if elevation[i, j] > ceiling[hole[k]]:
+                    ceiling[hole[k]] = elevation[i, j]
+    return ceiling

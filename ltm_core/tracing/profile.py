@@ -21,8 +21,9 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from ltm_core.tracing.holes import filled_at
 from ltm_core.tracing.pyramid import LEAF
-from ltm_core.tracing.traversal import Floats, Ground
+from ltm_core.tracing.traversal import AFTER, Floats, Ground, Stage
 
 WEDGES_A_FACE = 3072
 SECTOR = 64
@@ -66,10 +67,8 @@ def no_wedges() -> Wedges:
     )
 
 
-def extended(
-    wedges: Wedges, wanted: NDArray[np.int64], ground: Ground, ox: float, oy: float, oz: float, bend: float
-) -> Wedges:
-    """`wedges` with those of the `wanted` indices built that were not; origin and bend in grid units."""
+def extended(wedges: Wedges, wanted: NDArray[np.int64], ground: Ground, stage: Stage) -> Wedges:
+    """`wedges` with those of the `wanted` indices built that were not, over the stage's part of the raster."""
     missing = wanted[wedges.entries[wanted] < 0]
     if missing.size == 0:
         return wedges
@@ -79,7 +78,7 @@ def extended(
     count, outer, start = wedges.entries.copy(), wedges.outer.copy(), wedges.start.copy()
     found = np.empty(missing.size, np.int32)
     touched = np.empty(missing.size, np.float32)
-    _walk_wedges(ground, ox, oy, oz, bend, missing, tangent, node, found, touched)
+    _walk_wedges(ground, stage, missing, tangent, node, found, touched)
     begin = wedges.tangent.size + np.concatenate([[0], np.cumsum(found, dtype=np.int64)])
     count[missing], outer[missing], start[missing] = found, touched, begin[:-1]
     tangents = np.empty(begin[-1], np.float32)
@@ -109,10 +108,7 @@ def _compact(
 @njit(cache=True, error_model="numpy", parallel=True, nogil=True)  # type: ignore[untyped-decorator]
 def _walk_wedges(
     ground: Ground,
-    ox: float,
-    oy: float,
-    oz: float,
-    bend: float,
+    stage: Stage,
     wanted: NDArray[np.int64],
     tangent: NDArray[np.float32],
     node: NDArray[np.int32],
@@ -122,21 +118,15 @@ def _walk_wedges(
     tasks = (wanted.size + 15) // 16
     for task in prange(tasks):
         for k in range(task * 16, min(task * 16 + 16, wanted.size)):
-            count[k], outer[k] = _walk_wedge(ground, ox, oy, oz, bend, wanted[k], tangent[k], node[k])
+            count[k], outer[k] = _walk_wedge(ground, stage, wanted[k], tangent[k], node[k])
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _walk_wedge(
-    ground: Ground,
-    ox: float,
-    oy: float,
-    oz: float,
-    bend: float,
-    index: int,
-    tangent: NDArray[np.float32],
-    node: NDArray[np.int32],
+    ground: Ground, stage: Stage, index: int, tangent: NDArray[np.float32], node: NDArray[np.int32]
 ) -> tuple[int, float]:
     """Fill the entries of one wedge; returns their number and the distance of the first outer hole."""
+    oz, bend = stage.oz, stage.bend
     face = index // WEDGES_A_FACE
     wedge = index - face * WEDGES_A_FACE
     t0 = wedge * (2.0 / WEDGES_A_FACE) - 1.0 - 1e-12
@@ -146,7 +136,7 @@ def _walk_wedge(
     along_x = face < 2
     forward = face % 2 == 0
     sign = 1 if forward else -1
-    o_major, o_minor = (ox, oy) if along_x else (oy, ox)
+    o_major, o_minor = (stage.ox, stage.oy) if along_x else (stage.oy, stage.ox)
     n_major = (ground.width if along_x else ground.height) - 1
     n_minor = (ground.height if along_x else ground.width) - 1
     # The least drop below the straight line, so that tangents come out too high rather than too low.
@@ -155,13 +145,14 @@ def _walk_wedge(
     highest = -np.inf
     entries = 0
     first_outer = np.inf
-    cell = min(max(math.floor(o_major), 0), n_major - 1)
+    begin = _least_exit(stage, along_x, forward, t0, t1) if stage.part == AFTER else 0.0
+    cell = min(max(math.floor(o_major + sign * begin), 0), n_major - 1)
     level = 0
     levels = ground.offsets.size
     while 0 <= cell < n_major:
         low = (cell >> level) << level
         high = min(low + (1 << level), n_major)
-        d0 = max(sign * ((cell if forward else cell + 1) - o_major), 0.0)
+        d0 = max(sign * ((cell if forward else cell + 1) - o_major), begin)
         d1 = sign * ((high if forward else low) - o_major)
         m_low = o_minor + min(t0 * d0, t0 * d1) - _MARGIN
         m_high = o_minor + max(t1 * d0, t1 * d1) + _MARGIN
@@ -197,6 +188,22 @@ def _walk_wedge(
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _least_exit(stage: Stage, along_x: bool, forward: bool, t0: float, t1: float) -> float:
+    """The least major distance at which a ray of the wedge t0 to t1 leaves the next finer raster."""
+    if along_x:
+        major, low, high = (stage.finer_east if forward else -stage.finer_west), stage.finer_north, stage.finer_south
+    else:
+        major, low, high = (stage.finer_south if forward else -stage.finer_north), stage.finer_west, stage.finer_east
+    least = major
+    for t in (t0, t1):
+        if t > 0.0:
+            least = min(least, high / t)
+        elif t < 0.0:
+            least = min(least, low / t)
+    return max(least - _MARGIN, 0.0)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _highest(ground: Ground, along_x: bool, level: int, major: int, j0: int, j1: int) -> tuple[float, bool]:
     """Bound on the ground in a strip at cell `major`, minor cells j0 to j1; -inf where all of it is an outer hole.
 
@@ -208,7 +215,8 @@ def _highest(ground: Ground, along_x: bool, level: int, major: int, j0: int, j1:
         step, across = (ground.width, 1) if along_x else (1, ground.width)
         at = j0 * step + major * across
         for _ in range(j1 - j0 + 2):
-            for h in (ground.filled[at], ground.filled[at + across]):
+            for node in (at, at + across):
+                h = filled_at(ground.nodes, ground, node)
                 if h > highest:
                     highest = float(h)
                 elif h != h:

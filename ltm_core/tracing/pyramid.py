@@ -17,6 +17,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ltm_core.tracing.holes import Holes, filled_at
+
 Heights = NDArray[np.float32]
 
 LEAF = 2
@@ -40,9 +42,9 @@ class MaximumPyramid(NamedTuple):
         return len(self.offsets) - 1
 
 
-def build_pyramid(filled: Heights) -> MaximumPyramid:
-    """Pyramid over the cells between the (H, W) nodes of `filled` (see `holes.with_ceilings`); H and W at least 2."""
-    heights, widths, offsets = [filled.shape[0] - 1], [filled.shape[1] - 1], [0]
+def build_pyramid(nodes: Heights, holes: Holes) -> MaximumPyramid:
+    """Pyramid over the cells between (H, W) nodes, NaN in holes (see `holes.find_holes`); H and W at least 2."""
+    heights, widths, offsets = [nodes.shape[0] - 1], [nodes.shape[1] - 1], [0]
     total = 0
     while len(heights) <= LEAF or heights[-1] > 1 or widths[-1] > 1:
         heights.append((heights[-1] + 1) // 2)
@@ -51,7 +53,7 @@ def build_pyramid(filled: Heights) -> MaximumPyramid:
         if len(heights) > LEAF:
             total += heights[-1] * widths[-1]
     bounds = np.empty(total, dtype=np.float32)
-    _bounds_from_nodes(filled, bounds[: heights[LEAF] * widths[LEAF]].reshape(heights[LEAF], widths[LEAF]))
+    _bounds_from_nodes(nodes, holes, bounds[: heights[LEAF] * widths[LEAF]].reshape(heights[LEAF], widths[LEAF]))
     for level in range(LEAF + 1, len(heights)):
         below = bounds[offsets[level - 1] : offsets[level]].reshape(heights[level - 1], widths[level - 1])
         here = bounds[offsets[level] : offsets[level] + heights[level] * widths[level]]
@@ -60,9 +62,10 @@ def build_pyramid(filled: Heights) -> MaximumPyramid:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _bounds_from_nodes(nodes: Heights, bounds: Heights) -> None:
+def _bounds_from_nodes(nodes: Heights, holes: Holes, bounds: Heights) -> None:
     """Level LEAF: the bound of a block of cells from its nodes."""
     n_rows, n_cols = nodes.shape
+    flat = nodes.ravel()
     size = 1 << LEAF
     for i in range(bounds.shape[0]):
         row0, row_end = size * i, min(size * (i + 1), n_rows - 1)
@@ -76,19 +79,24 @@ def _bounds_from_nodes(nodes: Heights, bounds: Heights) -> None:
                     if node > highest:
                         highest = node
                     elif node != node:
-                        any_outer = True
+                        ceiling = filled_at(flat, holes, row * n_cols + col)
+                        highest = max(highest, ceiling) if ceiling == ceiling else highest
+                        any_outer = any_outer or ceiling != ceiling
             if any_outer:
-                highest = (
-                    np.float32(np.nan) if _all_cells_outer(nodes, row0, row_end, col0, col_end) else np.float32(np.inf)
-                )
+                all_outer = _all_cells_outer(nodes, holes, row0, row_end, col0, col_end)
+                highest = np.float32(np.nan) if all_outer else np.float32(np.inf)
             bounds[i, j] = highest
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _all_cells_outer(nodes: Heights, row0: int, row_end: int, col0: int, col_end: int) -> bool:
+def _all_cells_outer(nodes: Heights, holes: Holes, row0: int, row_end: int, col0: int, col_end: int) -> bool:
+    width, flat = nodes.shape[1], nodes.ravel()
     for row in range(row0, row_end):
         for col in range(col0, col_end):
-            if not np.isnan(nodes[row, col] + nodes[row, col + 1] + nodes[row + 1, col] + nodes[row + 1, col + 1]):
+            at = row * width + col
+            north = filled_at(flat, holes, at) + filled_at(flat, holes, at + 1)
+            south = filled_at(flat, holes, at + width) + filled_at(flat, holes, at + width + 1)
+            if not np.isnan(north + south):
                 return False
     return True
 

@@ -1,26 +1,29 @@
 """A slow, independent float64 tracer that visits every cell on a ray's path; tests hold the fast tracer against it.
 
-It keeps the definition in `tracer` and shares nothing with `traversal`: instead of stepping, it takes all crossings of
-a ray with grid lines at once, sorts them, and in each cell puts a parabola through three heights above the surface.
+It keeps the definition in `tracer` and shares nothing with the kernels: instead of stepping, it takes all crossings of
+a ray with grid lines at once, sorts them, and in each cell puts a parabola through three heights above the surface. In
+a stack of rasters, each piece of the way belongs to the finest raster that it is over.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from ltm_core.dem import Dem
-from ltm_core.tracing.holes import with_ceilings
+from ltm_core.grid import GridGeometry
 
 Floats = NDArray[np.float64]
 
 TOUCH = 1e-9
 """Crossings of grid lines closer than this, in cells, are one: the ray goes through a node."""
+_TOUCHING = np.ones((3, 3), dtype=bool)
 
 
-def trace_reference(
-    dem: Dem, origin: NDArray[np.float64], directions: NDArray[np.float64], bend: float
-) -> NDArray[np.float64]:
+def trace_reference(dem: Dem, origin: Floats, directions: Floats, bend: float) -> Floats:
     """Slant ranges in metres, (N,): finite, +inf sky, NaN unknown.
 
     Args:
@@ -28,87 +31,155 @@ def trace_reference(
         directions: (N, 3), of any length, none of them plumb.
         bend: curvature coefficient, 1/m.
     """
-    nodes = dem.elevation.astype(np.float64)
-    filled = with_ceilings(dem.elevation).astype(np.float64)
-    row, col = (float(v) for v in dem.geometry.to_grid(origin[0], origin[1]))
+    rasters = [_Raster(level.elevation, with_ceilings(level.elevation), level.geometry, origin) for level in dem.levels]
     ranges = np.empty(len(directions))
     for k, (east, north, up) in enumerate(directions):
         across = float(np.hypot(east, north))
-        metres = _horizontal_range(
-            nodes,
-            filled,
-            (col, row, float(origin[2])),
-            (east / across, -north / across),
-            up / across,
-            bend,
-            dem.geometry.resolution,
-        )
+        heading = east / across, -north / across
+        metres = _horizontal_range(rasters, float(origin[2]), heading, up / across, bend)
         ranges[k] = metres * float(np.hypot(1.0, up / across))
     return ranges
 
 
-def _horizontal_range(
-    nodes: Floats,
-    filled: Floats,
-    origin: tuple[float, float, float],
-    heading: tuple[float, float],
-    slope: float,
-    bend: float,
-    resolution: float,
-) -> float:
-    """Horizontal range in metres to the first hit; origin is (column, row, height), heading a unit (column, row)
-    vector.
+def with_ceilings(elevation: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(H, W) elevations in which each NaN node of an enclosed hole holds the hole's ceiling (see `holes`); NaN nodes of
+    outer holes stay NaN.
     """
-    ox, oy, oz = origin
-    cx, cy = heading
-    height, width = nodes.shape
-    near, far = 0.0, np.inf
-    for o, c, last in ((ox, cx, width - 1), (oy, cy, height - 1)):
-        if c == 0:
-            if not 0 <= o <= last:
-                near, far = 1.0, 0.0
-        else:
-            a, b = sorted(((0 - o) / c, (last - o) / c))
-            near, far = max(near, a), min(far, b)
+    missing = np.isnan(elevation)
+    hole_of_node, _ = ndimage.label(missing, structure=_TOUCHING)
+    edge = np.concatenate([hole_of_node[0], hole_of_node[-1], hole_of_node[:, 0], hole_of_node[:, -1]])
+    enclosed = missing & ~np.isin(hole_of_node, np.unique(edge[edge > 0]))
+    if not enclosed.any():
+        return elevation
+    highest_neighbour = ndimage.maximum_filter(np.where(missing, np.float32(-np.inf), elevation), footprint=_TOUCHING)
+    rows, cols = np.nonzero(enclosed)
+    holes, member_of = np.unique(hole_of_node[rows, cols], return_inverse=True)
+    ceiling = np.full(holes.size, -np.inf, dtype=np.float32)
+    np.maximum.at(ceiling, member_of, highest_neighbour[rows, cols])
+    filled = elevation.copy()
+    filled[rows, cols] = ceiling[member_of]
+    return filled
+
+
+class _Raster:
+    """One raster and where the camera stands on it."""
+
+    def __init__(
+        self, nodes: NDArray[np.float32], filled: NDArray[np.float32], geometry: GridGeometry, origin: Floats
+    ) -> None:
+        self.nodes, self.filled, self.resolution = nodes, filled, geometry.resolution
+        self.oy, self.ox = (float(v) for v in geometry.to_grid(origin[0], origin[1]))
+
+    def over(self, heading: tuple[float, float]) -> tuple[float, float]:
+        """The metres (near, far) between which a ray is over the nodes; near > far where it never is."""
+        height, width = self.nodes.shape
+        near, far = 0.0, np.inf
+        for o, c, last in ((self.ox, heading[0], width - 1), (self.oy, heading[1], height - 1)):
+            if c == 0:
+                if not 0 <= o <= last:
+                    return 1.0, 0.0
+            else:
+                a, b = sorted(((0 - o) / c, (last - o) / c))
+                near, far = max(near, a), min(far, b)
+        return near * self.resolution, far * self.resolution
+
+    def pieces(self, near: float, far: float, heading: tuple[float, float], height: _Parabola) -> _Pieces:
+        """What the ray meets in each cell between two metres."""
+        cx, cy = heading
+        first, last = near / self.resolution, far / self.resolution
+        cuts = [np.array([first, last])]
+        if cx != 0:
+            cuts.append((np.arange(self.nodes.shape[1]) - self.ox) / cx)
+        if cy != 0:
+            cuts.append((np.arange(self.nodes.shape[0]) - self.oy) / cy)
+        q = np.unique(np.concatenate(cuts))
+        q = q[(q >= first) & (q <= last)]
+        q = q[np.diff(q, prepend=-np.inf) > TOUCH]
+        start, end = q[:-1], q[1:]
+        middle = (start + end) / 2
+        i = np.clip(np.floor(self.oy + cy * middle).astype(int), 0, self.nodes.shape[0] - 2)
+        j = np.clip(np.floor(self.ox + cx * middle).astype(int), 0, self.nodes.shape[1] - 2)
+        nodes = self.nodes
+        corners = [nodes[i, j], nodes[i, j + 1], nodes[i + 1, j], nodes[i + 1, j + 1]]
+        north_west, north_east, south_west, south_east = (c.astype(np.float64) for c in corners)
+
+        def above(q: Floats) -> Floats:
+            u, v = self.ox + cx * q - j, self.oy + cy * q - i
+            north = (1 - u) * north_west + u * north_east
+            south = (1 - u) * south_west + u * south_east
+            return np.asarray(height.at(q * self.resolution) - ((1 - v) * north + v * south))
+
+        filled = self.filled
+        ceilings = np.stack([filled[i, j], filled[i, j + 1], filled[i + 1, j], filled[i + 1, j + 1]])
+        hole = np.isnan(north_west + north_east + south_west + south_east)
+        outer = np.isnan(ceilings).any(axis=0)
+        root = _first_roots(above(start), above(middle), above(end))
+        lowest = height.lowest(start * self.resolution, end * self.resolution)
+        with np.errstate(invalid="ignore"):
+            blocked = hole & ~outer & (lowest <= np.where(outer, np.inf, ceilings.max(axis=0)))
+        hit = ~hole & ~np.isnan(root)
+        place = (start + np.where(hit, root, 0.0) * (end - start)) * self.resolution
+        return _Pieces(hit, blocked, outer, place, above(start) < 0)
+
+
+@dataclass(frozen=True)
+class _Parabola:
+    """A ray's height over horizontal metres."""
+
+    z: float
+    slope: float
+    bend: float
+
+    def at(self, r: Floats) -> Floats:
+        return np.asarray(self.z + self.slope * r + self.bend * r * r)
+
+    def lowest(self, start: Floats, end: Floats) -> Floats:
+        lowest = np.minimum(self.at(start), self.at(end))
+        if self.bend > 0:
+            bottom = -self.slope / (2 * self.bend)
+            lowest = np.where((start < bottom) & (bottom < end), self.at(np.array(bottom)), lowest)
+        return lowest
+
+
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    """Cells along a ray, in order: whether it hits the ground in each, meets an enclosed hole below its ceiling, or is
+    over an outer hole; the horizontal metres of the hit; and whether it begins below the ground.
+    """
+
+    hit: NDArray[np.bool_]
+    blocked: NDArray[np.bool_]
+    outer: NDArray[np.bool_]
+    place: Floats
+    below: NDArray[np.bool_]
+
+
+def _horizontal_range(
+    rasters: list[_Raster], z: float, heading: tuple[float, float], slope: float, bend: float
+) -> float:
+    """Horizontal metres to the first hit; `heading` is a unit (column, row) vector."""
+    near, far = rasters[-1].over(heading)
     if near > far:
         return np.inf if slope >= 0 else np.nan
-    beyond = np.inf if slope + 2 * bend * far * resolution >= 0 else np.nan
-
-    cuts = [np.array([near, far])]
-    if cx != 0:
-        cuts.append((np.arange(width) - ox) / cx)
-    if cy != 0:
-        cuts.append((np.arange(height) - oy) / cy)
-    q = np.unique(np.concatenate(cuts))
-    q = q[(q >= near) & (q <= far)]
-    q = q[np.diff(q, prepend=-np.inf) > TOUCH]
-    start, end = q[:-1], q[1:]
-    middle = (start + end) / 2
-    i = np.clip(np.floor(oy + cy * middle).astype(int), 0, height - 2)
-    j = np.clip(np.floor(ox + cx * middle).astype(int), 0, width - 2)
-
-    def ray_height(q: Floats) -> Floats:
-        r = q * resolution
-        return np.asarray(oz + slope * r + bend * r * r)
-
-    def above(q: Floats) -> Floats:
-        u, v = ox + cx * q - j, oy + cy * q - i
-        north = (1 - u) * nodes[i, j] + u * nodes[i, j + 1]
-        south = (1 - u) * nodes[i + 1, j] + u * nodes[i + 1, j + 1]
-        return np.asarray(ray_height(q) - ((1 - v) * north + v * south))
-
-    root = _first_roots(above(start), above(middle), above(end))
-    corners = np.stack([filled[i, j], filled[i, j + 1], filled[i + 1, j], filled[i + 1, j + 1]])
-    hole = np.isnan(nodes[i, j] + nodes[i, j + 1] + nodes[i + 1, j] + nodes[i + 1, j + 1])
-    outer = np.isnan(corners).any(axis=0)
-    lowest = np.minimum(ray_height(start), ray_height(end))
-    if bend > 0:
-        bottom = -slope / (2 * bend) / resolution
-        lowest = np.where((start < bottom) & (bottom < end), ray_height(np.array(bottom)), lowest)
-    with np.errstate(invalid="ignore"):
-        blocked = hole & ~outer & (lowest <= np.where(outer, np.inf, corners.max(axis=0)))
-    hit = ~hole & ~np.isnan(root)
-
+    beyond = np.inf if slope + 2 * bend * far >= 0 else np.nan
+    height = _Parabola(z, slope, bend)
+    pieces: list[_Pieces] = []
+    covered: tuple[float, float] | None = None
+    for raster in rasters:  # from the finest outwards: each adds what lies before and after those within it
+        near, far = raster.over(heading)
+        if near > far:
+            continue
+        if covered is None:
+            pieces = [raster.pieces(near, far, heading, height)]
+        else:
+            before = raster.pieces(near, covered[0], heading, height)
+            after = raster.pieces(covered[1], far, heading, height)
+            pieces = [before, *pieces, after]
+        covered = near, far
+    hit, blocked, outer, below = (
+        np.concatenate([getattr(p, name) for p in pieces]) for name in ("hit", "blocked", "outer", "below")
+    )
+    place = np.concatenate([p.place for p in pieces])
     ends = np.flatnonzero(hit | blocked)
     if ends.size == 0:
         return float(beyond)
@@ -118,10 +189,10 @@ def _horizontal_range(
     known_before = ~outer[:first]
     entered = int(np.argmax(known_before)) if known_before.any() else first
     lost = bool(outer[entered:first].any())
-    emerges_below = entered == first and above(start)[first] < 0
+    emerges_below = entered == first and below[first]
     if lost or emerges_below:
         return np.nan
-    return float((start[first] + root[first] * (end[first] - start[first])) * resolution)
+    return float(place[first])
 
 
 def _first_roots(f0: Floats, f_half: Floats, f1: Floats) -> Floats:

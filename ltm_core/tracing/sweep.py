@@ -3,7 +3,7 @@
 Going up a column of pixels, rays climb, so that the entry of the profile that a ray needs is a few places after that
 of the pixel below: the place is kept as a hint. From the strip that the entry names, a ray goes through single cells,
 of which it takes half a dozen on the average; a ray that needs more, or comes to a hole, is handed to the pyramid
-(`traversal.hit_from`), which holds the rules for what ends a ray. A ray without an entry meets nothing, and the
+(`traversal.hit_between`), which holds the rules for what ends a ray. A ray without an entry meets nothing, and the
 terrain is not looked at.
 """
 
@@ -17,7 +17,20 @@ from numpy.typing import NDArray
 
 from ltm_core.tracing.prefetch import prefetch
 from ltm_core.tracing.profile import WEDGES_A_FACE, Wedges
-from ltm_core.tracing.traversal import PLUMB_SINE, Floats, Ground, first_hit, height_at, hit_from
+from ltm_core.tracing.traversal import (
+    AFTER,
+    OVER_KNOWN,
+    PLUMB_SINE,
+    START_LEVEL,
+    Floats,
+    Ground,
+    Stage,
+    finished,
+    height_at,
+    hit_between,
+    over_raster,
+    stretch,
+)
 
 _FASTMATH = {"contract", "nsz"}
 _TILE = 16
@@ -28,31 +41,22 @@ _NOT_BUILT = -2
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH, parallel=True, nogil=True)  # type: ignore[untyped-decorator]
 def sweep_image(
-    ground: Ground,
-    wedges: Wedges,
-    ox: float,
-    oy: float,
-    oz: float,
-    rotation: Floats,
-    rays: Floats,
-    resolution: float,
-    bend: float,
-    out: NDArray[np.float32],
+    ground: Ground, stage: Stage, wedges: Wedges, rotation: Floats, rays: Floats, out: NDArray[np.float32]
 ) -> None:
-    """Slant range in metres of an image of rays, into `out` (H, W) float32.
+    """Take an image of rays through one stage.
 
-    The origin must stand over the raster, and not in an outer hole.
+    The camera must stand over the raster or the next finer one, and not in an outer hole.
 
     Args:
-        wedges: profile of the origin.
-        ox, oy, oz: origin: column, row, height in metres.
+        wedges: profile of the camera's position for this stage.
         rotation: (3, 3) float64, ray frame -> (east, north, up).
         rays: (H, W, 3) float64 unit vectors; a NaN one gives NaN.
-        resolution: metres a cell; `bend`: 1/m.
+        out: (H, W) float32, slant ranges in metres, or the states of rays that have met nothing: on entry before this
+            stage, on return after it.
     """
     height, width = rays.shape[0], rays.shape[1]
+    resolution = stage.resolution
     tiles = (width + _TILE - 1) // _TILE
-    grid_bend = bend * resolution * resolution
     for tile in prange(tiles):
         first = tile * _TILE
         lanes = min(_TILE, width - first)
@@ -76,37 +80,45 @@ def sweep_image(
                 hints[i] = place
                 node = np.int64(wedges.node[wedges.start[wedge[i]] + place])
                 near[i] = node
-                _prefetch_start(ground, ox, oy, faces[i], ts[i], node)
+                _prefetch_start(ground, stage, faces[i], ts[i], node)
             for i in range(lanes):
-                along_x, forward, t = faces[i] < 2, (faces[i] & 1) == 0, ts[i]
+                state = float(out[row, first + i])
+                if not state < 0.0:
+                    continue
                 per_major = majors[i]
+                if not (per_major <= 1.0 / PLUMB_SINE):
+                    out[row, first + i] = straight(ground, stage, rays[row, first + i], rotation)
+                    continue
+                along_x, forward, t = faces[i] < 2, (faces[i] & 1) == 0, ts[i]
                 s = slopes[i] * resolution
                 sign = 1.0 if forward else -1.0
-                bend_here = grid_bend * (1.0 + t * t)
                 cx, cy = (sign, t) if along_x else (t, sign)
-                if not (per_major <= 1.0 / PLUMB_SINE):
-                    out[row, first + i] = straight(ground, ox, oy, oz, rays[row, first + i], rotation)
-                    continue
-                if near[i] == _MEETS_NOTHING:
-                    q = beyond(ground, ox, oy, cx, cy, s, bend_here)
-                elif near[i] == _NOT_BUILT:
-                    q = first_hit(ground, ox, oy, oz, cx, cy, s, bend_here)
-                else:
-                    q = max(sign * (near[i] - (ox if along_x else oy)), 0.0)
-                    if q > wedges.outer[wedge[i]]:
-                        q = first_hit(ground, ox, oy, oz, cx, cy, s, bend_here)
+                bend = stage.bend * (1.0 + t * t)
+                q = state
+                if near[i] != _MEETS_NOTHING or state != OVER_KNOWN:
+                    start = 0.0
+                    if stage.part == AFTER:
+                        start = stretch(stage, cx, cy)[0]
+                    begin = start
+                    if near[i] >= 0:
+                        begin = max(begin, sign * (near[i] - (stage.ox if along_x else stage.oy)))
+                    if near[i] == _NOT_BUILT or state != OVER_KNOWN or begin > wedges.outer[wedge[i]]:
+                        end = over_raster(stage, cx, cy)[1]
+                        q = hit_between(ground, stage, cx, cy, s, bend, start, end, state, START_LEVEL)
                     else:
-                        q = cell_hit(ground, ox, oy, oz, cx, cy, s, bend_here, q, near[i], along_x, forward, t)
-                out[row, first + i] = q * resolution * per_major
+                        line = near[i] if begin > start else -1
+                        q = cell_hit(ground, stage, cx, cy, s, bend, begin, line, along_x, forward, t)
+                q = finished(stage, cx, cy, s, bend, q)
+                out[row, first + i] = q * resolution * per_major if q >= 0.0 else q
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)  # type: ignore[untyped-decorator]
-def straight(ground: Ground, ox: float, oy: float, oz: float, ray: Floats, rotation: Floats) -> float:
+def straight(ground: Ground, stage: Stage, ray: Floats, rotation: Floats) -> float:
     """Range of a plumb ray; NaN of one that is none."""
     up = rotation[2, 0] * ray[0] + rotation[2, 1] * ray[1] + rotation[2, 2] * ray[2]
     if up > 0.0:
         return np.inf
-    return oz - height_at(ground, ox, oy) if up < 0.0 else np.nan
+    return stage.oz - height_at(ground, stage.ox, stage.oy) if up < 0.0 else np.nan
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)  # type: ignore[untyped-decorator]
@@ -145,13 +157,13 @@ def _to_grid(
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
-def _prefetch_start(ground: Ground, ox: float, oy: float, face: int, t: float, node: int) -> None:
+def _prefetch_start(ground: Ground, stage: Stage, face: int, t: float, node: int) -> None:
     if face < 2:
-        at = int(oy + t * abs(node - ox)) * ground.width + node
+        at = int(stage.oy + t * abs(node - stage.ox)) * ground.width + node
         prefetch(ground.nodes, at)
         prefetch(ground.nodes, at + ground.width)
     else:
-        at = node * ground.width + int(ox + t * abs(node - oy))
+        at = node * ground.width + int(stage.ox + t * abs(node - stage.oy))
         prefetch(ground.nodes, at)
         prefetch(ground.nodes, at + ground.width if face == 2 else at - ground.width)
 
@@ -191,49 +203,38 @@ def first_reaching(tangents: NDArray[np.float32], start: int, count: int, hint: 
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)  # type: ignore[untyped-decorator]
-def beyond(ground: Ground, ox: float, oy: float, cx: float, cy: float, s: float, bend: float) -> float:
-    """What a ray from over the raster that meets nothing gives: +inf where it leaves climbing, else NaN."""
-    if bend >= 0.0:
-        if s >= 0.0:
-            return np.inf
-        if s + 2.0 * bend * (ground.width + ground.height) < 0.0:
-            return np.nan
-    q_x = ((ground.width - 1 if cx > 0.0 else 0) - ox) / cx if cx != 0.0 else np.inf
-    q_y = ((ground.height - 1 if cy > 0.0 else 0) - oy) / cy if cy != 0.0 else np.inf
-    return np.inf if s + 2.0 * bend * min(q_x, q_y) >= 0.0 else np.nan
-
-
-@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)  # type: ignore[untyped-decorator]
 def cell_hit(
     ground: Ground,
-    ox: float,
-    oy: float,
-    oz: float,
+    stage: Stage,
     cx: float,
     cy: float,
     s: float,
     bend: float,
-    q: float,
+    begin: float,
     node: int,
     along_x: bool,
     forward: bool,
     t: float,
 ) -> float:
-    """First hit of a ray that meets nothing before q, where it crosses node line `node` of its major axis."""
+    """First hit of a ray that meets nothing before `begin`, where it crosses node line `node` of its major axis, or
+    lies within a strip where `node` is -1; its state where it leaves the raster without one.
+    """
     nodes = ground.nodes
-    o_major, o_minor = (ox, oy) if along_x else (oy, ox)
+    o_major, o_minor = (stage.ox, stage.oy) if along_x else (stage.oy, stage.ox)
     major_stride, minor_stride = (1, ground.width) if along_x else (ground.width, 1)
     n_major, n_minor = (ground.width - 1, ground.height - 1) if along_x else (ground.height - 1, ground.width - 1)
     sign = 1.0 if forward else -1.0
     step = 1 if forward else -1
-    begin = q
+    q = begin
     cell = node if forward else node - 1
+    if node < 0:
+        cell = min(max(math.floor(o_major + sign * q), 0), n_major - 1)
     m = o_minor + t * q
     if m < 0.0 or m > n_minor:
-        return beyond(ground, ox, oy, cx, cy, s, bend)
+        return OVER_KNOWN
     lane = min(int(m), n_minor - 1)
     per_t = 1.0 / t
-    z = oz + q * (s + bend * q)
+    z = stage.oz + q * (s + bend * q)
     ahead = 1 if t > 0.0 else 0
     for _ in range(_MOST_CELLS):
         q_major = sign * ((cell + 1 if forward else cell) - o_major)
@@ -248,7 +249,7 @@ def cell_hit(
         e = h01 - h00
         g = h11 - h01 - b
         if g != g:
-            return hit_from(ground, ox, oy, oz, cx, cy, s, bend, begin, True, 0)
+            return hit_between(ground, stage, cx, cy, s, bend, begin, over_raster(stage, cx, cy)[1], OVER_KNOWN, 0)
         u = o_major + sign * q - cell
         v = o_minor + t * q - lane
         f0 = z - (h00 + b * u + v * (e + g * u))
@@ -261,13 +262,13 @@ def cell_hit(
             root = 2.0 * f0 / (-f1 + math.sqrt(max(f1 * f1 - 4.0 * a * f0, 0.0)))
             return q + min(root, dq)
         q = q_exit
-        z = oz + q * (s + bend * q)
+        z = stage.oz + q * (s + bend * q)
         if q_major <= q_minor:
             cell += step
             if cell < 0 or cell >= n_major:
-                return beyond(ground, ox, oy, cx, cy, s, bend)
+                return OVER_KNOWN
         else:
             lane += 1 if ahead else -1
             if lane < 0 or lane >= n_minor:
-                return beyond(ground, ox, oy, cx, cy, s, bend)
-    return hit_from(ground, ox, oy, oz, cx, cy, s, bend, q, True, 2)
+                return OVER_KNOWN
+    return hit_between(ground, stage, cx, cy, s, bend, q, over_raster(stage, cx, cy)[1], OVER_KNOWN, 2)

@@ -39,15 +39,14 @@ from numpy.typing import ArrayLike, NDArray
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.depth.range_image import RangeImage
-from ltm_core.errors import PoseError, RasterError
+from ltm_core.errors import PoseError
 from ltm_core.geodesy import ray_bend
 from ltm_core.pose import Pose
 from ltm_core.tracing.caches import BoundedCache, TracerStatistics
-from ltm_core.tracing.holes import with_ceilings
+from ltm_core.tracing.levels import filled_corners, grounds, stages
 from ltm_core.tracing.profile import SECTOR, WEDGES_A_FACE, Wedges, extended, mark_sectors, no_wedges
-from ltm_core.tracing.pyramid import build_pyramid
 from ltm_core.tracing.sweep import sweep_image
-from ltm_core.tracing.traversal import Ground, trace_directions
+from ltm_core.tracing.traversal import FRESH, OVER_KNOWN, trace_directions
 
 # Numba's fallback threading layer dies when two threads launch parallel kernels at once.
 _ONE_LAUNCH = threading.Lock()
@@ -58,6 +57,8 @@ _PROFILE_BYTES = 64 * 2**20
 _FRAME_BYTES = 48 * 2**20
 
 Way = Literal["auto", "profile", "pyramid"]
+Profile = tuple[Wedges, ...]
+"""By level of the DEM."""
 
 
 class TerrainTracer:
@@ -72,29 +73,10 @@ class TerrainTracer:
     """
 
     def __init__(self, dem: Dem, curvature: bool = True, refraction: float = 0.13) -> None:
-        elevation = np.ascontiguousarray(dem.elevation, np.float32)
-        for row, heights in enumerate(elevation):  # row by row: a mask of all would take a quarter of their memory
-            if np.isinf(heights).any():
-                col = int(np.argmax(np.isinf(heights)))
-                raise RasterError(
-                    f"the DEM is infinite at row {row}, column {col}; mark unknown heights as nodata (NaN)"
-                )
         self.dem = dem
         self.bend = ray_bend(curvature, refraction)
-        filled = with_ceilings(elevation)
-        height, width = elevation.shape
-        pyramid = build_pyramid(filled)
-        self._ground = Ground(
-            elevation.ravel(),
-            filled.ravel(),
-            width,
-            height,
-            pyramid.bounds,
-            pyramid.offsets,
-            pyramid.widths,
-            float(np.nanmax(elevation)),
-        )
-        self._profiles = BoundedCache[Wedges](_PROFILE_BYTES, lambda wedges: sum(a.nbytes for a in wedges))
+        self._grounds = grounds(dem)
+        self._profiles = BoundedCache[Profile](_PROFILE_BYTES, lambda levels: sum(a.nbytes for w in levels for a in w))
         self._frames = BoundedCache[NDArray[np.float32]](_FRAME_BYTES, lambda ranges: ranges.nbytes)
         self._counts = TracerStatistics()
 
@@ -136,35 +118,32 @@ class TerrainTracer:
     def _trace_image(self, camera: Camera, pose: Pose, way: Way) -> tuple[bool, NDArray[np.float32]]:
         """Whether the profile was there, and the ranges (H, W)."""
         rays = camera.rays()
-        row, col = (float(v) for v in self.dem.geometry.to_grid(*pose.position[:2]))
         place = (pose.position.tobytes(), self.bend)
         kept = self._profiles.get(place)
         few = way == "auto" and kept is None and camera.width * camera.height < _FEW_PIXELS
-        if way == "pyramid" or few or not self._stands_over_known_ground(row, col):
+        if way == "pyramid" or few or not self._stands_over_known_ground(pose.position):
             flat = self._trace(pose.position, pose.rotation, rays.reshape(-1, 3))
             return False, flat.reshape(camera.height, camera.width)
-        origin = col, row, float(pose.position[2])
         rotation = np.ascontiguousarray(pose.rotation, np.float64)
-        resolution = float(self.dem.geometry.resolution)
-        ranges = np.empty((camera.height, camera.width), np.float32)
+        ranges = np.full((camera.height, camera.width), OVER_KNOWN, np.float32)
+        profile: list[Wedges] = []
         with _ONE_LAUNCH:
             marked = np.zeros(4 * WEDGES_A_FACE // SECTOR, np.bool_)
             mark_sectors(rays, rotation, _MARK_EVERY, marked)
             wanted = (np.flatnonzero(marked)[:, None] * SECTOR + np.arange(SECTOR)).ravel()
-            before = no_wedges() if kept is None else kept
-            wedges = extended(before, wanted, self._ground, *origin, self.bend * resolution**2)
-            sweep_image(self._ground, wedges, *origin, rotation, rays, resolution, self.bend, ranges)
-        if wedges is not before:
-            self._profiles.put(place, wedges)
-        return wedges is before, ranges
+            for level, stage in stages(self.dem, pose.position, self.bend):
+                before = no_wedges() if kept is None else kept[level]
+                profile.append(extended(before, wanted, self._grounds[level], stage))
+                sweep_image(self._grounds[level], stage, profile[-1], rotation, rays, ranges)
+        whole = kept is not None and all(a is b for a, b in zip(kept, profile, strict=True))
+        if not whole:
+            self._profiles.put(place, tuple(profile))
+        return whole, ranges
 
-    def _stands_over_known_ground(self, row: float, col: float) -> bool:
-        """Whether (row, col) lies on the raster and in no outer hole."""
-        height, width = self.dem.elevation.shape
-        if not (0 <= row <= height - 1 and 0 <= col <= width - 1):
-            return False
-        r, c = min(int(row), height - 2), min(int(col), width - 2)
-        return not np.isnan(self._ground.filled.reshape(height, width)[r : r + 2, c : c + 2]).any()
+    def _stands_over_known_ground(self, position: NDArray[np.float64]) -> bool:
+        """Whether a position is over the finest raster, and in no outer hole."""
+        filled = filled_corners(self.dem.levels[0], self._grounds[0], position)
+        return filled is not None and not np.isnan(filled).any()
 
     def trace_rays(self, origin: ArrayLike, directions: ArrayLike) -> NDArray[np.float32]:
         """Slant range in metres of rays from one origin, (N,) float32.
@@ -195,20 +174,11 @@ class TerrainTracer:
     def _trace(
         self, origin: NDArray[np.float64], rotation: NDArray[np.float64], rays: NDArray[np.float64]
     ) -> NDArray[np.float32]:
-        row, col = self.dem.geometry.to_grid(origin[0], origin[1])
-        ranges = np.empty(len(rays), dtype=np.float32)
+        ranges = np.full(len(rays), FRESH, np.float32)
+        turned = np.ascontiguousarray(rotation, np.float64)
         with _ONE_LAUNCH:
-            trace_directions(
-                self._ground,
-                float(col),
-                float(row),
-                float(origin[2]),
-                np.ascontiguousarray(rotation, np.float64),
-                rays,
-                float(self.dem.geometry.resolution),
-                self.bend,
-                ranges,
-            )
+            for number, (level, stage) in enumerate(stages(self.dem, origin, self.bend)):
+                trace_directions(self._grounds[level], stage, turned, rays, number == 0, ranges)
         return ranges
 
     def _check(self, origin: NDArray[np.float64], rotation: NDArray[np.float64]) -> None:
@@ -221,20 +191,18 @@ class TerrainTracer:
                 f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) is {abs(clearance):.2f} m under the ground, which is at "
                 f"{z - clearance:.2f} m: check its height, the vertical datum (ellipsoidal or geoid) and the position"
             )
-        ceiling = self._hole_ceiling(x, y)
+        ceiling = self._hole_ceiling(origin)
         if ceiling is not None and z <= ceiling:
             raise PoseError(
                 f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) stands in a nodata hole of the DEM, {ceiling - z:.2f} m below "
                 f"the highest ground around it ({ceiling:.2f} m): fill the hole, or raise the camera above it"
             )
 
-    def _hole_ceiling(self, x: float, y: float) -> float | None:
-        """Ceiling of the enclosed hole under (x, y); None where there is none."""
-        row, col = (float(v) for v in self.dem.geometry.to_grid(x, y))
-        height, width = self.dem.elevation.shape
-        if not (0 <= row <= height - 1 and 0 <= col <= width - 1):
-            return None
-        r, c = min(int(row), height - 2), min(int(col), width - 2)
-        known = self.dem.elevation[r : r + 2, c : c + 2]
-        filled = self._ground.filled.reshape(height, width)[r : r + 2, c : c + 2]
-        return float(filled.max()) if np.isnan(known).any() and not np.isnan(filled).any() else None
+    def _hole_ceiling(self, position: NDArray[np.float64]) -> float | None:
+        """Ceiling of the enclosed hole under a position; None where there is none."""
+        for dem, ground in zip(self.dem.levels, self._grounds, strict=True):
+            filled = filled_corners(dem, ground, position)
+            if filled is not None:
+                known = not np.isnan(dem.elevation_at(position[0], position[1]))
+                return None if known or np.isnan(filled).any() else float(filled.max())
+        return None

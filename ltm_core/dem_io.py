@@ -1,0 +1,185 @@
+"""Reading elevation rasters, any that GDAL reads: in a single copy, and warped where their CRS is another."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from ltm_core.errors import RasterError
+from ltm_core.grid import GridGeometry
+
+Bounds = tuple[float, float, float, float]
+
+_GDAL = {"GDAL_CACHEMAX": 32}
+"""MB; GDAL's own default is a twentieth of the machine's memory."""
+_ROWS = 256
+"""Rows read at a time, or the file's own blocks where they are higher."""
+
+
+def read_heights(path: Path | str, crs: str | None) -> tuple[NDArray[np.float32], GridGeometry]:
+    """Band 1 as heights, (H, W) float32, north up, NaN where nodata, and its geometry; see `Dem.open`."""
+    import rasterio
+    from rasterio.errors import RasterioError
+
+    try:
+        with rasterio.Env(**_GDAL), rasterio.open(path) as source:
+            stated = _crs_of(source.crs, crs, path)
+            if not stated.is_projected or {axis.unit_name for axis in stated.axis_info[:2]} != {"metre"}:
+                raise RasterError(
+                    f"{path}: a DEM must be projected in metres, {stated.name} is not; warp it first (gdalwarp)"
+                )
+            _check_heights(source, path)
+            t = source.transform
+            if t.b or t.d:
+                raise RasterError(f"{path}: rotated raster {tuple(t)[:6]}; warp it north-up first (gdalwarp)")
+            if not np.isclose(abs(t.a), abs(t.e), rtol=1e-6) or t.a <= 0:
+                raise RasterError(f"{path}: cells must be square, got {t.a} x {t.e} m; warp it first (gdalwarp -tr)")
+            elevation = _read(source)
+    except RasterioError as error:
+        raise RasterError(f"{path}: not a raster that GDAL can read ({error})") from error
+    height, width = elevation.shape
+    y_max = t.f if t.e < 0 else t.f + height * t.e
+    return elevation, GridGeometry(t.c, y_max, t.a, width, height, name_of(stated))
+
+
+def read_around(
+    path: Path | str, crs: str | None, target: str, bounds: Bounds
+) -> tuple[NDArray[np.float32], GridGeometry]:
+    """Band 1 as heights over `bounds` (x_min, y_min, x_max, y_max in the CRS `target`), bilinearly warped where its own
+    grid is another; degrees will do.
+
+    Raises RasterError: not readable, no CRS, heights not in metres, or nothing of it within the bounds.
+    """
+    import rasterio
+    from rasterio.enums import Resampling
+    from rasterio.errors import RasterioError
+    from rasterio.vrt import WarpedVRT
+    from rasterio.warp import calculate_default_transform
+
+    try:
+        with rasterio.Env(**_GDAL), rasterio.open(path) as source:
+            stated = _crs_of(source.crs, crs, path)
+            _check_heights(source, path)
+            t = source.transform
+            there = CRS.from_user_input(target)
+            if stated == there and not (t.b or t.d) and t.a > 0 and t.e < 0 and np.isclose(t.a, -t.e, rtol=1e-6):
+                own = GridGeometry(t.c, t.f, t.a, source.width, source.height, name_of(stated))
+                part = _part_within(own, bounds, path)
+                row, col = (round(float(v)) for v in own.to_grid(*part.to_map(0, 0)))
+                return _read(source, row, col, part.height, part.width), part
+            onto, width, height = calculate_default_transform(
+                stated.to_wkt(), there.to_wkt(), source.width, source.height, *source.bounds
+            )
+            resolution = math.sqrt(abs(onto.a * onto.e))
+            whole = GridGeometry(onto.c, onto.f, resolution, width, height, name_of(there))
+            part = _part_within(whole, bounds, path)
+            with WarpedVRT(
+                source,
+                src_crs=stated.to_wkt(),
+                crs=there.to_wkt(),
+                transform=part.transform(),
+                width=part.width,
+                height=part.height,
+                resampling=Resampling.bilinear,
+                dtype="float32",
+                nodata=float("nan"),
+            ) as warped:
+                return _read(warped, scaling=(source.scales[0], source.offsets[0])), part
+    except RasterioError as error:
+        raise RasterError(f"{path}: not a raster that GDAL can read ({error})") from error
+
+
+def _part_within(whole: GridGeometry, bounds: Bounds, path: Path | str) -> GridGeometry:
+    """The cells of `whole` that `bounds` touch."""
+    x_min, y_min, x_max, y_max = bounds
+    row0, col0 = (max(0, int(v)) for v in whole.cell_of(x_min, y_max))
+    row1, col1 = (int(v) for v in whole.cell_of(x_max, y_min))
+    row1, col1 = min(row1, whole.height - 1), min(col1, whole.width - 1)
+    if row1 <= row0 or col1 <= col0:
+        raise RasterError(
+            f"{path}: covers {tuple(round(v) for v in whole.bounds)} in {whole.crs}, nothing of "
+            f"{tuple(round(v) for v in bounds)}: it is not around this site"
+        )
+    return whole.window(row0, col0, row1 - row0 + 1, col1 - col0 + 1)
+
+
+def _read(
+    source: Any,
+    row0: int = 0,
+    col0: int = 0,
+    height: int | None = None,
+    width: int | None = None,
+    scaling: tuple[float, float] | None = None,
+) -> NDArray[np.float32]:
+    """A window of band 1, strip after strip, so that nothing but the result is ever held whole."""
+    from rasterio.windows import Window
+
+    height, width = height or source.height, width or source.width
+    scale, offset = scaling or (source.scales[0], source.offsets[0])
+    elevation = np.empty((height, width), np.float32)
+    blocks = source.block_shapes[0][0]
+    rows = max(blocks, _ROWS // blocks * blocks)
+    for start in range(0, height, rows):
+        count = min(rows, height - start)
+        band = source.read(1, window=Window(col0, row0 + start, width, count), masked=True)
+        strip = elevation[start : start + count]
+        strip[...] = band.data
+        if (scale, offset) != (1.0, 0.0):
+            strip[...] = band.data.astype(np.float64) * scale + offset
+        if band.mask is not np.ma.nomask:
+            strip[band.mask] = np.nan
+        strip[~np.isfinite(strip)] = np.nan
+    if source.transform.e > 0:
+        _turn(elevation)
+    return elevation
+
+
+def _turn(elevation: NDArray[np.float32]) -> None:
+    """South-up to north-up, in place."""
+    for row in range(len(elevation) // 2):
+        north = elevation[row].copy()
+        elevation[row], elevation[-1 - row] = elevation[-1 - row], north
+
+
+def _check_heights(source: Any, path: Path | str) -> None:
+    if np.issubdtype(np.dtype(source.dtypes[0]), np.complexfloating):
+        raise RasterError(f"{path}: band 1 is {source.dtypes[0]}; elevation must be a real number")
+    if re.search(r"f(oo|ee)?t\b", source.units[0] or "", re.IGNORECASE):
+        raise RasterError(f"{path}: heights are in {source.units[0]}; convert them to metres first")
+
+
+def _crs_of(stated: object, given: str | None, path: Path | str) -> CRS:
+    """The horizontal CRS: what a site is compared with; a stated height system is only checked to be in metres."""
+    from pyproj.exceptions import CRSError
+
+    try:
+        named = None if given is None else CRS.from_user_input(given)
+    except CRSError as error:
+        raise RasterError(f"{path}: unknown CRS {given!r}: give an EPSG code such as EPSG:32611 ({error})") from error
+    crs = named if stated is None else CRS.from_user_input(stated)
+    if crs is None:
+        raise RasterError(f"{path}: the raster carries no CRS; name it with --crs or `dem: {{crs: EPSG:...}}`")
+    for axis in crs.axis_info[2:]:
+        if axis.unit_name != "metre":
+            raise RasterError(f"{path}: heights of {crs.name} are in {axis.unit_name}; convert them to metres first")
+    crs = horizontal(crs)
+    if named is not None and horizontal(named) != crs:
+        raise RasterError(f"{path}: the raster is in {crs.name}, but {given} was given")
+    return crs
+
+
+def horizontal(crs: CRS) -> CRS:
+    """Lidar DEMs often name their height system too (a compound CRS), which a site's CRS does not."""
+    return crs.sub_crs_list[0] if crs.is_compound else crs
+
+
+def name_of(crs: CRS) -> str:
+    """`EPSG:...` where it has such a name, else WKT."""
+    authority = crs.to_authority()
+    return ":".join(authority) if authority else str(crs.to_wkt())
