@@ -40,8 +40,10 @@ def write_simulated_bag(
     site: str,
     quality: int = 78,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    date: str | None = None,
 ) -> int:
-    """Write the frames of a `ltm simulate` folder as a bag of site `site`; the number of frames.
+    """Write the frames of a `ltm simulate` folder, of `date` alone if given, as a bag of site `site`; the number of
+    frames.
 
     `quality`: JPEG quality of the images. Truth depth is along the optical axis (REP-118), of every n-th pixel as the
     scenario says and rounded to 6e-5 of itself, with a camera_info of its own. Raises
@@ -55,6 +57,7 @@ def write_simulated_bag(
         raise RecordingError(
             f"{index_file}: no index of simulated frames ({error}); `ltm simulate` writes one"
         ) from error
+    entries = [e for e in entries if date is None or e.get("date") == date]
     writer = BagWriter(out)
     try:
         with writer as bag:

@@ -33,6 +33,9 @@ class Palette:
     rock: Array
     litter: Array
     track: Array
+    char: Array
+    ash: Array
+    scorched: Array  # foliage killed by heat
 
 
 def palette(green: float, seed: int) -> Palette:
@@ -56,6 +59,9 @@ def palette(green: float, seed: int) -> Palette:
         rock=vary(_rgb(0.345, 0.31, 0.24)),
         litter=vary(_rgb(0.16, 0.125, 0.08)),
         track=vary(_rgb(0.47, 0.385, 0.275)),
+        char=vary(_rgb(0.022, 0.02, 0.018)),
+        ash=vary(_rgb(0.27, 0.262, 0.25)),
+        scorched=vary(_rgb(0.19, 0.098, 0.043)),
     )
 
 
@@ -89,6 +95,13 @@ def ground_texture(cover: LandCover, geometry: GridGeometry, colors: Palette, gr
     out[:] = bare
     for class_id, color in ((GRASS, grass), (SHRUB, under_shrub), (TREE, under_tree)):
         out = np.where((classes == class_id)[..., None], color, out).astype(np.float32)
+    # Ground that is bare without being rocky: what fire, felling and digging have left
+    raw = (classes == BARE) & (cover.sample(cover.stand.rock, x, y) < 0.5)
+    out = np.where(raw[..., None], (0.55 * colors.soil + 0.45 * colors.litter) * (1 + 0.2 * patchy), out)
+    char = cover.sample(cover.stand.char, x, y)[..., None]
+    ashes = np.clip(2.2 * fine + 0.9 * patchy - 0.35, 0, 1)
+    burnt = (1 - ashes) * 1.5 * colors.char + ashes * (0.5 * colors.ash + 0.5 * colors.soil)
+    out = np.where(char > 0.02, (1 - np.clip(1.25 * char, 0, 1)) * out + np.clip(1.25 * char, 0, 1) * burnt, out)
     road = cover.road[_cells(cover, xs, ys)]
     out = np.where((road & (classes == BARE))[..., None], colors.track, out)
     out *= 1 + 0.16 * broad + 0.34 * fine

@@ -15,10 +15,38 @@ from ltm_core.simulator import noise
 from ltm_core.simulator.scenario import VegetationConfig
 from ltm_core.simulator.terrain import HeightField, Terrain
 
-SKY, GRASS, SHRUB, TREE, BARE = 0, 1, 2, 3, 4  # ids of config/labels.yaml
+SKY, GRASS, SHRUB, TREE, BARE, WATER, BUILT = 0, 1, 2, 3, 4, 5, 6  # ids of config/labels.yaml
 UNLABELLED = 255
 
 Field = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Stand:
+    """The state of the plants, cell by cell of the land cover.
+
+    `shrub_height`, `tree_height`: relative to mature ones. `density`: plants relative to closed cover. `conifer`:
+    which trees stand where trees stand. `char` 0..1: black ground. `scorch` 0..1: tree crowns killed by heat. `dead`:
+    class id of what fire has left standing dead (SHRUB, TREE), else 0. `rock`: bare ground is of stone.
+    """
+
+    shrub_height: Field
+    tree_height: Field
+    density: Field
+    conifer: NDArray[np.bool_]
+    char: Field
+    scorch: Field
+    dead: NDArray[np.uint8]
+    rock: NDArray[np.bool_]
+
+    @staticmethod
+    def undisturbed(shape: tuple[int, int], conifer: NDArray[np.bool_] | None = None, density: float = 1.0) -> Stand:
+        """Mature plants, no traces of fire, stone wherever the ground is bare."""
+        zeros, ones = np.zeros(shape, np.float32), np.ones(shape, np.float32)
+        if conifer is None:
+            conifer = np.zeros(shape, bool)
+        dead, rock = np.zeros(shape, np.uint8), np.ones(shape, bool)
+        return Stand(ones, ones, density * ones, conifer, zeros, zeros, dead, rock)
 
 
 @dataclass(frozen=True)
@@ -34,6 +62,7 @@ class LandCover:
     moisture: Field
     exposure: Field
     geometry: GridGeometry
+    stand: Stand
 
     def at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.uint8]:
         """Class ids at map points; the nearest cell's outside."""
@@ -52,7 +81,7 @@ class LandCover:
             hit |= self.road[rows, np.clip(col, 0, self.geometry.width - 1)]
         return hit
 
-    def sample(self, field: Field, x: ArrayLike, y: ArrayLike) -> Field:
+    def sample(self, field: NDArray[Any], x: ArrayLike, y: ArrayLike) -> Field:
         """A raster of this geometry at map points, nearest cell."""
         row, col = self.geometry.cell_of(x, y)
         rows = np.clip(row, 0, self.geometry.height - 1)
@@ -107,7 +136,11 @@ def make_landcover(terrain: Terrain, config: VegetationConfig, seed: int) -> Lan
         taken |= chosen
     road = _track(terrain, fine, seed) if config.road else np.zeros(fine.shape, bool)
     classes[road] = BARE
-    return LandCover(classes, road, moisture, exposure.astype(np.float32), fine)
+    # Conifers hold the high, shaded ground in stands
+    stands = noise.fractal(xs, ys, 500.0, seed + 409, octaves=2, gain=0.5)
+    conifer = np.asarray(0.5 * level - 0.5 * exposure + 0.9 * stands > 0.55, np.bool_)
+    stand = Stand.undisturbed(fine.shape, conifer, config.density)
+    return LandCover(classes, road, moisture, exposure.astype(np.float32), fine, stand)
 
 
 def _site_mask(terrain: Terrain, geometry: GridGeometry) -> NDArray[np.bool_]:

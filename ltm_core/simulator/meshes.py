@@ -153,3 +153,51 @@ def tuft(rng: Rng, radius: float, height: float, color: Array, blades: int) -> S
     triangles = np.stack([a, b, np.hstack([top, tall[:, None]])], axis=1)
     tint = color * (1 + 0.15 * rng.normal(size=(blades, 1)))
     return Soup(triangles, np.clip(0.9 * tint, 0.01, 0.9))
+
+
+def scorched(soup: Soup, share: float, color: Array) -> Soup:
+    """Foliage below the share `share` of the plant's height browned to `color`; trunks and the inside stay dark."""
+    if share <= 0:
+        return soup
+    z = soup.triangles[..., 2].mean(axis=1)
+    leaf = soup.colors[:, 1] > soup.colors[:, 0]
+    dead = leaf & (z < share * float(soup.triangles[..., 2].max()))
+    brightness = soup.colors.mean(axis=1, keepdims=True) / max(float(soup.colors[leaf].mean()), 1e-6)
+    return Soup(soup.triangles, np.where(dead[:, None], np.clip(color * brightness, 0.005, 0.9), soup.colors))
+
+
+def _rod(foot: Array, top: Array, radius: float, color: Array) -> Soup:
+    """A three-sided rod that tapers to a third."""
+    axis = top - foot
+    side = np.cross(axis, (0.31, 0.85, 0.42))
+    side /= max(float(np.linalg.norm(side)), 1e-9)
+    other = np.cross(axis, side) / max(float(np.linalg.norm(axis)), 1e-9)
+    angle = np.arange(3) * 2 * np.pi / 3
+    ring = radius * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other)
+    a, b = foot + ring, top + ring / 3
+    nxt = [1, 2, 0]
+    triangles = np.concatenate([np.stack([a, a[nxt], b[nxt]], axis=1), np.stack([a, b[nxt], b], axis=1)])
+    return Soup(triangles, np.broadcast_to(color, (len(triangles), 3)).copy())
+
+
+def stems(rng: Rng, radius: float, height: float, color: Array, count: int) -> Soup:
+    """The bare charred stems of a burnt shrub, spreading from one foot."""
+    parts = []
+    for _ in range(count):
+        angle, lean = rng.uniform(0, 2 * np.pi), rng.uniform(0.2, 1.0) * radius
+        top = np.array([lean * np.cos(angle), lean * np.sin(angle), height * rng.uniform(0.5, 1.0)])
+        parts.append(_rod(np.array([0.0, 0.0, -0.2]), top, 0.035, color * rng.uniform(0.7, 2.5)))
+    return Soup.joined(parts)
+
+
+def snag(rng: Rng, height: float, color: Array, boughs: int = 14) -> Soup:
+    """A tree that fire has killed: a black trunk with the stubs of its boughs."""
+    lean = rng.normal(0, 0.03 * height, 2)
+    parts = [_trunk(height, 0.03 * height, color * 1.6, (float(lean[0]), float(lean[1])))]
+    for _ in range(boughs):
+        z = height * rng.uniform(0.25, 0.97)
+        angle, reach = rng.uniform(0, 2 * np.pi), (1.15 - z / height) * rng.uniform(0.5, 2.6)
+        foot = np.array([lean[0] * z / height, lean[1] * z / height, z])
+        tip = foot + np.array([reach * np.cos(angle), reach * np.sin(angle), reach * rng.uniform(0.1, 0.7)])
+        parts.append(_rod(foot, tip, 0.012 * height * (1.2 - z / height) + 0.02, color * rng.uniform(0.8, 2.2)))
+    return Soup.joined(parts)

@@ -8,28 +8,29 @@ from scipy import ndimage
 
 from ltm_core.grid import GridGeometry
 from ltm_core.simulator import noise
+from ltm_core.simulator.scenario import DemConfig
 from ltm_core.simulator.terrain import HeightField
 
 _QUANTUM = 1 / 16  # m; a binary fraction deflates well
 
 
-def outdated_dem(
-    site: HeightField, resolution: float, sigma: float, seed: int
-) -> tuple[NDArray[np.float32], GridGeometry]:
-    """Elevation (H, W) float32 at `resolution`, with a smooth error of standard deviation `sigma` (m), and its
-    geometry in the map frame.
+def outdated_dem(site: HeightField, config: DemConfig, seed: int) -> tuple[NDArray[np.float32], GridGeometry]:
+    """Elevation (H, W) float32 at the resolution of `config`, with its smooth error, shift and bias, and its geometry
+    in the map frame.
 
     Each cell is the mean of the ground under it, as a survey grids its returns; the error's wavelengths are 60 m
     to 900 m.
     """
     g = site.geometry
+    resolution = config.resolution
     size = int(g.width * g.resolution // resolution)
     geometry = GridGeometry(g.x_min, g.y_min + size * resolution, resolution, size, size)
     n = 3
     fine = GridGeometry(geometry.x_min, geometry.y_max, resolution / n, size * n, size * n)
     xs, ys = HeightField(np.empty((0, 0), np.float32), fine).axes()
-    rows = (g.y_max - ys) / g.resolution - 0.5
-    cols = (xs - g.x_min) / g.resolution - 0.5
+    east, north = config.shift
+    rows = (g.y_max - (ys - north)) / g.resolution - 0.5
+    cols = ((xs - east) - g.x_min) / g.resolution - 0.5
     z = ndimage.map_coordinates(
         site.elevation, np.meshgrid(rows, cols, indexing="ij"), np.float64, order=1, mode="nearest"
     )
@@ -38,6 +39,7 @@ def outdated_dem(
     error = noise.fractal(xs, ys, 900.0, seed + 601, octaves=4, gain=0.8).astype(np.float64)
     error -= error.mean()
     spread = float(error.std())
-    if sigma > 0 and spread > 0:
-        mean += error * sigma / spread
+    if config.sigma > 0 and spread > 0:
+        mean += error * config.sigma / spread
+    mean += config.bias
     return (np.rint(mean / _QUANTUM) * _QUANTUM).astype(np.float32), geometry

@@ -1,4 +1,20 @@
-"""A simulated recording as files: pictures, truth, frames.json, and the rasters of the site."""
+"""A simulated recording as files: pictures, truth, frames.json, and the rasters of the site.
+
+frames.json                 scenario, CRS, origin, dates, and an entry of each frame with its pose and file names
+NNNN.png, NNNN_labels.png   the picture; class ids of every truth_step-th pixel
+NNNN_truth.npz              range_surface, range_ground (slant metres, +inf sky), labels, at the same pixels
+dem.tif                     the DEM handed to the system: an outdated copy of the first date's ground
+fuel_truth.tif              class ids on the 30 m grid at the first date (edges = 15 mod 30, 255 none)
+truth/DATE/                 the site at each date; all GeoTIFFs are in the scenario's CRS
+    bare_earth.tif          1 m, float32 metres
+    surface.tif             1 m, bare earth + canopy
+    canopy.tif              1 m, height of shrubs and trees over bare earth (0: none; grass and stones not counted)
+    class.tif               1 m, class ids
+    life_form.tif           30 m, majority class id, 255 none
+    fuel_code.tif           30 m, Scott and Burgan fuel model number (91 .. 204), 255 none
+truth/change_A_B.tif        1 m, bits: 1 ground moved >= 0.1 m, 2 plants changed >= 0.5 m, 4 other class
+truth/fuel_change_A_B.tif   30 m, bits: 1 other life form, 2 other fuel code
+"""
 
 from __future__ import annotations
 
@@ -10,34 +26,52 @@ import cv2
 import numpy as np
 
 from ltm_core.errors import ImageError
-from ltm_core.grid import GridGeometry
 from ltm_core.raster_io import write_geotiff
 from ltm_core.simulator.outdated import outdated_dem
+from ltm_core.simulator.rasters import UNKNOWN, SiteRasters, site_change
 from ltm_core.simulator.run import SimulatedFrame, SimulatedSite
 from ltm_core.simulator.scenario import Scenario
-from ltm_core.simulator.truth import fuel_truth
 
-_FUEL_RESOLUTION = 30.0  # m
-_FUEL_COLORS = {0: (0, 0, 0), 1: (222, 205, 95), 2: (196, 120, 45), 3: (30, 115, 55), 4: (165, 150, 140)}
+_COLORS = {
+    0: (0, 0, 0),
+    1: (222, 205, 95),
+    2: (196, 120, 45),
+    3: (30, 115, 55),
+    4: (165, 150, 140),
+    5: (35, 85, 190),
+    6: (205, 50, 60),
+}
 
 
-def write_site(out: Path, scenario: Scenario, site: SimulatedSite) -> None:
-    """`dem.tif`, the outdated DEM that the system gets, and `fuel_truth.tif`, class ids on the 30 m grid (edges =
-    15 mod 30, 255 none)."""
+def write_site(out: Path, scenario: Scenario, site: SimulatedSite, truth: SiteRasters) -> None:
+    """`dem.tif` and `fuel_truth.tif` of the first date's site and its rasters."""
     out.mkdir(parents=True, exist_ok=True)
     x0, y0 = scenario.origin
-    elevation, geometry = outdated_dem(site.terrain.site, scenario.dem_resolution, scenario.dem_sigma, scenario.seed)
+    elevation, geometry = outdated_dem(site.terrain.site, scenario.dem, scenario.seed)
     write_geotiff(out / "dem.tif", elevation, geometry.translated(x0, y0, scenario.crs))
-    x_min, y_min, x_max, y_max = site.terrain.site.geometry.bounds
-    bounds = (x_min + x0, y_min + y0, x_max + x0, y_max + y0)
-    fuel_grid = GridGeometry.snapped(bounds, _FUEL_RESOLUTION, 15.0, scenario.crs)
-    write_geotiff(
-        out / "fuel_truth.tif",
-        fuel_truth(site.cover, fuel_grid, (x0, y0)),
-        fuel_grid,
-        nodata=255,
-        colormap=_FUEL_COLORS,
-    )
+    write_geotiff(out / "fuel_truth.tif", truth.life_form, truth.coarse, nodata=UNKNOWN, colormap=_COLORS)
+
+
+def write_truth(out: Path, date: str, truth: SiteRasters) -> None:
+    """`truth/DATE/`: the rasters of one date."""
+    folder = out / "truth" / date
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ("bare_earth", "surface", "canopy"):
+        # Millimetres: the rest is noise that does not deflate
+        rounded = np.rint(getattr(truth, name).astype(np.float64) * 1024) / 1024
+        write_geotiff(folder / f"{name}.tif", rounded.astype(np.float32), truth.fine)
+    write_geotiff(folder / "class.tif", truth.classes, truth.fine, nodata=UNKNOWN, colormap=_COLORS)
+    write_geotiff(folder / "life_form.tif", truth.life_form, truth.coarse, nodata=UNKNOWN, colormap=_COLORS)
+    write_geotiff(folder / "fuel_code.tif", truth.fuel_code, truth.coarse, nodata=UNKNOWN)
+
+
+def write_change(out: Path, names: tuple[str, str], before: SiteRasters, after: SiteRasters) -> None:
+    """`truth/change_A_B.tif` and `truth/fuel_change_A_B.tif` between the dates `names`."""
+    change = site_change(before, after)
+    a, b = names
+    write_geotiff(out / "truth" / f"change_{a}_{b}.tif", change.fine, before.fine)
+    coarse = change.life_form.astype(np.uint8) | (change.fuel_code.astype(np.uint8) << 1)
+    write_geotiff(out / "truth" / f"fuel_change_{a}_{b}.tif", coarse, before.coarse)
 
 
 def write_frame(out: Path, number: int, frame: SimulatedFrame) -> dict[str, Any]:
@@ -63,6 +97,7 @@ def write_frame(out: Path, number: int, frame: SimulatedFrame) -> dict[str, Any]
         "truth": f"{stem}_truth.npz",
         "labels": f"{stem}_labels.png",
         "camera_name": shot.camera_name,
+        "date": shot.date,
         "stamp_ns": shot.stamp_ns,
         "camera": _camera(shot.camera),
         "truth_camera": _camera(frame.truth.camera),
@@ -96,6 +131,7 @@ def write_index(out: Path, scenario: Scenario, entries: list[dict[str, Any]]) ->
         "origin": list(scenario.origin),
         "truth_step": scenario.truth_step,
         "curvature": scenario.curvature,
+        "dates": [{"name": d.name, "years": d.years} for d in scenario.dates],
         "frames": sorted(entries, key=lambda e: (e["stamp_ns"], e["camera_name"])),
     }
     part = out / "frames.json.part"

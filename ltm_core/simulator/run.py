@@ -10,17 +10,24 @@ from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.pose import Pose
+from ltm_core.simulator.appearance import palette
 from ltm_core.simulator.imaging import add_haze, develop
 from ltm_core.simulator.landcover import LandCover, make_landcover
+from ltm_core.simulator.rasters import SiteRasters, site_rasters
 from ltm_core.simulator.render import air_length, airlight, render_radiance, render_range
-from ltm_core.simulator.scenario import Scenario
+from ltm_core.simulator.scenario import DateConfig, Scenario
 from ltm_core.simulator.scene import SceneBuilder, View
+from ltm_core.simulator.stand import changed_terrain, stand_at
 from ltm_core.simulator.terrain import Terrain, make_terrain
 from ltm_core.simulator.truth import FrameTruth, frame_truth
+from ltm_core.simulator.vegetation import Planting
 from ltm_core.simulator.viewpoints import draw_viewpoints
 
 # Where in a pixel the distances for haze are taken, besides its centre
 _HAZE_SAMPLES = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
+
+
+_YEAR_NS = 365.2425 * 86_400 * 1e9
 
 
 @dataclass(frozen=True)
@@ -32,6 +39,7 @@ class Shot:
     pose: Pose
     stamp_ns: int
     mast: float
+    date: str
 
 
 @dataclass(frozen=True)
@@ -52,13 +60,34 @@ class SimulatedSite:
 
 
 def make_site(scenario: Scenario) -> SimulatedSite:
-    """The true site of a scenario: a function of its seed, terrain and vegetation alone."""
+    """The site as it was before the scenario's first date: a function of its seed, terrain and vegetation alone."""
     terrain = make_terrain(scenario.terrain, scenario.seed)
     return SimulatedSite(terrain, make_landcover(terrain, scenario.vegetation, scenario.seed))
 
 
-def plan_shots(scenario: Scenario, site: SimulatedSite) -> list[Shot]:
-    """All frames, one eye point after another, each eye's in time order."""
+def site_at(scenario: Scenario, site: SimulatedSite, date: DateConfig) -> SimulatedSite:
+    """The site at one of the scenario's dates: its years and changes applied; what they do not touch stays the same."""
+    v = scenario.vegetation
+    terrain = changed_terrain(site.terrain, scenario.changes, date.years, scenario.seed)
+    cover = stand_at(site.cover, scenario.changes, date.years, v.age, v.growing, scenario.seed)
+    return SimulatedSite(terrain, cover)
+
+
+def rasters_at(scenario: Scenario, site: SimulatedSite) -> SiteRasters:
+    """The true rasters of a dated site."""
+    v = scenario.vegetation
+    planting = Planting(site.terrain, site.cover, v, palette(v.green, scenario.seed), scenario.seed)
+    return site_rasters(site.terrain.site, site.cover, planting, scenario.origin, scenario.crs)
+
+
+def plan_shots(scenario: Scenario, site: SimulatedSite, date: DateConfig | None = None) -> list[Shot]:
+    """All frames of a date (the first unless given), one eye point after another, each eye's in time order.
+
+    Masts stand on the ground of the first date, whatever happens to it later.
+    """
+    if date is None:
+        date = scenario.dates[0]
+    start = scenario.start_ns + round(date.years * _YEAR_NS)
     shots: list[Shot] = []
     for setup in scenario.cameras:
         camera = scenario.camera_model(setup.hfov_deg)
@@ -66,21 +95,21 @@ def plan_shots(scenario: Scenario, site: SimulatedSite) -> list[Shot]:
         patrol = setup.patrol
         pitches = patrol.pitch_deg * len(patrol.azimuth_deg) if len(patrol.pitch_deg) == 1 else patrol.pitch_deg
         for k, (azimuth, pitch) in enumerate(list(zip(patrol.azimuth_deg, pitches, strict=True)) * patrol.rounds):
-            stamp = scenario.start_ns + round((patrol.start_s + k * patrol.interval_s) * 1e9)
+            stamp = start + round((patrol.start_s + k * patrol.interval_s) * 1e9)
             pose = Pose.from_angles(eye, azimuth, pitch, patrol.roll_deg)
-            shots.append(Shot(setup.name, camera, pose, stamp, setup.mast))
+            shots.append(Shot(setup.name, camera, pose, stamp, setup.mast, date.name))
     if scenario.views is not None:
         for place, views in enumerate(draw_viewpoints(site.terrain.site, scenario.views, scenario.seed)):
             for v in views:
                 pose = Pose.from_angles(v.eye, v.azimuth_deg, v.pitch_deg, v.roll_deg)
                 mast = float(v.eye[2] - site.terrain.site.at(v.eye[0], v.eye[1]))
-                stamp = scenario.start_ns + len(shots) * 2_000_000_000
-                shots.append(Shot(f"view{place:02d}", scenario.camera_model(v.hfov_deg), pose, stamp, mast))
+                stamp = start + len(shots) * 2_000_000_000
+                shots.append(Shot(f"view{place:02d}", scenario.camera_model(v.hfov_deg), pose, stamp, mast, date.name))
     return shots
 
 
 def render_shots(scenario: Scenario, site: SimulatedSite, shots: list[Shot]) -> Iterator[SimulatedFrame]:
-    """Render `shots` one after another; the scene is rebuilt only where the eye moves.
+    """Render `shots` of one dated site one after another; the scene is rebuilt only where the eye moves.
 
     Nothing in the scene moves, so a pose that comes again shares its light and its truth with the first time; the
     sensor's noise is its own.

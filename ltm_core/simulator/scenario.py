@@ -6,17 +6,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from ltm_core.camera import Camera
 from ltm_core.errors import ConfigError
+from ltm_core.simulator.changes import Change, Strict
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class TerrainConfig(_Strict):
+class TerrainConfig(Strict):
     """The ground. Lengths in metres; the site is the square [0, size]^2 of the map frame."""
 
     size: float = Field(4000.0, gt=0)
@@ -30,7 +27,7 @@ class TerrainConfig(_Strict):
     roughness: float = Field(1.0, ge=0)  # m, relief below the evolution's scale
 
 
-class VegetationConfig(_Strict):
+class VegetationConfig(Strict):
     """Cover of the land in wishes: the shares of the site that each class should hold, the rest is shrub."""
 
     tree: float = Field(0.2, ge=0, le=1)
@@ -39,6 +36,9 @@ class VegetationConfig(_Strict):
     road: bool = True
     patch: float = Field(260.0, gt=0)  # m, the longest wavelength of patches
     green: float = Field(0.25, ge=0, le=1)  # 0: cured, 1: a wet spring
+    age: float = Field(25.0, gt=0)  # years of the shrubs at the start; trees are 35 years older
+    growing: bool = True  # plants age with the dates
+    density: float = Field(1.0, ge=0, le=3)  # of shrubs and trees, relative to closed cover
     detail_radius: float = Field(1300.0, gt=0)  # m round a camera within which every shrub has its own shape
     grass_radius: float = Field(220.0, ge=0)  # m round a camera within which grass stands as blades
 
@@ -49,20 +49,28 @@ class VegetationConfig(_Strict):
         return self
 
 
-class SunConfig(_Strict):
+class SunConfig(Strict):
     azimuth_deg: float = 215.0
     elevation_deg: float = Field(38.0, gt=2, le=90)
     turbidity: float = Field(3.5, ge=1, le=10)
 
 
-class AtmosphereConfig(_Strict):
+class AtmosphereConfig(Strict):
     """Haze: radiance L at distance d is seen as L exp(-d / visibility) + airlight (1 - exp(-d / visibility))."""
 
     visibility: float = Field(11000.0, gt=0)  # m, 1/e length in green
     blue: float = 0.35  # how much faster blue fades than red: exponents 1 - blue/2 (red) .. 1 + blue/2 (blue)
 
 
-class ImagingConfig(_Strict):
+class CloudConfig(Strict):
+    """Fair-weather clouds, with their shadows: `cover` is the share of the sky, `base` metres above the site."""
+
+    cover: float = Field(gt=0, lt=1)
+    base: float = Field(1500.0, gt=100)
+    size: float = Field(1100.0, gt=50)  # m, the longest wavelength
+
+
+class ImagingConfig(Strict):
     samples: int = Field(24, ge=1)  # light paths a pixel
     exposure: float = Field(1.0, gt=0)  # relative to the automatic one
     vignetting: float = Field(0.25, ge=0, le=1)  # part of cos^4 fall-off applied
@@ -70,11 +78,11 @@ class ImagingConfig(_Strict):
     denoise: bool = True
 
 
-class PatrolConfig(_Strict):
+class PatrolConfig(Strict):
     """A moving head's round: every azimuth in turn, `rounds` times, one frame each `interval_s`."""
 
     azimuth_deg: Annotated[list[float], Field(min_length=1)]
-    pitch_deg: list[float] = [-6.0]  # one for all azimuths or one each
+    pitch_deg: list[float] = Field([-6.0])  # one for all azimuths or one each
     roll_deg: float = 0.0
     rounds: int = Field(1, ge=1)
     interval_s: float = Field(2.0, gt=0)
@@ -89,7 +97,7 @@ class PatrolConfig(_Strict):
         return self
 
 
-class CameraSetup(_Strict):
+class CameraSetup(Strict):
     """A camera on a mast at map (x, y), `mast` metres above the true ground."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
@@ -100,7 +108,7 @@ class CameraSetup(_Strict):
     patrol: PatrolConfig
 
 
-class ViewsConfig(_Strict):
+class ViewsConfig(Strict):
     """Seeded viewpoints for training: knolls and slopes, with heights, headings and fields of view drawn at random."""
 
     positions: int = Field(8, ge=1)
@@ -111,12 +119,32 @@ class ViewsConfig(_Strict):
     hfov_deg: tuple[float, float] = (35.0, 68.0)
 
 
-class ImageSize(_Strict):
+class DemConfig(Strict):
+    """The DEM handed to the system: an older, coarser, shifted copy of the first date's true ground."""
+
+    resolution: float = Field(5.0, gt=0)
+    sigma: float = Field(0.7, ge=0)  # m, standard deviation of its smooth error
+    shift: tuple[float, float] = (0.0, 0.0)  # m by which its content lies too far east, north
+    bias: float = 0.0  # m by which it is too high
+
+
+class DateConfig(Strict):
+    """One visit to the site, `years` after the scenario's start; what is given here replaces the scenario's own."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    years: float = Field(0.0, ge=0)
+    green: float | None = Field(None, ge=0, le=1)
+    sun: SunConfig | None = None
+    atmosphere: AtmosphereConfig | None = None
+    clouds: CloudConfig | None = None
+
+
+class ImageSize(Strict):
     width: int = Field(1920, ge=8)
     height: int = Field(1080, ge=8)
 
 
-class Scenario(_Strict):
+class Scenario(Strict):
     """One simulated recording. Unknown keys are refused; defaults stand here and nowhere else."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
@@ -132,9 +160,11 @@ class Scenario(_Strict):
     sun: SunConfig = SunConfig()
     atmosphere: AtmosphereConfig = AtmosphereConfig()
     imaging: ImagingConfig = ImagingConfig()
-    dem_resolution: float = Field(5.0, gt=0)
-    dem_sigma: float = Field(0.7, ge=0)  # m, smooth error of the DEM handed to the system
-    cameras: list[CameraSetup] = []
+    clouds: CloudConfig | None = None
+    dem: DemConfig = DemConfig()
+    dates: list[DateConfig] = Field([DateConfig(name="now")], min_length=1)
+    changes: list[Change] = Field([])
+    cameras: list[CameraSetup] = Field([])
     views: ViewsConfig | None = None
 
     @model_validator(mode="after")
@@ -144,10 +174,29 @@ class Scenario(_Strict):
         names = [c.name for c in self.cameras]
         if len(set(names)) != len(names):
             raise ValueError(f"camera names must differ, got {names}")
+        dates = [d.name for d in self.dates]
+        if len(set(dates)) != len(dates):
+            raise ValueError(f"names of dates must differ, got {dates}")
+        if sorted(d.years for d in self.dates) != [d.years for d in self.dates]:
+            raise ValueError(f"dates must be in order of years, got {[d.years for d in self.dates]}")
+        for i, change in enumerate(self.changes):
+            x_min, y_min, x_max, y_max = change.mask.bounds()
+            if x_min < 0 or y_min < 0 or x_max > self.terrain.size or y_max > self.terrain.size:
+                raise ValueError(
+                    f"changes.{i} ({change.kind}): its mask reaches x {x_min:g} .. {x_max:g}, "
+                    f"y {y_min:g} .. {y_max:g}, outside the site [0, {self.terrain.size:g}]^2; draw it inside"
+                )
         for c in self.cameras:
             if not (0 < c.x < self.terrain.size and 0 < c.y < self.terrain.size):
                 raise ValueError(f"camera {c.name} at ({c.x}, {c.y}) is outside the site [0, {self.terrain.size}]^2")
         return self
+
+    def at(self, date: DateConfig) -> Scenario:
+        """This scenario with the season, sun, air and clouds of `date` as its own."""
+        own = {n: getattr(date, n) for n in ("sun", "atmosphere", "clouds") if getattr(date, n) is not None}
+        if date.green is not None:
+            own["vegetation"] = self.vegetation.model_copy(update={"green": date.green})
+        return self.model_copy(update=own)
 
     def camera_model(self, hfov_deg: float) -> Camera:
         """The undistorted camera of this scenario's image size."""

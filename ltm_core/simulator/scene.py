@@ -18,10 +18,11 @@ from ltm_core.grid import GridGeometry
 from ltm_core.simulator import noise
 from ltm_core.simulator.appearance import Palette, ground_texture, palette
 from ltm_core.simulator.landcover import BARE, GRASS, SHRUB, TREE, UNLABELLED, LandCover
+from ltm_core.simulator.prototypes import Prototype
 from ltm_core.simulator.scenario import Scenario
 from ltm_core.simulator.sky import daylight
 from ltm_core.simulator.terrain import HeightField, Terrain
-from ltm_core.simulator.vegetation import Planting, Prototype
+from ltm_core.simulator.vegetation import Planting
 
 Array = NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -14,23 +14,27 @@ def simulate(
     first: Annotated[int, typer.Option(help="Number of the first frame to render (to go on after a stop).")] = 0,
     limit: Annotated[int | None, typer.Option(help="Render at most so many frames.")] = None,
     bag: Annotated[
-        Path | None, typer.Option(help="Also write the frames as a recording (MCAP), with truth topics.")
+        Path | None,
+        typer.Option(
+            help="Also write the frames as a recording (MCAP) with truth topics; of several dates, in BAG/DATE."
+        ),
     ] = None,
-    site_only: Annotated[bool, typer.Option("--site-only", help="Write dem.tif and fuel_truth.tif only.")] = False,
+    site_only: Annotated[bool, typer.Option("--site-only", help="Write the rasters only.")] = False,
 ) -> None:
-    """Render SCENARIO: pictures, truth (ranges and labels), frames.json, the DEM handed to the system, the true
-    fuel raster."""
+    """Render SCENARIO: pictures with truth (ranges, labels), frames.json, the DEM handed to the system, and true
+    rasters of every date with what changed between them."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
         Progress,
+        TaskID,
         TextColumn,
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
 
-    from ltm_core.simulator.output_io import write_frame, write_index, write_site
-    from ltm_core.simulator.run import make_site, plan_shots, render_shots
+    from ltm_core.simulator.output_io import write_change, write_frame, write_index, write_site, write_truth
+    from ltm_core.simulator.run import make_site, plan_shots, rasters_at, render_shots, site_at
     from ltm_core.simulator.scenario import load_scenario
 
     config = load_scenario(scenario)
@@ -44,22 +48,43 @@ def simulate(
     with Progress(*columns) as progress:
         task = progress.add_task(f"{config.name}: terrain and vegetation", total=None)
         site = make_site(config)
-        write_site(out, config, site)
+        standing = site_at(config, site, config.dates[0])
+        jobs = []
+        before = None
+        for i, date in enumerate(config.dates):
+            progress.update(task, description=f"{config.name}: truth of {date.name}")
+            here, dated = config.at(date), site_at(config, site, date)
+            truth = rasters_at(here, dated)
+            write_truth(out, date.name, truth)
+            if before is None:
+                write_site(out, config, dated, truth)
+            else:
+                write_change(out, (config.dates[i - 1].name, date.name), before, truth)
+            before = truth
+            jobs.append((here, dated, plan_shots(config, standing, date)))
         if site_only:
             progress.update(task, total=0, description=f"{config.name}: site written to {out}")
             return
-        shots = plan_shots(config, site)
-        last = len(shots) if limit is None else min(len(shots), first + limit)
+        total = sum(len(shots) for _, _, shots in jobs)
+        last = total if limit is None else min(total, first + limit)
         progress.update(task, total=last - first, description=f"{config.name}: rendering")
-        entries = []
-        for number, frame in enumerate(render_shots(config, site, shots[first:last]), start=first):
-            entries.append(write_frame(out, number, frame))
-            write_index(out, config, entries)
-            progress.update(task, completed=number + 1 - first)
+        entries: list[dict[str, Any]] = []
+        begin = 0
+        for here, dated, shots in jobs:
+            wanted = shots[max(0, first - begin) : max(0, last - begin)]
+            for number, frame in enumerate(render_shots(here, dated, wanted), start=max(first, begin)):
+                entries.append(write_frame(out, number, frame))
+                write_index(out, config, entries)
+                progress.update(task, completed=len(entries))
+            begin += len(shots)
         if bag is not None:
             from ltm_ros.simulated_bag import write_simulated_bag
 
-            task = progress.add_task(f"{config.name}: recording {bag}", total=len(entries))
-            write_simulated_bag(
-                out, bag, config.name, progress=lambda done, total: progress.update(task, completed=done, total=total)
-            )
+            for date in config.dates:
+                place = bag if len(config.dates) == 1 else bag / date.name
+                task = progress.add_task(f"{config.name}: recording {place}", total=None)
+
+                def show(done: int, total: int, task: TaskID = task) -> None:
+                    progress.update(task, completed=done, total=total)
+
+                write_simulated_bag(out, place, config.name, progress=show, date=date.name)

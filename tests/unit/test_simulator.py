@@ -13,9 +13,16 @@ from ltm_core.grid import GridGeometry
 from ltm_core.simulator import noise
 from ltm_core.simulator.erosion import drainage_area
 from ltm_core.simulator.imaging import add_haze, develop
-from ltm_core.simulator.landcover import BARE, GRASS, SHRUB, TREE, LandCover, make_landcover
+from ltm_core.simulator.landcover import BARE, GRASS, SHRUB, TREE, LandCover, Stand, make_landcover
 from ltm_core.simulator.outdated import outdated_dem
-from ltm_core.simulator.scenario import AtmosphereConfig, ImagingConfig, TerrainConfig, ViewsConfig, load_scenario
+from ltm_core.simulator.scenario import (
+    AtmosphereConfig,
+    DemConfig,
+    ImagingConfig,
+    TerrainConfig,
+    ViewsConfig,
+    load_scenario,
+)
 from ltm_core.simulator.scenario import VegetationConfig as Vegetation
 from ltm_core.simulator.terrain import HeightField, Terrain, make_terrain
 from ltm_core.simulator.truth import fuel_truth
@@ -139,10 +146,10 @@ def test_track_crosses_the_site(terrain: Terrain) -> None:
 
 
 def test_outdated_dem_is_coarse_and_wrong_by_its_sigma(terrain: Terrain) -> None:
-    elevation, geometry = outdated_dem(terrain.site, 5.0, 0.7, seed=5)
+    elevation, geometry = outdated_dem(terrain.site, DemConfig(resolution=5.0, sigma=0.7), seed=5)
     assert geometry.resolution == 5.0
     assert geometry.shape == (102, 102)
-    exact, _ = outdated_dem(terrain.site, 5.0, 0.0, seed=5)
+    exact, _ = outdated_dem(terrain.site, DemConfig(resolution=5.0, sigma=0.0), seed=5)
     error = elevation - exact
     assert error.mean() == pytest.approx(0.0, abs=0.02)
     assert error.std() == pytest.approx(0.7, abs=0.03)
@@ -155,9 +162,16 @@ def test_outdated_dem_of_a_plane_is_the_plane() -> None:
     flat = HeightField(np.zeros((100, 100), np.float32), geometry)
     x, y = np.meshgrid(*flat.axes())
     slope = HeightField((50 + 0.25 * x - 0.125 * y).astype(np.float32), geometry)
-    elevation, g = outdated_dem(slope, 10.0, 0.0, seed=1)
+    elevation, g = outdated_dem(slope, DemConfig(resolution=10.0, sigma=0.0), seed=1)
     x, y = g.to_map(*np.mgrid[0 : g.height, 0 : g.width])
     np.testing.assert_allclose(elevation[1:-1, 1:-1], (50 + 0.25 * x - 0.125 * y)[1:-1, 1:-1], atol=1 / 32 + 1e-4)
+
+
+def test_outdated_dem_is_shifted_and_biased_as_told(terrain: Terrain) -> None:
+    exact, _ = outdated_dem(terrain.site, DemConfig(sigma=0.0), seed=5)
+    wrong, _ = outdated_dem(terrain.site, DemConfig(sigma=0.0, shift=(10.0, -15.0), bias=2.0), seed=5)
+    # Content 10 m east is 2 columns right, 15 m south is 3 rows down
+    np.testing.assert_allclose(wrong[8:90, 8:90], exact[5:87, 6:88] + 2.0, atol=0.07)
 
 
 def test_fuel_truth_is_the_majority_in_snapped_cells() -> None:
@@ -166,7 +180,7 @@ def test_fuel_truth_is_the_majority_in_snapped_cells() -> None:
     classes[:6, :6] = TREE  # map x 0..30, y 30..60
     classes[:3, 6:12] = GRASS  # half of x 30..60, y 30..60: a tie of grass and shrub
     zeros = np.zeros(classes.shape, np.float32)
-    cover = LandCover(classes, np.zeros(classes.shape, bool), zeros, zeros, geometry)
+    cover = LandCover(classes, np.zeros(classes.shape, bool), zeros, zeros, geometry, Stand.undisturbed(classes.shape))
     cells = GridGeometry.snapped((1015.0, 2025.0, 1085.0, 2075.0), 30.0, 15.0, "EPSG:32611")
     truth = fuel_truth(cover, cells, (1005.0, 2025.0))
     assert cells.shape == (2, 3)

@@ -15,10 +15,10 @@ from ltm_core.camera import Camera
 from ltm_core.errors import CameraError
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
-from ltm_core.simulator.landcover import BARE, GRASS, SHRUB, SKY, TREE, LandCover
+from ltm_core.simulator.landcover import BARE, GRASS, SHRUB, SKY, TREE, LandCover, Stand
 from ltm_core.simulator.output_io import write_frame, write_index, write_site
 from ltm_core.simulator.render import render_range
-from ltm_core.simulator.run import SimulatedSite, plan_shots, render_shots
+from ltm_core.simulator.run import SimulatedSite, plan_shots, rasters_at, render_shots
 from ltm_core.simulator.scenario import Scenario
 from ltm_core.simulator.scene import EARTH_RADIUS, REFRACTION, SceneBuilder, mitsuba
 from ltm_core.simulator.terrain import HeightField, Terrain
@@ -49,7 +49,9 @@ def plane_site(classes: NDArray[np.uint8] | None = None, size: float = 600.0) ->
         cover = classes[rows[:, None], cols[None, :]].astype(np.uint8)
     zeros = np.zeros(grid.shape, np.float32)
     terrain = Terrain(fields[0], fields[1], np.full(wide.shape, 3.0, np.float32))
-    return SimulatedSite(terrain, LandCover(cover, zeros.astype(bool), zeros, zeros, grid))
+    return SimulatedSite(
+        terrain, LandCover(cover, zeros.astype(bool), zeros, zeros, grid, Stand.undisturbed(grid.shape))
+    )
 
 
 def scenario(**changes: Any) -> Scenario:
@@ -161,7 +163,7 @@ def test_files_of_a_recording(planted: SimulatedSite, tmp_path: Path) -> None:
     import rasterio
 
     config = scenario()
-    write_site(tmp_path, config, planted)
+    write_site(tmp_path, config, planted, rasters_at(config, planted))
     shots = plan_shots(config, planted)[:1]
     entries = [write_frame(tmp_path, k, f) for k, f in enumerate(render_shots(config, planted, shots))]
     write_index(tmp_path, config, entries)
