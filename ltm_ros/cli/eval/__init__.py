@@ -9,6 +9,9 @@ from __future__ import annotations
 import typer
 from typer.core import TyperGroup
 
+from ltm_ros.cli.eval.bag import bag
+from ltm_ros.cli.eval.sim2real import sim2real
+
 WHOLE = "bag"
 """The command that runs where the first argument is no command: a recorded run as a whole."""
 
@@ -23,3 +26,5 @@ class EvalGroup(TyperGroup):
 
 
 evaluate = typer.Typer(cls=EvalGroup, no_args_is_help=True, help="Score a recorded run, or one part of the system.")
+evaluate.command(WHOLE)(bag)
+evaluate.command()(sim2real)

@@ -1,0 +1,78 @@
+"""Folders of depth maps that others made: UniDepth, Depth Pro, Depth Anything, a lidar."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from ltm_core.config_io import load_yaml
+from ltm_core.errors import ImageError
+from ltm_core.metrics.depth_fit import DepthKind
+from ltm_core.site import Config
+
+SUFFIXES = (".npy", ".png", ".tif", ".tiff")
+CONFIG = "depth_maps.yaml"
+
+
+class DepthMapsConfig(Config):
+    """What the numbers in a folder mean: `depth_maps.yaml` in it; all keys may be left out but for 16-bit PNG."""
+
+    kind: DepthKind = "metric"
+    along: Literal["axis", "ray"] = "axis"
+    """Metres along the optical axis (z), or along each pixel's ray."""
+    metres_per_unit: float | None = Field(None, gt=0)
+    """Metres that 1 stands for; needed for integers (millimetres: 0.001). Integer 0 is unknown."""
+
+
+@dataclass(frozen=True)
+class DepthMapFolder:
+    """Depth maps named `<camera>/<stamp in ns>.npy` or `<camera>_<stamp in ns>.npy`; also .png (16 bit), .tif."""
+
+    name: str
+    path: Path
+    config: DepthMapsConfig
+
+    @classmethod
+    def open(cls, name: str, path: Path) -> DepthMapFolder:
+        """Raises ImageError where the folder holds no depth map, ConfigError on a wrong depth_maps.yaml."""
+        if not any(file.suffix in SUFFIXES for file in path.rglob("*")):
+            raise ImageError(f"{path} holds no depth map: name them CAMERA/STAMP_NS.npy, .png or .tif")
+        config = load_yaml(path / CONFIG, DepthMapsConfig) if (path / CONFIG).is_file() else DepthMapsConfig()
+        return cls(name, path, config)
+
+    def read(self, camera: str, stamp_ns: int) -> NDArray[np.float32] | None:
+        """The map of a frame, (H, W), NaN unknown, in the folder's own kind; None where there is none.
+
+        Raises ImageError on a file that is no image of one channel, or integers without a unit.
+        """
+        for stem in (f"{camera}/{stamp_ns}", f"{camera}_{stamp_ns}"):
+            for suffix in SUFFIXES:
+                file = self.path / (stem + suffix)
+                if file.is_file():
+                    return self._load(file)
+        return None
+
+    def _load(self, file: Path) -> NDArray[np.float32]:
+        try:
+            values = (
+                np.load(file, allow_pickle=False)
+                if file.suffix == ".npy"
+                else cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+            )
+        except (OSError, ValueError, cv2.error) as error:
+            raise ImageError(f"{file}: no depth map ({error})") from error
+        values = np.squeeze(values) if values is not None else np.empty(0)
+        if values.ndim != 2 or values.dtype.kind not in "fiu":
+            raise ImageError(f"{file}: a depth map has one number a pixel, this is {values.shape} {values.dtype}")
+        if values.dtype.kind in "iu" and self.config.metres_per_unit is None:
+            raise ImageError(
+                f"{file}: integers say no unit: write metres_per_unit (0.001 for millimetres) to {self.path / CONFIG}"
+            )
+        depth = values.astype(np.float32) * np.float32(self.config.metres_per_unit or 1)
+        return np.where(values == 0, np.float32(np.nan), depth) if values.dtype.kind in "iu" else depth

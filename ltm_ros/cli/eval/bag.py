@@ -1,0 +1,76 @@
+"""`ltm eval BAG`: a recorded run against the truth that was recorded or kept with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def bag(
+    bag: Annotated[Path, typer.Argument(help="Bag folder or .mcap file of a run, such as out/demo/recording.")],
+    site: Annotated[
+        Path | None, typer.Option("--site", help="Site file; default: beside the bag, or a shipped one of its name.")
+    ] = None,
+    truth: Annotated[
+        Path | None, typer.Option("--truth", help="Folder of truth rasters; default: the site file's.")
+    ] = None,
+    json_path: Annotated[Path | None, typer.Option("--json", help="Also write every figure to this file.")] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Also draw the figures to this folder, with a page of them.")
+    ] = None,
+    depth_maps: Annotated[
+        list[str] | None,
+        typer.Option("--depth-maps", metavar="NAME=FOLDER", help="Another source of depth: FOLDER/CAMERA/STAMP_NS.npy"),
+    ] = None,
+    before: Annotated[
+        Path | None, typer.Option("--before", help="For the report: a run of the same cameras at an earlier date.")
+    ] = None,
+    photos: Annotated[
+        Path | None, typer.Option("--photos", help="For the report: a folder of real photos to stand beside.")
+    ] = None,
+) -> None:
+    """Score BAG: depth by range for each source, labels, skyline, fuel cells, terrain and latency, in one table."""
+    import json
+    import os
+    import platform
+
+    from rich.console import Console
+
+    from ltm_core.errors import ConfigError, RecordingError
+    from ltm_core.metrics.depth_maps_io import DepthMapFolder
+    from ltm_ros.bag_score import Recorded, score_bag
+    from ltm_ros.eval_tables import as_json, rich_table, tables
+
+    console = Console()
+    folders = []
+    for given in depth_maps or []:
+        name, equals, folder = given.partition("=")
+        if not (name and equals and folder):
+            raise ConfigError(f"--depth-maps {given!r}: give NAME=FOLDER, such as --depth-maps depth_pro=out/depth_pro")
+        folders.append(DepthMapFolder.open(name, Path(folder)))
+    recorded = Recorded.find(bag, site, truth)
+    with console.status("scoring"):
+        score = score_bag(recorded, folders)
+    parts = tables(score)
+    nothing = all(part.title == "lacking" for part in parts)
+    if not nothing:
+        console.print(rich_table(parts, f"{bag} against truth"))
+    for part in parts:
+        if part.note:
+            console.print(f"[bold]{part.title}[/]: {part.note}", highlight=False)
+    for reason in score.lacking:
+        console.print(f"[yellow]lacking[/] {reason}", highlight=False)
+    console.print(
+        f"conditions: site {recorded.site_path}, {score.frames} frames with truth, "
+        f"network {recorded.site.model}, truth rasters {recorded.truth}; "
+        f"{len(os.sched_getaffinity(0))} cores, Python {platform.python_version()}",
+        highlight=False,
+    )
+    if json_path is not None:
+        json_path.parent.mkdir(parents=True, exist_ok=True)
+        json_path.write_text(json.dumps(as_json(score), indent=1) + "\n", encoding="utf-8")
+        console.print(f"figures: {json_path}")
+    if nothing:
+        raise RecordingError(f"{bag} could not be scored on anything; run the graph on it with `ltm replay --record`")
