@@ -70,6 +70,43 @@ class FuelConfig(Config):
     """Metres beyond which a pixel's footprint is too coarse to vote for a cell."""
 
 
+class TerrainConfig(Config):
+    """The living terrain; a site that has this section runs the node `terrain`. Lengths in metres, times in seconds."""
+
+    resolution: float | None = Field(None, gt=0)
+    """Cell size; None: the DEM's."""
+    min_range: float = Field(20.0, ge=0)
+    """What is nearer stands before the lens."""
+    max_range: float = Field(1500.0, gt=0)
+    """Beyond it, depth is too coarse to move a cell."""
+    pixel_step: int = Field(2, ge=1)
+    """Every pixel_step-th row and column of an image is used."""
+    threshold: float = Field(1.5, gt=0)
+    """Change of height that is worth reporting."""
+    confidence: float = Field(3.0, gt=0)
+    """Standard deviations by which a change must be sure; also the gate between agreement and contradiction."""
+    min_area: float = Field(25.0, ge=0)
+    """Square metres of connected change; less is left out."""
+    reference_sigma: float = Field(0.3, gt=0)
+    """Of the heights of the DEM and of the surface raster."""
+    independent_after: float = Field(3600.0, gt=0)
+    """Two looks of one camera are independent when they are that far apart."""
+    settle: float = Field(600.0, ge=0)
+    """Two cameras must agree over at least that long: what moves is gone by then."""
+    memory: float = Field(8.0, ge=1)
+    """Looks that a cell's mean remembers."""
+    tallest: float = Field(60.0, gt=0)
+    """Nothing on the ground is higher: smoke, birds and aircraft are."""
+    pose_sigma_deg: float = Field(0.1, gt=0)
+    """Of the angles of a pose that comes without a covariance."""
+    position_sigma: float = Field(0.3, gt=0)
+    """Of the position of a pose that comes without a covariance."""
+    register_frames: bool = True
+    """Turn each frame, within its pose's uncertainty, so that it agrees best with the reference."""
+    cache_mb: float = Field(160.0, ge=32)
+    """Memory for cells; the others wait in the store."""
+
+
 class CalibrationConfig(Config):
     """Either `hfov_deg` or fx (and fy, cx, cy where they are known)."""
 
@@ -151,6 +188,8 @@ class Site(Config):
     curvature: bool = True
     refraction: float = Field(0.13, ge=0, lt=1)
     fuel: FuelConfig = FuelConfig()
+    terrain: TerrainConfig | None = None
+    """Where given, the surface is kept up to date from fused depth."""
     labels: str = "labels.yaml"
     """Label set in config/."""
     model: str = "spine"

@@ -1,0 +1,90 @@
+"""What a surface map has to say, as rasters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.grid import GridGeometry
+from ltm_core.terrain.cell_kernel import Rules
+from ltm_core.terrain.change import Window, estimate_variance, mosaic
+from ltm_core.terrain.reference import Reference
+from ltm_core.terrain.tile_pool import TilePool
+
+_FIELDS = (
+    "dz", "looks", "weight", "pose_variance", "first", "last", "cameras", "frames", "label", "base", "kind", "shift",
+    "since", "by",
+)  # fmt: skip
+_NO_LABEL = 255
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceLayers:
+    """Rasters (H, W) of a window of the grid, in the map frame.
+
+    `bare`, `reference`: metres, as they were given. `height`: the updated surface: the reference (with the canopy that
+    the first views found, where no surface raster was given), moved where change was accepted. `estimate`: what the
+    cameras measured, NaN where independent views have not agreed. `sigma`: of that estimate, NaN where nobody has
+    looked. `change`: ChangeKind. `observed`: seen by independent views. `frames`: how many saw the cell. `cameras`:
+    how many. `last_seen`: s, 0 never. `since`: s, when an accepted change had been seen, else 0. `by`: the mask of the
+    cameras that agreed on it. `label`: class last seen, 255 none.
+    """
+
+    geometry: GridGeometry
+    bare: NDArray[np.float32]
+    reference: NDArray[np.float32]
+    height: NDArray[np.float32]
+    estimate: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+    change: NDArray[np.uint8]
+    observed: NDArray[np.bool_]
+    frames: NDArray[np.uint16]
+    cameras: NDArray[np.uint8]
+    last_seen: NDArray[np.uint32]
+    since: NDArray[np.uint32]
+    by: NDArray[np.uint32]
+    label: NDArray[np.uint8]
+
+
+def layers_of(pool: TilePool, reference: Reference, window: Window | None, rules: Rules) -> SurfaceLayers:
+    """Of a window (row, col, height, width); None: the whole grid."""
+    height, width = reference.geometry.shape
+    window = window or (0, 0, height, width)
+    shape = window[2:]
+    parts = mosaic(pool.peek, window, _FIELDS)
+    part = slice(window[0], window[0] + shape[0]), slice(window[1], window[1] + shape[1])
+    bare, surface = reference.bare[part], reference.surface[part]
+    if not parts:
+        unknown = np.full(shape, np.nan, np.float32)
+        seconds = np.zeros(shape, np.uint32)
+        return SurfaceLayers(
+            reference.geometry.window(*window), bare, surface, surface.copy(), unknown, unknown.copy(),
+            np.zeros(shape, np.uint8), np.zeros(shape, np.bool_), np.zeros(shape, np.uint16), np.zeros(shape, np.uint8),
+            seconds, seconds.copy(), seconds.copy(), np.full(shape, _NO_LABEL, np.uint8),
+        )  # fmt: skip
+    variance, sure = estimate_variance(parts, rules)
+    base = np.nan_to_num(parts["base"])
+    seen = parts["looks"] > 0
+    return SurfaceLayers(
+        reference.geometry.window(*window),
+        bare,
+        surface,
+        (surface + base + parts["shift"]).astype(np.float32),
+        np.where(sure, surface + parts["dz"], np.float32(np.nan)).astype(np.float32),
+        np.where(seen, np.sqrt(variance), np.float32(np.nan)).astype(np.float32),
+        parts["kind"],
+        sure,
+        parts["frames"],
+        _bit_counts(parts["cameras"]),
+        parts["last"],
+        parts["since"],
+        parts["by"],
+        np.where(parts["frames"] > 0, parts["label"], np.uint8(_NO_LABEL)).astype(np.uint8),
+    )
+
+
+def _bit_counts(masks: NDArray[np.uint32]) -> NDArray[np.uint8]:
+    bits = np.unpackbits(np.ascontiguousarray(masks).view(np.uint8).reshape(*masks.shape, 4), axis=-1)
+    return np.asarray(bits.sum(axis=-1), np.uint8)

@@ -1,0 +1,237 @@
+"""Each pixel of a depth image as an observation of the surface: compiled.
+
+A pixel is compared with the range at which its ray would meet the reference surface. Three things can be:
+
+* **It agrees**: it speaks for the cell that the reference says it sees. What it is off by along the ray, times the
+  incidence factor, is what the surface there is off by in height.
+* **It is nearer**: something stands where the reference has air. It speaks for the cell that it lies in.
+* **It is farther**: the ray went through what the reference has as solid. All cells that it passed below the
+  surface are capped at the ray's height, and it speaks for the cell that it lies in.
+
+The incidence factor |n.d| / n_z (n: normal of the surface, d: the ray's direction) turns metres along the ray into
+metres of height; it is taken over blocks of cells, since a crown's own slopes say nothing of how the canopy is met.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Image = NDArray[np.float32]
+Indices = NDArray[np.int32]
+Kinds = NDArray[np.uint8]
+
+NOTHING, AGREES, NEARER, FARTHER = 0, 1, 2, 3
+
+LEAST_INCIDENCE = 0.1
+"""Of the incidence factor: a grazing ray's height does not depend on its range, but it is not exact either."""
+SKY_SEEN_THROUGH = 40.0
+"""Metres behind a vanished skyline that a ray into the sky has certainly passed."""
+_LONGEST_CARVE = 400
+"""Cells."""
+
+
+class Ground(NamedTuple):
+    """The reference, as the kernel takes it."""
+
+    surface: Image
+    east: Image
+    north: Image
+    block: int
+    x_min: float
+    y_max: float
+    resolution: float
+
+
+class View(NamedTuple):
+    """One frame's camera: rays (H, W, 3) in the optical frame, rotation to the map, position, pose covariance."""
+
+    rays: Floats
+    rotation: Floats
+    position: Floats
+    covariance: Floats
+    bend: float
+
+
+class Limits(NamedTuple):
+    min_range: float
+    max_range: float
+    gate: float
+    carve_below: float
+    tallest: float
+    own_sigma: float
+    """Metres of height that no cell is known better than from one frame: the cell is not flat."""
+
+
+class Pixels(NamedTuple):
+    """(H, W): measured slant range and its sigma, whether it is a measurement at all; the range that the reference
+    predicts, its extremes within the pose's uncertainty, and within one pixel.
+    """
+
+    range: Image
+    sigma: Image
+    informs: Kinds
+    expected: Image
+    nearest: Image
+    farthest: Image
+    near: Image
+    far: Image
+
+
+class Seen(NamedTuple):
+    """Observations by pixel, (H * W,): kind, cell (row * width + col), height above the reference, its variance, and
+    the part that the pose is to blame for; and what was carved: cells with the height of the ray above the reference.
+    """
+
+    kind: Kinds
+    cell: Indices
+    dz: Image
+    variance: Image
+    pose_variance: Image
+    carved_cell: Indices
+    carved_dz: Image
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _height_at(ground: Ground, x: float, y: float) -> float:
+    """Bilinear; NaN outside the outermost cell centres."""
+    col = (x - ground.x_min) / ground.resolution - 0.5
+    row = (ground.y_max - y) / ground.resolution - 0.5
+    height, width = ground.surface.shape
+    if not (row >= 0.0 and col >= 0.0 and row <= height - 1.0 and col <= width - 1.0):
+        return math.nan
+    r = min(int(row), height - 2)
+    c = min(int(col), width - 2)
+    fr, fc = row - r, col - c
+    z = ground.surface
+    north = z[r, c] + fc * (z[r, c + 1] - z[r, c])
+    south = z[r + 1, c] + fc * (z[r + 1, c + 1] - z[r + 1, c])
+    return north + fr * (south - north)
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _cell_at(ground: Ground, x: float, y: float) -> int:
+    """Flat index; -1 outside."""
+    col = math.floor((x - ground.x_min) / ground.resolution)
+    row = math.floor((ground.y_max - y) / ground.resolution)
+    height, width = ground.surface.shape
+    if not (row >= 0 and col >= 0 and row < height and col < width):
+        return -1
+    return int(row) * width + int(col)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _slopes_at(ground: Ground, cell: int) -> tuple[float, float]:
+    width = ground.surface.shape[1]
+    r, c = (cell // width) // ground.block, (cell % width) // ground.block
+    return np.float64(ground.east[r, c]), np.float64(ground.north[r, c])
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _pose_variance(covariance: Floats, east: float, north: float, px: float, py: float, pz: float) -> float:
+    """Variance of the height of a surface with these slopes, seen at (px, py, pz) from the camera: the row of the
+    camera's shift o and turn w in n.(o + w x p) / n_z is [n, p x n] / n_z, with n / n_z = (-east, -north, 1).
+    """
+    nx, ny = -east, -north
+    row = (nx, ny, 1.0, py - pz * ny, pz * nx - px, px * ny - py * nx)
+    total = 0.0
+    for i in range(6):
+        part = 0.0
+        for j in range(6):
+            part += covariance[i, j] * row[j]
+        total += row[i] * part
+    return max(total, 0.0)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def observe(ground: Ground, view: View, pixels: Pixels, limits: Limits, seen: Seen) -> int:
+    """Fill `seen`; the number of carved cells. Carving ends silently where its arrays are full."""
+    rows, cols = pixels.range.shape
+    carved = 0
+    own = limits.own_sigma**2
+    m = view.rotation
+    x0, y0, z0 = view.position[0], view.position[1], view.position[2]
+    for v in range(rows):
+        for u in range(cols):
+            i = v * cols + u
+            seen.kind[i] = NOTHING
+            r, sigma, expected = float(pixels.range[v, u]), float(pixels.sigma[v, u]), float(pixels.expected[v, u])
+            # Unknown depth, sigma or reference; depth that was copied from the reference.
+            if pixels.informs[v, u] == 0 or not r > limits.min_range or not sigma > 0.0 or math.isnan(expected):
+                continue
+            if r > limits.max_range and expected > limits.max_range:
+                continue
+            a, b, c = view.rays[v, u, 0], view.rays[v, u, 1], view.rays[v, u, 2]
+            dx = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c
+            dy = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c
+            dz = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c
+            flat2 = dx * dx + dy * dy
+            nearest, farthest = float(pixels.nearest[v, u]), float(pixels.farthest[v, u])
+            slack = limits.gate * sigma
+            if math.isinf(r):
+                slack = 0.0
+            elif math.isinf(sigma):
+                continue
+            if not math.isinf(r) and nearest - slack <= r <= farthest + slack:
+                if math.isinf(expected):
+                    continue
+                x, y = x0 + dx * expected, y0 + dy * expected
+                cell = _cell_at(ground, x, y)
+                if cell < 0:
+                    continue
+                east, north = _slopes_at(ground, cell)
+                incidence = max(abs(dz - east * dx - north * dy), LEAST_INCIDENCE)
+                # Where neighbouring pixels see other ranges, a pixel's own direction is not exact enough.
+                spread = 0.0
+                if not math.isinf(pixels.far[v, u]):
+                    spread = 0.5 * (pixels.far[v, u] - pixels.near[v, u])
+                elif not math.isinf(pixels.near[v, u]):
+                    spread = expected - pixels.near[v, u]
+                off = (r - expected) * incidence
+                seen.kind[i] = AGREES
+                seen.cell[i] = cell
+                seen.dz[i] = -off
+                seen.variance[i] = (sigma * sigma + spread * spread) * incidence * incidence + own
+                z = dz * expected + view.bend * flat2 * expected * expected
+                seen.pose_variance[i] = _pose_variance(view.covariance, east, north, x - x0, y - y0, z)
+                continue
+            farther = r > farthest + slack
+            if farther and not math.isinf(expected):
+                end = min(expected + SKY_SEEN_THROUGH, limits.max_range) if math.isinf(r) else r - slack
+                step = ground.resolution / max(math.sqrt(flat2), 0.1)
+                t = expected + 0.5 * step
+                for _ in range(_LONGEST_CARVE):
+                    if t >= end or carved >= len(seen.carved_cell):
+                        break
+                    x, y = x0 + dx * t, y0 + dy * t
+                    above = z0 + dz * t + view.bend * flat2 * t * t - _height_at(ground, x, y)
+                    if above < -limits.carve_below:
+                        cell = _cell_at(ground, x, y)
+                        if cell >= 0:
+                            seen.carved_cell[carved] = cell
+                            seen.carved_dz[carved] = above
+                            carved += 1
+                    t += step
+            if math.isinf(r) or r > limits.max_range:
+                continue
+            x, y = x0 + dx * r, y0 + dy * r
+            cell = _cell_at(ground, x, y)
+            if cell < 0:
+                continue
+            z = dz * r + view.bend * flat2 * r * r
+            above = z0 + z - _height_at(ground, x, y)
+            if not abs(above) <= limits.tallest:
+                continue
+            east, north = _slopes_at(ground, cell)
+            incidence = max(abs(dz - east * dx - north * dy), LEAST_INCIDENCE)
+            seen.kind[i] = FARTHER if farther else NEARER
+            seen.cell[i] = cell
+            seen.dz[i] = above
+            seen.variance[i] = sigma * sigma * incidence * incidence + own
+            seen.pose_variance[i] = _pose_variance(view.covariance, east, north, x - x0, y - y0, z)
+    return carved

@@ -1,0 +1,218 @@
+"""The surface of a site, kept up to date by depth images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import ConfigError
+from ltm_core.site import TerrainConfig
+from ltm_core.terrain.cell_kernel import Rules, mark_tiles, merge, scatter
+from ltm_core.terrain.change import Changed, decide, margin_of
+from ltm_core.terrain.layers import SurfaceLayers, layers_of
+from ltm_core.terrain.observation import DepthFrame, Observer, assumed_covariance
+from ltm_core.terrain.observe_kernel import Limits
+from ltm_core.terrain.reference import Reference
+from ltm_core.terrain.registration import Registration, register
+from ltm_core.terrain.tile_pool import TILE, TilePool, schema_of
+from ltm_core.tile_store import CellChanges, FrameRecord, Key, TileStore
+from ltm_core.tracing import TerrainTracer
+
+CAMERAS = 32
+"""A site's cameras at most: a bit each in every cell."""
+_OWN_SIGMA = 0.25
+"""Metres: what the height of a cell can mean when a crown or boulder stands in it."""
+_CARVE_SIGMA = 0.5
+"""Metres: of the height of a ray that passed over a cell."""
+_CHUNK = 16
+"""Tiles a side that are decided at once."""
+
+
+@dataclass(frozen=True)
+class Added:
+    """What a frame did: cells that it saw, tiles that it touched and those that found no room in memory, and how it
+    was turned (None: it was not).
+    """
+
+    cells: int
+    tiles: int
+    left_out: int
+    registration: Registration | None
+
+
+class SurfaceMap:
+    """The estimate of every cell, and the changes that views agree on. Bare earth is never edited.
+
+    Args:
+        reference: bare earth and, where known, the surface, in the map frame.
+        config: the rules.
+        cameras: all names, at most 32.
+        geometry: the reference's grid in the site's CRS, for the store; default: as it is.
+        store: a terrain's store (`open_store`); None: what no longer fits the memory is kept compressed in memory.
+        curvature, refraction: of rays, as the tracer takes them.
+
+    Raises ConfigError for more cameras than a cell can tell apart.
+    """
+
+    def __init__(
+        self,
+        reference: Reference,
+        config: TerrainConfig,
+        cameras: Sequence[str],
+        store: TileStore | None = None,
+        curvature: bool = True,
+        refraction: float = 0.13,
+    ) -> None:
+        if len(cameras) > CAMERAS:
+            raise ConfigError(f"a terrain tells {CAMERAS} cameras apart, this site has {len(cameras)}; split the site")
+        self.reference, self.config, self.cameras = reference, config, tuple(cameras)
+        self._tracer = TerrainTracer(reference.surface_dem, curvature, refraction)
+        self._limits = Limits(
+            config.min_range, config.max_range, config.confidence, config.threshold / 2, config.tallest, _OWN_SIGMA
+        )
+        self._observer = Observer(reference, self._tracer, self._limits, config.pixel_step)
+        self._rules = Rules(
+            config.confidence,
+            config.reference_sigma**2,
+            config.independent_after,
+            config.settle,
+            config.memory,
+            config.threshold,
+            _CARVE_SIGMA**2,
+        )
+        self._pool = TilePool(
+            store if store is not None else TileStore.in_memory(schema_of(reference.geometry)),
+            TilePool.capacity_of(config.cache_mb),
+            reference.canopy_known,
+        )
+        self._undecided: set[Key] = set(self._pool.known_keys)
+        self.newest_ns = self._pool.store.newest_ns() or 0
+
+    @property
+    def uncommitted(self) -> int:
+        """Frames whose effect is not in the store yet."""
+        return self._pool.uncommitted
+
+    @property
+    def tiles_in_memory(self) -> int:
+        return self._pool.in_memory
+
+    def counted(self, source: str, stamp_ns: int) -> bool:
+        """Whether a frame has been counted already."""
+        return self._pool.counted(source, stamp_ns)
+
+    def add(self, frame: DepthFrame) -> Added:
+        """Take a frame in. Raises ConfigError for an unknown camera, PoseError as the tracer does, StoreError."""
+        if frame.source not in self.cameras:
+            raise ConfigError(f"no camera {frame.source!r}; there are {', '.join(self.cameras)}")
+        config = self.config
+        covariance = frame.covariance
+        if covariance is None:
+            covariance = assumed_covariance(config.pose_sigma_deg, config.position_sigma)
+        turned = None
+        if config.register_frames:
+            turned = register(frame, covariance, self.reference, self._tracer, self._limits)
+            if turned is not None:
+                frame, covariance = turned.frame(frame), turned.covariance
+        expected = self._observer.predict(frame)
+        seen, carved = self._observer.observe(frame, expected, covariance)
+        width = self.reference.geometry.width
+        marked = np.zeros(self._pool.slots.shape, np.uint8)
+        mark_tiles(seen, carved, width, TILE, marked)
+        keys, left_out = self._nearest(marked, frame)
+        slots = self._pool.require(keys)
+        scatter(seen, carved, self._observer.labels(frame), width, TILE, self._pool.slots, self._pool.scratch)
+        bit = 1 << self.cameras.index(frame.source)
+        cells = merge(
+            self._pool.cells, self._pool.scratch, slots, frame.stamp_ns // 1_000_000_000, bit, self._rules
+        )
+        self._pool.touched(keys)
+        self._pool.record(FrameRecord(frame.source, frame.stamp_ns, keys))
+        self._undecided.update(keys)
+        self.newest_ns = max(self.newest_ns, frame.stamp_ns)
+        return Added(int(cells), len(keys), left_out, turned)
+
+    def decide(self) -> Changed:
+        """Bring the changes up to date where frames have touched the map since the last call; what is new."""
+        found = Changed.none()
+        while self._undecided:
+            first = min(self._undecided)
+            core = {
+                key
+                for key in self._undecided
+                if key[0] < first[0] + _CHUNK and first[1] - _CHUNK < key[1] < first[1] + _CHUNK
+            }
+            left = min(key[1] for key in core)
+            core = {key for key in core if key[1] < left + _CHUNK}
+            found = found.joined(self._decide(core))
+            self._undecided -= core
+        return found
+
+    def commit(self) -> int:
+        """Write what has changed to the store; how many tiles. Raises StoreError."""
+        self.decide()
+        return self._pool.commit()
+
+    def layers(self, window: tuple[int, int, int, int] | None = None) -> SurfaceLayers:
+        """Height, sigma, change and age of a window (row, col, height, width); default: of the whole grid."""
+        return layers_of(self._pool, self.reference, window, self._rules)
+
+    def seen_window(self) -> tuple[int, int, int, int] | None:
+        """The smallest window (row, col, height, width) of whole tiles that any frame has touched."""
+        keys = self._pool.known_keys
+        if not keys:
+            return None
+        height, width = self.reference.geometry.shape
+        row, col = min(k[0] for k in keys) * TILE, min(k[1] for k in keys) * TILE
+        bottom, right = (max(k[0] for k in keys) + 1) * TILE, (max(k[1] for k in keys) + 1) * TILE
+        return row, col, min(bottom, height) - row, min(right, width) - col
+
+    def seen_by(self, mask: int) -> tuple[str, ...]:
+        """Names of the cameras in a cell's mask."""
+        return tuple(name for i, name in enumerate(self.cameras) if mask >> i & 1)
+
+    def _nearest(self, marked: NDArray[np.uint8], frame: DepthFrame) -> tuple[list[Key], int]:
+        """The marked tiles, nearest first where there are more than fit into memory."""
+        rows, cols = np.nonzero(marked)
+        most = self._pool.capacity
+        if len(rows) > most:
+            row, col = self.reference.geometry.to_grid(frame.pose.position[0], frame.pose.position[1])
+            order = np.argsort(np.hypot(rows - row / TILE, cols - col / TILE), kind="stable")[:most]
+            keys = sorted((int(rows[i]), int(cols[i])) for i in order)
+            return keys, len(rows) - most
+        return [(int(r), int(c)) for r, c in zip(rows, cols, strict=True)], 0
+
+    def _decide(self, core: set[Key]) -> Changed:
+        margin = margin_of(self.reference.geometry.resolution)
+        assert margin <= TILE
+        tile_rows, tile_cols = self._pool.slots.shape
+        top, left = max(min(k[0] for k in core) - 1, 0), max(min(k[1] for k in core) - 1, 0)
+        bottom = min(max(k[0] for k in core) + 2, tile_rows)
+        right = min(max(k[1] for k in core) + 2, tile_cols)
+        height, width = self.reference.geometry.shape
+        window = (top * TILE, left * TILE, min(bottom * TILE, height) - top * TILE, min(right * TILE, width) - left * TILE)
+        changed, fields = decide(
+            lambda key: self._pool.peek(key), self.reference, window, self.config, self._rules
+        )
+        keys = sorted(core)
+        slots = self._pool.require(keys)
+        inside = np.zeros(window[2:], np.bool_)
+        for key, slot in zip(keys, slots, strict=True):
+            r, c = key[0] * TILE - window[0], key[1] * TILE - window[1]
+            part = slice(r, r + TILE), slice(c, c + TILE)
+            inside[part] = True
+            h, w = inside[part].shape
+            for name, values in fields.items():
+                getattr(self._pool.cells, name)[slot].reshape(TILE, TILE)[:h, :w] = values[part]
+        self._pool.touched(keys)
+        changed = changed.within(inside, window)
+        if len(changed.rows):
+            self._pool.journal(
+                CellChanges("change", self.newest_ns, changed.rows, changed.cols, changed.before, changed.kind)
+            )
+        return changed
+
+

@@ -1,0 +1,158 @@
+"""The cells that are in memory: a bounded pool of tiles; the others wait in the store."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.grid import GridGeometry
+from ltm_core.terrain.cell_kernel import NO_LABEL, Cells, Scratch
+from ltm_core.tile_store import CellChanges, Field, FrameRecord, Key, StoreSchema, Tile, TileStore
+
+TILE = 64
+"""Cells a side."""
+KIND, VERSION = "terrain", 1
+
+_DTYPES: dict[str, Any] = {
+    "first": np.uint32,
+    "last": np.uint32,
+    "cameras": np.uint32,
+    "frames": np.uint16,
+    "label": np.uint8,
+    "c_first": np.uint32,
+    "c_last": np.uint32,
+    "c_cameras": np.uint32,
+    "c_frames": np.uint16,
+    "kind": np.uint8,
+    "since": np.uint32,
+    "by": np.uint32,
+}
+FIELDS = {name: Field(_DTYPES.get(name, np.float32)) for name in Cells._fields}
+_CELL_BYTES = sum(np.dtype(f.dtype).itemsize for f in FIELDS.values())
+_SCRATCH_BYTES = 9 * 4 + 1
+
+
+def schema_of(geometry: GridGeometry) -> StoreSchema:
+    """Of a terrain's store; `geometry`: in the site's CRS."""
+    return StoreSchema(KIND, VERSION, geometry, TILE, FIELDS)
+
+
+class TilePool:
+    """Tiles by key, at most `capacity` of them in memory; the longest unused makes room.
+
+    `canopy_known`: whether a fresh cell's base is the reference itself. Memory is claimed as it is used.
+    """
+
+    def __init__(self, store: TileStore, capacity: int, canopy_known: bool) -> None:
+        self.store = store
+        self.capacity = capacity
+        rows, cols = store.schema.tiles
+        self.slots = np.full((rows, cols), -1, np.int32)
+        side = TILE * TILE
+        self.cells = Cells(*(np.empty((capacity, side), f.dtype) for f in FIELDS.values()))
+        self.scratch = Scratch(
+            *(np.empty((capacity, side), np.float32) for _ in range(9)), np.empty((capacity, side), np.uint8)
+        )
+        self._fresh_base = np.float32(0.0 if canopy_known else np.nan)
+        self._used: OrderedDict[Key, int] = OrderedDict()
+        self._free = list(range(capacity - 1, -1, -1))
+        self._stored = set(store.keys())
+        self._dirty: set[Key] = set()
+        self._frames: list[FrameRecord] = []
+        self._changes: list[CellChanges] = []
+
+    @staticmethod
+    def capacity_of(megabytes: float) -> int:
+        """Tiles that fit."""
+        return max(16, int(megabytes * 2**20 / ((_CELL_BYTES + _SCRATCH_BYTES) * TILE * TILE)))
+
+    @property
+    def known_keys(self) -> list[Key]:
+        """Tiles that hold anything, in row-major order."""
+        return sorted(self._stored | self._used.keys())
+
+    @property
+    def in_memory(self) -> int:
+        return len(self._used)
+
+    @property
+    def uncommitted(self) -> int:
+        return len(self._frames)
+
+    def require(self, keys: Sequence[Key]) -> NDArray[np.int32]:
+        """Slots of tiles, which are brought into memory; no more than `capacity` at a time. Raises StoreError."""
+        wanted = set(keys)
+        for key in keys:
+            if key in self._used:
+                self._used.move_to_end(key)
+                continue
+            if not self._free:
+                self._make_room(wanted)
+            slot = self._free.pop()
+            try:
+                self._fill(key, slot)
+            except BaseException:
+                self._free.append(slot)
+                raise
+            self._used[key] = slot
+            self.slots[key] = slot
+        return np.array([self._used[key] for key in keys], np.int32)
+
+    def peek(self, key: Key) -> Tile | None:
+        """A tile's arrays (TILE, TILE), wherever it is; None for one that nobody has seen. Not to be written to."""
+        slot = self._used.get(key)
+        if slot is not None:
+            return {name: pool[slot].reshape(TILE, TILE) for name, pool in self.cells._asdict().items()}
+        return self.store.read(key) if key in self._stored else None
+
+    def touched(self, keys: Iterable[Key]) -> None:
+        """These tiles, which are in memory, have changed."""
+        self._dirty.update(keys)
+
+    def counted(self, source: str, stamp_ns: int) -> bool:
+        """Whether a frame has been counted, also where that is not written yet."""
+        waiting = any(f.source == source and f.stamp_ns == stamp_ns for f in self._frames)
+        return waiting or self.store.counted(source, stamp_ns)
+
+    def record(self, frame: FrameRecord) -> None:
+        self._frames.append(frame)
+
+    def journal(self, changes: CellChanges) -> None:
+        self._changes.append(changes)
+
+    def commit(self) -> int:
+        """Write all that has changed, with the frames that did it, in one transaction; how many tiles. Raises
+        StoreError, and then nothing is lost: call it again.
+        """
+        if not self._dirty and not self._frames:
+            return 0
+        tiles = {key: tile for key in self._dirty if (tile := self.peek(key)) is not None}
+        self.store.commit(tiles, self._frames, self._changes)
+        self._stored |= tiles.keys()
+        self._dirty.clear()
+        self._frames, self._changes = [], []
+        return len(tiles)
+
+    def _make_room(self, wanted: set[Key]) -> None:
+        oldest = next(key for key in self._used if key not in wanted)
+        if oldest in self._dirty:
+            self.commit()
+        slot = self._used.pop(oldest)
+        self.slots[oldest] = -1
+        self._free.append(slot)
+
+    def _fill(self, key: Key, slot: int) -> None:
+        stored = self.store.read(key) if key in self._stored else None
+        for name, pool in self.cells._asdict().items():
+            pool[slot] = stored[name].reshape(-1) if stored is not None else 0
+        if stored is None:
+            self.cells.base[slot] = self._fresh_base
+            self.cells.label[slot] = NO_LABEL
+        for sums in self.scratch[:8]:
+            sums[slot] = 0
+        self.scratch.lowest[slot] = np.inf
+        self.scratch.label[slot] = NO_LABEL
