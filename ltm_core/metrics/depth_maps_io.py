@@ -67,7 +67,11 @@ class DepthMapFolder:
             )
         except (OSError, ValueError, cv2.error) as error:
             raise ImageError(f"{file}: no depth map ({error})") from error
-        values = np.squeeze(values) if values is not None else np.empty(0)
+        values = np.empty(0) if values is None else values
+        if values.ndim > 2 and values.size == values.shape[0] * values.shape[1]:
+            values = values[..., 0]
+        elif values.ndim > 2 and values.size == values.shape[-2] * values.shape[-1]:
+            values = values.reshape(values.shape[-2:])  # networks give (1, H, W) or (1, 1, H, W)
         if values.ndim != 2 or values.dtype.kind not in "fiu":
             raise ImageError(f"{file}: a depth map has one number a pixel, this is {values.shape} {values.dtype}")
         if values.dtype.kind in "iu" and self.config.metres_per_unit is None:
