@@ -94,7 +94,8 @@ def _window(geometry: GridGeometry, east: float, north: float, max_range: float)
     """(row, col, height, width) of the grid's part within reach of the camera."""
     if not np.isfinite(max_range):
         return 0, 0, geometry.height, geometry.width
-    row, col = geometry.cell_of([east - max_range, east + max_range], [north + max_range, north - max_range])
+    # Clipped before they become integers: a pose may say that a camera stands at the end of the world.
+    row, col = geometry.to_grid([east - max_range, east + max_range], [north + max_range, north - max_range])
     rows = np.clip([row[0] - 1, row[1] + 2], 0, geometry.height)
     cols = np.clip([col[0] - 1, col[1] + 2], 0, geometry.width)
     return int(rows[0]), int(cols[0]), int(rows[1] - rows[0]), int(cols[1] - cols[0])

@@ -1,0 +1,150 @@
+"""The standard fuel models with their parameters, and what a region makes of them."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from ltm_core.config_io import load_yaml
+from ltm_core.errors import ConfigError
+from ltm_core.fuel.life_form import NODATA, NONBURNABLE
+from ltm_core.resources import config_path
+from ltm_core.vision.strict import StrictModel
+
+
+class FuelSystem(StrEnum):
+    """The code systems of surface fuel models."""
+
+    FBFM13 = "fbfm13"
+    """Anderson (1982)."""
+    FBFM40 = "fbfm40"
+    """Scott and Burgan (2005)."""
+
+
+class FuelModel(StrictModel):
+    """One burnable fuel model, in its publication's units (see `config/fuel/fuel_models.yaml`)."""
+
+    name: str
+    description: str
+    depth: float = Field(gt=0)
+    """Of the fuel bed, feet."""
+    extinction: float = Field(gt=0)
+    """Moisture of dead fuel at which fire dies, %."""
+    load: tuple[float, float, float, float, float]
+    """1 h, 10 h, 100 h, live herbaceous, live woody, short tons an acre."""
+    sav: tuple[float | None, float | None, float | None]
+    """Surface to volume ratio of 1 h, live herbaceous, live woody fuel, 1/ft."""
+    heat: float = Field(default=8000.0, gt=0)
+    """Btu/lb."""
+
+
+class NonburnableModel(StrictModel):
+    name: str
+    description: str
+
+
+class FuelModels(StrictModel):
+    """All fuel models by code."""
+
+    fbfm13: dict[int, FuelModel]
+    fbfm40: dict[int, FuelModel]
+    nonburnable: dict[int, NonburnableModel]
+
+    def name(self, code: int) -> str:
+        """Such as GR2, FM4 or NB9; the number itself for a code that is none."""
+        for table in (self.fbfm40, self.fbfm13, self.nonburnable):
+            if code in table:
+                return str(table[code].name)
+        return str(code)
+
+    def codes(self, system: FuelSystem) -> frozenset[int]:
+        """The codes of a system, non-burnable ones included."""
+        return frozenset({FuelSystem.FBFM13: self.fbfm13, FuelSystem.FBFM40: self.fbfm40}[system]) | frozenset(
+            self.nonburnable
+        )
+
+
+@lru_cache(maxsize=1)
+def fuel_models() -> FuelModels:
+    """The tables that ship with the project. Raises ConfigError where their file has been damaged."""
+    return load_yaml(config_path("fuel/fuel_models.yaml"), FuelModels)
+
+
+class ChangedCodes(StrictModel):
+    """The code that a cell gets when its life form is no longer the prior's, and where there is no prior."""
+
+    grass: int
+    grass_shrub: int
+    """Where both have more than 30 % of the evidence."""
+    shrub: int
+    shrubs_to_tree: int
+    """Trees where the prior has shrubs."""
+    to_tree: int
+    """Trees where the prior has none."""
+    bare: int
+    water: int
+    built: int
+    burned: int
+    regrowth: int
+    """After a burn's time to live."""
+
+
+class TreeCanopy(StrictModel):
+    """Of a new tree cell. `cover`: %. Heights in metres, `bulk_density` kg/m3."""
+
+    cover: float = Field(ge=0, le=100)
+    height: float = Field(ge=0)
+    base_height: float = Field(ge=0)
+    bulk_density: float = Field(ge=0)
+
+
+class ChangedBySystem(StrictModel):
+    fbfm40: ChangedCodes
+    fbfm13: ChangedCodes
+
+
+class Region(StrictModel):
+    """What fuel codes mean in a region: see `config/fuel/regions`."""
+
+    description: str
+    changed: ChangedBySystem
+    canopy: TreeCanopy
+    crosswalk: dict[int, int]
+    """FBFM40 -> FBFM13, of every burnable code."""
+
+    @model_validator(mode="after")
+    def _codes_are_known(self) -> Region:
+        models = fuel_models()
+        for system in FuelSystem:
+            known = models.codes(system)
+            for key, code in getattr(self.changed, system).model_dump().items():
+                if code not in known:
+                    raise ValueError(f"changed.{system}.{key} is {code}, no code of {system}")
+        if set(self.crosswalk) != set(models.fbfm40):
+            wrong = sorted(set(self.crosswalk) ^ set(models.fbfm40))
+            raise ValueError(f"crosswalk must give each burnable FBFM40 code once; wrong or missing: {wrong}")
+        if strange := sorted(set(self.crosswalk.values()) - models.codes(FuelSystem.FBFM13)):
+            raise ValueError(f"crosswalk leads to {strange}, no codes of FBFM13")
+        return self
+
+    @classmethod
+    def named(cls, name: str) -> Region:
+        """A region that ships with the project. Raises ConfigError naming those there are."""
+        folder = config_path("fuel/regions")
+        path = folder / f"{name}.yaml"
+        if not path.is_file():
+            there = ", ".join(sorted(p.stem for p in folder.glob("*.yaml")))
+            raise ConfigError(f"no fuel region is called {name!r}; there are {there}")
+        return load_yaml(path, cls)
+
+    def to_fbfm13(self, codes: NDArray[np.int16]) -> NDArray[np.int16]:
+        """FBFM40 codes as FBFM13; non-burnable codes stay, unknown ones become NODATA."""
+        table = np.full(256, NODATA, np.int16)
+        table[list(NONBURNABLE)] = NONBURNABLE
+        table[list(self.crosswalk)] = list(self.crosswalk.values())
+        known = (codes >= 0) & (codes < len(table))
+        return np.where(known, table[np.where(known, codes, 0)], np.int16(NODATA))

@@ -1,0 +1,184 @@
+"""From evidence to fuel codes: when a cell changes, and into what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import betainc, entr
+
+from ltm_core.fuel.codes import FuelSystem, Region
+from ltm_core.fuel.life_form import FORMS, LifeForm, forms_of
+from ltm_core.fuel.majority import UNSEEN
+from ltm_core.fuel.rules import FusionRules
+
+_GRASS, _SHRUB, _TREE, _BURNED = (f - 1 for f in (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE, LifeForm.BURNED))
+_FLAT: Final = 0.5
+"""Evidence for each life form where there is no prior map (Jeffreys)."""
+
+
+@dataclass(frozen=True, eq=False)
+class CellEvidence:
+    """Of (N,) cells, as of a time: `evidence` (N, FORMS), decayed; `first`, `last` (N, FORMS): seconds of the frames
+    that show each form, 0 none; `cameras` (N, FORMS): how many show it, 2 for more; `burned_at` (N,): seconds, 0 never.
+    """
+
+    evidence: NDArray[np.float64]
+    first: NDArray[np.uint32]
+    last: NDArray[np.uint32]
+    cameras: NDArray[np.int64]
+    burned_at: NDArray[np.uint32]
+
+
+@dataclass(frozen=True, eq=False)
+class FuelLayers:
+    """The fuel map, (H, W) each.
+
+    `prior`, `code`: int16 fuel codes, NODATA where none. `life_form`: uint8 ids of `LifeForm`, 255 unknown; that of
+    the code. `p_max`: float32 probability that the commonest life form is the one that evidence and prior favour; NaN
+    where nothing is known. `entropy`: float32 of the shares of life forms, 0 certain to 1 nothing known. `evidence`:
+    float32, of all frames; 0 where only the prior speaks. `last_seen`: int64 ns, 0 never. `changed`: bool, the code is
+    not the prior's. `seen_by`: uint8 cameras, 8 for more.
+    """
+
+    prior: NDArray[np.int16]
+    code: NDArray[np.int16]
+    life_form: NDArray[np.uint8]
+    p_max: NDArray[np.float32]
+    entropy: NDArray[np.float32]
+    evidence: NDArray[np.float32]
+    last_seen: NDArray[np.int64]
+    changed: NDArray[np.bool_]
+    seen_by: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class _Decided:
+    """(N,) each."""
+
+    code: NDArray[np.int16]
+    form: NDArray[np.int64]
+    changed: NDArray[np.bool_]
+    p_max: NDArray[np.float64]
+    entropy: NDArray[np.float64]
+
+
+class Decider:
+    """Applies the rules of change. `system`: of the prior's codes; None: no prior, codes are FBFM40."""
+
+    def __init__(self, system: FuelSystem | None, rules: FusionRules, region: Region) -> None:
+        self._rules = rules
+        self._codes = getattr(region.changed, system or FuelSystem.FBFM40)
+        # What a cell without evidence is depends on its code alone.
+        every = np.arange(256, dtype=np.int16)
+        none = np.zeros((256, FORMS), np.uint32)
+        nothing = CellEvidence(none.astype(float), none, none, none.astype(np.int64), none[:, 0])
+        self._untouched = self._decide_cells(every, nothing, 0.0)
+        self._known = np.asarray(forms_of(every).any(axis=1))
+
+    def decide(
+        self, codes: NDArray[np.int16], touched: NDArray[np.bool_], cells: CellEvidence, now_s: float
+    ) -> FuelLayers:
+        """The layers of a part of the grid, all but `last_seen` and `seen_by`, which are zero.
+
+        `codes`: (H, W) of the prior. `cells`: evidence of the `touched` (H, W) cells, in row-major order.
+        """
+        index = np.where((codes >= 0) & (codes < 256), codes, 0)
+        known = self._known[index]
+        plain = self._untouched
+        layers = FuelLayers(
+            prior=codes.copy(),
+            code=codes.copy(),
+            life_form=np.where(known, plain.form[index] + 1, UNSEEN).astype(np.uint8),
+            p_max=np.where(known, plain.p_max[index], np.nan).astype(np.float32),
+            entropy=np.where(known, plain.entropy[index], 1.0).astype(np.float32),
+            evidence=np.zeros(codes.shape, np.float32),
+            last_seen=np.zeros(codes.shape, np.int64),
+            changed=np.zeros(codes.shape, np.bool_),
+            seen_by=np.zeros(codes.shape, np.uint8),
+        )
+        if touched.any():
+            decided = self._decide_cells(codes[touched], cells, now_s)
+            layers.code[touched] = decided.code
+            layers.life_form[touched] = decided.form + 1
+            layers.p_max[touched] = decided.p_max
+            layers.entropy[touched] = decided.entropy
+            layers.evidence[touched] = cells.evidence.sum(axis=1)
+            layers.changed[touched] = decided.changed
+        return layers
+
+    def _decide_cells(self, codes: NDArray[np.int16], cells: CellEvidence, now_s: float) -> _Decided:
+        rules = self._rules
+        original = forms_of(codes)
+        masked = np.isin(codes, rules.mask)
+        burned = (cells.burned_at > 0) & original.any(axis=1) & ~masked
+        regrown = burned & (now_s - cells.burned_at >= rules.burned_days * 86400)
+        base = np.where(regrown, np.int16(self._codes.regrowth), codes)
+        agreeing = forms_of(base)
+        has_prior = np.asarray(agreeing.any(axis=1))
+        alpha = cells.evidence + self._prior_evidence(agreeing, has_prior)
+        challenger, better, p_max = _contest(alpha, agreeing, has_prior)
+
+        here = np.arange(len(codes)), challenger
+        enough = cells.evidence[here] >= rules.min_evidence
+        apart = cells.last[here].astype(np.int64) - cells.first[here] >= rules.min_interval_s
+        changes = has_prior & ~masked & (better >= rules.posterior) & enough & (apart | (cells.cameras[here] > 1))
+        favoured = np.where(agreeing | ~has_prior[:, None], alpha, -1.0).argmax(axis=1)
+        form = np.where(changes, challenger, favoured)
+
+        faded = changes & (form == _BURNED) & (now_s - cells.last[:, _BURNED] >= rules.burned_days * 86400)
+        code = np.where(changes | ~has_prior, self._new_codes(form, original, cells.evidence), base)
+        fresh = burned & ~regrown
+        code = np.where(fresh, self._codes.burned, np.where(faded, self._codes.regrowth, code))
+        form = np.where(fresh, _BURNED, form)
+        grown = forms_of(np.array([self._codes.regrowth], np.int16))[0]
+        form = np.where(faded, np.where(grown, alpha, -1.0).argmax(axis=1), form)
+        # What the prior said before it burned, and cameras now say again, is the prior's code and no other.
+        back = changes & ~fresh & ~faded & original[np.arange(len(codes)), form]
+        code = np.where(back, codes, code)
+        shares = alpha / alpha.sum(axis=1, keepdims=True)
+        entropy = entr(shares).sum(axis=1) / np.log(FORMS)
+        changed = (changes | burned) & ~back
+        return _Decided(code.astype(np.int16), form, changed, p_max, entropy)
+
+    def _prior_evidence(self, agreeing: NDArray[np.bool_], has_prior: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """(N, FORMS): kappa pi."""
+        rules = self._rules
+        count = agreeing.sum(axis=1, keepdims=True)
+        inside = rules.prior_share / np.maximum(count, 1)
+        outside = (1 - rules.prior_share) / (FORMS - count)
+        prior = rules.prior_evidence * np.where(agreeing, inside, outside)
+        return np.where(has_prior[:, None], prior, _FLAT)
+
+    def _new_codes(
+        self, form: NDArray[np.int64], original: NDArray[np.bool_], evidence: NDArray[np.float64]
+    ) -> NDArray[np.int64]:
+        """The codes of cells that are now of `form` (N,)."""
+        c = self._codes
+        table = np.array([c.grass, c.shrub, c.to_tree, c.bare, c.water, c.built, c.burned])
+        total = np.maximum(evidence.sum(axis=1), 1e-12)
+        both = np.minimum(evidence[:, _GRASS], evidence[:, _SHRUB]) / total > self._rules.mixture
+        mixed = both & ((form == _GRASS) | (form == _SHRUB))
+        code = np.where((form == _TREE) & original[:, _SHRUB], c.shrubs_to_tree, table[form])
+        return np.where(mixed, c.grass_shrub, code)
+
+
+def _contest(
+    alpha: NDArray[np.float64], agreeing: NDArray[np.bool_], has_prior: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """The strongest life form that does not agree with the prior, the probability that it is the commonest, and that
+    of whatever is favoured.
+
+    Two shares of a Dirichlet distribution stand to each other as a beta variable to its complement: share b is the
+    larger of a and b with probability I_1/2(alpha_a, alpha_b).
+    """
+    others = np.where(agreeing & has_prior[:, None], -np.inf, alpha)
+    challenger = others.argmax(axis=1)
+    first, second = (np.partition(others, -k, axis=1)[:, -k] for k in (1, 2))
+    held = np.where(has_prior, np.where(agreeing, alpha, 0.0).sum(axis=1), second)
+    over_prior = betainc(held, first, 0.5)
+    over_second = betainc(np.maximum(second, 1e-9), first, 0.5)
+    better = np.minimum(over_prior, over_second)
+    return challenger, better, np.where(has_prior, np.maximum(better, 1 - over_prior), over_prior)

@@ -1,0 +1,230 @@
+"""The fuel map as evidence: what each cell has been seen to be, by whom and when, over the prior map.
+
+A cell's life form has a Dirichlet distribution. Its parameters are kappa pi(l | the prior's life form) plus the
+evidence of all frames (`frame_evidence`), which decays with a time constant of each form. The fuel code is a function
+of the prior, the evidence and the time of asking (`decision`): nothing is decided when a frame comes, so that frames
+may come late and in any order.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import ImageError, RasterError
+from ltm_core.fuel.codes import Region
+from ltm_core.fuel.decision import CellEvidence, Decider, FuelLayers
+from ltm_core.fuel.evidence_kernel import accumulate
+from ltm_core.fuel.frame_evidence import frame_evidence
+from ltm_core.fuel.label_errors import LabelErrors
+from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, label_forms
+from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.rules import FusionRules
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.grid import GridGeometry
+from ltm_core.tile_store_schema import Field
+from ltm_core.vision.labels import LabelSet
+
+Window = tuple[int, int, int, int]
+"""(row, col, height, width) of a part of the grid."""
+Key = tuple[int, int]
+
+CAMERAS_KEPT: Final = 8
+"""Cameras that a cell remembers; of more, those with the least hashes of their names."""
+TILE: Final = 32
+"""Cells a side of the tiles in which the state is kept."""
+EVIDENCE_VERSION: Final = 1
+
+EVIDENCE_FIELDS: Final[Mapping[str, Field]] = {
+    "evidence": Field(np.float64, (FORMS,)),  # as of 1970: what a frame adds, grown by exp(its time / time constant)
+    "first": Field(np.uint32, (FORMS,)),  # second of the earliest frame that shows the form; 0 none
+    "last": Field(np.uint32, (FORMS,)),  # of the latest
+    "witnesses": Field(np.uint32, (FORMS, 2)),  # hashes of two cameras that show the form; 0 none
+    "seen_by": Field(np.uint32, (CAMERAS_KEPT,)),  # hashes of cameras that see the cell, rising; 0 none
+    "last_seen": Field(np.uint32),  # second of the latest frame
+    "burned_at": Field(np.uint32),  # second of the latest burn that the map was told of; 0 none
+}
+"""The state of a cell. Seconds count from 1970; an array of each field, (tile, tile, *shape), is a tile."""
+
+_LATEST_NS = (2**32 - 1) * 10**9
+
+
+def camera_hash(source: str) -> int:
+    """The number by which cells remember a camera: CRC-32 of its name, never 0."""
+    return zlib.crc32(source.encode()) or 1
+
+
+class EvidenceMap:
+    """Counts the votes of frames, and tells the fuel map that they make of the prior.
+
+    Args:
+        geometry: the fuel grid; votes must be on it.
+        prior: the map that evidence starts from; None: nothing is known, each life form is as likely.
+        labels: what the votes count.
+        errors: of the network that labels; None: those of `label_errors/default.yaml`.
+        region: which codes changed cells get.
+
+    Raises RasterError for a prior on another grid.
+    """
+
+    def __init__(
+        self,
+        geometry: GridGeometry,
+        prior: FuelPrior | None,
+        labels: LabelSet,
+        rules: FusionRules | None = None,
+        errors: LabelErrors | None = None,
+        region: Region | None = None,
+    ) -> None:
+        if prior is not None and prior.codes.shape != geometry.shape:
+            raise RasterError(f"the prior is {prior.codes.shape} cells, the fuel grid {geometry.shape}")
+        self.geometry = geometry
+        self.prior = prior
+        self.rules = rules if rules is not None else FusionRules()
+        self.region = region if region is not None else Region.named("dry")
+        self.newest_ns = 0
+        """The latest stamp counted, to the second: the map's own time."""
+        self._errors = errors if errors is not None else LabelErrors.of_model("default")
+        self._forms = label_forms(labels)
+        self._decider = Decider(prior.system if prior is not None else None, self.rules, self.region)
+        years = self.rules.decay_years.model_dump()
+        self._decay_s = np.array([years[form.name.lower()] for form in LifeForm]) * (365.25 * 86400)
+        # calloc'ed: cells that no frame sees take no memory.
+        self._state = {
+            name: np.zeros((*geometry.shape, *field.shape), np.dtype(field.dtype))
+            for name, field in EVIDENCE_FIELDS.items()
+        }
+
+    @property
+    def tiles(self) -> tuple[int, int]:
+        """Rows and columns of tiles that cover the grid."""
+        return -(-self.geometry.height // TILE), -(-self.geometry.width // TILE)
+
+    def add(self, votes: CellVotes) -> Window | None:
+        """Count a frame; the part of the grid that it touches, or None where it says nothing.
+
+        The frame must not have been counted before. Raises ImageError for votes on another grid, over other classes,
+        or of a time that is not in 1970 to 2106.
+        """
+        if votes.geometry != self.geometry:
+            raise ImageError(f"votes of {votes.source} are on {votes.geometry}, this map is on {self.geometry}")
+        if not 0 <= votes.stamp_ns < _LATEST_NS:
+            raise ImageError(
+                f"votes of {votes.source} have the stamp {votes.stamp_ns} ns, which is not in 1970 to 2106"
+            )
+        frame = frame_evidence(votes, self._forms, self._errors, self.rules)
+        if len(frame) == 0:
+            return None
+        second = votes.stamp_ns // 10**9
+        state = self._state
+        accumulate(
+            frame.rows,
+            frame.cols,
+            frame.amounts,
+            frame.supported,
+            np.uint32(max(second, 1)),
+            np.uint32(camera_hash(votes.source)),
+            np.exp(second / self._decay_s),
+            *(state[name] for name in ("evidence", "first", "last", "witnesses", "seen_by", "last_seen", "burned_at")),
+        )
+        self.newest_ns = max(self.newest_ns, second * 10**9)
+        row, col = int(frame.rows.min()), int(frame.cols.min())
+        return row, col, int(frame.rows.max()) - row + 1, int(frame.cols.max()) - col + 1
+
+    def burn(self, cells: NDArray[np.bool_], stamp_ns: int) -> None:
+        """The cells (H, W) burned at that time: what was known of them before is void, also where it comes later.
+
+        Tell it once it is known: evidence of frames after the burn that came before this call is lost too.
+        """
+        if cells.shape != self.geometry.shape:
+            raise ImageError(f"burned cells of shape {cells.shape} do not fit a fuel grid of {self.geometry.shape}")
+        if not 0 <= stamp_ns < _LATEST_NS:
+            raise ImageError(f"a burn has the stamp {stamp_ns} ns, which is not in 1970 to 2106")
+        second = max(stamp_ns // 10**9, 1)
+        fresh = cells & (self._state["burned_at"] < second)
+        self._forget(fresh)
+        self._state["burned_at"][fresh] = second
+        self.newest_ns = max(self.newest_ns, second * 10**9)
+
+    def clear(self, window: Window) -> None:
+        """Forget all evidence in a part of the grid: there, the map is the prior again."""
+        mask = np.zeros(self.geometry.shape, np.bool_)
+        mask[self._slices(window)] = True
+        self._forget(mask)
+        self._state["burned_at"][mask] = 0
+
+    def layers(self, window: Window | None = None, at_ns: int | None = None) -> FuelLayers:
+        """The map, or a part of it, as of a time; by default that of the latest frame."""
+        part = self._slices(window or (0, 0, *self.geometry.shape))
+        state = {name: array[part] for name, array in self._state.items()}
+        shape = state["last_seen"].shape
+        codes = np.full(shape, NODATA, np.int16) if self.prior is None else self.prior.codes[part]
+        now = (self.newest_ns if at_ns is None else at_ns) / 1e9
+        touched = (state["last_seen"] > 0) | (state["burned_at"] > 0)
+        cells = CellEvidence(
+            evidence=state["evidence"][touched] * np.exp(-now / self._decay_s),
+            first=state["first"][touched],
+            last=state["last"][touched],
+            cameras=(state["witnesses"][touched] > 0).sum(axis=-1),
+            burned_at=state["burned_at"][touched],
+        )
+        layers = self._decider.decide(codes, touched, cells, now)
+        layers.last_seen[...] = state["last_seen"].astype(np.int64) * 10**9
+        layers.seen_by[...] = (state["seen_by"] > 0).sum(axis=-1)
+        return layers
+
+    def seen_by(self, source: str) -> NDArray[np.bool_]:
+        """(H, W): cells that a camera sees, as far as cells remember (`CAMERAS_KEPT`)."""
+        return np.asarray((self._state["seen_by"] == np.uint32(camera_hash(source))).any(axis=-1))
+
+    def tiles_of(self, window: Window) -> list[Key]:
+        """(row, col) of the tiles that hold a part of the grid, in row-major order."""
+        row, col, height, width = window
+        rows = range(row // TILE, (row + height - 1) // TILE + 1)
+        return [(r, c) for r in rows for c in range(col // TILE, (col + width - 1) // TILE + 1)]
+
+    def tile_state(self, key: Key) -> dict[str, NDArray[Any]]:
+        """A copy of a tile's state by field, (TILE, TILE, *shape); zeros beyond the grid's edges."""
+        part = self._tile_slices(key)
+        result = {}
+        for name, field in EVIDENCE_FIELDS.items():
+            whole = np.zeros((TILE, TILE, *field.shape), np.dtype(field.dtype))
+            content = self._state[name][part]
+            whole[: content.shape[0], : content.shape[1]] = content
+            result[name] = whole
+        return result
+
+    def load_tile(self, key: Key, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Put back what `tile_state` gave. Raises RasterError on arrays that are not such."""
+        part = self._tile_slices(key)
+        for name, field in EVIDENCE_FIELDS.items():
+            array = arrays.get(name)
+            wanted = (TILE, TILE, *field.shape)
+            if array is None or array.shape != wanted or array.dtype != np.dtype(field.dtype):
+                found = "absent" if array is None else f"{array.shape} {array.dtype}"
+                raise RasterError(f"field {name} of tile {key} is {found}, must be {wanted} {np.dtype(field.dtype)}")
+            target = self._state[name][part]
+            target[...] = array[: target.shape[0], : target.shape[1]]
+        newest = max(int(self._state["last_seen"][part].max()), int(self._state["burned_at"][part].max()))
+        self.newest_ns = max(self.newest_ns, newest * 10**9)
+
+    def _forget(self, cells: NDArray[np.bool_]) -> None:
+        for name, array in self._state.items():
+            if name != "burned_at":
+                array[cells] = 0
+
+    def _tile_slices(self, key: Key) -> tuple[slice, slice]:
+        tiles = self.tiles
+        if not (0 <= key[0] < tiles[0] and 0 <= key[1] < tiles[1]):
+            raise RasterError(f"tile {key} is outside a grid of {tiles} tiles")
+        return slice(key[0] * TILE, (key[0] + 1) * TILE), slice(key[1] * TILE, (key[1] + 1) * TILE)
+
+    def _slices(self, window: Window) -> tuple[slice, slice]:
+        row, col, height, width = window
+        if row < 0 or col < 0 or row + height > self.geometry.height or col + width > self.geometry.width:
+            raise RasterError(f"window {window} is not inside a fuel grid of {self.geometry.shape}")
+        return slice(row, row + height), slice(col, col + width)

@@ -1,0 +1,73 @@
+"""Life forms: what a camera can tell of a fuel cell, and what a fuel code says of it."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.vision.labels import LabelSet
+
+
+class LifeForm(IntEnum):
+    """The cover that a cell is mostly of. Ids up to BUILT are those of the labels of the same names."""
+
+    GRASS = 1
+    SHRUB = 2
+    TREE = 3
+    BARE = 4
+    WATER = 5
+    BUILT = 6
+    BURNED = 7
+
+
+FORMS: Final = len(LifeForm)
+"""Arrays over life forms have the form's id - 1 as index."""
+NODATA: Final = -9999
+"""Of fuel codes and canopy bands: nothing is known."""
+NONBURNABLE: Final = (91, 92, 93, 98, 99)
+_GRASS, _SHRUB, _TREE, _BARE = LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE, LifeForm.BARE
+_GROUPS: Final[tuple[tuple[range, tuple[LifeForm, ...]], ...]] = (
+    (range(1, 4), (_GRASS,)),
+    (range(4, 8), (_SHRUB,)),
+    (range(8, 11), (_TREE,)),
+    (range(11, 14), (_SHRUB, _TREE, _BARE)),
+    (range(91, 92), (LifeForm.BUILT,)),
+    (range(92, 93), (_BARE,)),
+    (range(93, 94), (_GRASS, _BARE)),
+    (range(98, 99), (LifeForm.WATER,)),
+    (range(99, 100), (_BARE,)),
+    (range(101, 110), (_GRASS,)),
+    (range(121, 125), (_GRASS, _SHRUB)),
+    (range(141, 150), (_SHRUB,)),
+    (range(161, 166), (_TREE,)),
+    (range(181, 190), (_TREE,)),
+    (range(201, 205), (_SHRUB, _TREE, _BARE)),  # slash: no camera tells it from what it lies among
+)
+
+
+def _table() -> NDArray[np.bool_]:
+    table = np.zeros((256, FORMS), np.bool_)
+    for codes, forms in _GROUPS:
+        for form in forms:
+            table[list(codes), form - 1] = True
+    return table
+
+
+FORMS_OF_CODE: Final = _table()
+"""(256, FORMS) bool: the life forms that agree with a fuel code, of either system. No form: no such code."""
+
+
+def forms_of(codes: NDArray[np.int16]) -> NDArray[np.bool_]:
+    """(..., FORMS): the life forms that agree with each fuel code; none for unknown codes and nodata."""
+    known = (codes >= 0) & (codes < len(FORMS_OF_CODE))
+    return np.asarray(FORMS_OF_CODE[np.where(known, codes, 0)], np.bool_)
+
+
+def label_forms(labels: LabelSet) -> NDArray[np.int64]:
+    """(K,) index of each label's life form, -1 for labels that are none: sky, and classes of other names."""
+    indices = {form.name.lower(): form - 1 for form in LifeForm}
+    covers = zip(labels.names, labels.ground_cover, strict=True)
+    return np.array([indices.get(name, -1) if cover else -1 for name, cover in covers], np.int64)

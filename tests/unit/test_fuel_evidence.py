@@ -1,0 +1,326 @@
+"""Evidence over frames: what changes a cell, what does not, and that nothing depends on the order of frames."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ltm_core.errors import ImageError, RasterError
+from ltm_core.fuel.evidence import EVIDENCE_FIELDS, TILE, EvidenceMap, camera_hash
+from ltm_core.fuel.label_errors import LabelErrors
+from ltm_core.fuel.life_form import NODATA, LifeForm
+from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.rules import FusionRules
+from ltm_core.fuel.sighting import CellSighting
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.grid import GridGeometry
+from ltm_core.vision.labels import Label, LabelSet
+
+GRID = GridGeometry(15.0, 75.0, 30.0, 3, 2)
+LABELS = LabelSet.load()
+CODES = np.array([[145, 147, 165], [121, 91, NODATA]], np.int16)
+PRIOR = FuelPrior(CODES, GRID)
+NOW = 1_700_000_000
+HOUR = 3600
+YEAR = 365.25 * 86400
+
+
+def votes(
+    label: Label | list[int],
+    second: float = NOW,
+    source: str = "north",
+    pixels: int = 40,
+    cells: list[tuple[int, int]] | None = None,
+    confidence: float | None = None,
+    sighting: CellSighting | None = None,
+) -> CellVotes:
+    """`pixels` of one label, or of each label the given number, in some cells; in all by default."""
+    cells = list(np.ndindex(GRID.shape)) if cells is None else cells
+    rows, cols = (np.array(index, np.int32) for index in zip(*cells, strict=True))
+    counts = np.zeros((len(cells), len(LABELS)), np.uint32)
+    if isinstance(label, Label):
+        counts[:, label] = pixels
+    else:
+        counts[:] = label
+    shown = None if confidence is None else np.full(len(cells), confidence, np.float32)
+    z = np.zeros(len(cells), np.float32)
+    return CellVotes(GRID, rows, cols, counts, z, int(second * 10**9), source, shown, sighting)
+
+
+def fuel_map(*frames: CellVotes, prior: FuelPrior | None = PRIOR, **rules: float) -> EvidenceMap:
+    result = EvidenceMap(GRID, prior, LABELS, FusionRules(**rules))
+    for frame in frames:
+        result.add(frame)
+    return result
+
+
+def test_the_prior_alone() -> None:
+    layers = fuel_map().layers()
+    np.testing.assert_array_equal(layers.code, CODES)
+    np.testing.assert_array_equal(layers.life_form, [[2, 2, 3], [1, 6, 255]])
+    assert not layers.changed.any()
+    assert not layers.evidence.any()
+    assert (layers.p_max[0] > 0.98).all()
+    assert np.isnan(layers.p_max[1, 2])
+
+
+def test_two_frames_an_hour_apart_change_a_life_form() -> None:
+    layers = fuel_map(votes(Label.TREE), votes(Label.TREE, NOW + HOUR)).layers()
+    np.testing.assert_array_equal(layers.code[0], [165, 165, 165])
+    np.testing.assert_array_equal(layers.changed, [[True, True, False], [True, False, False]])
+    assert (layers.code[1, 0], layers.life_form[1, 0]) == (165, LifeForm.TREE)  # 121 has shrubs too
+    assert (layers.code[1, 1], layers.life_form[1, 1]) == (91, LifeForm.BUILT)  # masked: never changed
+    assert layers.code[1, 2] == 183  # no prior there: what is seen
+    assert layers.last_seen[0, 0] == (NOW + HOUR) * 10**9
+
+
+def test_frames_less_than_an_hour_apart_do_not() -> None:
+    burst = [votes(Label.TREE, NOW + k) for k in range(20)]
+    layers = fuel_map(*burst).layers()
+    np.testing.assert_array_equal(layers.code.ravel()[:5], CODES.ravel()[:5])
+    assert layers.evidence[0, 0] > 50
+    assert layers.p_max[0, 0] > 0.9
+
+
+def test_two_cameras_need_no_hour() -> None:
+    layers = fuel_map(votes(Label.TREE), votes(Label.TREE, NOW + 1, "south")).layers()
+    assert layers.changed[0, 0]
+    np.testing.assert_array_equal(layers.seen_by, 2)
+
+
+def test_older_frames_of_another_form_are_no_witnesses() -> None:
+    shrubs = [votes(Label.SHRUB, NOW - k * HOUR, camera) for k in (3, 5) for camera in ("north", "south")]
+    trees = [votes(Label.TREE, NOW + k) for k in range(40)]
+    assert not fuel_map(*shrubs, *trees).layers().changed[0, 0]
+    assert fuel_map(*shrubs, *trees, votes(Label.TREE, NOW + HOUR)).layers().changed[0, 0]
+
+
+def test_one_frame_says_at_most_its_cap() -> None:
+    layers = fuel_map(votes(Label.TREE, pixels=100_000)).layers()
+    np.testing.assert_allclose(layers.evidence, 5.0, rtol=1e-6)
+    assert not layers.changed.any()
+    np.testing.assert_allclose(fuel_map(votes(Label.TREE, pixels=2)).layers().evidence, 2.0, rtol=1e-6)
+
+
+def test_the_life_form_that_holds_keeps_its_code() -> None:
+    frames = [votes(Label.SHRUB, NOW + k * HOUR, camera) for k in range(5) for camera in ("north", "south")]
+    layers = fuel_map(*frames).layers()
+    np.testing.assert_array_equal(layers.code, [[145, 147, 145], [121, 91, 145]])
+    np.testing.assert_array_equal(layers.changed, [[False, False, True], [False, False, False]])
+
+
+def test_unseen_cells_are_the_priors() -> None:
+    frames = [votes(Label.TREE, NOW + k * HOUR, cells=[(0, 1)]) for k in range(4)]
+    layers = fuel_map(*frames).layers()
+    untouched = np.ones(GRID.shape, bool)
+    untouched[0, 1] = False
+    np.testing.assert_array_equal(layers.code[untouched], CODES[untouched])
+    assert layers.code[0, 1] == 165
+    assert not layers.seen_by[untouched].any()
+
+
+def test_grass_and_shrub_together() -> None:
+    mixed = [0, 30, 30, 0, 0, 0, 0]
+    layers = fuel_map(votes(mixed), votes(mixed, NOW + HOUR), prior=None).layers()
+    np.testing.assert_array_equal(layers.code, 122)
+    np.testing.assert_array_equal(fuel_map(votes([0, 60, 0, 0, 0, 0, 0]), prior=None).layers().code, 102)
+
+
+def test_without_a_prior_nothing_is_known_until_it_is_seen() -> None:
+    layers = fuel_map(votes(Label.SHRUB, cells=[(1, 1)]), prior=None).layers()
+    np.testing.assert_array_equal(layers.code, [[NODATA] * 3, [NODATA, 145, NODATA]])
+    np.testing.assert_array_equal(layers.life_form, [[255] * 3, [255, 2, 255]])
+    assert not layers.changed.any()
+
+
+def evidence_now(grid_map: EvidenceMap, row: int, col: int) -> np.ndarray:
+    """Of one cell for each life form, as of its frames' time."""
+    years = [getattr(grid_map.rules.decay_years, form.name.lower()) for form in LifeForm]
+    kept = grid_map.tile_state((0, 0))["evidence"][row, col]
+    return np.asarray(kept * np.exp(-NOW / (np.array(years) * YEAR)))
+
+
+def test_labels_are_corrected_by_the_networks_errors() -> None:
+    frames = [votes([0, 0, 28, 12, 0, 0, 0], NOW + k * HOUR) for k in range(3)]
+    # A network that calls a tenth of shrubs tree has seen shrubs and something else; one that calls three trees of
+    # five shrub, and never a shrub tree, has seen trees.
+    shares = np.full((7, 7), np.nan)
+    shares[1] = 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    shares[2] = 0.0, 0.6, 0.4, 0.0, 0.0, 0.0, 0.0
+    for errors, code in ((None, 145), (LabelErrors(shares), 165)):
+        grid_map = EvidenceMap(GRID, PRIOR, LABELS, errors=errors)
+        for frame in frames:
+            grid_map.add(frame)
+        assert grid_map.layers().code[0, 0] == code
+
+
+def test_low_confidence_weighs_less() -> None:
+    sure, unsure = (fuel_map(votes(Label.TREE, confidence=c)).layers().evidence[0, 0] for c in (0.9, 0.35))
+    assert (sure, unsure) == (pytest.approx(5.0), pytest.approx(2.5))
+
+
+def sighting(n: int, **columns: float) -> CellSighting:
+    values = {"cos_incidence": 1.0, "footprint": 0.0, "sigma_along": 0.0, "sigma_across": 0.0, "bearing": 0.0} | columns
+    return CellSighting(*(np.full(n, value, np.float32) for value in values.values()))
+
+
+def test_coarse_pixels_weigh_less() -> None:
+    coarse = fuel_map(votes(Label.TREE, sighting=sighting(6, footprint=30.0))).layers()
+    np.testing.assert_allclose(coarse.evidence, 5 / np.sqrt(2), rtol=1e-6)
+
+
+def test_a_cell_that_may_be_another_one_is_evidence_of_both() -> None:
+    cells = [(0, 0), (0, 1), (0, 2)]
+    frame = votes(Label.SHRUB, cells=cells)
+    frame.counts[2] = [0, 0, 0, 40, 0, 0, 0]
+    exact = evidence_now(fuel_map(frame, prior=None), 0, 1)
+    # 30 m sideways (the camera looks north), nothing along: the middle cell may be either neighbour.
+    placed = CellVotes(
+        GRID, frame.rows, frame.cols, frame.counts, frame.z, frame.stamp_ns, "north", None, sighting(3, sigma_across=30)
+    )
+    spread = evidence_now(fuel_map(placed, prior=None), 0, 1)
+    assert exact[LifeForm.TREE - 1] < 0.1 * exact.sum()
+    assert spread[LifeForm.TREE - 1] > 0.15 * spread.sum()
+    assert spread.sum() < 0.9 * exact.sum()  # part of where it may lie is not in the frame
+    lost = CellVotes(
+        GRID, frame.rows, frame.cols, frame.counts, frame.z, frame.stamp_ns, "north", None, sighting(3, sigma_along=900)
+    )
+    assert EvidenceMap(GRID, PRIOR, LABELS).add(lost) is None
+
+
+def test_evidence_decays_with_the_time_constant_of_its_form() -> None:
+    grid_map = fuel_map(votes(Label.GRASS))
+    before = grid_map.layers().evidence
+    later = grid_map.layers(at_ns=int((NOW + 2 * YEAR) * 10**9)).evidence
+    # Most of it speaks for grass, with 2 years; the little for shrubs lasts longer.
+    assert (later / before > np.exp(-1)).all()
+    assert (later / before < np.exp(-1) + 0.03).all()
+    np.testing.assert_allclose(evidence_now(grid_map, 0, 0).sum(), before[0, 0], rtol=1e-6)
+    assert grid_map.newest_ns == NOW * 10**9
+
+
+def test_the_order_of_frames_does_not_matter() -> None:
+    frames = [
+        votes(Label.TREE, NOW),
+        votes(Label.SHRUB, NOW - 30 * 86400, "south"),
+        votes(Label.GRASS, NOW + HOUR, "east", cells=[(0, 0), (1, 2)]),
+        votes(Label.TREE, NOW + 3 * HOUR, "west"),
+    ]
+    states, layers = [], []
+    for order in itertools.permutations(frames):
+        grid_map = fuel_map(*order)
+        states.append(grid_map.tile_state((0, 0)))
+        layers.append(grid_map.layers())
+    for state, layer in zip(states[1:], layers[1:], strict=True):
+        for name in EVIDENCE_FIELDS:
+            if name == "evidence":
+                np.testing.assert_allclose(state[name], states[0][name], rtol=1e-14)
+            else:
+                np.testing.assert_array_equal(state[name], states[0][name])
+        np.testing.assert_array_equal(layer.code, layers[0].code)
+
+
+def test_a_burn_voids_what_was_known_and_lives_for_a_time() -> None:
+    cells = np.zeros(GRID.shape, bool)
+    cells[:, :2] = True
+    grid_map = fuel_map(votes(Label.TREE, NOW - HOUR), votes(Label.TREE, NOW - 3 * HOUR))
+    grid_map.burn(cells, NOW * 10**9)
+    grid_map.add(votes(Label.TREE, NOW - 5 * HOUR, "late"))
+    layers = grid_map.layers()
+    np.testing.assert_array_equal(layers.code, [[99, 99, 165], [99, 91, 183]])
+    np.testing.assert_array_equal(layers.changed, [[True, True, False], [True, False, False]])
+    assert not layers.evidence[0, 0]
+    regrown = grid_map.layers(at_ns=(NOW + 200 * 86400) * 10**9)
+    np.testing.assert_array_equal(regrown.code, [[101, 101, 165], [101, 91, 183]])
+    assert regrown.changed[0, 0]
+    for hours in (1, 3, 5, 7):
+        grid_map.add(votes(Label.SHRUB, NOW + 200 * 86400 + hours * HOUR, cells=[(0, 0), (0, 1)]))
+    # The shrubs are back: so is the prior's code of each cell.
+    back = grid_map.layers()
+    np.testing.assert_array_equal(back.code[0], CODES[0])
+    assert not back.changed[0].any()
+
+
+def test_a_map_without_burned_labels_never_takes_others_for_them() -> None:
+    frames = [votes(Label.BARE, NOW + k * HOUR) for k in range(6)]
+    layers = fuel_map(*frames).layers()
+    assert (layers.code[0, 0], layers.life_form[0, 0]) == (99, LifeForm.BARE)
+
+
+def test_cleared_cells_are_the_priors_again() -> None:
+    grid_map = fuel_map(votes(Label.TREE), votes(Label.TREE, NOW + HOUR))
+    grid_map.clear((0, 0, 2, 1))
+    layers = grid_map.layers()
+    np.testing.assert_array_equal(layers.changed, [[False, True, False], [False, False, False]])
+    assert not layers.evidence[:, 0].any()
+    with pytest.raises(RasterError, match=r"window \(0, 2, 1, 2\)"):
+        grid_map.clear((0, 2, 1, 2))
+
+
+def test_state_in_tiles_comes_back() -> None:
+    grid = GridGeometry(0.0, 2000.0, 30.0, TILE + 5, 2 * TILE + 3)
+    codes = np.full(grid.shape, 145, np.int16)
+    original = EvidenceMap(grid, FuelPrior(codes, grid), LABELS)
+    assert original.tiles == (3, 2)
+    rows, cols = (index.ravel().astype(np.int32) for index in np.indices(grid.shape))
+    counts = np.zeros((len(rows), len(LABELS)), np.uint32)
+    counts[:, Label.TREE] = np.arange(len(rows)) % 7
+    for second in (NOW, NOW + HOUR):
+        original.add(CellVotes(grid, rows, cols, counts, np.zeros(len(rows), np.float32), second * 10**9, "north"))
+    keys = original.tiles_of((TILE - 1, 0, 2, TILE + 1))
+    assert keys == [(0, 0), (0, 1), (1, 0), (1, 1)]
+    restored = EvidenceMap(grid, FuelPrior(codes, grid), LABELS)
+    for key in np.ndindex(original.tiles):
+        restored.load_tile(key, original.tile_state(key))
+    assert restored.newest_ns == original.newest_ns
+    for name, layer in vars(original.layers()).items():
+        np.testing.assert_array_equal(vars(restored.layers())[name], layer, err_msg=name)
+    np.testing.assert_array_equal(restored.seen_by("north"), counts.any(axis=1).reshape(grid.shape))
+    part = original.layers((3, 7, 20, 11))
+    np.testing.assert_array_equal(part.code, original.layers().code[3:23, 7:18])
+
+
+def test_tiles_that_are_none() -> None:
+    grid_map = fuel_map()
+    state = grid_map.tile_state((0, 0))
+    with pytest.raises(RasterError, match=r"tile \(1, 0\) is outside a grid of \(1, 1\) tiles"):
+        grid_map.load_tile((1, 0), state)
+    with pytest.raises(RasterError, match=r"field first of tile \(0, 0\) is absent"):
+        grid_map.load_tile((0, 0), {k: v for k, v in state.items() if k != "first"})
+
+
+def test_many_cameras() -> None:
+    names = [f"camera_{k}" for k in range(12)]
+    forward, backward = (fuel_map(*(votes(Label.TREE, NOW, name) for name in order)) for order in (names, names[::-1]))
+    np.testing.assert_array_equal(forward.tile_state((0, 0))["seen_by"], backward.tile_state((0, 0))["seen_by"])
+    assert forward.layers().seen_by[0, 0] == 8
+    kept = sorted(names, key=camera_hash)[:8]
+    assert [name for name in names if forward.seen_by(name)[0, 0]] == [name for name in names if name in kept]
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        (replace(votes(Label.TREE), geometry=GRID.translated(30, 0)), "votes of north are on"),
+        (votes(Label.TREE, -1), "stamp -1000000000 ns"),
+        (votes(Label.TREE, 2**32), "1970 to 2106"),
+    ],
+)
+def test_votes_that_cannot_be_taken(frame: CellVotes, message: str) -> None:
+    with pytest.raises(ImageError, match=message):
+        fuel_map().add(frame)
+
+
+def test_votes_over_other_classes() -> None:
+    frame = votes(Label.TREE)
+    other = CellVotes(GRID, frame.rows, frame.cols, frame.counts[:, :4], frame.z, 0, "north")
+    with pytest.raises(ImageError, match="count 4 classes, this map 7"):
+        fuel_map().add(other)
+
+
+def test_a_prior_of_another_grid() -> None:
+    with pytest.raises(RasterError, match="prior is"):
+        EvidenceMap(GridGeometry(0, 0, 30.0, 4, 4), PRIOR, LABELS)
