@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -60,7 +60,7 @@ class DepthMapFolder:
 
     def _load(self, file: Path) -> NDArray[np.float32]:
         try:
-            values = (
+            values: Any = (
                 np.load(file, allow_pickle=False)
                 if file.suffix == ".npy"
                 else cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
@@ -78,5 +78,5 @@ class DepthMapFolder:
             raise ImageError(
                 f"{file}: integers say no unit: write metres_per_unit (0.001 for millimetres) to {self.path / CONFIG}"
             )
-        depth = values.astype(np.float32) * np.float32(self.config.metres_per_unit or 1)
+        depth: NDArray[np.float32] = values.astype(np.float32) * np.float32(self.config.metres_per_unit or 1)
         return np.where(values == 0, np.float32(np.nan), depth) if values.dtype.kind in "iu" else depth

@@ -65,7 +65,7 @@ def test_files(tmp_path: Path) -> None:
 
 def test_integers_need_a_unit(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "north_7.png"), np.array([[0, 12, 65535]], np.uint16))
-    with pytest.raises(ImageError, match=r"metres_per_unit .* depth_maps.yaml"):
+    with pytest.raises(ImageError, match=r"metres_per_unit.*depth_maps.yaml"):
         DepthMapFolder.open("a", tmp_path).read("north", 7)
     (tmp_path / "depth_maps.yaml").write_text("metres_per_unit: 0.5\nkind: affine_invariant\n")
     folder = DepthMapFolder.open("a", tmp_path)
