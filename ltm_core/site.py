@@ -11,6 +11,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, PoseError
+from ltm_core.fuel.prior_config import PriorConfig
+from ltm_core.fuel.rules import FusionRules
 from ltm_core.geodesy import SiteFrame, ray_bend
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
@@ -68,6 +70,14 @@ class FuelConfig(Config):
     """Cell edges lie at phase mod resolution in the site's CRS; LANDFIRE's at 15 mod 30."""
     max_range: float = Field(6000.0, gt=0)
     """Metres beyond which a pixel's footprint is too coarse to vote for a cell."""
+    prior: PriorConfig | None = None
+    """The fuel map that evidence starts from; None: nothing is known before it is seen."""
+    region: str = "dry"
+    """Which codes changed cells get: a name in config/fuel/regions/."""
+    fusion: FusionRules = FusionRules()
+    """How evidence is weighed and when a cell changes."""
+    label_errors: str | None = None
+    """What the network takes for what: a YAML file, or None for config/fuel/label_errors/<model>.yaml."""
 
 
 class TerrainConfig(Config):

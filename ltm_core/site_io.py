@@ -16,4 +16,11 @@ def load_site(path: Path | str) -> Site:
     beside = path.parent / site.model
     if beside.suffix == ".yaml" and beside.is_file():
         changes["model"] = str(beside)
+    fuel: dict[str, object] = {}
+    if site.fuel.prior is not None:
+        fuel["prior"] = site.fuel.prior.below(path.parent)
+    if site.fuel.label_errors is not None:
+        fuel["label_errors"] = str(path.parent / site.fuel.label_errors)
+    if fuel:
+        changes["fuel"] = site.fuel.model_copy(update=fuel)
     return site.model_copy(update=changes)

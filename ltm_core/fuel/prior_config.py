@@ -1,0 +1,56 @@
+"""Where a site's prior fuel map lies, as typed configuration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import model_validator
+
+from ltm_core.vision.strict import StrictModel
+
+
+class PriorConfig(StrictModel):
+    """Either `path`, or single-band files by what they hold. A bare string stands for `path`.
+
+    Paths are relative to the site file; any CRS that GDAL knows; nodata -9999 or LANDFIRE's 32767.
+    """
+
+    path: Path | None = None
+    """A landscape (LCP or GeoTIFF of 8 bands), a single band of fuel codes, or a folder of single bands with the names
+    that LANDFIRE, ELMFIRE or GridFire give them."""
+    fbfm40: Path | None = None
+    fbfm13: Path | None = None
+    cover: Path | None = None
+    """Canopy cover, %."""
+    height: Path | None = None
+    """Canopy height, m x 10."""
+    base_height: Path | None = None
+    """Canopy base height, m x 10."""
+    bulk_density: Path | None = None
+    """Canopy bulk density, kg/m3 x 100."""
+    crs: str | None = None
+    """Only for files that carry none."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _bare_path(cls, value: Any) -> Any:
+        return {"path": value} if isinstance(value, str | Path) else value
+
+    @model_validator(mode="after")
+    def _one_source(self) -> PriorConfig:
+        if (self.path is None) == (not self.files()):
+            raise ValueError("give either path, or files such as fbfm40 and cover; not both and not neither")
+        if self.path is None and self.fbfm40 is None and self.fbfm13 is None:
+            raise ValueError("a prior fuel map needs fuel codes: give fbfm40 or fbfm13")
+        return self
+
+    def files(self) -> dict[str, Path]:
+        """The single-band files that are given, by what they hold."""
+        names = ("fbfm40", "fbfm13", "cover", "height", "base_height", "bulk_density")
+        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+
+    def below(self, folder: Path) -> PriorConfig:
+        """The same with relative paths taken from `folder`."""
+        paths = self.files() | ({} if self.path is None else {"path": self.path})
+        return self.model_copy(update={name: folder / path for name, path in paths.items()})

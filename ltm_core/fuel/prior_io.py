@@ -1,0 +1,181 @@
+"""Reading prior fuel maps: LANDFIRE GeoTIFFs, LCP and GeoTIFF landscapes, folders of single bands."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import RasterError
+from ltm_core.fuel.codes import FuelSystem, fuel_models
+from ltm_core.fuel.life_form import NODATA
+from ltm_core.fuel.prior import CANOPY_BANDS, FuelPrior
+from ltm_core.fuel.prior_config import PriorConfig
+from ltm_core.grid import GridGeometry
+
+_NODATA_VALUES = (-9999, 32767)
+"""That LANDFIRE's downloads and everybody else's use, whatever the file declares."""
+_NAMES: Mapping[str, str] = {
+    "fbfm40": r"(fbfm40|f40|40)",
+    "fbfm13": r"(fbfm13|f13|13)",
+    "cover": r"(cc|cover)",
+    "height": r"(ch|height)",
+    "base_height": r"(cbh|base)",
+    "bulk_density": r"(cbd|density)",
+}
+"""Words by which a folder's files are known, between the ends and signs that are no letters: cc.tif, LC22_CC_230.tif"""
+_LANDSCAPE_BANDS: Mapping[str, int] = {"codes": 4, "cover": 5, "height": 6, "base_height": 7, "bulk_density": 8}
+
+
+@dataclass(frozen=True)
+class _Band:
+    path: Path
+    band: int = 1
+    factor: float = 1.0
+    """To LANDFIRE's unit."""
+
+
+def load_prior(config: PriorConfig, geometry: GridGeometry) -> FuelPrior:
+    """The prior on the fuel grid (in the site's CRS), by nearest cell, since codes cannot be averaged.
+
+    Raises RasterError: a file that cannot be read or has no CRS, a folder without fuel codes or with several, codes
+    that no system has, nothing on the grid.
+    """
+    bands = _bands_of(config)
+    read = {name: _read(band, geometry, config.crs) for name, band in bands.items()}
+    if "codes" in read:
+        codes = read.pop("codes")
+        read[_system_of(codes, bands["codes"].path)] = codes
+    system = FuelSystem.FBFM40 if "fbfm40" in read else FuelSystem.FBFM13
+    for name in ("fbfm40", "fbfm13"):
+        if name in read:
+            _check_codes(read[name], FuelSystem(name), bands.get(name, bands.get("codes", _Band(Path()))).path)
+    canopy = None
+    if any(name in read for name in CANOPY_BANDS):
+        unknown = np.full(geometry.shape, NODATA, np.int16)
+        canopy = np.stack([read.get(name, unknown) for name in CANOPY_BANDS])
+    beside = read.get("fbfm13") if system is FuelSystem.FBFM40 else None
+    return FuelPrior(read[system.value], geometry, system, canopy, beside)
+
+
+def _bands_of(config: PriorConfig) -> dict[str, _Band]:
+    """What to read from where: `codes` (of a system to be found out), or fbfm40 and fbfm13, and canopy bands."""
+    if config.path is None:
+        return {name: _Band(path) for name, path in config.files().items()}
+    if config.path.is_dir():
+        return _bands_of_folder(config.path)
+    if not config.path.exists():
+        raise RasterError(f"{config.path}: no such file; it is the prior fuel map of the site")
+    import rasterio
+    from rasterio.errors import RasterioError
+
+    try:
+        with rasterio.open(config.path) as source:
+            count, tags = source.count, [source.tags(band) for band in range(1, source.count + 1)]
+            is_lcp = source.driver == "LCP"
+    except RasterioError as error:
+        raise RasterError(f"{config.path}: not a raster that GDAL can read ({error})") from error
+    if count == 1:
+        return {"codes": _Band(config.path)}
+    if count not in (5, 7, 8, 10):
+        raise RasterError(f"{config.path}: has {count} bands; a landscape has 5, 7, 8 or 10, a fuel map one")
+    has_crown = count in (8, 10)
+    names = [name for name in _LANDSCAPE_BANDS if has_crown or name in ("codes", "cover")]
+    return {
+        name: _Band(
+            config.path,
+            _LANDSCAPE_BANDS[name],
+            _unit_factor(name, tags[_LANDSCAPE_BANDS[name] - 1], config.path) if is_lcp else 1.0,
+        )
+        for name in names
+    }
+
+
+def _bands_of_folder(folder: Path) -> dict[str, _Band]:
+    files = sorted(p for p in folder.iterdir() if p.suffix.lower() in (".tif", ".tiff", ".asc", ".img"))
+    bands = {}
+    for name, pattern in _NAMES.items():
+        known = re.compile(rf"(^|[^a-z0-9]){pattern}([^a-z0-9]|$)", re.IGNORECASE)
+        found = [path for path in files if known.search(path.stem)]
+        if len(found) > 1:
+            raise RasterError(
+                f"{folder}: {', '.join(p.name for p in found)} may all be {name}; name the one under fuel.prior.{name}"
+            )
+        if found:
+            bands[name] = _Band(found[0])
+    if not {"fbfm40", "fbfm13"} & bands.keys():
+        there = ", ".join(p.name for p in files) or "no raster"
+        raise RasterError(f"{folder}: no fuel codes in it (files like fbfm40.tif, LC22_F40_230.tif); it has {there}")
+    return bands
+
+
+_LCP_FACTORS: Mapping[str, Mapping[str, float]] = {
+    "height": {"1": 10.0, "2": 3.048, "3": 1.0, "4": 0.3048},
+    "base_height": {"1": 10.0, "2": 3.048, "3": 1.0, "4": 0.3048},
+    "bulk_density": {"1": 100.0, "2": 1601.846, "3": 1.0, "4": 1.601846},
+}
+"""By the header's unit codes: metres, feet, m x 10, ft x 10; kg/m3, lb/ft3, kg/m3 x 100, lb/ft3 x 1000."""
+
+
+def _unit_factor(name: str, tags: Mapping[str, str], path: Path) -> float:
+    if name not in _LCP_FACTORS:
+        return 1.0
+    unit = next((value for key, value in tags.items() if key.endswith("_UNIT")), "3")
+    if unit not in _LCP_FACTORS[name]:
+        raise RasterError(f"{path}: its canopy {name} has the unit {unit}, which the format does not know")
+    return _LCP_FACTORS[name][unit]
+
+
+def _read(band: _Band, geometry: GridGeometry, crs: str | None) -> NDArray[np.int16]:
+    """A band on the grid by nearest cell, (H, W), NODATA where the file has none or does not reach."""
+    import rasterio
+    from rasterio.enums import Resampling
+    from rasterio.errors import RasterioError
+    from rasterio.vrt import WarpedVRT
+
+    try:
+        with rasterio.open(band.path) as source:
+            if source.crs is None and crs is None:
+                raise RasterError(
+                    f"{band.path}: the raster carries no CRS; name it with `fuel: {{prior: {{crs: ...}}}}`"
+                )
+            kind = np.dtype(source.dtypes[band.band - 1])
+            if kind.kind not in "iu" and not (kind.kind == "f" and band.band == 1):
+                raise RasterError(f"{band.path}: band {band.band} is {kind}, codes and canopy are whole numbers")
+            options: dict[str, Any] = {} if source.crs is not None else {"src_crs": crs}
+            with WarpedVRT(
+                source,
+                crs=geometry.crs,
+                transform=geometry.transform(),
+                width=geometry.width,
+                height=geometry.height,
+                resampling=Resampling.nearest,
+                src_nodata=source.nodata if source.nodata is not None else NODATA,
+                nodata=NODATA if kind.kind != "u" else source.nodata,
+                tolerance=0.0,
+                dtype="int32" if kind.itemsize > 2 or kind.kind == "u" else "int16",
+                **options,
+            ) as warped:
+                values = warped.read(band.band).astype(np.float64)
+    except RasterioError as error:
+        raise RasterError(f"{band.path}: not a raster that GDAL can read ({error})") from error
+    unknown = np.isin(values, _NODATA_VALUES) | (values < -32768) | (values > 32767)
+    return np.where(unknown, NODATA, np.round(values * band.factor)).astype(np.int16)
+
+
+def _system_of(codes: NDArray[np.int16], path: Path) -> str:
+    burnable = codes[(codes != NODATA) & ~np.isin(codes, list(fuel_models().nonburnable))]
+    return "fbfm13" if len(burnable) and (burnable <= 13).all() else "fbfm40"
+
+
+def _check_codes(codes: NDArray[np.int16], system: FuelSystem, path: Path) -> None:
+    values, counts = np.unique(codes[codes != NODATA], return_counts=True)
+    known = np.isin(values, list(fuel_models().codes(system)))
+    if not known.all():
+        strange = ", ".join(f"{v} ({n} cells)" for v, n in zip(values[~known][:5], counts[~known][:5], strict=True))
+        raise RasterError(f"{path}: holds codes that {system} does not have: {strange}")
