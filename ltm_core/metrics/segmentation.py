@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,6 +88,16 @@ class SegmentationScore:
         """Mean IoU over the classes that occur in the truth; NaN where none does."""
         present = self.iou[self.true > 0]
         return float(present.mean()) if present.size else float("nan")
+
+    @property
+    def mean_f1(self) -> float:
+        """Macro F1: mean over the classes that occur in the truth; NaN where none does."""
+        return self.macro_f1(range(len(self.confusion)))
+
+    def macro_f1(self, classes: Iterable[int]) -> float:
+        """Mean F1 over those of `classes` that occur in the truth; NaN where none does."""
+        present = [self.f1[k] for k in classes if self.true[k] > 0]
+        return float(np.mean(present)) if present else float("nan")
 
 
 def score_labels(truth: NDArray[np.uint8], predicted: NDArray[np.uint8], classes: int) -> SegmentationScore:

@@ -72,6 +72,7 @@ class OutputSpec(StrictModel):
     kind: Literal["logits", "probabilities", "ids", "relative_inverse", "affine_invariant", "metric"]
     layout: Literal["NCHW", "NHWC"] = "NCHW"
     name: str | None = None  # of the graph's output; the first where absent
+    temperature: float = Field(default=1.0, gt=0)  # logits are divided by it: fitted so that probabilities hold
     inverse: bool = False
     canonical_focal_px: float | None = Field(default=None, gt=0)
 

@@ -69,8 +69,7 @@ class Segmenter:
         Raises ImageError for another shape or dtype, ModelError when the network's output is not what its manifest
         states.
         """
-        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or image.size == 0:
-            raise ImageError(f"segment: image is {image.shape} {image.dtype}, expected (H, W, 3) uint8 RGB")
+        _check(image)
         height, width = image.shape[:2]
         output = self._model.run(input_tensor(image, self.manifest.input))
         if self.manifest.output.kind == "ids":
@@ -91,29 +90,51 @@ class Segmenter:
         labels = np.asarray(labels, dtype=np.uint8)
         return Segmentation(labels, np.where(labels == UNLABELLED, 0, 255).astype(np.uint8))
 
-    def _label_probabilities(self, output: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-        """Network output -> (G, h, w) probability of each label that the network knows."""
+    def logits(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+        """The network's own scores (K, h, w) of its classes, before any temperature, at its own resolution.
+
+        Raises ImageError and ModelError as `segment` does, and ModelError for a network that gives ids.
+        """
+        _check(image)
+        if self.manifest.output.kind == "ids":
+            raise ModelError(f"model {self.manifest.name!r} gives class ids; scores need logits or probabilities")
+        return self._scores(self._model.run(input_tensor(image, self.manifest.input)))
+
+    def class_probabilities(self, image: npt.NDArray[np.uint8]) -> dict[str, npt.NDArray[np.float32]]:
+        """Probability (h, w) of each of the network's own classes, at its own resolution; raises as `logits` does."""
+        probabilities = self._probabilities(self.logits(image))
+        return dict(zip(self.manifest.classes, probabilities, strict=True))
+
+    def _scores(self, output: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+        """Network output -> (K, h, w), checked."""
         spec = self.manifest.output
         scores = output[0] if spec.layout == "NCHW" else np.moveaxis(output[0], -1, 0)
-        count, rows, cols = scores.shape
-        scores = np.ascontiguousarray(scores, dtype=np.float32).reshape(count, -1)
+        scores = np.ascontiguousarray(scores, dtype=np.float32)
         if not np.isfinite(scores.sum()):
             raise ModelError(
                 f"model {self.manifest.name!r}: its {spec.kind} hold NaN or infinity; the network is broken"
             )
-        if spec.kind == "logits":
+        return scores
+
+    def _probabilities(self, scores: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Scores (K, h, w) -> probabilities of the network's classes."""
+        if self.manifest.output.kind == "logits":
+            scores = scores * np.float32(1.0 / self.manifest.output.temperature)
             scores = np.exp(scores - scores.max(axis=0))
-            grouped = self._grouped(scores) / scores.sum(axis=0)
-        else:
-            low, high = float(scores.min()), float(scores.max())
-            if low < -1e-3 or high > 1.0 + 1e-3:
-                raise ModelError(
-                    f"model {self.manifest.name!r}: output lies in {low:.3g}..{high:.3g}, expected probabilities of "
-                    "0..1; if these are logits, say `kind: logits` in the manifest"
-                )
-            if count == 1:
-                scores = np.concatenate([1.0 - scores, scores])
-            grouped = self._grouped(scores)
+            return np.asarray(scores / scores.sum(axis=0), np.float32)
+        low, high = float(scores.min()), float(scores.max())
+        if low < -1e-3 or high > 1.0 + 1e-3:
+            raise ModelError(
+                f"model {self.manifest.name!r}: output lies in {low:.3g}..{high:.3g}, expected probabilities of "
+                "0..1; if these are logits, say `kind: logits` in the manifest"
+            )
+        return np.concatenate([1.0 - scores, scores]) if len(scores) == 1 else scores
+
+    def _label_probabilities(self, output: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+        """Network output -> (G, h, w) probability of each label that the network knows."""
+        probabilities = self._probabilities(self._scores(output))
+        count, rows, cols = probabilities.shape
+        grouped = self._grouped(probabilities.reshape(count, -1))
         return np.asarray(np.clip(grouped, 0.0, 1.0), dtype=np.float32).reshape(-1, rows, cols)
 
     def _grouped(self, scores: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
@@ -145,6 +166,11 @@ def input_tensor(image: npt.NDArray[np.uint8], spec: InputSpec) -> npt.NDArray[A
     if spec.layout == "NCHW":
         tensor = np.moveaxis(tensor, -1, 0)
     return np.ascontiguousarray(tensor[None])
+
+
+def _check(image: npt.NDArray[np.uint8]) -> None:
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or image.size == 0:
+        raise ImageError(f"segment: image is {image.shape} {image.dtype}, expected (H, W, 3) uint8 RGB")
 
 
 def _class_labels(manifest: Manifest, labels: LabelSet) -> npt.NDArray[np.uint8]:

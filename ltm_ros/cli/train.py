@@ -1,93 +1,103 @@
-"""`ltm train`: train the segmentation network on rendered frames, export it and print what it is worth."""
+"""`ltm train`: train the default network, adapt it to a site's own cameras, label photos to train on.
+
+`ltm train CONFIG` is short for `ltm train run CONFIG`.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer.core import TyperGroup
+
+from ltm_ros.cli.train_adapt import adapt
+from ltm_ros.cli.train_photos import photos
+
+if TYPE_CHECKING:
+    from ltm_core.vision.train.config import TrainingConfig
+
+WHOLE = "run"
+"""The command that runs where the first argument is no command: one training run."""
 
 
-def train(
-    config: Annotated[Path, typer.Option(help="Training configuration, such as config/training/spine.yaml.")],
+class TrainGroup(TyperGroup):
+    """A group whose default command is `run`: `ltm train config/training/landscape_lite0.yaml`."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
+        if args and args[0] not in self.commands and args[0] not in ("--help", "-h"):
+            args = [WHOLE, *args]
+        return super().parse_args(ctx, args)
+
+
+def run(
+    config: Annotated[
+        Path | None, typer.Argument(help="Training configuration, such as config/training/landscape_lite0.yaml.")
+    ] = None,
+    config_option: Annotated[Path | None, typer.Option("--config", help="The same, as an option.")] = None,
     frames: Annotated[
-        Path | None, typer.Option(help="Folder of <scenario>/NNNN.png with NNNN_labels.png; overrides the config's.")
+        Path | None, typer.Option(help="Folder of <set>/NAME.png with NAME_labels.png; overrides the config's.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the model (default out/train/<name>).")] = None,
     steps: Annotated[int | None, typer.Option(help="Training steps, instead of the configuration's.")] = None,
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 2,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in the folder.")] = False,
+    start: Annotated[Path | None, typer.Option(help="Checkpoint of another run whose weights to start from.")] = None,
 ) -> None:
-    """Train a segmentation network; writes its ONNX file, manifest and scores, and prints the scores."""
+    """Train the network of CONFIG: checkpoints, a picture of the course, ONNX file, manifests, calibration, scores."""
     import json
 
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from ltm_core.config_io import load_yaml
     from ltm_core.errors import ConfigError
-    from ltm_core.vision.evaluate import score_segmenter, segment_milliseconds
     from ltm_core.vision.labels import LabelSet
-    from ltm_core.vision.segmenter import Segmenter
     from ltm_core.vision.train.config import TrainingConfig
     from ltm_core.vision.train.frames import read_split
     from ltm_ros.cli.score_table import score_table
+    from ltm_ros.cli.train_run import need_torch, trained
 
-    try:
-        import torch
+    need_torch()
+    from ltm_core.vision.segmenter import Segmenter
+    from ltm_core.vision.train.finish import score_sets
 
-        from ltm_core.vision.train import loop
-        from ltm_core.vision.train.export import export
-    except ModuleNotFoundError as reason:
-        raise ConfigError(f"training needs {reason.name}; install it with: pip install 'ltm[train]'") from reason
-
-    settings = load_yaml(config, TrainingConfig)
+    chosen = config or config_option
+    if chosen is None:
+        raise ConfigError("name a training configuration: ltm train config/training/landscape_lite0.yaml")
+    settings = load_yaml(chosen, TrainingConfig)
     if steps is not None:
-        optimiser = settings.optimiser.model_copy(update={"steps": steps})
-        settings = settings.model_copy(update={"optimiser": optimiser})
+        settings = _with_steps(settings, steps)
     folder = frames or settings.frames
     if folder is None:
-        raise ConfigError(f"{config}: no frames; name their folder with --frames or as `frames` in the configuration")
+        raise ConfigError(f"{chosen}: no frames; name their folder with --frames or as `frames` in the configuration")
     out = out or Path("out/train") / settings.name
     labels, console = LabelSet.load(), Console()
     split = read_split(folder, settings.split, len(labels))
-    parts = {"train": split.train, "validation": split.validation, "test": split.test}
-    for part, part_frames in parts.items():
-        scenarios = sorted({frame.path.parent.name for frame in part_frames})
-        console.print(f"{part}: {len(part_frames)} frames of {', '.join(scenarios) or 'no scenario'}")
-    torch.set_num_threads(threads)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as bar:
-        task = bar.add_task("training", total=settings.optimiser.steps)
-
-        def report(progress: loop.Progress) -> None:
-            bar.update(task, completed=progress.step, description=f"training, loss {progress.loss:.3f}")
-            if progress.step % 50 == 0:
-                console.print(f"step {progress.step}: loss {progress.loss:.3f}")
-            if progress.validation is not None:
-                iou = progress.validation.mean_iou
-                console.print(f"step {progress.step}: validation mean IoU {iou:.3f}")
-
-        network, validation = loop.train(settings, split, len(labels), report)
-    manifest = export(network, settings, labels, out)
-    segmenter = Segmenter.open(manifest)
-    test = score_segmenter(segmenter, ((frame.image, frame.labels) for frame in split.test))
-    milliseconds = segment_milliseconds(segmenter, [frame.image for frame in split.test[:4]])
-    console.print(score_table(labels.names, test, f"{settings.name} on {', '.join(settings.split.test)} (unseen)"))
-    if split.validation:
-        console.print(f"validation mean IoU {validation.mean_iou:.3f}")
-    console.print(f"one thread, {split.test[0].labels.shape[1]} px wide frames: {_median_text(milliseconds)}")
-    size = manifest.with_suffix(".onnx").stat().st_size
-    console.print(f"wrote {manifest} and {manifest.with_suffix('.onnx').name} ({size / 1e6:.2f} MB)")
-    scores = {
-        "frames": {part: len(part_frames) for part, part_frames in parts.items()},
-        "test_mean_iou": test.mean_iou,
-        "test_confusion": test.confusion.tolist(),
-    }
-    (out / f"{settings.name}_scores.json").write_text(json.dumps(scores, indent=1))
+    manifest = trained(settings, split, labels, out, threads, console, resume=resume, start=start)
+    segmenter = Segmenter.open(manifest, threads)
+    found = {"validation": score_sets(segmenter, split.validation), "test": score_sets(segmenter, split.test)}
+    report: dict[str, object] = {"name": settings.name, "seed": settings.seed, "steps": settings.optimiser.steps}
+    for part, scores in found.items():
+        for name, score in scores.items():
+            title = f"{settings.name} on {name} ({part}); ECE {score.calibration.ece:.3f}"
+            console.print(score_table(labels.names, score.labels, title))
+        report[part] = {
+            name: {
+                "macro_f1": score.labels.mean_f1,
+                "mean_iou": score.labels.mean_iou,
+                "ece": score.calibration.ece,
+                "confusion": score.labels.confusion.tolist(),
+            }
+            for name, score in scores.items()
+        }
+    (out / f"{settings.name}_scores.json").write_text(json.dumps(report, indent=1))
 
 
-def _median_text(milliseconds: object) -> str:
-    import numpy as np
+def _with_steps(settings: TrainingConfig, steps: int) -> TrainingConfig:
+    return settings.model_copy(update={"optimiser": settings.optimiser.model_copy(update={"steps": steps})})
 
-    values = np.asarray(milliseconds, np.float64)
-    return f"median {np.median(values):.1f} ms, p95 {np.percentile(values, 95):.1f} ms a frame"
+
+train = typer.Typer(cls=TrainGroup, no_args_is_help=True, help="Train the network, or adapt it to a site's cameras.")
+train.command(WHOLE)(run)
+train.command()(adapt)
+train.command()(photos)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from ltm_core.errors import ConfigError, ImageError, RecordingError
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.segmenter import Segmenter
-from ltm_core.vision.train.augment import OUTSIDE, augmented, fractal_noise
+from ltm_core.vision.train.augment import augmented, fractal_noise
 from ltm_core.vision.train.config import AugmentConfig, NetworkConfig, OptimiserConfig, SplitConfig, TrainingConfig
-from ltm_core.vision.train.frames import read_frames, read_split
+from ltm_core.vision.train.frames import LAND, UNKNOWN, Frame, read_frames, read_split
 
 SIZE = (64, 96)
 COLORS = np.array([(140, 190, 235), (200, 190, 90), (110, 90, 50), (20, 70, 30), (160, 150, 140)], np.uint8)
@@ -96,16 +96,20 @@ def test_a_folder_without_frames_says_what_it_expects(tmp_path: Path) -> None:
 def test_augmentation_repeats_with_its_seed_and_keeps_labels_on_their_pixels() -> None:
     """With geometry alone the photo's colours still tell each pixel's class."""
     image, labels = _frame(5)
+    inverse = (labels + 1).astype(np.float32)
+    frame = Frame(image, labels, Path("oak/0005.png"), inverse)
     geometry = AugmentConfig(new_sky=0, ground_tint=0, snow=0, haze=0, light=0, grey=0, blur=0, noise=0, jpeg=0)
     for seed in range(6):
-        photo, truth = augmented(image, labels, (72, 80), geometry, np.random.default_rng(seed))
-        again = augmented(image, labels, (72, 80), geometry, np.random.default_rng(seed))
-        np.testing.assert_array_equal(photo, again[0])
-        np.testing.assert_array_equal(truth, again[1])
+        photo, truth, depth = augmented(frame, (72, 80), geometry, np.random.default_rng(seed))
+        again = augmented(frame, (72, 80), geometry, np.random.default_rng(seed))
+        for one, other in zip((photo, truth, depth), again, strict=True):
+            np.testing.assert_array_equal(one, other)
         assert photo.shape == (72, 80, 3)
         distance = np.abs(photo[:, :, None].astype(int) - COLORS.astype(int)).sum(axis=-1)
-        known = truth != OUTSIDE
+        known = truth != UNKNOWN
         assert known.mean() > 0.5
+        np.testing.assert_array_equal(depth[known], truth[known] + 1.0)
+        assert np.isnan(depth[~known]).all()
         assert (distance.argmin(axis=-1) == truth)[known].mean() > 0.85
 
 
@@ -113,45 +117,184 @@ def test_every_augmentation_gives_a_photo_and_leaves_labels_be() -> None:
     image, labels = _frame(6)
     every = AugmentConfig(**dict.fromkeys(AugmentConfig.model_fields, 1.0))
     none = AugmentConfig(**dict.fromkeys(AugmentConfig.model_fields, 0.0))
-    photo, truth = augmented(image, labels, SIZE, none, np.random.default_rng(0))
+    frame = Frame(image, labels, Path("oak/0006.png"))
+    photo, truth, depth = augmented(frame, SIZE, none, np.random.default_rng(0))
     np.testing.assert_array_equal(photo, image)
     np.testing.assert_array_equal(truth, labels)
+    assert np.isnan(depth).all()
     for seed in range(8):
-        photo, truth = augmented(image, labels, SIZE, every, np.random.default_rng(seed))
+        photo, truth, _ = augmented(frame, SIZE, every, np.random.default_rng(seed))
         assert photo.dtype == np.uint8
         assert photo.std() > 1.0
-        assert set(np.unique(truth)) <= {*np.unique(labels), OUTSIDE}
+        assert set(np.unique(truth)) <= {*np.unique(labels), UNKNOWN}
 
 
-def test_a_short_training_repeats_and_its_model_labels_unseen_frames(frames: Path, tmp_path: Path) -> None:
-    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
-    from ltm_core.vision.evaluate import score_segmenter
+TINY = TrainingConfig(
+    name="tiny",
+    width=96,
+    height=64,
+    deploy_width=96,
+    deploy_height=64,
+    seed=3,
+    split=SplitConfig(validation=("elm",), test=("oak",)),
+    network=NetworkConfig(width=16, pretrained=False),
+    optimiser=OptimiserConfig(
+        steps=30, batch=4, validate_every=15, learning_rate=0.01, encoder_rate=1.0, average=0.8, frozen=0.0
+    ),
+    augment=AugmentConfig(new_sky=0, ground_tint=0, snow=0, haze=0, light=0, grey=0, noise=0.5, jpeg=0),
+)
+
+
+def _steps(config: TrainingConfig, steps: int) -> TrainingConfig:
+    return config.model_copy(update={"optimiser": config.optimiser.model_copy(update={"steps": steps})})
+
+
+def test_a_short_training_gives_a_calibrated_model_of_unseen_frames(frames: Path, tmp_path: Path) -> None:
+    pytest.importorskip("torch", reason="training needs the extra `train`")
+    from ltm_core.vision.calibration_io import load_calibration
+    from ltm_core.vision.train.curve_io import write_curve
     from ltm_core.vision.train.export import export
+    from ltm_core.vision.train.finish import calibrate, score_sets
     from ltm_core.vision.train.loop import Progress, train
 
     labels = LabelSet.load()
-    config = TrainingConfig(
-        name="tiny",
-        width=96,
-        height=64,
-        seed=3,
-        split=SplitConfig(validation=("elm",), test=("oak",)),
-        network=NetworkConfig(widths=(8, 12, 16, 16, 16), repeats=(1, 1, 1, 1), expansion=2, decoder=16),
-        optimiser=OptimiserConfig(steps=40, batch=4, validate_every=20, learning_rate=0.01, average=0.8),
-        augment=AugmentConfig(new_sky=0, ground_tint=0, snow=0, haze=0, light=0, grey=0, noise=0.5, jpeg=0),
-    )
-    split = read_split(frames, config.split, len(labels))
+    split = read_split(frames, TINY.split, len(labels))
     seen: list[Progress] = []
-    network, validation = train(config, split, len(labels), seen.append)
-    assert [progress.step for progress in seen if progress.validation] == [20, 40]
-    assert validation.mean_iou == max(progress.best for progress in seen)
-    short = config.model_copy(update={"optimiser": config.optimiser.model_copy(update={"steps": 3})})
-    first, second = (train(short, split, len(labels), lambda _: None)[0].state_dict() for _ in range(2))
+    network, run = train(TINY, split, len(labels), seen.append)
+    assert [progress.step for progress in seen if progress.validation] == [15, 30]
+    assert run.best == max(progress.best for progress in seen)
+    write_curve(tmp_path / "curve.png", "tiny", run)
+    assert cv2.imread(str(tmp_path / "curve.png")).std() > 5
+    manifest = export(network, TINY, labels, tmp_path / "model")
+    temperature, _ = calibrate(manifest, split.validation, labels, 0)
+    segmenter = Segmenter.open(manifest)
+    assert segmenter.manifest.output.temperature == pytest.approx(temperature, abs=1e-4)
+    score = score_sets(segmenter, split.test)["oak"]
+    assert score.labels.accuracy > 0.5
+    assert score.labels.iou[Label.SKY] > 0.8
+    calibration = load_calibration(segmenter.manifest)
+    assert calibration is not None
+    assert calibration.matrix(labels).shape == (7, 7)
+
+
+def test_a_training_repeats_and_goes_on_from_its_checkpoint(frames: Path, tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
+    from ltm_core.vision.train.loop import Run, train
+
+    config = _steps(TINY, 4)
+    config = config.model_copy(update={"optimiser": config.optimiser.model_copy(update={"validate_every": 2})})
+    split = read_split(frames, config.split, 7)
+    checkpoint = tmp_path / "checkpoint.pt"
+    whole, _ = train(config, split, 7, lambda _: None)
+
+    class StoppedError(Exception):
+        pass
+
+    def stop(progress: object) -> None:
+        if getattr(progress, "step") == 2:  # noqa: B009  # any report after the checkpoint was written
+            raise StoppedError
+
+    with pytest.raises(StoppedError):
+        train(config, split, 7, stop, checkpoint=checkpoint)
+    run = Run.resume(checkpoint, config, 7)
+    assert run.step == 2
+    resumed, _ = train(config, split, 7, lambda _: None, run)
+    first, second = whole.state_dict(), resumed.state_dict()
     assert all(torch.equal(first[name], second[name]) for name in first)
-    segmenter = Segmenter.open(export(network, config, labels, tmp_path / "model"))
-    score = score_segmenter(segmenter, ((frame.image, frame.labels) for frame in split.test))
-    assert score.accuracy > 0.6
-    assert score.iou[Label.SKY] > 0.8
+    with pytest.raises(ConfigError, match=r"other values of seed"):
+        Run.resume(checkpoint, config.model_copy(update={"seed": 9}), 7)
+
+
+def test_depth_is_learnt_but_for_its_scale() -> None:
+    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
+    from ltm_core.vision.train.losses import Batch, depth_loss, order_loss
+
+    rng = np.random.default_rng(2)
+    truth = np.exp(rng.normal(0.0, 0.01, (1, 24, 40))).cumsum(axis=1).astype(np.float32)
+    truth[:, :5] = np.nan
+
+    def batch(ordinal: bool) -> Batch:
+        labels = torch.full((1, 24, 40), UNKNOWN, dtype=torch.uint8)
+        return Batch(torch.zeros(1, 3, 24, 40), labels, torch.from_numpy(truth), torch.tensor([ordinal]))
+
+    right = torch.from_numpy(np.log(np.nan_to_num(truth, nan=1.0)))[None]
+    assert float(depth_loss(right + 3.0, batch(False))) == pytest.approx(0.0, abs=1e-5)
+    assert float(depth_loss(right * 0.5, batch(False))) > 0.05
+    assert float(depth_loss(right, batch(True))) == 0.0  # an order says nothing of ratios
+    assert float(order_loss(right, batch(True))) < float(order_loss(-right, batch(True)))
+    assert float(order_loss(right, batch(False))) == 0.0
+
+
+def test_partial_knowledge_rules_out_what_cannot_be() -> None:
+    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
+    from ltm_core.vision.train.losses import class_loss
+
+    def loss(label: int, predicted: int) -> float:
+        logits = torch.zeros(1, 7, 4, 6)
+        logits[:, predicted] = 8.0
+        labels = torch.full((1, 4, 6), label, dtype=torch.uint8)
+        return float(class_loss(logits, labels, torch.ones(7), OptimiserConfig()))
+
+    assert loss(LAND, Label.WATER) > 1.0 > 0.1 > loss(LAND, Label.TREE)
+    assert loss(UNLABELLED, Label.SKY) > 1.0 > 0.1 > loss(UNLABELLED, Label.WATER)
+    assert loss(UNKNOWN, Label.SKY) == 0.0
+
+
+def test_sets_are_drawn_by_their_shares(frames: Path) -> None:
+    pytest.importorskip("torch", reason="training needs the extra `train`")
+    from ltm_core.vision.train.loop import Deck
+
+    read = [frame for name in ("ash", "elm", "fir", "oak") for frame in read_frames(frames / name, 7)]
+    deck = Deck(read, {"oak": 0.5}, 1)
+    drawn = np.bincount([deck.card(i) for i in range(1200)], minlength=12)
+    assert drawn[9:].sum() == pytest.approx(600, abs=12)
+    assert drawn.min() > 0.8 * 600 / 9
+    with pytest.raises(ConfigError, match=r"shares names yew"):
+        Deck(read, {"yew": 0.5}, 1)
+
+
+def test_teachers_split_a_slope_by_a_persons_word() -> None:
+    """Sky above a slope whose left half is snow and whose right half is dark; grass below."""
+    from ltm_core.vision.train.teachers import Opinions, teach
+
+    photo = np.full((60, 90, 3), 40, np.uint8)
+    photo[:20] = (150, 190, 240)
+    photo[20:45, :40] = 230
+    planes = {name: np.full((60, 90), 0.02, np.float32) for name in ("sky", "scene", "slope", "grass")}
+    planes["sky"][:20] = planes["scene"][:20] = 0.98
+    planes["slope"][20:45] = planes["grass"][45:] = 0.95
+    opinions = Opinions(planes["sky"], planes["scene"], planes["slope"], {Label.GRASS: planes["grass"]})
+    labels = teach(photo, opinions, "BT")
+    assert set(np.unique(labels[:20])) == {Label.SKY}
+    assert set(np.unique(labels[47:])) == {Label.GRASS}
+    assert np.mean(labels[22:43, :36] == Label.BARE) > 0.9
+    assert np.mean(labels[22:43, 50:] == Label.TREE) > 0.9
+    assert np.all(teach(photo, opinions)[22:43] == LAND)
+    planes["scene"][5:10] = 0.0  # the scene network denies sky that the other sees, far from the skyline
+    assert np.all(teach(photo, opinions, "BT")[5:10] == UNKNOWN)
+    with pytest.raises(ConfigError, match=r"tag 'XY'"):
+        teach(photo, opinions, "XY")
+
+
+def test_simulated_frames_bring_their_depth(tmp_path: Path) -> None:
+    """Range is along the ray, depth along the axis: the ratio is the ray's cosine."""
+    import json
+
+    from ltm_core.camera import Camera
+
+    camera = Camera.from_fov(96, 64, 60.0)
+    _write(tmp_path, 3)
+    ranges = np.full((64, 96), 250.0, np.float32)
+    ranges[:20] = np.inf
+    np.savez(tmp_path / "0003_truth.npz", range_surface=ranges)
+    fields = ("width", "height", "fx", "fy", "cx", "cy", "distortion")
+    entry = {"image": "0003.png", "truth_camera": {name: getattr(camera, name) for name in fields}}
+    (tmp_path / "frames.json").write_text(json.dumps({"frames": [entry]}))
+    (frame,) = read_frames(tmp_path, 7)
+    assert frame.inverse is not None
+    assert not frame.ordinal
+    assert np.isnan(frame.inverse[:20]).all()
+    np.testing.assert_allclose(frame.inverse[40, 90], 1.0 / (250.0 * camera.rays()[40, 90, 2]), rtol=1e-6)
 
 
 def test_an_unknown_training_key_is_named(tmp_path: Path) -> None:

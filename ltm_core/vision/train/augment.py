@@ -3,28 +3,43 @@
 All work on float32 RGB (H, W, 3) in 0..1 and labels (H, W) uint8; each draws from the generator it is given.
 """
 
+from typing import Any
+
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.train.config import AugmentConfig
+from ltm_core.vision.train.frames import UNKNOWN, Frame
 
 Image = npt.NDArray[np.float32]
 Labels = npt.NDArray[np.uint8]
 Rng = np.random.Generator
 
-OUTSIDE = 254  # label of pixels that a crop has from outside its frame: nothing at all is known of them
-
 
 def augmented(
-    image: npt.NDArray[np.uint8], labels: Labels, size: tuple[int, int], chances: AugmentConfig, rng: Rng
-) -> tuple[npt.NDArray[np.uint8], Labels]:
-    """A changed copy of a frame at `size` (height, width)."""
+    frame: Frame, size: tuple[int, int], chances: AugmentConfig, rng: Rng
+) -> tuple[npt.NDArray[np.uint8], Labels, Image]:
+    """A changed copy of a frame at `size` (height, width): photo, labels, inverse depth (NaN where unknown).
+
+    Pixels that a window has from outside its frame are UNKNOWN.
+    """
+    matrix = _window(frame.labels.shape, size, rng, rescale=rng.random() < chances.rescale)
     if rng.random() < chances.flip:
-        image, labels = image[:, ::-1], labels[:, ::-1]
-    image, labels = _window(image, labels, size, rng, rescale=rng.random() < chances.rescale)
-    photo = image.astype(np.float32) / 255.0
+        matrix = matrix @ np.array([[-1.0, 0.0, size[1] - 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    labels = _warped(frame.labels, matrix, size, UNKNOWN)
+    inverse = np.full(size, np.nan, np.float32)
+    if frame.inverse is not None:
+        inverse = _warped(frame.inverse, matrix, size, np.nan)
+    image = cv2.warpAffine(
+        frame.image,
+        matrix,
+        size[::-1],
+        flags=cv2.WARP_INVERSE_MAP | cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REFLECT_101,
+    )
+    photo = np.asarray(image, np.float32) / 255.0
     if rng.random() < chances.ground_tint:
         photo = _ground_tint(photo, labels, rng)
     if rng.random() < chances.snow:
@@ -46,21 +61,20 @@ def augmented(
     if rng.random() < chances.jpeg:
         _, code = cv2.imencode(".jpg", result, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(25, 90))])
         result = np.asarray(cv2.imdecode(code, cv2.IMREAD_COLOR), np.uint8)
-    return result, labels
+    return result, labels, inverse
 
 
-def _window(
-    image: npt.NDArray[np.uint8], labels: Labels, size: tuple[int, int], rng: Rng, rescale: bool
-) -> tuple[npt.NDArray[np.uint8], Labels]:
-    """A window of the frame at `size`, anywhere in it; with `rescale` of another scale, aspect and slight tilt.
+def _window(shape: tuple[int, ...], size: tuple[int, int], rng: Rng, rescale: bool) -> npt.NDArray[np.float64]:
+    """Matrix (2, 3) from the pixels of a window of `size` to those of a frame of `shape`: anywhere in it; with
+    `rescale` of another scale, aspect and slight tilt.
 
     Scales stay near 1: a network that is to tell far trees from shrubs must see them as small as they will come.
     """
-    height, width = labels.shape
+    height, width = shape
     target_height, target_width = size
     magnification, aspect, tilt = 1.0, 1.0, 0.0
     if rescale:
-        magnification = np.exp(rng.uniform(np.log(0.8), np.log(1.7)))
+        magnification = np.exp(rng.uniform(np.log(0.75), np.log(1.6)))
         aspect = np.exp(rng.uniform(-0.25, 0.25))
         tilt = np.radians(rng.normal(0.0, 3.0))
     # matrix from target pixels to frame pixels
@@ -72,14 +86,13 @@ def _window(
     linear = np.array([[cos * sx, -sin * sy], [sin * sx, cos * sy]])
     middle = np.array([(target_width - 1) / 2.0, (target_height - 1) / 2.0])
     offset = np.array([middle_col, middle_row]) - linear @ middle
-    matrix = np.column_stack([linear, offset])
-    flags = cv2.WARP_INVERSE_MAP
-    shape = (target_width, target_height)
-    photo = cv2.warpAffine(image, matrix, shape, flags=flags | cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
-    truth = cv2.warpAffine(
-        labels, matrix, shape, flags=flags | cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=OUTSIDE
-    )
-    return np.asarray(photo, np.uint8), np.asarray(truth, np.uint8)
+    return np.column_stack([linear, offset])
+
+
+def _warped(values: npt.NDArray[Any], matrix: npt.NDArray[np.float64], size: tuple[int, int], outside: float) -> Any:
+    """Nearest values of a frame at the pixels of a window; `outside` beyond its edges."""
+    flags = cv2.WARP_INVERSE_MAP | cv2.INTER_NEAREST
+    return cv2.warpAffine(values, matrix, size[::-1], flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=outside)
 
 
 def fractal_noise(size: tuple[int, int], rng: Rng, coarsest: int = 4, octaves: int = 5, fall: float = 0.55) -> Image:

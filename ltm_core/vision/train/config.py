@@ -8,10 +8,11 @@ from ltm_core.vision.strict import StrictModel
 
 
 class SplitConfig(StrictModel):
-    """Whole scenarios (folders of frames) held out: `validation` picks the weights, `test` gives the scores.
+    """Whole sets (folders of frames of one scene, or of photos) held out: `validation` picks the weights and the
+    temperature, `test` gives the scores.
 
-    Without validation scenarios the last weights are kept. All other scenarios train the network. No frame of one
-    scene is ever in two parts, so the scores are of unseen ground.
+    Without validation sets the last weights are kept. All other sets train the network. No frame of one scene is
+    ever in two parts, so the scores are of unseen ground.
     """
 
     validation: tuple[str, ...] = ()
@@ -26,28 +27,30 @@ class SplitConfig(StrictModel):
 
 
 class NetworkConfig(StrictModel):
-    """Widths of the encoder stages (strides 2, 4, 8, 16, 32), their repeats, and of the decoder."""
+    """Channels of the pyramid over the Lite0 encoder, and whether the encoder starts from ImageNet's weights."""
 
-    widths: tuple[int, int, int, int, int] = (16, 32, 48, 80, 112)
-    repeats: tuple[int, int, int, int] = (2, 3, 4, 3)
-    expansion: int = Field(default=3, ge=1)
-    decoder: int = Field(default=64, ge=8)
+    width: int = Field(default=64, ge=16, multiple_of=16)
+    pretrained: bool = True
 
 
 class OptimiserConfig(StrictModel):
-    steps: int = Field(default=1400, ge=1)
+    steps: int = Field(default=2000, ge=1)
     batch: int = Field(default=8, ge=1)
-    small: float = Field(default=0.85, ge=0, le=1)  # share of the steps, the first, at two thirds of the size
-    learning_rate: float = Field(default=2.5e-3, gt=0)
-    warmup: float = Field(default=0.08, ge=0, lt=1)  # share of the steps
+    small: float = Field(default=0.6, ge=0, le=1)  # share of the steps, the first, at two thirds of the size
+    frozen: float = Field(default=0.15, ge=0, le=1)  # share of the steps, the first, that leave the encoder as it is
+    learning_rate: float = Field(default=2.0e-3, gt=0)
+    encoder_rate: float = Field(default=0.2, ge=0, le=1)  # the encoder's learning rate relative to the heads'
+    warmup: float = Field(default=0.05, ge=0, lt=1)  # share of the steps
     weight_decay: float = Field(default=0.02, ge=0)
     average: float = Field(default=0.99, ge=0, lt=1)  # decay of the running average of weights that is kept
-    class_weight_power: float = Field(default=0.5, ge=0, le=1)  # weight = (1 / share of pixels) ** power
+    class_weight_power: float = Field(default=0.35, ge=0, le=1)  # weight = (1 / share of pixels) ** power
     label_smoothing: float = Field(default=0.02, ge=0, lt=0.5)
-    # The simulator labels only the ground of its land cover map; the ranges beyond are 255, but no sky. Weight of
-    # that knowledge, below 1 because haze makes the farthest ones look like it.
-    unlabelled_not_sky: float = Field(default=0.3, ge=0)
-    validate_every: int = Field(default=100, ge=1)
+    # What is known of pixels without a class: ground of unknown cover is no sky, a far slope neither sky, water nor
+    # built. Weight of that knowledge, below 1 because haze makes the farthest ranges look like sky.
+    partial: float = Field(default=0.3, ge=0)
+    depth: float = Field(default=0.4, ge=0)  # weight of true inverse depth
+    order: float = Field(default=0.1, ge=0)  # weight of a teacher's order of near and far
+    validate_every: int = Field(default=200, ge=1)
 
 
 class AugmentConfig(StrictModel):
@@ -55,12 +58,12 @@ class AugmentConfig(StrictModel):
 
     flip: float = 0.5
     rescale: float = 0.7
-    new_sky: float = 0.35
+    new_sky: float = 0.3
     ground_tint: float = 0.2
     snow: float = 0.08
     haze: float = 0.25
     light: float = 0.65
-    grey: float = 0.03
+    grey: float = 0.04
     blur: float = 0.12
     noise: float = 0.35
     jpeg: float = 0.3
@@ -70,12 +73,24 @@ class TrainingConfig(StrictModel):
     """One training run: data split, network, optimiser, augmentation, and what the exported model is called."""
 
     name: str
-    frames: Path | None = None  # folder of <scenario>/NNNN.png and NNNN_labels.png; the command line may give it
+    frames: Path | None = None  # folder of <set>/NAME.png and NAME_labels.png; the command line may give it
     seed: int = 0
-    width: int = Field(default=512, ge=64, multiple_of=32)
-    height: int = Field(default=288, ge=64, multiple_of=32)
+    width: int = Field(default=384, ge=64, multiple_of=32)  # of the windows that are trained on
+    height: int = Field(default=256, ge=64, multiple_of=32)
+    deploy_width: int = Field(default=512, ge=64, multiple_of=32)  # of the exported network's input
+    deploy_height: int = Field(default=288, ge=64, multiple_of=32)
     split: SplitConfig
+    shares: dict[str, float] = Field(default_factory=dict)  # set -> its share of the windows; the rest by frames
     network: NetworkConfig = NetworkConfig()
     optimiser: OptimiserConfig = OptimiserConfig()
     augment: AugmentConfig = AugmentConfig()
     licence: str = "Apache-2.0"
+
+    @model_validator(mode="after")
+    def _shares_fit(self) -> "TrainingConfig":
+        if sum(self.shares.values()) > 1 or any(share <= 0 for share in self.shares.values()):
+            raise ValueError(f"shares are {self.shares}, expected values above 0 whose sum is at most 1")
+        held_out = sorted(set(self.shares) & {*self.split.validation, *self.split.test})
+        if held_out:
+            raise ValueError(f"shares names {', '.join(held_out)}, held out by split")
+        return self

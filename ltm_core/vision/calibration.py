@@ -1,0 +1,52 @@
+"""Probabilities that mean something: temperature scaling, and how classes are taken for one another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from ltm_core.errors import ImageError
+
+_RANGE = (0.2, 8.0)  # of temperatures; at either end something other than the temperature is wrong
+_PRIOR = 1e-3  # of a row of the confusion matrix, given to each entry: what was never seen is not impossible
+
+
+def fit_temperature(logits: NDArray[np.float32], labels: NDArray[np.uint8]) -> float:
+    """The temperature T for which softmax(logits / T) explains the labels best (Guo et al. 2017).
+
+    `logits` (N, K) of pixels whose true label (N,) is known, below K. Raises ImageError where there are none.
+    """
+    if len(logits) == 0 or logits.shape[0] != labels.shape[0]:
+        raise ImageError(f"logits {logits.shape} and labels {labels.shape}: expected (N, K) and (N,), N > 0")
+    scores = np.asarray(logits, np.float64)
+    rows = np.arange(len(scores))
+
+    def cost(log_temperature: float) -> float:
+        scaled = scores * np.exp(-log_temperature)
+        top = scaled.max(axis=1)
+        normaliser = top + np.log(np.exp(scaled - top[:, None]).sum(axis=1))
+        return float((normaliser - scaled[rows, labels]).mean())
+
+    bounds = (float(np.log(_RANGE[0])), float(np.log(_RANGE[1])))
+    return float(np.exp(optimize.minimize_scalar(cost, bounds=bounds, method="bounded").x))
+
+
+def balanced(confusions: Sequence[NDArray[np.int64]]) -> NDArray[np.float64]:
+    """P(label given | true label), (K, K), rows sum to 1, from the confusion matrices of several sets.
+
+    Each set that holds a class counts alike in its row, whatever its number of pixels; (K, K + 1) matrices lose their
+    column of unlabelled pixels. A class that no set holds gets a row that is mostly itself: nothing is known of it.
+    """
+    classes = len(confusions[0])
+    rows = np.zeros((classes, classes))
+    for confusion in confusions:
+        counts = np.asarray(confusion[:, :classes], np.float64)
+        total = counts.sum(axis=1, keepdims=True)
+        rows += np.divide(counts, total, out=np.zeros_like(counts), where=total > 0)
+    unseen = rows.sum(axis=1) == 0
+    rows[unseen] = (0.5 * np.eye(classes) + 0.5 / classes)[unseen]
+    rows = rows / rows.sum(axis=1, keepdims=True) + _PRIOR
+    return np.asarray(rows / rows.sum(axis=1, keepdims=True))
