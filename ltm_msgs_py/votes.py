@@ -1,7 +1,9 @@
 """CellVotes <-> sensor_msgs/PointCloud2.
 
-One point a cell: x, y, z float32 (its centre on the terrain), row, col int32, and one uint32 field a class, named after
-it. So votes are sparse, say themselves what they count, and any ROS tool shows them as points.
+One point a cell: x, y, z float32 (its centre on the terrain), and one uint16 field of pixels for each class that the
+frame saw, named after it. Where they are known: `confidence` of the labels and `cos_incidence`, uint8 x 255;
+`footprint_dm`, `sigma_along_dm`, `sigma_across_dm` in decimetres and `bearing_deg`, uint16. So votes are sparse, say
+themselves what they count, and any ROS tool shows them as points.
 """
 
 from __future__ import annotations
@@ -15,18 +17,44 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
 from ltm_core.errors import MessageError
+from ltm_core.fuel.sighting import CellSighting
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
-from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns, take
+from ltm_msgs_py.pointcloud import Columns, columns_to_msg, msg_to_columns, take
 from ltm_msgs_py.stamp import stamp_of
 
-_PLACE_FIELDS = ("x", "y", "z", "row", "col")
+MAX_BYTES = 64_000
+"""Of a frame's votes on the wire."""
+_HEADER_BYTES = 1_500
+"""Bound of what a message holds besides its points: header, names of fields."""
+_AXES = ("x", "y", "z")
+_LENGTHS = ("footprint_dm", "sigma_along_dm", "sigma_across_dm")
+_SIGHTING = ("cos_incidence", *_LENGTHS, "bearing_deg")
+_RESERVED = (*_AXES, "row", "col", "confidence", *_SIGHTING)
+_MOST = 65_535
+
+
+def fitting(votes: CellVotes, turn: int) -> CellVotes:
+    """The votes that fit into a message of `MAX_BYTES`.
+
+    Where there are more, the strongest take three quarters of the room and the others take turns in the rest, so that
+    the distance that a fixed camera sees is not left out for good. `turn`: number of the frame.
+    """
+    limit = (MAX_BYTES - _HEADER_BYTES) // _point_bytes(votes)
+    if len(votes) <= limit:
+        return votes
+    chosen = np.isin(_cells(votes), _cells(votes.strongest(limit - limit // 4)))
+    others = np.flatnonzero(~chosen)
+    rounds = -(-len(others) // (limit // 4))
+    chosen[others[turn % rounds :: rounds]] = True
+    return votes.only(chosen)
 
 
 def votes_to_msg(votes: CellVotes, class_names: Sequence[str], frame_id: str = "map") -> PointCloud2:
     """Votes as points; `class_names`: (K,) in the order of the counts' columns.
 
-    Raises MessageError when the names are not K distinct identifiers.
+    Where a class has more pixels in a cell than a field holds, all of that cell's are scaled down. Raises MessageError
+    when the names are not K distinct identifiers.
     """
     names = _checked_names(class_names)
     if votes.counts.shape[1] != len(names):
@@ -34,58 +62,119 @@ def votes_to_msg(votes: CellVotes, class_names: Sequence[str], frame_id: str = "
             f"votes of {votes.source} count {votes.counts.shape[1]} classes, {len(names)} are named: {', '.join(names)}"
         )
     centres = votes.centres()
-    columns: dict[str, NDArray[Any]] = {axis: centres[:, i] for i, axis in enumerate("xyz")}
-    columns["row"] = votes.rows.astype(np.int32)
-    columns["col"] = votes.cols.astype(np.int32)
+    columns: dict[str, NDArray[Any]] = {axis: centres[:, i] for i, axis in enumerate(_AXES)}
+    scale = np.minimum(1.0, _MOST / np.maximum(votes.counts.max(axis=1, initial=1), 1))
     for k, name in enumerate(names):
-        columns[name] = votes.counts[:, k].astype(np.uint32)
+        if votes.counts[:, k].any():
+            columns[name] = np.rint(votes.counts[:, k] * scale).astype(np.uint16)
+    if votes.confidence is not None:
+        columns["confidence"] = _scaled(votes.confidence, 255, np.uint8)
+    if votes.sighting is not None:
+        seen = votes.sighting
+        columns["cos_incidence"] = _scaled(seen.cos_incidence, 255, np.uint8)
+        for name, length in zip(_LENGTHS, (seen.footprint, seen.sigma_along, seen.sigma_across), strict=True):
+            columns[name] = _scaled(length, 10, np.uint16)
+        columns["bearing_deg"] = np.mod(np.rint(np.degrees(seen.bearing)), 360).astype(np.uint16)
     return columns_to_msg(columns, votes.stamp_ns, frame_id, is_dense=bool(np.isfinite(centres).all()))
 
 
 def msg_to_votes(msg: Any, geometry: GridGeometry, class_names: Sequence[str], source: str) -> CellVotes:
     """Votes over the fuel grid `geometry` of the receiver; `source`: the camera, which only the topic names.
 
-    Raises MessageError when fields are missing, foreign or of another type, sizes contradict each other, a cell
-    lies outside the grid, comes twice or out of row-major order, or its x, y is not the centre of its row, col:
-    then the sender counts on another grid.
+    Raises MessageError when fields are missing, foreign or of another type, sizes contradict each other or exceed the
+    grid's, a point lies outside the grid or not on the centre of a cell (then the sender counts on another grid), or
+    cells come twice or out of row-major order.
     """
     names = _checked_names(class_names)
     what = f"votes of {source}"
+    columns = _checked_columns(msg, geometry, names, what)
+    x, y, z = (take(columns, axis, np.float32, what) for axis in _AXES)
+    rows, cols = _cells_at(x, y, geometry, what)
+    counts = np.zeros((len(x), len(names)), np.uint32)
+    for k, name in enumerate(names):
+        if name in columns:
+            counts[:, k] = take(columns, name, np.uint16, what)
+    confidence = None
+    if "confidence" in columns:
+        confidence = take(columns, "confidence", np.uint8, what).astype(np.float32) / np.float32(255)
+    return CellVotes(geometry, rows, cols, counts, z, stamp_of(msg), source, confidence, _sighting(columns, what))
+
+
+def _checked_columns(msg: Any, geometry: GridGeometry, names: Sequence[str], what: str) -> Columns:
+    """The columns, none of them foreign; a message that claims more than the grid holds is refused unread."""
+    cells = geometry.width * geometry.height
+    most = cells * (4 * len(_AXES) + 2 * len(names) + 2 * len(_RESERVED))
+    if int(msg.height) * int(msg.width) > cells or len(msg.data) > most:
+        raise MessageError(
+            f"{what} name {int(msg.height) * int(msg.width)} cells in {len(msg.data)} bytes; "
+            f"the fuel grid has {cells}, whose votes take {most} bytes at most"
+        )
     columns = msg_to_columns(msg)
-    if foreign := sorted(columns.keys() - {*_PLACE_FIELDS, *names}):
+    if foreign := sorted(columns.keys() - {*_AXES, "confidence", *_SIGHTING, *names}):
         raise MessageError(f"{what} have the fields {', '.join(foreign)}; classes here are {', '.join(names)}")
-    x, y, z = (take(columns, axis, np.float32, what) for axis in "xyz")
-    rows, cols = (take(columns, index, np.int32, what) for index in ("row", "col"))
-    counts = np.column_stack([take(columns, name, np.uint32, what) for name in names])
-    inside = geometry.contains(rows, cols)
+    return columns
+
+
+def _cells_at(
+    x: NDArray[Any], y: NDArray[Any], geometry: GridGeometry, what: str
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Rows and columns of the cells whose centres these points are."""
+    row, col = geometry.to_grid(x, y)
+    with np.errstate(invalid="ignore"):
+        inside = (np.abs(2 * row - geometry.height + 1) < geometry.height) & (
+            np.abs(2 * col - geometry.width + 1) < geometry.width
+        )
     if not inside.all():
         first = int(np.argmin(inside))
         raise MessageError(
-            f"{what}: point {first} is cell ({rows[first]}, {cols[first]}), outside a fuel grid "
-            f"of {geometry.shape} cells"
+            f"{what}: point {first} at ({x[first]}, {y[first]}) is outside a fuel grid of {geometry.shape} cells"
         )
-    cells = rows.astype(np.int64) * geometry.width + cols
-    if len(cells) > 1 and np.diff(cells).min() <= 0:
-        first = int(np.argmax(np.diff(cells) <= 0)) + 1
+    rows, cols = np.rint(row).astype(np.int32), np.rint(col).astype(np.int32)
+    centred = np.maximum(np.abs(row - rows), np.abs(col - cols)) <= 0.01
+    if not centred.all():
+        first = int(np.argmin(centred))
+        raise MessageError(
+            f"{what}: point {first} at ({x[first]}, {y[first]}) is no cell's centre: sender and receiver use "
+            "different fuel grids"
+        )
+    steps = np.diff(rows.astype(np.int64) * geometry.width + cols)
+    if (steps <= 0).any():
+        first = int(np.argmax(steps <= 0)) + 1
         raise MessageError(
             f"{what}: point {first} is cell ({rows[first]}, {cols[first]}), which comes twice or out of row-major order"
         )
-    x_here, y_here = geometry.to_map(rows, cols)
-    agree = np.maximum(np.abs(x - x_here), np.abs(y - y_here)) <= 0.01 * geometry.resolution
-    if not agree.all():
-        first = int(np.argmin(agree))
-        raise MessageError(
-            f"{what}: cell ({rows[first]}, {cols[first]}) stands at ({x[first]}, {y[first]}), here it is at "
-            f"({x_here[first]}, {y_here[first]}): sender and receiver use different fuel grids"
-        )
-    return CellVotes(geometry, rows, cols, counts, z, stamp_of(msg), source)
+    return rows, cols
+
+
+def _sighting(columns: Columns, what: str) -> CellSighting | None:
+    if not columns.keys() & set(_SIGHTING):
+        return None
+    cosine = take(columns, "cos_incidence", np.uint8, what).astype(np.float32) / np.float32(255)
+    footprint, along, across = (
+        take(columns, name, np.uint16, what).astype(np.float32) / np.float32(10) for name in _LENGTHS
+    )
+    bearing = np.radians(take(columns, "bearing_deg", np.uint16, what).astype(np.float32))
+    return CellSighting(cosine, footprint, along, across, bearing)
+
+
+def _scaled(values: NDArray[Any], factor: float, dtype: Any) -> NDArray[Any]:
+    """Rounded and clipped to an unsigned integer type; what is not a number counts as the greatest."""
+    most = np.iinfo(dtype).max
+    return np.clip(np.rint(np.nan_to_num(values * factor, nan=most)), 0, most).astype(dtype)
+
+
+def _point_bytes(votes: CellVotes) -> int:
+    classes = int(votes.counts.any(axis=0).sum())
+    return 12 + 2 * classes + (votes.confidence is not None) + (9 if votes.sighting is not None else 0)
+
+
+def _cells(votes: CellVotes) -> NDArray[np.int64]:
+    return votes.rows.astype(np.int64) * votes.geometry.width + votes.cols
 
 
 def _checked_names(class_names: Sequence[str]) -> tuple[str, ...]:
     names = tuple(class_names)
-    bad = [n for n in names if n in _PLACE_FIELDS or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", n)]
+    bad = [n for n in names if n in _RESERVED or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", n)]
     if not names or bad or len(set(names)) != len(names):
-        raise MessageError(
-            f"vote classes must be distinct identifiers other than {', '.join(_PLACE_FIELDS)}; got {names}"
-        )
+        raise MessageError(f"vote classes must be distinct identifiers other than {', '.join(_RESERVED)}; got {names}")
     return names

@@ -65,12 +65,23 @@ class Handler(Generic[ConfigT]):
         return {}
 
     @property
+    def discoverable(self) -> Mapping[Topic, Callable[[str, Any], None]]:
+        """Topics to listen to as they appear, by patterns such as `/ridge/*/fuel/votes`; live only.
+
+        `*` stands for one part of the name; the callback is told the whole name.
+        """
+        return {}
+
+    @property
     def services(self) -> Mapping[str, Callable[[], str]]:
         """std_srvs/Trigger services by name; each returns its answer or raises LtmError."""
         return {}
 
     def start(self) -> None:
         """Called once when publications are open: latched messages go out here."""
+
+    def idle(self) -> None:
+        """Called after a message when no other waits: what is cheaper for many at once is done here."""
 
     def tick(self, waited: float) -> None:
         """Called every half second with the seconds since the last call, on a clock that a replay does not stop."""

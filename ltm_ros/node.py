@@ -10,6 +10,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from fnmatch import fnmatchcase
+from functools import partial
 from typing import Any, Protocol
 
 import rclpy
@@ -24,6 +26,7 @@ from std_srvs.srv import Trigger
 
 from ltm_core.config_io import checked
 from ltm_core.errors import LtmError
+from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.diagnostics import DiagnosticsPublisher
 from ltm_ros.handler import ConfigT, NodeType, Topic
@@ -36,6 +39,8 @@ QUEUE_PER_TOPIC = 10
 frame brings a message on each topic."""
 QUEUE_BYTES = 512 << 20
 """Bytes of image data that wait at most: the viewer of twenty towers shall not fill the memory."""
+DISCOVERED = 10_000
+"""Topics found by pattern that a node listens to at most: nobody shall fill its memory with names."""
 EX_CONFIG = 78
 """Exit status of a node whose configuration cannot work (sysexits.h): restarting it does not help."""
 
@@ -99,14 +104,15 @@ class HandlerNode(Node):  # type: ignore[misc]
         self._last_tick = time.monotonic()
         self._results = 0
         self.handler = node_type.handler(config, self, self.health)
-        self._inbox = _Inbox(max(QUEUE, QUEUE_PER_TOPIC * len(self.handler.subscriptions)), QUEUE_BYTES)
+        self._taken: set[str] = set()
+        self._inbox = _Inbox(QUEUE, QUEUE_BYTES)
         for topic in self.handler.publications:
             self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, stream_qos(topic.latched))
         self.handler.start()
         for topic, callback in self.handler.subscriptions.items():
-            self.create_subscription(
-                topic.type, topic.name, self._enqueue(topic.name, callback), stream_qos(topic.latched)
-            )
+            self._listen(topic, topic.name, callback)
+        if self.handler.discoverable:
+            self.create_timer(0.5, self._discover, clock=DiagnosticsPublisher.steady_clock())
         for service, action in self.handler.services.items():
             self.create_service(Trigger, service, self._serve(action))
         self._diagnostics = DiagnosticsPublisher(self, self.health, config.camera)
@@ -135,6 +141,22 @@ class HandlerNode(Node):  # type: ignore[misc]
         if not self._worker.is_alive():
             self._guarded(lambda _: self.handler.finish(), None)
         self._diagnostics.publish()
+
+    def _listen(self, topic: Topic, name: str, callback: Callable[[Any], None]) -> None:
+        self._taken.add(self.resolve_topic_name(name))
+        self._inbox.maxsize = max(QUEUE, QUEUE_PER_TOPIC * len(self._taken))
+        self.create_subscription(topic.type, name, self._enqueue(name, callback), stream_qos(topic.latched))
+
+    def _discover(self) -> None:
+        """Listen to topics that have appeared and fit a pattern of the handler's."""
+        for name, types in self.get_topic_names_and_types():
+            if name in self._taken or len(self._taken) >= DISCOVERED:
+                continue
+            for topic, callback in self.handler.discoverable.items():
+                if name.count("/") == topic.name.count("/") and fnmatchcase(name, topic.name):
+                    if types == [type_name_of(topic.type())]:
+                        self._listen(topic, name, partial(callback, name))
+                    break
 
     def _enqueue(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         def take(message: Any) -> None:
@@ -169,6 +191,8 @@ class HandlerNode(Node):  # type: ignore[misc]
             started, results = time.perf_counter(), self._results
             try:
                 self._guarded(callback, message)
+                if self._inbox.empty():
+                    self._guarded(lambda _: self.handler.idle(), None)
             except BaseException:
                 # A bug: end the whole process at once, with its traceback, and let the graph restart it.
                 sys.excepthook(*sys.exc_info())

@@ -1,12 +1,17 @@
-"""fuel_votes: turns a camera's depth and labels into votes for the few fuel cells that it sees."""
+"""fuel_votes: turns a camera's depth and labels into votes for the few fuel cells that it sees, and says how well."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from ltm_core.depth.range_image import RangeImage
-from ltm_core.fuel.votes import cast_votes
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from ltm_core.camera import Camera
+from ltm_core.fuel.votes import VoteCaster
+from ltm_core.pose import Pose
 from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
@@ -14,26 +19,35 @@ from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
-from ltm_msgs_py.votes import votes_to_msg
+from ltm_msgs_py.votes import fitting, votes_to_msg
 from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet
 from ltm_ros.health import Health
 from ltm_ros.join import StampJoin
 from ltm_ros.node import run_node
-from ltm_ros.topics import DEPTH_CAMERA_INFO, DEPTH_IMAGE, FUEL_VOTES, LABELS_IMAGE, POSED_POSE
+from ltm_ros.topics import DEPTH_CAMERA_INFO, DEPTH_IMAGE, FUEL_VOTES, LABELS_CONFIDENCE, LABELS_IMAGE, POSED_POSE
 
 
-class FuelVotes(Handler[NodeConfig]):
+class FuelVotesConfig(NodeConfig):
+    pose_sigma_deg: float = Field(0.3, gt=0)
+    """Of the angles of a pose that comes without a covariance."""
+    position_sigma: float = Field(0.5, gt=0)
+    """Metres, of the position of a pose that comes without a covariance."""
+
+
+class FuelVotes(Handler[FuelVotesConfig]):
     publications = (FUEL_VOTES,)
 
-    def __init__(self, config: NodeConfig, outlet: Outlet, health: Health) -> None:
+    def __init__(self, config: FuelVotesConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
-        self._site = load_site(config.site)
-        self._site.camera(config.camera)
-        self._dem = self._site.open_dem()
-        self._geometry = self._site.fuel_geometry(self._dem)
-        self._labels = LabelSet.load(config_path(self._site.labels))
-        self._votes_for = self._labels.votes_table[: len(self._labels)]
-        self._join = StampJoin(("depth", "info", "labels", "pose"), self._vote, health)
+        site = load_site(config.site)
+        site.camera(config.camera)
+        dem = site.open_dem()
+        self._labels = LabelSet.load(config_path(site.labels))
+        votes_for = self._labels.votes_table[: len(self._labels)]
+        self._caster = VoteCaster(site.fuel_geometry(dem), dem, votes_for, site.fuel.max_range, site.bend)
+        self._assumed = np.diag([config.position_sigma**2] * 3 + [np.radians(config.pose_sigma_deg) ** 2] * 3)
+        self._frames = 0
+        self._join = StampJoin(("depth", "info", "labels", "confidence", "pose"), self._vote, health)
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
@@ -41,30 +55,43 @@ class FuelVotes(Handler[NodeConfig]):
             DEPTH_IMAGE: lambda m: self._join.add("depth", stamp_of(m), m),
             DEPTH_CAMERA_INFO: lambda m: self._join.add("info", stamp_of(m), m),
             LABELS_IMAGE: lambda m: self._join.add("labels", stamp_of(m), m),
+            LABELS_CONFIDENCE: lambda m: self._join.add("confidence", stamp_of(m), m),
             POSED_POSE: lambda m: self._join.add("pose", stamp_of(m), m),
         }
+
+    def start(self) -> None:
+        """Compile the kernel before the first frame waits for it."""
+        nothing, zeros = np.full((2, 3), np.nan, np.float32), np.zeros((2, 3), np.uint8)
+        camera, pose = Camera.from_fov(3, 2, 60.0), Pose.from_angles((0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
+        self._caster.cast(nothing, camera, pose, zeros, 0, self.config.camera, zeros)
 
     def finish(self) -> None:
         self._join.finish()
 
-    def _vote(self, depth: Any, info: Any, labels: Any, pose: Any) -> None:
-        ranges = RangeImage.from_depth(
-            msg_to_depth(depth), msg_to_camera(info), msg_to_pose(pose, "map"), self._site.bend
-        )
-        votes = cast_votes(
-            ranges,
+    def _vote(self, depth: Any, info: Any, labels: Any, confidence: Any, pose: Any) -> None:
+        votes = self._caster.cast(
+            msg_to_depth(depth),
+            msg_to_camera(info),
+            msg_to_pose(pose, "map"),
             msg_to_array(labels, ("mono8",)),
-            self._geometry,
-            self._dem,
-            self._votes_for,
             stamp_of(depth),
             self.config.camera,
-            self._site.fuel.max_range,
+            msg_to_array(confidence, ("mono8",)),
+            self._covariance(pose),
         )
-        self.outlet.publish(FUEL_VOTES, votes_to_msg(votes, self._labels.names))
+        sent = fitting(votes, self._frames)
+        self._frames += 1
+        if len(sent) < len(votes):
+            self.health.note("votes_in_turns")
+        self.outlet.publish(FUEL_VOTES, votes_to_msg(sent, self._labels.names))
+
+    def _covariance(self, pose: Any) -> NDArray[np.float64]:
+        """Of the pose; zeros say that nothing is known of it."""
+        given = np.asarray(pose.pose.covariance, np.float64).reshape(6, 6)
+        return given if given.any() else self._assumed
 
 
-NODE = NodeType("fuel_votes", NodeConfig, FuelVotes)
+NODE = NodeType("fuel_votes", FuelVotesConfig, FuelVotes)
 
 
 def main() -> None:

@@ -69,10 +69,13 @@ class OfflineGraph:
 
     def _drain(self) -> None:
         while self._waiting:
-            topic, message = self._waiting.popleft()
-            for name, health, callback in self._listeners.get(topic, ()):
-                health.received(name)
-                _guarded(health, partial(callback, message))
+            while self._waiting:
+                topic, message = self._waiting.popleft()
+                for name, health, callback in self._listeners.get(topic, ()):
+                    health.received(name)
+                    _guarded(health, partial(callback, message))
+            for health, handler in self._handlers:
+                _guarded(health, handler.idle)
 
 
 class _Outlet:

@@ -320,12 +320,18 @@ def test_votes_of_a_foreign_grid(living: Living, survives: Callable[..., None]) 
 
     outside = votes(living.stamp())
     points = np.frombuffer(outside.data, np.uint8).reshape(2, outside.point_step).copy()
-    offset = next(field.offset for field in outside.fields if field.name == "row")
-    points[1, offset : offset + 4] = np.frombuffer(np.int32(10**6).tobytes(), np.uint8)
+    points[1, 4:8] = np.frombuffer(np.float32(-1e6).tobytes(), np.uint8)
     outside.data = array("B", points.tobytes())
     cut = votes(living.stamp())
     cut.data = cut.data[:-3]
-    strange = [votes(living.stamp(), shift=15.0), votes(living.stamp(), classes=3), outside, cut]
+    unknown_class = votes(living.stamp())
+    unknown_class.fields[3].name = "cactus"
+    huge = votes(living.stamp())
+    huge.data = array("B", bytes(30_000_000))
+    huge.width, huge.row_step = 30_000_000 // huge.point_step, 30_000_000
+    vast = votes(living.stamp())
+    vast.width = vast.height = vast.row_step = 2**32 - 1
+    strange = [votes(living.stamp(), shift=15.0), unknown_class, outside, cut, huge, vast]
     good = votes(living.stamp())
     living.send(FUEL_VOTES, *strange, good, good)
     survives({"fuel_map": {"dropped.message": len(strange), "dropped.duplicate": 1}})

@@ -112,7 +112,7 @@ def test_votes(data: st.DataObject, height: int, width: int, classes: int, stamp
         geometry,
         cells // width,
         cells % width,
-        data.draw(arrays(np.uint32, (n, classes))),
+        data.draw(arrays(np.uint32, (n, classes), elements=st.integers(0, 65_535))),
         data.draw(arrays(np.float32, n)),
         stamp_ns,
         "east",
