@@ -1,0 +1,57 @@
+"""What the classes of a label image mean to depth: where the ground shows, and how high what grows there stands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import ConfigError
+from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
+
+COVER_HEIGHTS: Mapping[str, float] = {"grass": 0.2, "shrub": 1.0, "tree": 6.0}
+"""Metres by which the visible surface of a class stands above the bare ground, as far as a camera at a slant sees it:
+somewhat below the plants' own height, since it also looks between them. Priors, for want of a canopy raster."""
+GROUND_CLASSES = ("grass", "bare", "water", "shrub")
+"""Whose depth is that of the terrain but for their cover height: what a network may be fitted to."""
+CREST = 3.0
+"""Metres that unlabelled or low cover may rise over a crest."""
+TREE_CREST = 12.0
+"""Metres that a tree may rise over a crest."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthClasses:
+    """Tables over the 256 ids of a label image.
+
+    `cover`: float32 metres of cover above bare ground. `ground`: bool, the terrain shows there. `crest`: float32 metres
+    to which a silhouette may be raised there. `surface`: float32 log odds that a canopy raster and not bare ground is
+    what shows. `sky`: the id of sky.
+    """
+
+    cover: NDArray[np.float32]
+    ground: NDArray[np.bool_]
+    crest: NDArray[np.float32]
+    surface: NDArray[np.float32]
+    sky: int = int(Label.SKY)
+
+    @classmethod
+    def of(cls, labels: LabelSet, heights: Mapping[str, float] = COVER_HEIGHTS) -> DepthClasses:
+        """The tables of a label set. Raises ConfigError for the height of a class that is none, or below 0."""
+        cover, ground = np.zeros(256, np.float32), np.zeros(256, np.bool_)
+        crest, surface = np.full(256, CREST, np.float32), np.zeros(256, np.float32)
+        for name, height in heights.items():
+            if not 0 <= height < 100:
+                raise ConfigError(f"cover height of {name} is {height} m; give metres of 0 to 100")
+            cover[labels.id_of(name)] = height
+        ground[[labels.id_of(name) for name in GROUND_CLASSES]] = True
+        crest[Label.TREE] = TREE_CREST
+        crest[[Label.BARE, Label.WATER]] = 1.0
+        surface[[Label.GRASS, Label.BARE, Label.WATER]] = -3.0
+        surface[[Label.SHRUB, Label.TREE]] = 0.5, 2.0
+        crest[Label.SKY] = 0.0
+        cover[UNLABELLED] = 0.0
+        ground[UNLABELLED] = True
+        return cls(cover, ground, crest, surface)

@@ -1,0 +1,271 @@
+"""TopoDepth: traced depth and a network's depth of one photo made one, pixel by pixel, by what each is worth there.
+
+After the paper's pixel sampling and RANSAC regression (the LTM paper, after FireLoc): the network's free scale comes
+from pixels whose terrain can be trusted. Then every pixel takes the mean of the two, weighted by inverse variance, in
+inverse depth; but where they differ by more than they do anywhere on trusted ground, something stands there that the
+terrain does not know (or is gone), and the network alone is taken. Far away the terrain decides, since a network's
+sigma grows with the square of the depth. Before that the terrain's answer is brought to the visible surface: by the
+height of what the labels say grows there, or by a canopy raster, and at silhouettes by the photo.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from enum import IntEnum, StrEnum
+from typing import Any
+
+import cv2
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.depth.classes import DepthClasses
+from ltm_core.depth.guided import guided_coefficients
+from ltm_core.depth.monocular import NetworkDepth
+from ltm_core.depth.network_fit import NetworkFit, fit_network
+from ltm_core.depth.pose_check import PoseCheck, check_pose
+from ltm_core.depth.range_image import RangeImage
+from ltm_core.depth.sampling import ground_samples
+from ltm_core.depth.silhouettes import raise_silhouettes
+from ltm_core.depth.surface import expected_surface
+from ltm_core.errors import ImageError
+
+Image = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+
+OVERRULE = 3.0
+"""Joint sigmas beyond which a network that sees something nearer contradicts the terrain."""
+OVERRULE_FARTHER = 5.0
+"""The same for something farther: ground vanishes more seldom than plants and walls stand up before it."""
+
+
+class Source(IntEnum):
+    """Where a pixel's depth comes from: the values of `FusedDepth.source`."""
+
+    UNKNOWN = 0
+    TERRAIN = 1
+    NETWORK = 2
+    BOTH = 3
+    SKY = 4
+
+
+class Verdict(StrEnum):
+    """Whether an image's fused depth can be relied on."""
+
+    OK = "ok"
+    POSE_SUSPECTED = "pose_suspected"
+    """The terrain does not lie where the photo has it: traced depth as it is, nothing fused."""
+    NETWORK_UNUSABLE = "network_unusable"
+    """The network's depth does not fit the terrain: the terrain's answer alone, refined by photo and labels."""
+    NO_TERRAIN = "no_terrain"
+    """No pixel was traced to known ground."""
+
+
+@dataclass(frozen=True)
+class FusionSettings:
+    """angle_sigma: of a camera's direction, radians, beside what its pose's covariance says. dem_sigma: of the
+    terrain's heights, metres."""
+
+    angle_sigma: float = float(np.radians(0.03))
+    dem_sigma: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class FusedDepth:
+    """Fused depth of one photo.
+
+    `depth`, `sigma`: (H, W) float32 metres along the optical axis; +inf sky, NaN unknown (sigma is NaN for both).
+    `source`: (H, W) uint8 `Source`. `ground`: (H, W) float32, the traced depth of bare ground, untouched: where it
+    differs from `depth`, what is seen stands before it. `inlier_ratio`: of the network's fit to trusted ground.
+    `verdict`, and `reason` in words where it is not ok. `fit`: the network's fit, None where there was no network.
+    """
+
+    depth: Image
+    sigma: Image
+    source: Bytes
+    ground: Image
+    inlier_ratio: float
+    verdict: Verdict
+    reason: str
+    pose: PoseCheck
+    fit: NetworkFit | None = field(default=None, repr=False)
+
+    def info(self) -> dict[str, Any]:
+        """JSON-ready: what `fused/info` carries."""
+        line = self.fit.line if self.fit is not None else None
+        shares = np.bincount(self.source.ravel(), minlength=len(Source)) / max(1, self.source.size)
+        return {
+            "verdict": self.verdict.value,
+            "reason": self.reason,
+            "inlier_ratio": round(self.inlier_ratio, 4),
+            "scale": line.scale if line is not None else None,
+            "shift": line.shift if line is not None else None,
+            "regional": bool(self.fit is not None and self.fit.regional),
+            "share": {source.name.lower(): round(float(shares[source]), 4) for source in Source},
+            "pose": {k: round(v, 4) if isinstance(v, float) else v for k, v in asdict(self.pose).items()},
+        }
+
+
+def fuse(
+    traced: RangeImage,
+    network: NetworkDepth | None,
+    rgb: Bytes,
+    labels: Bytes | None,
+    classes: DepthClasses,
+    settings: FusionSettings | None = None,
+    surface: RangeImage | None = None,
+) -> FusedDepth:
+    """Fuse one photo's depths.
+
+    Args:
+        traced: what the tracer gave over bare ground.
+        network: the network's depth of the same photo at its own size; None: terrain, labels and photo alone.
+        rgb: (H, W, 3) uint8, the photo.
+        labels: (H, W) uint8 class ids, or None.
+        classes: what these mean.
+        settings: sigmas of what goes in.
+        surface: what the tracer gave over a surface raster (canopy), where there is one.
+
+    Raises ImageError where sizes differ.
+    """
+    ground = traced.depth()
+    size = ground.shape
+    for what, shape in (
+        ("photo", rgb.shape[:2]),
+        ("label image", size if labels is None else labels.shape),
+        ("surface's depth", size if surface is None else surface.range.shape),
+    ):
+        if shape != size:
+            raise ImageError(f"{what} of {shape} does not fit the traced depth of {size} (rows, columns)")
+    settings = FusionSettings() if settings is None else settings
+    camera = traced.camera
+    check = check_pose(rgb, ground, camera, settings.angle_sigma, settings.dem_sigma)
+    if not np.isfinite(ground[::4, ::4]).any():
+        return _traced_alone(ground, Verdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM", check)
+    if check.suspected:
+        return _traced_alone(ground, Verdict.POSE_SUSPECTED, check.reason, check)
+    expected, sigma = expected_surface(
+        ground, labels, classes.cover, camera, traced.pose, settings.angle_sigma, settings.dem_sigma
+    )
+    samples = ground_samples(expected, sigma, labels, classes.ground, camera.fy)
+    fit = None if network is None else fit_network(network, samples, (size[0], size[1]))
+    source = np.empty(size, np.uint8)
+    fitted = _upsampled(fit, rgb) if fit is not None and not fit.trouble else None
+    nothing = np.zeros((1, 1), np.float32)
+    inverse, doubt = (nothing, nothing) if fitted is None else fitted
+    raise_silhouettes(rgb, ground, expected, sigma, labels, classes.crest, classes.sky, camera, fitted)
+    over = surface.depth() if surface is not None else np.zeros((1, 1), np.float32)
+    _combine(
+        expected,
+        sigma,
+        over,
+        surface is not None,
+        inverse,
+        doubt,
+        fitted is not None,
+        np.zeros((1, 1), np.uint8) if labels is None else labels,
+        labels is not None,
+        classes.sky,
+        classes.surface,
+        source,
+    )
+    verdict, reason = Verdict.OK, ""
+    if fit is not None and fit.trouble:
+        verdict, reason = Verdict.NETWORK_UNUSABLE, fit.trouble
+    return FusedDepth(
+        expected, sigma, source, ground, fit.inlier_ratio if fit is not None else 0.0, verdict, reason, check, fit
+    )
+
+
+def _traced_alone(ground: Image, verdict: Verdict, reason: str, check: PoseCheck) -> FusedDepth:
+    source = np.where(np.isfinite(ground), Source.TERRAIN, np.where(np.isnan(ground), Source.UNKNOWN, Source.SKY))
+    sigma = np.full(ground.shape, np.nan, np.float32)
+    return FusedDepth(ground, sigma, source.astype(np.uint8), ground, 0.0, verdict, reason, check)
+
+
+def _upsampled(fit: NetworkFit, rgb: Bytes) -> tuple[Image, Image]:
+    """The network's inverse depth at the photo's size, its edges drawn to the photo's, and its sigma, (H, W)."""
+    height, width = rgb.shape[:2]
+    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+    gain, offset = guided_coefficients(fit.inverse, grey)
+    gain, offset, sigma = (
+        cv2.resize(a, (width, height), interpolation=cv2.INTER_LINEAR) for a in (gain, offset, fit.sigma)
+    )
+    _apply(gain, grey, offset)
+    return np.asarray(offset, np.float32), np.asarray(sigma, np.float32)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "contract"})  # type: ignore[untyped-decorator]
+def _apply(gain: Image, grey: Bytes, offset: Image) -> None:
+    """offset + gain * grey, into `offset`."""
+    for v in range(grey.shape[0]):
+        for u in range(grey.shape[1]):
+            offset[v, u] += gain[v, u] * np.float32(grey[v, u])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _combine(
+    depth: Image,
+    sigma: Image,
+    over: Image,
+    has_over: bool,
+    inverse: Image,
+    doubt: Image,
+    usable: bool,
+    labels: Bytes,
+    labelled: bool,
+    sky: int,
+    prefers_over: NDArray[np.float32],
+    source: Bytes,
+) -> None:
+    """Fuse in place: `depth` and `sigma` come in as the terrain's and go out as the fused ones."""
+    far = np.float32(1e9)
+    height, width = depth.shape
+    for v in range(height):
+        for u in range(width):
+            d, s = depth[v, u], sigma[v, u]
+            label = labels[v, u] if labelled else np.uint8(255)
+            y, t = np.float32(np.nan), np.float32(np.nan)
+            if usable:
+                y, t = inverse[v, u], doubt[v, u]
+            if has_over:
+                c = over[v, u]
+                if c < far and (not d < far or abs(c - d) > s):
+                    # Bare ground or canopy: the label's odds, and which of the two the network is nearer to.
+                    odds = prefers_over[label]
+                    if y == y:
+                        a = np.float32(0.0)
+                        if d < far:
+                            a = 1 / d
+                        to_ground, to_over = (y - a) / t, (y - 1 / c) / t
+                        gain = np.float32(0.5) * (to_ground * to_ground - to_over * to_over)
+                        odds += min(max(gain, np.float32(-4.0)), np.float32(4.0))
+                    if odds > 0:
+                        s = np.float32(0.03) * c if np.isnan(s) else max(s, np.float32(0.01) * c)
+                        d = c
+            clear = y > 4 * t and label != sky
+            if d < far:
+                source[v, u] = 1
+                if y == y:
+                    a, b = 1 / d, s / (d * d)
+                    joint = t * t + b * b
+                    off = y - a
+                    most = OVERRULE if off > 0 else OVERRULE_FARTHER
+                    if off * off <= most * most * joint:
+                        w = b * b / joint
+                        a += w * off
+                        if a > 0:
+                            d = 1 / a
+                            s = t * b / np.sqrt(joint) * d * d
+                            if w > np.float32(0.1):
+                                source[v, u] = 3
+                    elif clear:
+                        d, s = 1 / y, t / (y * y)
+                        source[v, u] = 2
+            elif clear:
+                d, s = 1 / y, t / (y * y)
+                source[v, u] = 2
+            else:
+                source[v, u] = 4 if d > far else 0
+                s = np.float32(np.nan)
+            depth[v, u], sigma[v, u] = d, s

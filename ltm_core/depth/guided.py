@@ -1,0 +1,38 @@
+"""A small image brought to a photo's size with the photo's edges.
+
+Source: He and Sun, Fast Guided Filter, arXiv:1505.00996 (2015): in each window the small image is taken as a line of
+the photo's grey values; gain and offset vary slowly, so they can be enlarged bilinearly and applied at full size.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.float32]
+
+RADIUS = 2
+"""Of the windows, pixels of the small image."""
+EDGE = 12.0
+"""Contrast in 8-bit steps from which on a change of grey counts as an edge."""
+
+
+def guided_coefficients(image: Image, grey: NDArray[np.uint8]) -> tuple[Image, Image]:
+    """Gain and offset (h, w) so that `image` is gain * grey + offset with the edges of `grey` (H, W), 0..255.
+
+    NaN in `image` spreads by twice the windows' radius.
+    """
+    height, width = image.shape
+    guide: Image = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
+    window = (2 * RADIUS + 1, 2 * RADIUS + 1)
+
+    def mean(a: Image) -> Image:
+        return np.asarray(cv2.blur(a, window, borderType=cv2.BORDER_REFLECT), np.float32)
+
+    guide_mean, image_mean = mean(guide), mean(image)
+    covariance = mean((guide * image).astype(np.float32)) - guide_mean * image_mean
+    variance = mean((guide * guide).astype(np.float32)) - guide_mean * guide_mean
+    gain = covariance / (np.maximum(variance, 0) + EDGE**2)
+    offset = image_mean - gain * guide_mean
+    return mean(gain.astype(np.float32)), mean(offset.astype(np.float32))

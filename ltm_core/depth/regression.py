@@ -1,0 +1,97 @@
+"""The straight line that most points agree on: a network's scale and shift from points that are partly wrong.
+
+RANSAC (Fischler and Bolles, 1981) with the median as its score (LMedS, Rousseeuw, 1984), so that the noise need not be
+known beforehand, and least squares over the inliers. All trials are scored in one array operation: scikit-learn's and
+scikit-image's loops take 0.1 to 1 s for what has 60 ms together with the rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+TRIALS = 192
+"""Pairs tried. With 45 % outliers a pair is clean with 0.3, so all fail together once in 10^29."""
+SCORED = 1200
+"""Points, evenly taken, that score the trials; the inliers come from all."""
+WIDTH = 2.5
+"""Of the inlier band, in robust standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """y = scale x + shift, with `sigma`, the robust standard deviation of its inliers (of weighted residuals), and
+    which points are `inliers`, (N,) bool."""
+
+    scale: float
+    shift: float
+    sigma: float
+    inliers: NDArray[np.bool_]
+
+    @property
+    def inlier_ratio(self) -> float:
+        return float(self.inliers.mean()) if len(self.inliers) else 0.0
+
+
+def robust_line(x: Floats, y: Floats, weight: Floats | None = None, floor: float = 0.0, seed: int = 0) -> Line | None:
+    """The line through the points (N,) that at most half of them contradict.
+
+    `weight`: (N,) factors of the residuals. `floor`: the least sigma of a weighted residual that is believed, so that
+    points without noise stay inliers. None where fewer than 8 points are given or x does not vary.
+    """
+    weights = np.ones_like(x) if weight is None else weight
+    if len(x) < 8 or not np.ptp(x) > 1e-9 * max(1.0, float(np.abs(x).max())):
+        return None
+    rng = np.random.default_rng(seed)
+    first, second = rng.integers(0, len(x), (2, TRIALS))
+    run = x[second] - x[first]
+    usable = np.abs(run) > 1e-3 * np.ptp(x)
+    if not usable.any():
+        return None
+    first, second, run = first[usable], second[usable], run[usable]
+    scales = (y[second] - y[first]) / run
+    shifts = y[first] - scales * x[first]
+    scored = slice(None, None, max(1, len(x) // SCORED))
+    residuals = np.abs(scales[:, None] * x[scored] + shifts[:, None] - y[scored]) * weights[scored]
+    half = residuals.shape[1] // 2
+    medians = np.partition(residuals, half, axis=1)[:, half]
+    best = int(np.argmin(medians))
+    scale, shift = float(scales[best]), float(shifts[best])
+    for _ in range(3):
+        off = np.abs(scale * x + shift - y) * weights
+        sigma = max(1.4826 * float(np.median(off)), floor)
+        inliers = off <= WIDTH * sigma
+        # Among outliers the median overstates the noise; that of the inliers does not.
+        sigma = max(1.4826 * float(np.median(off[inliers])), floor)
+        inliers = off <= WIDTH * sigma
+        if inliers.sum() < 8 or not np.ptp(x[inliers]) > 0:
+            break
+        w = weights[inliers]
+        design = np.stack([x[inliers] * w, w], axis=1)
+        (scale, shift), *_ = np.linalg.lstsq(design, y[inliers] * w, rcond=None)
+    off = np.abs(scale * x + shift - y) * weights
+    return Line(float(scale), float(shift), sigma, off <= WIDTH * sigma)
+
+
+def robust_offset(values: Floats, floor: float = 0.0) -> Line | None:
+    """The number that most of `values` (N,) lie around, as a line of scale 1: the middle of their densest half."""
+    if len(values) < 8:
+        return None
+    ordered = np.sort(values)
+    half = (len(ordered) + 1) // 2
+    widths = ordered[half - 1 :] - ordered[: len(ordered) - half + 1]
+    start = int(np.argmin(widths))
+    shift = float(np.median(ordered[start : start + half]))
+    sigma = floor
+    for _ in range(3):
+        off = np.abs(values - shift)
+        sigma = max(1.4826 * float(np.median(off)), floor)
+        inliers = off <= WIDTH * sigma
+        sigma = max(1.4826 * float(np.median(off[inliers])), floor)
+        inliers = off <= WIDTH * sigma
+        shift = float(values[inliers].mean())
+    return Line(1.0, shift, sigma, np.abs(values - shift) <= WIDTH * sigma)

@@ -1,0 +1,227 @@
+"""Where one ridge stands before another, the photo knows better than the DEM where the edge runs.
+
+What grows on a crest, and a raster that rounds crests off, move the true edge up in the image by some pixels. In this
+strip the terrain's answer is wrong by the whole distance between the two ridges. For every column the pixels above a
+traced silhouette are given to the near or to the far side by colour: each side's mean and variance are taken next to
+the strip, and one cut between them is chosen where the likelihood is greatest, under a prior that falls off with
+the height that the cover would have. A network whose depth has been fitted says as well which side a pixel is nearer
+to; what it takes for near may stand higher than cover does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.camera import Camera
+from ltm_core.depth.surface import JUMP
+
+Image = NDArray[np.float32]
+
+USUAL_CREST = 1.0
+"""Metres by which crests are usually raised: the prior of a cut falls by e for each."""
+STRIP_PX = 60
+"""Most pixels that a silhouette is raised: a near crest's cover is not a strip but an object."""
+_SAMPLE, _HALF = 8, 4  # rows of a side's colour sample, and columns to each side of the middle one
+_COLOR_NOISE = 16.0  # least variance of a colour, squared 8-bit steps
+_TEMPER = 0.3  # of a pixel's colour likelihood: neighbours share texture, so they are not independent
+_MOST = 2.0  # log likelihood that one pixel's colour may carry
+_NETWORK_MOST = 3.0  # the same of its network depth
+_NETWORK_SURE = 1.0  # log likelihood from which on the network may raise an edge beyond the usual cover
+_NEED = 1.0  # log odds by which a cut must be better than none
+_BLUR = (5, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Silhouettes:
+    """Traced edges between a near surface and what is behind it, from the lowest in the image up, column by column.
+
+    `rows`, `cols`: (N,) int32, the topmost pixel of the near surface. `depth`: (N,) float32 metres of it. `raised`:
+    (N,) int32 pixels by which the photo puts the edge higher.
+    """
+
+    rows: NDArray[np.int32]
+    cols: NDArray[np.int32]
+    depth: NDArray[np.float32]
+    raised: NDArray[np.int32]
+
+
+def raise_silhouettes(
+    rgb: NDArray[np.uint8],
+    ground: Image,
+    surface: Image,
+    sigma: Image,
+    labels: NDArray[np.uint8] | None,
+    crest: NDArray[np.float32],
+    sky: int,
+    camera: Camera,
+    network: tuple[Image, Image] | None = None,
+) -> Silhouettes:
+    """Move the edges of `surface` and `sigma` (H, W), in place, to where the photo has them; the edges found.
+
+    `crest`: (256,) metres to which a pixel of each class may belong to cover on the crest below it. `network`: inverse
+    depth and its sigma at the photo's size (H, W), 1/m, where there is a network.
+    """
+    color = np.asarray(cv2.blur(rgb, _BLUR), np.uint8)
+    rows, cols = _edges(ground, np.float32(JUMP))
+    raised = np.zeros(len(rows), np.int32)
+    nothing = np.zeros((1, 1), np.float32)
+    inverse, doubt = (nothing, nothing) if network is None else network
+    _cut(
+        color,
+        ground,
+        np.zeros((1, 1), np.uint8) if labels is None else labels,
+        labels is not None,
+        crest,
+        sky,
+        np.float32(camera.fy),
+        inverse,
+        doubt,
+        network is not None,
+        rows,
+        cols,
+        surface,
+        sigma,
+        raised,
+    )
+    return Silhouettes(rows, cols, ground[rows, cols], raised)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _edges(ground: Image, jump: np.float32) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Pixels with ground above which the next one is farther by `jump`, or sky, or unknown."""
+    height, width = ground.shape
+    count = 0
+    for v in range(height - 1, 0, -1):
+        for u in range(width):
+            d = ground[v, u]
+            if d < 1e9 and not ground[v - 1, u] < jump * d:
+                count += 1
+    rows, cols = np.empty(count, np.int32), np.empty(count, np.int32)
+    i = 0
+    for v in range(height - 1, 0, -1):
+        for u in range(width):
+            d = ground[v, u]
+            if d < 1e9 and not ground[v - 1, u] < jump * d:
+                rows[i], cols[i] = v, u
+                i += 1
+    return rows, cols
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _sample(
+    color: NDArray[np.uint8], top: int, bottom: int, u: int, mean: NDArray[np.float32], var: NDArray[np.float32]
+) -> None:
+    """Mean and variance (3,) of the colours in rows [top, bottom) about column u."""
+    left, right = max(u - _HALF, 0), min(u + _HALF + 1, color.shape[1])
+    count = np.float32((bottom - top) * (right - left))
+    for j in range(3):
+        total, square = np.float32(0.0), np.float32(0.0)
+        for v in range(top, bottom):
+            for x in range(left, right):
+                value = np.float32(color[v, x, j])
+                total += value
+                square += value * value
+        mean[j] = total / count
+        var[j] = max(square / count - mean[j] * mean[j], np.float32(0.0)) + np.float32(_COLOR_NOISE)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _step(inverse: Image, v: int, u: int, above: int, near: np.float32, far: np.float32) -> np.float32:
+    """How far the network sees the terrain's step at an edge, 0 to 1: between what it gives surely below and surely
+    above. One whose edges are soft, or elsewhere, has little to say here.
+    """
+    low, high = inverse[min(v + _SAMPLE, inverse.shape[0] - 1), u], inverse[max(above - _SAMPLE, 0), u]
+    share = (low - high) / (1 / near - (1 / far if far < 1e9 else np.float32(0.0)))
+    return min(share, 1 / share) if share > 0 else np.float32(0.0)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _farther(inverse: np.float32, doubt: np.float32, near: np.float32, far: np.float32) -> np.float32:
+    """Log likelihood that the network speaks for the far side and not for the near one."""
+    if np.isnan(inverse) or np.isnan(far):
+        return np.float32(0.0)
+    a, b = (inverse - 1 / near) / doubt, (inverse - 1 / far) / doubt
+    gain = np.float32(0.5) * (a * a - b * b)
+    return min(max(gain, np.float32(-_NETWORK_MOST)), np.float32(_NETWORK_MOST))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _cut(
+    color: NDArray[np.uint8],
+    ground: Image,
+    labels: NDArray[np.uint8],
+    labelled: bool,
+    crest: NDArray[np.float32],
+    sky: int,
+    focal: np.float32,
+    inverse: Image,
+    doubt: Image,
+    networked: bool,
+    rows: NDArray[np.int32],
+    cols: NDArray[np.int32],
+    surface: Image,
+    sigma: Image,
+    raised: NDArray[np.int32],
+) -> None:
+    height = color.shape[0]
+    near, near_var = np.empty(3, np.float32), np.empty(3, np.float32)
+    far, far_var = np.empty(3, np.float32), np.empty(3, np.float32)
+    highest = crest.max() if labelled or networked else crest[255]
+    for i in range(len(rows)):
+        v, u = rows[i], cols[i]
+        d = ground[v, u]
+        # The widest strip that any class allows decides where the far side's colour is taken; for most columns
+        # no pixel is of a tall class and the usual crest's strip will do.
+        usual = min(STRIP_PX, int(crest[255] * focal / d))
+        tall = min(STRIP_PX, int(highest * focal / d))
+        strip = usual
+        share = np.float32(0.0)
+        if networked:
+            share = _step(inverse, v, u, v - tall, d, ground[v - 1, u])
+        for s in range(1, min(tall, v) + 1):
+            taller = labelled and crest[labels[v - s, u]] > crest[255]
+            if not taller and share > 0:
+                taller = share * _farther(inverse[v - s, u], doubt[v - s, u], d, ground[v - s, u]) < -_NETWORK_SURE
+            if not taller:
+                break
+            strip = max(strip, s)
+        strip = min(strip, v - _SAMPLE)
+        if strip < 1 or v + _SAMPLE > height:
+            continue
+        _sample(color, v, v + _SAMPLE, u, near, near_var)
+        _sample(color, v - strip - _SAMPLE, v - strip, u, far, far_var)
+        constant = np.float32(0.0)
+        for j in range(3):
+            constant += np.float32(0.5) * np.log(near_var[j] / far_var[j])
+        cost, best, cut = np.float32(0.0), np.float32(-_NEED), 0
+        rate = d / (focal * np.float32(USUAL_CREST))
+        for s in range(1, strip + 1):
+            r = v - s
+            evidence = constant
+            for j in range(3):
+                a, b = color[r, u, j] - near[j], color[r, u, j] - far[j]
+                evidence += np.float32(0.5) * (a * a / near_var[j] - b * b / far_var[j])
+            evidence = min(max(np.float32(_TEMPER) * evidence, np.float32(-_MOST)), np.float32(_MOST))
+            further = np.float32(0.0)
+            if share > 0:
+                further = share * _farther(inverse[r, u], doubt[r, u], d, ground[r, u])
+            if labelled:
+                label = labels[r, u]
+                if s * d > crest[label] * focal and further > -_NETWORK_SURE:
+                    evidence = np.float32(_MOST)
+                if label == sky:
+                    evidence += np.float32(1.0)
+            evidence += further
+            cost += evidence + rate
+            if cost < best:
+                best, cut = cost, s
+        raised[i] = cut
+        for s in range(1, cut + 1):
+            if not surface[v - s, u] <= d:
+                surface[v - s, u] = d
+                sigma[v - s, u] = max(sigma[v, u], np.float32(0.02) * d)
