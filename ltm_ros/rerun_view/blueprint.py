@@ -20,8 +20,12 @@ class MapWindow:
     rows: tuple[float, float]
 
 
-def site_blueprint(site: str, cameras: Sequence[str], eye: Eye, window: MapWindow, live: bool) -> rrb.Blueprint:
-    """Tabs: the site (terrain, fuel grid, a camera's pictures, latencies), all cameras, the graph's health."""
+def site_blueprint(
+    site: str, cameras: Sequence[str], eye: Eye, window: MapWindow, live: bool, fusion: bool = False
+) -> rrb.Blueprint:
+    """Tabs: the site (terrain, fuel grid, a camera's pictures, latencies), all cameras, where it has it the fusion of
+    depths, the graph's health.
+    """
     overview = rrb.Vertical(
         rrb.Horizontal(_terrain(cameras, eye), _fuel_grid(window), column_shares=[5, 3]),
         rrb.Tabs(*(_camera_row(site, camera, timed=True) for camera in cameras), active_tab=0),
@@ -29,6 +33,7 @@ def site_blueprint(site: str, cameras: Sequence[str], eye: Eye, window: MapWindo
         name="Site",
     )
     gallery = rrb.Vertical(*(_camera_row(site, camera, timed=False) for camera in cameras), name="Cameras")
+    depths = rrb.Vertical(*(_depth_row(camera) for camera in cameras), name="Depth")
     health = rrb.Vertical(
         rrb.Horizontal(
             _plot("Latency p95 (ms)", "/health/latency_p95_ms"),
@@ -43,7 +48,7 @@ def site_blueprint(site: str, cameras: Sequence[str], eye: Eye, window: MapWindo
         name="Health",
     )
     return rrb.Blueprint(
-        rrb.Tabs(overview, gallery, health, active_tab=0),
+        rrb.Tabs(overview, gallery, *([depths] if fusion else []), health, active_tab=0),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following" if live else None),
@@ -84,6 +89,13 @@ def _camera_row(site: str, camera: str, timed: bool) -> rrb.Horizontal:
     ]
     if timed:
         views.append(_plot("Latency p95 (ms)", f"/health/latency_p95_ms/{site}/{camera}"))
+    return rrb.Horizontal(*views, name=camera)
+
+
+def _depth_row(camera: str) -> rrb.Horizontal:
+    """What the terrain says, what the network says, what both make, and how far that is from the terrain."""
+    parts = {"traced": "traced", "network": "network", "fused": "fused", "difference": "fused - traced"}
+    views = [rrb.Spatial2DView(origin=f"/fusion/{camera}/{p}", name=f"{camera}: {name}") for p, name in parts.items()]
     return rrb.Horizontal(*views, name=camera)
 
 

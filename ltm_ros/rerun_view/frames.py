@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.pictures import RangeScale, depth_colors, range_legend, to_jpeg, with_legend
+from ltm_core.pictures.errors import error_colors, error_legend
 from ltm_core.pictures.types import UNLABELLED, Labels, Palette, Rgb
 from ltm_core.pose import Pose
 from ltm_ros.rerun_view.scene import TexturedMesh
@@ -34,6 +35,13 @@ def depth_picture(depth: NDArray[np.float32], scale: RangeScale) -> rr.EncodedIm
     # Nearest: a mean over a ridge line would show a depth at which there is nothing.
     colors = depth_colors(_shrunk(depth, cv2.INTER_NEAREST), scale)
     picture = with_legend(colors, range_legend(colors.shape[1], scale))
+    return rr.EncodedImage(contents=to_jpeg(picture, 85), media_type="image/jpeg")
+
+
+def difference_picture(depth: NDArray[np.float32], other: NDArray[np.float32]) -> rr.EncodedImage:
+    """How far two depths (H, W) lie apart, metres, over the legend."""
+    colors = error_colors(_shrunk(depth, cv2.INTER_NEAREST), _shrunk(other, cv2.INTER_NEAREST))
+    picture = with_legend(colors, error_legend(colors.shape[1]))
     return rr.EncodedImage(contents=to_jpeg(picture, 85), media_type="image/jpeg")
 
 

@@ -89,6 +89,27 @@ class RerunView:
         with self._at(stamp_ns):
             self._recording.log(f"depth/{camera}", frames.depth_picture(depth, self._scale))
 
+    def log_fusion(
+        self,
+        camera: str,
+        stamp_ns: int,
+        fused: NDArray[np.float32],
+        traced: NDArray[np.float32],
+        network: NDArray[np.float32] | None = None,
+    ) -> None:
+        """Fused, traced and network's depth, each (H, W) along the optical axis in metres; the network's may be of
+        another size. Raises ImageError where fused and traced differ in size.
+        """
+        if fused.shape != traced.shape:
+            raise ImageError(f"fused depth of {camera} is {fused.shape}, its traced depth {traced.shape}")
+        with self._at(stamp_ns):
+            entity = f"fusion/{camera}"
+            self._recording.log(f"{entity}/traced", frames.depth_picture(traced, self._scale))
+            self._recording.log(f"{entity}/fused", frames.depth_picture(fused, self._scale))
+            self._recording.log(f"{entity}/difference", frames.difference_picture(fused, traced))
+            if network is not None:
+                self._recording.log(f"{entity}/network", frames.depth_picture(network, self._scale))
+
     def log_labels(self, camera: str, stamp_ns: int, labels: Labels) -> None:
         """Class ids (H, W) uint8, 255 unlabelled, of the size of the image."""
         with self._at(stamp_ns):

@@ -179,6 +179,9 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
         depth = np.full((1080, 1920), 700.0, np.float32)
         depth[:300] = np.inf
         view.log_depth(name, STAMP, depth, camera)
+        fused = depth.copy()
+        fused[600:] = 690.0
+        view.log_fusion(name, STAMP, fused, depth, network=None if name == "south" else depth[::4, ::4])
         labels = np.zeros((1080, 1920), np.uint8)
         labels[400:] = 3
         view.log_labels(name, STAMP, labels)
@@ -191,6 +194,8 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     view.log_text("WARN", "depth: slow")
     with pytest.raises(ImageError, match="south"):
         view.log_depth("south", STAMP, depth[:, :-1], camera)
+    with pytest.raises(ImageError, match="south"):
+        view.log_fusion("south", STAMP, depth[:, :-1], depth)
     view.close()
     return path
 
@@ -218,6 +223,13 @@ def test_recording_holds_scene_pictures_and_health(recording: Path) -> None:
         assert (ids[200:] == 3).all()
         assert len(rows[f"/map/points/{camera}"][0]["Points3D:positions"]) <= 15_000
         assert rows[f"/depth/{camera}"][0]["EncodedImage:media_type"] == ["image/jpeg"]
+        difference = cv2.imdecode(
+            np.array(rows[f"/fusion/{camera}/difference"][0]["EncodedImage:blob"][0], np.uint8), cv2.IMREAD_COLOR
+        )
+        assert difference[400].mean() > difference[200].mean() + 20, "ten metres apart is brighter than none"
+        assert difference[50].mean() > 200, "the sky of both is sky"
+    assert "/fusion/north/network" in rows
+    assert "/fusion/south/network" not in rows
     context = rows["/"][0]["AnnotationContext:context"][0]
     names = {entry["class_id"]: entry["class_description"]["info"]["label"] for entry in context}
     assert names[3] == "tree"
