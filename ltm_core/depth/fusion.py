@@ -38,6 +38,11 @@ OVERRULE = 3.0
 OVERRULE_FARTHER = 5.0
 """The same for something farther: ground vanishes more seldom than plants and walls stand up before it."""
 
+STEP_DOUBT = 0.5
+"""Sigma at a network's edges as a part of the step there, where it stands alone against the terrain."""
+SIDE_DOUBT = 0.2
+"""The same where it only has to say which of two sides a pixel belongs to."""
+
 
 class Source(IntEnum):
     """Where a pixel's depth comes from: the values of `FusedDepth.source`."""
@@ -150,10 +155,14 @@ def fuse(
     samples = ground_samples(expected, sigma, labels, classes.ground, camera.fy)
     fit = None if network is None else fit_network(network, samples, (size[0], size[1]))
     source = np.empty(size, np.uint8)
-    fitted = _upsampled(fit, rgb) if fit is not None and not fit.trouble else None
     nothing = np.zeros((1, 1), np.float32)
-    inverse, doubt = (nothing, nothing) if fitted is None else fitted
-    raise_silhouettes(rgb, ground, expected, sigma, labels, classes.crest, classes.sky, camera, fitted)
+    inverse = doubt = nothing
+    beside = None
+    if fit is not None and not fit.trouble:
+        inverse, doubt, step = _upsampled(fit, rgb)
+        beside = (inverse, doubt + np.float32(SIDE_DOUBT) * step)
+        doubt += np.float32(STEP_DOUBT) * step
+    raise_silhouettes(rgb, ground, expected, sigma, labels, classes.crest, classes.sky, camera, beside)
     over = surface.depth() if surface is not None else np.zeros((1, 1), np.float32)
     _combine(
         expected,
@@ -162,7 +171,7 @@ def fuse(
         surface is not None,
         inverse,
         doubt,
-        fitted is not None,
+        beside is not None,
         np.zeros((1, 1), np.uint8) if labels is None else labels,
         labels is not None,
         classes.sky,
@@ -183,16 +192,17 @@ def _traced_alone(ground: Image, verdict: Verdict, reason: str, check: PoseCheck
     return FusedDepth(ground, sigma, source.astype(np.uint8), ground, 0.0, verdict, reason, check)
 
 
-def _upsampled(fit: NetworkFit, rgb: Bytes) -> tuple[Image, Image]:
-    """The network's inverse depth at the photo's size, its edges drawn to the photo's, and its sigma, (H, W)."""
+def _upsampled(fit: NetworkFit, rgb: Bytes) -> tuple[Image, Image, Image]:
+    """The network's inverse depth at the photo's size, its edges drawn to the photo's, its sigma and step, (H, W)."""
     height, width = rgb.shape[:2]
     grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
     gain, offset = guided_coefficients(fit.inverse, grey)
-    gain, offset, sigma = (
-        cv2.resize(a, (width, height), interpolation=cv2.INTER_LINEAR) for a in (gain, offset, fit.sigma)
+    gain, offset, sigma, step = (
+        np.asarray(cv2.resize(a, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
+        for a in (gain, offset, fit.sigma, fit.step)
     )
     _apply(gain, grey, offset)
-    return np.asarray(offset, np.float32), np.asarray(sigma, np.float32)
+    return offset, sigma, step
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "contract"})  # type: ignore[untyped-decorator]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 Image = NDArray[np.float32]
 
-RADIUS = 2
+RADIUS = 1
 """Of the windows, pixels of the small image."""
 EDGE = 12.0
 """Contrast in 8-bit steps from which on a change of grey counts as an edge."""

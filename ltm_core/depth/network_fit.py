@@ -33,8 +33,6 @@ TAIL, TAIL_SIGMAS = 0.99, 2.576
 """A normal distribution's share of residuals within so many sigmas."""
 UNSAMPLED = 4.0
 """Variance of a region without samples, in that of regions held out."""
-EDGE_DOUBT = 0.2
-"""Sigma at a network's edges as a part of the step: its edges are soft, and halfway is neither side's depth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,13 +40,15 @@ class NetworkFit:
     """A network's inverse depth in 1/m at its own size, and what the fit says of it.
 
     `inverse`, `sigma`: (h, w) float32, 1/m; sigma is so large that on trusted ground one residual in 100 lies beyond
-    2.6 of it, as of a normal distribution, though a network's errors have long tails. `line`: scale and shift, in the
+    2.6 of it, as of a normal distribution, though a network's errors have long tails. `step`: (h, w) float32, 1/m, how
+    far `inverse` ranges among a pixel's neighbours: edges are soft, and halfway is neither side's depth. `line`: scale and shift, in the
     measure of the network's kind. `regional`: whether slow corrections are in. `trouble`: why the fit cannot be used;
     empty where it can.
     """
 
     inverse: Image
     sigma: Image
+    step: Image
     line: Line | None
     regional: bool
     trouble: str
@@ -98,8 +98,8 @@ def fit_network(network: NetworkDepth, samples: GroundSamples, size: tuple[int, 
         off = 1.0 / samples.depth - sampled(inverse, samples, size)
     sigma = (sigma * _grown(factor, sigma.shape)).astype(np.float32)
     tail = float(np.quantile((np.abs(off) / np.hypot(sampled(sigma, samples, size), terrain))[usable], TAIL))
-    sigma = np.hypot(sigma * max(1.0, tail / TAIL_SIGMAS), EDGE_DOUBT * _range(inverse)).astype(np.float32)
-    return NetworkFit(inverse.astype(np.float32), sigma, line, field is not None, "")
+    sigma = (sigma * max(1.0, tail / TAIL_SIGMAS)).astype(np.float32)
+    return NetworkFit(inverse.astype(np.float32), sigma, _range(inverse), line, field is not None, "")
 
 
 def sampled(image: Image, samples: GroundSamples, size: tuple[int, int]) -> Floats:
@@ -234,4 +234,4 @@ def _grown(field: Image, shape: tuple[int, ...]) -> Image:
 
 def _unusable(network: NetworkDepth, line: Line | None, trouble: str) -> NetworkFit:
     nothing = np.full(network.values.shape, np.nan, np.float32)
-    return NetworkFit(nothing, nothing, line, False, trouble)
+    return NetworkFit(nothing, nothing, nothing, line, False, trouble)

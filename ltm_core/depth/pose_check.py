@@ -20,10 +20,10 @@ from ltm_core.depth.surface import JUMP
 
 REACH_DEG = 2.5
 """How far a wrong pose is looked for."""
-_SHRINK = 4  # photo pixels a cell of the contrast image
+_CELLS = 480  # of the contrast image in a row
 _LEAST_EDGES = 60
 _MOST_EDGES = 1500
-_ALLOWED_PX = 8.0  # of the photo: DEM cells and crests' cover displace silhouettes even with a perfect pose
+_ALLOWED_DEG = 0.25  # DEM cells and crests' cover displace silhouettes even with a perfect pose
 _COVER = 1.0  # metres that cover raises a crest by
 _CLEARLY = 1.25  # ratio of the contrasts at the best and at the nearest place
 
@@ -51,22 +51,23 @@ def check_pose(
     `angle_sigma`, `dem_sigma`: radians and metres that are no surprise. Near crests say nothing, since a metre of cover
     or of the DEM's error moves them by as much as a wrong pose would.
     """
-    rows, cols = _silhouettes(ground, (_COVER + 2 * dem_sigma) * camera.fy / _ALLOWED_PX)
+    rows, cols = _silhouettes(ground, (_COVER + 2 * dem_sigma) / math.radians(_ALLOWED_DEG))
     count = len(rows)
     if count < _LEAST_EDGES:
         return PoseCheck(count, 0.0, 0.0, 1.0, False, "")
-    contrast = _contrast(rgb)
-    reach = int(math.radians(REACH_DEG) * camera.fy / _SHRINK)
-    scores = _scores(contrast, rows // _SHRINK, cols // _SHRINK, reach)
-    allowed = (_ALLOWED_PX + 3 * angle_sigma * camera.fy) / _SHRINK
+    shrink = max(1, round(rgb.shape[1] / _CELLS))  # photo pixels a cell
+    contrast = _contrast(rgb, shrink)
+    reach = int(math.radians(REACH_DEG) * camera.fy / shrink)
+    scores = _scores(contrast, rows // shrink, cols // shrink, reach)
+    allowed = (math.radians(_ALLOWED_DEG) + 3 * angle_sigma) * camera.fy / shrink
     v, u = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     here = float(scores[np.hypot(v, u) <= allowed].max())
     best = np.unravel_index(int(np.argmax(scores)), scores.shape)
     down, right = int(best[0]) - reach, int(best[1]) - reach
     gain = float(scores[best]) / max(here, 1e-9)
-    pitch = math.degrees(down * _SHRINK / camera.fy)
-    azimuth = -math.degrees(right * _SHRINK / camera.fx)
-    suspected = gain > _CLEARLY and math.hypot(down, right) > allowed
+    pitch = math.degrees(down * shrink / camera.fy)
+    azimuth = -math.degrees(right * shrink / camera.fx)
+    suspected = bool(gain > _CLEARLY and math.hypot(down, right) > allowed)
     reason = (
         f"the photo's edges fit the terrain's silhouettes {gain:.2f} times better with the camera turned by "
         f"{pitch:+.2f} deg of pitch and {azimuth:+.2f} deg of azimuth"
@@ -90,9 +91,9 @@ def _silhouettes(ground: NDArray[np.float32], nearest: float) -> tuple[NDArray[n
     return 2 * rows + 1, 2 * cols
 
 
-def _contrast(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _contrast(rgb: NDArray[np.uint8], shrink: int) -> NDArray[np.float32]:
     """How much the colour changes from above to below each place, relative to its surroundings' texture."""
-    size = (rgb.shape[1] // _SHRINK, rgb.shape[0] // _SHRINK)
+    size = (rgb.shape[1] // shrink, rgb.shape[0] // shrink)
     small = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.float32)
     wide = cv2.blur(small, (5, 1))
     change = np.zeros(small.shape[:2], np.float32)
