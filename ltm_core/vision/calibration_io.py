@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from ltm_core.config_io import load_yaml
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import CALIBRATION_SUFFIX, Manifest
 from ltm_core.vision.strict import StrictModel
 
 
@@ -50,12 +50,12 @@ class Calibration(StrictModel):
 
 def calibration_path(manifest_path: Path) -> Path:
     """Where the calibration of a manifest lies."""
-    return manifest_path.with_name(f"{manifest_path.stem}_calibration.yaml")
+    return manifest_path.with_name(f"{manifest_path.stem}{CALIBRATION_SUFFIX}")
 
 
 def load_calibration(manifest: Manifest) -> Calibration | None:
     """The calibration beside a manifest; None where it has none. Raises ModelError for a file that cannot be taken."""
-    path = manifest.folder / f"{manifest.name}_calibration.yaml"
+    path = manifest.folder / f"{manifest.name}{CALIBRATION_SUFFIX}"
     if not path.is_file():
         return None
     try:

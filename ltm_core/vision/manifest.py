@@ -16,6 +16,9 @@ MODEL_PATH_VARIABLE: Final = "LTM_MODEL_PATH"
 DEPTH_KINDS: Final = ("relative_inverse", "affine_invariant", "metric")
 """Kinds of output that are one number a pixel, a depth; the others label pixels."""
 
+CALIBRATION_SUFFIX: Final = "_calibration.yaml"
+"""Ends the name of the file beside a manifest that says how the model errs."""
+
 
 class InputSpec(StrictModel):
     """The image that the network takes: one image a run, resized (aspect not kept) to `width` x `height` pixels.
@@ -62,6 +65,9 @@ class OutputSpec(StrictModel):
     Kinds of labels: `logits` and `probabilities` have a class axis (`layout` says where); `ids` is an integer class a
     pixel. One channel of `probabilities` with two classes is the probability of the second.
 
+    `embeddings` is a vector a pixel on the class axis, to be compared with embeddings of words (LSeg, CLIP with dense
+    features): the manifest's `text` says which.
+
     Kinds of depth, one float a pixel: `relative_inverse` is inverse depth but for a scale and a shift (MiDaS, Depth
     Anything, TCMonoDepth: larger is nearer); `affine_invariant` is depth but for a scale and a shift (Marigold);
     `metric` is metres along the optical axis, or 1/m where `inverse`. A metric network that answers for one focal
@@ -69,7 +75,7 @@ class OutputSpec(StrictModel):
     length over that one (Metric3D: 1000; Depth Pro, `inverse`: the input's width).
     """
 
-    kind: Literal["logits", "probabilities", "ids", "relative_inverse", "affine_invariant", "metric"]
+    kind: Literal["logits", "probabilities", "ids", "relative_inverse", "affine_invariant", "metric", "embeddings"]
     layout: Literal["NCHW", "NHWC"] = "NCHW"
     name: str | None = None  # of the graph's output; the first where absent
     temperature: float = Field(default=1.0, gt=0)  # logits are divided by it: fitted so that probabilities hold
@@ -88,12 +94,24 @@ class OutputSpec(StrictModel):
         return self
 
 
+class TextSpec(StrictModel):
+    """Embeddings of words, made once, offline, with the text tower that belongs to a network of kind `embeddings`.
+
+    `file`: NumPy `.npz` with `names` (K,) strings and `embeddings` (K, dimensions) float. The score of a word at a
+    pixel is `scale` times the cosine between the two vectors (LSeg 14.3, CLIP 100).
+    """
+
+    file: Path
+    dimensions: int = Field(gt=0)
+    scale: float = Field(default=100.0, gt=0)
+
+
 class Manifest(StrictModel):
     """A network file with all that is needed to run it and to judge it; YAML on disk.
 
     `mapping` gives each of the network's classes one of our label names (or `unlabelled`); a class it leaves out
     is unlabelled. A depth network has neither classes nor mapping. One file may serve two manifests, one of labels and
-    one of depth, that name different outputs.
+    one of depth, that name different outputs. For a network of kind `embeddings` the words of `text` are the classes.
     """
 
     name: str
@@ -106,10 +124,18 @@ class Manifest(StrictModel):
     licence: str
     card: str  # a Markdown file beside the manifest, or a few words
     source: str = ""  # where the file can be had, for the message when it is absent
+    url: str | None = Field(default=None, pattern=r"^(https|file)://")  # fetched by `ltm models add --fetch` alone
+    text: TextSpec | None = None
     _folder: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="after")
     def _classes_are_known(self) -> "Manifest":
+        if (self.text is not None) != (self.output.kind == "embeddings"):
+            raise ValueError("text belongs to output kind embeddings, and such a network needs it")
+        if self.text is not None:
+            if self.classes:
+                raise ValueError("classes: the words of the text file are the classes; remove the key")
+            return self
         if self.output.is_depth:
             if self.classes or self.mapping:
                 raise ValueError(
@@ -139,13 +165,13 @@ class Manifest(StrictModel):
 
     @classmethod
     def find(cls, path_or_name: str | Path) -> "Manifest":
-        """Read a manifest by path (`*.yaml`) or by the name of one that ships in `config/models`."""
+        """Read a manifest by path (`*.yaml`) or by the name of one that ships in `config/models` or was added."""
         text = str(path_or_name)
         if text.endswith((".yaml", ".yml")) or os.sep in text:
             return cls.load(Path(path_or_name))
-        path = models_folder() / f"{text}.yaml"
-        if not path.is_file():
-            names = ", ".join(shipped_names()) or "none"
+        path = next((p for p in (f / f"{text}.yaml" for f in (models_folder(), added_folder())) if p.is_file()), None)
+        if path is None:
+            names = ", ".join([*shipped_names(), *added_names()]) or "none"
             raise ModelError(f"no model is called {text!r}; models here: {names} (or give the path of a manifest)")
         return cls.load(path)
 
@@ -159,17 +185,26 @@ class Manifest(StrictModel):
 
         Raises ModelError with every place looked at.
         """
-        places = [self.folder / self.file]
-        if not self.file.is_absolute():
+        return self._located(self.file)
+
+    def text_file(self) -> Path:
+        """Path of the words' embeddings, found as the network is. Raises ModelError; also where there are none."""
+        if self.text is None:
+            raise ModelError(f"model {self.name!r} has no text embeddings; its output is {self.output.kind}")
+        return self._located(self.text.file)
+
+    def _located(self, file: Path) -> Path:
+        places = [self.folder / file]
+        if not file.is_absolute():
             for folder in filter(None, os.environ.get(MODEL_PATH_VARIABLE, "").split(os.pathsep)):
-                places += [Path(folder) / self.file, Path(folder) / self.file.name]
+                places += [Path(folder) / file, Path(folder) / file.name]
         for place in places:
             if place.is_file():
                 return place
         looked = ", ".join(dict.fromkeys(str(place) for place in places))
         source = f" (source: {self.source})" if self.source else ""
         raise ModelError(
-            f"model {self.name!r}: no file {self.file}; looked at {looked}. "
+            f"model {self.name!r}: no file {file}; looked at {looked}. "
             f"Put it in one of these places or name its folder in {MODEL_PATH_VARIABLE}{source}"
         )
 
@@ -181,4 +216,19 @@ def models_folder() -> Path:
 
 def shipped_names() -> list[str]:
     """Names of the manifests in `config/models`, sorted."""
-    return sorted(path.stem for path in models_folder().glob("*.yaml"))
+    return _names(models_folder())
+
+
+def added_folder() -> Path:
+    """Folder of the models that a user added (`ltm models add`): `ltm/models` in the user's data folder."""
+    data = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
+    return Path(data) / "ltm" / "models"
+
+
+def added_names() -> list[str]:
+    """Names of the models that a user added, sorted."""
+    return _names(added_folder())
+
+
+def _names(folder: Path) -> list[str]:
+    return sorted(path.stem for path in folder.glob("*.yaml") if not path.name.endswith(CALIBRATION_SUFFIX))

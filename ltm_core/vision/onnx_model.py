@@ -88,13 +88,15 @@ class OnnxModel:
             if not _one_channel(node.shape, spec.layout):
                 raise self._wrong(f"output {name!r}: shape", "[1, h, w], or with one channel", node.shape)
             return name
-        count = len(self.manifest.classes)
+        text = self.manifest.text
+        count = len(self.manifest.classes) if text is None else text.dimensions
         allowed = (count, 1) if spec.kind == "probabilities" and count == 2 else (count,)
         axis = 1 if spec.layout == "NCHW" else 3
         channels = node.shape[axis] if len(node.shape) == 4 else None
         if len(node.shape) != 4 or (isinstance(channels, int) and channels not in allowed):
+            what = "classes" if text is None else "dimensions of text.dimensions"
             shape = f"[1, {count}, h, w]" if spec.layout == "NCHW" else f"[1, h, w, {count}]"
-            raise self._wrong(f"output {name!r}: shape", f"{shape} ({spec.layout}, {count} classes)", node.shape)
+            raise self._wrong(f"output {name!r}: shape", f"{shape} ({spec.layout}, {count} {what})", node.shape)
         return name
 
     def _named(self, wanted: str | None, present: list[str], what: str) -> str:

@@ -1,5 +1,6 @@
 """Photo -> label image: one network behind its manifest, at any photo size."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ltm_core.errors import ImageError, ModelError
-from ltm_core.vision.labels import UNLABELLED, LabelSet
+from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.manifest import InputSpec, Manifest
 from ltm_core.vision.onnx_model import OnnxModel
+from ltm_core.vision.text_io import load_text
+from ltm_core.vision.tiling import with_distant_tiles
 from ltm_core.vision.upsample import upsampled_winner
 
 DEFAULT_MODEL = "spine"
@@ -33,18 +36,27 @@ class Segmenter:
     """Runs the network of a manifest on RGB photos of any size.
 
     Probabilities of the network's classes that map to one label are summed before the winner is chosen, so that two
-    halves of one label (`grass` and `field`, say) are not beaten by a third class. `threads` is the number of CPU
-    threads of ONNX Runtime. Raises ModelError: see OnnxModel, and for a mapping to a label that does not exist.
+    halves of one label (`grass` and `field`, say) are not beaten by a third class. `words`: of a text network, those
+    that compete (None: all). `threads` is the number of CPU threads of ONNX Runtime. Raises ModelError: see OnnxModel,
+    and for a mapping to a label that does not exist.
     """
 
-    def __init__(self, manifest: Manifest, threads: int = 1, labels: LabelSet | None = None) -> None:
+    def __init__(
+        self,
+        manifest: Manifest,
+        threads: int = 1,
+        labels: LabelSet | None = None,
+        words: Sequence[str] | None = None,
+    ) -> None:
         if manifest.output.is_depth:
             raise ModelError(
                 f"model {manifest.name!r} gives {manifest.output.kind} depth, not labels; name a segmentation model"
             )
         self.manifest = manifest
         self.labels = LabelSet.load() if labels is None else labels
-        class_labels = _class_labels(manifest, self.labels)
+        self._text = None if manifest.text is None else load_text(manifest).only(words)
+        self.classes = manifest.classes if self._text is None else self._text.names
+        class_labels = _class_labels(manifest, self.classes, self.labels)
         # group of each network class, and the label of each group
         self._group_labels, self._group_of_class = np.unique(class_labels, return_inverse=True)
         self._label_of_id = np.full(256, UNLABELLED, dtype=np.uint8)
@@ -63,29 +75,37 @@ class Segmenter:
         """The network file in use."""
         return self._model.path
 
-    def segment(self, image: npt.NDArray[np.uint8]) -> Segmentation:
+    def segment(self, image: npt.NDArray[np.uint8], zoom: float = 1.0) -> Segmentation:
         """Label a photo (H, W, 3) uint8 RGB; the result has the photo's size.
 
-        Raises ImageError for another shape or dtype, ModelError when the network's output is not what its manifest
-        states.
+        With `zoom` above 1 the network looks a second time, at so much larger a scale, at the distant slopes: the
+        strip along the skyline, in tiles; there the two answers are averaged (see `tiling`). Raises ImageError for
+        another shape or dtype, ModelError when the network's output is not what its manifest states.
         """
         _check(image)
         height, width = image.shape[:2]
         output = self._model.run(input_tensor(image, self.manifest.input))
         if self.manifest.output.kind == "ids":
             return self._from_ids(output, height, width)
-        winner, confidence = upsampled_winner(self._label_probabilities(output), height, width)
+        probabilities = self._label_probabilities(output)
+        if zoom > 1.0 and Label.SKY in self._group_labels:
+            sky = int(np.flatnonzero(self._group_labels == Label.SKY)[0])
+            probabilities = with_distant_tiles(image, probabilities, sky, zoom, self._tile_probabilities)
+        winner, confidence = upsampled_winner(probabilities, height, width)
         labels = self._group_labels[winner]
         if UNLABELLED in self._group_labels:
             confidence[labels == UNLABELLED] = 0
         return Segmentation(labels, confidence)
+
+    def _tile_probabilities(self, tile: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+        return self._label_probabilities(self._model.run(input_tensor(tile, self.manifest.input)))
 
     def _from_ids(self, output: npt.NDArray[Any], height: int, width: int) -> Segmentation:
         ids = np.squeeze(output)
         if ids.ndim != 2:
             raise ModelError(f"model {self.manifest.name!r}: ids have shape {output.shape}, expected (1, h, w)")
         # Out-of-range ids have no class, so no label.
-        known = np.where((ids >= 0) & (ids < len(self.manifest.classes)), ids, 255).astype(np.uint8)
+        known = np.where((ids >= 0) & (ids < len(self.classes)), ids, 255).astype(np.uint8)
         labels = cv2.resize(self._label_of_id[known], (width, height), interpolation=cv2.INTER_NEAREST_EXACT)
         labels = np.asarray(labels, dtype=np.uint8)
         return Segmentation(labels, np.where(labels == UNLABELLED, 0, 255).astype(np.uint8))
@@ -103,7 +123,7 @@ class Segmenter:
     def class_probabilities(self, image: npt.NDArray[np.uint8]) -> dict[str, npt.NDArray[np.float32]]:
         """Probability (h, w) of each of the network's own classes, at its own resolution; raises as `logits` does."""
         probabilities = self._probabilities(self.logits(image))
-        return dict(zip(self.manifest.classes, probabilities, strict=True))
+        return dict(zip(self.classes, probabilities, strict=True))
 
     def _scores(self, output: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
         """Network output -> (K, h, w), checked."""
@@ -114,11 +134,11 @@ class Segmenter:
             raise ModelError(
                 f"model {self.manifest.name!r}: its {spec.kind} hold NaN or infinity; the network is broken"
             )
-        return scores
+        return scores if self._text is None else self._text.scores(scores)
 
     def _probabilities(self, scores: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Scores (K, h, w) -> probabilities of the network's classes."""
-        if self.manifest.output.kind == "logits":
+        if self.manifest.output.kind in ("logits", "embeddings"):
             scores = scores * np.float32(1.0 / self.manifest.output.temperature)
             scores = np.exp(scores - scores.max(axis=0))
             return np.asarray(scores / scores.sum(axis=0), np.float32)
@@ -173,7 +193,7 @@ def _check(image: npt.NDArray[np.uint8]) -> None:
         raise ImageError(f"segment: image is {image.shape} {image.dtype}, expected (H, W, 3) uint8 RGB")
 
 
-def _class_labels(manifest: Manifest, labels: LabelSet) -> npt.NDArray[np.uint8]:
+def _class_labels(manifest: Manifest, classes: tuple[str, ...], labels: LabelSet) -> npt.NDArray[np.uint8]:
     """Our label id of each of the network's classes, (K,) uint8."""
     for name, label in manifest.mapping.items():
         if label != "unlabelled" and label not in labels.names:
@@ -181,4 +201,4 @@ def _class_labels(manifest: Manifest, labels: LabelSet) -> npt.NDArray[np.uint8]
                 f"model {manifest.name!r}: mapping.{name}: no label is called {label!r}; "
                 f"labels: {', '.join(labels.names)}, unlabelled"
             )
-    return np.array([labels.id_of(manifest.mapping.get(name, "unlabelled")) for name in manifest.classes], np.uint8)
+    return np.array([labels.id_of(manifest.mapping.get(name, "unlabelled")) for name in classes], np.uint8)

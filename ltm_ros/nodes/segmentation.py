@@ -25,6 +25,8 @@ class SegmentationConfig(NodeConfig):
     """Manifest name or path; empty: the site's."""
     threads: int = Field(1, ge=1)
     """Cores that the network may use."""
+    zoom: float = Field(1.0, ge=1, le=4)
+    """Above 1: look a second time at the slopes along the skyline, so much larger; costs one to several more runs."""
 
 
 class Segmentation(Handler[SegmentationConfig]):
@@ -46,7 +48,7 @@ class Segmentation(Handler[SegmentationConfig]):
 
     def on_image(self, message: Any) -> None:
         stamp, frame_id = stamp_of(message), message.header.frame_id
-        segmentation = self._segmenter.segment(msg_to_rgb(message))
+        segmentation = self._segmenter.segment(msg_to_rgb(message), self.config.zoom)
         self.outlet.publish(LABELS_CONFIDENCE, image_to_msg(segmentation.confidence, "mono8", stamp, frame_id))
         self.outlet.publish(LABELS_IMAGE, image_to_msg(segmentation.labels, "mono8", stamp, frame_id))
 

@@ -137,7 +137,7 @@ TINY = TrainingConfig(
     deploy_height=64,
     seed=3,
     split=SplitConfig(validation=("elm",), test=("oak",)),
-    network=NetworkConfig(width=16, pretrained=False),
+    network=NetworkConfig(width=16, pretrained=False, fixed=0),
     optimiser=OptimiserConfig(
         steps=30, batch=4, validate_every=15, learning_rate=0.01, encoder_rate=1.0, average=0.8, frozen=0.0
     ),

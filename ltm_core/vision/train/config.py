@@ -31,6 +31,7 @@ class NetworkConfig(StrictModel):
 
     width: int = Field(default=64, ge=16, multiple_of=16)
     pretrained: bool = True
+    fixed: int = Field(default=5, ge=0, le=16)  # blocks of the encoder, the first, that are never trained
 
 
 class OptimiserConfig(StrictModel):

@@ -70,11 +70,13 @@ def convolution(
 class Lite0Encoder(nn.Module):  # type: ignore[misc]  # torch is not typed for us
     """Photo (N, 3, H, W), ImageNet-normalised -> maps at strides 2, 4, 8, 16, 32 with the channels of `TAPS`.
 
-    H and W are multiples of 32.
+    H and W are multiples of 32. The stem and the first `fixed` blocks stay as they are: what edges and textures look
+    like needs no learning again, and their large maps cost the most.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, fixed: int = 0) -> None:
         super().__init__()
+        self.fixed = fixed
         self.stem = convolution(3, STEM, 3, 2, relu=True)
         blocks, inputs = [], STEM
         for stage in STAGES:
@@ -84,10 +86,13 @@ class Lite0Encoder(nn.Module):  # type: ignore[misc]  # torch is not typed for u
         self.blocks = nn.ModuleList(blocks)
 
     def forward(self, photo: Tensor) -> list[Tensor]:
-        x = self.stem(photo)
+        learning = torch.is_grad_enabled()
         maps = []
+        with torch.set_grad_enabled(learning and self.fixed == 0):
+            x = self.stem(photo)
         for index, block in enumerate(self.blocks):
-            x = block(x)
+            with torch.set_grad_enabled(learning and index >= self.fixed):
+                x = block(x)
             if index in TAPS:
                 maps.append(x)
         return maps

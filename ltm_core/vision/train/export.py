@@ -16,7 +16,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from ltm_core.errors import ModelError
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import CALIBRATION_SUFFIX, Manifest
 from ltm_core.vision.train.config import SplitConfig, TrainingConfig
 from ltm_core.vision.train.landscape import Deployed, LandscapeNetwork
 from ltm_core.vision.train.loop import MEAN, STD
@@ -66,9 +66,9 @@ def export_adapted(network: LandscapeNetwork, base: Manifest, name: str, labels:
     content["output"]["temperature"] = base.output.temperature
     content["source"] = f"{base.name}, its depth adapted to a site by `ltm train adapt`"
     _write(manifest, content)
-    calibration = base.folder / f"{base.name}_calibration.yaml"
+    calibration = base.folder / f"{base.name}{CALIBRATION_SUFFIX}"
     if calibration.is_file():
-        (folder / f"{name}_calibration.yaml").write_bytes(calibration.read_bytes())
+        (folder / f"{name}{CALIBRATION_SUFFIX}").write_bytes(calibration.read_bytes())
     return manifest
 
 

@@ -59,7 +59,7 @@ class LandscapeNetwork(nn.Module):  # type: ignore[misc]  # torch is not typed f
 
     def __init__(self, classes: int, config: NetworkConfig) -> None:
         super().__init__()
-        self.encoder = Lite0Encoder()
+        self.encoder = Lite0Encoder(config.fixed)
         fine, *middle, coarse = TAPS.values()
         wide, narrow = config.width, config.width // 2
         self.reduce = convolution(coarse, wide, relu=True)

@@ -143,7 +143,9 @@ def train(
         loss = total_loss(*run.network.heads(maps), batch, weights, settings)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
-        if not torch.isfinite(torch.nn.utils.clip_grad_norm_(run.network.parameters(), 2.0)):
+        if not torch.isfinite(
+            torch.nn.utils.clip_grad_norm_([p for p in run.network.parameters() if p.grad is not None], 2.0)
+        ):
             raise ModelError(f"training diverged at step {step}; lower optimiser.learning_rate or lengthen its warmup")
         optimiser.step()
         # A short memory at first, so that the average does not drag the random start along.

@@ -1,0 +1,67 @@
+"""Embeddings of words, to be compared with those of pixels: the open-vocabulary half of LSeg and its like."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import ModelError
+from ltm_core.vision.manifest import Manifest
+
+
+@dataclass(frozen=True, eq=False)
+class TextEmbeddings:
+    """Words and their directions: `names` (K), `vectors` (K, D) float32 of length 1, `scale` of the cosine."""
+
+    names: tuple[str, ...]
+    vectors: NDArray[np.float32]
+    scale: float
+
+    def only(self, words: Sequence[str] | None) -> TextEmbeddings:
+        """These words alone, in their order; all where None. Raises ModelError for a word that is not there."""
+        if words is None:
+            return self
+        absent = sorted(set(words) - set(self.names))
+        if absent:
+            raise ModelError(f"no embedding of {', '.join(absent)}; words: {', '.join(self.names[:40])}")
+        return TextEmbeddings(tuple(words), self.vectors[[self.names.index(w) for w in words]], self.scale)
+
+    def scores(self, dense: NDArray[np.float32]) -> NDArray[np.float32]:
+        """`scale` x cosine of each word with each pixel's embedding: (D, h, w) -> (K, h, w)."""
+        length = np.sqrt(np.einsum("dhw,dhw->hw", dense, dense))
+        # einsum, not a matrix product: that would start threads of its own beside ONNX Runtime's.
+        cosine = np.einsum("kd,dhw->khw", self.vectors, dense) / np.maximum(length, 1e-12)
+        return np.asarray(np.float32(self.scale) * cosine, np.float32)
+
+
+def load_text(manifest: Manifest) -> TextEmbeddings:
+    """The text embeddings of a manifest. Raises ModelError: no such file, other arrays, another dimension than the
+    manifest states, a word twice, or one in `mapping` that is not there."""
+    path, spec = manifest.text_file(), manifest.text
+    if spec is None:
+        raise ModelError(f"model {manifest.name!r} has no text embeddings")
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            names = tuple(str(name) for name in content["names"])
+            vectors = np.asarray(content["embeddings"], np.float32)
+    except (OSError, KeyError, ValueError) as reason:
+        raise ModelError(
+            f"{path}: expected an .npz with `names` (K,) and `embeddings` (K, {spec.dimensions}): {reason}"
+        ) from reason
+    if vectors.shape != (len(names), spec.dimensions) or not names:
+        raise ModelError(
+            f"{path}: {len(names)} names and embeddings of shape {vectors.shape}; expected (K, {spec.dimensions}), one "
+            "row a name, as text.dimensions states"
+        )
+    if len(set(names)) != len(names):
+        raise ModelError(f"{path}: names repeat; each word once")
+    unknown = sorted(set(manifest.mapping) - set(names))
+    if unknown:
+        raise ModelError(f"model {manifest.name!r}: mapping names {', '.join(unknown)}, not among the words of {path}")
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    if not np.isfinite(vectors).all() or float(length.min()) < 1e-9:
+        raise ModelError(f"{path}: an embedding is zero, NaN or infinite; make the file again")
+    return TextEmbeddings(names, vectors / length, spec.scale)
