@@ -10,6 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
+from ltm_core.dem_stack import DemStack, with_surface
 from ltm_core.errors import ConfigError, PoseError
 from ltm_core.fuel.prior_config import PriorConfig
 from ltm_core.fuel.rules import FusionRules
@@ -195,6 +196,11 @@ class Site(Config):
     origin: tuple[float, float]
     """(x, y) in the CRS that is (0, 0) of the map frame; near the site, so that float32 holds millimetres."""
     dem: DemConfig
+    """One, or in YAML a list: the finest first, then coarser ones around it (see `dem_stack`)."""
+    coarser: tuple[DemConfig, ...] = ()
+    """The rest of such a list."""
+    surface: DemConfig | None = None
+    """Tops of trees and houses as elevations; where it is nodata the ground shows."""
     curvature: bool = True
     refraction: float = Field(0.13, ge=0, lt=1)
     fuel: FuelConfig = FuelConfig()
@@ -208,6 +214,16 @@ class Site(Config):
     nodes: dict[RosName, dict[str, Any]] = {}
     """Parameters a node type: `nodes: {capture: {pose_tolerance: 0.1}}`. Each node refuses what it does not know."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _finest_first(cls, data: Any) -> Any:
+        if not (isinstance(data, dict) and isinstance(data.get("dem"), list)):
+            return data
+        if not data["dem"] or "coarser" in data:
+            raise ValueError("dem is one raster, or a list of them from the finest to the coarsest")
+        finest, *coarser = data["dem"]
+        return {**data, "dem": finest, "coarser": coarser}
+
     @property
     def frame(self) -> SiteFrame:
         return SiteFrame(self.crs, *self.origin)
@@ -217,8 +233,20 @@ class Site(Config):
         return ray_bend(self.curvature, self.refraction)
 
     def open_dem(self) -> Dem:
-        """The DEM in the map frame."""
-        return Dem.open(self.dem.path, self.dem.crs).in_frame(self.frame)
+        """The bare earth in the map frame; a `DemStack` where the site has coarser rasters too."""
+        if not self.coarser:
+            return Dem.open(self.dem.path, self.dem.crs).in_frame(self.frame)
+        around = ((dem.path, dem.crs) for dem in self.coarser)
+        return DemStack.open(self.dem.path, self.dem.crs, *around).in_frame(self.frame)
+
+    def open_surface(self, ground: Dem) -> Dem:
+        """What cameras see of the terrain, in the map frame: `ground` (of `open_dem`) with the tops of trees and houses
+        where the site has a surface raster.
+        """
+        if self.surface is None:
+            return ground
+        surface = Dem.open(self.surface.path, self.surface.crs).in_frame(self.frame)
+        return with_surface(ground, surface)
 
     def fuel_geometry(self, dem: Dem) -> GridGeometry:
         """The fuel grid over the DEM (given in the map frame), in the map frame, snapped in the site's CRS."""

@@ -5,14 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 
 from ltm_core.config_io import load_yaml
-from ltm_core.site import Site
+from ltm_core.site import DemConfig, Site
 
 
 def load_site(path: Path | str) -> Site:
     """Read a site YAML; its relative paths become relative to the file. Raises ConfigError, see `config_io`."""
     path = Path(path).expanduser().resolve()
     site = load_yaml(path, Site)
-    changes: dict[str, object] = {"dem": site.dem.model_copy(update={"path": path.parent / site.dem.path})}
+
+    def beside_the_file(dem: DemConfig) -> DemConfig:
+        return dem.model_copy(update={"path": path.parent / dem.path})
+
+    changes: dict[str, object] = {
+        "dem": beside_the_file(site.dem),
+        "coarser": tuple(beside_the_file(dem) for dem in site.coarser),
+        "surface": None if site.surface is None else beside_the_file(site.surface),
+    }
     beside = path.parent / site.model
     if beside.suffix == ".yaml" and beside.is_file():
         changes["model"] = str(beside)

@@ -36,7 +36,7 @@ _FASTMATH = {"contract", "nsz"}
 _TILE = 16
 _MOST_CELLS = 48
 _MEETS_NOTHING = -1
-_NOT_BUILT = -2
+_BY_PYRAMID = -2
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH, parallel=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -69,12 +69,13 @@ def sweep_image(
             row = height - 1 - k
             _to_grid(rays[row, first : first + lanes], rotation, majors, ts, slopes, faces, wedge)
             for i in range(lanes):
-                near[i] = _MEETS_NOTHING
                 s = slopes[i] * resolution
                 if not (s <= wedges.highest[wedge[i]]):
+                    # Whether it is over known ground when it leaves matters only where more ground may come.
+                    near[i] = _MEETS_NOTHING if stage.last or wedges.outer[wedge[i]] == np.inf else _BY_PYRAMID
                     continue
                 if wedges.entries[wedge[i]] < 0:
-                    near[i] = _NOT_BUILT
+                    near[i] = _BY_PYRAMID
                     continue
                 place = first_reaching(wedges.tangent, wedges.start[wedge[i]], wedges.entries[wedge[i]], hints[i], s)
                 hints[i] = place
@@ -102,7 +103,7 @@ def sweep_image(
                     begin = start
                     if near[i] >= 0:
                         begin = max(begin, sign * (near[i] - (stage.ox if along_x else stage.oy)))
-                    if near[i] == _NOT_BUILT or state != OVER_KNOWN or begin > wedges.outer[wedge[i]]:
+                    if near[i] == _BY_PYRAMID or state != OVER_KNOWN or begin > wedges.outer[wedge[i]]:
                         end = over_raster(stage, cx, cy)[1]
                         q = hit_between(ground, stage, cx, cy, s, bend, start, end, state, START_LEVEL)
                     else:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
+from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.site_io import load_site
 from ltm_core.tracing import TerrainTracer
@@ -24,20 +25,26 @@ from ltm_ros.node import run_node
 from ltm_ros.topics import ALIGNMENT, DEPTH_CAMERA_INFO, DEPTH_IMAGE, POSED_CAMERA_INFO, POSED_POSE
 
 
-class Depth(Handler[NodeConfig]):
+class DepthConfig(NodeConfig):
+    surface: bool = True
+    """Trace to the tops of trees and houses where the site has a surface raster; else, and where not, to bare earth."""
+
+
+class Depth(Handler[DepthConfig]):
     """Needs no image: calibration and pose decide what the terrain looks like."""
 
     publications = (DEPTH_IMAGE, DEPTH_CAMERA_INFO, ALIGNMENT)
 
-    def __init__(self, config: NodeConfig, outlet: Outlet, health: Health) -> None:
+    def __init__(self, config: DepthConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = load_site(config.site)
         site.camera(config.camera)
-        dem = site.open_dem()
-        self._tracer = TerrainTracer(dem, site.curvature, site.refraction)
+        ground = site.open_dem()
+        traced = site.open_surface(ground) if config.surface else ground
+        self._tracer = TerrainTracer(traced, site.curvature, site.refraction)
         self._frame_id = f"{config.camera}_optical"
         self._join = StampJoin(("info", "pose"), self._trace, health)
-        self._warm_up(dem)
+        _compile_kernels()
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
@@ -59,16 +66,16 @@ class Depth(Handler[NodeConfig]):
         for name, count in asdict(self._tracer.statistics).items():
             self.health.gauge(f"tracer.{name}", count)
 
-    def _warm_up(self, dem: Dem) -> None:
-        """Compile the kernels now, or load them from numba's cache: the first frame shall not wait for it."""
-        summit = np.unravel_index(np.nanargmax(dem.elevation), dem.elevation.shape)
-        x, y = dem.geometry.to_map(*summit)
-        pose = Pose.from_angles((float(x), float(y), float(dem.elevation[summit]) + 10.0), 0.0)
-        for way in ("profile", "pyramid"):
-            self._tracer.trace(Camera.from_fov(3, 2, 50.0), pose, way)
+
+def _compile_kernels() -> None:
+    """Now, or load them from numba's cache: the first frame shall not wait for it."""
+    plain = Dem(np.zeros((9, 12), np.float32), GridGeometry(0.0, 9.0, 1.0, 12, 9))
+    pose = Pose.from_angles((6.3, 4.4, 10.0), 0.0, -20.0)
+    for way in ("profile", "pyramid"):
+        TerrainTracer(plain).trace(Camera.from_fov(3, 2, 50.0), pose, way)
 
 
-NODE = NodeType("depth", NodeConfig, Depth)
+NODE = NodeType("depth", DepthConfig, Depth)
 
 
 def main() -> None:
