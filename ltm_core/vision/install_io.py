@@ -1,0 +1,98 @@
+"""Adding a model: its files checked, tried and put where models are found by name."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import urllib.error
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+
+from ltm_core.errors import ModelError
+from ltm_core.vision.calibration_io import calibration_path
+from ltm_core.vision.manifest import Manifest, added_folder, shipped_names
+
+_CHUNK = 1 << 20
+_TIMEOUT_S = 60.0
+
+
+def add_model(
+    manifest_path: Path,
+    fetch: bool,
+    progress: Callable[[int], None] = lambda received: None,
+    folder: Path | None = None,
+) -> Manifest:
+    """Copy a manifest and all it names into `folder` (default: the user's own models); gives the added manifest.
+
+    The network file is taken where the manifest finds it, or, with `fetch`, from its URL; nothing is downloaded unless
+    asked, and the checksum decides what is kept. `progress` gets the bytes received. Raises ModelError: a name that
+    ships, a wrong file, or no file and no `fetch`.
+    """
+    manifest = Manifest.load(manifest_path)
+    if manifest.name in shipped_names():
+        raise ModelError(
+            f"{manifest_path}: a model called {manifest.name!r} ships with the project; give yours another name"
+        )
+    if manifest_path.stem != manifest.name:
+        raise ModelError(
+            f"{manifest_path}: is called {manifest.name!r}; name the file {manifest.name}.yaml, as it is found by name"
+        )
+    folder = added_folder() if folder is None else folder
+    folder.mkdir(parents=True, exist_ok=True)
+    target = folder / manifest.file.name
+    part = target.with_name(f"{target.name}.part")
+    try:
+        _obtain(manifest, part, fetch, progress)
+        found = _sha256(part)
+        if found != manifest.sha256:
+            raise ModelError(
+                f"model {manifest.name!r}: the file has sha256 {found}, expected {manifest.sha256}; it was not kept"
+            )
+        part.replace(target)
+    finally:
+        part.unlink(missing_ok=True)
+    content = manifest_path.read_text(encoding="utf-8")
+    # The copy's files lie beside it, whatever folders the original named.
+    content = content.replace(str(manifest.file), manifest.file.name)
+    if manifest.text is not None:
+        shutil.copyfile(manifest.text_file(), folder / manifest.text.file.name)
+        content = content.replace(str(manifest.text.file), manifest.text.file.name)
+    for beside in (manifest_path.parent / manifest.card, calibration_path(manifest_path)):
+        if beside.is_file():
+            shutil.copyfile(beside, folder / beside.name)
+    added = folder / f"{manifest.name}.yaml"
+    added.write_text(content, encoding="utf-8")
+    return Manifest.load(added)
+
+
+def _obtain(manifest: Manifest, part: Path, fetch: bool, progress: Callable[[int], None]) -> None:
+    try:
+        shutil.copyfile(manifest.model_file(), part)
+        return
+    except ModelError as absent:
+        if manifest.url is None:
+            raise
+        if not fetch:
+            raise ModelError(
+                f"model {manifest.name!r}: no file {manifest.file} here; it can be had from {manifest.url}. Nothing is "
+                "downloaded unless asked: add --fetch"
+            ) from absent
+    try:
+        # The manifest takes https and file URLs only.
+        with urllib.request.urlopen(manifest.url, timeout=_TIMEOUT_S) as source, part.open("wb") as out:
+            received = 0
+            while chunk := source.read(_CHUNK):
+                out.write(chunk)
+                received += len(chunk)
+                progress(received)
+    except (urllib.error.URLError, OSError) as reason:
+        raise ModelError(f"model {manifest.name!r}: {manifest.url} cannot be fetched: {reason}") from reason
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while chunk := file.read(_CHUNK):
+            digest.update(chunk)
+    return digest.hexdigest()
