@@ -210,6 +210,8 @@ class Site(Config):
     """Label set in config/."""
     model: str = "spine"
     """Segmentation manifest: a name in config/models/ or a path."""
+    depth_model: str = ""
+    """Manifest of a depth network, likewise; where given, traced depth is fused with it (`fused/depth`)."""
     cameras: dict[CameraName, CameraConfig] = Field(min_length=1)
     nodes: dict[RosName, dict[str, Any]] = {}
     """Parameters a node type: `nodes: {capture: {pose_tolerance: 0.1}}`. Each node refuses what it does not know."""

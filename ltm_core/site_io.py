@@ -21,9 +21,10 @@ def load_site(path: Path | str) -> Site:
         "coarser": tuple(beside_the_file(dem) for dem in site.coarser),
         "surface": None if site.surface is None else beside_the_file(site.surface),
     }
-    beside = path.parent / site.model
-    if beside.suffix == ".yaml" and beside.is_file():
-        changes["model"] = str(beside)
+    for name in ("model", "depth_model"):
+        beside = path.parent / getattr(site, name)
+        if beside.suffix == ".yaml" and beside.is_file():
+            changes[name] = str(beside)
     fuel: dict[str, object] = {}
     if site.fuel.prior is not None:
         fuel["prior"] = site.fuel.prior.below(path.parent)

@@ -20,13 +20,15 @@ NODES_MODULE = "ltm_ros.nodes"
 
 CAMERA_NODES = ("capture", "depth", "segmentation", "fuel_votes")
 """Node types that every camera has one of, in `/<site>/<camera>`."""
+FUSION_NODES = ("topodepth",)
+"""Node types that every camera has besides where the site names a depth network."""
 SITE_NODES = ("fuel_map",)
 """Node types that a site has one of, in `/<site>`."""
 OPTIONAL_NODES = ("viewer", "recorder")
 """Site-level node types that run on request; the graph works without them."""
-NODE_TYPES = CAMERA_NODES + SITE_NODES + OPTIONAL_NODES
+NODE_TYPES = CAMERA_NODES + FUSION_NODES + SITE_NODES + OPTIONAL_NODES
 
-BUSY_NODES = ("depth", "segmentation")
+BUSY_NODES = ("depth", "segmentation", "topodepth")
 """Node types that compute on several threads; the others get one."""
 OWN_PARAMETERS = ("site", "camera", "use_sim_time")
 """Parameters that the graph itself gives; a site file cannot."""
@@ -137,7 +139,8 @@ def describe(
     for camera in chosen:
         site.camera(camera)
     nodes = [spec(kind, f"/{site.name}", {}) for kind in SITE_NODES]
-    nodes += [spec(kind, f"/{site.name}/{camera}", {"camera": camera}) for camera in chosen for kind in CAMERA_NODES]
+    kinds = CAMERA_NODES + (FUSION_NODES if site.depth_model else ())
+    nodes += [spec(kind, f"/{site.name}/{camera}", {"camera": camera}) for camera in chosen for kind in kinds]
     if view is not None:
         nodes.append(spec("viewer", f"/{site.name}", {}))
     if record is not None:

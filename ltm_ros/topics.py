@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PointStamped, PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import String
@@ -25,7 +25,7 @@ ALIGNMENT = Topic("alignment", Image)
 FUSED_DEPTH = Topic("fused/depth", Image)
 FUSED_SIGMA = Topic("fused/sigma", Image)
 FUSED_SOURCE = Topic("fused/source", Image)
-FUSED_INFO = Topic("fused/info", String)
+FUSED_INFO = Topic("fused/info", String, latched=True)
 NETWORK_DEPTH = Topic("network/depth", Image)
 
 LABELS_IMAGE = Topic("labels/image", Image)
@@ -37,6 +37,9 @@ FUEL_VOTES = Topic("fuel/votes", PointCloud2)
 FUEL_MAP = Topic("fuel_map", OccupancyGrid, latched=True)
 FUEL_MAP_UPDATE = Topic("fuel_map/update", OccupancyGrid)
 FUEL_MAP_INFO = Topic("fuel_map/info", String, latched=True)
+FUEL_MAP_QUERY = Topic("fuel_map/query", PointStamped)
+FUEL_MAP_ANSWER = Topic("fuel_map/answer", String, latched=True)
+FUEL_MAP_REGION = Topic("fuel_map/region", PolygonStamped)
 
 TERRAIN_UPDATE = Topic("terrain/update", PointCloud2)
 TERRAIN_CHANGE = Topic("terrain/change", OccupancyGrid, latched=True)

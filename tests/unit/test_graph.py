@@ -38,6 +38,16 @@ def test_every_camera_has_its_chain_and_the_site_its_map() -> None:
     assert all(node.required for node in graph)
 
 
+def test_a_site_with_a_depth_network_fuses_every_cameras_depth() -> None:
+    assert "topodepth" not in {node.name for node in describe(site(), "ridge.yaml")}
+    graph = describe(site(depth_model="tcmonodepth"), "ridge.yaml")
+    assert [node.full_name for node in graph if node.name == "topodepth"] == [
+        "/ridge/north/topodepth",
+        "/ridge/south/topodepth",
+    ]
+    assert graph.node("north/topodepth").busy
+
+
 def test_only_some_cameras_in_simulated_time() -> None:
     graph = describe(site(), "ridge.yaml", cameras=["south"], sim_time=True)
     assert {node.namespace for node in graph} == {"/ridge", "/ridge/south"}

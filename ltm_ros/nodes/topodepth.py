@@ -1,0 +1,210 @@
+"""topodepth: fuses traced depth with what a network makes of the photo (TopoDepth)."""
+
+from __future__ import annotations
+
+import json
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+from std_msgs.msg import String
+
+from ltm_core.camera import Camera
+from ltm_core.depth.classes import DepthClasses
+from ltm_core.depth.fusion import FusedDepth, FusionSettings, Verdict, fuse
+from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
+from ltm_core.depth.range_image import RangeImage
+from ltm_core.errors import ConfigError, ModelError
+from ltm_core.pose import Pose
+from ltm_core.resources import config_path
+from ltm_core.site_io import load_site
+from ltm_core.tracing import TerrainTracer
+from ltm_core.vision.labels import LabelSet
+from ltm_msgs_py.camera_info import msg_to_camera
+from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth, msg_to_rgb
+from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet
+from ltm_ros.health import Health
+from ltm_ros.join import StampJoin
+from ltm_ros.node import run_node
+from ltm_ros.topics import (
+    DEPTH_IMAGE,
+    FUSED_DEPTH,
+    FUSED_INFO,
+    FUSED_SIGMA,
+    FUSED_SOURCE,
+    LABELS_IMAGE,
+    NETWORK_DEPTH,
+    POSED_CAMERA_INFO,
+    POSED_IMAGE,
+    POSED_POSE,
+)
+
+
+class TopoDepthConfig(NodeConfig):
+    model: str = ""
+    """Manifest name or path of a depth network; empty: the site's `depth_model`."""
+    threads: int = Field(1, ge=1)
+    """Cores that the network may use."""
+    label_wait: float = Field(1.5, ge=0)
+    """Seconds that a frame waits for its labels before it is fused without them."""
+    max_waiting: int = Field(4, ge=1)
+    """Frames that wait for labels at most."""
+    angle_sigma_deg: float = Field(0.03, ge=0)
+    """Of a camera's direction, beside what its pose's covariance says."""
+    dem_sigma: float = Field(1.0, ge=0)
+    """Of the terrain's heights, metres."""
+
+
+@dataclass
+class _Frame:
+    """A frame whose depth is traced and that waits for its labels."""
+
+    parts: dict[str, Any]
+    waited: float = 0.0
+
+
+class TopoDepth(Handler[TopoDepthConfig]):
+    """Joins photo, calibration, pose and traced depth; labels too, where they come in time."""
+
+    publications = (FUSED_DEPTH, FUSED_SIGMA, FUSED_SOURCE, FUSED_INFO, NETWORK_DEPTH)
+
+    def __init__(self, config: TopoDepthConfig, outlet: Outlet, health: Health) -> None:
+        super().__init__(config, outlet, health)
+        site = load_site(config.site)
+        site.camera(config.camera)
+        model = config.model or site.depth_model
+        if not model:
+            raise ConfigError(f"{config.site}: no depth network; give `depth_model` a manifest's name or path")
+        self._classes = DepthClasses.of(LabelSet.load(config_path(site.labels)))
+        self._network = DepthNetwork.open(model, config.threads)
+        self._bend = site.bend
+        # Depth is traced to a surface raster where the site has one; bare ground is then traced here besides.
+        self._ground = (
+            TerrainTracer(site.open_dem(), site.curvature, site.refraction) if site.surface is not None else None
+        )
+        self._join = StampJoin(("image", "info", "pose", "depth"), self._traced, health)
+        self._labels: OrderedDict[int, Any] = OrderedDict()
+        self._waiting: OrderedDict[int, _Frame] = OrderedDict()
+        self._frame_id = f"{config.camera}_optical"
+        self._compile_kernels()
+
+    @property
+    def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
+        return {
+            POSED_IMAGE: lambda m: self._join.add("image", stamp_of(m), m),
+            POSED_CAMERA_INFO: lambda m: self._join.add("info", stamp_of(m), m),
+            POSED_POSE: lambda m: self._join.add("pose", stamp_of(m), m),
+            DEPTH_IMAGE: lambda m: self._join.add("depth", stamp_of(m), m),
+            LABELS_IMAGE: self._on_labels,
+        }
+
+    def tick(self, waited: float) -> None:
+        for frame in self._waiting.values():
+            frame.waited += waited
+        while self._waiting and next(iter(self._waiting.values())).waited > self.config.label_wait:
+            self._without_labels()
+
+    def finish(self) -> None:
+        while self._waiting:
+            self._without_labels()
+        self._join.finish()
+
+    def _on_labels(self, labels: Any) -> None:
+        stamp = stamp_of(labels)
+        frame = self._waiting.pop(stamp, None)
+        if frame is not None:
+            self._fuse(frame.parts, labels)
+            return
+        self._labels[stamp] = labels
+        if len(self._labels) > 2 * self.config.max_waiting:
+            self._labels.popitem(last=False)
+
+    def _traced(self, **parts: Any) -> None:
+        stamp = stamp_of(parts["image"])
+        labels = self._labels.pop(stamp, None)
+        if labels is not None:
+            self._fuse(parts, labels)
+            return
+        self._waiting[stamp] = _Frame(parts)
+        if len(self._waiting) > self.config.max_waiting:
+            self._without_labels()
+
+    def _without_labels(self) -> None:
+        _, frame = self._waiting.popitem(last=False)
+        self.health.note("unlabelled")
+        self._fuse(frame.parts, None)
+
+    def _fuse(self, parts: dict[str, Any], labels: Any) -> None:
+        camera, pose = msg_to_camera(parts["info"]), msg_to_pose(parts["pose"], "map")
+        stamp, rgb = stamp_of(parts["image"]), msg_to_rgb(parts["image"])
+        traced = RangeImage.from_depth(msg_to_depth(parts["depth"]), camera, pose, self._bend)
+        surface = None
+        if self._ground is not None:
+            traced, surface = self._ground.trace(camera, pose), traced
+        network = None
+        try:
+            network = self._network.predict(rgb, camera)
+        except ModelError as error:
+            # The terrain's depth is worth having without a network.
+            self.health.drop("network", str(error))
+        fused = fuse(
+            traced,
+            network,
+            rgb,
+            None if labels is None else msg_to_array(labels, ("mono8",)),
+            self._classes,
+            self._settings(parts["pose"]),
+            surface,
+        )
+        self._publish(fused, stamp)
+
+    def _settings(self, pose: Any) -> FusionSettings:
+        """With the camera's direction as sure as its pose's covariance says, where that is given."""
+        known = float(max(pose.pose.covariance[i] for i in (21, 28, 35)))
+        angle = np.radians(self.config.angle_sigma_deg)
+        return FusionSettings(float(np.sqrt(angle**2 + max(known, 0.0))), self.config.dem_sigma)
+
+    def _publish(self, fused: FusedDepth, stamp: int) -> None:
+        frame = self._frame_id
+        if fused.verdict is not Verdict.OK:
+            self.health.note(fused.verdict.value)
+            self.health.gauge("last_verdict", f"{fused.verdict.value}: {fused.reason}")
+        self.health.gauge("verdict", fused.verdict.value)
+        self.health.gauge("inlier_ratio", f"{fused.inlier_ratio:.3f}")
+        info = {"camera": self.config.camera, "stamp_ns": stamp, **fused.info()}
+        self.outlet.publish(FUSED_INFO, String(data=json.dumps(info)))
+        if fused.fit is not None and not fused.fit.trouble and self.outlet.wanted(NETWORK_DEPTH):
+            with np.errstate(divide="ignore"):
+                metres = np.where(fused.fit.inverse > 0, 1.0 / fused.fit.inverse, np.inf).astype(np.float32)
+            self.outlet.publish(NETWORK_DEPTH, depth_to_msg(metres, stamp, frame))
+        self.outlet.publish(FUSED_SIGMA, depth_to_msg(fused.sigma, stamp, frame))
+        self.outlet.publish(FUSED_SOURCE, image_to_msg(fused.source, "mono8", stamp, frame))
+        self.outlet.publish(FUSED_DEPTH, depth_to_msg(fused.depth, stamp, frame))
+
+    def _compile_kernels(self) -> None:
+        """Now, or load them from numba's cache: the first frame shall not wait for it."""
+        camera = Camera.from_fov(96, 64, 50.0)
+        rows, cols = np.mgrid[0:64, 0:96]
+        depth = (3000.0 / (4 + rows) + 0.1 * cols).astype(np.float32)
+        depth[:10] = np.inf
+        traced = RangeImage.from_depth(depth, camera, Pose.from_angles((0.0, 0.0, 0.0), 0.0), self._bend)
+        rgb, labels = np.zeros((64, 96, 3), np.uint8), np.ones((64, 96), np.uint8)
+        inverse = (1 / np.minimum(depth, 1e4)).astype(np.float32)
+        for given in (labels, None):
+            fuse(traced, NetworkDepth(inverse, "relative_inverse"), rgb, given, self._classes)
+
+
+NODE = NodeType("topodepth", TopoDepthConfig, TopoDepth)
+
+
+def main() -> None:
+    run_node(NODE)
+
+
+if __name__ == "__main__":
+    main()
