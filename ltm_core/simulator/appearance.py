@@ -50,11 +50,11 @@ def palette(green: float, seed: int) -> Palette:
 
     return Palette(
         grass=season(_rgb(0.40, 0.305, 0.155), _rgb(0.135, 0.19, 0.055)),
-        chamise=season(_rgb(0.088, 0.088, 0.042), _rgb(0.066, 0.092, 0.034)),
+        chamise=season(_rgb(0.098, 0.099, 0.045), _rgb(0.074, 0.104, 0.036)),
         sage=season(_rgb(0.165, 0.158, 0.098), _rgb(0.125, 0.155, 0.085)),
         buckwheat=season(_rgb(0.175, 0.105, 0.058), _rgb(0.15, 0.15, 0.08)),
-        oak=vary(_rgb(0.050, 0.064, 0.026)),
-        conifer=vary(_rgb(0.036, 0.053, 0.027)),
+        oak=vary(_rgb(0.058, 0.076, 0.030)),
+        conifer=vary(_rgb(0.040, 0.060, 0.030)),
         soil=vary(_rgb(0.33, 0.264, 0.168)),
         rock=vary(_rgb(0.345, 0.31, 0.24)),
         litter=vary(_rgb(0.16, 0.125, 0.08)),

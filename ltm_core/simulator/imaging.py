@@ -12,6 +12,18 @@ from ltm_core.simulator.scenario import AtmosphereConfig, ImagingConfig
 Image = NDArray[np.float32]
 
 
+_BOUNCE = np.array([0.52, 0.42, 0.30], np.float32)  # light from sunlit ground near by, relative to the sky's
+
+
+def lit(sun: Image, sky: Image, is_sky: NDArray[np.bool_]) -> Image:
+    """Sun and sky together (H, W, 3), the sky's light smoothed and joined by what sunlit ground throws back."""
+    scale = max(float(np.median(sky)), 1e-9)
+    root = np.sqrt(np.maximum(sky, 0) / scale)
+    smooth = np.square(cv2.bilateralFilter(root, 7, 0.55, 1.8)) * scale
+    ambient = np.where(is_sky[..., None], sky, smooth * (1 + _BOUNCE))
+    return np.asarray(sun + ambient, np.float32)
+
+
 def add_haze(radiance: Image, lengths: list[Image], air: NDArray[np.float32], config: AtmosphereConfig) -> Image:
     """L exp(-b d) + A (1 - exp(-b d)), a channel its own b; `lengths` are several samples of each pixel's distance
     (H, W)."""
@@ -43,8 +55,11 @@ def develop(
     luminance = land @ np.array([0.2126, 0.7152, 0.0722], np.float32)
     key = float(np.exp(np.mean(np.log(np.maximum(luminance, 1e-6)))))
     sky_level = float(np.median(radiance[is_sky].mean(axis=-1))) if np.any(is_sky) else 0.0
-    # A camera meters the land but holds back for a bright sky
-    gain = config.exposure * min(0.17 / max(key, 1e-6), 1.1 / sky_level if sky_level > 0 else np.inf)
+    # A camera meters the land but holds back for a bright sky and for the brightest ground
+    bright = float(np.quantile(luminance, 0.97))
+    gain = config.exposure * min(
+        0.17 / max(key, 1e-6), 0.8 / max(bright, 1e-6), 1.1 / sky_level if sky_level > 0 else np.inf
+    )
     image = radiance * gain
     if config.denoise:
         image = _denoised(image)

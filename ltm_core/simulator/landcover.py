@@ -138,7 +138,7 @@ def make_landcover(terrain: Terrain, config: VegetationConfig, seed: int) -> Lan
     classes[road] = BARE
     # Conifers hold the high, shaded ground in stands
     stands = noise.fractal(xs, ys, 500.0, seed + 409, octaves=2, gain=0.5)
-    conifer = np.asarray(0.5 * level - 0.5 * exposure + 0.9 * stands > 0.55, np.bool_)
+    conifer = np.asarray(0.5 * level - 0.5 * exposure + 0.9 * stands > 2.05 - 3 * config.conifers, np.bool_)
     stand = Stand.undisturbed(fine.shape, conifer, config.density)
     return LandCover(classes, road, moisture, exposure.astype(np.float32), fine, stand)
 

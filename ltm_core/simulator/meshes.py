@@ -13,20 +13,42 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True)
 class Soup:
-    """`triangles` (N, 3, 3) metres, `colors` (N, 3) linear reflectances."""
+    """`triangles` (N, 3, 3) metres, `colors` (N, 3) linear reflectances, `normals` (N, 3) unit, for the shading alone.
+
+    Foliage is shaded by the crown that a leaf belongs to, not by the leaf: light passes between and through leaves, so
+    a crown reads as a soft body, not as a heap of mirrors.
+    """
 
     triangles: Array
     colors: Array
+    normals: Array
 
     def moved(self, x: float, y: float, scale: float, turn: float, tint: float = 1.0) -> Soup:
         """Scaled, turned about z (radians), set at (x, y), its colours multiplied by `tint`."""
         c, s = np.cos(turn), np.sin(turn)
         rotation = scale * np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        return Soup(self.triangles @ rotation.T + (x, y, 0.0), np.clip(self.colors * tint, 0.0, 0.95))
+        return Soup(
+            self.triangles @ rotation.T + (x, y, 0.0),
+            np.clip(self.colors * tint, 0.0, 0.95),
+            self.normals @ rotation.T / scale,
+        )
 
     @staticmethod
     def joined(parts: list[Soup]) -> Soup:
-        return Soup(np.concatenate([p.triangles for p in parts]), np.concatenate([p.colors for p in parts]))
+        return Soup(
+            np.concatenate([p.triangles for p in parts]),
+            np.concatenate([p.colors for p in parts]),
+            np.concatenate([p.normals for p in parts]),
+        )
+
+
+def _unit(v: Array) -> Array:
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-12), np.float64)
+
+
+def _faces(triangles: Array) -> Array:
+    """Geometric unit normals (N, 3)."""
+    return _unit(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]))
 
 
 def _directions(rng: Rng, n: int, lowest: float) -> Array:
@@ -52,9 +74,10 @@ def cards(rng: Rng, center: Array, outward: Array, size: float, color: Array, sp
         for a, b in ((-1, -0.6), (1, -0.7), (0.8, 0.9), (-0.7, 0.8))
     ]
     triangles = np.concatenate([np.stack(corners[:3], axis=1), np.stack([corners[0], corners[2], corners[3]], axis=1)])
-    light = 0.72 + 0.4 * np.clip(outward[:, 2], -0.5, 1) + 0.16 * rng.normal(size=n)
+    light = 0.85 + 0.2 * np.clip(outward[:, 2], -0.5, 1) + 0.2 * rng.normal(size=n)
     tint = color * np.clip(light, 0.3, 1.7)[:, None] * (1 + 0.05 * rng.normal(size=(n, 3)))
-    return Soup(triangles, np.clip(np.concatenate([tint, tint]), 0.005, 0.9))
+    shade = _unit(outward + 0.3 * rng.normal(size=(n, 3)) + (0, 0, 0.25))
+    return Soup(triangles, np.clip(np.concatenate([tint, tint]), 0.005, 0.9), np.concatenate([shade, shade]))
 
 
 def lump(rng: Rng, radius: tuple[float, float, float], z: float, color: Array, rings: int = 4, sides: int = 7) -> Soup:
@@ -68,14 +91,16 @@ def lump(rng: Rng, radius: tuple[float, float, float], z: float, color: Array, r
         grid[i] = np.stack([np.sin(t) * np.cos(phi), np.sin(t) * np.sin(phi), np.full(sides, np.cos(t))], axis=1)
     points = grid * bump[..., None] * np.array(radius) + (0, 0, z)
     shade = (0.62 + 0.38 * grid[..., 2])[..., None] * color * (1 + 0.12 * rng.normal(size=(rings + 1, sides, 1)))
-    triangles, colors = [], []
+    triangles, colors, normals = [], [], []
+    outward = grid / np.array(radius)
     for i in range(rings):
         j = (np.arange(sides) + 1) % sides
         a, b, c, d = (i, np.arange(sides)), (i + 1, np.arange(sides)), (i + 1, j), (i, j)
         for tri in ((a, b, c), (a, c, d)):
             triangles.append(np.stack([points[k] for k in tri], axis=1))
             colors.append(np.mean([shade[k] for k in tri], axis=0))
-    return Soup(np.concatenate(triangles), np.clip(np.concatenate(colors), 0.005, 0.9))
+            normals.append(np.mean([outward[k] for k in tri], axis=0))
+    return Soup(np.concatenate(triangles), np.clip(np.concatenate(colors), 0.005, 0.9), _unit(np.concatenate(normals)))
 
 
 def _trunk(height: float, radius: float, color: Array, lean: tuple[float, float] = (0.0, 0.0), sides: int = 5) -> Soup:
@@ -87,19 +112,26 @@ def _trunk(height: float, radius: float, color: Array, lean: tuple[float, float]
     triangles = np.concatenate(
         [np.stack([foot[:-1], foot[1:], top[1:]], axis=1), np.stack([foot[:-1], top[1:], top[:-1]], axis=1)]
     )
-    return Soup(triangles, np.broadcast_to(color, (len(triangles), 3)).copy())
+    return Soup(triangles, np.broadcast_to(color, (len(triangles), 3)).copy(), _faces(triangles))
 
 
 def shrub(rng: Rng, radius: float, height: float, color: Array, leaves: int) -> Soup:
-    """A chaparral shrub: two or three overlapping domes of leaf clumps over a dark inside."""
+    """A chaparral shrub: two to four overlapping domes of leaf clumps over a dark inside, ragged at the rim.
+
+    More `leaves` make them smaller; the domes stay the same.
+    """
+    foliage = np.random.default_rng(int(rng.integers(2**31)))
     parts = []
-    for _ in range(int(rng.integers(2, 4))):
-        r, h = radius * rng.uniform(0.55, 0.85), height * rng.uniform(0.65, 1.0)
-        x, y = rng.normal(0, 0.38 * radius, 2)
-        inner = lump(rng, (0.78 * r, 0.78 * r, 0.5 * h), 0.4 * h, 0.55 * color, rings=3, sides=6).moved(x, y, 1, 0)
-        d = _directions(rng, max(6, leaves // 2), -0.15)
-        at = d * (r, r, 0.56 * h) * rng.uniform(0.82, 1.1, (len(d), 1)) + (x, y, 0.42 * h)
-        parts += [inner, cards(rng, at, d, 0.15 * r + 0.05, color * rng.uniform(0.85, 1.15))]
+    for _ in range(int(rng.integers(2, 5))):
+        r, h = radius * rng.uniform(0.5, 0.85), height * rng.uniform(0.6, 1.0)
+        x, y = rng.normal(0, 0.42 * radius, 2)
+        tint = color * rng.uniform(0.82, 1.18)
+        inner = lump(rng, (0.74 * r, 0.74 * r, 0.46 * h), 0.4 * h, 0.5 * tint, rings=3, sides=6).moved(x, y, 1, 0)
+        n = max(6, leaves // 2)
+        d = _directions(foliage, n, -0.2)
+        at = d * (r, r, 0.56 * h) * foliage.uniform(0.74, 1.16, (n, 1)) + (x, y, 0.42 * h)
+        size = (0.15 * r + 0.05) * min(1.0, (80 / leaves) ** 0.42)
+        parts += [inner, cards(foliage, at, d, size, tint)]
     return Soup.joined(parts)
 
 
@@ -116,7 +148,7 @@ def oak(rng: Rng, radius: float, height: float, color: Array, leaves: int) -> So
         out = _directions(rng, leaves // clumps, -0.5)
         skin = cards(rng, out * (r, r, 0.8 * r) * rng.uniform(0.85, 1.1, (len(out), 1)), out, 0.1 * r + 0.04, tint)
         clump = Soup.joined([core, skin])
-        parts.append(Soup(clump.triangles + at, clump.colors))
+        parts.append(Soup(clump.triangles + at, clump.colors, clump.normals))
     return Soup.joined(parts)
 
 
@@ -136,23 +168,26 @@ def conifer(rng: Rng, radius: float, height: float, color: Array, leaves: int) -
     )
     cone = lump(rng, (0.42 * radius, 0.42 * radius, 0.45 * height), 0.52 * height, 0.5 * color, rings=5, sides=7)
     taper = np.clip(1.25 - cone.triangles[..., 2:] / height, 0.08, 1.0)
-    parts.append(Soup(cone.triangles * np.concatenate([taper, taper, np.ones_like(taper)], axis=-1), cone.colors))
+    parts.append(
+        Soup(cone.triangles * np.concatenate([taper, taper, np.ones_like(taper)], axis=-1), cone.colors, cone.normals)
+    )
     return Soup.joined(parts)
 
 
-def tuft(rng: Rng, radius: float, height: float, color: Array, blades: int) -> Soup:
-    """A grass tuft: thin blades from a common foot, bent outwards."""
+def tuft(rng: Rng, radius: float, height: float, color: Array, blades: int, width: float = 0.03) -> Soup:
+    """A grass tuft: thin blades from a common foot, bent outwards; pale tips."""
     angle = rng.uniform(0, 2 * np.pi, blades)
     out = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     foot = 0.4 * radius * rng.normal(size=(blades, 2))
     tall = height * rng.uniform(0.5, 1.1, blades)
-    side = 0.03 * np.stack([-out[:, 1], out[:, 0]], axis=1)
+    side = width * np.stack([-out[:, 1], out[:, 0]], axis=1)
     top = foot + out * radius * rng.uniform(0.3, 1.0, (blades, 1))
     flat = np.zeros((blades, 1))
     a, b = np.hstack([foot - side, flat]), np.hstack([foot + side, flat])
     triangles = np.stack([a, b, np.hstack([top, tall[:, None]])], axis=1)
     tint = color * (1 + 0.15 * rng.normal(size=(blades, 1)))
-    return Soup(triangles, np.clip(0.9 * tint, 0.01, 0.9))
+    normals = _unit(np.hstack([0.35 * out, np.ones((blades, 1))]))
+    return Soup(triangles, np.clip(tint, 0.01, 0.9), normals)
 
 
 def scorched(soup: Soup, share: float, color: Array) -> Soup:
@@ -163,7 +198,8 @@ def scorched(soup: Soup, share: float, color: Array) -> Soup:
     leaf = soup.colors[:, 1] > soup.colors[:, 0]
     dead = leaf & (z < share * float(soup.triangles[..., 2].max()))
     brightness = soup.colors.mean(axis=1, keepdims=True) / max(float(soup.colors[leaf].mean()), 1e-6)
-    return Soup(soup.triangles, np.where(dead[:, None], np.clip(color * brightness, 0.005, 0.9), soup.colors))
+    colors = np.where(dead[:, None], np.clip(color * brightness, 0.005, 0.9), soup.colors)
+    return Soup(soup.triangles, colors, soup.normals)
 
 
 def _rod(foot: Array, top: Array, radius: float, color: Array) -> Soup:
@@ -177,7 +213,7 @@ def _rod(foot: Array, top: Array, radius: float, color: Array) -> Soup:
     a, b = foot + ring, top + ring / 3
     nxt = [1, 2, 0]
     triangles = np.concatenate([np.stack([a, a[nxt], b[nxt]], axis=1), np.stack([a, b[nxt], b], axis=1)])
-    return Soup(triangles, np.broadcast_to(color, (len(triangles), 3)).copy())
+    return Soup(triangles, np.broadcast_to(color, (len(triangles), 3)).copy(), _faces(triangles))
 
 
 def stems(rng: Rng, radius: float, height: float, color: Array, count: int) -> Soup:

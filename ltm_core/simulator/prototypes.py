@@ -84,7 +84,8 @@ def _far_tree(rng: Rng, colors: Palette, conifer: bool) -> Soup:
         h, r = rng.uniform(9, 17), rng.uniform(1.9, 3.2)
         body = meshes.lump(rng, (r, r, 0.5 * h), 0.52 * h, 0.95 * colors.conifer, rings=5, sides=6)
         taper = np.clip(1.35 - 1.2 * body.triangles[..., 2:] / h, 0.1, 1.0)
-        return Soup(body.triangles * np.concatenate([taper, taper, np.ones_like(taper)], axis=-1), body.colors)
+        tapered = body.triangles * np.concatenate([taper, taper, np.ones_like(taper)], axis=-1)
+        return Soup(tapered, body.colors, body.normals)
     h, r = rng.uniform(5.5, 9.5), rng.uniform(3.0, 5.0)
     parts = []
     for _ in range(3):
@@ -125,13 +126,18 @@ def _stick_patch(rng: Rng, colors: Palette, stage: float, side: float, spacing: 
     )
 
 
-def _tuft_patch(rng: Rng, colors: Palette) -> Soup:
+def _tuft_patch(rng: Rng, colors: Palette, spacing: float, blades: int, width: float) -> Soup:
     return Soup.joined(
         [
             meshes.tuft(
-                rng, rng.uniform(0.12, 0.3), rng.uniform(0.15, 0.42), colors.grass * rng.uniform(0.8, 1.2), 9
+                rng,
+                rng.uniform(0.1, 0.26),
+                rng.uniform(0.15, 0.45),
+                colors.grass * rng.uniform(0.85, 1.25),
+                blades,
+                width,
             ).moved(x, y, 1, 0)
-            for x, y in _scatter(rng, TUFT_PATCH, 0.36, 0.8)
+            for x, y in _scatter(rng, TUFT_PATCH, spacing, 0.8)
         ]
     )
 
@@ -202,7 +208,8 @@ def _kinds() -> dict[str, tuple[int, int, Maker]]:
         "far_stones": (BARE, 3, lambda r, c, s: _stone_patch(r, c, FAR_PATCH, 0, 26)),
         "sticks": (BARE, 4, partial(_stick_patch, side=NEAR_PATCH, spacing=1.7)),
         "far_sticks": (BARE, 3, partial(_stick_patch, side=FAR_PATCH, spacing=3.0)),
-        "tuft": (GRASS, 3, lambda r, c, s: _tuft_patch(r, c)),
+        "tuft": (GRASS, 3, lambda r, c, s: _tuft_patch(r, c, 0.36, 9, 0.03)),
+        "close_tuft": (GRASS, 3, lambda r, c, s: _tuft_patch(r, c, 0.2, 14, 0.007)),
         "lone_oak": (TREE, 2, lambda r, c, s: _far_tree(r, c, False)),
         "snag": (TREE, 5, lambda r, c, s: meshes.snag(r, r.uniform(6.0, 11.0), c.char)),
         "far_snag": (TREE, 3, _snag_patch),
@@ -225,4 +232,6 @@ def _kinds() -> dict[str, tuple[int, int, Maker]]:
             far = partial(_shrub_patch, scrub=scrub, side=FAR_PATCH, cover=cover, leaves=0)
             kinds[name + suffix] = (SHRUB, 5, near)
             kinds[f"far_{name}{suffix}"] = (SHRUB, 3, far)
+            close = partial(_shrub_patch, scrub=scrub, side=NEAR_PATCH, cover=cover, leaves=1400)
+            kinds[f"close_{name}{suffix}"] = (SHRUB, 3, close)
     return kinds

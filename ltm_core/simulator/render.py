@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -58,12 +59,36 @@ def _sensor(
     )
 
 
-def render_radiance(view: View, camera: Camera, pose: Pose, samples: int, seed: int) -> Image:
-    """Linear RGB radiance (H, W, 3) without haze; the same seed gives the same image."""
+@dataclass(frozen=True)
+class Radiance:
+    """Linear RGB (H, W, 3) without haze, as the sun alone and as the sky alone (light from other ground included) give
+    it."""
+
+    sun: Image
+    sky: Image
+
+
+def render_radiance(view: View, camera: Camera, pose: Pose, samples: int, seed: int) -> Radiance:
+    """What reaches the lens through clear air; the same seed gives the same image.
+
+    Sun and sky are rendered apart: a cloud's shadow takes the sun only, and the sky's light, which is soft but noisy,
+    can be smoothed where shadows' edges must not.
+    """
     mi = mitsuba()
     sensor = _sensor(camera, pose, {"type": "independent", "sample_count": samples}, "rgb")
     integrator = mi.load_dict({"type": "direct", "emitter_samples": 1, "bsdf_samples": 0})
-    return np.asarray(mi.render(view.full, sensor=sensor, integrator=integrator, spp=samples, seed=seed), np.float32)
+    light = mi.traverse(view.light)
+    parts = []
+    try:
+        for k, (sun, sky) in enumerate(((1.0, 0.0), (0.0, 1.0))):
+            light["sun_scale"], light["sky_scale"] = sun, sky
+            light.update()
+            image = mi.render(view.full, sensor=sensor, integrator=integrator, spp=samples, seed=2 * seed + k)
+            parts.append(np.asarray(image, np.float32))
+    finally:
+        light["sun_scale"], light["sky_scale"] = 1.0, 1.0
+        light.update()
+    return Radiance(parts[0], parts[1])
 
 
 def render_range(scene: Any, camera: Camera, pose: Pose, shift: tuple[float, float] = (0.0, 0.0)) -> Image:

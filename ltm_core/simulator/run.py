@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ltm_core.camera import Camera
 from ltm_core.pose import Pose
 from ltm_core.simulator.appearance import palette
-from ltm_core.simulator.imaging import add_haze, develop
+from ltm_core.simulator.imaging import add_haze, develop, lit
 from ltm_core.simulator.landcover import LandCover, make_landcover
 from ltm_core.simulator.rasters import SiteRasters, site_rasters
 from ltm_core.simulator.render import air_length, airlight, render_radiance, render_range
@@ -142,9 +142,10 @@ class _Light:
 def _light(scenario: Scenario, site: SimulatedSite, view: View, shot: Shot, seed: int) -> _Light:
     """What reaches the lens, and what is true of it."""
     camera, pose = shot.camera, shot.pose
-    radiance = render_radiance(view, camera, pose, scenario.imaging.samples, seed)
+    light = render_radiance(view, camera, pose, scenario.imaging.samples, seed)
     ranges = [render_range(view.full, camera, pose, shift) for shift in _HAZE_SAMPLES]
     air = [air_length(r, camera, pose) for r in ranges]
+    radiance = lit(light.sun, light.sky, np.isinf(ranges[0]))
     hazy = add_haze(radiance, air, airlight(view, camera, pose), scenario.atmosphere)
     truth = frame_truth(view, camera.scaled(scenario.truth_step), pose, site.cover)
     return _Light(hazy, np.isinf(ranges[0]), truth)

@@ -33,6 +33,8 @@ class VegetationConfig(Strict):
     tree: float = Field(0.2, ge=0, le=1)
     grass: float = Field(0.22, ge=0, le=1)
     bare: float = Field(0.07, ge=0, le=1)
+    scrub: float = Field(0.5, ge=0, le=1)  # low coastal scrub against tall chaparral; half: dry slopes have scrub
+    conifers: float = Field(0.5, ge=0, le=1)  # conifers against oaks; half: high, shaded ground has conifers
     road: bool = True
     patch: float = Field(260.0, gt=0)  # m, the longest wavelength of patches
     green: float = Field(0.25, ge=0, le=1)  # 0: cured, 1: a wet spring

@@ -45,19 +45,32 @@ def mitsuba() -> Any:
 
 
 def _mesh(
-    name: str, vertices: Array, faces: NDArray[np.uint32], bsdf: Any, colors: Array | None, uv: Array | None
+    name: str,
+    vertices: Array,
+    faces: NDArray[np.uint32],
+    bsdf: Any,
+    colors: Array | None,
+    uv: Array | None,
+    normals: Array | None = None,
 ) -> Any:
     mi = mitsuba()
     properties = mi.Properties()
     properties["bsdf"] = bsdf
     mesh = mi.Mesh(
-        name, len(vertices), len(faces), has_vertex_normals=False, has_vertex_texcoords=uv is not None, props=properties
+        name,
+        len(vertices),
+        len(faces),
+        has_vertex_normals=normals is not None,
+        has_vertex_texcoords=uv is not None,
+        props=properties,
     )
     if colors is not None:
         mesh.add_attribute("vertex_color", 3, np.ascontiguousarray(colors, np.float32).ravel())
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = np.ascontiguousarray(vertices, np.float32).ravel()
     parameters["faces"] = np.ascontiguousarray(faces, np.uint32).ravel()
+    if normals is not None:
+        parameters["vertex_normals"] = np.ascontiguousarray(normals, np.float32).ravel()
     if uv is not None:
         parameters["vertex_texcoords"] = np.ascontiguousarray(uv, np.float32).ravel()
     parameters.update()
@@ -81,6 +94,7 @@ class View:
     layers: list[tuple[int, Any]]
     sky: Any
     bend: float
+    light: Any
 
 
 class SceneBuilder:
@@ -133,7 +147,8 @@ class SceneBuilder:
             # One colour a triangle: Mitsuba interpolates attributes of instanced meshes with wrong weights (it takes
             # them from world points)
             colors = np.repeat(soup.colors, 3, axis=0)
-            mesh = _mesh(prototype.name, soup.triangles.reshape(-1, 3), faces, self._leaf, colors, None)
+            normals = np.repeat(soup.normals, 3, axis=0)
+            mesh = _mesh(prototype.name, soup.triangles.reshape(-1, 3), faces, self._leaf, colors, None, normals)
             self._groups[prototype.name] = mitsuba().load_dict({"type": "shapegroup", "mesh": mesh})
         return self._groups[prototype.name]
 
@@ -243,4 +258,4 @@ class SceneBuilder:
                 scene = mi.load_dict({"type": "scene", **parts, **(self._light if class_id == last else {})})
                 layers.append((class_id, scene))
         full = layers[-1][1] if last is not None else mi.load_dict({"type": "scene", **parts, **self._light})
-        return View(full, layers, mi.load_dict({"type": "scene", **self._light}), bend)
+        return View(full, layers, mi.load_dict({"type": "scene", **self._light}), bend, self._light["light"])

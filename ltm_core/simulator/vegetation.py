@@ -19,6 +19,8 @@ Mask = NDArray[np.bool_]
 
 LATTICE = 0.25  # m; trees stand on it, so that their heights can be counted on it exactly
 _TREE_SPACING = 8.5  # m, jittered grid
+_GAP, _CLOSE = 9.0, 55.0  # m from the eye: no shrub within the first, single leaves within the second
+_CLOSE_GRASS = 28.0  # m
 _TURNS = 8  # directions a tree is turned to
 _SEEDLING = 0.15  # plants smaller than this share of mature ones are not drawn
 
@@ -44,8 +46,8 @@ class _Cells:
     tree_height: Array
     char: Array
     scorch: Array
-    dead_shrub: Array
-    dead_tree: Array
+    dead_shrub: Mask
+    dead_tree: Mask
     rock: Array
     conifer: Mask
 
@@ -94,7 +96,15 @@ class Planting:
         quarter = np.array([-0.25, 0.25]) * FAR_PATCH
         x_near = (x[:, None] + np.array([quarter[0], quarter[1], quarter[0], quarter[1]])).ravel()
         y_near = (y[:, None] + np.array([quarter[0], quarter[0], quarter[1], quarter[1]])).ravel()
-        return self._patches(self._describe(x_near, y_near, NEAR_PATCH), "") + self._trees(x, y, eye)
+        out = self._trees(x, y, eye)
+        if eye is not None:
+            reach = np.hypot(np.hypot(x_near - eye[0], y_near - eye[1]), eye[2] - self.ground(x_near, y_near))
+            # A person stands in a gap, not inside a shrub
+            open_to_eye = reach > _GAP
+            close = open_to_eye & (reach < _CLOSE)
+            out += self._patches(self._describe(x_near[close], y_near[close], NEAR_PATCH), "close_")
+            x_near, y_near = x_near[open_to_eye & ~close], y_near[open_to_eye & ~close]
+        return out + self._patches(self._describe(x_near, y_near, NEAR_PATCH), "")
 
     def _centers(self, side: float) -> tuple[Array, Array]:
         """Centres of the square cells of `side` over the surroundings, less a margin."""
@@ -105,26 +115,18 @@ class Planting:
         return x.ravel(), y.ravel()
 
     def _describe(self, x: Array, y: Array, side: float, samples: int = 3) -> _Cells:
-        """Shares of each class and means of the stand over square cells, from samples x samples points."""
+        """Shares of each class over square cells, from samples x samples points, and the stand at their centres."""
         cover, stand = self._cover, self._cover.stand
         steps = (np.arange(samples) - (samples - 1) / 2) * side / samples
         shares = np.zeros((len(x), 5))
-        means = {
-            n: np.zeros(len(x)) for n in ("density", "shrub_height", "tree_height", "char", "scorch", "rock", "conifer")
-        }
-        dead = np.zeros((len(x), 2))
         for dx in steps:
             for dy in steps:
-                here = x + dx, y + dy
-                classes = cover.at(*here)
-                shares[np.arange(len(x)), np.minimum(classes, 4)] += 1 / samples**2
-                for name, total in means.items():
-                    total += cover.sample(getattr(stand, name), *here) / samples**2
-                left = cover.sample(stand.dead, *here)
-                for k, class_id in enumerate((SHRUB, TREE)):
-                    dead[:, k] += (left == class_id) / samples**2
-        conifer = means.pop("conifer") >= 0.5
-        return _Cells(x, y, side, shares, dead_shrub=dead[:, 0], dead_tree=dead[:, 1], conifer=conifer, **means)
+                shares[np.arange(len(x)), np.minimum(cover.at(x + dx, y + dy), 4)] += 1 / samples**2
+        names = ("density", "shrub_height", "tree_height", "char", "scorch", "rock")
+        here = {n: np.asarray(cover.sample(getattr(stand, n), x, y), np.float64) for n in names}
+        dead = cover.sample(stand.dead, x, y)
+        conifer = cover.sample(stand.conifer, x, y) >= 0.5
+        return _Cells(x, y, side, shares, dead_shrub=dead == SHRUB, dead_tree=dead == TREE, conifer=conifer, **here)
 
     def _noise(self, x: Array, y: Array, wavelength: float, salt: int) -> Array:
         """Noise in [-1, 1] at scattered points."""
@@ -135,7 +137,10 @@ class Planting:
         return noise.uniform_at(x, y, self._seed + salt)
 
     def _patches(self, c: _Cells, prefix: str) -> list[Placement]:
-        dry = self._cover.sample(self._cover.exposure, c.x, c.y) * 0.6 + self._noise(c.x, c.y, 320.0, 401) > 0.12
+        dry = (
+            self._cover.sample(self._cover.exposure, c.x, c.y) * 0.6 + self._noise(c.x, c.y, 320.0, 401)
+            > 0.62 - self._config.scrub
+        )
         grass, bare, tree = c.shares[:, GRASS], c.shares[:, BARE], c.shares[:, TREE] * np.minimum(c.density, 1.0)
         shrubby = (c.shares[:, SHRUB] + 0.35 * c.shares[:, TREE]) * c.density
         grown = c.shrub_height > _SEEDLING
@@ -155,11 +160,12 @@ class Planting:
                 out += self._put_by_stage(prefix + kind + suffix, c, chosen & where)
         rocky = self._noise(c.x, c.y, 90.0, 423) + self._draw(c.x, c.y, 425) > 0.1
         rocky &= (bare * c.rock > 0.5) & ~self._cover.on_road(c.x, c.y, c.side)
-        out += self._put(prefix + "stones", c.x, c.y, c.side, rocky)
-        out += self._put(prefix + "sticks", c.x, c.y, c.side, (c.dead_shrub > 0.3) & (c.char > 0.1))
-        if prefix:
-            out += self._put("far_snag", c.x, c.y, c.side, c.dead_tree > 0.35)
-            alive = (c.tree_height > _SEEDLING) & (c.dead_tree <= 0.35)
+        coarse = prefix.removeprefix("close_")
+        out += self._put(coarse + "stones", c.x, c.y, c.side, rocky)
+        out += self._put(coarse + "sticks", c.x, c.y, c.side, c.dead_shrub & (c.char > 0.1))
+        if coarse:
+            out += self._put("far_snag", c.x, c.y, c.side, c.dead_tree)
+            alive = (c.tree_height > _SEEDLING) & ~c.dead_tree
             burnt = c.scorch > 0.5
             for kind, kin in (("far_oak", alive & ~c.conifer), ("far_conifer", alive & c.conifer)):
                 for suffix, where in (("", tree > 0.6), ("_sparse", (tree > 0.2) & (tree <= 0.6))):
@@ -198,7 +204,7 @@ class Planting:
         stands &= clear
         conifer = c.conifer & dense
         size = (0.65 + 0.6 * self._draw(c.x, c.y, 417)) * c.tree_height
-        out = self._put("snag", c.x, c.y, 0.0, (c.dead_tree > 0) & closed & clear, np.ones(len(c.x)))
+        out = self._put("snag", c.x, c.y, 0.0, c.dead_tree & closed & clear, np.ones(len(c.x)))
         for suffix, low, high in (("", -1.0, 0.3), ("_singed", 0.3, 0.75), ("_scorched", 0.75, 2.0)):
             state = stands & (c.scorch > low) & (c.scorch <= high)
             out += self._put("oak" + suffix, c.x, c.y, 0.0, state & ~conifer, size)
@@ -212,7 +218,12 @@ class Planting:
         x, y = (a.ravel() for a in np.meshgrid(first[0] + steps, first[1] + steps))
         close = np.hypot(x - eye[0], y - eye[1]) < self._config.grass_radius
         x, y = x[close], y[close]
-        return self._put("tuft", x, y, TUFT_PATCH, self._cover.at(x, y) == GRASS)
+        grass = self._cover.at(x, y) == GRASS
+        close_by = np.hypot(x - eye[0], y - eye[1]) < _CLOSE_GRASS
+        out = self._put("tuft", x, y, TUFT_PATCH, grass & ~close_by)
+        # Dry herbs and litter stand between shrubs too
+        some = grass | ((self._draw(x, y, 427) < 0.4) & (self._cover.sample(self._cover.stand.char, x, y) < 0.1))
+        return out + self._put("close_tuft", x, y, TUFT_PATCH, some & close_by)
 
     def _put_by_stage(self, name: str, c: _Cells, chosen: Mask, trees: bool = False) -> list[Placement]:
         """Patches of `name`, each at the stage of growth nearest to its cell's."""
