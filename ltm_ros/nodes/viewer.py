@@ -29,7 +29,9 @@ from ltm_ros.topics import (
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
     FUEL_MAP,
+    FUSED_DEPTH,
     LABELS_IMAGE,
+    NETWORK_DEPTH,
     POSED_IMAGE,
     POSED_POSE,
     camera_topic,
@@ -66,6 +68,9 @@ class Viewer(Handler[ViewerConfig]):
         )
         names = ("image", "depth", "info", "labels", "pose")
         self._joins = {camera: StampJoin(names, partial(self._show, camera), health) for camera in self._site.cameras}
+        cameras = self._site.cameras if self._site.depth_model else ()
+        self._fusions = {c: StampJoin(("traced", "fused"), partial(self._show_fusion, c), health) for c in cameras}
+        self._network: dict[str, Any] = {}
 
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
@@ -81,6 +86,12 @@ class Viewer(Handler[ViewerConfig]):
             for camera in self._site.cameras
             for part, topic in parts.items()
         }
+        for camera in self._fusions:
+            fused, network = (
+                Topic(camera_topic(self._site.name, camera, t), t.type) for t in (FUSED_DEPTH, NETWORK_DEPTH)
+            )
+            taken[fused] = partial(self._join_fusion, camera, "fused")
+            taken[network] = partial(self._network.__setitem__, camera)
         taken[Topic(site_topic(self._site.name, FUEL_MAP), FUEL_MAP.type, latched=True)] = self.on_fuel_map
         taken[DIAGNOSTICS] = self.on_diagnostics
         return taken
@@ -99,12 +110,23 @@ class Viewer(Handler[ViewerConfig]):
                 self._view.log_text("WARN", f"{status.name}: {status.message}")
 
     def finish(self) -> None:
-        for join in self._joins.values():
+        for join in (*self._joins.values(), *self._fusions.values()):
             join.finish()
         self._view.close()
 
     def _join(self, camera: str, part: str, message: Any) -> None:
         self._joins[camera].add(part, stamp_of(message), message)
+        if part == "depth" and camera in self._fusions:
+            self._join_fusion(camera, "traced", message)
+
+    def _join_fusion(self, camera: str, part: str, message: Any) -> None:
+        self._fusions[camera].add(part, stamp_of(message), message)
+
+    def _show_fusion(self, camera: str, traced: Any, fused: Any) -> None:
+        """With the network's depth where it came: of a frame it is sent before the fused one, and not always."""
+        stamp, network = stamp_of(fused), self._network.get(camera)
+        alone = msg_to_depth(network) if network is not None and stamp_of(network) == stamp else None
+        self._view.log_fusion(camera, stamp, msg_to_depth(fused), msg_to_depth(traced), alone)
 
     def _show(self, camera: str, image: Any, depth: Any, info: Any, labels: Any, pose: Any) -> None:
         stamp, where, model = stamp_of(image), msg_to_pose(pose, "map"), msg_to_camera(info)

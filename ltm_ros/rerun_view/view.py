@@ -196,7 +196,7 @@ class RerunView:
         positions = np.array([pose.position for pose in poses]).reshape(-1, 3)
         azimuths = np.array([pose.angles_deg[0] for pose in poses])
         eye = scene.overview_eye(self._dem, positions, azimuths, self._reach * 0.6)
-        return site_blueprint(self._site.name, names, eye, self._window(), self._live)
+        return site_blueprint(self._site.name, names, eye, self._window(), self._live, bool(self._site.depth_model))
 
     def _window(self) -> MapWindow:
         """Around the cameras and the ground before them, as far as the fuel grid goes."""
