@@ -141,6 +141,13 @@ class TileStore:
         rows = self._rows("SELECT content FROM tiles WHERE row = ? AND col = ?", key)
         return self.schema.unpack(rows[0][0]) if rows else None
 
+    def tiles(self) -> Iterator[tuple[Key, Tile]]:
+        """All tiles, one at a time."""
+        for row, col in self._rows("SELECT row, col FROM tiles ORDER BY row, col"):
+            tile = self.read((row, col))
+            if tile is not None:
+                yield (row, col), tile
+
     def counted(self, source: str, stamp_ns: int) -> bool:
         """Whether a frame must not be counted: it has been, or it is so old that nobody knows (see `forgotten`)."""
         found = self._rows(

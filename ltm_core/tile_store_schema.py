@@ -38,13 +38,16 @@ class Field:
 
 @dataclass(frozen=True)
 class StoreSchema:
-    """`kind`, `version`: of the content (`fuel`, 1). `geometry`: in the site's CRS. `tile`: cells a side."""
+    """`kind`, `version`: of the content (`fuel`, 1). `geometry`: in the site's CRS. `tile`: cells a side. `terms`: what
+    else the meaning of the numbers depends on, such as constants that went into them.
+    """
 
     kind: str
     version: int
     geometry: GridGeometry
     tile: int
     fields: Mapping[str, Field]
+    terms: str = ""
 
     def __post_init__(self) -> None:
         if self.tile < 1 or not self.fields:
@@ -70,6 +73,7 @@ class StoreSchema:
                 "geometry": asdict(self.geometry),
                 "tile": self.tile,
                 "fields": {name: [f.stored.str, list(f.shape)] for name, f in self.fields.items()},
+                "terms": self.terms,
             }
         )
 
@@ -84,6 +88,7 @@ class StoreSchema:
                 GridGeometry(**content["geometry"]),
                 int(content["tile"]),
                 {name: Field(np.dtype(dtype), tuple(shape)) for name, (dtype, shape) in content["fields"].items()},
+                str(content["terms"]),
             )
         except (ValueError, KeyError, TypeError) as error:
             raise ConfigError(f"{place}: its description cannot be read: {text[:120]!r} ({error})") from error

@@ -41,6 +41,10 @@ class Outlet(Protocol):
         """Whether somebody listens: costly messages are made only then."""
         ...
 
+    def now_ns(self) -> int:
+        """The graph's time, for judging stamps: ROS time, or that of the recording; 0 where it has not begun."""
+        ...
+
 
 ConfigT = TypeVar("ConfigT", bound=NodeConfig)
 

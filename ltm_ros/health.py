@@ -60,6 +60,12 @@ class Health:
             self._last_error = f"{cause}: {why}"
             self._last_trouble = time.monotonic()
 
+    def trouble(self, cause: str, why: str) -> None:
+        """Something is wrong that has lost nothing so far; `why` holds the value and the remedy."""
+        with self._lock:
+            self._last_error = f"{cause}: {why}"
+            self._last_trouble = time.monotonic()
+
     def note(self, event: str) -> None:
         """Count something worth knowing that loses nothing."""
         with self._lock:

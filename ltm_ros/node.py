@@ -125,13 +125,17 @@ class HandlerNode(Node):  # type: ignore[misc]
         self._publishers_by_topic[topic].publish(message)
         if not topic.latched:
             self._results += 1
-            now = self.get_clock().now().nanoseconds
+            now = self.now_ns()
             # 0: simulated time that has not begun for this node, so nothing is known of the age.
             self.health.published(topic.name, (now - stamp_of(message)) / 1e9 if now else None)
 
     def wanted(self, topic: Topic) -> bool:
         """Part of Outlet."""
         return bool(self._publishers_by_topic[topic].get_subscription_count() > 0)
+
+    def now_ns(self) -> int:
+        """Part of Outlet."""
+        return int(self.get_clock().now().nanoseconds)
 
     def close(self) -> None:
         """Let the worker finish what waits, tell the handler, send the last diagnostics."""

@@ -13,10 +13,15 @@ class Kept:
 
     def __init__(self, *wants: Topic) -> None:
         self.sent: list[tuple[Topic, Any]] = []
+        self.now = 0
+        """Set it where the graph's time matters."""
         self._wants = wants
 
     def publish(self, topic: Topic, message: Any) -> None:
         self.sent.append((topic, message))
+
+    def now_ns(self) -> int:
+        return self.now
 
     def wanted(self, topic: Topic) -> bool:
         return topic in self._wants

@@ -1,106 +1,245 @@
-"""fuel_map: gathers the votes of all cameras of a site into its fuel map."""
+"""fuel_map: gathers the votes of all cameras of a site into its fuel map, and keeps it."""
 
 from __future__ import annotations
 
 import json
-from collections import OrderedDict
+import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from pydantic import Field
 from std_msgs.msg import String
 
+from ltm_core.errors import ConfigError, MessageError
+from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.fuel_map_io import write_fuel_map
-from ltm_core.fuel.majority import MajorityFuelMap
+from ltm_core.fuel.sighting import CellSighting
+from ltm_core.fuel.site_map import site_evidence_map
+from ltm_core.fuel.stored_map import STORE_FILE, fuel_schema
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.grid import GridGeometry
 from ltm_core.resources import config_path
+from ltm_core.site import SITE_NAMES
 from ltm_core.site_io import load_site
+from ltm_core.tile_store import TileStore
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.grid import classes_to_msg, tile_to_msg
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.votes import msg_to_votes
+from ltm_ros.fuel_keeper import Counted, Counting, FuelKeeper
+from ltm_ros.fuel_layers import life_form_labels
+from ltm_ros.fuel_services import answer, cells_in, forgotten, polygon_of
 from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.health import Health
 from ltm_ros.node import run_node
-from ltm_ros.topics import FUEL_MAP, FUEL_MAP_INFO, FUEL_MAP_UPDATE, FUEL_VOTES, camera_topic
+from ltm_ros.topics import (
+    FUEL_MAP,
+    FUEL_MAP_ANSWER,
+    FUEL_MAP_INFO,
+    FUEL_MAP_QUERY,
+    FUEL_MAP_REGION,
+    FUEL_MAP_UPDATE,
+    FUEL_VOTES,
+    camera_topic,
+)
 
-COUNTED = 100_000
-"""Frames remembered, so that none is counted twice."""
+MAP_CELLS_PER_S = 1_000_000
+"""Of the latched map: a large one goes out less often than twice a second."""
 
 
 class FuelMapConfig(NodeConfig):
+    folder: str = ""
+    """Where the map is kept from run to run, and written on request; relative to the site file. Empty: the map ends
+    with the node. Never taken from the wire."""
     export_path: str = ""
-    """GeoTIFF that the `save` service and a clean stop write; empty: none. Never taken from the wire."""
+    """GeoTIFF that the `save` service and a clean stop write; empty: `fuel_map.tif` in `folder`, on request only."""
+    accept_unknown_cameras: bool = False
+    """Count votes on any `/<site>/<camera>/fuel/votes`, also of cameras that the site file does not name."""
+    max_ahead: float = Field(600.0, gt=0)
+    """Seconds by which a camera's clock may be ahead; frames from the future would make all others old."""
 
 
 class FuelMap(Handler[FuelMapConfig]):
-    """Sends the changed tile with every vote and the whole map, latched, at most twice a second."""
+    """Sends what frames have changed and the whole map, latched, after they are in the store.
 
-    publications = (FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_INFO)
+    Live, that is at each `tick`, twice a second; in an offline replay, after each frame.
+    """
+
+    publications = (FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_INFO, FUEL_MAP_ANSWER)
 
     def __init__(self, config: FuelMapConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         self._site = load_site(config.site)
         self._labels = LabelSet.load(config_path(self._site.labels))
-        self._map = MajorityFuelMap(self._site.fuel_geometry(self._site.open_dem()), len(self._labels))
-        self._counted: OrderedDict[tuple[str, int], None] = OrderedDict()
-        self._newest = 0
-        self._dirty = False
+        self._classes = life_form_labels(self._labels)
+        self._geometry = self._site.fuel_geometry(self._site.open_dem())
+        self._folder = _folder(config)
+        self._keeper = FuelKeeper(
+            lambda: site_evidence_map(self._site, self._geometry, self._labels),
+            self._open_store,
+            health,
+            durable=self._folder is not None,
+        )
+        self._region: list[tuple[float, float]] | None = None
+        self._paced = False
+        self._since_map = 0.0
+        self._dirty = True
 
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
-        return {
+        cameras = {
             Topic(camera_topic(self._site.name, camera, FUEL_VOTES), FUEL_VOTES.type): partial(self.on_votes, camera)
             for camera in self._site.cameras
         }
+        return {**cameras, FUEL_MAP_QUERY: self.on_query, FUEL_MAP_REGION: self.on_region}
+
+    @property
+    def discoverable(self) -> Mapping[Topic, Callable[[str, Any], None]]:
+        if not self.config.accept_unknown_cameras:
+            return {}
+        return {Topic(camera_topic(self._site.name, "*", FUEL_VOTES), FUEL_VOTES.type): self.on_unknown_votes}
 
     @property
     def services(self) -> Mapping[str, Callable[[], str]]:
-        return {"fuel_map/save": self.save}
+        return {"fuel_map/save": self.save, "fuel_map/clear": self.clear}
 
     def start(self) -> None:
-        geometry = self._site.in_crs(self._map.geometry)
-        info = self._labels.info() | {"crs": geometry.crs, "x_min": geometry.x_min, "y_max": geometry.y_max}
+        geometry = self._site.in_crs(self._geometry)
+        info = self._classes.info() | {"crs": geometry.crs, "x_min": geometry.x_min, "y_max": geometry.y_max}
         self.outlet.publish(FUEL_MAP_INFO, String(data=json.dumps(info)))
         self._publish_map()
+        _compile(self._labels)
 
     def on_votes(self, camera: str, message: Any) -> None:
         stamp = stamp_of(message)
-        if (camera, stamp) in self._counted:
+        now = self.outlet.now_ns()
+        if now and stamp > now + self.config.max_ahead * 1e9:
+            self.health.drop(
+                "future",
+                f"votes of {camera} are {(stamp - now) / 1e9:.0f} s ahead of this node's clock; set the clocks",
+            )
+            return
+        counting = self._keeper.seen(camera, stamp)
+        if counting is None:
+            counting = self._keeper.count(msg_to_votes(message, self._geometry, self._labels.names, camera))
+        if counting is Counting.DUPLICATE:
             self.health.drop("duplicate", f"votes of {camera} of stamp {stamp} ns came twice; counted once")
-            return
-        window = self._map.add(msg_to_votes(message, self._map.geometry, self._labels.names, camera))
-        self._counted[camera, stamp] = None
-        if len(self._counted) > COUNTED:
-            self._counted.popitem(last=False)
-        self._newest = max(self._newest, stamp)
-        self.health.gauge("frames", len(self._counted))
-        if window is None:
+        elif counting is Counting.TOO_OLD:
+            self.health.drop(
+                "too_old", f"votes of {camera} of stamp {stamp} ns are older than what is remembered; set its clock"
+            )
+        elif counting is Counting.EMPTY:
             self.health.note("empty_votes")
-            return
-        self._dirty = True
-        tile = tile_to_msg(self._map.classes(), self._map.geometry, window, stamp)
-        self.outlet.publish(FUEL_MAP_UPDATE, tile)
+
+    def on_unknown_votes(self, topic: str, message: Any) -> None:
+        camera = topic.split("/")[2]
+        if not re.fullmatch("[a-z][a-z0-9_]*", camera) or camera in SITE_NAMES:
+            raise MessageError(f"votes on {topic}: {camera!r} is no name of a camera")
+        self.on_votes(camera, message)
+
+    def on_query(self, message: Any) -> None:
+        if message.header.frame_id != "map":
+            raise MessageError(f"query is given in frame {message.header.frame_id!r}, wanted 'map'")
+        point = message.point
+        found = answer(self._keeper.map, self._keeper.store, self._classes, float(point.x), float(point.y))
+        asked = {"x": float(point.x), "y": float(point.y), "stamp_ns": stamp_of(message)}
+        self.outlet.publish(FUEL_MAP_ANSWER, String(data=json.dumps(asked | found)))
+
+    def on_region(self, message: Any) -> None:
+        self._region = polygon_of(message)
+
+    def idle(self) -> None:
+        if not self._paced:
+            self._settle()
 
     def tick(self, waited: float) -> None:
-        if self._dirty:
+        self._paced = True
+        self._since_map += waited
+        self._keeper.wait(waited)
+        self._settle()
+        cells = self._geometry.width * self._geometry.height
+        if self._dirty and self._since_map >= cells / MAP_CELLS_PER_S:
             self._publish_map()
 
     def finish(self) -> None:
+        self._announce(self._keeper.close())
         self._publish_map()
         if self.config.export_path:
-            self.save()
+            self._write()
 
     def save(self) -> str:
         """Write the map to the configured file. Raises ConfigError where none is configured."""
-        path = write_fuel_map(
-            self.config.export_path, self._map.classes(), self._site.in_crs(self._map.geometry), self._labels
-        )
-        return f"fuel map of {len(self._counted)} frames written to {Path(path).name}"
+        self._announce(self._keeper.settle(write_tiles=True))
+        path = self._write()
+        return f"fuel map of {self._keeper.saved_frames} frames written to {path.name}"
+
+    def clear(self) -> str:
+        """Forget all evidence in the region that came last on `fuel_map/region`; it serves once."""
+        if self._region is None:
+            raise ConfigError("no region is chosen: publish its corners on fuel_map/region first, in the frame map")
+        cells = cells_in(self._region, self._geometry)
+        self._region = None
+        self._keeper.replace_tiles(forgotten(self._keeper.map, cells))
+        self._announce(self._keeper.settle(write_tiles=True))
+        self._publish_map()
+        return f"evidence of {int(cells.sum())} cells forgotten"
+
+    def _settle(self) -> None:
+        self._announce(self._keeper.settle())
+
+    def _announce(self, saved: list[Counted]) -> None:
+        for counted in saved:
+            if counted.window is not None:
+                self._dirty = True
+                tile = tile_to_msg(
+                    self._keeper.shown.life_form, self._geometry, counted.window, counted.record.stamp_ns
+                )
+                self.outlet.publish(FUEL_MAP_UPDATE, tile)
+        self._dirty |= self._keeper.unsaved_frames > 0
+        self.health.gauge("frames", self._keeper.saved_frames)
+        self.health.gauge("unsaved_frames", self._keeper.unsaved_frames)
 
     def _publish_map(self) -> None:
-        self._dirty = False
-        self.outlet.publish(FUEL_MAP, classes_to_msg(self._map.classes(), self._map.geometry, self._newest))
+        self._dirty, self._since_map = False, 0.0
+        shown = self._keeper.shown.life_form
+        self.outlet.publish(FUEL_MAP, classes_to_msg(shown, self._geometry, self._keeper.map.newest_ns))
+
+    def _write(self) -> Path:
+        name = self.config.export_path or (self._folder / "fuel_map.tif" if self._folder is not None else "")
+        layers = self._keeper.map.layers()
+        return write_fuel_map(name, layers.life_form, self._site.in_crs(self._geometry), self._classes)
+
+    def _open_store(self) -> TileStore:
+        schema = fuel_schema(self._site, self._geometry)
+        return (
+            TileStore.in_memory(schema) if self._folder is None else TileStore.open(self._folder / STORE_FILE, schema)
+        )
+
+
+def _folder(config: FuelMapConfig) -> Path | None:
+    """Where the node keeps its files; made where only it is missing, so that a disk that is not there is noticed."""
+    if not config.folder:
+        return None
+    folder = Path(config.site).parent / Path(config.folder).expanduser()
+    try:
+        folder.mkdir(exist_ok=True)
+    except FileNotFoundError as error:
+        raise ConfigError(f"{folder}: the folder {folder.parent} does not exist; make it first") from error
+    except OSError as error:
+        raise ConfigError(f"{folder}: no folder that can be used ({error.strerror})") from error
+    return folder
+
+
+def _compile(labels: LabelSet) -> None:
+    """The kernels, before the first frame waits for them."""
+    one = np.ones(1, np.float32)
+    cell, counts = np.zeros(1, np.int32), np.ones((1, len(labels)), np.uint32)
+    tiny = GridGeometry(0.0, 60.0, 30.0, 3, 2)
+    votes = CellVotes(tiny, cell, cell, counts, one, 0, "", one, CellSighting(*([100 * one] * 5)))
+    EvidenceMap(tiny, None, labels).add(votes)
 
 
 NODE = NodeType("fuel_map", FuelMapConfig, FuelMap)

@@ -28,7 +28,8 @@ class OfflineGraph:
         self._listeners: dict[str, list[tuple[str, Health, Callable[[Any], None]]]] = defaultdict(list)
         self._waiting: deque[tuple[str, Any]] = deque()
         self._record = record
-        self._now_ns = 0
+        self.now_ns = 0
+        """Log time of the message at work."""
         self._handlers: list[tuple[Health, Handler[Any]]] = []
         for spec in graph:
             self._add(spec)
@@ -38,7 +39,7 @@ class OfflineGraph:
 
     def feed(self, topic: str, message: Any, time_ns: int) -> None:
         """Deliver a message and all that follows from it."""
-        self._now_ns = time_ns
+        self.now_ns = time_ns
         self.publish(topic, message)
         self._drain()
 
@@ -52,7 +53,7 @@ class OfflineGraph:
         self._waiting.append((topic, message))
         if self._record is not None:
             self._record.add_topic(topic, type_name_of(message), latched)
-            self._record.write(topic, message, self._now_ns)
+            self._record.write(topic, message, self.now_ns)
 
     def listened(self, topic: str) -> bool:
         return topic in self._listeners
@@ -89,6 +90,9 @@ class _Outlet:
 
     def wanted(self, topic: Topic) -> bool:
         return self._graph.listened(_absolute(self._namespace, topic))
+
+    def now_ns(self) -> int:
+        return self._graph.now_ns
 
 
 def replay_offline(

@@ -139,6 +139,7 @@ def test_oldest_stamps_are_forgotten_and_refused(tmp_path: Path) -> None:
         ({"kind": "fuel"}, "kind is weather, here fuel"),
         ({"version": 4}, "version is 3, here 4"),
         ({"tile": 16}, "tile is 8, here 16"),
+        ({"terms": "tree decays in 9 years"}, "terms is , here tree decays in 9 years"),
         ({"geometry": replace(GRID, x_min=480_045.0)}, "480015.0.*480045.0"),
         ({"geometry": replace(GRID, crs="EPSG:26910")}, "EPSG:26911.*EPSG:26910"),
         ({"fields": {"rain": Field(np.float64, (4,)), "seen": Field(np.int64)}}, "<f4.*<f8"),

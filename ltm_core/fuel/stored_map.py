@@ -1,0 +1,104 @@
+"""The evidence map in a tile store: its schema, frames as bytes, and the way back after a stop of whatever kind."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import ConfigError
+from ltm_core.fuel.evidence import EVIDENCE_FIELDS, EVIDENCE_VERSION, TILE, EvidenceMap
+from ltm_core.fuel.sighting import CellSighting
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.grid import GridGeometry
+from ltm_core.site import Site
+from ltm_core.tile_store import FrameRecord, Key, StoreSchema, TileStore
+
+STORE_KIND: Final = "fuel"
+STORE_FILE: Final = "fuel_map.ltm"
+"""Name of a site's store in the folder that the site's fuel map keeps its files in."""
+JOURNALED: Final = ("life_form", "code")
+"""Layers whose changes the store's journal holds."""
+_SIGHTING = ("cos_incidence", "footprint", "sigma_along", "sigma_across", "bearing")
+
+
+def fuel_schema(site: Site, geometry: GridGeometry) -> StoreSchema:
+    """What the store of a site's map states; `geometry`: the fuel grid in the map frame.
+
+    Evidence is grown by its decay, so the time constants are part of its meaning.
+    """
+    terms = json.dumps({"decay_years": site.fuel.fusion.decay_years.model_dump()}, sort_keys=True)
+    return StoreSchema(STORE_KIND, EVIDENCE_VERSION, site.in_crs(geometry), TILE, dict(EVIDENCE_FIELDS), terms)
+
+
+def restore(store: TileStore, evidence: EvidenceMap) -> set[Key]:
+    """Fill an empty map with what a store holds; the tiles that the store does not hold in their last state.
+
+    Raises ConfigError where the store is damaged, StoreError where it cannot be read just now.
+    """
+    for key, tile in store.tiles():
+        evidence.load_tile(key, tile)
+    newer: set[Key] = set()
+    for frame in store.waiting():
+        window = evidence.add(votes_of(frame, evidence.geometry))
+        if window is not None:
+            newer.update(evidence.tiles_of(window))
+    return newer
+
+
+def open_stored_map(path: Path | str, site: Site, empty: EvidenceMap) -> TileStore:
+    """A site's store for reading, also while a node writes it; fills the `empty` map of the site.
+
+    The map as of an earlier date: `store.as_of("code", layers.code, until_ns)` with the empty map's layers. Raises
+    ConfigError for another site's store and as `restore` does.
+    """
+    store = TileStore.open_read_only(path, STORE_KIND)
+    try:
+        if differences := fuel_schema(site, empty.geometry).differences(store.schema):
+            raise ConfigError(f"{path}: not the store of this site's fuel map: {differences}")
+        restore(store, empty)
+    except BaseException:
+        store.close()
+        raise
+    return store
+
+
+def votes_to_bytes(votes: CellVotes) -> bytes:
+    """All of a frame's votes but the grid, their source and stamp, exactly."""
+    columns: dict[str, NDArray[Any]] = {"row": votes.rows, "col": votes.cols, "z": votes.z, "counts": votes.counts}
+    if votes.confidence is not None:
+        columns["confidence"] = votes.confidence
+    if votes.sighting is not None:
+        columns |= dict(zip(_SIGHTING, votes.sighting.columns(), strict=True))
+    table = np.empty(len(votes), [(name, column.dtype, column.shape[1:]) for name, column in columns.items()])
+    for name, column in columns.items():
+        table[name] = column
+    file = io.BytesIO()
+    np.save(file, table, allow_pickle=False)
+    return file.getvalue()
+
+
+def votes_of(frame: FrameRecord, geometry: GridGeometry) -> CellVotes:
+    """The votes of a frame that waits in a store. Raises ConfigError on a payload that is none."""
+    try:
+        table = np.load(io.BytesIO(frame.payload), allow_pickle=False)
+        row, col, z, counts = (np.ascontiguousarray(table[name]) for name in ("row", "col", "z", "counts"))
+        names = table.dtype.names
+        confidence = np.ascontiguousarray(table["confidence"]) if "confidence" in names else None
+        sighting = None
+        if _SIGHTING[0] in names:
+            sighting = CellSighting(*_columns(table, _SIGHTING))
+    except (ValueError, EOFError, IndexError, TypeError) as error:
+        raise ConfigError(
+            f"the store's frame {frame.stamp_ns} of {frame.source} is damaged ({error}); restore the store from a copy"
+        ) from error
+    return CellVotes(geometry, row, col, counts, z, frame.stamp_ns, frame.source, confidence, sighting)
+
+
+def _columns(table: NDArray[Any], names: Iterable[str]) -> list[NDArray[Any]]:
+    return [np.ascontiguousarray(table[name]) for name in names]

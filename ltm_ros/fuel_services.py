@@ -1,0 +1,93 @@
+"""What people ask of the fuel map besides looking at it: what stands at a point, and to forget a region."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import MessageError
+from ltm_core.fuel.codes import fuel_models
+from ltm_core.fuel.evidence import TILE, EvidenceMap
+from ltm_core.fuel.life_form import NODATA
+from ltm_core.grid import GridGeometry
+from ltm_core.tile_store import Key, Tile, TileStore
+from ltm_core.vision.labels import LabelSet
+
+MOST_CORNERS = 1000
+
+
+def answer(evidence: EvidenceMap, store: TileStore | None, classes: LabelSet, x: float, y: float) -> dict[str, Any]:
+    """All that is known of the cell at map coordinates (x, y), and who has touched its tile, ready for JSON.
+
+    Raises MessageError for a point outside the map.
+    """
+    geometry = evidence.geometry
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise MessageError(f"query at ({x}, {y}): a point has finite coordinates")
+    fractional = geometry.to_grid(x, y)
+    row, col = (round(float(index)) if abs(float(index)) < 1e9 else -1 for index in fractional)
+    if not geometry.contains(row, col):
+        raise MessageError(f"query at ({x}, {y}) is outside the fuel map, {geometry.bounds} in the map frame")
+    layers = evidence.layers((row, col, 1, 1))
+    models = fuel_models()
+
+    def code_of(layer: NDArray[np.int16]) -> dict[str, Any] | None:
+        code = int(layer[0, 0])
+        return None if code == NODATA else {"code": code, "name": models.name(code)}
+
+    p_max = float(layers.p_max[0, 0])
+    touches = [] if store is None else store.touches((row // TILE, col // TILE))
+    return {
+        "row": row,
+        "col": col,
+        "prior": code_of(layers.prior),
+        "fuel": code_of(layers.code),
+        "life_form": classes.name_of(int(layers.life_form[0, 0])),
+        "p_max": None if math.isnan(p_max) else round(p_max, 4),
+        "entropy": round(float(layers.entropy[0, 0]), 4),
+        "evidence": round(float(layers.evidence[0, 0]), 3),
+        "changed": bool(layers.changed[0, 0]),
+        "last_seen_ns": int(layers.last_seen[0, 0]),
+        "seen_by": int(layers.seen_by[0, 0]),
+        "tile": [
+            {"camera": t.source, "model": t.model, "frames": t.frames, "first_ns": t.first_ns, "last_ns": t.last_ns}
+            for t in touches
+        ],
+    }
+
+
+def polygon_of(message: Any) -> list[tuple[float, float]]:
+    """Corners of a PolygonStamped in the map frame. Raises MessageError on another frame or no polygon."""
+    corners = [(float(p.x), float(p.y)) for p in message.polygon.points[: MOST_CORNERS + 1]]
+    if message.header.frame_id != "map":
+        raise MessageError(f"region is given in frame {message.header.frame_id!r}, wanted 'map'")
+    if not 3 <= len(corners) <= MOST_CORNERS or not np.isfinite(corners).all():
+        raise MessageError(f"region has {len(corners)} corners; give 3 to {MOST_CORNERS} finite ones")
+    return corners
+
+
+def cells_in(polygon: Sequence[tuple[float, float]], geometry: GridGeometry) -> NDArray[np.bool_]:
+    """(H, W): cells whose centres lie inside."""
+    from rasterio.features import geometry_mask
+
+    shape = {"type": "Polygon", "coordinates": [[*polygon, polygon[0]]]}
+    inside = geometry_mask([shape], geometry.shape, geometry.transform(), invert=True)
+    return np.asarray(inside, np.bool_)
+
+
+def forgotten(evidence: EvidenceMap, cells: NDArray[np.bool_]) -> dict[Key, Tile]:
+    """The state of the tiles that hold these cells, with nothing known of them."""
+    tiles = {}
+    for row, col in {(int(r) // TILE, int(c) // TILE) for r, c in np.argwhere(cells)}:
+        state = evidence.tile_state((row, col))
+        inside = np.zeros((TILE, TILE), np.bool_)
+        part = cells[row * TILE : (row + 1) * TILE, col * TILE : (col + 1) * TILE]
+        inside[: part.shape[0], : part.shape[1]] = part
+        for array in state.values():
+            array[inside] = 0
+        tiles[row, col] = state
+    return tiles
