@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from ltm_ros.cli.eval.bag import bag
+from ltm_ros.cli.eval.segmentation import segmentation
 from ltm_ros.cli.eval.sim2real import sim2real
 
 WHOLE = "bag"
@@ -27,4 +28,5 @@ class EvalGroup(TyperGroup):
 
 evaluate = typer.Typer(cls=EvalGroup, no_args_is_help=True, help="Score a recorded run, or one part of the system.")
 evaluate.command(WHOLE)(bag)
+evaluate.command()(segmentation)
 evaluate.command()(sim2real)
