@@ -122,15 +122,29 @@ class Recorded:
     site_path: Path
     site: Site
     truth: Path
+    date: str | None = None
+    """Of a simulated site with several: `truth/DATE/` in the truth folder holds its rasters."""
 
     @classmethod
-    def find(cls, bag: Path, site: Path | None = None, truth: Path | None = None) -> Recorded:
+    def find(cls, bag: Path, site: Path | None = None, truth: Path | None = None, date: str | None = None) -> Recorded:
         """The site: as given, beside or in the bag, or the shipped one that the topics name. Truth: the site's folder.
 
-        Raises RecordingError where no site is found, ConfigError on one that cannot be read.
+        Raises RecordingError where no site or date is found, ConfigError on a site that cannot be read.
         """
         path = site or _site_of(bag)
-        return cls(bag, path, load_site(path), truth or path.resolve().parent)
+        folder = truth or path.resolve().parent
+        dates = sorted(p.name for p in (folder / "truth").glob("*") if p.is_dir())
+        if date is None and len(dates) > 1:
+            raise RecordingError(f"{folder} holds the truth of {', '.join(dates)}: name the bag's date with --date")
+        if date is not None and date not in dates:
+            raise RecordingError(f"{folder} holds no truth of {date!r}; it has {', '.join(dates) or 'none'}")
+        return cls(bag, path, load_site(path), folder, date)
+
+    @property
+    def life_forms(self) -> Path | None:
+        """The raster of true class ids on the fuel grid, where there is one."""
+        dated = None if self.date is None else self.truth / "truth" / self.date / "life_form.tif"
+        return next((file for file in (dated, self.truth / FUEL_TRUTH) if file is not None and file.is_file()), None)
 
     def stream(self) -> FrameStream:
         return FrameStream(self.bag, self.site.name, list(self.site.cameras), PARTS)
@@ -238,13 +252,13 @@ def _latencies(stream: FrameStream) -> list[LatencyRow]:
 
 
 def _score_fuel(score: BagScore, recorded: Recorded) -> None:
-    file = recorded.truth / FUEL_TRUTH
+    file = recorded.life_forms
     try:
         classes, geometry, labels = last_fuel_map(recorded.bag, recorded.site)
     except RecordingError:
         score.lacking.append("fuel cells: the bag has no fuel_map")
         return
-    if not file.is_file():
+    if file is None:
         score.lacking.append(f"fuel cells: no {FUEL_TRUTH} in {recorded.truth}; name its folder with --truth")
         return
     try:

@@ -47,7 +47,7 @@ def rich_table(parts: Sequence[Table], title: str) -> RichTable:
             whole.add_row()
         whole.add_row(*(Text(name, style="bold cyan") for name in (part.title, *part.columns[1:])))
         for row in part.rows:
-            whole.add_row(*(_shown(value) for value in row))
+            whole.add_row(*(shown(value) for value in row))
     return whole
 
 
@@ -216,7 +216,8 @@ def _percent(value: float) -> str:
     return f"{100 * value:.1f} %" if math.isfinite(value) else NOTHING
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
+    """A cell of a table as people write it."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         return str(value)
     if not math.isfinite(value):

@@ -52,9 +52,9 @@ def at_pixels_of(depth: NDArray[Value], image: tuple[int, int], shape: tuple[int
         return depth[::step, ::step]
     rows = _nearest(np.arange(shape[0]) * step, image[0], depth.shape[0])
     cols = _nearest(np.arange(shape[1]) * step, image[1], depth.shape[1])
-    return depth[rows[:, None], cols]
+    return np.asarray(depth[rows[:, None], cols])
 
 
 def _nearest(places: NDArray[np.int64], size: int, other: int) -> NDArray[np.int64]:
     """The pixels of a row of `other` pixels that lie where `places` lie in one of `size`."""
-    return np.clip(np.floor((places + 0.5) * other / size), 0, other - 1).astype(np.int64)
+    return np.asarray(np.clip(np.floor((places + 0.5) * other / size), 0, other - 1), np.int64)

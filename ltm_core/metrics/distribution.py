@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError
 
-Features = NDArray[np.floating]
+Features = NDArray[np.floating[Any]]
 FEATURES = 2048
 """Below this number of images the covariance that FID takes is singular."""
 
@@ -81,7 +82,7 @@ def with_interval(
     return Estimate(value, value - error, value + error)
 
 
-def mean_with_interval(values: NDArray[np.floating], seed: int = 0, resamples: int = 2000) -> Estimate:
+def mean_with_interval(values: NDArray[np.floating[Any]], seed: int = 0, resamples: int = 2000) -> Estimate:
     """The mean of one value a pair and its 95 % percentile bootstrap interval over the pairs."""
     values = np.asarray(values, np.float64)
     if values.size == 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ class SurfaceScore:
 
 
 def score_surface(
-    estimate: NDArray[np.floating], truth: NDArray[np.floating], where: NDArray[np.bool_] | None = None
+    estimate: NDArray[np.floating[Any]], truth: NDArray[np.floating[Any]], where: NDArray[np.bool_] | None = None
 ) -> SurfaceScore:
     """Score heights of one shape where both are finite (and `where` holds). Raises RasterError on other shapes."""
     if estimate.shape != truth.shape or (where is not None and where.shape != truth.shape):

@@ -16,6 +16,7 @@ def bag(
     truth: Annotated[
         Path | None, typer.Option("--truth", help="Folder of truth rasters; default: the site file's.")
     ] = None,
+    date: Annotated[str | None, typer.Option("--date", help="Of a truth folder with several dates: the bag's.")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Also write every figure to this file.")] = None,
     report: Annotated[
         Path | None, typer.Option("--report", help="Also draw the figures to this folder, with a page of them.")
@@ -27,6 +28,9 @@ def bag(
     before: Annotated[
         Path | None, typer.Option("--before", help="For the report: a run of the same cameras at an earlier date.")
     ] = None,
+    before_date: Annotated[
+        str, typer.Option("--before-date", help="Its date, where the truth folder has several.")
+    ] = "before",
     photos: Annotated[
         Path | None, typer.Option("--photos", help="For the report: a folder of real photos to stand beside.")
     ] = None,
@@ -50,7 +54,7 @@ def bag(
         if not (name and equals and folder):
             raise ConfigError(f"--depth-maps {given!r}: give NAME=FOLDER, such as --depth-maps depth_pro=out/depth_pro")
         folders.append(DepthMapFolder.open(name, Path(folder)))
-    recorded = Recorded.find(bag, site, truth)
+    recorded = Recorded.find(bag, site, truth, date)
     with console.status("scoring"):
         score = score_bag(recorded, folders)
     parts = tables(score)
@@ -72,5 +76,16 @@ def bag(
         json_path.parent.mkdir(parents=True, exist_ok=True)
         json_path.write_text(json.dumps(as_json(score), indent=1) + "\n", encoding="utf-8")
         console.print(f"figures: {json_path}")
+    if report is not None:
+        from ltm_ros.eval_report import ReportInputs, write_eval_report
+
+        earlier = None
+        if before is not None:
+            earlier = Recorded.find(before, site or recorded.site_path, truth, before_date if date else None)
+        with console.status("drawing") as status:
+            page = write_eval_report(
+                report, recorded, score, ReportInputs(earlier, photos, folders), lambda what: status.update(what)
+            )
+        console.print(f"report: {page}")
     if nothing:
         raise RecordingError(f"{bag} could not be scored on anything; run the graph on it with `ltm replay --record`")

@@ -1,0 +1,237 @@
+"""The report of `ltm eval --report`: the paper's figures with a bag's own data, as PNG files and one HTML page."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import jinja2
+import numpy as np
+
+from ltm_core.errors import LtmError, MessageError
+from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.fuel.majority import UNSEEN
+from ltm_core.grid import GridGeometry
+from ltm_core.metrics.depth_maps_io import DepthMapFolder
+from ltm_core.pictures import fit, to_jpeg, to_png
+from ltm_core.pictures.types import Labels, Rgb
+from ltm_core.resources import config_path
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.segmenter import Segmenter
+from ltm_ros import eval_report_figures as draw
+from ltm_ros.bag_score import BagScore, Recorded
+from ltm_ros.eval_report_page import PAGE
+from ltm_ros.eval_tables import shown, tables
+from ltm_ros.recorded_map import last_fuel_map
+from ltm_ros.report import Table
+
+WIDEST = 1800
+"""Pixels of a picture in the page; the PNG beside it has them all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """One figure of the page; `file`: the PNG's name."""
+
+    section: str
+    file: str
+    picture: Rgb
+    caption: str
+
+
+@dataclass(frozen=True)
+class ReportInputs:
+    """What the report draws from besides the bag: an earlier run, real photos, depth maps of others."""
+
+    before: Recorded | None = None
+    photos: Path | None = None
+    folders: Sequence[DepthMapFolder] = ()
+
+
+def write_eval_report(
+    out: Path,
+    recorded: Recorded,
+    score: BagScore,
+    inputs: ReportInputs,
+    progress: Callable[[str], None] = lambda what: None,
+) -> Path:
+    """Draw every figure that the bag has data for into `out`, and `report.html`; its path. Raises LtmError."""
+    out.mkdir(parents=True, exist_ok=True)
+    figures, lacking = figures_of(recorded, inputs, progress)
+    for figure in figures:
+        (out / figure.file).write_bytes(to_png(figure.picture))
+    page = out / "report.html"
+    page.write_text(_render(recorded, score, figures, [*score.lacking, *lacking]), encoding="utf-8")
+    return page
+
+
+def figures_of(
+    recorded: Recorded, inputs: ReportInputs, progress: Callable[[str], None] = lambda what: None
+) -> tuple[list[Figure], list[str]]:
+    """The figures in the order of the page, and what is lacking for others."""
+    site = recorded.site
+    labels = LabelSet.load(config_path(site.labels))
+    dem = site.open_dem()
+    grid = site.fuel_geometry(dem)
+    progress("reading frames")
+    seen = draw.views(recorded.stream(), site, inputs.folders)
+    pins, cameras = draw.pins(seen), draw.map_cameras(seen)
+    figures: list[Figure] = []
+    lacking: list[str] = []
+
+    progress("terrain")
+    extent = f"{dem.geometry.width} x {dem.geometry.height} heights, one each {dem.geometry.resolution:g} m"
+    figures += [
+        Figure("Terrain", "dem_2d.png", draw.terrain_2d(dem, cameras), f"The elevation raster: {extent}."),
+        Figure("Terrain", "dem_3d.png", draw.terrain_3d(dem, pins), "The same raster as terrain, heights 1.5 times."),
+    ]
+
+    progress("segmentation")
+    photos = draw.real_photos(inputs.photos, 2) if inputs.photos is not None else []
+    segmenter = Segmenter.open(site.model) if photos else None
+    if not photos:
+        lacking.append("figure of real pictures: name a folder of photos with --photos")
+    labelled = [view for view in seen if view.labels is not None]
+    if labelled or photos:
+        pair = _one_a_camera(labelled)
+        figures.append(
+            Figure(
+                "Segmentation",
+                "segmentation.png",
+                draw.segmentation_pairs(pair, photos, segmenter, labels),
+                "Vegetation of real and simulated pictures as the same network labels it.",
+            )
+        )
+        against = draw.truth_and_labels(pair, labels)
+        if against is not None:
+            figures.append(
+                Figure(
+                    "Segmentation",
+                    "segmentation_truth.png",
+                    against,
+                    "Simulated pictures with their true classes and the network's labels.",
+                )
+            )
+
+    progress("depth")
+    for number, view in enumerate(view for view in seen if view.depths):
+        figures.append(
+            Figure(
+                "Depth",
+                f"depth_{number + 1}_{view.camera_name}.png",
+                draw.depth_panels(view),
+                f"{view.name}: true depth, each source of depth in the same colours, and its error.",
+            )
+        )
+
+    progress("fuel maps")
+    figures += _fuel_figures(recorded, inputs, labels, grid, seen, lacking)
+    return figures, lacking
+
+
+def _fuel_figures(
+    recorded: Recorded,
+    inputs: ReportInputs,
+    labels: LabelSet,
+    grid: GridGeometry,
+    seen: Sequence[draw.View],
+    lacking: list[str],
+) -> list[Figure]:
+    site, dem = recorded.site, recorded.site.open_dem()
+    cameras = draw.map_cameras(seen)
+    figures: list[Figure] = []
+    try:
+        now = draw.camera_maps(recorded, grid, labels)
+        earlier = {} if inputs.before is None else draw.camera_maps(inputs.before, grid, labels)
+    except MessageError as error:
+        lacking.append(f"figure of fuel maps: {error}; recorded by another version, so replay it again")
+        return figures
+    if not now:
+        lacking.append("figure of fuel maps: the bag has no fuel/votes")
+        return figures
+    rows = []
+    if inputs.before is not None:
+        rows.append(("before", earlier))
+        rows += _truth_rows(inputs.before, "truth before", list(now), grid)
+    else:
+        lacking.append("fuel maps before the change: name the earlier run with --before")
+    rows.append(("after" if inputs.before is not None else "as mapped", now))
+    rows += _truth_rows(recorded, "truth after" if inputs.before is not None else "truth", list(now), grid)
+    side = min(draw.MAP_SIDE, *(high - low for low, high in _extents(dem.geometry)))
+    figures.append(
+        Figure(
+            "Fuel maps",
+            "fuel_maps.png",
+            draw.fuel_maps(rows, now, grid, dem, cameras, labels),
+            f"Fuel maps over {side:,.0f} x {side:,.0f} m of two cameras, each from its own votes, and the "
+            "truth of all cells.",
+        )
+    )
+    try:
+        classes, geometry, _ = last_fuel_map(recorded.bag, site)
+    except LtmError:
+        lacking.append("fuel map of all cameras in 3D: the bag has no fuel_map")
+        return figures
+    x0, y0 = site.origin
+    figures.append(
+        Figure(
+            "Fuel maps",
+            "fuel_3d.png",
+            draw.fuel_3d(dem, classes, geometry.translated(-x0, -y0), labels, draw.pins(seen)),
+            "The fuel map of all cameras on the terrain.",
+        )
+    )
+    return figures
+
+
+def _truth_rows(
+    recorded: Recorded, name: str, cameras: Sequence[str], grid: GridGeometry
+) -> list[tuple[str, dict[str, Labels]]]:
+    """The true classes of all cells, for each camera; none where no truth lies beside the bag."""
+    file = recorded.life_forms
+    if file is None:
+        return []
+    classes, geometry = read_fuel_map(file)
+    x0, y0 = recorded.site.origin
+    here = geometry.translated(-x0, -y0)
+    rows, cols = np.indices(grid.shape)
+    row, col = here.cell_of(*grid.to_map(rows, cols))
+    inside = here.contains(row, col)
+    truth = np.full(grid.shape, UNSEEN, np.uint8)
+    truth[inside] = classes[row[inside], col[inside]]
+    return [(name, dict.fromkeys(cameras, truth))]
+
+
+def _extents(geometry: GridGeometry) -> list[tuple[float, float]]:
+    x_min, y_min, x_max, y_max = geometry.bounds
+    return [(x_min, x_max), (y_min, y_max)]
+
+
+def _one_a_camera(seen: Sequence[draw.View], most: int = 2) -> list[draw.View]:
+    """The first view of each camera."""
+    return list({view.camera_name: view for view in reversed(seen)}.values())[::-1][:most]
+
+
+def _render(recorded: Recorded, score: BagScore, figures: Sequence[Figure], lacking: Sequence[str]) -> str:
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    environment.filters |= {"picture": _picture, "shown": shown}
+    sections: dict[str, list[Figure]] = {}
+    for figure in figures:
+        sections.setdefault(figure.section, []).append(figure)
+    parts: list[Table] = [table for table in tables(score) if table.title != "lacking"]
+    return environment.from_string(PAGE).render(
+        title=f"Evaluation of {recorded.site.name}",
+        bag=str(recorded.bag),
+        score=score,
+        tables=parts,
+        sections=sections,
+        lacking=lacking,
+        model=recorded.site.model,
+    )
+
+
+def _picture(picture: Rgb) -> str:
+    fitted = fit(picture, WIDEST) if picture.shape[1] > WIDEST else picture
+    return "data:image/jpeg;base64," + base64.b64encode(to_jpeg(fitted, 90)).decode("ascii")
