@@ -30,6 +30,7 @@ from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth, msg
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_ros.frame_stream import FrameStream, Parts, StreamedFrame
 from ltm_ros.recorded_map import last_fuel_map
+from ltm_ros.terrain_score import TerrainScore, score_terrain
 from ltm_ros.topics import (
     CAMERA_INFO,
     DEPTH_CAMERA_INFO,
@@ -110,6 +111,7 @@ class BagScore:
     skylines: list[tuple[str, SkylineScore]] = field(default_factory=list)
     labels: SegmentationScore | None = None
     fuel: FuelScore | None = None
+    terrain: TerrainScore | None = None
     latency: list[LatencyRow] = field(default_factory=list)
     lacking: list[str] = field(default_factory=list)
 
@@ -146,6 +148,17 @@ class Recorded:
         dated = None if self.date is None else self.truth / "truth" / self.date / "life_form.tif"
         return next((file for file in (dated, self.truth / FUEL_TRUTH) if file is not None and file.is_file()), None)
 
+    @property
+    def surfaces(self) -> tuple[Path | None, Path | None]:
+        """The rasters of the true surface at the bag's date and at the one before it, where there are such."""
+        if self.date is None:
+            return None, None
+        folder = self.truth / "truth"
+        before = [path.stem.split("_")[1] for path in folder.glob(f"change_*_{self.date}.tif")]
+        rasters = [folder / name / "surface.tif" for name in (self.date, *before[:1])]
+        now, *earlier = [raster if raster.is_file() else None for raster in rasters]
+        return now, earlier[0] if earlier else None
+
     def stream(self) -> FrameStream:
         return FrameStream(self.bag, self.site.name, list(self.site.cameras), PARTS)
 
@@ -179,6 +192,7 @@ def score_bag(recorded: Recorded, folders: Sequence[DepthMapFolder] = ()) -> Bag
     score.labels = labels if labels.pixels else None
     score.latency = _latencies(stream)
     _score_fuel(score, recorded)
+    _score_terrain(score, recorded)
     score.lacking[:0] = _lacking(score, stream, recorded, folders)
     return score
 
@@ -265,6 +279,20 @@ def _score_fuel(score: BagScore, recorded: Recorded) -> None:
         score.fuel = score_fuel(classes, geometry, *read_fuel_map(file), len(labels))
     except LtmError as error:
         score.lacking.append(f"fuel cells: {error}")
+
+
+def _score_terrain(score: BagScore, recorded: Recorded) -> None:
+    now, earlier = recorded.surfaces
+    if now is None:
+        score.lacking.append(f"terrain: no truth/DATE/surface.tif in {recorded.truth}; name it with --truth and --date")
+        return
+    try:
+        score.terrain = score_terrain(recorded.bag, recorded.site, now, earlier)
+    except LtmError as error:
+        score.lacking.append(f"terrain: {error}")
+        return
+    if score.terrain.change is None:
+        score.lacking.append("change: no true surface of an earlier date, or no threshold in terrain/info")
 
 
 def _lacking(score: BagScore, stream: FrameStream, recorded: Recorded, folders: Sequence[DepthMapFolder]) -> list[str]:

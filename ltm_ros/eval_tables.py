@@ -27,7 +27,16 @@ def bin_name(score: DepthScore) -> str:
 
 def tables(score: BagScore) -> list[Table]:
     """One table a part that could be scored, then what the bag lacks."""
-    found = [_depth(score), _labels(score), _confusion(score), _skylines(score), _fuel(score), _latency(score)]
+    found = [
+        _depth(score),
+        _labels(score),
+        _confusion(score),
+        _skylines(score),
+        _fuel(score),
+        _change(score),
+        _surface(score),
+    ]
+    found.append(_latency(score))
     kept = [table for table in found if table is not None]
     if score.lacking:
         kept.append(Table("lacking", ("part", "why"), [_split(reason) for reason in score.lacking]))
@@ -68,7 +77,7 @@ def as_json(score: BagScore) -> dict[str, Any]:
             "pixels": labels.pixels,
             "accuracy": labels.accuracy,
             "mean_iou": labels.mean_iou,
-            "macro_f1": macro(labels.f1, labels.true > 0),
+            "macro_f1": labels.mean_f1,
             "f1": labels.f1.tolist(),
             "iou": labels.iou.tolist(),
             "precision": labels.precision.tolist(),
@@ -84,6 +93,7 @@ def as_json(score: BagScore) -> dict[str, Any]:
             "right": score.fuel.right,
             "confusion": score.fuel.confusion.tolist(),
         },
+        "terrain": None if score.terrain is None else dataclasses.asdict(score.terrain),
         "latency": [dataclasses.asdict(row) for row in score.latency],
         "lacking": score.lacking,
     }
@@ -189,6 +199,31 @@ def _fuel(score: BagScore) -> Table | None:
         f"{fuel.right:,} of the {fuel.seen:,} observed cells with a known truth are right; the map has {fuel.cells:,}."
     )
     return Table("fuel cells", ("life form", "of truth", "cells", "F1", "precision", "recall", "IoU"), rows, note)
+
+
+def _change(score: BagScore) -> Table | None:
+    terrain = score.terrain
+    if terrain is None or terrain.change is None:
+        return None
+    change = terrain.change
+    ratios = (change.f1, change.precision, change.recall, change.iou)
+    row = ("terrain", f">= {terrain.threshold:g} m", change.cells, *map(_ratio, ratios))
+    note = (
+        f"{change.hits:,} of {change.hits + change.misses:,} truly changed cells found, {change.false_alarms:,} false "
+        "alarms; over the cells that independent views looked at."
+    )
+    return Table("change", ("of", "moved by", "cells", "F1", "precision", "recall", "IoU"), [row], note)
+
+
+def _surface(score: BagScore) -> Table | None:
+    terrain = score.terrain
+    if terrain is None or not terrain.updated.cells:
+        return None
+    rows = [
+        (name, "changed cells", one.cells, one.rmse, one.mae, one.median, one.bias)
+        for name, one in (("as updated", terrain.updated), ("reference", terrain.reference))
+    ]
+    return Table("surface", ("heights", "where", "cells", "RMSE m", "MAE m", "median m", "bias m"), rows)
 
 
 def _latency(score: BagScore) -> Table | None:

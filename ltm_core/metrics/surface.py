@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.errors import RasterError
+from ltm_core.grid import GridGeometry
 
 
 @dataclass(frozen=True)
@@ -39,3 +40,30 @@ def score_surface(
     size = np.abs(error)
     rmse = float(np.sqrt(np.mean(error**2)))
     return SurfaceScore(error.size, rmse, float(size.mean()), float(np.median(size)), float(error.mean()))
+
+
+def cell_means(values: NDArray[np.float32], geometry: GridGeometry, onto: GridGeometry) -> NDArray[np.float32]:
+    """Means of a raster over the cells of another that is as coarse or coarser, (H, W); NaN where none is known.
+
+    Both in one frame. A cell is the mean of the raster at n x n places spread evenly in it, n so that no cell of the
+    raster is left out. Raises RasterError where the raster is coarser than the cells.
+    """
+    ratio = onto.resolution / geometry.resolution
+    if ratio < 1 - 1e-6:
+        raise RasterError(f"a raster of {geometry.resolution} m gives no means over cells of {onto.resolution} m")
+    n = int(np.ceil(ratio - 1e-6))
+    offsets = (np.arange(n) + 0.5) / n - 0.5
+    total = np.zeros(onto.shape)
+    count = np.zeros(onto.shape, np.int32)
+    for down in offsets:
+        for right in offsets:
+            _, y = onto.to_map(np.arange(onto.height) + down, 0)
+            x, _ = onto.to_map(0, np.arange(onto.width) + right)
+            row, col = geometry.cell_of(x[None, :], y[:, None])
+            row, col = np.broadcast_arrays(row, col)
+            inside = geometry.contains(row, col)
+            picked = np.where(inside, values[np.where(inside, row, 0), np.where(inside, col, 0)], np.nan)
+            known = np.isfinite(picked)
+            total += np.where(known, picked, 0)
+            count += known
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)

@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
+from std_msgs.msg import String
 from typer.testing import CliRunner
 
 from ltm_core.camera import Camera
+from ltm_core.dem import Dem
 from ltm_core.errors import RecordingError
 from ltm_core.fuel.fuel_map_io import write_fuel_map
 from ltm_core.grid import GridGeometry
@@ -23,6 +25,7 @@ from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
+from ltm_msgs_py.pointcloud import columns_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_ros.bag_score import BagScore, Recorded, score_bag
 from ltm_ros.cli.main import cli
@@ -108,7 +111,7 @@ def test_every_part(recorded: Recorded) -> None:
     assert score.fuel is not None
     assert (score.fuel.seen, score.fuel.right, score.fuel.confusion[1, 3]) == (10, 5, 5)
     assert {(row.topic, row.max_ms) for row in score.latency} == {("depth/image", 200.0), ("fused/depth", 200.0)}
-    assert score.lacking == ["depth, network: the bag has no network/depth"]
+    assert [reason.split(":")[0] for reason in score.lacking] == ["depth, network", "terrain"]
 
 
 def test_depth_maps_of_others(recorded: Recorded, tmp_path: Path) -> None:
@@ -209,3 +212,46 @@ def test_site_is_found_or_asked_for(recorded: Recorded, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="none ships for nowhere: give --site"):
         Recorded.find(tmp_path / "a/b/d")
     assert math.isfinite(score_bag(recorded).depth[0].coverage)
+
+
+def test_terrain_and_dates(recorded: Recorded, tmp_path: Path) -> None:
+    grid = GridGeometry(0.0, 20.0, 2.0, 12, 10)
+    folder = recorded.truth / "truth"
+    before = np.full((20, 24), 100.0, np.float32)
+    after = before.copy()
+    after[4:8, 6:12] += 6  # 2 x 3 cells of the terrain's grid
+    after[15, 20] += 4  # a quarter of a cell: its mean moves 1 m, below the threshold
+    for date, surface in (("before", before), ("after", after)):
+        (folder / date).mkdir(parents=True)
+        Dem(surface, GridGeometry(1000.0, 2020.0, 1.0, 24, 20, "EPSG:32611")).save(folder / date / "surface.tif")
+    Dem(after - before, GridGeometry(1000.0, 2020.0, 1.0, 24, 20, "EPSG:32611")).save(
+        folder / "change_before_after.tif"
+    )
+    kinds = np.zeros(grid.shape, np.uint8)
+    kinds[2, 3:6], kinds[9, 0] = 2, 1  # three of the six, and a false alarm
+    kinds[0] = 255
+    rows, cols = np.nonzero(kinds % 255)
+    x, y = grid.to_map(rows, cols)
+    columns = {
+        "x": x.astype(np.float32),
+        "y": y.astype(np.float32),
+        "z": np.array([105, 105, 107, 98], np.float32),
+        "shift": np.array([5, 5, 7, -2], np.float32),
+    }
+    with BagWriter(tmp_path / "dated") as bag:
+        bag.write("/ridge/terrain/update", columns_to_msg(columns, 7, "map"), 7)
+        bag.write("/ridge/terrain/change", classes_to_msg(kinds, grid, 8), 8)
+        bag.write("/ridge/terrain/info", String(data=json.dumps({"threshold": 1.5})), 8)
+    with pytest.raises(RecordingError, match="after, before: name the bag's date with --date"):
+        Recorded.find(tmp_path / "dated", recorded.site_path)
+    with pytest.raises(RecordingError, match="no truth of 'later'"):
+        Recorded.find(tmp_path / "dated", recorded.site_path, date="later")
+    score = score_bag(Recorded.find(tmp_path / "dated", recorded.site_path, date="after"))
+    assert score.terrain is not None
+    change = score.terrain.change
+    assert change is not None
+    assert (change.hits, change.misses, change.false_alarms, change.cells) == (3, 3, 1, 9 * 12)
+    assert score.terrain.updated.rmse == pytest.approx(np.sqrt((1 + 1 + 1 + 4) / 4))
+    assert score.terrain.reference.rmse == pytest.approx(np.sqrt(3 * 36 / 4))
+    assert {"change", "surface"} <= {table.title for table in tables(score)}
+    assert as_json(score)["terrain"]["change"]["hits"] == 3
