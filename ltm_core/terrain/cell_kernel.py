@@ -66,7 +66,7 @@ class Cells(NamedTuple):
 class Scratch(NamedTuple):
     """Sums of one frame, (slots, cells of a tile): of pixels that agree with the reference, of those that do not."""
 
-    count: Pool
+    number: Pool
     weight: Pool
     moment: Pool
     pose: Pool
@@ -113,7 +113,7 @@ def scatter(seen: Seen, carved: int, labels: Bytes, width: int, tile: int, slots
         k = (row % tile) * tile + col % tile
         w = np.float32(1.0) / (seen.variance[i] + seen.pose_variance[i])
         if seen.kind[i] == AGREES:
-            scratch.count[slot, k] += 1
+            scratch.number[slot, k] += 1
             scratch.weight[slot, k] += w
             scratch.moment[slot, k] += w * seen.dz[i]
             scratch.pose[slot, k] += seen.pose_variance[i]
@@ -153,7 +153,8 @@ def mean_variance(looks: float, weight: float, pose_variance: float, cameras: in
     """Of an estimate: the observations' own part falls with looks, that of the poses with cameras."""
     total = looks / weight
     pose = min(pose_variance, total)
-    return (total - pose) / max(looks, 1.0) + pose / max(_bits(cameras), 1)
+    variance: float = (total - pose) / max(looks, 1.0) + pose / max(_bits(cameras), 1)
+    return variance
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -171,7 +172,7 @@ def merge(cells: Cells, scratch: Scratch, slots: Indices, seconds: int, bit: int
     for slot in slots:
         for k in range(cells.dz.shape[1]):
             lowest = scratch.lowest[slot, k]
-            n, off = scratch.count[slot, k], scratch.off_count[slot, k]
+            n, off = scratch.number[slot, k], scratch.off_count[slot, k]
             if n == 0 and off == 0 and math.isinf(lowest):
                 continue
             observed += 1
@@ -193,7 +194,7 @@ def merge(cells: Cells, scratch: Scratch, slots: Indices, seconds: int, bit: int
             _take(cells, slot, k, dz, variance, pose, bounded, seconds, bit, rules)
             if scratch.label[slot, k] != NO_LABEL:
                 cells.label[slot, k] = scratch.label[slot, k]
-            scratch.count[slot, k] = scratch.weight[slot, k] = scratch.moment[slot, k] = scratch.pose[slot, k] = 0
+            scratch.number[slot, k] = scratch.weight[slot, k] = scratch.moment[slot, k] = scratch.pose[slot, k] = 0
             scratch.off_count[slot, k] = scratch.off_weight[slot, k] = 0
             scratch.off_moment[slot, k] = scratch.off_pose[slot, k] = 0
             scratch.lowest[slot, k] = np.inf

@@ -21,6 +21,12 @@ from ltm_core.tile_store import Key, Tile
 
 SMOOTHING = 1.5
 """Metres: the deviation of the Gaussian over which neighbours speak for each other."""
+_OWN_SHARE = 0.4
+"""Of its neighbours' shift that a cell must show itself: a gap in a felled stand was no tree."""
+_COMPATIBLE = 2.0
+"""Deviations by which a cell's own estimate may miss its neighbours' shift and still not contradict it."""
+_BRIDGED = 2
+"""Cells around each that its region reaches over."""
 _REACH = 4.0
 """Deviations of the Gaussian that are taken."""
 
@@ -54,8 +60,8 @@ class Changed:
 
     @classmethod
     def none(cls) -> Changed:
-        empty = np.empty(0)
-        return cls(*(empty.astype(t) for t in (np.int32, np.int32, np.uint8, np.uint8, np.float32)))
+        cells, kinds = np.empty(0, np.int32), np.empty(0, np.uint8)
+        return cls(cells, cells, kinds, kinds, np.empty(0, np.float32))
 
     def joined(self, other: Changed) -> Changed:
         return Changed(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
@@ -118,7 +124,7 @@ def decide(
     usable = sure & np.isfinite(base) & np.isfinite(surface)
     off = np.where(usable, parts["dz"] - np.nan_to_num(base), np.float32(0)).astype(np.float32)
     shift, doubt = _smoothed(off, np.where(usable, 1 / (variance + rules.reference_variance), 0), reference)
-    strong, weak = _levels(off, shift, doubt, usable, parts["kind"] > 0, config)
+    strong, weak = _levels(off, variance, shift, doubt, usable, parts["kind"] > 0, config)
     kept = _regions(strong, weak, config.min_area / reference.geometry.resolution**2)
     kind = np.zeros((height, width), np.uint8)
     below = surface + np.nan_to_num(base) + shift < ground - config.threshold
@@ -128,7 +134,7 @@ def decide(
     begun = new & (kind > 0)
     since = np.where(begun, parts["last"], np.where(kind > 0, parts["since"], 0)).astype(np.uint32)
     by = np.where(begun, parts["cameras"], np.where(kind > 0, parts["by"], 0)).astype(np.uint32)
-    shift = np.where(kind > 0, shift, np.float32(0)).astype(np.float32)
+    shift = np.where(kind > 0, _own(off, shift, variance, usable, reference), np.float32(0)).astype(np.float32)
     rows, cols = np.nonzero(new)
     changed = Changed(
         (rows + row).astype(np.int32), (cols + col).astype(np.int32), parts["kind"][new], kind[new], shift[new]
@@ -147,6 +153,22 @@ def _smoothed(off: Floats, weight: Floats, reference: Reference) -> tuple[Floats
     return np.where(known, mean, 0).astype(np.float32), np.where(known, doubt, np.inf).astype(np.float32)
 
 
+def _own(off: Floats, mean: Floats, variance: Floats, usable: NDArray[np.bool_], reference: Reference) -> Floats:
+    """Each cell's shift between its own estimate and its neighbours' mean: the more its own, the more neighbours differ
+    among each other beyond their noise.
+    """
+    sigma = SMOOTHING / reference.geometry.resolution
+    count = np.maximum(_blurred(usable.astype(np.float32), sigma), 1e-6)
+    noise = np.where(usable, variance, 0).astype(np.float32)
+    spread = _blurred(np.where(usable, (off - mean) ** 2, 0).astype(np.float32), sigma) / count
+    real = np.maximum(spread - _blurred(noise, sigma) / count, 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        gain = np.where(usable, real / (real + variance), 0)
+    # A heavy tail is no detail.
+    bounded = np.sign(mean) * np.clip(off * np.sign(mean), 0, 2 * np.abs(mean))
+    return np.asarray(mean + gain * (bounded - mean), np.float32)
+
+
 def _blurred(values: Floats, sigma: float) -> Floats:
     if sigma < 0.3:
         return values
@@ -155,6 +177,7 @@ def _blurred(values: Floats, sigma: float) -> Floats:
 
 def _levels(
     off: Floats,
+    variance: Floats,
     shift: Floats,
     doubt: Floats,
     usable: NDArray[np.bool_],
@@ -165,28 +188,29 @@ def _levels(
     estimate does not show is the neighbours'.
     """
     half = config.threshold / 2
-    own = usable & (off * np.sign(shift) >= half)
+    own = usable & (off * np.sign(shift) >= np.maximum(half, _OWN_SHARE * np.abs(shift)))
     strong = own & (np.abs(shift) >= config.threshold) & (np.abs(shift) >= config.confidence * doubt)
     strong |= own & former & (np.abs(shift) >= half)
-    weak = own & (np.abs(shift) >= config.threshold * 0.75) & (np.abs(shift) >= config.confidence / 2 * doubt)
+    compatible = own | (usable & ((off - shift) ** 2 <= _COMPATIBLE**2 * variance))
+    weak = compatible & (np.abs(shift) >= config.threshold * 0.75) & (np.abs(shift) >= config.confidence / 2 * doubt)
     return strong, weak | strong
 
 
 def _regions(strong: NDArray[np.bool_], weak: NDArray[np.bool_], least: float) -> NDArray[np.bool_]:
-    """Connected regions (8 neighbours) of `weak` that hold a strong cell and at least `least` cells."""
-    labels, count = ndimage.label(weak, np.ones((3, 3)))
+    """Cells of `weak` in regions that hold a strong cell and at least `least` cells. A region goes on across a few
+    cells that nobody sees: of a wood, cameras see crowns."""
+    near = ndimage.binary_dilation(weak, np.ones((3, 3)), iterations=_BRIDGED)
+    labels, count = ndimage.label(near, np.ones((3, 3)))
     if count == 0:
         return weak
-    area = np.bincount(labels.ravel(), minlength=count + 1)
+    area = np.bincount(labels[weak], minlength=count + 1)
     sure = np.bincount(labels[strong], minlength=count + 1)
     kept = (area >= least) & (sure > 0)
     kept[0] = False
-    return np.asarray(kept[labels], np.bool_)
+    return np.asarray(kept[labels] & weak, np.bool_)
 
 
-def estimate_variance(
-    parts: Mapping[str, NDArray[Any]], rules: Rules
-) -> tuple[Floats, NDArray[np.bool_]]:
+def estimate_variance(parts: Mapping[str, NDArray[Any]], rules: Rules) -> tuple[Floats, NDArray[np.bool_]]:
     """Variance of each cell's estimate, infinite where there is none, and whether independent views made it."""
     looks, weight, pose, first, last, cameras = (parts[name] for name in _OF_ESTIMATE)
     variance, sure = _summary(looks, weight, pose, first, last, cameras, rules)

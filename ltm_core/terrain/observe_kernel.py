@@ -34,6 +34,10 @@ SKY_SEEN_THROUGH = 40.0
 """Metres behind a vanished skyline that a ray into the sky has certainly passed."""
 _LONGEST_CARVE = 400
 """Cells."""
+LIKELY_CHANGE = 4.0
+"""Metres: the mean of the exponential prior on how much higher a cell has become."""
+_SEARCH = 1.5
+"""Sigmas of range within which the likeliest place is looked for."""
 
 
 class Ground(NamedTuple):
@@ -111,7 +115,8 @@ def _height_at(ground: Ground, x: float, y: float) -> float:
     z = ground.surface
     north = z[r, c] + fc * (z[r, c + 1] - z[r, c])
     south = z[r + 1, c] + fc * (z[r + 1, c + 1] - z[r + 1, c])
-    return north + fr * (south - north)
+    height_here: float = north + fr * (south - north)
+    return height_here
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
@@ -122,7 +127,8 @@ def _cell_at(ground: Ground, x: float, y: float) -> int:
     height, width = ground.surface.shape
     if not (row >= 0 and col >= 0 and row < height and col < width):
         return -1
-    return int(row) * width + int(col)
+    cell: int = int(row) * width + int(col)
+    return cell
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -146,6 +152,37 @@ def _pose_variance(covariance: Floats, east: float, north: float, px: float, py:
             part += covariance[i, j] * row[j]
         total += row[i] * part
     return max(total, 0.0)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _likeliest(
+    ground: Ground,
+    x0: float,
+    y0: float,
+    z0: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    bend: float,
+    r: float,
+    sigma: float,
+    expected: float,
+) -> float:
+    """Where along its ray a thing stands that is nearer than the reference: small changes are likelier than large ones,
+    so that a crown has grown rather than the gap before it has filled to the crown's height.
+    """
+    step = max(ground.resolution, sigma / 8)
+    best, least = r, math.inf
+    t = max(r - _SEARCH * sigma, 0.0)
+    end = min(r + _SEARCH * sigma, expected)
+    while t < end:
+        above = z0 + dz * t + bend * t * t - _height_at(ground, x0 + dx * t, y0 + dy * t)
+        if above > 0:
+            cost = 0.5 * ((t - r) / sigma) ** 2 + above / LIKELY_CHANGE
+            if cost < least:
+                best, least = t, cost
+        t += step
+    return best
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -192,6 +229,9 @@ def observe(ground: Ground, view: View, pixels: Pixels, limits: Limits, seen: Se
                     spread = 0.5 * (pixels.far[v, u] - pixels.near[v, u])
                 elif not math.isinf(pixels.near[v, u]):
                     spread = expected - pixels.near[v, u]
+                # What only pixels beside it would see, a silhouette a little off its place, tells nothing.
+                if not abs(r - expected) <= slack + min(spread, slack):
+                    continue
                 off = (r - expected) * incidence
                 seen.kind[i] = AGREES
                 seen.cell[i] = cell
@@ -219,6 +259,8 @@ def observe(ground: Ground, view: View, pixels: Pixels, limits: Limits, seen: Se
                     t += step
             if math.isinf(r) or r > limits.max_range:
                 continue
+            if not farther:
+                r = _likeliest(ground, x0, y0, z0, dx, dy, dz, view.bend * flat2, r, sigma, expected)
             x, y = x0 + dx * r, y0 + dy * r
             cell = _cell_at(ground, x, y)
             if cell < 0:

@@ -72,8 +72,8 @@ def register(
     measured = frame.measured[::step, ::step] & np.isfinite(frame.depth[::step, ::step])
     if frame.stable is not None:
         measured = measured & frame.stable[::step, ::step]
-    ranges = frame.depth[::step, ::step] / forward
-    sigmas = frame.sigma[::step, ::step] / forward
+    ranges = (frame.depth[::step, ::step] / forward).astype(np.float32)
+    sigmas = (frame.sigma[::step, ::step] / forward).astype(np.float32)
     # With a singular prior (an angle that is known), the inverse stays finite.
     information = np.linalg.inv(prior + np.eye(3) * math.radians(_FLOOR_DEG) ** 2)
     pose, total, before, samples = frame.pose, np.zeros(3), math.nan, 0

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError
+from ltm_core.pose import Pose
 from ltm_core.site import TerrainConfig
 from ltm_core.terrain.cell_kernel import Rules, mark_tiles, merge, scatter
 from ltm_core.terrain.change import Changed, decide, margin_of
@@ -43,6 +44,16 @@ class Added:
     registration: Registration | None
 
 
+@dataclass(frozen=True, eq=False)
+class _Turn:
+    """How the frame of a camera of `stamp_ns` with this pose was turned; None: it was not."""
+
+    pose: Pose
+    covariance: NDArray[np.float64]
+    stamp_ns: int
+    turn: Registration | None
+
+
 class SurfaceMap:
     """The estimate of every cell, and the changes that views agree on. Bare earth is never edited.
 
@@ -50,8 +61,8 @@ class SurfaceMap:
         reference: bare earth and, where known, the surface, in the map frame.
         config: the rules.
         cameras: all names, at most 32.
-        geometry: the reference's grid in the site's CRS, for the store; default: as it is.
-        store: a terrain's store (`open_store`); None: what no longer fits the memory is kept compressed in memory.
+        store: of `tile_pool.schema_of` the grid in the site's CRS; None: what no longer fits the memory for cells is
+            kept compressed.
         curvature, refraction: of rays, as the tracer takes them.
 
     Raises ConfigError for more cameras than a cell can tell apart.
@@ -88,6 +99,7 @@ class SurfaceMap:
             TilePool.capacity_of(config.cache_mb),
             reference.canopy_known,
         )
+        self._turns: dict[str, _Turn] = {}
         self._undecided: set[Key] = set(self._pool.known_keys)
         self.newest_ns = self._pool.store.newest_ns() or 0
 
@@ -114,7 +126,7 @@ class SurfaceMap:
             covariance = assumed_covariance(config.pose_sigma_deg, config.position_sigma)
         turned = None
         if config.register_frames:
-            turned = register(frame, covariance, self.reference, self._tracer, self._limits)
+            turned = self._registered(frame, covariance)
             if turned is not None:
                 frame, covariance = turned.frame(frame), turned.covariance
         expected = self._observer.predict(frame)
@@ -126,9 +138,7 @@ class SurfaceMap:
         slots = self._pool.require(keys)
         scatter(seen, carved, self._observer.labels(frame), width, TILE, self._pool.slots, self._pool.scratch)
         bit = 1 << self.cameras.index(frame.source)
-        cells = merge(
-            self._pool.cells, self._pool.scratch, slots, frame.stamp_ns // 1_000_000_000, bit, self._rules
-        )
+        cells = merge(self._pool.cells, self._pool.scratch, slots, frame.stamp_ns // 1_000_000_000, bit, self._rules)
         self._pool.touched(keys)
         self._pool.record(FrameRecord(frame.source, frame.stamp_ns, keys))
         self._undecided.update(keys)
@@ -170,9 +180,40 @@ class SurfaceMap:
         bottom, right = (max(k[0] for k in keys) + 1) * TILE, (max(k[1] for k in keys) + 1) * TILE
         return row, col, min(bottom, height) - row, min(right, width) - col
 
+    def heights_at(self, changed: Changed) -> NDArray[np.float32]:
+        """The updated surface at changed cells, (N,) metres."""
+        surface = self.reference.surface[changed.rows, changed.cols]
+        if self.reference.canopy_known:
+            return np.asarray(surface + changed.shift, np.float32)
+        base = np.zeros(len(changed.rows), np.float32)
+        keys = np.stack([changed.rows // TILE, changed.cols // TILE], axis=-1)
+        for key in {(int(r), int(c)) for r, c in keys}:
+            tile = self._pool.peek(key)
+            inside = (keys == key).all(axis=1)
+            if tile is not None:
+                base[inside] = tile["base"][changed.rows[inside] % TILE, changed.cols[inside] % TILE]
+        return np.asarray(surface + np.nan_to_num(base) + changed.shift, np.float32)
+
     def seen_by(self, mask: int) -> tuple[str, ...]:
         """Names of the cameras in a cell's mask."""
         return tuple(name for i, name in enumerate(self.cameras) if mask >> i & 1)
+
+    def _registered(self, frame: DepthFrame, covariance: NDArray[np.float64]) -> Registration | None:
+        """A camera that has not moved keeps its turn for a time: one image more would add little, and its reference is
+        traced already.
+        """
+        kept = self._turns.get(frame.source)
+        period = int(self.config.independent_after * 1e9)
+        if (
+            kept is not None
+            and kept.pose == frame.pose
+            and 0 <= frame.stamp_ns - kept.stamp_ns < period
+            and np.array_equal(kept.covariance, covariance)
+        ):
+            return kept.turn
+        turn = register(frame, covariance, self.reference, self._tracer, self._limits)
+        self._turns[frame.source] = _Turn(frame.pose, covariance, frame.stamp_ns, turn)
+        return turn
 
     def _nearest(self, marked: NDArray[np.uint8], frame: DepthFrame) -> tuple[list[Key], int]:
         """The marked tiles, nearest first where there are more than fit into memory."""
@@ -193,10 +234,13 @@ class SurfaceMap:
         bottom = min(max(k[0] for k in core) + 2, tile_rows)
         right = min(max(k[1] for k in core) + 2, tile_cols)
         height, width = self.reference.geometry.shape
-        window = (top * TILE, left * TILE, min(bottom * TILE, height) - top * TILE, min(right * TILE, width) - left * TILE)
-        changed, fields = decide(
-            lambda key: self._pool.peek(key), self.reference, window, self.config, self._rules
+        window = (
+            top * TILE,
+            left * TILE,
+            min(bottom * TILE, height) - top * TILE,
+            min(right * TILE, width) - left * TILE,
         )
+        changed, fields = decide(lambda key: self._pool.peek(key), self.reference, window, self.config, self._rules)
         keys = sorted(core)
         slots = self._pool.require(keys)
         inside = np.zeros(window[2:], np.bool_)
@@ -214,5 +258,3 @@ class SurfaceMap:
                 CellChanges("change", self.newest_ns, changed.rows, changed.cols, changed.before, changed.kind)
             )
         return changed
-
-

@@ -55,7 +55,7 @@ class TilePool:
         side = TILE * TILE
         self.cells = Cells(*(np.empty((capacity, side), f.dtype) for f in FIELDS.values()))
         self.scratch = Scratch(
-            *(np.empty((capacity, side), np.float32) for _ in range(9)), np.empty((capacity, side), np.uint8)
+            *(np.empty((capacity, side), np.uint8 if name == "label" else np.float32) for name in Scratch._fields)
         )
         self._fresh_base = np.float32(0.0 if canopy_known else np.nan)
         self._used: OrderedDict[Key, int] = OrderedDict()

@@ -230,9 +230,7 @@ def _hillside(rng: np.random.Generator) -> NDArray[np.float64]:
     return np.asarray(height, np.float64)
 
 
-def _planted(
-    rng: np.random.Generator, east: tuple[float, float], north: tuple[float, float], height: float
-) -> _Trees:
+def _planted(rng: np.random.Generator, east: tuple[float, float], north: tuple[float, float], height: float) -> _Trees:
     """A stand about CENTRE with a stem every 4 m or so."""
     x, y = np.meshgrid(np.arange(*east, 4.0), np.arange(*north, 4.0))
     x, y = (CENTRE[i] + a.ravel() + rng.uniform(-1.2, 1.2, a.size) for i, a in enumerate((x, y)))

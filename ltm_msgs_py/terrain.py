@@ -1,0 +1,54 @@
+"""Changes of a surface -> sensor_msgs/PointCloud2 and nav_msgs/OccupancyGrid.
+
+One point a cell whose kind of change is new: x, y, z float32 (its centre on the updated surface), row, col int32 of
+the terrain's grid, change uint8 (0: no longer changed), shift float32 (metres from the reference surface).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from nav_msgs.msg import OccupancyGrid
+from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2
+
+from ltm_core.grid import GridGeometry
+from ltm_core.terrain.change import Changed
+from ltm_core.terrain.layers import SurfaceLayers
+from ltm_msgs_py.grid import UNKNOWN, classes_to_msg
+from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns, take
+
+
+def changed_to_msg(
+    changed: Changed, heights: NDArray[np.float32], geometry: GridGeometry, stamp_ns: int, frame_id: str = "map"
+) -> PointCloud2:
+    """`heights`: (N,) of the updated surface at the changed cells; `geometry`: the terrain's grid."""
+    x, y = geometry.to_map(changed.rows, changed.cols)
+    columns: dict[str, NDArray[Any]] = {
+        "x": x.astype(np.float32),
+        "y": y.astype(np.float32),
+        "z": heights.astype(np.float32),
+        "row": changed.rows.astype(np.int32),
+        "col": changed.cols.astype(np.int32),
+        "change": changed.kind.astype(np.uint8),
+        "shift": changed.shift.astype(np.float32),
+    }
+    return columns_to_msg(columns, stamp_ns, frame_id, is_dense=bool(np.isfinite(heights).all()))
+
+
+def msg_to_changed(msg: Any) -> tuple[Changed, NDArray[np.float32]]:
+    """The changed cells, with kind 0 before, and their heights. Raises MessageError on other fields or types."""
+    columns = msg_to_columns(msg)
+    rows, cols = (take(columns, name, np.int32, "terrain update") for name in ("row", "col"))
+    kind = take(columns, "change", np.uint8, "terrain update")
+    shift, z = (take(columns, name, np.float32, "terrain update") for name in ("shift", "z"))
+    return Changed(rows, cols, np.zeros_like(kind), kind, shift), z
+
+
+def change_to_msg(layers: SurfaceLayers, stamp_ns: int, frame_id: str = "map") -> OccupancyGrid:
+    """Kinds of change of a window; -1 where independent views have not looked."""
+    known = layers.observed | (layers.change > 0)
+    return classes_to_msg(
+        np.where(known, layers.change, np.uint8(UNKNOWN)).astype(np.uint8), layers.geometry, stamp_ns, frame_id
+    )

@@ -1,0 +1,271 @@
+"""terrain: keeps a site's surface up to date from the fused depth of all its cameras, where they agree."""
+
+from __future__ import annotations
+
+import json
+from collections import OrderedDict, defaultdict
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+from std_msgs.msg import String
+
+from ltm_core.depth.fusion import Source
+from ltm_core.errors import ConfigError
+from ltm_core.resources import config_path
+from ltm_core.site_io import load_site
+from ltm_core.terrain import DepthFrame, Reference, SurfaceMap
+from ltm_core.terrain.change import Changed, ChangeKind
+from ltm_core.terrain.terrain_io import write_surface
+from ltm_core.terrain.tile_pool import schema_of
+from ltm_core.tile_store import TileStore
+from ltm_core.vision.labels import LabelSet
+from ltm_msgs_py.camera_info import msg_to_camera
+from ltm_msgs_py.image import msg_to_array, msg_to_depth
+from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.stamp import stamp_of
+from ltm_msgs_py.terrain import change_to_msg, changed_to_msg
+from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet, Topic
+from ltm_ros.health import Health
+from ltm_ros.join import StampJoin
+from ltm_ros.node import run_node
+from ltm_ros.topics import (
+    FUSED_DEPTH,
+    FUSED_SIGMA,
+    FUSED_SOURCE,
+    LABELS_IMAGE,
+    POSED_CAMERA_INFO,
+    POSED_POSE,
+    TERRAIN_CHANGE,
+    TERRAIN_INFO,
+    TERRAIN_UPDATE,
+    camera_topic,
+)
+
+STORE_FILE = "terrain.sqlite"
+STABLE_CLASSES = ("grass", "bare", "built")
+"""Whose surface stays where it is: what a frame is registered on."""
+GRID_CELLS_PER_S = 1_000_000
+"""Of the latched grid of changes: a large one goes out less often."""
+_PARTS: Mapping[str, Topic] = {
+    "depth": FUSED_DEPTH,
+    "sigma": FUSED_SIGMA,
+    "source": FUSED_SOURCE,
+    "info": POSED_CAMERA_INFO,
+    "pose": POSED_POSE,
+}
+_WAITING = 6
+"""Frames of one camera that wait for their parts: each holds some 20 MB."""
+
+
+class TerrainNodeConfig(NodeConfig):
+    folder: str = ""
+    """Where the surface is kept from run to run, and written on request; relative to the site file. Empty: it ends
+    with the node. Never taken from the wire."""
+    commit_every: float = Field(10.0, gt=0)
+    """Seconds of frames that a power cut may take."""
+    max_ahead: float = Field(600.0, gt=0)
+    """Seconds by which a camera's clock may be ahead."""
+    depth_from_elsewhere: bool = False
+    """`fused/depth`, `fused/sigma` and `fused/source` come from no node of this graph."""
+
+
+class Terrain(Handler[TerrainNodeConfig]):
+    """Sends the cells whose change is new as they are decided, and the whole grid of changes, latched."""
+
+    publications = (TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO)
+
+    def __init__(self, config: TerrainNodeConfig, outlet: Outlet, health: Health) -> None:
+        super().__init__(config, outlet, health)
+        self._site = site = load_site(config.site)
+        if site.terrain is None:
+            raise ConfigError(f"{config.site}: has no section `terrain`; add one (`terrain: {{}}` takes the defaults)")
+        if not site.depth_model and not config.depth_from_elsewhere:
+            raise ConfigError(
+                f"{config.site}: terrain needs measured depth, and traced depth agrees with the DEM by construction: "
+                "give `depth_model` a depth network, or set the node's depth_from_elsewhere"
+            )
+        labels = LabelSet.load(config_path(site.labels))
+        self._stable = np.zeros(256, np.bool_)
+        self._stable[[labels.id_of(name) for name in STABLE_CLASSES]] = True
+        bare = site.open_dem()
+        surface = site.open_surface(bare) if site.surface is not None else None
+        reference = Reference.of(bare, surface, site.terrain.resolution)
+        del bare, surface
+        self._folder = Path(config.site).parent / Path(config.folder).expanduser() if config.folder else None
+        self._store = self._open_store(reference)
+        self._map = SurfaceMap(
+            reference, site.terrain, tuple(site.cameras), self._store, site.curvature, site.refraction
+        )
+        self._joins = {
+            camera: StampJoin(tuple(_PARTS), partial(self._take, camera), health, _WAITING) for camera in site.cameras
+        }
+        self._labels: dict[str, OrderedDict[int, Any]] = defaultdict(OrderedDict)
+        self._paced = self._dirty = False
+        self._undecided = 0
+        self._since_grid = self._since_commit = 0.0
+
+    @property
+    def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
+        found: dict[Topic, Callable[[Any], None]] = {}
+        for camera in self._site.cameras:
+            for name, topic in _PARTS.items():
+                found[self._of(camera, topic)] = partial(self._part, camera, name)
+            found[self._of(camera, LABELS_IMAGE)] = partial(self._on_labels, camera)
+        return found
+
+    @property
+    def services(self) -> Mapping[str, Callable[[], str]]:
+        return {"terrain/save": self.save}
+
+    def start(self) -> None:
+        geometry = self._site.in_crs(self._map.reference.geometry)
+        info = {
+            "kinds": {kind.name.lower(): int(kind) for kind in ChangeKind},
+            "crs": geometry.crs,
+            "x_min": geometry.x_min,
+            "y_max": geometry.y_max,
+            "resolution": geometry.resolution,
+            "width": geometry.width,
+            "height": geometry.height,
+            "threshold": self._map.config.threshold,
+            "canopy_known": self._map.reference.canopy_known,
+            "cameras": list(self._map.cameras),
+        }
+        self.outlet.publish(TERRAIN_INFO, String(data=json.dumps(info)))
+        self._publish_grid()
+
+    def idle(self) -> None:
+        if not self._paced:
+            self._settle()
+
+    def tick(self, waited: float) -> None:
+        self._paced = True
+        self._since_grid += waited
+        self._since_commit += waited
+        self._settle()
+        if self._since_commit >= self.config.commit_every and self._map.uncommitted:
+            self._since_commit = 0.0
+            self._map.commit()
+        window = self._map.seen_window()
+        if self._dirty and window and self._since_grid >= window[2] * window[3] / GRID_CELLS_PER_S:
+            self._publish_grid()
+
+    def finish(self) -> None:
+        for join in self._joins.values():
+            join.finish()
+        self._settle()
+        self._map.commit()
+        self._publish_grid()
+        self._store.close()
+
+    def save(self) -> str:
+        """Write the layers to the configured folder. Raises ConfigError where none is configured."""
+        if self._folder is None:
+            raise ConfigError("no folder is configured for the terrain: set the node's parameter folder")
+        self._settle()
+        window = self._map.seen_window()
+        if window is None:
+            raise ConfigError("no camera has seen the terrain yet; there is nothing to write")
+        self._map.commit()
+        layers = self._map.layers(window)
+        files = write_surface(
+            self._folder, layers, self._site.in_crs(layers.geometry), self._map.newest_ns, self._map.cameras
+        )
+        return f"written: {', '.join(path.name for path in files)}"
+
+    def _of(self, camera: str, topic: Topic) -> Topic:
+        return Topic(camera_topic(self._site.name, camera, topic), topic.type)
+
+    def _part(self, camera: str, name: str, message: Any) -> None:
+        self._joins[camera].add(name, stamp_of(message), message)
+
+    def _on_labels(self, camera: str, message: Any) -> None:
+        labels = self._labels[camera]
+        labels[stamp_of(message)] = message
+        if len(labels) > _WAITING:
+            labels.popitem(last=False)
+
+    def _take(self, camera: str, depth: Any, sigma: Any, source: Any, info: Any, pose: Any) -> None:
+        stamp = stamp_of(depth)
+        now = self.outlet.now_ns()
+        if now and stamp > now + self.config.max_ahead * 1e9:
+            self.health.drop("future", f"a frame of {camera} is {(stamp - now) / 1e9:.0f} s ahead; set the clocks")
+            return
+        if self._map.counted(camera, stamp):
+            self.health.drop("duplicate", f"a frame of {camera} of stamp {stamp} ns came twice; counted once")
+            return
+        sources = msg_to_array(source, ("mono8",))
+        covariance = np.array(pose.pose.covariance, np.float64).reshape(6, 6)
+        frame = DepthFrame(
+            msg_to_depth(depth),
+            msg_to_depth(sigma),
+            (sources == Source.NETWORK) | (sources == Source.BOTH) | (sources == Source.SKY),
+            msg_to_camera(info),
+            msg_to_pose(pose, "map"),
+            stamp,
+            camera,
+            covariance if covariance.any() else None,
+        )
+        labels = self._labels[camera].pop(stamp, None)
+        if labels is not None:
+            ids = msg_to_array(labels, ("mono8",))
+            if ids.shape == frame.depth.shape:
+                frame = replace(frame, labels=ids, stable=self._stable[ids])
+        added = self._map.add(frame)
+        self._undecided += 1
+        self.health.gauge("frames", self._store.frame_count() + self._map.uncommitted)
+        self.health.gauge("tiles_in_memory", self._map.tiles_in_memory)
+        if added.cells == 0:
+            self.health.note("nothing_seen")
+        if added.left_out:
+            self.health.note("tiles_left_out")
+        if added.registration is not None:
+            self.health.gauge(f"turned_deg.{camera}", f"{added.registration.turned_deg:.3f}")
+
+    def _settle(self) -> None:
+        """Decide what the frames since the last call have changed, and say so."""
+        if not self._undecided:
+            return
+        self._undecided = 0
+        self._dirty = True
+        changed = self._map.decide()
+        if len(changed.rows):
+            self._publish_update(changed)
+
+    def _publish_update(self, changed: Changed) -> None:
+        heights = self._map.heights_at(changed)
+        self.outlet.publish(
+            TERRAIN_UPDATE, changed_to_msg(changed, heights, self._map.reference.geometry, self._map.newest_ns)
+        )
+
+    def _publish_grid(self) -> None:
+        self._dirty, self._since_grid = False, 0.0
+        window = self._map.seen_window()
+        if window is not None:
+            self.outlet.publish(TERRAIN_CHANGE, change_to_msg(self._map.layers(window), self._map.newest_ns))
+
+    def _open_store(self, reference: Reference) -> TileStore:
+        schema = schema_of(self._site.in_crs(reference.geometry))
+        if self._folder is None:
+            return TileStore.in_memory(schema)
+        try:
+            self._folder.mkdir(exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{self._folder}: no folder that can be used ({error.strerror})") from error
+        return TileStore.open(self._folder / STORE_FILE, schema)
+
+
+NODE = NodeType("terrain", TerrainNodeConfig, Terrain)
+
+
+def main() -> None:
+    run_node(NODE)
+
+
+if __name__ == "__main__":
+    main()
