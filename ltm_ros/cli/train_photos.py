@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from ltm_core.vision.segmenter import Segmenter
     from ltm_core.vision.train.teachers import Opinions
 
+BY_HAND = "_by_hand"
+"""Ends the name of a set whose labels are a person's alone: boxes of held-out photos."""
+
 
 def photos(
     config: Annotated[Path, typer.Argument(help="Which photos, and what their slopes carry: mountain_photos.yaml.")],
@@ -33,6 +36,7 @@ def photos(
     from ltm_core.config_io import load_yaml
     from ltm_core.depth.monocular import DepthNetwork
     from ltm_core.errors import ImageError
+    from ltm_core.vision.labels import UNLABELLED
     from ltm_core.vision.segmenter import Segmenter
     from ltm_core.vision.train.photo_sets import PhotoSets
     from ltm_core.vision.train.teachers import teach
@@ -49,15 +53,24 @@ def photos(
             raise ImageError(f"{images}: no readable photo {name}.jpg or .png, which {config} names")
         photo = np.ascontiguousarray(cv2.resize(picture, sets.size, interpolation=cv2.INTER_AREA)[..., ::-1])
         opinions = _opinions(sky, scene, np.ascontiguousarray(picture[..., ::-1]), sets.size)
-        labels = teach(photo, opinions, tag)
+        labels, by_hand = teach(photo, opinions, tag), sets.by_hand(name)
+        labels = np.where(by_hand == UNLABELLED, labels, by_hand)
         order = cv2.resize(depth.predict(photo, camera).values, sets.size, interpolation=cv2.INTER_LINEAR)
         order[opinions.sky > 0.25] = np.nan
-        base = out / sets.set_of(name) / name
-        base.parent.mkdir(parents=True, exist_ok=True)
-        cv2.imwrite(f"{base}.jpg", photo[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])
-        cv2.imwrite(f"{base}_labels.png", labels)
-        np.savez_compressed(f"{base}_order.npz", inverse=order.astype(np.float32))
+        part = sets.set_of(name)
+        _write(out / part / name, photo, labels)
+        np.savez_compressed(out / part / f"{name}_order.npz", inverse=order.astype(np.float32))
+        if part in sets.held_out and name in sets.boxes:
+            _write(out / f"{part}{BY_HAND}" / name, photo, by_hand)
     print(f"{len(sets.photos)} photos in {out}")
+
+
+def _write(base: Path, photo: NDArray[np.uint8], labels: NDArray[np.uint8]) -> None:
+    import cv2
+
+    base.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(f"{base}.jpg", photo[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])
+    cv2.imwrite(f"{base}_labels.png", labels)
 
 
 def _opinions(sky: Segmenter, scene: Segmenter, photo: NDArray[np.uint8], size: tuple[int, int]) -> Opinions:
