@@ -56,8 +56,11 @@ CAMERA_TRUTH = (TRUTH_DEPTH, TRUTH_GROUND_DEPTH, TRUTH_LABELS, TRUTH_CAMERA_INFO
 """What a simulated recording holds besides; no node of the graph listens to it."""
 
 RECORDED = (
-    (*CAMERA_INPUTS, *CAMERA_TRUTH, POSED_POSE, DEPTH_IMAGE, DEPTH_CAMERA_INFO, LABELS_IMAGE, LABELS_INFO, FUEL_VOTES),
-    (FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_INFO),
+    (
+        *(*CAMERA_INPUTS, *CAMERA_TRUTH, POSED_POSE, DEPTH_IMAGE, DEPTH_CAMERA_INFO, FUSED_DEPTH, FUSED_INFO),
+        *(NETWORK_DEPTH, LABELS_IMAGE, LABELS_INFO, FUEL_VOTES),
+    ),
+    (FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_INFO, TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO),
 )
 """What a recording holds unless told otherwise, of each camera and of the site: all but decoded copies of images."""
 

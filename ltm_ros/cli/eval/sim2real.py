@@ -41,18 +41,21 @@ def sim2real(
             a, b, pairs, side, seed, cast(Backbone, backbone), lambda what, i, n: status.update(f"{what}: {i} of {n}")
         )
 
-    def shown(estimate: Estimate) -> str:
-        digits = 1 if abs(estimate.value) >= 10 else 4
-        return f"{estimate.value:.{digits}f} [{estimate.low:.{digits}f}, {estimate.high:.{digits}f}]"
+    def shown(estimate: Estimate) -> tuple[str, str]:
+        digits = 1 if abs(estimate.value) >= 10 else 4 if abs(estimate.value) < 0.3 else 3
+        return f"{estimate.value:.{digits}f}", f"{estimate.low:.{digits}f} to {estimate.high:.{digits}f}"
 
-    table = Table(title=f"{simulated} beside {real}", title_justify="left")
-    for column in ("metric", "better", "sim to real [95 %]", "real to real [95 %]", "paper", "N", "weights"):
-        table.add_column(column, justify="right" if column in ("sim to real [95 %]", "paper") else "left")
+    table = Table(title=f"{simulated} beside {real}", title_justify="left", box=None, padding=(0, 2, 0, 0))
+    for column in ("metric", "sim to real", "95 %", "real to real", "95 %", "paper"):
+        table.add_column(column, justify="right" if column != "metric" else "left", no_wrap=True)
     for row in found:
         paper = f"{row.paper:.4f}" if row.paper is not None else ""
-        table.add_row(row.name, row.better, shown(row.estimate), shown(row.floor), paper, row.sample, row.weights)
+        name = f"{row.name} {'↑' if row.better == 'higher' else '↓'}"
+        table.add_row(name, *shown(row.estimate), *shown(row.floor), paper)
     console.print(table)
+    samples = [f"{row.name} {row.sample}, weights {row.weights}" for row in found]
     notes = [
+        "↑: more alike when higher, ↓: when lower. N and weights: " + "; ".join(samples) + ".",
         f"SSIM, LPIPS: mean over {pairing.rule}; middle squares at {side} px; interval: bootstrap over pairs.",
         "FID, KID: middle squares at 299 px; interval: 1.96 standard errors from halves of both sets (a bootstrap "
         "would repeat pictures, which raises both).",
