@@ -7,12 +7,12 @@ from typing import Annotated, Any
 
 import typer
 
-bench = typer.Typer(help="Measure against other people's tracers.", no_args_is_help=True)
+from ltm_ros.cli.bench_fusion import fusion
+from ltm_ros.cli.bench_network import network
 
-
-@bench.callback()
-def _bench() -> None:
-    """Keeps `trace` a command of its own name while it is the only one."""
+bench = typer.Typer(help="How fast: tracing, beside other tracers; a fuel map under many towers.", no_args_is_help=True)
+bench.command()(network)
+bench.command()(fusion)
 
 
 @bench.command()

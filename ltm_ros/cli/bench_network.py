@@ -1,0 +1,86 @@
+"""`ltm bench network`: how many towers one fuel map takes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def network(
+    towers: Annotated[str, typer.Option(help="Numbers of towers, with commas.")] = "1,10,100",
+    rates: Annotated[str, typer.Option(help="Frames a second of all towers together, with commas.")] = "40",
+    seconds: Annotated[float, typer.Option(help="Length of each run.", min=2)] = 30.0,
+    extent: Annotated[float, typer.Option(help="Side of the region, metres.", min=2000)] = 10_000.0,
+    views: Annotated[int, typer.Option(help="Headings of each tower.", min=1)] = 3,
+    domain: Annotated[int | None, typer.Option(min=0, max=232, help="ROS domain.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write the figures here.")] = None,
+) -> None:
+    """Send votes of simulated towers through DDS into one fuel map that keeps them, and measure it."""
+    import json as json_module
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from ltm_core.bench.measure import conditions
+    from ltm_ros.bench.network import NetworkResult, as_dict, run_network
+
+    console = Console()
+    numbers, offered = [round(value) for value in _numbers(towers)], _numbers(rates)
+    state = conditions(("numpy", "numba", "scipy", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "zstandard"))
+    load = " ".join(f"{v:.2f}" for v in state.load_average)
+    console.print(f"{state.cpu}, {state.cores} cores, load average {load}, Python {state.python}, ", end="")
+    console.print(", ".join(f"{name} {number}" for name, number in state.versions.items()))
+    results = []
+    for count in numbers:
+        for rate in offered:
+            with console.status(f"{count} towers, {rate:g} frames a second"):
+                results.append(run_network(count, rate, seconds, extent, views, domain))
+    table = Table(
+        title=f"one fuel map of {extent / 1000:g} x {extent / 1000:g} km, {seconds:g} s a run, evidence on disk",
+        caption="latency: from stamp to update, once it is stored; lost: not told of, or not there after a kill",
+        show_header=False,
+    )
+    rows: dict[str, Callable[[NetworkResult], object]] = {
+        "towers": lambda r: r.towers,
+        "frames a second, offered": lambda r: f"{r.offered_hz:.1f}",
+        "frames a second, told of": lambda r: f"{r.sustained_hz:.1f}",
+        "frames sent": lambda r: r.sent,
+        "frames lost": lambda r: r.lost,
+        "latency p50, s": lambda r: f"{r.latency_p50_s:.2f}",
+        "latency p95, s": lambda r: f"{r.latency_p95_s:.2f}",
+        "latency at most, s": lambda r: f"{r.latency_max_s:.2f}",
+        "processor, cores": lambda r: f"{r.cpu_cores:.2f}",
+        "processor, ms a frame": lambda r: f"{r.cpu_ms_a_frame:.1f}",
+        "memory, MB": lambda r: f"{r.memory_mb:.0f}",
+        "store, MB": lambda r: f"{r.store_mb:.1f}",
+        "opens after a kill in, s": lambda r: f"{r.open_s:.2f}",
+        "cells a frame": lambda r: f"{r.cells_a_frame:.0f}",
+        "kB a frame": lambda r: f"{r.bytes_a_frame / 1e3:.1f}",
+        "towers late by at most, s": lambda r: f"{r.towers_late_s:.2f}",
+    }
+    table.add_column("")
+    for _ in results:
+        table.add_column(justify="right")
+    for name, value in rows.items():
+        table.add_row(name, *(str(value(result)) for result in results))
+    console.print(table)
+    for r in results:
+        if r.dropped:
+            console.print(f"{r.towers} towers at {r.offered_hz:g} Hz dropped {r.dropped}")
+    if json is not None:
+        json.parent.mkdir(parents=True, exist_ok=True)
+        report = {"conditions": state.as_dict(), "runs": [as_dict(r) for r in results]}
+        json.write_text(json_module.dumps(report, indent=2))
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise typer.BadParameter(f"give numbers with commas, got {text!r}") from error
+    if min(values) <= 0:
+        raise typer.BadParameter(f"give positive numbers, got {text!r}")
+    return values
