@@ -15,6 +15,9 @@ PAGE = (
     + STYLE
     + """
 figure.sheet { margin: 1.2rem 0 2rem; }
+figcaption a { color: var(--accent); }
+.two { display: grid; grid-template-columns: 1fr 1fr; gap: 1.2rem; align-items: end; }
+@media (max-width: 52rem) { .two { grid-template-columns: 1fr; } }
 h3 { margin-bottom: 0.6rem; }
 </style>
 </head>
@@ -26,12 +29,14 @@ simulation knows; the figures are the paper's, with this run's data.</p>
 </header>
 {% for name, figures in sections.items() %}
 <h2>{{ name }}</h2>
+<div{% if name == "Terrain" %} class="two"{% endif %}>
 {% for figure in figures %}
 <figure class="sheet"><label class="zoom"><input type="checkbox" aria-label="Enlarge: {{ figure.caption }}">
 <img alt="{{ figure.caption }}" src="{{ figure.picture | picture }}"></label>
 <figcaption>{{ figure.caption }} <a href="{{ figure.file }}">{{ figure.file }}</a></figcaption>
 </figure>
 {% endfor %}
+</div>
 {% endfor %}
 <h2>Scores</h2>
 {% for table in tables %}

@@ -97,7 +97,7 @@ def as_json(score: BagScore) -> dict[str, Any]:
         "latency": [dataclasses.asdict(row) for row in score.latency],
         "lacking": score.lacking,
     }
-    return dict(_without_nan(content))
+    return dict(without_nan(content))
 
 
 def macro(values: np.ndarray[Any, Any], present: np.ndarray[Any, Any]) -> float:
@@ -174,7 +174,11 @@ def _skylines(score: BagScore) -> Table | None:
         for name, line in score.skylines
     ]
     step = max(line.resolution for _, line in score.skylines)
-    note = f"Pixels of the image; truth knows the skyline to {(step - 1) / 2:g} px. Positive bias: too low, more sky."
+    note = (
+        f"Pixels of the image; truth knows the skyline to {(step - 1) / 2:g} px. Positive bias: too low, more sky. The "
+        "true one is that of all terrain; beyond the site it has no class, so only here it shows where ridges in haze "
+        "are labelled sky."
+    )
     columns = ("source", "against", "columns", "mean px", "median px", "p95 px", "bias px")
     return Table("skyline", columns, rows, note)
 
@@ -260,11 +264,12 @@ def shown(value: object) -> str:
     return f"{value:,}" if isinstance(value, int | np.integer) else f"{value:,.2f}"
 
 
-def _without_nan(value: Any) -> Any:
+def without_nan(value: Any) -> Any:
+    """Values that JSON has: NaN and infinity become null."""
     if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
+        return {key: without_nan(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_without_nan(item) for item in value]
+        return [without_nan(item) for item in value]
     if isinstance(value, float | np.floating):
         return float(value) if math.isfinite(value) else None
     return value

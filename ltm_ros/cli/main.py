@@ -57,9 +57,14 @@ def app() -> None:
         print(f"ltm: {error}", file=sys.stderr)
         sys.exit(1)
     except ModuleNotFoundError as error:
-        extra = {"rclpy": "ros", "rerun": "view", "mitsuba": "sim", "torch": "train", "rosbags": "eval"}.get(
-            (error.name or "").partition(".")[0]
-        )
+        extra = {
+            "rclpy": "ros",
+            "rerun": "view",
+            "mitsuba": "sim",
+            "torch": "train",
+            "rosbags": "eval",
+            "skimage": "eval",
+        }.get((error.name or "").partition(".")[0])
         if extra is None:
             raise
         print(f"ltm: needs {error.name}: pip install 'ltm[{extra}]', or see `ltm doctor`", file=sys.stderr)

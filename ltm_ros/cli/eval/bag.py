@@ -23,7 +23,11 @@ def bag(
     ] = None,
     depth_maps: Annotated[
         list[str] | None,
-        typer.Option("--depth-maps", metavar="NAME=FOLDER", help="Another source of depth: FOLDER/CAMERA/STAMP_NS.npy"),
+        typer.Option(
+            "--depth-maps",
+            metavar="NAME=FOLDER",
+            help="Another source of depth: FOLDER/CAMERA/STAMP_NS.npy; depth_maps.yaml in it says kind and unit.",
+        ),
     ] = None,
     before: Annotated[
         Path | None, typer.Option("--before", help="For the report: a run of the same cameras at an earlier date.")

@@ -31,6 +31,7 @@ def sim2real(
     from ltm_core.metrics.lpips import Backbone
     from ltm_core.metrics.picture_folder_io import pictures_in
     from ltm_core.metrics.sim2real import advice, compare
+    from ltm_ros.eval_tables import without_nan
 
     if backbone not in ("alexnet", "vgg16"):
         raise ConfigError(f"--backbone {backbone!r}: LPIPS has alexnet and vgg16")
@@ -72,8 +73,7 @@ def sim2real(
             "metrics": [dataclasses.asdict(row) for row in found],
         }  # fmt: skip
         json_path.parent.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(content, indent=1, default=str)
-        json_path.write_text(text.replace("NaN", "null") + "\n", encoding="utf-8")
+        json_path.write_text(json.dumps(without_nan(content), indent=1) + "\n", encoding="utf-8")
         console.print(f"figures: {json_path}")
     if any(not math.isfinite(row.estimate.value) for row in found):
         raise typer.Exit(1)
