@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import Field
 
@@ -17,6 +18,7 @@ from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.image import msg_to_array, msg_to_depth, msg_to_rgb
+from ltm_msgs_py.pointcloud import msg_to_columns, take
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.free_path import free_path
@@ -34,6 +36,8 @@ from ltm_ros.topics import (
     NETWORK_DEPTH,
     POSED_IMAGE,
     POSED_POSE,
+    TERRAIN_CHANGE,
+    TERRAIN_UPDATE,
     camera_topic,
     site_topic,
 )
@@ -93,11 +97,26 @@ class Viewer(Handler[ViewerConfig]):
             taken[fused] = partial(self._join_fusion, camera, "fused")
             taken[network] = partial(self._network.__setitem__, camera)
         taken[Topic(site_topic(self._site.name, FUEL_MAP), FUEL_MAP.type, latched=True)] = self.on_fuel_map
+        if self._site.terrain is not None:
+            for topic, shown in ((TERRAIN_CHANGE, self.on_change), (TERRAIN_UPDATE, self.on_changed_cells)):
+                taken[Topic(site_topic(self._site.name, topic), topic.type, topic.latched)] = shown
         taken[DIAGNOSTICS] = self.on_diagnostics
         return taken
 
     def on_fuel_map(self, message: Any) -> None:
         self._view.log_fuel_map(stamp_of(message), *msg_to_classes(message))
+
+    def on_change(self, message: Any) -> None:
+        self._view.log_change(stamp_of(message), *msg_to_classes(message))
+
+    def on_changed_cells(self, message: Any) -> None:
+        columns = msg_to_columns(message)
+        cells, points = (
+            np.column_stack([take(columns, name, dtype, "terrain update") for name in names])
+            for names, dtype in ((("row", "col"), np.int32), (("x", "y", "z"), np.float32))
+        )
+        kinds = take(columns, "change", np.uint8, "terrain update")
+        self._view.log_changed_cells(stamp_of(message), cells, points, kinds)
 
     def on_diagnostics(self, message: Any) -> None:
         for status in message.status:

@@ -20,12 +20,19 @@ class MapWindow:
     rows: tuple[float, float]
 
 
+@dataclass(frozen=True)
+class Tabs:
+    """Tabs that a site has only with a depth network (`fusion`) and with a living surface (`terrain`)."""
+
+    fusion: bool = False
+    terrain: bool = False
+
+
 def site_blueprint(
-    site: str, cameras: Sequence[str], eye: Eye, window: MapWindow, live: bool, fusion: bool = False
+    site: str, cameras: Sequence[str], eye: Eye, window: MapWindow, live: bool, tabs: Tabs | None = None
 ) -> rrb.Blueprint:
-    """Tabs: the site (terrain, fuel grid, a camera's pictures, latencies), all cameras, where it has it the fusion of
-    depths, the graph's health.
-    """
+    """Tabs: the site (terrain, fuel grid, a camera's pictures, latencies), all cameras, `tabs`, the graph's health."""
+    tabs = tabs or Tabs()
     overview = rrb.Vertical(
         rrb.Horizontal(_terrain(cameras, eye), _fuel_grid(window), column_shares=[5, 3]),
         rrb.Tabs(*(_camera_row(site, camera, timed=True) for camera in cameras), active_tab=0),
@@ -33,7 +40,12 @@ def site_blueprint(
         name="Site",
     )
     gallery = rrb.Vertical(*(_camera_row(site, camera, timed=False) for camera in cameras), name="Cameras")
-    depths = rrb.Vertical(*(_depth_row(camera) for camera in cameras), name="Depth")
+    extra: list[rrb.Container] = []
+    if tabs.fusion:
+        extra.append(rrb.Vertical(*(_depth_row(camera) for camera in cameras), name="Depth"))
+    if tabs.terrain:
+        surface = rrb.Spatial2DView(origin="/terrain/change", name="Changes of the surface")
+        extra.append(rrb.Horizontal(_terrain(cameras, eye), surface, name="Surface"))
     health = rrb.Vertical(
         rrb.Horizontal(
             _plot("Latency p95 (ms)", "/health/latency_p95_ms"),
@@ -48,7 +60,7 @@ def site_blueprint(
         name="Health",
     )
     return rrb.Blueprint(
-        rrb.Tabs(overview, gallery, *([depths] if fusion else []), health, active_tab=0),
+        rrb.Tabs(overview, gallery, *extra, health, active_tab=0),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following" if live else None),

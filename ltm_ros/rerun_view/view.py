@@ -21,7 +21,8 @@ from ltm_core.pictures.types import UNLABELLED, Labels, Palette, Rgb
 from ltm_core.pose import Pose
 from ltm_core.site import Site
 from ltm_ros.rerun_view import frames, scene
-from ltm_ros.rerun_view.blueprint import TIMELINE, MapWindow, site_blueprint
+from ltm_ros.rerun_view.blueprint import TIMELINE, MapWindow, Tabs, site_blueprint
+from ltm_ros.rerun_view.change import ChangeLayer, change_picture
 from ltm_ros.rerun_view.server import RerunProcess, grpc_url, web_url
 
 MAX_POINTS = 15_000
@@ -73,6 +74,7 @@ class RerunView:
                     self._place(name, config.pose.pose(dem, site.frame), config.calibration.camera())
         self._fuel = scene.FuelLayer(dem, site.fuel_geometry(dem), label_set)
         self._fuel_geometry = site.fuel_geometry(dem)
+        self._change = ChangeLayer()
         if sinks:
             self._recording.set_sinks(*sinks, default_blueprint=self._blueprint())
         self._log_scene()
@@ -160,6 +162,18 @@ class RerunView:
             if changed:
                 self._recording.log("fuel_map/classes", rr.SegmentationImage(classes, opacity=0.7, draw_order=1.0))
 
+    def log_change(self, stamp_ns: int, kinds: Labels, geometry: GridGeometry) -> None:
+        """Kinds of change (H, W) of a window of the terrain's grid, 255 not looked at, map frame."""
+        with self._at(stamp_ns):
+            self._recording.log("terrain/change", change_picture(kinds, geometry, self._dem))
+
+    def log_changed_cells(
+        self, stamp_ns: int, cells: NDArray[np.int32], points: NDArray[np.float32], kinds: Labels
+    ) -> None:
+        """Cells (N, 2) row, col of the terrain's grid whose kind of change (N,) is new, at points (N, 3) of the map."""
+        with self._at(stamp_ns):
+            self._recording.log("map/change", self._change.update(cells, points, kinds))
+
     def log_diagnostics(self, stamp_ns: int, node_name: str, values: Mapping[str, float]) -> None:
         """A node's measures by name, as `/diagnostics` carries them: rate_hz, latency_p95_ms, dropped, ..."""
         with self._at(stamp_ns):
@@ -196,7 +210,8 @@ class RerunView:
         positions = np.array([pose.position for pose in poses]).reshape(-1, 3)
         azimuths = np.array([pose.angles_deg[0] for pose in poses])
         eye = scene.overview_eye(self._dem, positions, azimuths, self._reach * 0.6)
-        return site_blueprint(self._site.name, names, eye, self._window(), self._live, bool(self._site.depth_model))
+        tabs = Tabs(fusion=bool(self._site.depth_model), terrain=self._site.terrain is not None)
+        return site_blueprint(self._site.name, names, eye, self._window(), self._live, tabs)
 
     def _window(self) -> MapWindow:
         """Around the cameras and the ground before them, as far as the fuel grid goes."""

@@ -28,6 +28,7 @@ pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 
 from ltm_ros.cli.view import view as view_command
 from ltm_ros.rerun_view import RerunView, frames, scene
+from ltm_ros.rerun_view.change import change_picture
 from ltm_ros.rerun_view.screenshot import screenshot
 from ltm_ros.rerun_view.server import RerunProcess, grpc_url, listens, web_url
 
@@ -190,6 +191,14 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     classes = np.full(geometry.shape, 255, np.uint8)
     classes[20:30, 40:55] = 2
     view.log_fuel_map(STAMP, classes, geometry)
+    kinds = np.full((300, 450), 255, np.uint8)
+    kinds[50:200, 60:250] = 0
+    kinds[80:90, 100:140] = 1
+    view.log_change(STAMP, kinds, GridGeometry(0.0, 300.0, 1.0, 450, 300))
+    cells = np.array([[80, 100], [80, 101], [7, 3]], np.int32)
+    points = np.array([[100.5, 219.5, 480.0], [101.5, 219.5, 481.0], [3.5, 292.5, 470.0]], np.float32)
+    view.log_changed_cells(STAMP, cells, points, np.array([1, 1, 2], np.uint8))
+    view.log_changed_cells(STAMP + 9, cells[1:2], points[1:2], np.array([0], np.uint8))
     view.log_diagnostics(STAMP, "/ridge/north/depth", {"rate_hz": 2.0, "latency_p95_ms": 81.5, "dropped": 0.0})
     view.log_text("WARN", "depth: slow")
     with pytest.raises(ImageError, match="south"):
@@ -234,6 +243,34 @@ def test_recording_holds_scene_pictures_and_health(recording: Path) -> None:
     names = {entry["class_id"]: entry["class_description"]["info"]["label"] for entry in context}
     assert names[3] == "tree"
     assert names[255] == "unlabelled"
+
+
+def test_recording_holds_what_changed_and_forgets_what_changed_back(recording: Path) -> None:
+    rows = chunks(recording)
+    first, second = sorted(rows["/map/change"], key=lambda row: row["stamp"])
+    assert len(first["Points3D:positions"]) == 3
+    np.testing.assert_allclose(second["Points3D:positions"], [[100.5, 219.5, 480.0], [3.5, 292.5, 470.0]])
+    picture = cv2.imdecode(np.array(rows["/terrain/change"][0]["EncodedImage:blob"][0], np.uint8), cv2.IMREAD_COLOR)
+    assert picture.shape == (300, 450, 3)
+    removed = picture[85, 120].astype(int)
+    assert removed[2] > removed[1] + 40, "what is gone is red"
+
+
+def test_a_small_change_is_seen_in_a_picture_that_skips_cells() -> None:
+    kinds = np.full((1700, 3300), 255, np.uint8)
+    kinds[100:1600, 100:3200] = 0
+    kinds[799:810, 1995:2006] = 2  # 30 square metres
+    picture = cv2.imdecode(
+        np.array(
+            change_picture(kinds, GridGeometry(0.0, 900.0, 0.5, 3300, 1700), hills()).blob.as_arrow_array()[0].as_py(),
+            np.uint8,
+        ),
+        cv2.IMREAD_COLOR,
+    )
+    assert max(picture.shape) <= 1600
+    _, green, red = picture[803 // 3, 2000 // 3].astype(int)
+    assert green > red + 15, "what has grown is green"
+    assert np.ptp(picture[20, 600]) < 10, "the rest is grey"
 
 
 def test_recording_is_small(recording: Path) -> None:
