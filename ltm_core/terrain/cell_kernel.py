@@ -191,7 +191,7 @@ def merge(cells: Cells, scratch: Scratch, slots: Indices, seconds: int, bit: int
             else:
                 dz, variance, pose = lowest, rules.carve_variance, np.float32(0.0)
                 bounded = True
-            _take(cells, slot, k, dz, variance, pose, bounded, seconds, bit, rules)
+            take(cells, slot, k, dz, variance, pose, bounded, seconds, bit, rules)
             if scratch.label[slot, k] != NO_LABEL:
                 cells.label[slot, k] = scratch.label[slot, k]
             scratch.number[slot, k] = scratch.weight[slot, k] = scratch.moment[slot, k] = scratch.pose[slot, k] = 0
@@ -203,7 +203,7 @@ def merge(cells: Cells, scratch: Scratch, slots: Indices, seconds: int, bit: int
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _take(
+def take(
     cells: Cells,
     slot: int,
     k: int,

@@ -81,6 +81,8 @@ class Observer:
         )
         self._tracer, self._limits, self._step = tracer, limits, step
         self._seen: Seen | None = None
+        self.pixels: Pixels
+        """Those of the last frame."""
 
     def predict(self, frame: DepthFrame) -> Image:
         """The slant ranges that the reference has for the pixels in use. Raises PoseError as the tracer does."""
@@ -100,7 +102,7 @@ class Observer:
         known = np.where(np.isnan(expected), np.float32(np.inf), expected)
         near, far = _extremes(known, 1)
         nearest, farthest = (near, far) if window == 1 else _extremes(known, window)
-        pixels = Pixels(slant, sigma, measured, np.asarray(expected), nearest, farthest, near, far)
+        self.pixels = pixels = Pixels(slant, sigma, measured, np.asarray(expected), nearest, farthest, near, far)
         view = View(
             rays,
             np.ascontiguousarray(frame.pose.rotation),

@@ -13,6 +13,7 @@ from ltm_core.pose import Pose
 from ltm_core.site import TerrainConfig
 from ltm_core.terrain.cell_kernel import Rules, mark_tiles, merge, scatter
 from ltm_core.terrain.change import Changed, decide, margin_of
+from ltm_core.terrain.free_space import see_through
 from ltm_core.terrain.layers import SurfaceLayers, layers_of
 from ltm_core.terrain.observation import DepthFrame, Observer, assumed_covariance
 from ltm_core.terrain.observe_kernel import Limits
@@ -137,8 +138,9 @@ class SurfaceMap:
         keys, left_out = self._nearest(marked, frame)
         slots = self._pool.require(keys)
         scatter(seen, carved, self._observer.labels(frame), width, TILE, self._pool.slots, self._pool.scratch)
-        bit = 1 << self.cameras.index(frame.source)
-        cells = merge(self._pool.cells, self._pool.scratch, slots, frame.stamp_ns // 1_000_000_000, bit, self._rules)
+        bit, seconds = 1 << self.cameras.index(frame.source), frame.stamp_ns // 1_000_000_000
+        self._see_through(frame, seconds, bit)
+        cells = merge(self._pool.cells, self._pool.scratch, slots, seconds, bit, self._rules)
         self._pool.touched(keys)
         self._pool.record(FrameRecord(frame.source, frame.stamp_ns, keys))
         self._undecided.update(keys)
@@ -197,6 +199,25 @@ class SurfaceMap:
     def seen_by(self, mask: int) -> tuple[str, ...]:
         """Names of the cameras in a cell's mask."""
         return tuple(name for i, name in enumerate(self.cameras) if mask >> i & 1)
+
+    def _see_through(self, frame: DepthFrame, seconds: int, bit: int) -> None:
+        pixels = self._observer.pixels
+        see_through(
+            self._pool.cells,
+            self._pool.places(),
+            TILE,
+            self.reference.surface,
+            self.reference.geometry,
+            frame.camera.scaled(self.config.pixel_step),
+            frame.pose,
+            pixels.range,
+            pixels.sigma,
+            pixels.informs.view(np.bool_),
+            seconds,
+            bit,
+            self._rules,
+            (self.config.min_range, self.config.max_range),
+        )
 
     def _registered(self, frame: DepthFrame, covariance: NDArray[np.float64]) -> Registration | None:
         """A camera that has not moved keeps its turn for a time: one image more would add little, and its reference is

@@ -79,6 +79,11 @@ class TilePool:
     def in_memory(self) -> int:
         return len(self._used)
 
+    def places(self) -> NDArray[np.int32]:
+        """Slot, tile row and tile column of the tiles in memory, (N, 3) by slot."""
+        found = sorted((slot, *key) for key, slot in self._used.items())
+        return np.array(found, np.int32).reshape(-1, 3)
+
     @property
     def uncommitted(self) -> int:
         return len(self._frames)
