@@ -73,6 +73,8 @@ PARTS: Parts = {
 }
 DEPTH_SOURCES = {"traced": DEPTH_IMAGE, "network": NETWORK_DEPTH, "fused": FUSED_DEPTH}
 TRUTHS = {"visible surface": "truth_depth", "bare ground": "truth_ground"}
+SHARED = "visible surface, shared pixels"
+"""The pixels of frames that every source has a depth for: on them sources compare with each other."""
 _RESULTS = (POSED_POSE, DEPTH_IMAGE, NETWORK_DEPTH, FUSED_DEPTH, LABELS_IMAGE, FUEL_VOTES)
 
 
@@ -170,21 +172,26 @@ def score_bag(recorded: Recorded, folders: Sequence[DepthMapFolder] = ()) -> Bag
     stream = recorded.stream()
     score = BagScore(recorded.bag, site, label_set.names)
     names = [*DEPTH_SOURCES, *(folder.name for folder in folders)]
-    tallies = {(name, against): DepthTally() for name in names for against in TRUTHS}
+    expected = [name for name in names if name not in DEPTH_SOURCES or stream.has(name)]
+    tallies = {(name, against): DepthTally() for name in names for against in (*TRUTHS, SHARED)}
     lines = {name: SkylineTally() for name in ("traced", "labels")}
     labels = SegmentationScore.empty(len(label_set))
     for frame in stream.frames(["truth_depth"]):
         score.frames += 1
         image = image_shape(frame, site)
-        for name, depth in _estimates(frame, folders):
-            for against, part in TRUTHS.items():
-                truth = frame.take(part)
-                if truth is not None:
-                    tallies[name, against].add(in_metres(depth, kind_of(name, folders), truth, image), truth)
+        estimates = _estimates(frame, folders)
+        for against, part in TRUTHS.items():
+            truth = frame.take(part)
+            if truth is not None:
+                found = {name: in_metres(depth, kind_of(name, folders), truth, image) for name, depth in estimates}
+                for name, metres in found.items():
+                    tallies[name, against].add(metres, truth)
+                if part == "truth_depth" and len(found) == len(expected) > 1:
+                    _add_shared(tallies, found, truth)
         _add_skylines(lines, frame, image)
-        truth_labels, found = frame.take("truth_labels"), frame.take("labels")
-        if truth_labels is not None and found is not None:
-            labels = labels.plus(truth_labels, at_pixels_of(found, image, truth_labels.shape))
+        truth_labels, given = frame.take("truth_labels"), frame.take("labels")
+        if truth_labels is not None and given is not None:
+            labels = labels.plus(truth_labels, at_pixels_of(given, image, truth_labels.shape))
     for (name, against), tally in tallies.items():
         if tally.frames:
             score.depth.append(DepthRow(name, against, tally.frames, tally.coverage, tally.scores()))
@@ -195,6 +202,14 @@ def score_bag(recorded: Recorded, folders: Sequence[DepthMapFolder] = ()) -> Bag
     _score_terrain(score, recorded)
     score.lacking[:0] = _lacking(score, stream, recorded, folders)
     return score
+
+
+def _add_shared(
+    tallies: dict[tuple[str, str], DepthTally], found: dict[str, NDArray[np.float32]], truth: NDArray[np.float32]
+) -> None:
+    everywhere = np.all([np.isfinite(metres) for metres in found.values()], axis=0)
+    for name, metres in found.items():
+        tallies[name, SHARED].add(np.where(everywhere, metres, np.float32(np.nan)), truth)
 
 
 def image_shape(frame: StreamedFrame, site: Site) -> tuple[int, int]:

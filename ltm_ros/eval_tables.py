@@ -12,10 +12,10 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from ltm_core.metrics.depth import DepthScore
-from ltm_ros.bag_score import BagScore
+from ltm_ros.bag_score import SHARED, BagScore
 from ltm_ros.report import NOTHING, Table
 
-_AGAINST = {"visible surface": "surface", "bare ground": "ground"}
+_AGAINST = {"visible surface": "surface", "bare ground": "ground", SHARED: "shared"}
 
 
 def bin_name(score: DepthScore) -> str:
@@ -129,6 +129,11 @@ def _depth(score: BagScore) -> Table | None:
         "Metres along the optical axis, by true depth, against the visible surface (vegetation included) and bare "
         f"ground. Truth pixels of finite depth that got a depth: {covered}."
     )
+    sources = {row.source for row in score.depth}
+    if any(row.against == SHARED for row in score.depth):
+        note += " Shared: against the surface, on pixels where every source has a depth, so that sources compare."
+    if "network" in sources:
+        note += " Network: its own depth at the scale that the terrain gave it; published where that fit was sound."
     return Table(
         "depth", ("source, against", "true depth", "pixels", "RMSE m", "MAE m", "median m", "bias m"), rows, note
     )

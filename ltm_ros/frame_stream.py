@@ -91,6 +91,10 @@ class FrameStream:
             self.counts[camera, part] += 1
             self.latencies_ms[camera, name].append((message.log_time_ns - stamp) / 1e6)
 
+    def has(self, part: str) -> bool:
+        """Whether the bag has this part of any frame."""
+        return any(counted == part for _, counted in self.counts)
+
     def frames(self, needed: Collection[str] = (), cameras: Collection[str] | None = None) -> Iterator[StreamedFrame]:
         """Frames that have the `needed` parts; each camera's in time order."""
         chosen = [t for t, (camera, *_) in self._topics.items() if cameras is None or camera in cameras]

@@ -27,7 +27,7 @@ from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pointcloud import columns_to_msg
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_ros.bag_score import BagScore, Recorded, score_bag
+from ltm_ros.bag_score import SHARED, TRUTHS, BagScore, Recorded, score_bag
 from ltm_ros.cli.main import cli
 from ltm_ros.eval_tables import as_json, rich_table, tables
 
@@ -95,7 +95,7 @@ def test_every_part(recorded: Recorded) -> None:
     score = score_bag(recorded)
     assert score.frames == 4
     rows = {(row.source, row.against): row for row in score.depth}
-    assert set(rows) == {(s, a) for s in ("traced", "fused") for a in ("visible surface", "bare ground")}
+    assert set(rows) == {(s, a) for s in ("traced", "fused") for a in (*TRUTHS, SHARED)}
     traced, fused = rows["traced", "visible surface"], rows["fused", "visible surface"]
     assert (traced.frames, traced.coverage) == (2, 1.0)
     assert (traced.scores[-1].pixels, traced.scores[-1].bias) == (2 * 4 * 9, pytest.approx(3, abs=1e-4))
@@ -112,6 +112,19 @@ def test_every_part(recorded: Recorded) -> None:
     assert (score.fuel.seen, score.fuel.right, score.fuel.confusion[1, 3]) == (10, 5, 5)
     assert {(row.topic, row.max_ms) for row in score.latency} == {("depth/image", 200.0), ("fused/depth", 200.0)}
     assert [reason.split(":")[0] for reason in score.lacking] == ["depth, network", "terrain"]
+
+
+def test_sources_compare_on_the_pixels_that_all_have(recorded: Recorded, tmp_path: Path) -> None:
+    half = depth_image() + 9
+    half[:, 8:] = np.nan
+    (tmp_path / "half/north").mkdir(parents=True)
+    np.save(tmp_path / f"half/north/{5 * SECOND}.npy", half)  # of one of the two frames
+    score = score_bag(recorded, [DepthMapFolder.open("half", tmp_path / "half")])
+    rows = {row.source: row for row in score.depth if row.against == SHARED}
+    assert set(rows) == {"traced", "fused", "half"}
+    for source, bias in (("traced", 3), ("fused", -1), ("half", 9)):
+        whole = rows[source].scores[-1]
+        assert (whole.pixels, whole.bias) == (4 * 4, pytest.approx(bias, abs=1e-4))
 
 
 def test_depth_maps_of_others(recorded: Recorded, tmp_path: Path) -> None:
