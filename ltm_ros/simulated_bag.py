@@ -30,6 +30,7 @@ from ltm_ros.topics import (
     TRUTH_DEPTH,
     TRUTH_GROUND_DEPTH,
     TRUTH_LABELS,
+    TRUTH_POSE,
     camera_topic,
 )
 
@@ -46,7 +47,8 @@ def write_simulated_bag(
     frames.
 
     `quality`: JPEG quality of the images. Truth depth is along the optical axis (REP-118), of every n-th pixel as the
-    scenario says and rounded to 6e-5 of itself, with a camera_info of its own. Raises
+    scenario says and rounded to 6e-5 of itself, with a camera_info of its own; `pose` is what the camera's sensors
+    reported, with its covariance, `truth/pose` where it was. Messages lie in the order in which they came. Raises
     RecordingError on a folder without frames.json.
     """
     index_file = frames / "frames.json"
@@ -58,6 +60,7 @@ def write_simulated_bag(
             f"{index_file}: no index of simulated frames ({error}); `ltm simulate` writes one"
         ) from error
     entries = [e for e in entries if date is None or e.get("date") == date]
+    entries.sort(key=lambda e: (e.get("reported", e).get("received_ns", e["stamp_ns"]), e["camera_name"]))
     writer = BagWriter(out)
     try:
         with writer as bag:
@@ -71,10 +74,13 @@ def write_simulated_bag(
 
 
 def _write_frame(bag: BagWriter, folder: Path, entry: dict[str, Any], site: str, step: int, quality: int) -> None:
-    name, stamp = entry["camera_name"], int(entry["stamp_ns"])
+    name, told = entry["camera_name"], entry.get("reported", entry)
+    stamp, received = int(told["stamp_ns"]), int(told.get("received_ns", told["stamp_ns"]))
     optical = f"{name}_optical"
     camera = Camera(**entry["camera"] | {"distortion": tuple(entry["camera"]["distortion"])})
     pose = Pose.from_angles(entry["position"], entry["azimuth_deg"], entry["pitch_deg"], entry["roll_deg"])
+    told_pose = Pose.from_angles(told["position"], told["azimuth_deg"], told["pitch_deg"], told["roll_deg"])
+    covariance = np.diag(told.get("covariance", np.zeros(6)))
     image = cv2.imread(str(folder / entry["image"]), cv2.IMREAD_COLOR)
     if image is None:
         raise RecordingError(f"{folder / entry['image']}: the frame's picture is missing or broken; render it again")
@@ -89,11 +95,12 @@ def _write_frame(bag: BagWriter, folder: Path, entry: dict[str, Any], site: str,
         raise RecordingError(f"{folder / entry['truth']}: no truth of the frame ({error}); render it again") from error
 
     def write(topic: Topic, message: Any) -> None:
-        bag.write(camera_topic(site, name, topic), message, stamp)
+        bag.write(camera_topic(site, name, topic), message, received)
 
     write(CAMERA_INFO, camera_to_msg(camera, stamp, optical))
-    write(POSE, pose_to_msg(pose, stamp))
+    write(POSE, pose_to_msg(told_pose, stamp, covariance=covariance))
     write(IMAGE_COMPRESSED, compressed_to_msg(jpeg, "jpeg", stamp, optical))
+    write(TRUTH_POSE, pose_to_msg(pose, stamp))
     write(TRUTH_CAMERA_INFO, camera_to_msg(sampled, stamp, optical))
     write(TRUTH_DEPTH, depth_to_msg(surface, stamp, optical))
     write(TRUTH_GROUND_DEPTH, depth_to_msg(ground, stamp, optical))

@@ -49,10 +49,11 @@ TRUTH_DEPTH = Topic("truth/depth", Image)
 TRUTH_GROUND_DEPTH = Topic("truth/ground_depth", Image)
 TRUTH_LABELS = Topic("truth/labels", Image)
 TRUTH_CAMERA_INFO = Topic("truth/camera_info", CameraInfo)
+TRUTH_POSE = Topic("truth/pose", PoseWithCovarianceStamped)
 
 CAMERA_INPUTS = (IMAGE_RAW, IMAGE_COMPRESSED, CAMERA_INFO, POSE)
 """What a recording must hold for the graph to run on it."""
-CAMERA_TRUTH = (TRUTH_DEPTH, TRUTH_GROUND_DEPTH, TRUTH_LABELS, TRUTH_CAMERA_INFO)
+CAMERA_TRUTH = (TRUTH_DEPTH, TRUTH_GROUND_DEPTH, TRUTH_LABELS, TRUTH_CAMERA_INFO, TRUTH_POSE)
 """What a simulated recording holds besides; no node of the graph listens to it."""
 
 RECORDED = (

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from ltm_core.grid import GridGeometry
 from ltm_core.simulator import noise
-from ltm_core.simulator.landcover import BARE, GRASS, SHRUB, TREE, LandCover
+from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, WATER, LandCover
+
+_WATER = np.array([0.02, 0.035, 0.036])  # a reservoir's own colour, under its reflections
 
 Array = NDArray[np.float64]
 Field = NDArray[np.float32]
@@ -102,9 +104,11 @@ def ground_texture(cover: LandCover, geometry: GridGeometry, colors: Palette, gr
     ashes = np.clip(2.2 * fine + 0.9 * patchy - 0.35, 0, 1)
     burnt = (1 - ashes) * 1.5 * colors.char + ashes * (0.5 * colors.ash + 0.5 * colors.soil)
     out = np.where(char > 0.02, (1 - np.clip(1.25 * char, 0, 1)) * out + np.clip(1.25 * char, 0, 1) * burnt, out)
+    out = np.where((classes == BUILT)[..., None], 0.8 * colors.soil, out)
     road = cover.road[_cells(cover, xs, ys)]
     out = np.where((road & (classes == BARE))[..., None], colors.track, out)
     out *= 1 + 0.16 * broad + 0.34 * fine
+    out = np.where((cover.at(*np.meshgrid(xs, ys)) == WATER)[..., None], _WATER, out)
     return np.clip(out, 0.015, 0.75).astype(np.float32)
 
 

@@ -58,7 +58,7 @@ def develop(
     # A camera meters the land but holds back for a bright sky and for the brightest ground
     bright = float(np.quantile(luminance, 0.97))
     gain = config.exposure * min(
-        0.17 / max(key, 1e-6), 0.8 / max(bright, 1e-6), 1.1 / sky_level if sky_level > 0 else np.inf
+        0.19 / max(key, 1e-6), 0.95 / max(bright, 1e-6), 1.1 / sky_level if sky_level > 0 else np.inf
     )
     image = radiance * gain
     if config.denoise:

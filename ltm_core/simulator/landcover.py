@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage, sparse
-from scipy.sparse import csgraph
+from scipy import ndimage
 
 from ltm_core.grid import GridGeometry
 from ltm_core.simulator import noise
 from ltm_core.simulator.scenario import VegetationConfig
 from ltm_core.simulator.terrain import HeightField, Terrain
+from ltm_core.simulator.works import YARD, Houses, hamlet, track
 
 SKY, GRASS, SHRUB, TREE, BARE, WATER, BUILT = 0, 1, 2, 3, 4, 5, 6  # ids of config/labels.yaml
 UNLABELLED = 255
@@ -63,6 +64,7 @@ class LandCover:
     exposure: Field
     geometry: GridGeometry
     stand: Stand
+    houses: Houses = field(default_factory=Houses.none)
 
     def at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.uint8]:
         """Class ids at map points; the nearest cell's outside."""
@@ -81,23 +83,37 @@ class LandCover:
             hit |= self.road[rows, np.clip(col, 0, self.geometry.width - 1)]
         return hit
 
-    def sample(self, field: NDArray[Any], x: ArrayLike, y: ArrayLike) -> Field:
+    def sample(self, raster: NDArray[Any], x: ArrayLike, y: ArrayLike) -> Field:
         """A raster of this geometry at map points, nearest cell."""
         row, col = self.geometry.cell_of(x, y)
         rows = np.clip(row, 0, self.geometry.height - 1)
-        return np.asarray(field[rows, np.clip(col, 0, self.geometry.width - 1)], np.float32)
+        return np.asarray(raster[rows, np.clip(col, 0, self.geometry.width - 1)], np.float32)
 
 
-def make_landcover(terrain: Terrain, config: VegetationConfig, seed: int) -> LandCover:
+def cover_geometry(terrain: Terrain) -> GridGeometry:
+    """The land cover's grid: the surroundings', at half their cell."""
+    g = terrain.surroundings.geometry
+    return GridGeometry(g.x_min, g.y_max, g.resolution / 2, g.width * 2, g.height * 2)
+
+
+def make_landcover(
+    terrain: Terrain,
+    config: VegetationConfig,
+    seed: int,
+    codes: NDArray[np.int16] | None = None,
+    lakes: Sequence[NDArray[np.bool_]] = (),
+) -> LandCover:
     """Give each cell of the terrain's surroundings (half their cell size) a class.
+
+    `codes`: fuel model numbers on `cover_geometry`, -1 unknown; where known they say what grows. `lakes`: their cells
+    on the surroundings' grid.
 
     Trees seek ravines and shaded slopes, grass gentle and sunny ground, bare ground steep crests; patches of
     noise break the rules up. The
     shares of `config` hold over the site.
     """
     coarse = terrain.surroundings
-    g = coarse.geometry
-    fine = GridGeometry(g.x_min, g.y_max, g.resolution / 2, g.width * 2, g.height * 2)
+    fine = cover_geometry(terrain)
     height = HeightField(ndimage.zoom(coarse.elevation, 2, order=1, mode="nearest", grid_mode=True), fine)
     xs, ys = height.axes()
     smooth = HeightField(ndimage.gaussian_filter(height.elevation, 4.0), fine)
@@ -134,60 +150,51 @@ def make_landcover(terrain: Terrain, config: VegetationConfig, seed: int) -> Lan
         chosen = (score >= least) & ~taken
         classes[chosen] = class_id
         taken |= chosen
-    road = _track(terrain, fine, seed) if config.road else np.zeros(fine.shape, bool)
+    if codes is not None:
+        classes = _prior_classes(codes, classes, patches[1], xs, ys, fine, seed)
+    wet_cells = np.zeros(fine.shape, bool)
+    for lake in lakes:
+        wet_cells |= np.kron(lake, np.ones((2, 2), bool))
+    classes[wet_cells] = WATER
+    rock = classes == BARE
+    road = track(terrain, fine, seed) & ~wet_cells if config.road else np.zeros(fine.shape, bool)
     classes[road] = BARE
+    houses = hamlet(terrain, road, wet_cells, fine, config.houses, seed) if config.houses else Houses.none()
+    rows, cols = np.mgrid[0 : fine.height, 0 : fine.width]
+    for x, y in zip(houses.x, houses.y, strict=True):
+        row, col = (int(v) for v in fine.cell_of(x, y))
+        window = (slice(max(0, row - 8), row + 9), slice(max(0, col - 8), col + 9))
+        cx, cy = fine.to_map(rows[window], cols[window])
+        reach = np.hypot(cx - x, cy - y)
+        classes[window] = np.where(reach < 6.0, BUILT, np.where(reach < YARD, BARE, classes[window]))
     # Conifers hold the high, shaded ground in stands
     stands = noise.fractal(xs, ys, 500.0, seed + 409, octaves=2, gain=0.5)
     conifer = np.asarray(0.5 * level - 0.5 * exposure + 0.9 * stands > 2.05 - 3 * config.conifers, np.bool_)
-    stand = Stand.undisturbed(fine.shape, conifer, config.density)
-    return LandCover(classes, road, moisture, exposure.astype(np.float32), fine, stand)
+    stand = replace(Stand.undisturbed(fine.shape, conifer, config.density), rock=rock)
+    return LandCover(classes, road, moisture, exposure.astype(np.float32), fine, stand, houses)
+
+
+def _prior_classes(
+    codes: NDArray[np.int16], own: NDArray[np.uint8], patches: Field, xs: Any, ys: Any, g: GridGeometry, seed: int
+) -> NDArray[np.uint8]:
+    """Classes as a fuel map says, along ragged edges; grass-shrub is broken up by noise, unknown keeps `own`."""
+    shift = [14.0 * noise.fractal(xs, ys, 60.0, seed + 221 + k, octaves=3, gain=0.6) for k in range(2)]
+    rows, cols = np.mgrid[0 : g.height, 0 : g.width]
+    r = np.clip(rows + np.rint(shift[0] / g.resolution).astype(int), 0, g.height - 1)
+    c = np.clip(cols + np.rint(shift[1] / g.resolution).astype(int), 0, g.width - 1)
+    code = codes[r, c]
+    out = own.copy()
+    out[((code >= 101) & (code <= 109)) | (code == 93)] = GRASS
+    mixed = (code >= 121) & (code <= 124)
+    out[mixed] = np.where(patches > -0.05, SHRUB, GRASS)[mixed]
+    out[(code >= 141) & (code <= 149)] = SHRUB
+    out[(code >= 161) & (code <= 204)] = TREE
+    out[(code == 91) | (code == 92) | (code == 99)] = BARE
+    out[code == 98] = WATER
+    return out
 
 
 def _site_mask(terrain: Terrain, geometry: GridGeometry) -> NDArray[np.bool_]:
     x_min, y_min, x_max, y_max = terrain.site.geometry.bounds
     x, y = geometry.to_map(np.arange(geometry.height)[:, None], np.arange(geometry.width)[None, :])
     return np.asarray((x > x_min) & (x < x_max) & (y > y_min) & (y < y_max), np.bool_)
-
-
-def _track(terrain: Terrain, geometry: GridGeometry, seed: int) -> NDArray[np.bool_]:
-    """A dirt track over the range: the cheapest way between two borders where climbing and cross slopes cost, two
-    cells wide."""
-    step = 4
-    wide, g = terrain.surroundings.geometry, terrain.site.geometry
-    (top, bottom), (left, right) = (
-        np.clip(v, 0, wide.width) for v in wide.cell_of([g.x_min, g.x_max], [g.y_max, g.y_min])
-    )
-    z = terrain.surroundings.elevation[top:bottom:step, left:right:step].astype(np.float64)
-    cell = wide.resolution * step
-    rows, cols = z.shape
-    index = np.arange(rows * cols).reshape(rows, cols)
-    starts, ends, costs = [], [], []
-    pairs: list[tuple[int, int]] = [(0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1)]
-    for dr, dc in pairs:
-        here = (slice(0, rows - dr), slice(max(0, -dc), cols - max(0, dc)))
-        there = (slice(dr, rows), slice(max(0, dc), cols - max(0, -dc)))
-        length = cell * np.hypot(dr, dc)
-        grade = np.abs(z[there] - z[here]) / length
-        starts.append(index[here].ravel())
-        ends.append(index[there].ravel())
-        costs.append((length * (1.0 + (grade / 0.11) ** 2)).ravel())
-    graph = sparse.coo_matrix(
-        (np.concatenate(costs), (np.concatenate(starts), np.concatenate(ends))), shape=(index.size, index.size)
-    ).tocsr()
-    rng = np.random.default_rng([seed, 5])
-    begin = index[int(rows * rng.uniform(0.35, 0.65)), 0]
-    end = index[int(rows * rng.uniform(0.35, 0.65)), cols - 1]
-    _, before = csgraph.dijkstra(graph, directed=False, indices=begin, return_predecessors=True)
-    path = [int(end)]
-    while path[-1] != begin:
-        path.append(int(before[path[-1]]))
-    at = np.array([divmod(i, cols) for i in path], np.float64)
-    at = ndimage.gaussian_filter1d(at, 1.2, axis=0, mode="nearest")
-    t = np.linspace(0, len(at) - 1, len(at) * 24)
-    r = np.interp(t, np.arange(len(at)), at[:, 0]) * step * 2 + 2 * top
-    c = np.interp(t, np.arange(len(at)), at[:, 1]) * step * 2 + 2 * left
-    mask = np.zeros(geometry.shape, bool)
-    mask[
-        np.clip(np.rint(r), 0, geometry.height - 1).astype(int), np.clip(np.rint(c), 0, geometry.width - 1).astype(int)
-    ] = True
-    return np.asarray(ndimage.binary_dilation(mask), np.bool_)

@@ -153,25 +153,46 @@ def oak(rng: Rng, radius: float, height: float, color: Array, leaves: int) -> So
 
 
 def conifer(rng: Rng, radius: float, height: float, color: Array, leaves: int) -> Soup:
-    """A pine or bigcone fir: a straight trunk and whorls of drooping boughs, narrower upwards, ragged."""
-    parts = [_trunk(0.96 * height, 0.022 * height, np.array([0.11, 0.08, 0.06]))]
-    n = leaves
-    up = np.sqrt(rng.uniform(0.0, 1.0, n))
-    z = height * (0.16 + 0.84 * (1 - up))
-    reach = radius * up**0.9 * (0.68 + 0.32 * np.sin(z / height * 30 + rng.uniform(0, 6))) + 0.1
-    angle = rng.uniform(0, 2 * np.pi, n)
-    out = np.stack([np.cos(angle), np.sin(angle), np.full(n, 0.55)], axis=1)
-    inward = rng.uniform(0.3, 1.0, n) ** 0.7
-    at = np.stack([reach * inward * np.cos(angle), reach * inward * np.sin(angle), z - 0.12 * reach * inward], axis=1)
-    parts.append(
-        cards(rng, at, out / np.linalg.norm(out, axis=1, keepdims=True), 0.06 * radius + 0.07, color, spread=0.45)
-    )
-    cone = lump(rng, (0.42 * radius, 0.42 * radius, 0.45 * height), 0.52 * height, 0.5 * color, rings=5, sides=7)
-    taper = np.clip(1.25 - cone.triangles[..., 2:] / height, 0.08, 1.0)
-    parts.append(
-        Soup(cone.triangles * np.concatenate([taper, taper, np.ones_like(taper)], axis=-1), cone.colors, cone.normals)
-    )
+    """A pine or bigcone fir: a straight trunk and whorls of boughs that droop and shorten upwards, with gaps between
+    them."""
+    parts = [_trunk(0.97 * height, 0.02 * height, np.array([0.11, 0.08, 0.06]))]
+    boughs = max(40, leaves // 26)
+    up = np.sort(rng.uniform(0.0, 1.0, boughs) ** 1.15)  # more low down, where they are long
+    z = height * (0.13 + 0.86 * up)
+    angle = np.arange(boughs) * 2.399963 + rng.uniform(0, 0.9, boughs)
+    reach = radius * (1.02 - up) ** 0.85 * rng.uniform(0.62, 1.12, boughs) + 0.12
+    sprays = max(6, leaves // boughs)
+    t = np.linspace(0.18, 1.0, sprays)[None, :] + rng.uniform(-0.05, 0.05, (boughs, sprays))
+    droop = 0.34 * t**1.6 - 0.12 * t
+    side = rng.normal(0, 0.16, (boughs, sprays)) * reach[:, None] * (1.15 - t)
+    out = reach[:, None] * t
+    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    at = np.stack([out * c - side * s, out * s + side * c, z[:, None] - droop * reach[:, None]], axis=-1)
+    direction = np.broadcast_to(np.stack([c, s, np.full_like(c, -0.25)], axis=-1), at.shape).reshape(
+        -1, 3
+    ) + 0.35 * rng.normal(size=(at.shape[0] * at.shape[1], 3))
+    length = (0.16 * reach[:, None] + 0.16) * rng.uniform(0.7, 1.3, (boughs, sprays))
+    outward = np.broadcast_to(np.stack([c, s, np.full_like(c, 0.45)], axis=-1), at.shape).reshape(-1, 3)
+    tint = np.repeat(rng.uniform(0.8, 1.2, boughs), sprays) * (0.72 + 0.38 * np.clip(t, 0, 1)).ravel()
+    parts.append(_sprays(rng, at.reshape(-1, 3), direction, outward, length.ravel(), color * tint[:, None]))
+    inner = lump(rng, (0.26 * radius, 0.26 * radius, 0.4 * height), 0.5 * height, 0.42 * color, rings=5, sides=6)
+    taper = np.clip(1.3 - 1.25 * inner.triangles[..., 2:] / height, 0.05, 1.0)
+    flat = np.concatenate([taper, taper, np.ones_like(taper)], axis=-1)
+    parts.append(Soup(inner.triangles * flat, inner.colors, inner.normals))
     return Soup.joined(parts)
+
+
+def _sprays(rng: Rng, foot: Array, direction: Array, outward: Array, length: Array, colors: Array) -> Soup:
+    """Needle sprays: a slender kite of two triangles from each foot along `direction`, shaded by `outward`."""
+    along = _unit(direction)
+    across = _unit(np.cross(along, rng.normal(size=along.shape))) * (0.3 * length)[:, None]
+    tip = foot + along * length[:, None]
+    middle = foot + 0.45 * along * length[:, None]
+    a, b = middle + across, middle - across
+    triangles = np.concatenate([np.stack([foot, a, tip], axis=1), np.stack([foot, tip, b], axis=1)])
+    tint = np.clip(colors * (1 + 0.14 * rng.normal(size=(len(foot), 1))), 0.004, 0.9)
+    shade = _unit(outward + 0.25 * rng.normal(size=outward.shape))
+    return Soup(triangles, np.concatenate([tint, tint]), np.concatenate([shade, shade]))
 
 
 def tuft(rng: Rng, radius: float, height: float, color: Array, blades: int, width: float = 0.03) -> Soup:
@@ -237,3 +258,37 @@ def snag(rng: Rng, height: float, color: Array, boughs: int = 14) -> Soup:
         tip = foot + np.array([reach * np.cos(angle), reach * np.sin(angle), reach * rng.uniform(0.1, 0.7)])
         parts.append(_rod(foot, tip, 0.012 * height * (1.2 - z / height) + 0.02, color * rng.uniform(0.8, 2.2)))
     return Soup.joined(parts)
+
+
+def house(rng: Rng) -> Soup:
+    """A house with a gable roof, dark windows and a foundation that reaches down into the slope."""
+    length, width, eaves = rng.uniform(10, 17), rng.uniform(7.5, 10), rng.uniform(2.7, 5.4)
+    ridge = eaves + width * rng.uniform(0.18, 0.32)
+    wall = np.array([0.52, 0.47, 0.4]) * rng.uniform(0.6, 1.3)
+    roofs = ([0.23, 0.1, 0.065], [0.19, 0.17, 0.16], [0.33, 0.31, 0.29], [0.12, 0.115, 0.11])
+    roof = np.array(roofs[int(rng.integers(len(roofs)))]) * rng.uniform(0.8, 1.2)
+    a, b, over = length / 2, width / 2, 0.45
+    quads: list[tuple[list[tuple[float, float, float]], Array]] = []
+    corners = [(-a, -b), (a, -b), (a, b), (-a, b)]
+    for (x0, y0), (x1, y1) in zip(corners, corners[1:] + corners[:1], strict=True):
+        quads.append(([(x0, y0, -2.5), (x1, y1, -2.5), (x1, y1, eaves), (x0, y0, eaves)], wall))
+        out = np.array([y1 - y0, x0 - x1]) / np.hypot(x1 - x0, y1 - y0) * 0.03
+        for t in np.arange(0.12, 0.85, 0.24):
+            px, py = x0 + (x1 - x0) * t + out[0], y0 + (y1 - y0) * t + out[1]
+            qx, qy = x0 + (x1 - x0) * (t + 0.11) + out[0], y0 + (y1 - y0) * (t + 0.11) + out[1]
+            quads.append(([(px, py, 0.9), (qx, qy, 0.9), (qx, qy, 2.1), (px, py, 2.1)], np.array([0.04, 0.045, 0.05])))
+    drop = over * (ridge - eaves) / b
+    for s in (-1.0, 1.0):
+        y = s * (b + over)
+        slope = [(-a - over, y, eaves - drop), (a + over, y, eaves - drop), (a + over, 0, ridge), (-a - over, 0, ridge)]
+        quads.append((slope, roof))
+    triangles, colors = [], []
+    for q, color in quads:
+        p = np.array(q, np.float64)
+        triangles += [p[[0, 1, 2]], p[[0, 2, 3]]]
+        colors += [color, color]
+    for s in (-1.0, 1.0):
+        triangles.append(np.array([(s * a, -b, eaves), (s * a, b, eaves), (s * a, 0, ridge - 0.02)]))
+        colors.append(wall)
+    soup = np.array(triangles)
+    return Soup(soup, np.clip(np.array(colors), 0.01, 0.9), _faces(soup))

@@ -25,7 +25,7 @@ def outdated_dem(site: HeightField, config: DemConfig, seed: int) -> tuple[NDArr
     resolution = config.resolution
     size = int(g.width * g.resolution // resolution)
     geometry = GridGeometry(g.x_min, g.y_min + size * resolution, resolution, size, size)
-    n = 3
+    n = 3 if resolution > g.resolution else 1  # a cell finer than the ground has nothing to average
     fine = GridGeometry(geometry.x_min, geometry.y_max, resolution / n, size * n, size * n)
     xs, ys = HeightField(np.empty((0, 0), np.float32), fine).axes()
     east, north = config.shift

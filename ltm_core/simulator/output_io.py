@@ -1,6 +1,7 @@
 """A simulated recording as files: pictures, truth, frames.json, and the rasters of the site.
 
-frames.json                 scenario, CRS, origin, dates, and an entry of each frame with its pose and file names
+frames.json                 scenario, CRS, origin, dates; of each frame its true pose and time, what its sensors
+                                `reported` of them, and file names
 NNNN.png, NNNN_labels.png   the picture; class ids of every truth_step-th pixel
 NNNN_truth.npz              range_surface, range_ground (slant metres, +inf sky), labels, at the same pixels
 dem.tif                     the DEM handed to the system: an outdated copy of the first date's ground

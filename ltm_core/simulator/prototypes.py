@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ltm_core.simulator import meshes
 from ltm_core.simulator.appearance import Palette
-from ltm_core.simulator.landcover import BARE, GRASS, SHRUB, TREE
+from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE
 from ltm_core.simulator.meshes import Soup
 
 Array = NDArray[np.float64]
@@ -206,6 +206,7 @@ def _kinds() -> dict[str, tuple[int, int, Maker]]:
     kinds: dict[str, tuple[int, int, Maker]] = {
         "stones": (BARE, 4, lambda r, c, s: _stone_patch(r, c, NEAR_PATCH, 110, 9)),
         "far_stones": (BARE, 3, lambda r, c, s: _stone_patch(r, c, FAR_PATCH, 0, 26)),
+        "house": (BUILT, 6, lambda r, c, s: meshes.house(r)),
         "sticks": (BARE, 4, partial(_stick_patch, side=NEAR_PATCH, spacing=1.7)),
         "far_sticks": (BARE, 3, partial(_stick_patch, side=FAR_PATCH, spacing=3.0)),
         "tuft": (GRASS, 3, lambda r, c, s: _tuft_patch(r, c, 0.36, 9, 0.03)),

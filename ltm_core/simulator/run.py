@@ -11,17 +11,20 @@ from numpy.typing import NDArray
 from ltm_core.camera import Camera
 from ltm_core.pose import Pose
 from ltm_core.simulator.appearance import palette
+from ltm_core.simulator.ground_io import read_codes, read_elevation
 from ltm_core.simulator.imaging import add_haze, develop, lit
-from ltm_core.simulator.landcover import LandCover, make_landcover
+from ltm_core.simulator.landcover import LandCover, cover_geometry, make_landcover
 from ltm_core.simulator.rasters import SiteRasters, site_rasters
 from ltm_core.simulator.render import air_length, airlight, render_radiance, render_range
 from ltm_core.simulator.scenario import DateConfig, Scenario
 from ltm_core.simulator.scene import SceneBuilder, View
+from ltm_core.simulator.sensors import Report, SensorModel
 from ltm_core.simulator.stand import changed_terrain, stand_at
-from ltm_core.simulator.terrain import Terrain, make_terrain
+from ltm_core.simulator.terrain import Terrain, make_terrain, surroundings_geometry, terrain_of
 from ltm_core.simulator.truth import FrameTruth, frame_truth
 from ltm_core.simulator.vegetation import Planting
 from ltm_core.simulator.viewpoints import draw_viewpoints
+from ltm_core.simulator.works import with_lakes
 
 # Where in a pixel the distances for haze are taken, besides its centre
 _HAZE_SAMPLES = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
@@ -32,7 +35,7 @@ _YEAR_NS = 365.2425 * 86_400 * 1e9
 
 @dataclass(frozen=True)
 class Shot:
-    """One frame to be rendered."""
+    """One frame to be rendered, and what its camera's sensors say of it."""
 
     camera_name: str
     camera: Camera
@@ -40,6 +43,7 @@ class Shot:
     stamp_ns: int
     mast: float
     date: str
+    report: Report
 
 
 @dataclass(frozen=True)
@@ -61,8 +65,19 @@ class SimulatedSite:
 
 def make_site(scenario: Scenario) -> SimulatedSite:
     """The site as it was before the scenario's first date: a function of its seed, terrain and vegetation alone."""
-    terrain = make_terrain(scenario.terrain, scenario.seed)
-    return SimulatedSite(terrain, make_landcover(terrain, scenario.vegetation, scenario.seed))
+    config, seed = scenario.terrain, scenario.seed
+    if config.dem is None:
+        terrain = make_terrain(config, seed)
+    else:
+        wide = surroundings_geometry(config)
+        in_crs = wide.translated(*scenario.origin, scenario.crs)
+        terrain = terrain_of(read_elevation(config.dem, in_crs), wide, config, seed)
+    terrain, lakes = with_lakes(terrain, scenario.lakes)
+    codes = None
+    if scenario.vegetation.fuel is not None:
+        grid = cover_geometry(terrain).translated(*scenario.origin, scenario.crs)
+        codes = read_codes(scenario.vegetation.fuel, grid)
+    return SimulatedSite(terrain, make_landcover(terrain, scenario.vegetation, seed, codes, lakes))
 
 
 def site_at(scenario: Scenario, site: SimulatedSite, date: DateConfig) -> SimulatedSite:
@@ -83,7 +98,7 @@ def rasters_at(scenario: Scenario, site: SimulatedSite) -> SiteRasters:
 def plan_shots(scenario: Scenario, site: SimulatedSite, date: DateConfig | None = None) -> list[Shot]:
     """All frames of a date (the first unless given), one eye point after another, each eye's in time order.
 
-    Masts stand on the ground of the first date, whatever happens to it later.
+    `site`: the site at the first date; masts stand on its ground, whatever happens to it later.
     """
     if date is None:
         date = scenario.dates[0]
@@ -94,17 +109,21 @@ def plan_shots(scenario: Scenario, site: SimulatedSite, date: DateConfig | None 
         eye = np.array([setup.x, setup.y, float(site.terrain.site.at(setup.x, setup.y)) + setup.mast])
         patrol = setup.patrol
         pitches = patrol.pitch_deg * len(patrol.azimuth_deg) if len(patrol.pitch_deg) == 1 else patrol.pitch_deg
+        sensors = SensorModel(setup.sensors(), f"{setup.name} {date.name}", scenario.seed)
         for k, (azimuth, pitch) in enumerate(list(zip(patrol.azimuth_deg, pitches, strict=True)) * patrol.rounds):
             stamp = start + round((patrol.start_s + k * patrol.interval_s) * 1e9)
             pose = Pose.from_angles(eye, azimuth, pitch, patrol.roll_deg)
-            shots.append(Shot(setup.name, camera, pose, stamp, setup.mast, date.name))
+            report = sensors.report(pose, stamp)
+            if report is not None:
+                shots.append(Shot(setup.name, camera, pose, stamp, setup.mast, date.name, report))
     if scenario.views is not None:
         for place, views in enumerate(draw_viewpoints(site.terrain.site, scenario.views, scenario.seed)):
             for v in views:
                 pose = Pose.from_angles(v.eye, v.azimuth_deg, v.pitch_deg, v.roll_deg)
                 mast = float(v.eye[2] - site.terrain.site.at(v.eye[0], v.eye[1]))
                 stamp = start + len(shots) * 2_000_000_000
-                shots.append(Shot(f"view{place:02d}", scenario.camera_model(v.hfov_deg), pose, stamp, mast, date.name))
+                camera, exact = scenario.camera_model(v.hfov_deg), Report.exact(pose, stamp)
+                shots.append(Shot(f"view{place:02d}", camera, pose, stamp, mast, date.name, exact))
     return shots
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import yaml
 from pydantic import Field, ValidationError, model_validator
@@ -14,7 +15,13 @@ from ltm_core.simulator.changes import Change, Strict
 
 
 class TerrainConfig(Strict):
-    """The ground. Lengths in metres; the site is the square [0, size]^2 of the map frame."""
+    """The ground. Lengths in metres; the site is the square [0, size]^2 of the map frame.
+
+    `dem`: a raster of real elevation in any CRS (path relative to the scenario file), whose ground at the scenario's
+    `origin` is the site; without it the ground is made, by `relief` to `repose`.
+    """
+
+    dem: Path | None = None
 
     size: float = Field(4000.0, gt=0)
     resolution: float = Field(4.0, gt=0)
@@ -27,8 +34,23 @@ class TerrainConfig(Strict):
     roughness: float = Field(1.0, ge=0)  # m, relief below the evolution's scale
 
 
+class LakeConfig(Strict):
+    """A reservoir about map (x, y): water `depth` metres over the ground there, dammed at `radius`."""
+
+    x: float
+    y: float
+    depth: float = Field(12.0, gt=0)
+    radius: float = Field(160.0, gt=20)
+
+
 class VegetationConfig(Strict):
-    """Cover of the land in wishes: the shares of the site that each class should hold, the rest is shrub."""
+    """Cover of the land in wishes: the shares of the site that each class should hold, the rest is shrub.
+
+    `fuel`: a raster of fuel model numbers (FBFM40) that says what grows where, instead of `tree`, `grass`, `bare`.
+    """
+
+    fuel: Path | None = None
+    houses: int = Field(0, ge=0, le=500)
 
     tree: float = Field(0.2, ge=0, le=1)
     grass: float = Field(0.22, ge=0, le=1)
@@ -99,15 +121,57 @@ class PatrolConfig(Strict):
         return self
 
 
+class SensorConfig(Strict):
+    """What a camera's sensors get wrong. A `bias` is the standard deviation of an error that stays over the recording,
+    a `sigma` of one that is new with every frame; all zero is a surveyed tower."""
+
+    compass_bias_deg: float = Field(0.0, ge=0)
+    compass_sigma_deg: float = Field(0.0, ge=0)
+    tilt_sigma_deg: float = Field(0.0, ge=0)  # pitch and roll
+    gps_bias: float = Field(0.0, ge=0)  # m
+    gps_sigma: float = Field(0.0, ge=0)
+    barometer_bias: float = Field(0.0, ge=0)  # m
+    barometer_sigma: float = Field(0.0, ge=0)
+    clock_offset_s: float = 0.0  # its clock is so much ahead
+    lost: float = Field(0.0, ge=0, lt=1)  # share of frames that never arrive
+    late: float = Field(0.0, ge=0, le=1)  # share of frames that arrive late, by up to
+    late_s: float = Field(1.5, ge=0)
+
+
+PHONE = SensorConfig(
+    compass_bias_deg=6.0,
+    compass_sigma_deg=1.5,
+    tilt_sigma_deg=0.7,
+    gps_bias=5.0,
+    gps_sigma=1.0,
+    barometer_bias=4.0,
+    barometer_sigma=0.5,
+    clock_offset_s=0.25,
+    lost=0.03,
+    late=0.1,
+)
+"""A smartphone held by hand: compass within 5-10 degrees, pitch and roll 0.5-1 degree, GPS 5 m, height 3-10 m."""
+
+
 class CameraSetup(Strict):
-    """A camera on a mast at map (x, y), `mast` metres above the true ground."""
+    """A camera on a mast at map (x, y), `mast` metres above the true ground of the first date.
+
+    `sensor`: `tower` (exact), `phone` (PHONE), or its errors one by one.
+    """
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
     x: float
     y: float
     mast: float = Field(15.0, gt=0)
     hfov_deg: float = Field(55.0, gt=0, lt=170)
+    sensor: Literal["tower", "phone"] | SensorConfig = "tower"
     patrol: PatrolConfig
+
+    def sensors(self) -> SensorConfig:
+        """The camera's errors, its kind spelt out."""
+        if isinstance(self.sensor, SensorConfig):
+            return self.sensor
+        return PHONE if self.sensor == "phone" else SensorConfig()
 
 
 class ViewsConfig(Strict):
@@ -163,6 +227,7 @@ class Scenario(Strict):
     atmosphere: AtmosphereConfig = AtmosphereConfig()
     imaging: ImagingConfig = ImagingConfig()
     clouds: CloudConfig | None = None
+    lakes: list[LakeConfig] = Field([])
     dem: DemConfig = DemConfig()
     dates: list[DateConfig] = Field([DateConfig(name="now")], min_length=1)
     changes: list[Change] = Field([])
@@ -188,9 +253,12 @@ class Scenario(Strict):
                     f"changes.{i} ({change.kind}): its mask reaches x {x_min:g} .. {x_max:g}, "
                     f"y {y_min:g} .. {y_max:g}, outside the site [0, {self.terrain.size:g}]^2; draw it inside"
                 )
-        for c in self.cameras:
+        for i, c in enumerate(self.cameras):
             if not (0 < c.x < self.terrain.size and 0 < c.y < self.terrain.size):
-                raise ValueError(f"camera {c.name} at ({c.x}, {c.y}) is outside the site [0, {self.terrain.size}]^2")
+                raise ValueError(
+                    f"cameras.{i}: {c.name} at ({c.x:g}, {c.y:g}) is outside the site [0, {self.terrain.size:g}]^2; "
+                    "place it inside"
+                )
         return self
 
     def at(self, date: DateConfig) -> Scenario:
@@ -206,10 +274,12 @@ class Scenario(Strict):
 
 
 def load_scenario(path: Path | str) -> Scenario:
-    """Read a scenario file. Raises ConfigError naming the file, the key and what is wrong with it."""
+    """Read a scenario file; paths in it are relative to it. Raises ConfigError naming the file, the line, the key and
+    what would be right."""
     path = Path(path)
     try:
-        data: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        data: Any = yaml.safe_load(text)
     except OSError as e:
         raise ConfigError(f"cannot read scenario {path}: {e.strerror}; give the path of a scenario YAML") from e
     except yaml.YAMLError as e:
@@ -217,7 +287,42 @@ def load_scenario(path: Path | str) -> Scenario:
     if not isinstance(data, dict):
         raise ConfigError(f"scenario {path} must be a mapping of keys, got {type(data).__name__}")
     try:
-        return Scenario(**data)
+        scenario = Scenario(**data)
     except ValidationError as e:
-        problems = "; ".join(f"{'.'.join(map(str, p['loc'])) or 'scenario'}: {p['msg']}" for p in e.errors())
-        raise ConfigError(f"scenario {path}: {problems}") from e
+        tree = yaml.compose(text)
+        problems = [f"{path}:{_line(tree, p['loc'], p['msg'])}: {_told(p)}" for p in e.errors()]
+        raise ConfigError("\n".join(problems)) from e
+    folder = path.resolve().parent
+    changed: dict[str, Any] = {}
+    for group, key in (("terrain", "dem"), ("vegetation", "fuel")):
+        config = getattr(scenario, group)
+        if getattr(config, key) is not None:
+            changed[group] = config.model_copy(update={key: folder / getattr(config, key)})
+    return scenario.model_copy(update=changed)
+
+
+def _told(problem: Any) -> str:
+    key = ".".join(map(str, problem["loc"])) or "scenario"
+    if problem["type"] == "extra_forbidden":
+        return f"{key}: unknown key"
+    given = problem["input"]
+    shown = f" (got {given!r:.60})" if isinstance(given, str | int | float) else ""
+    return f"{key}: {problem['msg']}{shown}"
+
+
+def _line(node: Any, loc: tuple[Any, ...], message: str) -> int:
+    """The line (from 1) of the YAML node that `loc` leads to, as far as the file goes along with it.
+
+    Checks of the whole scenario have no `loc`: they begin with the place (`changes.0`, `camera NAME`).
+    """
+    if not loc and (found := re.search(r"\b(changes|lakes|cameras|dates)\.(\d+)", message)):
+        loc = (found[1], int(found[2]))
+    for part in loc:
+        if isinstance(node, yaml.MappingNode):
+            found_child = next(((k, v) for k, v in node.value if k.value == part), None)
+            if found_child is None:
+                continue  # the tag of a union, or a key that is missing
+            node = found_child[1] if found_child[1].start_mark.line >= found_child[0].start_mark.line else node
+        elif isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):
+            node = node.value[part]
+    return int(node.start_mark.line) + 1

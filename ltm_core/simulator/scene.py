@@ -17,7 +17,7 @@ from ltm_core.errors import ConfigError
 from ltm_core.grid import GridGeometry
 from ltm_core.simulator import noise
 from ltm_core.simulator.appearance import Palette, ground_texture, palette
-from ltm_core.simulator.landcover import BARE, GRASS, SHRUB, TREE, UNLABELLED, LandCover
+from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, UNLABELLED, LandCover
 from ltm_core.simulator.prototypes import Prototype
 from ltm_core.simulator.scenario import Scenario
 from ltm_core.simulator.sky import daylight
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 EARTH_RADIUS = 6_371_000.0  # m
 REFRACTION = 0.13
-_LAYERS = (BARE, GRASS, SHRUB, TREE)  # stones lie on the ground, trees stand over all
+_LAYERS = (BARE, BUILT, GRASS, SHRUB, TREE)  # stones lie on the ground, trees stand over all
 _SITE_TEXEL, _WIDE_TEXEL = 2.0, 8.0  # m
 
 

@@ -97,6 +97,7 @@ def _slide(site: HeightField, inside: Mask, change: Landslide) -> Field:
     low, high = np.quantile(z, [0.02, 0.98])
     height = np.clip((site.elevation - low) / max(float(high - low), 1e-6), 0, 1)
     scar = bowl * np.clip((height - 0.42) / 0.3, 0, 1) * inside
+    scar /= max(float(scar.max()), 1e-6)
     toe = bowl * np.clip((0.42 - height) / 0.25, 0, 1) * inside
     lumps = 1 + 0.35 * noise.fractal(*site.axes(), 22.0, 733, octaves=3, gain=0.6)
     out -= change.depth * scar
@@ -190,7 +191,7 @@ def _burn(s: _State, change: Burn, inside: Mask, since: float, geometry: GridGeo
     xs, _ = geometry.to_map(0, np.arange(geometry.width))
     _, ys = geometry.to_map(np.arange(geometry.height), 0)
     uneven = noise.fractal(xs, ys, 130.0, seed + 711, octaves=4, gain=0.65)
-    severity = np.clip(change.severity + (0.9 if change.prescribed else 0.5) * uneven, 0, 1)
+    severity = np.clip(change.severity + (1.6 if change.prescribed else 0.5) * uneven, 0, 1)
     burnt = inside & (severity > (0.25 if change.prescribed else 0.12))
     severity = np.where(burnt, severity, 0).astype(np.float32)
     tree = burnt & (s.classes == TREE)

@@ -111,10 +111,22 @@ def make_terrain(config: TerrainConfig, seed: int) -> Terrain:
         old = geometry
     assert height is not None
     height = _warped(height, old, seed)
-    site_geometry = _grid((0.0, 0.0, size, size), config.resolution)
     inside = _resample(height, old, _grid((0.0, 0.0, size, size), 16.0), order=1)
     scale = config.relief / (inside.max() - inside.min())
     height = (height - inside.min()) * scale + config.base_elevation
+    return terrain_of(height, old, config, seed)
+
+
+def surroundings_geometry(config: TerrainConfig) -> GridGeometry:
+    """The grid of a scenario's surroundings in the map frame."""
+    a, b = (config.size - config.surroundings) / 2, (config.size + config.surroundings) / 2
+    return _grid((a, a, b, b), min(_STEPS))
+
+
+def terrain_of(height: Floats, geometry: GridGeometry, config: TerrainConfig, seed: int) -> Terrain:
+    """The terrain of surroundings `height` (H, W) on `geometry`: the site cut out of them, with detail added."""
+    old = geometry
+    site_geometry = _grid((0.0, 0.0, config.size, config.size), config.resolution)
     wetness = np.log10(erosion.drainage_area(height, old.resolution)).astype(np.float32)
     surroundings = HeightField(height.astype(np.float32), old)
     site = HeightField(_detailed(surroundings, site_geometry, config, seed), site_geometry)

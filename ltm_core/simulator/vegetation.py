@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ltm_core.simulator import noise
 from ltm_core.simulator.appearance import Palette
-from ltm_core.simulator.landcover import BARE, GRASS, SHRUB, TREE, LandCover
+from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, LandCover
 from ltm_core.simulator.prototypes import FAR_PATCH, NEAR_PATCH, STAGES, TUFT_PATCH, Prototype, Prototypes
 from ltm_core.simulator.scenario import VegetationConfig
 from ltm_core.simulator.terrain import Terrain
@@ -77,26 +77,26 @@ class Planting:
         x, y = self._centers(FAR_PATCH)
         near = np.hypot(x - eye[0], y - eye[1]) < self._config.detail_radius
         out = self._patches(self._describe(x[~near], y[~near], FAR_PATCH), "far_")
-        out += self._detailed(x[near], y[near], eye)
+        out += self._detailed(x[near], y[near], eye) + self._houses()
         if self._config.grass_radius > 0:
             out += self._tufts(eye)
         return out
 
     def everywhere(self) -> list[Placement]:
-        """All shrubs and trees that stand on the site, in full detail; no grass, no stones."""
+        """All shrubs, trees and houses that stand on the site, in full detail; no grass, no stones."""
         x, y = self._centers(FAR_PATCH)
         x_min, y_min, x_max, y_max = self._terrain.site.geometry.bounds
         over = FAR_PATCH
         on_site = (x > x_min - over) & (x < x_max + over) & (y > y_min - over) & (y < y_max + over)
         placed = self._detailed(x[on_site], y[on_site], None)
-        return [p for p in placed if p.prototype.class_id in (SHRUB, TREE)]
+        return [p for p in placed if p.prototype.class_id in (SHRUB, TREE, BUILT)]
 
     def _detailed(self, x: Array, y: Array, eye: Array | None) -> list[Placement]:
         """Near patches and single trees over the far cells centred at (x, y)."""
         quarter = np.array([-0.25, 0.25]) * FAR_PATCH
         x_near = (x[:, None] + np.array([quarter[0], quarter[1], quarter[0], quarter[1]])).ravel()
         y_near = (y[:, None] + np.array([quarter[0], quarter[0], quarter[1], quarter[1]])).ravel()
-        out = self._trees(x, y, eye)
+        out = self._trees(x, y, eye) + (self._houses() if eye is None else [])
         if eye is not None:
             reach = np.hypot(np.hypot(x_near - eye[0], y_near - eye[1]), eye[2] - self.ground(x_near, y_near))
             # A person stands in a gap, not inside a shrub
@@ -174,6 +174,12 @@ class Planting:
             out += self._put("lone_oak", c.x, c.y, c.side, alive & (tree <= 0.2) & self._lone(c))
         return out
 
+    def _houses(self) -> list[Placement]:
+        houses = self._cover.houses
+        x, y = np.rint(houses.x / LATTICE) * LATTICE, np.rint(houses.y / LATTICE) * LATTICE
+        standing = self._cover.at(x, y) == BUILT
+        return self._put("house", x, y, 0.0, standing, np.ones(len(x)))
+
     def _lone(self, c: _Cells) -> Mask:
         """Single oaks in grass and scrub, fewer in scrub."""
         open_land = c.shares[:, GRASS] + c.shares[:, BARE] * (c.char > 0.1)
@@ -201,6 +207,9 @@ class Planting:
         stands = (dense | self._lone(c)) & (c.tree_height > _SEEDLING)
         # Nothing grows over the camera's own head
         clear = np.ones(len(c.x), bool) if eye is None else np.hypot(c.x - eye[0], c.y - eye[1]) > 14.0
+        yards = self._cover.houses
+        for hx, hy in zip(yards.x, yards.y, strict=True):
+            clear &= np.hypot(c.x - hx, c.y - hy) > 9.0
         stands &= clear
         conifer = c.conifer & dense
         size = (0.65 + 0.6 * self._draw(c.x, c.y, 417)) * c.tree_height

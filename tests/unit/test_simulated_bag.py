@@ -68,7 +68,7 @@ def test_a_frame_as_its_messages(simulated: Path, tmp_path: Path) -> None:
     assert seen == [(1, 2), (2, 2)]
     reader = BagReader(tmp_path / "bag")
     messages: dict[str, Any] = {m.topic: reader.decode(m) for m in reader.messages()}
-    assert len(messages) == 14
+    assert len(messages) == 16
     assert {stamp_of(m) for t, m in messages.items() if t.startswith("/ridge/north/")} == {STAMP}
     of = {topic.removeprefix("/ridge/north/"): m for topic, m in messages.items() if topic.startswith("/ridge/north/")}
     assert msg_to_camera(of["camera_info"]) == CAMERA
