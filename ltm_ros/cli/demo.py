@@ -43,6 +43,7 @@ def _simulated(out: Path, domain: int, console: Console) -> None:
     from ltm_ros.cli.progress import message_bar
     from ltm_ros.cli.summary import print_nodes
     from ltm_ros.demo.simulated import run_demo
+    from ltm_ros.eval_tables import bin_name
 
     with message_bar(console, "demo") as progress:
         result = run_demo(
@@ -52,16 +53,16 @@ def _simulated(out: Path, domain: int, console: Console) -> None:
     table = Table(title="against truth", title_justify="left", show_header=False)
     table.add_column("what")
     table.add_column("figure", justify="right")
-    for score in result.score.surface:
-        name = "all" if score.near == 0 and score.far == float("inf") else f"{score.near:.0f}-{score.far:.0f} m"
-        if score.pixels:
-            table.add_row(f"depth, median error, {name}", f"{score.median:.2f} m")
-    table.add_row("depth against bare ground, median error", f"{result.score.ground[-1].median:.2f} m")
-    table.add_row("labels right", f"{100 * result.score.labels.accuracy:.1f} %")
-    table.add_row("fuel cells seen", f"{result.fuel.seen} of {result.fuel.cells}")
-    table.add_row(
-        "fuel cells right", f"{result.fuel.right} ({100 * result.fuel.right / max(1, result.fuel.seen):.1f} %)"
-    )
+    for row in result.score.depth:
+        if row.against == "visible surface":
+            for score in row.scores:
+                if score.pixels:
+                    table.add_row(f"{row.source} depth, {bin_name(score)}, median error", f"{score.median:.2f} m")
+    if result.score.labels is not None:
+        table.add_row("labels right", f"{100 * result.score.labels.accuracy:.1f} %")
+    if (fuel := result.score.fuel) is not None:
+        table.add_row("fuel cells seen", f"{fuel.seen} of {fuel.cells}")
+        table.add_row("fuel cells right", f"{fuel.right} ({100 * fuel.right / max(1, fuel.seen):.1f} %)")
     console.print(table)
     console.print(f"report: {out / 'report.html'}   Rerun: ltm view --rrd {out / 'demo.rrd'}")
     drops = sum(row.dropped for row in result.nodes)

@@ -15,8 +15,8 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pictures import MapCamera, RangeScale, fuel_map_picture, overlay_depth, overlay_labels, panel, to_png
 from ltm_core.site import Site
 from ltm_core.vision.labels import LabelSet
+from ltm_ros.recorded_frames import RecordedFrame
 from ltm_ros.report import CameraPictures
-from ltm_ros.run_score import RecordedFrame
 
 Rgb = NDArray[np.uint8]
 HEADING_STEP_DEG = 20.0
@@ -91,10 +91,11 @@ def write_pictures(
         sheet = [
             ("photo", frame.photo),
             ("depth traced to the terrain", overlay_depth(frame.photo, frame.depth, scale)),
+            *([] if frame.fused is None else [("fused depth", overlay_depth(frame.photo, frame.fused, scale))]),
             ("labels", overlay_labels(frame.photo, frame.labels, labels)),
         ]
         name = f"{frame.camera_name}_{frame.pose.angles_deg[0]:03.0f}.png"
-        (folder / name).write_bytes(to_png(panel(sheet, columns=3, width=800)))
+        (folder / name).write_bytes(to_png(panel(sheet, columns=2 if len(sheet) == 4 else 3, width=800)))
         if frame is deepest:
             (folder / "overview.png").write_bytes(to_png(_overview(sheet, fuel_map)))
 

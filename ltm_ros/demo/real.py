@@ -24,10 +24,11 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.cli.summary import node_rows
 from ltm_ros.demo.outcome import camera_pictures, conditions, map_picture, range_scale, write_pictures
+from ltm_ros.fuel_layers import life_form_labels
 from ltm_ros.importer.build import import_photos
+from ltm_ros.recorded_frames import RecordedFrame, recorded_frames
 from ltm_ros.replay.run import ReplayOptions, run_live
 from ltm_ros.report import NodeRow, ReportData, Table, write_report
-from ltm_ros.run_score import RecordedFrame, recorded_frames
 
 PHOTO = "IMG_8902.jpg"
 CONTROL_POINTS = "gcp8902.csv"
@@ -84,7 +85,7 @@ def run_real_demo(
     nodes = node_rows(summaries)
 
     classes, geometry = read_fuel_map(out / "fuel_map.tif")
-    fuel_map = map_picture(classes, geometry, site, dem, frames, labels)
+    fuel_map = map_picture(classes, geometry, site, dem, frames, life_form_labels(labels))
     scale = range_scale(frames)
     write_pictures(out / "pictures", frames, fuel_map, labels, scale)
     write_report(

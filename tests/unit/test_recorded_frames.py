@@ -1,4 +1,4 @@
-"""A recorded run against the truth recorded with it."""
+"""What a recorded run gives back of its frames."""
 
 from __future__ import annotations
 
@@ -6,20 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from ltm_core.camera import Camera
-from ltm_core.errors import RecordingError
 from ltm_core.pose import Pose
 from ltm_core.site import Site
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_ros.run_score import RecordedFrame, recorded_frames, score_run
+from ltm_ros.recorded_frames import recorded_frames
 
 CAMERA = Camera(18, 10, 20.0, 21.0, 8.5, 4.5)
-STEP = 4
 POSE = Pose.from_angles((10.0, 20.0, 30.0), 45.0, -5.0)
 SITE = Site(
     name="ridge",
@@ -48,16 +45,6 @@ def frame(camera: str, stamp: int, **parts: Any) -> dict[str, Any]:
         if camera == "north"
         else {"image_raw": image_to_msg(PHOTO, "rgb8", stamp, optical)}
     )
-    if parts.pop("truth", True):
-        sampled = DEPTH[::STEP, ::STEP]
-        labels = LABELS[::STEP, ::STEP].copy()
-        labels[0, 0] = 4 if labels[0, 0] != 4 else 3
-        messages |= {
-            "truth/camera_info": camera_to_msg(CAMERA.scaled(STEP), stamp, optical),
-            "truth/depth": depth_to_msg(sampled + 2, stamp, optical),
-            "truth/ground_depth": depth_to_msg(sampled - 3, stamp, optical),
-            "truth/labels": image_to_msg(labels, "mono8", stamp, optical),
-        }
     messages |= {name.replace("__", "/"): message for name, message in parts.items()}
     return {f"/ridge/{camera}/{topic}": message for topic, message in messages.items() if message is not None}
 
@@ -73,8 +60,8 @@ def write(path: Path, *frames: tuple[int, dict[str, Any]]) -> Path:
 def test_frames_come_by_camera_and_time(tmp_path: Path) -> None:
     bag = write(
         tmp_path / "bag",
-        (30, frame("north", 30)),
-        (10, frame("north", 10, truth=False)),
+        (30, frame("north", 30, fused__depth=depth_to_msg(DEPTH - 9, 30, "north_optical"))),
+        (10, frame("north", 10)),
         (20, frame("east", 20)),
         (40, frame("north", 40, labels__image=None)),  # lost on its way
     )
@@ -86,34 +73,6 @@ def test_frames_come_by_camera_and_time(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found.labels, LABELS)
         assert found.camera == CAMERA
         np.testing.assert_allclose(found.pose.rotation, POSE.rotation, atol=1e-12)
-    assert frames[0].truth_depth is None
-    assert frames[1].truth_step == STEP
-
-
-def test_scores(tmp_path: Path) -> None:
-    bag = write(
-        tmp_path / "bag", (10, frame("north", 10)), (20, frame("east", 20)), (30, frame("north", 30, truth=False))
-    )
-    score = score_run(bag, SITE, 7)
-    pixels = 2 * 3 * 5
-    assert score.frames == 2
-    assert (score.surface[-1].pixels, score.surface[-1].bias) == (pixels, -2.0)
-    assert (score.ground[-1].pixels, score.ground[-1].bias) == (pixels, 3.0)
-    assert score.labels.pixels == pixels
-    assert score.labels.right.sum() == pixels - 2
-    # The true class of the first pixel was another than the one found, LABELS[0, 0] = 0.
-    assert score.labels.confusion[4, 0] == 2
-
-
-def test_nothing_to_score(tmp_path: Path) -> None:
-    bag = write(tmp_path / "bag", (10, frame("north", 10, truth=False)))
-    with pytest.raises(RecordingError, match="no frame with depth, labels and truth"):
-        score_run(bag, SITE, 7)
-
-
-def test_truth_must_be_a_sampling_of_the_image() -> None:
-    base = ("north", 5, CAMERA, POSE, PHOTO, DEPTH, LABELS)
-    with pytest.raises(RecordingError, match="frame 5 of north has no truth"):
-        _ = RecordedFrame(*base).truth_step
-    with pytest.raises(RecordingError, match="no step of"):
-        _ = RecordedFrame(*base, truth_camera=Camera(5, 3, 5.0, 5.25, 2.0, 1.0)).truth_step
+    assert frames[0].fused is None
+    assert frames[1].fused is not None
+    np.testing.assert_array_equal(frames[1].fused, DEPTH - 9)
