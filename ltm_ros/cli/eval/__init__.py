@@ -10,8 +10,10 @@ import typer
 from typer.core import TyperGroup
 
 from ltm_ros.cli.eval.bag import bag
+from ltm_ros.cli.eval.depth import depth
 from ltm_ros.cli.eval.segmentation import segmentation
 from ltm_ros.cli.eval.sim2real import sim2real
+from ltm_ros.cli.eval.terrain import terrain
 
 WHOLE = "bag"
 """The command that runs where the first argument is no command: a recorded run as a whole."""
@@ -28,5 +30,7 @@ class EvalGroup(TyperGroup):
 
 evaluate = typer.Typer(cls=EvalGroup, no_args_is_help=True, help="Score a recorded run, or one part of the system.")
 evaluate.command(WHOLE)(bag)
+evaluate.command()(depth)
 evaluate.command()(segmentation)
 evaluate.command()(sim2real)
+evaluate.command()(terrain)
