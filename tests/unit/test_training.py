@@ -205,6 +205,51 @@ def test_a_training_repeats_and_goes_on_from_its_checkpoint(frames: Path, tmp_pa
         Run.resume(checkpoint, config.model_copy(update={"seed": 9}), 7)
 
 
+def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp_path: Path) -> None:
+    pytest.importorskip("torch", reason="training needs the extra `train`")
+    from ltm_core.camera import Camera
+    from ltm_core.depth.monocular import DepthNetwork
+    from ltm_core.vision.manifest import Manifest
+    from ltm_core.vision.train.adapt import AdaptConfig, adapted, depth_error, frame_of, load_exported
+    from ltm_core.vision.train.export import export, export_adapted
+    from ltm_core.vision.train.loop import train
+
+    labels = LabelSet.load()
+    start, _ = train(TINY, read_split(frames, TINY.split, 7), 7, lambda _: None)
+    base = Manifest.load(export(start, TINY, labels, tmp_path / "base"))
+    network = load_exported(base)
+    metres = np.array([np.inf, 30.0, 150.0, 900.0, 5000.0], np.float32)  # each class at a distance of its own
+    views = [_frame(seed) for seed in range(4)]
+    posed = [frame_of(photo, metres[truth], f"north/{seed}.png", 96) for seed, (photo, truth) in enumerate(views)]
+    assert posed[0].inverse is not None
+    np.testing.assert_array_equal(np.isnan(posed[0].inverse), views[0][1] == Label.SKY)
+    config = AdaptConfig(steps=25, learning_rate=0.01, width=96, height=64)
+    before = depth_error(network, posed, config)
+    taught = adapted(network, posed, config, lambda step, loss: None)
+    assert depth_error(taught, posed, config) < 0.7 * before
+    written = export_adapted(taught, base, "tiny_north", labels, tmp_path / "adapted")
+    photo, truth = _frame(40)
+    first, second = Segmenter(base).segment(photo), Segmenter.open(written).segment(photo)
+    np.testing.assert_array_equal(first.labels, second.labels)
+    depths = DepthNetwork.open(tmp_path / "adapted" / "tiny_north_depth.yaml").predict(
+        photo, Camera.from_fov(96, 64, 50)
+    )
+    near, far = (np.median(depths.values[truth[2::4, 2::4] == label]) for label in (Label.GRASS, Label.BARE))
+    assert near > 1.1 * far
+
+
+def test_only_a_network_of_ours_can_be_adapted(tmp_path: Path) -> None:
+    pytest.importorskip("torch", reason="training needs the extra `train`")
+    from networks import write_classifier
+
+    from ltm_core.errors import ModelError
+    from ltm_core.vision.manifest import Manifest
+    from ltm_core.vision.train.adapt import load_exported
+
+    with pytest.raises(ModelError, match=r"is not a network of `ltm train`"):
+        load_exported(Manifest.load(write_classifier(tmp_path)))
+
+
 def test_depth_is_learnt_but_for_its_scale() -> None:
     torch = pytest.importorskip("torch", reason="training needs the extra `train`")
     from ltm_core.vision.train.losses import Batch, depth_loss, order_loss
@@ -304,3 +349,23 @@ def test_an_unknown_training_key_is_named(tmp_path: Path) -> None:
     path.write_text("name: t\nsplit: {validation: [a], test: [b]}\noptimiser: {lerning_rate: 1}\n")
     with pytest.raises(ConfigError, match=r"optimiser\.lerning_rate: unknown key"):
         load_yaml(path, TrainingConfig)
+
+
+def test_what_a_person_says_of_boxes_is_kept_apart_by_sets() -> None:
+    from ltm_core.vision.train.photo_sets import PhotoSets
+
+    photos = {"one": "BT", "two": "--"}
+    sets = PhotoSets(
+        size=(60, 40), photos=photos, held_out={"kept": ("two",)}, boxes={"two": (("shrub", 50, 25, 100, 75),)}
+    )
+    assert [sets.set_of(name) for name in photos] == ["photos", "kept"]
+    labels = sets.by_hand("two")
+    assert np.all(labels[10:30, 30:] == Label.SHRUB)
+    assert np.count_nonzero(labels != UNLABELLED) == 20 * 30
+    assert np.all(sets.by_hand("one") == UNLABELLED)
+    with pytest.raises(ValueError, match=r"boxes: one: bush"):
+        PhotoSets(size=(60, 40), photos=photos, boxes={"one": (("bush", 0, 0, 10, 10),)})
+    with pytest.raises(ValueError, match=r"unknown: three"):
+        PhotoSets(size=(60, 40), photos=photos, held_out={"kept": ("three",)})
+    with pytest.raises(ValueError, match=r"tags of one are not two of"):
+        PhotoSets(size=(60, 40), photos={"one": "B"})

@@ -34,7 +34,7 @@ STAGES = (
 STEM = 32
 TAPS = {0: 16, 2: 24, 4: 40, 10: 112, 15: 320}
 """Block whose output is the last of its size -> its channels: strides 2, 4, 8, 16, 32."""
-_EPSILON, _MOMENTUM = 1e-3, 0.01  # of batch normalisation, as the weights were trained
+_EPSILON = 1e-3  # of batch normalisation, as the weights were trained
 
 
 class MobileBlock(nn.Module):  # type: ignore[misc]  # torch is not typed for us
@@ -62,7 +62,7 @@ def convolution(
     """Convolution, batch normalisation and, with `relu`, ReLU6."""
     layers: list[nn.Module] = [
         nn.Conv2d(inputs, outputs, size, stride, size // 2, groups=groups, bias=False),
-        nn.BatchNorm2d(outputs, eps=_EPSILON, momentum=_MOMENTUM),
+        nn.BatchNorm2d(outputs, eps=_EPSILON),
     ]
     return nn.Sequential(*layers, nn.ReLU6()) if relu else nn.Sequential(*layers)
 
