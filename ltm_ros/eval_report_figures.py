@@ -151,16 +151,28 @@ def segmentation_pairs(
         shown.update(np.unique(ids[ids != UNSEEN]).tolist())
         cells.append((name, overlay_labels(photo, ids, labels, opacity=0.62)))
 
+    shape = simulated[0].photo.shape[:2] if simulated else None
     for name, photo in photos:
         if segmenter is not None:
-            cells.append((f"real: {name}", photo))
-            add("real, labels of the network", photo, segmenter.segment(photo).labels)
+            middle = _middle(photo, shape)
+            cells.append((f"real: {name}", photo[middle]))
+            add("real, labels of the network", photo[middle], segmenter.segment(photo).labels[middle])
     for view in simulated:
         if view.labels is not None:
             cells.append((f"simulated: {view.name}", view.photo))
             add("simulated, labels of the network", view.photo, view.labels)
     sheet = panel(cells, columns=4 if len(cells) > 2 else 2, width=_PANEL)
     return np.concatenate([sheet, _legend(sheet.shape[1], labels, shown)])
+
+
+def _middle(photo: Rgb, shape: tuple[int, int] | None) -> tuple[slice, slice]:
+    """The middle of a photo in the proportions of `shape`, so that rows of a sheet are of one height."""
+    height, width = photo.shape[:2]
+    if shape is None:
+        return slice(0, height), slice(0, width)
+    rows, cols = min(height, width * shape[0] // shape[1]), min(width, height * shape[1] // shape[0])
+    top, left = (height - rows) // 2, (width - cols) // 2
+    return slice(top, top + rows), slice(left, left + cols)
 
 
 def truth_and_labels(simulated: Sequence[View], labels: LabelSet) -> Rgb | None:
