@@ -16,11 +16,14 @@ from ltm_ros.health import Health
 
 @dataclass(frozen=True)
 class Topic:
-    """`name`: relative to the node's namespace, or absolute. `latched`: late joiners get the last message."""
+    """`name`: relative to the node's namespace, or absolute. `latched`: late joiners get the last message. `depth`:
+    messages kept for a listener that is slow.
+    """
 
     name: str
     type: type
     latched: bool = False
+    depth: int = 10
 
 
 class NodeConfig(Config):

@@ -45,11 +45,15 @@ EX_CONFIG = 78
 """Exit status of a node whose configuration cannot work (sysexits.h): restarting it does not help."""
 
 
-def stream_qos(latched: bool = False) -> QoSProfile:
-    """Reliable, keeps the last 10; latched topics keep the last one for late joiners."""
+def stream_qos(latched: bool = False, depth: int = 10) -> QoSProfile:
+    """Reliable, keeps the last `depth`; latched topics keep the last one for late joiners."""
     if latched:
         return QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    return QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
+
+
+def _qos(topic: Topic) -> QoSProfile:
+    return stream_qos(topic.latched, topic.depth)
 
 
 class ClosableNode(Protocol):
@@ -107,7 +111,7 @@ class HandlerNode(Node):  # type: ignore[misc]
         self._taken: set[str] = set()
         self._inbox = _Inbox(QUEUE, QUEUE_BYTES)
         for topic in self.handler.publications:
-            self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, stream_qos(topic.latched))
+            self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, _qos(topic))
         self.handler.start()
         for topic, callback in self.handler.subscriptions.items():
             self._listen(topic, topic.name, callback)
@@ -149,7 +153,7 @@ class HandlerNode(Node):  # type: ignore[misc]
     def _listen(self, topic: Topic, name: str, callback: Callable[[Any], None]) -> None:
         self._taken.add(self.resolve_topic_name(name))
         self._inbox.maxsize = max(QUEUE, QUEUE_PER_TOPIC * len(self._taken))
-        self.create_subscription(topic.type, name, self._enqueue(name, callback), stream_qos(topic.latched))
+        self.create_subscription(topic.type, name, self._enqueue(name, callback), _qos(topic))
 
     def _discover(self) -> None:
         """Listen to topics that have appeared and fit a pattern of the handler's."""

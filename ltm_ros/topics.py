@@ -35,7 +35,7 @@ LABELS_INFO = Topic("labels/info", String, latched=True)
 FUEL_VOTES = Topic("fuel/votes", PointCloud2)
 
 FUEL_MAP = Topic("fuel_map", OccupancyGrid, latched=True)
-FUEL_MAP_UPDATE = Topic("fuel_map/update", OccupancyGrid)
+FUEL_MAP_UPDATE = Topic("fuel_map/update", OccupancyGrid, depth=200)  # they come in bursts, twice a second
 FUEL_MAP_INFO = Topic("fuel_map/info", String, latched=True)
 FUEL_MAP_QUERY = Topic("fuel_map/query", PointStamped)
 FUEL_MAP_ANSWER = Topic("fuel_map/answer", String, latched=True)

@@ -81,8 +81,7 @@ class Listener:
         self.arrived: dict[int, float] = {}
         self.summary: dict[str, str] = {}
         topic = site_topic(NAME, FUEL_MAP_UPDATE)
-        qos = stream_qos()
-        qos.depth = 1000  # updates come in bursts, twice a second
+        qos = stream_qos(depth=FUEL_MAP_UPDATE.depth)
         self._node.create_subscription(OccupancyGrid, topic, self._updated, qos, raw=True)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, 10)
         self._executor = SingleThreadedExecutor(context=self._context)

@@ -111,6 +111,7 @@ class FuelMap(Handler[FuelMapConfig]):
         info = self._classes.info() | {"crs": geometry.crs, "x_min": geometry.x_min, "y_max": geometry.y_max}
         self.outlet.publish(FUEL_MAP_INFO, String(data=json.dumps(info)))
         self._publish_map()
+        self._announce([])
         _compile(self._labels)
 
     def on_votes(self, camera: str, message: Any) -> None:

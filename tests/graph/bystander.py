@@ -54,9 +54,9 @@ class Bystander:
         self.node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
-    def listen(self, topic: str, message_type: type, latched: bool = False) -> None:
+    def listen(self, topic: str, message_type: type, latched: bool = False, depth: int = 10) -> None:
         """Keep what comes on `topic`, an absolute name."""
-        self.node.create_subscription(message_type, topic, self.heard[topic].append, stream_qos(latched))
+        self.node.create_subscription(message_type, topic, self.heard[topic].append, stream_qos(latched, depth))
 
     def open(self, topic: str, message_type: type, listeners: int = 1) -> None:
         """Prepare to send on `topic`; waits until so many listen."""

@@ -1,0 +1,143 @@
+"""The fuel map as a process on real DDS: killed under load it keeps what it told of; cameras join, people ask."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bystander import Bystander, wait_for
+from fuel_frames import CAMERAS, NAME, camera_of, grid_of, message, stamp_of_frame, write_site
+from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
+
+from ltm_core.fuel.stored_map import STORE_FILE
+from ltm_core.site_io import load_site
+from ltm_core.tile_store import TileStore
+from ltm_ros.graph import Graph, describe
+from ltm_ros.runner import Runner
+from ltm_ros.supervisor import RestartPolicy
+from ltm_ros.topics import (
+    FUEL_MAP,
+    FUEL_MAP_ANSWER,
+    FUEL_MAP_QUERY,
+    FUEL_MAP_REGION,
+    FUEL_MAP_UPDATE,
+    FUEL_VOTES,
+    camera_topic,
+    site_topic,
+)
+
+pytestmark = pytest.mark.graph
+
+UPDATE = site_topic(NAME, FUEL_MAP_UPDATE)
+NODE = f"/{NAME}/fuel_map"
+
+
+class Living:
+    """A fuel map that runs, and cameras that send to it."""
+
+    def __init__(self, site: Path, folder: Path, runner: Runner, bystander: Bystander) -> None:
+        self.folder, self.runner, self.bystander = folder, runner, bystander
+        self.grid = grid_of(site)
+
+    def send(self, *numbers: int, camera: str | None = None) -> None:
+        for number in numbers:
+            topic = camera_topic(NAME, camera or camera_of(number), FUEL_VOTES)
+            self.bystander.send(topic, message(number, self.grid))
+
+    def told(self) -> set[int]:
+        return set(self.bystander.stamps(UPDATE))
+
+    def wait_told(self, *numbers: int) -> None:
+        stamps = {stamp_of_frame(n) for n in numbers}
+        wait_for(lambda: stamps <= self.told(), f"updates of {numbers}", lambda: self.bystander.summaries)
+
+
+@pytest.fixture
+def living(ros_domain: int, tmp_path: Path) -> Iterator[Living]:
+    site, folder = write_site(tmp_path), tmp_path / "kept"
+    parameters: dict[str, Any] = {"fuel_map": {"folder": str(folder), "accept_unknown_cameras": True}}
+    whole = describe(load_site(site), site, parameters=parameters)
+    runner = Runner(
+        Graph(NAME, (whole.node("fuel_map"),)),
+        domain_id=ros_domain,
+        log_folder=tmp_path / "log",
+        console=lambda line: None,
+        policy=RestartPolicy(initial_s=0.1, maximum_s=1.0),
+    )
+    with runner, Bystander() as bystander:
+        runner.wait_until_ready(120.0)
+        bystander.listen(UPDATE, FUEL_MAP_UPDATE.type, depth=FUEL_MAP_UPDATE.depth)
+        for camera in CAMERAS:
+            bystander.open(camera_topic(NAME, camera, FUEL_VOTES), FUEL_VOTES.type)
+        bystander.wait_for_wiring(1)
+        yield Living(site, folder, runner, bystander)
+
+
+def test_kills_under_load_lose_nothing_that_was_told_of(living: Living) -> None:
+    process, owed = living.runner.processes["fuel_map"], 0
+    for _ in range(3):
+        starts = process.starts
+        living.send(*range(owed, owed + 30))
+        new = {stamp_of_frame(n) for n in range(owed, owed + 30)}
+        wait_for(lambda stamps=new: living.told() & stamps, "an update")
+        living.runner.kill("fuel_map")
+        told = living.told()
+        wait_for(lambda n=starts: process.starts == n + 1 and process.running, "the node again")
+        living.bystander.summaries.clear()
+        living.bystander.wait_for_wiring(1)
+        # The cameras send again what nobody told them of, and some more.
+        owed += 30
+        again = [n for n in range(owed) if stamp_of_frame(n) not in told]
+        living.send(*again, *range(0, owed, 7))
+        wait_for(
+            lambda n=owed: living.bystander.count(NODE, "frames") == n,
+            f"{owed} frames",
+            lambda: (living.bystander.summaries, len(living.told())),
+        )
+    with TileStore.open_read_only(living.folder / STORE_FILE, "fuel") as store:
+        assert store.frame_count() == owed
+        assert set(store.sources()) == set(CAMERAS)
+
+
+def test_cameras_join_and_people_ask(living: Living) -> None:
+    bystander = living.bystander
+    bystander.open(camera_topic(NAME, "phone_7", FUEL_VOTES), FUEL_VOTES.type)
+    bystander.wait_for_wiring(1)
+    living.send(0, 1, 2)
+    living.send(3, camera="phone_7")
+    living.wait_told(0, 1, 2, 3)
+
+    latest = bystander.wait_for_stamp(UPDATE, stamp_of_frame(3))
+    corner, cells = latest.info.origin.position, np.array(latest.data).reshape(latest.info.height, latest.info.width)
+    row, col = np.argwhere(cells > 0)[0]
+    asked = PointStamped()
+    asked.header.frame_id = "map"
+    asked.point.x, asked.point.y = corner.x + 30.0 * col + 15.0, corner.y + 30.0 * row + 15.0
+    answers = site_topic(NAME, FUEL_MAP_ANSWER)
+    bystander.listen(answers, FUEL_MAP_ANSWER.type, latched=True)
+    bystander.open(site_topic(NAME, FUEL_MAP_QUERY), PointStamped)
+    bystander.wait_for_wiring(1)
+    bystander.send(site_topic(NAME, FUEL_MAP_QUERY), asked)
+    wait_for(lambda: bystander.heard[answers], "an answer")
+    answer = json.loads(bystander.heard[answers][0].data)
+    assert answer["seen_by"] >= 1
+    assert answer["fuel"]["code"] > 0
+    assert "phone_7" in {touch["camera"] for touch in answer["tile"]}
+
+    maps = site_topic(NAME, FUEL_MAP)
+    bystander.listen(maps, FUEL_MAP.type, latched=True)
+    bystander.open(site_topic(NAME, FUEL_MAP_REGION), PolygonStamped)
+    region = PolygonStamped()
+    region.header.frame_id = "map"
+    g = living.grid
+    corners = ((g.x_min, g.y_min), (g.x_max, g.y_min), (g.x_max, g.y_max), (g.x_min, g.y_max))
+    region.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners]
+    assert bystander.call(f"{NODE}/clear")[0] is False
+    wait_for(lambda: bystander.heard[maps] and (np.array(bystander.heard[maps][-1].data) > 0).any(), "the map")
+    bystander.send(site_topic(NAME, FUEL_MAP_REGION), region)
+    wait_for(lambda: bystander.call(f"{NODE}/clear")[0], "the region to be cleared")
+    wait_for(lambda: (np.array(bystander.heard[maps][-1].data) == -1).all(), "an empty map")
