@@ -40,8 +40,6 @@ OVERRULE_FARTHER = 5.0
 
 STEP_DOUBT = 0.5
 """Sigma at a network's edges as a part of the step there, where it stands alone against the terrain."""
-SIDE_DOUBT = 0.2
-"""The same where it only has to say which of two sides a pixel belongs to."""
 
 
 class Source(IntEnum):
@@ -156,12 +154,8 @@ def fuse(
     fit = None if network is None else fit_network(network, samples, (size[0], size[1]))
     source = np.empty(size, np.uint8)
     nothing = np.zeros((1, 1), np.float32)
-    inverse = doubt = nothing
-    beside = None
-    if fit is not None and not fit.trouble:
-        inverse, doubt, step = _upsampled(fit, rgb)
-        beside = (inverse, doubt + np.float32(SIDE_DOUBT) * step)
-        doubt += np.float32(STEP_DOUBT) * step
+    beside = _upsampled(fit, rgb) if fit is not None and not fit.trouble else None
+    inverse, doubt, step = (nothing, nothing, nothing) if beside is None else beside
     raise_silhouettes(rgb, ground, expected, sigma, labels, classes.crest, classes.sky, camera, beside)
     over = surface.depth() if surface is not None else np.zeros((1, 1), np.float32)
     _combine(
@@ -171,6 +165,7 @@ def fuse(
         surface is not None,
         inverse,
         doubt,
+        step,
         beside is not None,
         np.zeros((1, 1), np.uint8) if labels is None else labels,
         labels is not None,
@@ -221,6 +216,7 @@ def _combine(
     has_over: bool,
     inverse: Image,
     doubt: Image,
+    step: Image,
     usable: bool,
     labels: Bytes,
     labelled: bool,
@@ -237,7 +233,7 @@ def _combine(
             label = labels[v, u] if labelled else np.uint8(255)
             y, t = np.float32(np.nan), np.float32(np.nan)
             if usable:
-                y, t = inverse[v, u], doubt[v, u]
+                y, t = inverse[v, u], doubt[v, u] + np.float32(STEP_DOUBT) * step[v, u]
             if has_over:
                 c = over[v, u]
                 if c < far and (not d < far or abs(c - d) > s):

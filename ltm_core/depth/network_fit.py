@@ -29,6 +29,7 @@ _SHRINK = (4.0, 16.0, 64.0)  # samples' worth of belief in no correction, tried 
 _GAIN = 0.97  # of the held-out error: corrections that do not reach it are left out
 _RELATIVE_FLOOR = 2e-3  # least relative noise of a fit that is believed
 _WINSOR = 6.0
+_COVERED = 4.0
 TAIL, TAIL_SIGMAS = 0.99, 2.576
 """A normal distribution's share of residuals within so many sigmas."""
 UNSAMPLED = 4.0
@@ -41,9 +42,9 @@ class NetworkFit:
 
     `inverse`, `sigma`: (h, w) float32, 1/m; sigma is so large that on trusted ground one residual in 100 lies beyond
     2.6 of it, as of a normal distribution, though a network's errors have long tails. `step`: (h, w) float32, 1/m, how
-    far `inverse` ranges among a pixel's neighbours: edges are soft, and halfway is neither side's depth. `line`: scale and shift, in the
-    measure of the network's kind. `regional`: whether slow corrections are in. `trouble`: why the fit cannot be used;
-    empty where it can.
+    far `inverse` ranges among a pixel's neighbours: edges are soft, and halfway is neither side's depth. `line`: scale
+    and shift, in the measure of the network's kind. `regional`: whether slow corrections are in. `trouble`: why the fit
+    cannot be used; empty where it can.
     """
 
     inverse: Image
@@ -97,7 +98,11 @@ def fit_network(network: NetworkDepth, samples: GroundSamples, size: tuple[int, 
         inverse = inverse + sigma * _grown(field, inverse.shape)
         off = 1.0 / samples.depth - sampled(inverse, samples, size)
     sigma = (sigma * _grown(factor, sigma.shape)).astype(np.float32)
-    tail = float(np.quantile((np.abs(off) / np.hypot(sampled(sigma, samples, size), terrain))[usable], TAIL))
+    joint = (off / np.hypot(sampled(sigma, samples, size), terrain))[usable]
+    # Only where the network sees something farther than the terrain: there it errs, since ground seldom vanishes.
+    # What it sees nearer may be plants that no label told of.
+    farther = joint[joint > 0]
+    tail = float(np.quantile(farther, TAIL)) if len(farther) >= 20 else 0.0
     sigma = (sigma * max(1.0, tail / TAIL_SIGMAS)).astype(np.float32)
     return NetworkFit(inverse.astype(np.float32), sigma, _range(inverse), line, field is not None, "")
 
@@ -191,6 +196,8 @@ def _regional(
     A field is taken over the regions of a checkerboard and judged on the others: what a correction says of ground that
     it has not seen is what it will say of trees.
     """
+    # What the network sees much nearer than the terrain is cover that no label told of, not its slow error.
+    usable = usable & ~(off < -_COVERED)
     rows = np.minimum((samples.rows * REGIONS[0]) // size[0], REGIONS[0] - 1)[usable]
     cols = np.minimum((samples.cols * REGIONS[1]) // size[1], REGIONS[1] - 1)[usable]
     off = np.clip(off[usable], -_WINSOR, _WINSOR)

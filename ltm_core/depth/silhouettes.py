@@ -32,6 +32,7 @@ _TEMPER = 0.3  # of a pixel's colour likelihood: neighbours share texture, so th
 _MOST = 2.0  # log likelihood that one pixel's colour may carry
 _NETWORK_MOST = 3.0  # the same of its network depth
 _NETWORK_SURE = 1.0  # log likelihood from which on the network may raise an edge beyond the usual cover
+_SIDE_DOUBT = 0.2  # of a network's step: less than elsewhere, for it only has to say which of two sides it is
 _NEED = 1.0  # log odds by which a cut must be better than none
 _BLUR = (5, 3)
 
@@ -59,18 +60,18 @@ def raise_silhouettes(
     crest: NDArray[np.float32],
     sky: int,
     camera: Camera,
-    network: tuple[Image, Image] | None = None,
+    network: tuple[Image, Image, Image] | None = None,
 ) -> Silhouettes:
     """Move the edges of `surface` and `sigma` (H, W), in place, to where the photo has them; the edges found.
 
     `crest`: (256,) metres to which a pixel of each class may belong to cover on the crest below it. `network`: inverse
-    depth and its sigma at the photo's size (H, W), 1/m, where there is a network.
+    depth, its sigma and its step at the photo's size (H, W), 1/m (see `network_fit`), where there is a network.
     """
     color = np.asarray(cv2.blur(rgb, _BLUR), np.uint8)
     rows, cols = _edges(ground, np.float32(JUMP))
     raised = np.zeros(len(rows), np.int32)
     nothing = np.zeros((1, 1), np.float32)
-    inverse, doubt = (nothing, nothing) if network is None else network
+    inverse, doubt, step = (nothing, nothing, nothing) if network is None else network
     _cut(
         color,
         ground,
@@ -81,6 +82,7 @@ def raise_silhouettes(
         np.float32(camera.fy),
         inverse,
         doubt,
+        step,
         network is not None,
         rows,
         cols,
@@ -161,6 +163,7 @@ def _cut(
     focal: np.float32,
     inverse: Image,
     doubt: Image,
+    step: Image,
     networked: bool,
     rows: NDArray[np.int32],
     cols: NDArray[np.int32],
@@ -186,7 +189,8 @@ def _cut(
         for s in range(1, min(tall, v) + 1):
             taller = labelled and crest[labels[v - s, u]] > crest[255]
             if not taller and share > 0:
-                taller = share * _farther(inverse[v - s, u], doubt[v - s, u], d, ground[v - s, u]) < -_NETWORK_SURE
+                unsure = doubt[v - s, u] + np.float32(_SIDE_DOUBT) * step[v - s, u]
+                taller = share * _farther(inverse[v - s, u], unsure, d, ground[v - s, u]) < -_NETWORK_SURE
             if not taller:
                 break
             strip = max(strip, s)
@@ -209,7 +213,8 @@ def _cut(
             evidence = min(max(np.float32(_TEMPER) * evidence, np.float32(-_MOST)), np.float32(_MOST))
             further = np.float32(0.0)
             if share > 0:
-                further = share * _farther(inverse[r, u], doubt[r, u], d, ground[r, u])
+                unsure = doubt[r, u] + np.float32(_SIDE_DOUBT) * step[r, u]
+                further = share * _farther(inverse[r, u], unsure, d, ground[r, u])
             if labelled:
                 label = labels[r, u]
                 if s * d > crest[label] * focal and further > -_NETWORK_SURE:

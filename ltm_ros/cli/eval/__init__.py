@@ -11,6 +11,7 @@ from typer.core import TyperGroup
 
 from ltm_ros.cli.eval.bag import bag
 from ltm_ros.cli.eval.depth import depth
+from ltm_ros.cli.eval.fuel import fuel
 from ltm_ros.cli.eval.segmentation import segmentation
 from ltm_ros.cli.eval.sim2real import sim2real
 from ltm_ros.cli.eval.terrain import terrain
@@ -31,6 +32,7 @@ class EvalGroup(TyperGroup):
 evaluate = typer.Typer(cls=EvalGroup, no_args_is_help=True, help="Score a recorded run, or one part of the system.")
 evaluate.command(WHOLE)(bag)
 evaluate.command()(depth)
+evaluate.command()(fuel)
 evaluate.command()(segmentation)
 evaluate.command()(sim2real)
 evaluate.command()(terrain)

@@ -1,0 +1,94 @@
+"""What fusing the depths of one frame costs, part by part, beyond the network that made one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.bench.measure import Cost, least_cost
+from ltm_core.bench.terrain import ridged_terrain
+from ltm_core.camera import Camera
+from ltm_core.depth.classes import DepthClasses
+from ltm_core.depth.fusion import FusionSettings, fuse
+from ltm_core.depth.monocular import NetworkDepth
+from ltm_core.depth.network_fit import fit_network
+from ltm_core.depth.pose_check import check_pose
+from ltm_core.depth.range_image import RangeImage
+from ltm_core.depth.sampling import ground_samples
+from ltm_core.depth.silhouettes import raise_silhouettes
+from ltm_core.depth.surface import expected_surface
+from ltm_core.pose import Pose
+from ltm_core.tracing import TerrainTracer
+from ltm_core.vision.labels import LabelSet
+
+NETWORK_SIZE = (256, 384)
+
+
+@dataclass(frozen=True)
+class FusionCost:
+    """`part`: what was timed; `whole`: all of it, as a node does it."""
+
+    part: str
+    cost: Cost
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    traced: RangeImage
+    photo: NDArray[np.uint8]
+    labels: NDArray[np.uint8]
+    network: NetworkDepth
+
+
+def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionCost]:
+    """Costs for a frame of ridges under a patchwork of covers; the kernels are compiled before."""
+    frame, classes, settings = _frame(width, height), DepthClasses.of(LabelSet.load()), FusionSettings()
+    camera, ground = frame.traced.camera, frame.traced.depth()
+    surface, sigma = expected_surface(
+        ground, frame.labels, classes.cover, camera, frame.traced.pose, settings.angle_sigma, settings.dem_sigma
+    )
+    samples = ground_samples(surface, sigma, frame.labels, classes.ground, camera.fy)
+    parts: dict[str, Callable[[], Any]] = {
+        "range to depth": frame.traced.depth,
+        "check of the pose": lambda: check_pose(frame.photo, ground, camera, settings.angle_sigma, settings.dem_sigma),
+        "expected surface": lambda: expected_surface(
+            ground, frame.labels, classes.cover, camera, frame.traced.pose, settings.angle_sigma, settings.dem_sigma
+        ),
+        "sampling": lambda: ground_samples(surface, sigma, frame.labels, classes.ground, camera.fy),
+        "RANSAC and regions": lambda: fit_network(frame.network, samples, (height, width)),
+        "silhouettes": lambda: raise_silhouettes(
+            frame.photo, ground, surface.copy(), sigma.copy(), frame.labels, classes.crest, classes.sky, camera
+        ),
+        "whole": lambda: fuse(frame.traced, frame.network, frame.photo, frame.labels, classes, settings),
+    }
+    for call in parts.values():
+        call()
+    return [FusionCost(name, least_cost(call, repeats)) for name, call in parts.items()]
+
+
+def _frame(width: int, height: int) -> _Frame:
+    dem = ridged_terrain(1500)
+    camera = Camera.from_fov(width, height, 55.0)
+    # A tower at the edge that looks into the site: four fifths of the photo are terrain.
+    south = dem.elevation[-150:-50]
+    row, col = np.unravel_index(int(np.argmax(south)), south.shape)
+    x, y = dem.geometry.to_map(row + dem.geometry.height - 150, col)
+    heading = float(np.degrees(np.arctan2(dem.geometry.width / 2 - col, dem.geometry.height)))
+    pose = Pose.from_angles((float(x), float(y), float(south[row, col]) + 25.0), heading, -14.0)
+    traced = TerrainTracer(dem).trace(camera, pose)
+    depth = traced.depth()
+    rng = np.random.default_rng(2)
+    cover = cv2.resize(rng.integers(1, 5, (9, 16)).astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
+    labels = np.where(np.isinf(depth), 0, cover).astype(np.uint8)
+    haze = np.exp(-np.where(np.isfinite(depth), depth, 1e5) / 1500.0)[..., None]
+    color = np.array([[135, 190, 235], [200, 190, 110], [120, 110, 60], [40, 80, 40], [165, 150, 140]], np.float32)
+    photo = color[labels] * haze + 210.0 * (1 - haze) + rng.normal(0, 6, (height, width, 1))
+    inverse = np.where(np.isfinite(depth) & (depth > 0), 1 / np.maximum(depth, 1.0), 0.0).astype(np.float32)
+    small = cv2.resize(inverse, NETWORK_SIZE[::-1], interpolation=cv2.INTER_AREA)
+    values = (30 * small * (1 + 0.02 * rng.standard_normal(small.shape)) + 0.1).astype(np.float32)
+    return _Frame(traced, np.clip(photo, 0, 255).astype(np.uint8), labels, NetworkDepth(values, "relative_inverse"))

@@ -1,0 +1,181 @@
+"""`ltm eval depth`: traced, network and fused depth against truth, by range."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from ltm_core.depth.evaluation import ConditionScore
+
+CLAIM = (
+    "The paper claims for TopoDepth errors within tens of metres, and for one-shot networks one to two orders of "
+    "magnitude more (mountains at 1000 m taken for tens of metres away); it gives no table."
+)
+
+
+class Labels(StrEnum):
+    """Where the labels come from."""
+
+    model = "model"
+    truth = "truth"
+    none = "none"
+
+
+def depth(
+    source: Annotated[
+        Path | None, typer.Argument(help="Folder of `ltm simulate`, or a bag with truth; default: bags/demo.")
+    ] = None,
+    model: Annotated[str, typer.Option(help="Depth network: manifest name or path.")] = "tcmonodepth",
+    depth_maps: Annotated[
+        Path | None,
+        typer.Option(help="Instead of a network: a folder CAMERA/STAMP_NS.npy (.png, .tif), see depth_maps.yaml."),
+    ] = None,
+    labels: Annotated[Labels, typer.Option(help="Labels that the fusion gets.")] = Labels.model,
+    segmentation: Annotated[str, typer.Option(help="Segmentation network; default: the site's.")] = "",
+    site: Annotated[Path | None, typer.Option(help="Site file of a bag; default: beside it.")] = None,
+    date: Annotated[str, typer.Option(help="Only frames of this date of a simulated folder.")] = "",
+    pose_error: Annotated[str, typer.Option(help="Also with poses wrong by so many degrees, with commas.")] = "",
+    occlude: Annotated[str, typer.Option(help="Also with such shares of the photo hidden, with commas.")] = "",
+    coarsen: Annotated[str, typer.Option(help="Also with DEM cells of so many metres, with commas.")] = "",
+    shift: Annotated[str, typer.Option(help="Also with the DEM shifted by so many metres, with commas.")] = "",
+    limit: Annotated[int | None, typer.Option(help="Score at most so many frames.", min=1)] = None,
+    pictures: Annotated[Path | None, typer.Option(help="Folder for a sheet of pictures of every frame.")] = None,
+    json_path: Annotated[Path | None, typer.Option("--json", help="Also write every figure to this file.")] = None,
+) -> None:
+    """Score traced depth, a network alone, and both fused, on the same pixels, by range of true depth."""
+    import json
+    import os
+    import platform
+    from itertools import islice
+
+    from rich.console import Console
+
+    from ltm_core.depth.classes import DepthClasses
+    from ltm_core.depth.evaluation import DepthEvaluation, Given, conditions, upsampled_labels
+    from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
+    from ltm_core.depth.truth_frames_io import open_dem, read_truth_frames
+    from ltm_core.errors import RecordingError
+    from ltm_core.metrics.depth_maps_io import DepthMapFolder
+    from ltm_core.pictures import to_png
+    from ltm_core.pictures.depth_sheet import depth_sheet
+    from ltm_core.resources import project_path
+    from ltm_core.vision.labels import LabelSet
+    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+
+    console = Console()
+    place = source if source is not None else project_path("bags/demo/recording")
+    name = segmentation or DEFAULT_MODEL
+    if (place / "frames.json").is_file():
+        dem, frames = open_dem(place), read_truth_frames(place, date)
+    else:
+        from ltm_ros.bag_score import Recorded
+        from ltm_ros.truth_frames import recorded_truth_frames
+
+        recorded = Recorded.find(place, site)
+        name = segmentation or recorded.site.model
+        dem, frames = recorded.site.open_dem(), recorded_truth_frames(place, recorded.site)
+    classes = DepthClasses.of(LabelSet.load())
+    network = None if depth_maps is not None else DepthNetwork.open(model)
+    folder = None if depth_maps is None else DepthMapFolder.open(depth_maps.name, depth_maps)
+    segmenter = Segmenter.open(name) if labels is Labels.model else None
+    runs = [
+        DepthEvaluation(condition, dem, classes)
+        for condition in conditions(*(_numbers(text) for text in (pose_error, occlude, coarsen, shift)))
+    ]
+    count = 0
+    with console.status("scoring") as status:
+        for frame in islice(frames, limit):
+            for run in runs:
+                photo, hidden = run.seen(frame)
+                if network is not None:
+                    estimate = network.predict(photo, frame.camera)
+                else:
+                    values = folder.read(frame.camera_name, frame.stamp_ns) if folder is not None else None
+                    if values is None or folder is None:
+                        raise RecordingError(f"{depth_maps} has no depth map {frame.camera_name}/{frame.stamp_ns}")
+                    estimate = NetworkDepth(values, folder.config.kind)
+                given = None if segmenter is None else segmenter.segment(photo).labels
+                if labels is Labels.truth:
+                    given = upsampled_labels(frame.labels, (frame.camera.height, frame.camera.width))
+                fused, sources = run.add(frame, photo, hidden, Given(estimate, given))
+                if pictures is not None:
+                    pictures.mkdir(parents=True, exist_ok=True)
+                    title = f"{frame.camera_name} {frame.date} {run.condition.name}".replace("  ", " ")
+                    sheet = depth_sheet(title, photo, sources, frame.surface, fused)
+                    file = f"{frame.camera_name}_{frame.stamp_ns}_{run.condition.name}".replace(" ", "_")
+                    (pictures / f"{file.replace(',', '').replace('%', 'percent')}.png").write_bytes(to_png(sheet))
+            count += 1
+            status.update(f"scored {count} frames")
+    if count == 0:
+        raise RecordingError(f"{place} holds no frame with photo, pose and truth: nothing can be scored")
+    scores = [run.score() for run in runs]
+    what = model if depth_maps is None else str(depth_maps)
+    for score in scores:
+        console.print(_table(score, what))
+        verdicts = ", ".join(f"{n} {verdict}" for verdict, n in sorted(score.verdicts.items()))
+        covered = ", ".join(f"{key} {value:.1%}" for key, value in score.coverage.items())
+        console.print(f"{verdicts}; inlier ratio {score.inlier_ratio:.2f}; true depth covered: {covered}")
+    console.print(CLAIM)
+    state = f"{place}, {count} frames, depth {what}, labels {labels.value if segmenter is None else name}"
+    console.print(f"conditions: {state}; {len(os.sched_getaffinity(0))} cores, Python {platform.python_version()}")
+    if json_path is not None:
+        json_path.parent.mkdir(parents=True, exist_ok=True)
+        report = {"conditions": state, "claim": CLAIM, "scores": [_as_json(score) for score in scores]}
+        json_path.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",") if part.strip()]
+    except ValueError as error:
+        raise typer.BadParameter(f"give numbers with commas, got {text!r}") from error
+
+
+def _table(score: ConditionScore, network: str) -> Table:
+    from rich.table import Table
+
+    from ltm_ros.eval_tables import bin_name
+
+    shown = Table(title=f"{score.condition.name}: metres against the visible surface, network {network}")
+    for column in ("pixels that are", "source", "true depth", "pixels", "RMSE", "MAE", "median", "bias"):
+        shown.add_column(column, justify="left" if column in ("pixels that are", "source") else "right")
+    for group in dict.fromkeys(row.group for row in score.rows):
+        for row in (r for r in score.rows if r.group == group):
+            for one in (s for s in row.scores if s.pixels):
+                figures = (f"{v:,.1f}" for v in (one.rmse, one.mae, one.median, one.bias))
+                first = one is next(s for s in row.scores if s.pixels)
+                names = (group, row.source) if first else ("", "")
+                shown.add_row(*names, bin_name(one), f"{one.pixels:,}", *figures)
+        shown.add_section()
+    return shown
+
+
+def _as_json(score: ConditionScore) -> dict[str, Any]:
+    from dataclasses import asdict
+    from math import isfinite
+
+    rows = [
+        {
+            "source": row.source,
+            "group": row.group,
+            "bins": [
+                {k: v if not isinstance(v, float) or isfinite(v) else None for k, v in asdict(one).items()}
+                for one in row.scores
+            ],
+        }
+        for row in score.rows
+    ]
+    return {
+        "condition": asdict(score.condition),
+        "frames": score.frames,
+        "verdicts": dict(score.verdicts),
+        "inlier_ratio": score.inlier_ratio,
+        "coverage": dict(score.coverage),
+        "rows": rows,
+    }

@@ -1,0 +1,233 @@
+"""Fusion of traced and network depth: better than either, sharp at edges, never silent about a wrong pose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from depth_scene import CAMERA, STAND_HEIGHT, DepthScene, depth_scene
+from numpy.typing import NDArray
+
+from ltm_core.depth.classes import DepthClasses
+from ltm_core.depth.fusion import FusedDepth, FusionSettings, Source, Verdict, fuse
+from ltm_core.depth.monocular import NetworkDepth
+from ltm_core.depth.network_fit import fit_network
+from ltm_core.depth.pose_check import check_pose
+from ltm_core.depth.range_image import RangeImage
+from ltm_core.depth.sampling import ground_samples
+from ltm_core.depth.silhouettes import raise_silhouettes
+from ltm_core.depth.surface import expected_surface
+from ltm_core.errors import ConfigError, ImageError
+from ltm_core.tracing import TerrainTracer
+from ltm_core.vision.labels import LabelSet
+
+CLASSES = DepthClasses.of(LabelSet.load())
+SETTINGS = FusionSettings()
+
+
+def fused(scene: DepthScene, network: NetworkDepth | None, labels: NDArray[np.uint8] | None = None) -> FusedDepth:
+    return fuse(scene.traced, network, scene.photo, labels, CLASSES)
+
+
+def rmse(depth: NDArray[np.float32], truth: NDArray[np.float32], where: NDArray[np.bool_]) -> float:
+    counted = where & np.isfinite(depth) & np.isfinite(truth)
+    return float(np.sqrt(np.mean((depth[counted] - truth[counted]) ** 2)))
+
+
+@pytest.mark.parametrize(("labelled", "left"), [(True, 0.5), (False, 0.8)])
+def test_trees_that_the_dem_does_not_know_are_seen(labelled: bool, left: float) -> None:
+    """Without labels the trees stand among the ground that the network is fitted to, and less is seen of them."""
+    scene = depth_scene()
+    result = fused(scene, scene.network(), scene.labels if labelled else None)
+    assert result.verdict is Verdict.OK
+    traced = rmse(scene.traced.depth(), scene.truth, scene.stand)
+    assert rmse(result.depth, scene.truth, scene.stand) < left * traced
+    seen = np.isin(result.source, (Source.NETWORK, Source.BOTH))
+    assert seen[scene.stand].mean() > 1.0 - left
+    np.testing.assert_array_equal(result.ground, scene.traced.depth())
+
+
+def test_where_nothing_changed_the_terrain_stays_and_beats_the_network() -> None:
+    scene = depth_scene()
+    result = fused(scene, scene.network(), scene.labels)
+    assert result.fit is not None
+    far = np.isfinite(scene.truth) & (scene.truth > 800) & ~scene.stand
+    network = np.repeat(np.repeat(1 / np.maximum(result.fit.inverse, 1e-5), 4, 0), 4, 1)
+    assert rmse(result.depth, scene.truth, far) < 0.1 * rmse(network, scene.truth, far)
+    error = np.abs(result.depth[far] - scene.truth[far]) / scene.truth[far]
+    assert np.median(error) < 0.002
+    assert np.quantile(error, 0.99) < 0.06  # the height that grass is taken to have, under a grazing view
+
+
+def test_sigma_says_how_wrong_the_depth_is() -> None:
+    scene = depth_scene()
+    result = fused(scene, scene.network(), scene.labels)
+    known = np.isfinite(result.depth) & np.isfinite(scene.truth)
+    assert (np.abs(result.depth[known] - scene.truth[known]) < 3 * result.sigma[known]).mean() > 0.97
+    assert np.isnan(result.sigma[~np.isfinite(result.depth)]).all()
+
+
+@pytest.mark.parametrize("kind", ["affine_invariant", "metric"])
+def test_networks_of_the_other_kinds_are_fitted_too(kind: str) -> None:
+    scene = depth_scene()
+    inverse = (scene.network(noise=0.01, scale=1.0, shift=0.0)).values
+    metres = 1 / np.maximum(inverse, 2e-4)
+    values = metres * 1.7 if kind == "metric" else 0.01 * metres - 0.5
+    result = fused(scene, NetworkDepth(values.astype(np.float32), kind), scene.labels)  # type: ignore[arg-type]
+    assert result.verdict is Verdict.OK
+    assert result.fit is not None
+    assert result.fit.line is not None
+    if kind == "metric":
+        assert np.exp(result.fit.line.shift) == pytest.approx(1 / 1.7, rel=0.02)
+    else:
+        assert result.fit.line.scale == pytest.approx(100.0, rel=0.05)
+    assert rmse(result.depth, scene.truth, scene.stand) < 0.6 * rmse(scene.traced.depth(), scene.truth, scene.stand)
+
+
+def test_a_fit_holds_while_forty_percent_of_the_ground_is_something_else() -> None:
+    scene = depth_scene()
+    network = scene.network(noise=0.005)
+    rng = np.random.default_rng(8)
+    blocks = rng.random((9, 16)) < 0.4
+    hidden = np.repeat(np.repeat(blocks, 10, 0), 10, 1)
+    near = np.where(hidden, 40.0 / rng.uniform(30, 60, hidden.shape) + 0.2, network.values)
+    ground = scene.traced.depth()
+    surface, sigma = expected_surface(
+        ground, scene.labels, CLASSES.cover, CAMERA, scene.traced.pose, SETTINGS.angle_sigma, SETTINGS.dem_sigma
+    )
+    samples = ground_samples(surface, sigma, scene.labels, CLASSES.ground, CAMERA.fy)
+    fit = fit_network(NetworkDepth(near.astype(np.float32), network.kind), samples, (CAMERA.height, CAMERA.width))
+    assert fit.trouble == ""
+    assert fit.line is not None
+    assert fit.line.scale == pytest.approx(1 / 40.0, rel=0.03)
+    assert fit.line.shift == pytest.approx(-0.2 / 40.0, abs=1.5e-4)
+
+
+@pytest.mark.parametrize("turn", [0.6, -1.0, 2.0])
+def test_a_wrong_pose_is_suspected_and_nothing_is_fused(turn: float) -> None:
+    scene = depth_scene()
+    wrong = scene.turned(turn)
+    result = fuse(wrong, scene.network(), scene.photo, scene.labels, CLASSES)
+    assert result.verdict is Verdict.POSE_SUSPECTED
+    assert result.pose.pitch_deg == pytest.approx(-turn, abs=0.15)
+    assert "deg of pitch" in result.reason
+    np.testing.assert_array_equal(result.depth, wrong.depth())
+    assert set(np.unique(result.source)) <= {Source.TERRAIN, Source.SKY, Source.UNKNOWN}
+    assert np.isnan(result.sigma).all()
+
+
+def test_an_exact_pose_is_not_suspected() -> None:
+    scene = depth_scene()
+    check = check_pose(scene.photo, scene.traced.depth(), CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma)
+    assert check.edges > 100
+    assert not check.suspected
+
+
+def test_without_terrain_and_with_an_empty_sky() -> None:
+    scene = depth_scene()
+    for value, source in ((np.nan, Source.UNKNOWN), (np.inf, Source.SKY)):
+        nothing = replace(scene.traced, range=np.full_like(scene.traced.range, value))
+        result = fuse(nothing, scene.network(), scene.photo, scene.labels, CLASSES)
+        assert result.verdict is Verdict.NO_TERRAIN
+        assert (result.source == source).all()
+
+
+def test_holes_of_the_dem_stay_holes_or_are_filled_by_the_network_alone() -> None:
+    scene = depth_scene()
+    holed = scene.traced.range.copy()
+    holed[250:300, 100:220] = np.nan
+    result = fuse(replace(scene.traced, range=holed), scene.network(), scene.photo, scene.labels, CLASSES)
+    assert result.verdict is Verdict.OK
+    inside = result.source[255:295, 110:210]
+    assert np.isin(inside, (Source.NETWORK, Source.UNKNOWN)).all()
+    filled = result.depth[255:295, 110:210][inside == Source.NETWORK]
+    true = scene.truth[255:295, 110:210][inside == Source.NETWORK]
+    assert len(filled) > 0.5 * inside.size
+    assert np.median(np.abs(filled / true - 1)) < 0.1
+
+
+def test_a_canopy_raster_is_taken_where_trees_are_labelled_and_both_hits_are_kept() -> None:
+    scene = depth_scene()
+    rows, cols = np.mgrid[0 : scene.dem.geometry.height, 0 : scene.dem.geometry.width]
+    x, y = scene.dem.geometry.to_map(rows, cols)
+    stand = (np.abs(x - 60.0) < 70.0) & (np.abs(y - 330.0) < 45.0)
+    # A second stand in the raster has been felled since.
+    felled = (np.abs(x + 120.0) < 40.0) & (np.abs(y - 330.0) < 45.0)
+    grown = np.where(stand | felled, scene.dem.elevation + np.float32(STAND_HEIGHT), scene.dem.elevation)
+    over = TerrainTracer(replace(scene.dem, elevation=grown.astype(np.float32))).trace(CAMERA, scene.traced.pose)
+    result = fuse(scene.traced, None, scene.photo, scene.labels, CLASSES, surface=over)
+    assert rmse(result.depth, scene.truth, scene.stand) < 0.2 * rmse(scene.traced.depth(), scene.truth, scene.stand)
+    with np.errstate(invalid="ignore"):
+        gone = np.isfinite(scene.truth) & ~scene.stand & (over.depth() < scene.traced.depth() - 5.0)
+    gone &= scene.labels == 1
+    assert gone.sum() > 500
+    assert np.abs(result.depth[gone] / scene.truth[gone] - 1).max() < 0.05
+    assert (result.ground[scene.stand] > result.depth[scene.stand]).mean() > 0.9
+
+
+def test_cover_brings_the_surface_nearer_by_its_height() -> None:
+    """On a plane the raised surface is known in closed form."""
+    rows, _ = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
+    down = np.maximum((rows - CAMERA.cy) / CAMERA.fy, 1e-9)
+    ground = np.where(rows > CAMERA.cy + 20, 50.0 / down, np.inf).astype(np.float32)
+    pose = replace(depth_scene().traced.pose, rotation=np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]))
+    shrubs = np.full(ground.shape, 2, np.uint8)
+    cover = np.zeros(256, np.float32)
+    cover[2] = 2.0
+    surface, sigma = expected_surface(ground, shrubs, cover, CAMERA, pose, 0.0, 0.5)
+    part = (rows > CAMERA.cy + 30) & (rows < CAMERA.height - 12)
+    np.testing.assert_allclose(surface[part], ground[part] * 48.0 / 50.0, rtol=2e-3)
+    # Half a metre of the terrain's height is a hundredth of the camera's, and so of the depth; cover is half unsure.
+    expected = np.hypot(0.01 * ground[part], 0.5 * (ground - surface)[part])
+    assert np.median(sigma[part] / expected) == pytest.approx(1.0, abs=0.1)
+
+
+def test_an_edge_moves_to_where_the_photo_has_it() -> None:
+    height, width = 200, 240
+    rows, cols = np.mgrid[0:height, 0:width]
+    crest = (110 + 12 * np.sin(cols / 40.0)).astype(int)
+    ground = np.where(rows >= crest, 400.0, 1500.0).astype(np.float32)
+    grown = rows >= crest - 5
+    rng = np.random.default_rng(6)
+    photo = np.where(grown[..., None], (90, 80, 40), (170, 180, 200)) + rng.normal(0, 8, (height, width, 1))
+    surface, sigma = ground.copy(), np.full_like(ground, 2.0)
+    camera = replace(CAMERA, width=width, height=height, fx=1200.0, fy=1200.0)
+    edges = raise_silhouettes(
+        np.clip(photo, 0, 255).astype(np.uint8), ground, surface, sigma, None, CLASSES.crest, CLASSES.sky, camera
+    )
+    assert (np.abs(edges.raised - 5) <= 1).mean() > 0.9
+    strip = grown & (rows < crest)
+    assert (surface[strip] == 400.0).mean() > 0.85
+    assert (surface[rows < crest - 9] == 1500.0).mean() > 0.99
+
+
+def test_sizes_that_differ_and_heights_that_are_none_are_refused() -> None:
+    scene = depth_scene()
+    with pytest.raises(ImageError, match=r"label image of \(360, 639\) does not fit"):
+        fuse(scene.traced, None, scene.photo, scene.labels[:, 1:], CLASSES)
+    with pytest.raises(ImageError, match=r"photo of \(359, 640\)"):
+        fuse(scene.traced, None, scene.photo[1:], None, CLASSES)
+    with pytest.raises(ConfigError, match="cover height of tree is -1 m"):
+        DepthClasses.of(LabelSet.load(), {"tree": -1})
+    with pytest.raises(ConfigError, match="no label is called 'palm'"):
+        DepthClasses.of(LabelSet.load(), {"palm": 3.0})
+
+
+def test_what_is_published_of_a_frame_is_plain_json() -> None:
+    import json
+
+    scene = depth_scene()
+    info = json.loads(json.dumps(fused(scene, scene.network(), scene.labels).info()))
+    assert info["verdict"] == "ok"
+    assert sum(info["share"].values()) == pytest.approx(1.0, abs=0.001)
+    assert info["pose"]["suspected"] is False
+
+
+def test_a_range_image_of_sky_alone_has_no_samples() -> None:
+    sky = np.full((CAMERA.height, CAMERA.width), np.inf, np.float32)
+    samples = ground_samples(sky, sky, None, CLASSES.ground, CAMERA.fy)
+    assert len(samples) == 0
+    fit = fit_network(depth_scene().network(), samples, sky.shape)
+    assert "0 pixels of trustworthy ground" in fit.trouble
+    assert isinstance(RangeImage(sky, CAMERA, depth_scene().traced.pose).depth(), np.ndarray)
