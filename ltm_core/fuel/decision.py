@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from scipy.special import betainc, entr
 
 from ltm_core.fuel.codes import FuelSystem, Region
-from ltm_core.fuel.life_form import FORMS, LifeForm, forms_of
+from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of
 from ltm_core.fuel.majority import UNSEEN
+from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.rules import FusionRules
 
 _GRASS, _SHRUB, _TREE, _BURNED = (f - 1 for f in (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE, LifeForm.BURNED))
@@ -182,3 +183,18 @@ def _contest(
     over_second = betainc(np.maximum(second, 1e-9), first, 0.5)
     better = np.minimum(over_prior, over_second)
     return challenger, better, np.where(has_prior, np.maximum(better, 1 - over_prior), over_prior)
+
+
+def layers_of_classes(classes: NDArray[np.uint8], prior: FuelPrior | None, region: Region) -> FuelLayers:
+    """The layers that a map of label classes (H, W), 255 unseen, stands for, each of its cells taken at its word.
+
+    For maps without evidence, such as a majority vote: a cell whose class agrees with the prior keeps its code.
+    """
+    codes = np.full(classes.shape, NODATA, np.int16) if prior is None else prior.codes
+    rules = FusionRules(min_interval_s=0.0, min_evidence=0.0)
+    seen = (classes >= 1) & (classes <= FORMS)
+    certain = np.zeros((int(seen.sum()), FORMS))
+    certain[np.arange(len(certain)), classes[seen].astype(np.int64) - 1] = 1000.0
+    shown = (certain > 0).astype(np.uint32)
+    cells = CellEvidence(certain, shown, shown, 2 * shown.astype(np.int64), np.zeros(len(certain), np.uint32))
+    return Decider(prior.system if prior is not None else None, rules, region).decide(codes, seen, cells, 0.0)

@@ -12,6 +12,35 @@ _REACH = 2.5
 """Sigmas to which the displacement of a cell is followed."""
 
 
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _index_of(rows: Any, cols: Any) -> Any:
+    """(H, W) int32 over the bounding box of the cells and one cell about it: which cell stands there, -1 for none."""
+    top, left = rows.min() - 1, cols.min() - 1
+    index = np.full((rows.max() - top + 2, cols.max() - left + 2), -1, np.int32)
+    for i in range(rows.size):
+        index[rows[i] - top, cols[i] - left] = i
+    return index
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def with_neighbours(rows: Any, cols: Any, values: Any, weight: float) -> Any:
+    """`values` (N, F) of each cell plus `weight` times those of the up to eight cells about it."""
+    n, width = values.shape
+    out = values.copy()
+    if n == 0 or weight == 0:
+        return out
+    index = _index_of(rows, cols)
+    top, left = rows.min() - 1, cols.min() - 1
+    for i in range(n):
+        for r in range(rows[i] - top - 1, rows[i] - top + 2):
+            for c in range(cols[i] - left - 1, cols[i] - left + 2):
+                j = index[r, c]
+                if j >= 0 and j != i:
+                    for f in range(width):
+                        out[i, f] += weight * values[j, f]
+    return out
+
+
 @numba.njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def spread(
     rows: Any,
@@ -33,11 +62,9 @@ def spread(
     coverage = np.ones(n)
     if n == 0:
         return out, coverage
-    top, left = rows.min(), cols.min()
-    height, width = rows.max() - top + 1, cols.max() - left + 1
-    index = np.full((height, width), -1, np.int32)
-    for i in range(n):
-        index[rows[i] - top, cols[i] - left] = i
+    index = _index_of(rows, cols)
+    top, left = rows.min() - 1, cols.min() - 1
+    height, width = index.shape
     for i in range(n):
         if max(sigma_along[i], sigma_across[i]) < 0.25:
             out[i] = shares[i]

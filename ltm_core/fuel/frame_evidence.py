@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import log_softmax
 
 from ltm_core.errors import ImageError
-from ltm_core.fuel.evidence_kernel import spread
+from ltm_core.fuel.evidence_kernel import spread, with_neighbours
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import FORMS
 from ltm_core.fuel.rules import FusionRules
@@ -64,7 +64,7 @@ def frame_evidence(
         useful &= np.maximum(votes.sighting.sigma_along, votes.sighting.sigma_across) <= rules.max_sigma
     votes, counts, pixels = votes.only(useful), counts[useful], pixels[useful]
     rows, cols = votes.rows.astype(np.int64), votes.cols.astype(np.int64)
-    probability = _probability(counts / pixels[:, None], pixels, errors, rules)
+    probability = _probability(rows, cols, counts / pixels[:, None], pixels, errors, rules)
     amount = np.minimum(pixels, rules.frame_cap)
     if votes.confidence is not None:
         amount *= np.minimum(votes.confidence / rules.sure, 1.0)
@@ -90,12 +90,21 @@ def frame_evidence(
 
 
 def _probability(
-    shares: NDArray[np.float64], pixels: NDArray[np.float64], errors: LabelErrors, rules: FusionRules
+    rows: NDArray[np.int64],
+    cols: NDArray[np.int64],
+    shares: NDArray[np.float64],
+    pixels: NDArray[np.float64],
+    errors: LabelErrors,
+    rules: FusionRules,
 ) -> NDArray[np.float64]:
-    """(N, FORMS) of each life form given the shares of labels: a softmax of the labels' log likelihoods."""
+    """(N, FORMS) of each life form given the shares of labels: a softmax of the labels' log likelihoods.
+
+    Plants grow in stands larger than a cell, so that what the cells about it look like speaks for a cell too.
+    """
     table = errors.log_likelihood()
     known = np.isfinite(table).all(axis=1)
     independent = pixels / (1 + (pixels - 1) * rules.label_correlation)
+    own = independent[:, None] * (shares @ table[known].T)
     likelihood = np.full((len(shares), FORMS), -np.inf)
-    likelihood[:, known] = independent[:, None] * (shares @ table[known].T)
+    likelihood[:, known] = with_neighbours(rows, cols, own, rules.context)
     return np.asarray(np.exp(log_softmax(likelihood, axis=1)), np.float64)

@@ -157,7 +157,7 @@ def _read(band: _Band, geometry: GridGeometry, crs: str | None) -> NDArray[np.in
                 resampling=Resampling.nearest,
                 src_nodata=source.nodata if source.nodata is not None else NODATA,
                 nodata=NODATA if kind.kind != "u" else source.nodata,
-                tolerance=0.0,
+                tolerance=0.001,
                 dtype="int32" if kind.itemsize > 2 or kind.kind == "u" else "int16",
                 **options,
             ) as warped:

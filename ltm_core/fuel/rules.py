@@ -33,9 +33,11 @@ class FusionRules(StrictModel):
     """Evidence that one frame can give for one cell at most."""
     sure: float = Field(0.7, gt=0, le=1)
     """Mean confidence of labels from which on they weigh fully; less confident ones weigh in proportion."""
-    label_correlation: float = Field(0.5, ge=0, le=1)
+    label_correlation: float = Field(0.2, ge=0, le=1)
     """Of a network's errors within one cell of one frame: n pixels say as much as n / (1 + (n - 1) correlation)
     independent ones (Kish's design effect)."""
+    context: float = Field(0.15, ge=0, le=1)
+    """What the labels of each of the eight cells about a cell in the same frame say for it, beside its own."""
     relief: float = Field(2.0, ge=0)
     """Metres by which plants stand above the terrain that their pixels are traced to; it displaces along the sight."""
     max_sigma: float = Field(300.0, gt=0)

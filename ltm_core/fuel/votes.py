@@ -17,7 +17,7 @@ from ltm_core.fuel.vote_kernel import sum_pixels
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 
-FRAME_CAP = 5.0
+FRAME_CAP = 6.0
 """Pixels of one frame in one cell that count as evidence at most: they see the same plants under the same light, so a
 thousand of them say hardly more than a few."""
 

@@ -15,7 +15,7 @@ from ltm_core.fuel.life_form import NODATA, LifeForm
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.sighting import CellSighting
-from ltm_core.fuel.votes import CellVotes
+from ltm_core.fuel.votes import FRAME_CAP, CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.vision.labels import Label, LabelSet
 
@@ -100,7 +100,7 @@ def test_older_frames_of_another_form_are_no_witnesses() -> None:
 
 def test_one_frame_says_at_most_its_cap() -> None:
     layers = fuel_map(votes(Label.TREE, pixels=100_000)).layers()
-    np.testing.assert_allclose(layers.evidence, 5.0, rtol=1e-6)
+    np.testing.assert_allclose(layers.evidence, FRAME_CAP, rtol=1e-6)
     assert not layers.changed.any()
     np.testing.assert_allclose(fuel_map(votes(Label.TREE, pixels=2)).layers().evidence, 2.0, rtol=1e-6)
 
@@ -123,10 +123,9 @@ def test_unseen_cells_are_the_priors() -> None:
 
 
 def test_grass_and_shrub_together() -> None:
-    mixed = [0, 30, 30, 0, 0, 0, 0]
-    layers = fuel_map(votes(mixed), votes(mixed, NOW + HOUR), prior=None).layers()
+    layers = fuel_map(votes(Label.GRASS), votes(Label.SHRUB, NOW + HOUR), prior=None).layers()
     np.testing.assert_array_equal(layers.code, 122)
-    np.testing.assert_array_equal(fuel_map(votes([0, 60, 0, 0, 0, 0, 0]), prior=None).layers().code, 102)
+    np.testing.assert_array_equal(fuel_map(votes(Label.GRASS), prior=None).layers().code, 102)
 
 
 def test_without_a_prior_nothing_is_known_until_it_is_seen() -> None:
@@ -159,7 +158,7 @@ def test_labels_are_corrected_by_the_networks_errors() -> None:
 
 def test_low_confidence_weighs_less() -> None:
     sure, unsure = (fuel_map(votes(Label.TREE, confidence=c)).layers().evidence[0, 0] for c in (0.9, 0.35))
-    assert (sure, unsure) == (pytest.approx(5.0), pytest.approx(2.5))
+    assert (sure, unsure) == (pytest.approx(FRAME_CAP), pytest.approx(FRAME_CAP / 2))
 
 
 def sighting(n: int, **columns: float) -> CellSighting:
@@ -169,7 +168,7 @@ def sighting(n: int, **columns: float) -> CellSighting:
 
 def test_coarse_pixels_weigh_less() -> None:
     coarse = fuel_map(votes(Label.TREE, sighting=sighting(6, footprint=30.0))).layers()
-    np.testing.assert_allclose(coarse.evidence, 5 / np.sqrt(2), rtol=1e-6)
+    np.testing.assert_allclose(coarse.evidence, FRAME_CAP / np.sqrt(2), rtol=1e-6)
 
 
 def test_a_cell_that_may_be_another_one_is_evidence_of_both() -> None:

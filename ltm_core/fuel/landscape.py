@@ -1,0 +1,136 @@
+"""What fire models read: eight bands of terrain, surface fuel and canopy on one grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import RasterError
+from ltm_core.fuel.codes import FuelSystem, Region
+from ltm_core.fuel.decision import FuelLayers
+from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
+from ltm_core.fuel.prior import FuelPrior
+from ltm_core.grid import GridGeometry
+
+LANDSCAPE_BANDS: Final = (
+    "elevation",
+    "slope",
+    "aspect",
+    "fuel",
+    "cover",
+    "height",
+    "base_height",
+    "bulk_density",
+)
+LANDSCAPE_UNITS: Final = ("m", "degrees", "degrees", "code", "percent", "m x 10", "m x 10", "kg/m3 x 100")
+FLAT: Final = -1
+"""Aspect of level ground, as LANDFIRE has it."""
+_ENOUGH_CELLS = 20
+"""Of the prior's own trees, to learn from what canopy a code has here."""
+
+
+@dataclass(frozen=True, eq=False)
+class Landscape:
+    """`bands`: (8, H, W) int16 in the order of `LANDSCAPE_BANDS` and in LANDFIRE's units, NODATA where unknown: m;
+    degrees; degrees clockwise from grid north, downhill, -1 flat; fuel code; cover %; heights m x 10; kg/m3 x 100.
+    `geometry` names its CRS. Raises RasterError where it does not, or shapes disagree.
+    """
+
+    bands: NDArray[np.int16]
+    geometry: GridGeometry
+    system: FuelSystem = FuelSystem.FBFM40
+
+    def __post_init__(self) -> None:
+        if self.bands.shape != (len(LANDSCAPE_BANDS), *self.geometry.shape) or self.bands.dtype != np.int16:
+            raise RasterError(
+                f"a landscape is {len(LANDSCAPE_BANDS)} int16 bands of {self.geometry.shape} cells, "
+                f"got {self.bands.shape} {self.bands.dtype}"
+            )
+        if self.geometry.crs is None:
+            raise RasterError("a landscape needs a CRS, but this grid is in a bare map frame")
+
+    def band(self, name: str) -> NDArray[np.int16]:
+        return np.asarray(self.bands[LANDSCAPE_BANDS.index(name)])
+
+
+def slope_and_aspect(elevation: NDArray[np.floating], cell: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Degrees (H - 2, W - 2) of an elevation raster (H, W) with square cells, without its border.
+
+    Source: Horn (1981), Hill shading and the reflectance map, as gdaldem. Aspect is downhill, clockwise from grid
+    north, FLAT where the ground is level; both are NaN beside unknown heights.
+    """
+    from scipy import ndimage
+
+    # Sobel's operator is Horn's weights, times 8.
+    east = ndimage.sobel(np.asarray(elevation, np.float64), axis=1)[1:-1, 1:-1] / (8 * cell)
+    south = ndimage.sobel(np.asarray(elevation, np.float64), axis=0)[1:-1, 1:-1] / (8 * cell)
+    # SciPy lets NaN through where its weight is 0.
+    unknown = ndimage.maximum_filter(np.isnan(elevation), 3)[1:-1, 1:-1]
+    slope = np.degrees(np.arctan(np.hypot(east, south)))
+    aspect = np.where((east == 0) & (south == 0), float(FLAT), np.degrees(np.arctan2(-east, south)) % 360)
+    return np.where(unknown, np.nan, slope), np.where(unknown, np.nan, aspect)
+
+
+def terrain_bands(padded: NDArray[np.floating], cell: float) -> NDArray[np.int16]:
+    """Elevation, slope and aspect (3, H, W) of heights (H + 2, W + 2) with a border of one cell; NODATA where unknown.
+
+    Where the border is not known, the slope inside goes on to it.
+    """
+    heights = np.array(padded, np.float64)
+    for edge, first, second in ((0, 1, 2), (-1, -2, -3)):
+        if min(heights.shape) > 3:
+            heights[edge] = np.where(np.isnan(heights[edge]), 2 * heights[first] - heights[second], heights[edge])
+            columns = heights[:, edge]
+            heights[:, edge] = np.where(np.isnan(columns), 2 * heights[:, first] - heights[:, second], columns)
+    slope, aspect = slope_and_aspect(heights, cell)
+    # 360 is 0, and a slope that rounds to 0 may keep its direction.
+    turned = np.where(aspect == FLAT, FLAT, np.round(aspect) % 360)
+    bands = np.stack([np.round(heights[1:-1, 1:-1]), np.round(slope), turned])
+    return np.where(np.isnan(bands), NODATA, bands).astype(np.int16)
+
+
+def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, region: Region) -> NDArray[np.int16]:
+    """Cover, height, base height and bulk density (4, H, W) that go with the layers' codes.
+
+    The prior's stay where its code stays. Cells that have become trees get the median of the prior's own cells of
+    their code or, where there are few, the region's canopy; cells that have lost them get none. Bands that the prior
+    lacks are the region's under trees, none elsewhere.
+    """
+    c = region.canopy
+    new = np.array([c.cover, 10 * c.height, 10 * c.base_height, 100 * c.bulk_density])
+    shape = layers.code.shape
+    given = prior.canopy if prior is not None else None
+    known = layers.code != NODATA
+    has_trees = forms_of(layers.code)[..., LifeForm.TREE - 1]
+    plain = np.where(known, np.where(has_trees, new[:, None, None], 0.0), NODATA)
+    if given is None:
+        return np.round(plain).astype(np.int16)
+    bare = (given[0] == 0) & ~layers.changed
+    bands = np.where(given != NODATA, given, np.where(bare & known, 0.0, plain)).reshape(4, *shape)
+    bands[:, layers.changed & ~has_trees] = 0
+    for code in np.unique(layers.code[layers.changed & has_trees]):
+        like = (layers.prior == code) & (given[0] > 0)
+        into = layers.changed & has_trees & (layers.code == code)
+        for k in range(len(bands)):
+            values = given[k][like & (given[k] != NODATA)]
+            bands[k][into] = np.median(values) if len(values) >= _ENOUGH_CELLS else new[k]
+    return np.round(bands).astype(np.int16)
+
+
+def surface_codes(layers: FuelLayers, prior: FuelPrior | None, region: Region, system: FuelSystem) -> NDArray[np.int16]:
+    """The layers' codes in a system; FBFM13 of unchanged cells from the map that came with the prior, where one did.
+
+    Raises RasterError for FBFM40 of an FBFM13 prior: 13 models do not tell which of 40.
+    """
+    own = prior.system if prior is not None else FuelSystem.FBFM40
+    if system is own:
+        return layers.code
+    if system is FuelSystem.FBFM40:
+        raise RasterError("the prior's codes are FBFM13, from which no FBFM40 follows: export fbfm13")
+    crossed = region.to_fbfm13(layers.code)
+    if prior is None or prior.fbfm13 is None:
+        return crossed
+    return np.where(~layers.changed & (prior.fbfm13 != NODATA), prior.fbfm13, crossed)
