@@ -208,7 +208,7 @@ class Site(Config):
     """Where given, the surface is kept up to date from fused depth."""
     labels: str = "labels.yaml"
     """Label set in config/."""
-    model: str = "spine"
+    model: str = "landscape_lite0"
     """Segmentation manifest: a name in config/models/ or a path."""
     depth_model: str = ""
     """Manifest of a depth network, likewise; where given, traced depth is fused with it (`fused/depth`)."""

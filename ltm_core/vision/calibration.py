@@ -11,6 +11,7 @@ from scipy import optimize
 from ltm_core.errors import ImageError
 
 _RANGE = (0.2, 8.0)  # of temperatures; at either end something other than the temperature is wrong
+_ENOUGH = 0.02  # of a set's pixels: a class of fewer is known the less from that set
 _PRIOR = 1e-3  # of a row of the confusion matrix, given to each entry: what was never seen is not impossible
 
 
@@ -37,15 +38,16 @@ def fit_temperature(logits: NDArray[np.float32], labels: NDArray[np.uint8]) -> f
 def balanced(confusions: Sequence[NDArray[np.int64]]) -> NDArray[np.float64]:
     """P(label given | true label), (K, K), rows sum to 1, from the confusion matrices of several sets.
 
-    Each set that holds a class counts alike in its row, whatever its number of pixels; (K, K + 1) matrices lose their
-    column of unlabelled pixels. A class that no set holds gets a row that is mostly itself: nothing is known of it.
+    Each set that holds a class counts alike in its row, whatever its number of pixels, less one of which the class is
+    less than a fiftieth; (K, K + 1) matrices lose their column of unlabelled pixels. A class that no set holds gets a row that is mostly itself: nothing is known of it.
     """
     classes = len(confusions[0])
     rows = np.zeros((classes, classes))
     for confusion in confusions:
         counts = np.asarray(confusion[:, :classes], np.float64)
         total = counts.sum(axis=1, keepdims=True)
-        rows += np.divide(counts, total, out=np.zeros_like(counts), where=total > 0)
+        trust = np.minimum(total / max(_ENOUGH * total.sum(), 1e-9), 1.0)
+        rows += trust * np.divide(counts, total, out=np.zeros_like(counts), where=total > 0)
     unseen = rows.sum(axis=1) == 0
     rows[unseen] = (0.5 * np.eye(classes) + 0.5 / classes)[unseen]
     rows = rows / rows.sum(axis=1, keepdims=True) + _PRIOR

@@ -17,7 +17,7 @@ from ltm_core.vision.text_io import load_text
 from ltm_core.vision.tiling import with_distant_tiles
 from ltm_core.vision.upsample import upsampled_winner
 
-DEFAULT_MODEL = "spine"
+DEFAULT_MODEL = "landscape_lite0"
 
 
 @dataclass(frozen=True)
