@@ -1,0 +1,95 @@
+"""Scores of depth under errors put in on purpose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from depth_scene import CAMERA, depth_scene
+
+from ltm_core.depth.classes import DepthClasses
+from ltm_core.depth.evaluation import Condition, DepthEvaluation, Given, conditions, upsampled_labels
+from ltm_core.depth.truth_frames_io import TruthFrame
+from ltm_core.errors import ConfigError
+from ltm_core.tracing import TerrainTracer
+from ltm_core.vision.labels import LabelSet
+
+CLASSES = DepthClasses.of(LabelSet.load())
+
+
+def frame(step: int = 2) -> TruthFrame:
+    scene = depth_scene()
+    ground = TerrainTracer(scene.dem).trace(CAMERA, scene.traced.pose).depth()
+    sampled = (slice(None, None, step), slice(None, None, step))
+    return TruthFrame(
+        "mast",
+        1_700_000_000_000_000_000,
+        CAMERA,
+        scene.traced.pose,
+        scene.photo,
+        scene.truth[sampled],
+        ground[sampled],
+        scene.labels[sampled],
+        np.zeros(scene.truth[sampled].shape, np.bool_),
+    )
+
+
+def test_fused_beats_both_where_trees_stand_and_all_are_scored_on_the_same_pixels() -> None:
+    scene, given = depth_scene(), frame()
+    run = DepthEvaluation(Condition(), scene.dem, CLASSES)
+    photo, hidden = run.seen(given)
+    assert not hidden.any()
+    labels = upsampled_labels(given.labels, (CAMERA.height, CAMERA.width))
+    run.add(given, photo, hidden, Given(scene.network(), labels))
+    score = run.score()
+    assert score.verdicts == {"ok": 1}
+    counts = {row.source: row.scores[-1].pixels for row in score.rows if row.group == "all"}
+    assert len(set(counts.values())) == 1
+    assert score.rmse("fused", "covered") < 0.5 * score.rmse("traced", "covered")
+    assert score.rmse("fused") < score.rmse("network")
+    assert score.rmse("traced", "open") < 0.1
+    assert np.isnan(score.rmse("traced", "changed"))
+    assert score.coverage["traced"] > 0.99
+
+
+def test_errors_are_as_large_as_asked_for() -> None:
+    scene = depth_scene()
+    pose = scene.traced.pose
+    turned = Condition(pose_error_deg=1.5).pose(pose, np.random.default_rng(1))
+    (a, p, _), (b, q, _) = pose.angles_deg, turned.angles_deg
+    across = (a - b + 180) % 360 - 180
+    assert np.hypot(across, p - q) == pytest.approx(1.5, abs=1e-6)
+    _, hidden = Condition(occluded=0.4).photo(scene.photo, np.random.default_rng(2))
+    assert 0.4 <= hidden.mean() < 0.5
+    coarse = Condition(coarsen=20.0).dem(scene.dem)
+    assert coarse.geometry.resolution == 20.0
+    assert coarse.elevation[3, 7] == pytest.approx(scene.dem.elevation[12:16, 28:32].mean(), abs=1e-3)
+    moved = Condition(shift=10.0).dem(scene.dem).geometry
+    offset = (moved.x_min - scene.dem.geometry.x_min, moved.y_max - scene.dem.geometry.y_max)
+    assert np.hypot(*offset) == pytest.approx(10.0)
+
+
+def test_a_wrong_pose_is_counted_and_changes_nothing_else() -> None:
+    scene, given = depth_scene(), frame()
+    run = DepthEvaluation(Condition(pose_error_deg=2.0), scene.dem, CLASSES)
+    run.add(given, *run.seen(given), Given(scene.network(), scene.labels))
+    score = run.score()
+    assert score.verdicts == {"pose_suspected": 1}
+    assert score.rmse("fused") == pytest.approx(score.rmse("traced"))
+
+
+def test_hidden_pixels_are_not_scored() -> None:
+    scene, given = depth_scene(), frame()
+    run = DepthEvaluation(Condition(occluded=0.3), scene.dem, CLASSES)
+    photo, hidden = run.seen(given)
+    run.add(given, photo, hidden, Given(scene.network(), None))
+    (pixels,) = {row.scores[-1].pixels for row in run.score().rows if row.group == "all"}
+    assert pixels <= int((np.isfinite(given.surface) & ~hidden[::2, ::2]).sum())
+
+
+def test_one_error_at_a_time() -> None:
+    names = [condition.name for condition in conditions([0.0, 0.5], [0.2], [30.0], [5.0])]
+    assert names == ["exact", "pose 0.5 deg", "20% occluded", "DEM of 30 m", "DEM shifted 5 m"]
+    with pytest.raises(ConfigError, match=r"at most 0\.9 of a photo"):
+        replace(Condition(), occluded=0.95)
