@@ -39,7 +39,8 @@ def balanced(confusions: Sequence[NDArray[np.int64]]) -> NDArray[np.float64]:
     """P(label given | true label), (K, K), rows sum to 1, from the confusion matrices of several sets.
 
     Each set that holds a class counts alike in its row, whatever its number of pixels, less one of which the class is
-    less than a fiftieth; (K, K + 1) matrices lose their column of unlabelled pixels. A class that no set holds gets a row that is mostly itself: nothing is known of it.
+    less than a fiftieth; (K, K + 1) matrices lose their column of unlabelled pixels. A class that no set holds gets a
+    row that is mostly itself: nothing is known of it.
     """
     classes = len(confusions[0])
     rows = np.zeros((classes, classes))
