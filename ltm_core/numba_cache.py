@@ -48,6 +48,14 @@ def use_own_cache(source: Path) -> Path | None:
 
 
 def _forget_former(parent: Path, current: Path) -> None:
-    former = sorted((f for f in parent.glob(f"{_PREFIX}*") if f != current), key=lambda f: f.stat().st_mtime)
+    former = sorted((f for f in parent.glob(f"{_PREFIX}*") if f != current), key=_age)
     for folder in former[:-_KEPT]:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _age(folder: Path) -> float:
+    """Time of the last change; 0 where another process, which starts just now too, has deleted the folder."""
+    try:
+        return folder.stat().st_mtime
+    except FileNotFoundError:
+        return 0.0

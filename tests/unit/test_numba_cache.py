@@ -57,3 +57,15 @@ def test_one_folder_a_state_of_the_source(tmp_path: Path, monkeypatch: pytest.Mo
     assert second is not None
     assert second != first
     assert os.environ["NUMBA_CACHE_DIR"] == str(second)
+
+
+def test_a_folder_that_another_process_deletes_just_now_does_no_harm(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    first = use_own_cache(tmp_path)
+    assert first is not None
+    gone = first.with_name(first.name[:-4] + "gone")
+    gone.symlink_to(tmp_path / "nothing")  # listed, but not there when it is looked at
+    (tmp_path / "a.py").write_text("2")
+    assert use_own_cache(tmp_path) is not None
