@@ -29,8 +29,8 @@ WEDGES_A_FACE = 3072
 SECTOR = 64
 """Wedges that are built together."""
 _MOST_ENTRIES = 4096
-# Tangents are raised by this, well above the rounding of any ray's height.
-_RELATIVE, _ABSOLUTE = 2e-7, 1e-9
+# Tangents are raised by this, well above the rounding of any ray's height, and of the tangent itself to float32 (6e-8).
+_RELATIVE, _ABSOLUTE = 3e-7, 1e-9
 # Cells: how far a wedge is widened so that no ray of it slips past its edge by rounding.
 _MARGIN = 1e-6
 # Beyond these distances (cells), strips of this level and below are not told apart.
@@ -175,7 +175,7 @@ def _walk_wedge(
             if entries < tangent.size:
                 node[entries] = cell if forward else cell + 1
                 entries += 1
-            tangent[entries - 1] = np.nextafter(np.float32(highest), np.float32(np.inf))
+            tangent[entries - 1] = np.float32(highest)
             highest = float(tangent[entries - 1])
         if any_outer and d0 < first_outer:
             first_outer = d0
@@ -214,6 +214,18 @@ def _highest(ground: Ground, along_x: bool, level: int, major: int, j0: int, j1:
     if level == 0:
         step, across = (ground.width, 1) if along_x else (1, ground.width)
         at = j0 * step + major * across
+        first = at
+        top = np.float32(-np.inf)
+        unknown = False
+        for _ in range(j1 - j0 + 2):
+            near, far = ground.nodes[np.uint64(at)], ground.nodes[np.uint64(at + across)]
+            top = near if near > top else top
+            top = far if far > top else top
+            unknown = unknown or near + far != near + far
+            at += step
+        if not unknown:
+            return float(top), False
+        at = first
         for _ in range(j1 - j0 + 2):
             for node in (at, at + across):
                 h = filled_at(ground.nodes, ground, node)

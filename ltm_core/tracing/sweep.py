@@ -35,8 +35,12 @@ from ltm_core.tracing.traversal import (
 _FASTMATH = {"contract", "nsz"}
 _TILE = 16
 _MOST_CELLS = 48
+_ROWS_AHEAD = 4
+"""Rows fetched ahead of a ray that goes from row to row, each in memory of its own."""
 _MEETS_NOTHING = -1
 _BY_PYRAMID = -2
+HIT, LEFT, OPEN = 0, 1, 2
+"""How single cells end: at the ground, at the raster's edge, or at a hole or after many of them."""
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH, parallel=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -55,6 +59,7 @@ def sweep_image(
             stage, on return after it.
     """
     height, width = rays.shape[0], rays.shape[1]
+    rows, columns = ground.height - 1, ground.width - 1
     resolution = stage.resolution
     tiles = (width + _TILE - 1) // _TILE
     for tile in prange(tiles):
@@ -90,25 +95,49 @@ def sweep_image(
                 if not (per_major <= 1.0 / PLUMB_SINE):
                     out[row, first + i] = straight(ground, stage, rays[row, first + i], rotation)
                     continue
-                along_x, forward, t = faces[i] < 2, (faces[i] & 1) == 0, ts[i]
+                along_x, t = faces[i] < 2, ts[i]
                 s = slopes[i] * resolution
-                sign = 1.0 if forward else -1.0
+                sign = 1.0 if (faces[i] & 1) == 0 else -1.0
                 cx, cy = (sign, t) if along_x else (t, sign)
                 bend = stage.bend * (1.0 + t * t)
                 q = state
                 if near[i] != _MEETS_NOTHING or state != OVER_KNOWN:
-                    start = 0.0
-                    if stage.part == AFTER:
-                        start = stretch(stage, cx, cy)[0]
+                    start = stretch(stage, cx, cy)[0] if stage.part == AFTER else 0.0
+                    o_major, o_minor = (stage.ox, stage.oy) if along_x else (stage.oy, stage.ox)
+                    how, level = OPEN, START_LEVEL
                     begin = start
                     if near[i] >= 0:
-                        begin = max(begin, sign * (near[i] - (stage.ox if along_x else stage.oy)))
-                    if near[i] == _BY_PYRAMID or state != OVER_KNOWN or begin > wedges.outer[wedge[i]]:
+                        begin = max(start, sign * (near[i] - o_major))
+                        if state != OVER_KNOWN or begin > wedges.outer[wedge[i]]:
+                            begin = start
+                        else:
+                            n_major, n_minor = (columns, rows) if along_x else (rows, columns)
+                            along, across = (1, ground.width) if along_x else (ground.width, 1)
+                            cell = float(near[i] if sign > 0.0 else near[i] - 1)
+                            if begin == start:
+                                cell = min(max(math.floor(o_major + sign * start), 0.0), n_major - 1.0)
+                            begin, how = cell_hit(
+                                ground.nodes,
+                                o_major,
+                                o_minor,
+                                stage.oz,
+                                s,
+                                bend,
+                                t,
+                                sign,
+                                begin,
+                                cell,
+                                n_major,
+                                n_minor,
+                                along,
+                                across,
+                            )
+                            level = 0
+                    if how == OPEN:
                         end = over_raster(stage, cx, cy)[1]
-                        q = hit_between(ground, stage, cx, cy, s, bend, start, end, state, START_LEVEL)
-                    else:
-                        line = near[i] if begin > start else -1
-                        q = cell_hit(ground, stage, cx, cy, s, bend, begin, line, along_x, forward, t)
+                        q = hit_between(ground, stage, cx, cy, s, bend, begin, end, state, level)
+                    elif how == HIT:
+                        q = begin
                 q = finished(stage, cx, cy, s, bend, q)
                 out[row, first + i] = q * resolution * per_major if q >= 0.0 else q
 
@@ -165,8 +194,9 @@ def _prefetch_start(ground: Ground, stage: Stage, face: int, t: float, node: int
         prefetch(ground.nodes, at + ground.width)
     else:
         at = node * ground.width + int(stage.ox + t * abs(node - stage.oy))
-        prefetch(ground.nodes, at)
-        prefetch(ground.nodes, at + ground.width if face == 2 else at - ground.width)
+        row = ground.width if face == 2 else -ground.width
+        for k in range(_ROWS_AHEAD):
+            prefetch(ground.nodes, at + k * row)
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -205,71 +235,77 @@ def first_reaching(tangents: NDArray[np.float32], start: int, count: int, hint: 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)  # type: ignore[untyped-decorator]
 def cell_hit(
-    ground: Ground,
-    stage: Stage,
-    cx: float,
-    cy: float,
+    nodes: NDArray[np.float32],
+    o_major: float,
+    o_minor: float,
+    oz: float,
     s: float,
     bend: float,
-    begin: float,
-    node: int,
-    along_x: bool,
-    forward: bool,
     t: float,
-) -> float:
-    """First hit of a ray that meets nothing before `begin`, where it crosses node line `node` of its major axis, or
-    lies within a strip where `node` is -1; its state where it leaves the raster without one.
+    sign: float,
+    q: float,
+    cell: float,
+    n_major: int,
+    n_minor: int,
+    major_stride: int,
+    minor_stride: int,
+) -> tuple[float, int]:
+    """First hit of a ray that meets nothing before `q`, where it is in strip `cell` of its major axis.
+
+    Returns the range and: HIT; LEFT, it leaves the raster without one; or OPEN, the pyramid must go on from there.
     """
-    nodes = ground.nodes
-    o_major, o_minor = (stage.ox, stage.oy) if along_x else (stage.oy, stage.ox)
-    major_stride, minor_stride = (1, ground.width) if along_x else (ground.width, 1)
-    n_major, n_minor = (ground.width - 1, ground.height - 1) if along_x else (ground.height - 1, ground.width - 1)
-    sign = 1.0 if forward else -1.0
-    step = 1 if forward else -1
-    q = begin
-    cell = node if forward else node - 1
-    if node < 0:
-        cell = min(max(math.floor(o_major + sign * q), 0), n_major - 1)
     m = o_minor + t * q
     if m < 0.0 or m > n_minor:
-        return OVER_KNOWN
-    lane = min(int(m), n_minor - 1)
-    per_t = 1.0 / t
-    z = stage.oz + q * (s + bend * q)
-    ahead = 1 if t > 0.0 else 0
+        return q, LEFT
+    lane = float(min(int(m), n_minor - 1))
+    at = int(cell) * major_stride + int(lane) * minor_stride
+    per_t = 1.0 / t if t != 0.0 else np.inf
+    side = 1.0 if t > 0.0 else -1.0
+    far_major = 1.0 if sign > 0.0 else 0.0
+    far_minor = 1.0 if t > 0.0 else 0.0
+    next_major = major_stride if sign > 0.0 else -major_stride
+    next_minor = minor_stride if t > 0.0 else -minor_stride
+    sag = 0.25 * max(bend, 0.0)
+    z = oz + q * (s + bend * q)
+    q_major = sign * (cell + far_major - o_major)
+    q_minor = (lane + far_minor - o_minor) * per_t if t != 0.0 else np.inf
     for _ in range(_MOST_CELLS):
-        q_major = sign * ((cell + 1 if forward else cell) - o_major)
-        q_minor = (lane + ahead - o_minor) * per_t if t != 0.0 else np.inf
         q_exit = max(min(q_major, q_minor), q)
-        at = cell * major_stride + lane * minor_stride
+        z_exit = oz + q_exit * (s + bend * q_exit)
+        dq = q_exit - q
+        low = min(z, z_exit) - sag * dq * dq
         h00 = float(nodes[np.uint64(at)])
         h01 = float(nodes[np.uint64(at + minor_stride)])
         h10 = float(nodes[np.uint64(at + major_stride)])
         h11 = float(nodes[np.uint64(at + major_stride + minor_stride)])
-        b = h10 - h00
-        e = h01 - h00
-        g = h11 - h01 - b
-        if g != g:
-            return hit_between(ground, stage, cx, cy, s, bend, begin, over_raster(stage, cx, cy)[1], OVER_KNOWN, 0)
-        u = o_major + sign * q - cell
-        v = o_minor + t * q - lane
-        f0 = z - (h00 + b * u + v * (e + g * u))
-        if f0 <= 0.0:
-            return q
-        dq = q_exit - q
-        f1 = s + 2.0 * bend * q - (b + g * v) * sign - (e + g * u) * t
-        a = bend - g * sign * t
-        if f0 + dq * (f1 + a * dq) <= 0.0 or (f1 < 0.0 and f1 + 2.0 * a * dq > 0.0 and f1 * f1 >= 4.0 * a * f0):
-            root = 2.0 * f0 / (-f1 + math.sqrt(max(f1 * f1 - 4.0 * a * f0, 0.0)))
-            return q + min(root, dq)
+        if not (low > h00 and low > h01 and low > h10 and low > h11):
+            b = h10 - h00
+            e = h01 - h00
+            g = h11 - h01 - b
+            if g != g:
+                return q, OPEN
+            u = o_major + sign * q - cell
+            v = o_minor + t * q - lane
+            f0 = z - (h00 + b * u + v * (e + g * u))
+            if f0 <= 0.0:
+                return q, HIT
+            f1 = s + 2.0 * bend * q - (b + g * v) * sign - (e + g * u) * t
+            a = bend - g * sign * t
+            if f0 + dq * (f1 + a * dq) <= 0.0 or (f1 < 0.0 and f1 + 2.0 * a * dq > 0.0 and f1 * f1 >= 4.0 * a * f0):
+                root = 2.0 * f0 / (-f1 + math.sqrt(max(f1 * f1 - 4.0 * a * f0, 0.0)))
+                return q + min(root, dq), HIT
         q = q_exit
-        z = stage.oz + q * (s + bend * q)
+        z = z_exit
         if q_major <= q_minor:
-            cell += step
-            if cell < 0 or cell >= n_major:
-                return OVER_KNOWN
+            cell += sign
+            at += next_major
+            if cell < 0.0 or cell >= n_major:
+                return q, LEFT
+            q_major = sign * (cell + far_major - o_major)
         else:
-            lane += 1 if ahead else -1
-            if lane < 0 or lane >= n_minor:
-                return OVER_KNOWN
-    return hit_between(ground, stage, cx, cy, s, bend, q, over_raster(stage, cx, cy)[1], OVER_KNOWN, 2)
+            lane += side
+            at += next_minor
+            if lane < 0.0 or lane >= n_minor:
+                return q, LEFT
+            q_minor = (lane + far_minor - o_minor) * per_t
+    return q, OPEN
