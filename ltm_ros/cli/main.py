@@ -62,6 +62,7 @@ def app() -> None:
             "rerun": "view",
             "mitsuba": "sim",
             "torch": "train",
+            "laspy": "export",
             "rosbags": "eval",
             "skimage": "eval",
         }.get((error.name or "").partition(".")[0])

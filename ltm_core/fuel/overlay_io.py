@@ -1,0 +1,57 @@
+"""A picture of a map laid over the globe: KMZ for Google Earth and its like."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import ConfigError
+from ltm_core.grid import GridGeometry
+
+
+def write_kmz(path: Path, picture: NDArray[np.uint8], geometry: GridGeometry, name: str) -> None:
+    """`picture` (n H, n W, 3) of a grid (H, W), warped to longitude and latitude, transparent outside.
+
+    Raises ConfigError where it cannot be written.
+    """
+    from PIL import Image
+    from rasterio.transform import array_bounds
+    from rasterio.warp import Resampling, calculate_default_transform, reproject
+
+    scale = geometry.resolution * geometry.width / picture.shape[1]
+    source = GridGeometry(geometry.x_min, geometry.y_max, scale, picture.shape[1], picture.shape[0], geometry.crs)
+    transform, width, height = calculate_default_transform(
+        source.crs, "EPSG:4326", source.width, source.height, *source.bounds
+    )
+    bands = np.concatenate([np.moveaxis(picture, -1, 0), np.full((1, *picture.shape[:2]), 255, np.uint8)])
+    warped = np.zeros((4, height, width), np.uint8)
+    reproject(
+        bands,
+        warped,
+        src_transform=source.transform(),
+        src_crs=source.crs,
+        dst_transform=transform,
+        dst_crs="EPSG:4326",
+        resampling=Resampling.nearest,
+    )
+    west, south, east, north = array_bounds(height, width, transform)
+    image = io.BytesIO()
+    Image.fromarray(np.moveaxis(warped, 0, -1)).save(image, "PNG")
+    document = (
+        '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><GroundOverlay>'
+        f"<name>{name}</name><Icon><href>map.png</href></Icon><LatLonBox><north>{north:.9f}</north>"
+        f"<south>{south:.9f}</south><east>{east:.9f}</east><west>{west:.9f}</west></LatLonBox></GroundOverlay></kml>\n"
+    )
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("doc.kml", document)
+            archive.writestr("map.png", image.getvalue())
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise ConfigError(f"{path}: cannot be written there ({error.strerror})") from error

@@ -1,0 +1,111 @@
+"""The paper's labelled 3D points P(x, y) with L(x, y): a fuel map's cells on the terrain, as PLY and LAS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import ConfigError
+from ltm_core.fuel.decision import FuelLayers
+from ltm_core.fuel.life_form import LifeForm
+from ltm_core.grid import GridGeometry
+from ltm_core.vision.labels import LabelSet
+
+_LAS_CLASS: Final = {
+    LifeForm.GRASS: 3,
+    LifeForm.SHRUB: 4,
+    LifeForm.TREE: 5,
+    LifeForm.BARE: 2,
+    LifeForm.WATER: 9,
+    LifeForm.BUILT: 6,
+    LifeForm.BURNED: 2,
+}
+"""ASPRS classes: low, medium and high vegetation, ground, water, building."""
+_BURNED_COLOR: Final = (40, 32, 30)
+
+
+@dataclass(frozen=True, eq=False)
+class FuelPoints:
+    """`xyz`: (N, 3) float64 in `crs`, metres. `life_form`: (N,) uint8. `code`: (N,) int16. `rgb`: (N, 3) uint8."""
+
+    xyz: NDArray[np.float64]
+    life_form: NDArray[np.uint8]
+    code: NDArray[np.int16]
+    rgb: NDArray[np.uint8]
+    crs: str
+
+
+def fuel_points(
+    layers: FuelLayers, heights: NDArray[np.float64], geometry: GridGeometry, labels: LabelSet
+) -> FuelPoints:
+    """The cells whose life form and height (H, W) are known, at their centres. Raises ConfigError where none is."""
+    known = np.isfinite(heights) & (layers.life_form <= len(LifeForm)) & (layers.life_form > 0)
+    if not known.any() or geometry.crs is None:
+        raise ConfigError("no cell of the fuel map has a life form and a known height: there are no points to write")
+    rows, cols = np.nonzero(known)
+    x, y = geometry.to_map(rows, cols)
+    forms = layers.life_form[known]
+    palette = np.full((256, 3), _BURNED_COLOR, np.uint8)
+    palette[: len(labels)] = labels.colors
+    return FuelPoints(
+        np.column_stack([x, y, heights[known]]),
+        forms,
+        layers.code[known].astype(np.int16),
+        palette[forms],
+        geometry.crs,
+    )
+
+
+def write_ply(path: Path, points: FuelPoints) -> None:
+    """Binary PLY: x, y, z double, red, green, blue, life_form uchar, fuel_code short; the CRS as a comment."""
+    table = np.empty(
+        len(points.xyz),
+        [("xyz", "<f8", 3), ("rgb", "u1", 3), ("life_form", "u1"), ("code", "<i2")],
+    )
+    table["xyz"], table["rgb"] = points.xyz, points.rgb
+    table["life_form"], table["code"] = points.life_form, points.code
+    names = ["double x", "double y", "double z", "uchar red", "uchar green", "uchar blue", "uchar life_form"]
+    header = ["ply", "format binary_little_endian 1.0", f"comment crs {points.crs.splitlines()[0]}"]
+    header += [f"element vertex {len(table)}", *(f"property {name}" for name in names), "property short fuel_code"]
+    _write(path, ("\n".join([*header, "end_header"]) + "\n").encode("ascii", "replace") + table.tobytes())
+
+
+def write_las(path: Path, points: FuelPoints) -> None:
+    """LAS 1.4 with ASPRS classes, colours, and the fuel code as an extra field. Needs laspy (the extra `export`)."""
+    import laspy
+    from pyproj import CRS
+
+    header = laspy.LasHeader(version="1.4", point_format=7)
+    header.offsets = np.floor(points.xyz.min(axis=0))
+    header.scales = np.full(3, 0.001)
+    header.add_crs(CRS(points.crs))
+    header.add_extra_dim(laspy.ExtraBytesParams("fuel_code", "int16", "surface fuel model"))
+    cloud: Any = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = points.xyz.T
+    classes = np.zeros(256, np.uint8)
+    for form, number in _LAS_CLASS.items():
+        classes[form] = number
+    cloud.classification = classes[points.life_form]
+    cloud.red, cloud.green, cloud.blue = (points.rgb.astype(np.uint16) * 257).T
+    cloud.fuel_code = points.code
+    partial = path.with_name(f".{path.stem}.partial.las")
+    try:
+        cloud.write(str(partial))
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise ConfigError(f"{path}: cannot be written there ({error.strerror})") from error
+
+
+def _write(path: Path, content: bytes) -> None:
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        partial.write_bytes(content)
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise ConfigError(f"{path}: cannot be written there ({error.strerror})") from error
