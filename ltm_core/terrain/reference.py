@@ -81,10 +81,11 @@ class Reference:
         ground = _sampled(bare, geometry)
         top = ground
         if surface is not None:
-            top = _sampled(surface, geometry)
+            above = _sampled(surface, geometry)
+            top = np.empty_like(ground)
             for row in range(0, height, _ROWS):
                 part = slice(row, row + _ROWS)
-                top[part] = np.fmax(top[part], ground[part])
+                np.fmax(above[part], ground[part], out=top[part])
         return cls(ground, top, geometry, _slopes(top, cell))
 
 
