@@ -26,11 +26,17 @@ class _Label(_Strict):
 class _LabelInfo(_Strict):
     unlabelled: int
     labels: list[_Label] = Field(min_length=1)
+    model: str = Field("", max_length=200)
 
 
-def label_set_to_msg(labels: LabelSet) -> String:
-    """The classes, their colours and their part in votes, as JSON."""
-    return String(data=json.dumps(labels.info()))
+def label_set_to_msg(labels: LabelSet, model: str = "") -> String:
+    """The classes, their colours and their part in votes, as JSON; `model`: what labels, where that is known."""
+    return String(data=json.dumps(labels.info() | ({"model": model} if model else {})))
+
+
+def msg_to_model(msg: Any) -> str:
+    """What labels, as a `labels/info` message says; empty where it does not. Raises MessageError on another message."""
+    return _checked(msg).model
 
 
 def msg_to_label_set(msg: Any) -> LabelSet:
@@ -39,11 +45,7 @@ def msg_to_label_set(msg: Any) -> LabelSet:
     Raises MessageError on anything but the JSON of `LabelSet.info()`: unknown or missing keys, ids with gaps or out of
     order, a name twice, a colour outside 0..255, another id for unlabelled.
     """
-    try:
-        info = _LabelInfo.model_validate_json(msg.data)
-    except ValidationError as error:
-        where = "; ".join(f"{'.'.join(map(str, e['loc'])) or 'document'}: {e['msg']}" for e in error.errors()[:3])
-        raise MessageError(f"labels/info is not a label set: {where}; got {msg.data[:120]!r}") from error
+    info = _checked(msg)
     ids = [label.id for label in info.labels]
     names = [label.name for label in info.labels]
     if ids != list(range(len(ids))) or len(set(names)) != len(names):
@@ -60,3 +62,11 @@ def msg_to_label_set(msg: Any) -> LabelSet:
         colors=tuple((c[0], c[1], c[2]) for c in (label.color for label in info.labels)),
         ground_cover=tuple(label.ground_cover for label in info.labels),
     )
+
+
+def _checked(msg: Any) -> _LabelInfo:
+    try:
+        return _LabelInfo.model_validate_json(msg.data)
+    except ValidationError as error:
+        where = "; ".join(f"{'.'.join(map(str, e['loc'])) or 'document'}: {e['msg']}" for e in error.errors()[:3])
+        raise MessageError(f"labels/info is not a label set: {where}; got {msg.data[:120]!r}") from error

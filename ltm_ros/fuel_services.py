@@ -1,19 +1,24 @@
-"""What people ask of the fuel map besides looking at it: what stands at a point, and to forget a region."""
+"""What people ask of the fuel map besides looking at it: what stands at a point, to forget a region, landscapes."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.errors import MessageError
-from ltm_core.fuel.codes import fuel_models
+from ltm_core.fuel.codes import FuelSystem, fuel_models
 from ltm_core.fuel.evidence import TILE, EvidenceMap
+from ltm_core.fuel.export_grid import make_landscape
+from ltm_core.fuel.landscape_io import write_landscape
+from ltm_core.fuel.lcp_io import write_lcp
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.grid import GridGeometry
+from ltm_core.site import Site
 from ltm_core.tile_store import Key, Tile, TileStore
 from ltm_core.vision.labels import LabelSet
 
@@ -91,3 +96,19 @@ def forgotten(evidence: EvidenceMap, cells: NDArray[np.bool_]) -> dict[Key, Tile
             array[inside] = 0
         tiles[row, col] = state
     return tiles
+
+
+def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path) -> list[Path]:
+    """The map as `landscape.lcp` and `landscape.tif`, for fire models. Raises ConfigError, RasterError."""
+    system = FuelSystem.FBFM40 if evidence.prior is None else evidence.prior.system
+    landscape = make_landscape(
+        evidence.layers(),
+        evidence.prior,
+        site.open_dem(),
+        site.frame,
+        site.in_crs(evidence.geometry),
+        evidence.region,
+        system,
+    )
+    lcp = write_lcp(folder / "landscape.lcp", landscape, f"{site.name}: fuel map of cameras")
+    return [lcp, write_landscape(folder / "landscape.tif", landscape)]

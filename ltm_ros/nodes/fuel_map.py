@@ -27,11 +27,12 @@ from ltm_core.site_io import load_site
 from ltm_core.tile_store import TileStore
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.grid import classes_to_msg, tile_to_msg
+from ltm_msgs_py.label_info import msg_to_model
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.votes import msg_to_votes
 from ltm_ros.fuel_keeper import Counted, Counting, FuelKeeper
 from ltm_ros.fuel_layers import life_form_labels
-from ltm_ros.fuel_services import answer, cells_in, forgotten, polygon_of
+from ltm_ros.fuel_services import answer, cells_in, forgotten, polygon_of, write_landscapes
 from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.health import Health
 from ltm_ros.node import run_node
@@ -43,6 +44,7 @@ from ltm_ros.topics import (
     FUEL_MAP_REGION,
     FUEL_MAP_UPDATE,
     FUEL_VOTES,
+    LABELS_INFO,
     camera_topic,
 )
 
@@ -83,6 +85,7 @@ class FuelMap(Handler[FuelMapConfig]):
             health,
             durable=self._folder is not None,
         )
+        self._models: dict[str, str] = {}
         self._region: list[tuple[float, float]] | None = None
         self._paced = False
         self._since_map = 0.0
@@ -94,7 +97,13 @@ class FuelMap(Handler[FuelMapConfig]):
             Topic(camera_topic(self._site.name, camera, FUEL_VOTES), FUEL_VOTES.type): partial(self.on_votes, camera)
             for camera in self._site.cameras
         }
-        return {**cameras, FUEL_MAP_QUERY: self.on_query, FUEL_MAP_REGION: self.on_region}
+        models = {
+            Topic(camera_topic(self._site.name, camera, LABELS_INFO), LABELS_INFO.type, latched=True): partial(
+                self.on_label_info, camera
+            )
+            for camera in self._site.cameras
+        }
+        return {**cameras, **models, FUEL_MAP_QUERY: self.on_query, FUEL_MAP_REGION: self.on_region}
 
     @property
     def discoverable(self) -> Mapping[Topic, Callable[[str, Any], None]]:
@@ -104,7 +113,7 @@ class FuelMap(Handler[FuelMapConfig]):
 
     @property
     def services(self) -> Mapping[str, Callable[[], str]]:
-        return {"fuel_map/save": self.save, "fuel_map/clear": self.clear}
+        return {"fuel_map/save": self.save, "fuel_map/export": self.export, "fuel_map/clear": self.clear}
 
     def start(self) -> None:
         geometry = self._site.in_crs(self._geometry)
@@ -125,7 +134,8 @@ class FuelMap(Handler[FuelMapConfig]):
             return
         counting = self._keeper.seen(camera, stamp)
         if counting is None:
-            counting = self._keeper.count(msg_to_votes(message, self._geometry, self._labels.names, camera))
+            votes = msg_to_votes(message, self._geometry, self._labels.names, camera)
+            counting = self._keeper.count(votes, self._models.get(camera, ""))
         if counting is Counting.DUPLICATE:
             self.health.drop("duplicate", f"votes of {camera} of stamp {stamp} ns came twice; counted once")
         elif counting is Counting.TOO_OLD:
@@ -140,6 +150,10 @@ class FuelMap(Handler[FuelMapConfig]):
         if not re.fullmatch("[a-z][a-z0-9_]*", camera) or camera in SITE_NAMES:
             raise MessageError(f"votes on {topic}: {camera!r} is no name of a camera")
         self.on_votes(camera, message)
+
+    def on_label_info(self, camera: str, message: Any) -> None:
+        """Which network labels a camera's images is kept beside its frames."""
+        self._models[camera] = msg_to_model(message)
 
     def on_query(self, message: Any) -> None:
         if message.header.frame_id != "map":
@@ -176,6 +190,13 @@ class FuelMap(Handler[FuelMapConfig]):
         self._announce(self._keeper.settle(write_tiles=True))
         path = self._write()
         return f"fuel map of {self._keeper.saved_frames} frames written to {path.name}"
+
+    def export(self) -> str:
+        """Write landscapes for fire models into the node's folder. Raises ConfigError where none is configured."""
+        if self._folder is None:
+            raise ConfigError("no folder is configured for landscapes: set the parameter folder")
+        paths = write_landscapes(self._keeper.map, self._site, self._folder)
+        return f"{' and '.join(path.name for path in paths)} written, as of stamp {self._keeper.map.newest_ns} ns"
 
     def clear(self) -> str:
         """Forget all evidence in the region that came last on `fuel_map/region`; it serves once."""

@@ -35,6 +35,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.site_io import load_site
 from ltm_core.tile_store import FrameRecord, TileStore
 from ltm_msgs_py.grid import msg_to_classes
+from ltm_msgs_py.label_info import label_set_to_msg
 from ltm_ros import fuel_keeper
 from ltm_ros.fuel_layers import life_form_labels
 from ltm_ros.health import Health
@@ -353,6 +354,18 @@ def test_query_of_a_point(kept: Callable[..., Node]) -> None:
             node.handler.on_query(asked)
 
 
+def test_network_that_labels_is_kept_with_the_frames(kept: Callable[..., Node]) -> None:
+    node = kept()
+    node.feed(0)
+    node.handler.on_label_info(camera_of(0), label_set_to_msg(LABELS, "spine 0123456789ab"))
+    node.handler.on_votes(camera_of(0), message(0, node.map.geometry, stamp_of_frame(0) + 1))
+    node.handler.idle()
+    seen = votes(0, node.map.geometry)
+    key = (int(seen.rows[0]) // 32, int(seen.cols[0]) // 32)
+    found = node.handler._keeper.store.touches(key)
+    assert [(t.source, t.model, t.frames) for t in found] == [("north", "", 1), ("north", "spine 0123456789ab", 1)]
+
+
 def test_clearing_a_region(kept: Callable[..., Node], tmp_path: Path) -> None:
     node = kept()
     node.feed(*range(60))
@@ -402,6 +415,20 @@ def test_save_writes_where_the_configuration_says(kept: Callable[..., Node], sit
     classes, geometry = read_fuel_map(tmp_path / "kept" / "fuel_map.tif")
     np.testing.assert_array_equal(classes, node.map.layers().life_form)
     assert geometry.crs == "EPSG:26911"
+
+
+def test_export_writes_landscapes_into_the_folder(kept: Callable[..., Node], site: Path, tmp_path: Path) -> None:
+    import rasterio
+
+    with pytest.raises(ConfigError, match="parameter folder"):
+        Node(site).handler.export()
+    node = kept()
+    node.feed(*range(80))
+    assert node.handler.export().startswith("landscape.lcp and landscape.tif written")
+    for name in ("landscape.lcp", "landscape.tif"):
+        with rasterio.open(tmp_path / "kept" / name) as found:
+            assert found.count == 8
+            np.testing.assert_array_equal(found.read(4), node.map.layers().code)
 
 
 def test_frames_survive_as_bytes() -> None:
