@@ -38,6 +38,10 @@ def network(
         for rate in offered:
             with console.status(f"{count} towers, {rate:g} frames a second"):
                 results.append(run_network(count, rate, seconds, extent, views, domain))
+            last = results[-1]
+            console.print(
+                f"{count} towers: {last.sustained_hz:.1f} Hz, {last.lost} lost, p95 {last.latency_p95_s:.2f} s"
+            )
     table = Table(
         title=f"one fuel map of {extent / 1000:g} x {extent / 1000:g} km, {seconds:g} s a run, evidence on disk",
         caption="latency: from stamp to update, once it is stored; lost: not told of, or not there after a kill",
