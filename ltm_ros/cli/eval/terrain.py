@@ -16,6 +16,11 @@ def terrain(
     occluded: Annotated[str, typer.Option(help="Shares of each image that something nearer hides; commas.")] = "0,0.4",
     looks: Annotated[int, typer.Option(help="Images of each tower, two hours apart.", min=1)] = 3,
     share: Annotated[float, typer.Option(help="Sigma of the measured depth as a share of range.", min=0)] = 0.01,
+    canyon: Annotated[
+        Path | None,
+        typer.Option(help="Instead: the real site rm22 of sandbar_seg, with later surveys, in this folder."),
+    ] = None,
+    network: Annotated[str, typer.Option(help="Depth network for the real site's photos; empty: none.")] = "",
     pictures: Annotated[Path | None, typer.Option(help="Folder for a sheet of pictures of each run.")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Also write every figure to this file.")] = None,
 ) -> None:
@@ -23,6 +28,9 @@ def terrain(
 
     Scenes stand 500 m from the towers. Pose errors are run without occlusion, occlusion with exact poses.
     """
+    if canyon is not None:
+        _real(canyon, network, pictures, json_path)
+        return
     import json
     from dataclasses import replace
 
@@ -110,3 +118,74 @@ def terrain(
 
 def _shown(value: float, form: str) -> str:
     return "" if value != value else f"{value:{form}}"
+
+
+def _real(folder: Path, network: str, pictures: Path | None, json_path: Path | None) -> None:
+    """One real camera, three photos, and what the last survey says."""
+    import json
+
+    import numpy as np
+    from rich.console import Console
+    from rich.table import Table
+
+    from ltm_core.depth.classes import DepthClasses
+    from ltm_core.depth.monocular import DepthNetwork
+    from ltm_core.pictures import to_png
+    from ltm_core.pictures.surface import surface_sheet
+    from ltm_core.resources import config_path
+    from ltm_core.terrain.canyon_io import read_canyon
+    from ltm_core.terrain.canyon_score import AFTER, BEFORE, RULES, score_canyon
+    from ltm_core.vision.labels import LabelSet
+
+    site = read_canyon(folder)
+    classes = DepthClasses.of(LabelSet.load(config_path("labels.yaml")))
+    fit = site.resection
+    console = Console()
+    console.print(
+        f"one camera, resected from {len(fit.points.names)} coarse control points: median residual "
+        f"{np.median(fit.residual_px):.0f} px, sigma "
+        + ", ".join(f"{name.removesuffix('_deg')} {value:.2f} deg" for name, value in fit.sigmas.items())
+        + f". Photos of three years on the survey of {BEFORE} (yymmdd), against that of {AFTER}; change: "
+        f"{RULES.threshold:g} m or more; RMSE on seen cells that have changed"
+    )
+    table = Table(title="terrain update on a real sandbar")
+    for name in (
+        "depth from", "off, median", "seen cells", "precision", "recall", "RMSE before m", "after m", "of estimate m",
+    ):  # fmt: skip
+        table.add_column(name, justify="left" if name == "depth from" else "right")
+    scores = [score_canyon(site, None, classes)]
+    if network:
+        scores.append(score_canyon(site, DepthNetwork.open(network), classes))
+    rows = []
+    for score in scores:
+        name = "each date's survey" if score.name == "ideal depth" else f"{network}: {', '.join(score.verdicts)}"
+        figures = {
+            "off_median": score.measured,
+            "seen_cells": score.change.cells,
+            "precision": score.change.precision,
+            "recall": score.change.recall,
+            "rmse_before_m": score.before.rmse,
+            "rmse_after_m": score.after.rmse,
+            "rmse_of_estimate_m": score.estimate.rmse,
+        }
+        forms = (".1%", "d", ".2f", ".2f", ".2f", ".2f", ".2f")
+        table.add_row(name, *(_shown(value, form) for value, form in zip(figures.values(), forms, strict=True)))
+        rows.append({"depth_from": name} | {k: None if v != v else v for k, v in figures.items()})
+        if pictures is not None:
+            pictures.mkdir(parents=True, exist_ok=True)
+            layers = score.layers
+            sheet = surface_sheet(
+                layers.height,
+                layers.sigma,
+                layers.height - layers.reference,
+                layers.change,
+                layers.observed,
+                layers.geometry,
+                score.truth,
+                width=520,
+            )
+            (pictures / f"canyon_{score.name.split()[0]}.png").write_bytes(to_png(sheet))
+    console.print(table)
+    if json_path is not None:
+        json_path.parent.mkdir(parents=True, exist_ok=True)
+        json_path.write_text(json.dumps({"rows": rows}, indent=2, allow_nan=False) + "\n", encoding="utf-8")
