@@ -28,7 +28,9 @@ def fuel_picture(
     sure = np.clip(2 * np.nan_to_num(layers.p_max, nan=0.5) - 1, 0, 1)[..., None]
     color = np.array(_UNKNOWN) + (0.35 + 0.65 * sure) * (palette[layers.life_form] - np.array(_UNKNOWN))
     big = color.repeat(scale, axis=0).repeat(scale, axis=1)
-    filled = np.where(np.isfinite(heights), heights, np.nanmean(heights) if np.isfinite(heights).any() else 0.0)
+    known = np.isfinite(heights)
+    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    filled = heights[tuple(nearest)] if known.any() else np.zeros(heights.shape)
     smooth = ndimage.zoom(filled, scale, order=1, mode="nearest", grid_mode=True)
     south, east = np.gradient(smooth, cell / scale)
     light = (-east * -0.5 + -south * -0.5 + 0.7) / np.sqrt(1 + east**2 + south**2)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 import yaml
 from std_msgs.msg import String
 from typer.testing import CliRunner
 
+from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, RecordingError
 from ltm_core.fuel.fuel_map_io import read_fuel_map, write_fuel_map
 from ltm_core.grid import GridGeometry
@@ -87,3 +90,35 @@ def test_a_bag_without_fuel_map(site_file: Path, tmp_path: Path) -> None:
         writer.write("/ridge/note", String(data="nothing seen"), 10)
     with pytest.raises(RecordingError, match=r"empty holds no /ridge/fuel_map; its topics are /ridge/note"):
         last_fuel_map(tmp_path / "empty", load_site(site_file))
+
+
+def test_what_fire_models_read(bag: Path, site_file: Path, tmp_path: Path) -> None:
+    around = LOCAL.translated(346_000.0 - 60, 3_783_000.0 + 60, "EPSG:32611")
+    wide = GridGeometry(around.x_min, around.y_max, 30.0, 9, 8, "EPSG:32611")
+    Dem(np.add.outer(-6.0 * np.arange(8.0), np.zeros(9)).astype(np.float32) + 500, wide).save(tmp_path / "dem.tif")
+    export(bag, "--site", site_file, "--out", tmp_path / "map.lcp")
+    with rasterio.open(tmp_path / "map.lcp") as source:
+        bands = source.read()
+    # Grass, shrubs and trees of the dry region; nothing is known of the unseen cells and of what no life form is.
+    np.testing.assert_array_equal(bands[3], [[102, 145, 183, -9999], [99, -9999, 98, 91], [-9999, 102, 102, 145]])
+    np.testing.assert_array_equal(bands[1], 11)  # atan(6 / 30)
+    np.testing.assert_array_equal(bands[2], 180)  # it falls to the south
+    np.testing.assert_array_equal(bands[4][0], [0, 0, 55, -9999])
+    for name, count in (("points.ply", 9), ("points.las", 9)):
+        export(bag, "--site", site_file, "--out", tmp_path / name)
+        if name.endswith("las"):
+            laspy = pytest.importorskip("laspy")
+            cloud = laspy.read(tmp_path / name)
+            assert len(cloud.x) == count
+            assert sorted(set(np.asarray(cloud.fuel_code).tolist())) == [91, 98, 99, 102, 145, 183]
+        else:
+            assert f"element vertex {count}".encode() in (tmp_path / name).read_bytes()[:400]
+    export(bag, "--site", site_file, "--out", tmp_path / "map.kmz")
+    assert sorted(zipfile.ZipFile(tmp_path / "map.kmz").namelist()) == ["doc.kml", "map.png"]
+
+
+def test_a_format_that_is_none(bag: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"names no format; give --format, or one of \.tif"):
+        export(bag, "--out", tmp_path / "map.doc")
+    with pytest.raises(ConfigError, match="lcp needs the terrain"):
+        export(bag, "--out", tmp_path / "map.lcp")
