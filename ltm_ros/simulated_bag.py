@@ -39,22 +39,23 @@ def write_simulated_bag(
     frames: Path,
     out: Path,
     site: str,
-    quality: int = 78,
+    quality: int | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
     date: str | None = None,
 ) -> int:
     """Write the frames of a `ltm simulate` folder, of `date` alone if given, as a bag of site `site`; the number of
     frames.
 
-    `quality`: JPEG quality of the images. Truth depth is along the optical axis (REP-118), of every n-th pixel as the
-    scenario says and rounded to 6e-5 of itself, with a camera_info of its own; `pose` is what the camera's sensors
-    reported, with its covariance, `truth/pose` where it was. Messages lie in the order in which they came. Raises
-    RecordingError on a folder without frames.json.
+    `quality`: JPEG quality of the images, the scenario's unless given. Truth depth is along the optical axis (REP-118),
+    of every n-th pixel as the scenario says and rounded to 6e-5 of itself, with a camera_info of its own; `pose` is
+    what the sensors reported, with its covariance, `truth/pose` where it was. Messages lie in the order in which
+    they came. Raises RecordingError on a folder without frames.json.
     """
     index_file = frames / "frames.json"
     try:
         index = json.loads(index_file.read_text(encoding="utf-8"))
         entries, step = index["frames"], int(index["truth_step"])
+        quality = int(index.get("jpeg_quality", 78)) if quality is None else quality
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RecordingError(
             f"{index_file}: no index of simulated frames ({error}); `ltm simulate` writes one"

@@ -89,11 +89,19 @@ def fractal(
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _fractal_points(x: Float, y: Float, out: Float, wavelength: float, seed: int) -> None:
+def _fractal_points(x: Float, y: Float, out: Float, wavelength: float, octaves: int, seed: int) -> None:
     for i in range(x.size):
         a, b = x[i] / wavelength, y[i] / wavelength
-        low = _gradient_noise(a, b, seed)
-        out[i] = (low + 0.5 * _gradient_noise(2 * a + 5.5, 2 * b - 3.1, seed + 101)) / 1.5
+        total = 0.0
+        norm = 0.0
+        gain = 1.0
+        scale = 1.0
+        for o in range(octaves):
+            total += gain * _gradient_noise(scale * a + 5.5 * o, scale * b - 3.1 * o, seed + 101 * o)
+            norm += gain
+            gain *= 0.5
+            scale *= 2.0
+        out[i] = total / norm
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -102,14 +110,15 @@ def _uniform_points(x: Float, y: Float, out: Float, seed: int) -> None:
         out[i] = _hash(int(np.floor(x[i] * 100.0)), int(np.floor(y[i] * 100.0)), seed)
 
 
-def at_points(x: Float, y: Float, wavelength: float, seed: int) -> Float:
-    """Two octaves of noise, about [-1, 1], at scattered map points (N,)."""
+def at_points(x: Float, y: Float, wavelength: float, seed: int, octaves: int = 2) -> Float:
+    """Fractal noise, about [-1, 1], at scattered map points (N,); `wavelength` is the longest octave's."""
     out = np.empty(x.size)
     _fractal_points(
         np.ascontiguousarray(x, np.float64),
         np.ascontiguousarray(y, np.float64),
         out,
         float(wavelength),
+        octaves,
         seed & 0x7FFFFFF,
     )
     return out

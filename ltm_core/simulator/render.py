@@ -83,7 +83,8 @@ def render_radiance(view: View, camera: Camera, pose: Pose, samples: int, seed: 
         for k, (sun, sky) in enumerate(((1.0, 0.0), (0.0, 1.0))):
             light["sun_scale"], light["sky_scale"] = sun, sky
             light.update()
-            image = mi.render(view.full, sensor=sensor, integrator=integrator, spp=samples, seed=2 * seed + k)
+            paths = samples if sky else max(1, round(0.6 * samples))  # the sun's light is hardly noisy
+            image = mi.render(view.full, sensor=sensor, integrator=integrator, spp=paths, seed=2 * seed + k)
             parts.append(np.asarray(image, np.float32))
     finally:
         light["sun_scale"], light["sky_scale"] = 1.0, 1.0
@@ -115,11 +116,11 @@ def air_length(ranges: Image, camera: Camera, pose: Pose) -> Image:
     return np.where(np.isinf(ranges), 100.0 / np.maximum(up, 1e-4), ranges).astype(np.float32)
 
 
-def airlight(view: View, camera: Camera, pose: Pose) -> NDArray[np.float32]:
-    """Radiance (3,) of the sky just over the horizon in the camera's heading: what haze fades to."""
+def airlight(view: View, camera: Camera, pose: Pose, pitch_deg: float = 1.0) -> NDArray[np.float32]:
+    """Radiance (3,) of the sky in the camera's heading, just over the horizon unless told: what haze fades to."""
     azimuth, _, _ = pose.angles_deg
     strip = Camera.from_fov(96, 2, min(camera.hfov_deg, 90.0))
-    level = Pose.from_angles((0.0, 0.0, 0.0), azimuth, 1.0)
+    level = Pose.from_angles((0.0, 0.0, 0.0), azimuth, pitch_deg)
     mi = mitsuba()
     sensor = _sensor(strip, level, {"type": "independent", "sample_count": 8}, "rgb")
     sky = np.asarray(

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
+from ltm_core.errors import ConfigError
 from ltm_core.pose import Pose
 from ltm_core.simulator.appearance import palette
 from ltm_core.simulator.ground_io import read_codes, read_elevation
 from ltm_core.simulator.imaging import add_haze, develop, lit
-from ltm_core.simulator.landcover import LandCover, cover_geometry, make_landcover
+from ltm_core.simulator.landcover import UNLABELLED, WATER, LandCover, cover_geometry, make_landcover
+from ltm_core.simulator.lens import lookup, pinhole_for, through
 from ltm_core.simulator.rasters import SiteRasters, site_rasters
 from ltm_core.simulator.render import air_length, airlight, render_radiance, render_range
 from ltm_core.simulator.scenario import DateConfig, Scenario
@@ -24,12 +26,17 @@ from ltm_core.simulator.terrain import Terrain, make_terrain, surroundings_geome
 from ltm_core.simulator.truth import FrameTruth, frame_truth
 from ltm_core.simulator.vegetation import Planting
 from ltm_core.simulator.viewpoints import draw_viewpoints
+from ltm_core.simulator.weather import Clouds, mirrored, smoke
 from ltm_core.simulator.works import with_lakes
 
 # Where in a pixel the distances for haze are taken, besides its centre
 _HAZE_SAMPLES = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
 
 
+_FINER = 3.0  # rays a pixel's width when truth is looked up through a lens
+_LEAST_MAST = 0.2  # m over the ground
+_WATER_SKIN = 0.4  # m about a lake's level within which a point is its surface
+_OPAQUE = 0.5  # opacity of smoke above which nobody can tell what is behind it
 _YEAR_NS = 365.2425 * 86_400 * 1e9
 
 
@@ -98,24 +105,34 @@ def rasters_at(scenario: Scenario, site: SimulatedSite) -> SiteRasters:
 def plan_shots(scenario: Scenario, site: SimulatedSite, date: DateConfig | None = None) -> list[Shot]:
     """All frames of a date (the first unless given), one eye point after another, each eye's in time order.
 
-    `site`: the site at the first date; masts stand on its ground, whatever happens to it later.
+    `site`: the site at the first date; masts stand on its ground, whatever happens to it later. Raises ConfigError
+    for a camera under that ground.
     """
     if date is None:
         date = scenario.dates[0]
     start = scenario.start_ns + round(date.years * _YEAR_NS)
     shots: list[Shot] = []
-    for setup in scenario.cameras:
-        camera = scenario.camera_model(setup.hfov_deg)
-        eye = np.array([setup.x, setup.y, float(site.terrain.site.at(setup.x, setup.y)) + setup.mast])
+    for i, setup in enumerate(scenario.cameras):
+        ground = float(site.terrain.site.at(setup.x, setup.y))
+        height = ground + setup.mast if setup.z is None else setup.z
+        if height < ground + _LEAST_MAST:
+            raise ConfigError(
+                f"cameras.{i}: {setup.name} stands at {height:.2f} m, {ground - height:.2f} m under the ground of "
+                f"({setup.x:g}, {setup.y:g}); give z above {ground + _LEAST_MAST:.2f} or leave it out and give mast"
+            )
+        eye = np.array([setup.x, setup.y, height])
         patrol = setup.patrol
         pitches = patrol.pitch_deg * len(patrol.azimuth_deg) if len(patrol.pitch_deg) == 1 else patrol.pitch_deg
         sensors = SensorModel(setup.sensors(), f"{setup.name} {date.name}", scenario.seed)
-        for k, (azimuth, pitch) in enumerate(list(zip(patrol.azimuth_deg, pitches, strict=True)) * patrol.rounds):
+        fields = patrol.hfov_deg or [setup.hfov_deg] * len(patrol.azimuth_deg)
+        stops = list(zip(patrol.azimuth_deg, pitches, fields, strict=True))
+        for k, (azimuth, pitch, hfov) in enumerate(stops * patrol.rounds):
+            camera = scenario.camera_model(hfov)
             stamp = start + round((patrol.start_s + k * patrol.interval_s) * 1e9)
             pose = Pose.from_angles(eye, azimuth, pitch, patrol.roll_deg)
             report = sensors.report(pose, stamp)
             if report is not None:
-                shots.append(Shot(setup.name, camera, pose, stamp, setup.mast, date.name, report))
+                shots.append(Shot(setup.name, camera, pose, stamp, height - ground, date.name, report))
     if scenario.views is not None:
         for place, views in enumerate(draw_viewpoints(site.terrain.site, scenario.views, scenario.seed)):
             for v in views:
@@ -138,6 +155,12 @@ def render_shots(scenario: Scenario, site: SimulatedSite, shots: list[Shot]) -> 
     eye: NDArray[np.float64] | None = None
     seen: dict[tuple[Camera, Pose], _Light] = {}
     for k, shot in enumerate(shots):
+        over = float(shot.pose.position[2] - site.terrain.site.at(*shot.pose.position[:2]))
+        if over < _LEAST_MAST:
+            raise ConfigError(
+                f"camera {shot.camera_name} is {-over:.2f} m under the ground that changes up to {shot.date} leave; "
+                "raise its mast or keep the change away from it"
+            )
         if view is None or eye is None or not np.array_equal(eye, shot.pose.position):
             view, eye = None, shot.pose.position  # the old scene goes before the new one comes
             seen.clear()
@@ -160,11 +183,58 @@ class _Light:
 
 def _light(scenario: Scenario, site: SimulatedSite, view: View, shot: Shot, seed: int) -> _Light:
     """What reaches the lens, and what is true of it."""
-    camera, pose = shot.camera, shot.pose
+    pose = shot.pose
+    distorted = any(shot.camera.distortion)
+    camera = pinhole_for(shot.camera) if distorted else shot.camera
     light = render_radiance(view, camera, pose, scenario.imaging.samples, seed)
     ranges = [render_range(view.full, camera, pose, shift) for shift in _HAZE_SAMPLES]
+    is_sky = np.isinf(ranges[0])
+    rays = camera.rays() @ pose.rotation.T
+    points = pose.position + rays * np.where(is_sky, 0.0, ranges[0])[..., None]
+    points[..., 2] += view.bend * ((points[..., :2] - pose.position[:2]) ** 2).sum(axis=-1)  # upright again
+    horizon = airlight(view, camera, pose)
+    sun, sky = light.sun, light.sky
+    if scenario.clouds is not None:
+        clouds = Clouds(scenario.clouds, float(site.terrain.site.elevation.mean()), scenario.sun, scenario.seed)
+        sun = sun * np.where(is_sky, 1.0, clouds.sunlight(points)).astype(np.float32)[..., None]
+        sky = sky.copy()
+        sky[is_sky] = clouds.over_sky(sky[is_sky], rays[is_sky], pose.position)
+    radiance = lit(sun, sky, is_sky)
+    water = ~is_sky & (site.cover.at(points[..., 0], points[..., 1]) == WATER)
+    water &= np.abs(points[..., 2] - site.terrain.site.at(points[..., 0], points[..., 1])) < _WATER_SKIN
+    radiance = mirrored(radiance, water, rays, horizon, airlight(view, camera, pose, 60.0), seed)
     air = [air_length(r, camera, pose) for r in ranges]
-    radiance = lit(light.sun, light.sky, np.isinf(ranges[0]))
-    hazy = add_haze(radiance, air, airlight(view, camera, pose), scenario.atmosphere)
-    truth = frame_truth(view, camera.scaled(scenario.truth_step), pose, site.cover)
-    return _Light(hazy, np.isinf(ranges[0]), truth)
+    radiance = add_haze(radiance, air, horizon, scenario.atmosphere)
+    truth = _truth(view, shot.camera.scaled(scenario.truth_step), pose, site.cover)
+    if scenario.smoke:
+        feet = [float(site.terrain.site.at(s.x, s.y)) for s in scenario.smoke]
+        white = float(np.quantile(radiance, 0.995))
+        glow, alpha = smoke(scenario.smoke, feet, camera, pose, ranges[0], white, scenario.seed)
+        radiance = radiance * (1 - alpha[..., None]) + glow
+        _, hidden = smoke(
+            scenario.smoke,
+            feet,
+            replace(truth.camera, distortion=(0.0,) * 5),
+            pose,
+            truth.range_surface,
+            white,
+            scenario.seed,
+        )
+        truth.labels[hidden > _OPAQUE] = UNLABELLED
+    radiance = radiance.astype(np.float32)
+    if distorted:
+        maps = lookup(shot.camera, camera)
+        radiance, is_sky = through(radiance, maps, smooth=True), through(is_sky, maps, smooth=False)
+    return _Light(radiance, is_sky, truth)
+
+
+def _truth(view: View, camera: Camera, pose: Pose, cover: LandCover) -> FrameTruth:
+    """The truth of `camera`'s pixels; through a distorting lens, of rays within a sixth of a pixel of them."""
+    if not any(camera.distortion):
+        return frame_truth(view, camera, pose, cover)
+    pinhole = pinhole_for(camera, finer=_FINER)
+    truth, maps = frame_truth(view, pinhole, pose, cover), lookup(camera, pinhole)
+    surface, ground, labels = (
+        through(a, maps, smooth=False) for a in (truth.range_surface, truth.range_ground, truth.labels)
+    )
+    return FrameTruth(surface, ground, labels, camera)

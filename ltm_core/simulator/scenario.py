@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -94,12 +95,28 @@ class CloudConfig(Strict):
     size: float = Field(1100.0, gt=50)  # m, the longest wavelength
 
 
+class SmokeConfig(Strict):
+    """A column of smoke from map (x, y): `height` and `drift` are its last puff's, metres; `wind_deg` is where the
+    wind blows to, clockwise from grid north."""
+
+    x: float
+    y: float
+    height: float = Field(220.0, gt=0)
+    drift: float = Field(260.0, ge=0)
+    width: float = Field(9.0, gt=0)  # m at the foot
+    wind_deg: float = 90.0
+    thickness: float = Field(0.5, gt=0, le=1)  # opacity of a puff's middle
+    puffs: int = Field(260, ge=1)
+
+
 class ImagingConfig(Strict):
     samples: int = Field(24, ge=1)  # light paths a pixel
     exposure: float = Field(1.0, gt=0)  # relative to the automatic one
     vignetting: float = Field(0.25, ge=0, le=1)  # part of cos^4 fall-off applied
     noise: float = Field(1.0, ge=0)  # sensor noise relative to a small daylight camera
     denoise: bool = True
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)  # k1, k2, p1, p2, k3
+    jpeg_quality: int = Field(78, ge=1, le=100)  # of the recording's images
 
 
 class PatrolConfig(Strict):
@@ -107,6 +124,7 @@ class PatrolConfig(Strict):
 
     azimuth_deg: Annotated[list[float], Field(min_length=1)]
     pitch_deg: list[float] = Field([-6.0])  # one for all azimuths or one each
+    hfov_deg: list[float] = Field([])  # of a zoom, one each; none: the camera's own
     roll_deg: float = 0.0
     rounds: int = Field(1, ge=1)
     interval_s: float = Field(2.0, gt=0)
@@ -114,6 +132,8 @@ class PatrolConfig(Strict):
 
     @model_validator(mode="after")
     def _one_pitch_each(self) -> PatrolConfig:
+        if len(self.hfov_deg) not in (0, len(self.azimuth_deg)):
+            raise ValueError(f"{len(self.hfov_deg)} fields of view for {len(self.azimuth_deg)} azimuths: one each")
         if len(self.pitch_deg) not in (1, len(self.azimuth_deg)):
             raise ValueError(
                 f"{len(self.pitch_deg)} pitches for {len(self.azimuth_deg)} azimuths: give one, or one each"
@@ -163,6 +183,7 @@ class CameraSetup(Strict):
     x: float
     y: float
     mast: float = Field(15.0, gt=0)
+    z: float | None = None  # metres, a surveyed height instead of the mast's
     hfov_deg: float = Field(55.0, gt=0, lt=170)
     sensor: Literal["tower", "phone"] | SensorConfig = "tower"
     patrol: PatrolConfig
@@ -203,6 +224,7 @@ class DateConfig(Strict):
     sun: SunConfig | None = None
     atmosphere: AtmosphereConfig | None = None
     clouds: CloudConfig | None = None
+    smoke: list[SmokeConfig] | None = None
 
 
 class ImageSize(Strict):
@@ -227,6 +249,7 @@ class Scenario(Strict):
     atmosphere: AtmosphereConfig = AtmosphereConfig()
     imaging: ImagingConfig = ImagingConfig()
     clouds: CloudConfig | None = None
+    smoke: list[SmokeConfig] = Field([])
     lakes: list[LakeConfig] = Field([])
     dem: DemConfig = DemConfig()
     dates: list[DateConfig] = Field([DateConfig(name="now")], min_length=1)
@@ -263,14 +286,15 @@ class Scenario(Strict):
 
     def at(self, date: DateConfig) -> Scenario:
         """This scenario with the season, sun, air and clouds of `date` as its own."""
-        own = {n: getattr(date, n) for n in ("sun", "atmosphere", "clouds") if getattr(date, n) is not None}
+        own = {n: getattr(date, n) for n in ("sun", "atmosphere", "clouds", "smoke") if getattr(date, n) is not None}
         if date.green is not None:
             own["vegetation"] = self.vegetation.model_copy(update={"green": date.green})
         return self.model_copy(update=own)
 
     def camera_model(self, hfov_deg: float) -> Camera:
-        """The undistorted camera of this scenario's image size."""
-        return Camera.from_fov(self.image.width, self.image.height, hfov_deg)
+        """The camera of this scenario's image size and lens; `hfov_deg` is its field of view without distortion."""
+        plain = Camera.from_fov(self.image.width, self.image.height, hfov_deg)
+        return replace(plain, distortion=self.imaging.distortion)
 
 
 def load_scenario(path: Path | str) -> Scenario:
@@ -299,6 +323,14 @@ def load_scenario(path: Path | str) -> Scenario:
         if getattr(config, key) is not None:
             changed[group] = config.model_copy(update={key: folder / getattr(config, key)})
     return scenario.model_copy(update=changed)
+
+
+def located(path: Path, error: ConfigError) -> ConfigError:
+    """`error` with the file and line of the key that its message begins with (`cameras.0`, `lakes.1`), if it does."""
+    message = str(error)
+    if not re.match(r"(changes|lakes|cameras|dates)\.\d+", message):
+        return error
+    return ConfigError(f"{path}:{_line(yaml.compose(path.read_text(encoding='utf-8')), (), message)}: {message}")
 
 
 def _told(problem: Any) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ltm_core.camera import Camera
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
-from ltm_core.simulator.landcover import GRASS, SKY, TREE, UNLABELLED, LandCover
+from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SKY, TREE, UNLABELLED, LandCover
 from ltm_core.simulator.render import render_range
 from ltm_core.simulator.scene import View
 
@@ -32,8 +32,8 @@ def frame_truth(view: View, camera: Camera, pose: Pose, cover: LandCover) -> Fra
     """Cast a ray through every pixel centre of `camera`, with everything standing and with the plants taken away
     kind by kind.
 
-    The class is the kind whose removal lengthens the ray; the ground itself takes the class map's (under trees:
-    grass), and ranges beyond the
+    The class is the kind whose removal lengthens the ray; the ground itself takes the class map's (under trees
+    grass, about houses bare), and ranges beyond the
     map stay unlabelled.
     """
     ranges = [render_range(scene, camera, pose) for _, scene in view.layers]
@@ -53,6 +53,7 @@ def _ground_labels(
     labels = cover.at(points[..., 0], points[..., 1]).copy()
     labels[~cover.geometry.contains(*cover.geometry.cell_of(points[..., 0], points[..., 1]))] = UNLABELLED
     labels[labels == TREE] = GRASS  # what shows between crowns is their understorey
+    labels[labels == BUILT] = BARE  # and between walls, the yard
     labels[~hit] = SKY
     return labels
 

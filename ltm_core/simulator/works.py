@@ -69,7 +69,7 @@ def _filled(field: HeightField, lake: LakeConfig, level: float, near: Mask) -> H
     z = field.elevation.astype(np.float64)
     water = near & (z < level) & (reach < lake.radius)
     # Where the ground beyond the circle is too low: a crest ten metres wide and a face of one in two
-    dam = ndimage.binary_dilation(water, iterations=int(np.ceil(3 * lake.depth / field.geometry.resolution)) + 4)
+    dam = ndimage.distance_transform_edt(~water) * field.geometry.resolution < 25.0 + 6 * lake.depth
     crest = level + 1.2 - np.maximum(reach - lake.radius - 10.0, 0) / 2
     raised = dam & ~water & (reach >= lake.radius)
     z = np.where(water, level, np.where(raised, np.maximum(z, crest), z))

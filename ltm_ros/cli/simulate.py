@@ -33,9 +33,10 @@ def simulate(
         TimeRemainingColumn,
     )
 
+    from ltm_core.errors import ConfigError
     from ltm_core.simulator.output_io import write_change, write_frame, write_index, write_site, write_truth
     from ltm_core.simulator.run import make_site, plan_shots, rasters_at, render_shots, site_at
-    from ltm_core.simulator.scenario import load_scenario
+    from ltm_core.simulator.scenario import load_scenario, located
 
     config = load_scenario(scenario)
     columns = (
@@ -47,8 +48,12 @@ def simulate(
     )
     with Progress(*columns) as progress:
         task = progress.add_task(f"{config.name}: terrain and vegetation", total=None)
-        site = make_site(config)
-        standing = site_at(config, site, config.dates[0])
+        try:
+            site = make_site(config)
+            standing = site_at(config, site, config.dates[0])
+            plan_shots(config, standing)
+        except ConfigError as error:
+            raise located(scenario, error) from error
         jobs = []
         before = None
         for i, date in enumerate(config.dates):
