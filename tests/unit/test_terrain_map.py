@@ -234,7 +234,9 @@ def test_a_pose_that_is_off_is_turned_back() -> None:
     assert turned is not None
     off = turned.pose.rotation.T @ good.pose.rotation
     left = np.degrees(np.arccos((np.trace(off) - 1) / 2))
-    assert left < 0.3 < 0.6 < turned.turned_deg
+    # Of 0.71 degrees; roll, which shows least on one slope, keeps most of what is left.
+    assert left < 0.3 < 0.5 < turned.turned_deg
+    assert turned.residual[1] < 0.2 * turned.residual[0]
     again = surface.add(replace(frame(BARE, hours=0.1), pose=wrong, covariance=known_to))
     assert again.registration is turned, "a camera that stands still is registered once"
 
