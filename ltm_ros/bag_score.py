@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from ltm_core.camera import Camera
 from ltm_core.errors import LtmError, RecordingError
 from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.fuel.majority import UNSEEN, MajorityFuelMap
+from ltm_core.fuel.site_map import site_evidence_map
+from ltm_core.grid import GridGeometry
 from ltm_core.metrics.depth import DepthScore
 from ltm_core.metrics.depth_fit import DepthKind, at_pixels_of, fit_to_truth
 from ltm_core.metrics.depth_maps_io import DepthMapFolder
@@ -28,6 +31,7 @@ from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.votes import msg_to_votes
 from ltm_ros.frame_stream import FrameStream, Parts, StreamedFrame
 from ltm_ros.recorded_map import last_fuel_map
 from ltm_ros.terrain_score import TerrainScore, score_terrain
@@ -113,6 +117,10 @@ class BagScore:
     skylines: list[tuple[str, SkylineScore]] = field(default_factory=list)
     labels: SegmentationScore | None = None
     fuel: FuelScore | None = None
+    fuel_vote: FuelScore | None = None
+    """The paper's majority vote of the same frames' votes, on the same cells."""
+    fuel_prior: FuelScore | None = None
+    """The map that the system started from, on the same cells."""
     terrain: TerrainScore | None = None
     latency: list[LatencyRow] = field(default_factory=list)
     lacking: list[str] = field(default_factory=list)
@@ -281,6 +289,7 @@ def _latencies(stream: FrameStream) -> list[LatencyRow]:
 
 
 def _score_fuel(score: BagScore, recorded: Recorded) -> None:
+    """The map, the majority vote and the prior, over the cells that a recorded frame voted in."""
     file = recorded.life_forms
     try:
         classes, geometry, labels = last_fuel_map(recorded.bag, recorded.site)
@@ -291,9 +300,36 @@ def _score_fuel(score: BagScore, recorded: Recorded) -> None:
         score.lacking.append(f"fuel cells: no {FUEL_TRUTH} in {recorded.truth}; name its folder with --truth")
         return
     try:
-        score.fuel = score_fuel(classes, geometry, *read_fuel_map(file), len(labels))
+        truth, grid = read_fuel_map(file)
+        vote = majority_map(recorded, geometry, labels)
+        if vote is not None:
+            unseen = vote == UNSEEN
+            score.fuel_vote = score_fuel(vote, geometry, truth, grid, len(labels))
+            classes = np.where(unseen, UNSEEN, classes).astype(np.uint8)
+            if recorded.site.fuel.prior is not None:
+                untouched = site_evidence_map(recorded.site, in_map(recorded.site, geometry), labels).layers().life_form
+                prior = np.where(unseen, UNSEEN, untouched).astype(np.uint8)
+                score.fuel_prior = score_fuel(prior, geometry, truth, grid, len(labels))
+        score.fuel = score_fuel(classes, geometry, truth, grid, len(labels))
     except LtmError as error:
         score.lacking.append(f"fuel cells: {error}")
+
+
+def majority_map(recorded: Recorded, geometry: GridGeometry, labels: LabelSet) -> NDArray[np.uint8] | None:
+    """The majority vote of all recorded votes on `geometry` (in the site's CRS); None where the bag has none."""
+    grid = in_map(recorded.site, geometry)
+    votes = MajorityFuelMap(grid, len(labels))
+    counted = 0
+    for frame in recorded.stream().frames(["votes"]):
+        votes.add(msg_to_votes(frame.take("votes"), grid, labels.names, frame.camera_name))
+        counted += 1
+    return votes.classes() if counted else None
+
+
+def in_map(site: Site, geometry: GridGeometry) -> GridGeometry:
+    """A raster of the site's CRS as one of the map frame."""
+    x, y = site.origin
+    return geometry.translated(-x, -y)
 
 
 def _score_terrain(score: BagScore, recorded: Recorded) -> None:

@@ -33,6 +33,7 @@ def tables(score: BagScore) -> list[Table]:
         _confusion(score),
         _skylines(score),
         _fuel(score),
+        _fuel_maps(score),
         _change(score),
         _surface(score),
     ]
@@ -92,6 +93,8 @@ def as_json(score: BagScore) -> dict[str, Any]:
             "seen": score.fuel.seen,
             "right": score.fuel.right,
             "confusion": score.fuel.confusion.tolist(),
+            "right_by_majority_vote": None if score.fuel_vote is None else score.fuel_vote.right,
+            "right_by_prior": None if score.fuel_prior is None else score.fuel_prior.right,
         },
         "terrain": None if score.terrain is None else dataclasses.asdict(score.terrain),
         "latency": [dataclasses.asdict(row) for row in score.latency],
@@ -208,6 +211,18 @@ def _fuel(score: BagScore) -> Table | None:
         f"{fuel.right:,} of the {fuel.seen:,} observed cells with a known truth are right; the map has {fuel.cells:,}."
     )
     return Table("fuel cells", ("life form", "of truth", "cells", "F1", "precision", "recall", "IoU"), rows, note)
+
+
+def _fuel_maps(score: BagScore) -> Table | None:
+    """The map beside what it started from and beside the paper's vote, on the same cells."""
+    maps = (("evidence over the prior", score.fuel), ("majority vote", score.fuel_vote), ("prior", score.fuel_prior))
+    rows = [
+        (name, one.seen, one.right, _percent(one.right / max(1, one.seen))) for name, one in maps if one is not None
+    ]
+    if len(rows) < 2:
+        return None
+    note = "Cells that a recorded frame voted in; life form against the true one."
+    return Table("fuel maps", ("map", "cells seen", "right", "share"), rows, note)
 
 
 def _change(score: BagScore) -> Table | None:

@@ -62,7 +62,11 @@ def _simulated(out: Path, domain: int, console: Console) -> None:
         table.add_row("labels right", f"{100 * result.score.labels.accuracy:.1f} %")
     if (fuel := result.score.fuel) is not None:
         table.add_row("fuel cells seen", f"{fuel.seen} of {fuel.cells}")
-        table.add_row("fuel cells right", f"{fuel.right} ({100 * fuel.right / max(1, fuel.seen):.1f} %)")
+        maps = (("", fuel), (", majority vote", result.score.fuel_vote), (", prior alone", result.score.fuel_prior))
+        for name, one in maps:
+            if one is not None:
+                share = 100 * one.right / max(1, one.seen)
+                table.add_row(f"fuel cells right{name}", f"{one.right} ({share:.1f} %)")
     console.print(table)
     console.print(f"report: {out / 'report.html'}   Rerun: ltm view --rrd {out / 'demo.rrd'}")
     drops = sum(row.dropped for row in result.nodes)

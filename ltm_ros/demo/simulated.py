@@ -9,6 +9,8 @@ from pathlib import Path
 
 from ltm_core.errors import RecordingError
 from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.fuel.site_map import site_evidence_map
+from ltm_core.fuel.stored_map import STORE_FILE, open_stored_map
 from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
@@ -17,6 +19,7 @@ from ltm_ros.cli.summary import node_rows
 from ltm_ros.demo.outcome import camera_pictures, conditions, headings, map_picture, range_scale, write_pictures
 from ltm_ros.eval_tables import tables
 from ltm_ros.fuel_layers import life_form_labels
+from ltm_ros.fuel_services import write_landscapes
 from ltm_ros.recorded_frames import recorded_frames
 from ltm_ros.replay.run import ReplayOptions, run_live
 from ltm_ros.report import NodeRow, ReportData, write_report
@@ -46,7 +49,8 @@ def run_demo(
 ) -> DemoResult:
     """Replay the demo folder (site.yaml, recording/, fuel_truth.tif) live into `out`, which must be empty or new.
 
-    Leaves fuel_map.tif, state/, recording/, demo.rrd, report.html and pictures/ there. Raises LtmError.
+    Leaves fuel_map.tif, landscape.lcp, landscape.tif, state/, recording/, demo.rrd, report.html and pictures/ there.
+    Raises LtmError.
     """
     site_path = demo / "site.yaml"
     site = load_site(site_path)
@@ -62,11 +66,14 @@ def run_demo(
     if not (out / "fuel_map.tif").is_file():
         raise RecordingError(f"the fuel_map node wrote no {out / 'fuel_map.tif'}; see {out / 'log'}")
 
+    dem = site.open_dem()
+    evidence = site_evidence_map(site, site.fuel_geometry(dem), labels)
+    with open_stored_map(state / STORE_FILE, site, evidence):
+        write_landscapes(evidence, site, out)
     score = score_bag(Recorded(out / "recording", site_path, site, demo))
     result = DemoResult(node_rows(summaries), score, seconds)
     classes, geometry = read_fuel_map(out / "fuel_map.tif")
     shown = headings(recorded_frames(out / "recording", site))
-    dem = site.open_dem()
     fuel_map = map_picture(classes, geometry, site, dem, shown, life_form_labels(labels))
     scale = range_scale(shown)
     write_pictures(out / "pictures", shown, fuel_map, labels, scale)
@@ -87,10 +94,12 @@ def run_demo(
         label_set=labels,
         scale=scale,
         recording="demo.rrd",
-        tables=[table for table in tables(score) if table.title == "depth"],
+        tables=[table for table in tables(score) if table.title in ("depth", "fuel maps")],
         files=(
             ("fuel_map.tif", "class indices per 30 m cell, 255 unseen"),
             ("recording/", "inputs and results as a rosbag2 bag (MCAP)"),
+            ("landscape.lcp, .prj", "the same for FARSITE and FlamMap, in fuel models of Scott and Burgan"),
+            ("landscape.tif", "the same as a GeoTIFF of eight bands, for FlamMap 6.2 and IFTDSS"),
             ("state/", "the fuel map's store: evidence, counted frames, history"),
             ("demo.rrd", "the run in Rerun"),
             ("pictures/", "the pictures of this page"),
