@@ -173,6 +173,10 @@ def fuse(
         classes.surface,
         source,
     )
+    beyond = _beyond_the_dem(ground)
+    if beyond is not None:
+        expected[beyond] = sigma[beyond] = np.nan
+        source[beyond] = Source.UNKNOWN
     verdict, reason = Verdict.OK, ""
     if fit is not None and fit.trouble:
         verdict, reason = Verdict.NETWORK_UNUSABLE, fit.trouble
@@ -185,6 +189,24 @@ def _traced_alone(ground: Image, verdict: Verdict, reason: str, check: PoseCheck
     source = np.where(np.isfinite(ground), Source.TERRAIN, np.where(np.isnan(ground), Source.UNKNOWN, Source.SKY))
     sigma = np.full(ground.shape, np.nan, np.float32)
     return FusedDepth(ground, sigma, source.astype(np.uint8), ground, 0.0, verdict, reason, check)
+
+
+def _beyond_the_dem(ground: Image) -> NDArray[np.bool_] | None:
+    """Unknown pixels (H, W) that known ground does not enclose, None where there are none.
+
+    A hole in the DEM has ground all about it, to which the network's scale holds. Land beyond the raster reaches up to
+    the sky or the image's edge, at any distance, and a network that was fitted to the near ground knows nothing of it.
+    """
+    unknown = np.isnan(ground)
+    if not unknown.any():
+        return None
+    _, regions = cv2.connectedComponents(unknown.astype(np.uint8), connectivity=8)
+    edge = cv2.dilate(np.isposinf(ground).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_)
+    edge[[0, -1]] = edge[:, [0, -1]] = True
+    open_ended = np.zeros(int(regions.max()) + 1, np.bool_)
+    open_ended[regions[edge & unknown]] = True
+    found = open_ended[regions]
+    return np.asarray(found, np.bool_) if found.any() else None
 
 
 def _upsampled(fit: NetworkFit, rgb: Bytes) -> tuple[Image, Image, Image]:

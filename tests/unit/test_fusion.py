@@ -147,6 +147,19 @@ def test_holes_of_the_dem_stay_holes_or_are_filled_by_the_network_alone() -> Non
     assert np.median(np.abs(filled / true - 1)) < 0.1
 
 
+def test_land_beyond_the_dem_stays_unknown() -> None:
+    """It reaches up to the sky, so no ground beyond it holds the network's scale."""
+    scene = depth_scene()
+    cut = scene.traced.range.copy()
+    far = np.isfinite(cut) & (cut > np.percentile(cut[np.isfinite(cut)], 80))
+    cut[far] = np.nan
+    result = fuse(replace(scene.traced, range=cut), scene.network(), scene.photo, scene.labels, CLASSES)
+    assert far.sum() > 1000
+    assert np.isnan(result.depth[far]).mean() > 0.99
+    assert (result.source[far] == Source.UNKNOWN).mean() > 0.99
+    assert np.isnan(result.sigma[result.source == Source.UNKNOWN]).all()
+
+
 def test_a_canopy_raster_is_taken_where_trees_are_labelled_and_both_hits_are_kept() -> None:
     scene = depth_scene()
     rows, cols = np.mgrid[0 : scene.dem.geometry.height, 0 : scene.dem.geometry.width]
