@@ -106,7 +106,7 @@ img { display: block; width: 100%; height: auto; border-radius: 8px; border: 1px
 {% if data.fuel_map is not none %}
 <h2>Fuel map</h2>
 <figure class="map">{{ zoomable(data.fuel_map, "Fuel map over shaded relief, with the cameras' sectors") }}
-<figcaption>Cells that a camera has seen, by their class, over shaded relief; outlined: what each camera looks at.
+<figcaption>Life form of each cell, from the prior map and what cameras have seen; outlined: what each looks at.
 </figcaption>
 </figure>
 {% endif %}
