@@ -223,7 +223,7 @@ def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp
     posed = [frame_of(photo, metres[truth], f"north/{seed}.png", 96) for seed, (photo, truth) in enumerate(views)]
     assert posed[0].inverse is not None
     np.testing.assert_array_equal(np.isnan(posed[0].inverse), views[0][1] == Label.SKY)
-    config = AdaptConfig(steps=25, learning_rate=0.01, width=96, height=64)
+    config = AdaptConfig(steps=80, learning_rate=0.01, width=96, height=64)
     before = depth_error(network, posed, config)
     taught = adapted(network, posed, config, lambda step, loss: None)
     assert depth_error(taught, posed, config) < 0.7 * before
