@@ -17,16 +17,27 @@ def run(
     view: Annotated[bool, typer.Option("--view", help="Also serve a live view on this machine.")] = False,
     sim_time: Annotated[bool, typer.Option("--sim-time", help="Follow /clock, as `ltm replay` publishes it.")] = False,
     only: Annotated[list[str] | None, typer.Option(help="Only this camera; may be given several times.")] = None,
+    state: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder, made if missing, where the fuel map and the terrain outlive stops, kills and power cuts. "
+            "Default: what the site file's nodes say, else nothing is kept."
+        ),
+    ] = None,
     logs: Annotated[
         Path | None, typer.Option(help="Folder for the nodes' output. Default: a new one in ~/.local/state/ltm.")
     ] = None,
 ) -> None:
     """Run a site: each node a process, restarted when it dies; Ctrl-C or SIGTERM stops all of them in order."""
     from ltm_core.site_io import load_site
-    from ltm_ros.graph import describe
+    from ltm_ros.graph import ParameterValue, describe
     from ltm_ros.runner import Runner, new_log_folder
 
     config = load_site(site)
+    kept: dict[str, ParameterValue] = {}
+    if state is not None:
+        kept["folder"] = str(state.expanduser().resolve())
+        state.expanduser().mkdir(parents=True, exist_ok=True)
     graph = describe(
         config,
         site,
@@ -34,6 +45,7 @@ def run(
         sim_time=sim_time,
         view={"serve": True} if view else None,
         record={"bag": str(record.expanduser().resolve())} if record is not None else None,
+        parameters={"fuel_map": kept, "terrain": kept},
     )
     runner = Runner(graph, log_folder=logs or new_log_folder(config.name), domain_id=domain)
     typer.echo(f"-- {config.name}: {len(graph)} nodes, logs in {runner.log_folder}; Ctrl-C stops them")
