@@ -96,8 +96,8 @@ def _window(geometry: GridGeometry, east: float, north: float, max_range: float)
         return 0, 0, geometry.height, geometry.width
     # Clipped before they become integers: a pose may say that a camera stands at the end of the world.
     row, col = geometry.to_grid([east - max_range, east + max_range], [north + max_range, north - max_range])
-    rows = np.clip([row[0] - 1, row[1] + 2], 0, geometry.height)
-    cols = np.clip([col[0] - 1, col[1] + 2], 0, geometry.width)
+    rows = np.clip([row[0] - 1, row[1] + 2], 0, geometry.height).astype(np.int64)
+    cols = np.clip([col[0] - 1, col[1] + 2], 0, geometry.width).astype(np.int64)
     return int(rows[0]), int(cols[0]), int(rows[1] - rows[0]), int(cols[1] - cols[0])
 
 

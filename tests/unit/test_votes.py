@@ -88,3 +88,18 @@ def test_votes_that_contradict_themselves(changes: dict[str, list], message: str
     values = {"rows": [0, 0], "cols": [0, 1], "counts": [[1, 0], [0, 2]], "z": [1.0, 2.0]} | changes
     with pytest.raises(ImageError, match=message):
         CellVotes(FUEL, **{name: np.array(value) for name, value in values.items()}, stamp_ns=0, source="north")
+
+
+@pytest.mark.parametrize("north", [-31.0, -45.0, -59.5, 12.0, 44.0])
+def test_a_reach_that_covers_all_pixels_leaves_none_out(north: float) -> None:
+    """Wherever the camera stands in the grid: its window of cells is never a row or column too small."""
+    grid = GridGeometry(-90.0, 60.0, 30.0, 6, 4)
+    pose = Pose.from_angles((north / 3, north, 10.0), 0.0, -90.0)
+    ranges = RangeImage.from_depth(DEPTH, CAMERA, pose)
+    labels = np.ones((2, 3), np.uint8)
+    near, all_of_it = (
+        cast_votes(ranges, labels, grid, DEM, VOTES_FOR, 77, "north", reach) for reach in (26.0, float("inf"))
+    )
+    assert all_of_it.counts.sum() > 0
+    np.testing.assert_array_equal(near.counts, all_of_it.counts)
+    np.testing.assert_array_equal(near.rows, all_of_it.rows)
