@@ -30,6 +30,8 @@ EARTH_RADIUS = 6_371_000.0  # m
 REFRACTION = 0.13
 _LAYERS = (BARE, BUILT, GRASS, SHRUB, TREE)  # stones lie on the ground, trees stand over all
 _SITE_TEXEL, _WIDE_TEXEL = 2.0, 8.0  # m
+_FLATNESS = 0.03  # m that the site's triangles may lie off its bilinear surface
+_MOST_PARTS = 8  # a cell's side is cut into so many at most
 
 
 def mitsuba() -> Any:
@@ -83,6 +85,31 @@ def _grid_faces(keep: NDArray[np.bool_]) -> NDArray[np.uint32]:
     index = np.arange(h * w, dtype=np.uint32).reshape(h, w)
     a, b, c, d = (q[keep] for q in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]))
     return np.concatenate([np.stack([a, c, b], axis=1), np.stack([b, c, d], axis=1)])
+
+
+def _parts(elevation: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Into how many parts (H-1, W-1) a side of each quad must be cut for its triangles to follow the bilinear surface.
+
+    Two triangles leave the bilinear surface by a quarter of the quad's twist, n^2 pairs of them by a part of n^2.
+    """
+    z = elevation.astype(np.float64)
+    off = np.abs(z[:-1, :-1] - z[:-1, 1:] - z[1:, :-1] + z[1:, 1:]) / 4
+    least = np.sqrt(np.maximum(off / _FLATNESS, 1.0))
+    return np.asarray(np.minimum(2 ** np.ceil(np.log2(least)), _MOST_PARTS), np.int64)
+
+
+def _cut_quads(corners: Array, parts: int, first: int) -> tuple[Array, NDArray[np.uint32]]:
+    """Vertices (N * (parts + 1)^2, K) and faces, numbered from `first`, of quads cut into parts x parts pieces.
+
+    `corners` (N, 4, K): north-west, north-east, south-west, south-east. A bilinear surface is straight along the
+    quad's sides, so that a cut quad meets an uncut neighbour without a gap.
+    """
+    down, right = (a.ravel() for a in np.meshgrid(*(np.linspace(0, 1, parts + 1),) * 2, indexing="ij"))
+    weights = np.stack([(1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right], axis=1)
+    vertices = np.einsum("pc,nck->npk", weights, corners).reshape(-1, corners.shape[-1])
+    faces = _grid_faces(np.ones((parts, parts), bool))
+    starts = first + len(weights) * np.arange(len(corners), dtype=np.uint32)
+    return vertices, (starts[:, None, None].astype(np.uint32) + faces).reshape(-1, 3)
 
 
 @dataclass(frozen=True)
@@ -156,16 +183,34 @@ class SceneBuilder:
         return np.asarray(bend * ((x - eye[0]) ** 2 + (y - eye[1]) ** 2), np.float64)
 
     def _field_mesh(
-        self, field: HeightField, keep: NDArray[np.bool_], bsdf: Any, eye: Array, bend: float, sink: float
+        self,
+        field: HeightField,
+        keep: NDArray[np.bool_],
+        bsdf: Any,
+        eye: Array,
+        bend: float,
+        sink: float,
+        parts: NDArray[np.int64] | None = None,
     ) -> Any:
+        """The mesh of the quads that `keep` says, each side cut into `parts`."""
         g = field.geometry
         xs, ys = field.axes()
         x, y = np.meshgrid(xs, ys)
         z = field.elevation - self._drop(x, y, eye, bend) - sink
         uv = np.stack([(x - g.x_min) / (g.x_max - g.x_min), (g.y_max - y) / (g.y_max - g.y_min)], axis=-1)
-        return _mesh(
-            "ground", np.stack([x, y, z], axis=-1).reshape(-1, 3), _grid_faces(keep), bsdf, None, uv.reshape(-1, 2)
-        )
+        points = np.concatenate([np.stack([x, y, z], axis=-1), uv], axis=-1)
+        parts = np.ones(keep.shape, np.int64) if parts is None else parts
+        vertices, faces = [points.reshape(-1, 5)], [_grid_faces(keep & (parts == 1))]
+        first = len(vertices[0])
+        for n in np.unique(parts[parts > 1]):
+            chosen = keep & (parts == n)
+            quads = (points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:])
+            cut, cut_faces = _cut_quads(np.stack([q[chosen] for q in quads], axis=1), int(n), first)
+            vertices.append(cut)
+            faces.append(cut_faces)
+            first += len(cut)
+        merged = np.concatenate(vertices)
+        return _mesh("ground", merged[:, :3], np.concatenate(faces), bsdf, None, merged[:, 3:])
 
     def _grounds(self, eye: Array, bend: float) -> list[tuple[Any, Any]]:
         """(group, instance) of the site, its surroundings and the far ranges; a group's own tree is shared by all
@@ -178,8 +223,9 @@ class SceneBuilder:
         g = site.geometry
         inside = (x > g.x_min + margin) & (x < g.x_max - margin) & (y > g.y_min + margin) & (y < g.y_max - margin)
         covered = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]
+        whole = np.ones((g.height - 1, g.width - 1), bool)
         meshes = [
-            self._field_mesh(site, np.ones((g.height - 1, g.width - 1), bool), self._site_ground, eye, bend, 0.0),
+            self._field_mesh(site, whole, self._site_ground, eye, bend, 0.0, _parts(site.elevation)),
             self._field_mesh(wide, ~covered, self._wide_ground, eye, bend, 1.5),
             self._far_ranges(eye, bend),
         ]
