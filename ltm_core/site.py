@@ -263,6 +263,11 @@ class Site(Config):
         """A raster of the map frame as a raster of the site's CRS, for files."""
         return geometry.translated(*self.origin, crs=self.crs)
 
+    def in_map(self, geometry: GridGeometry) -> GridGeometry:
+        """A raster of the site's CRS as a raster of the map frame."""
+        x, y = self.origin
+        return geometry.translated(-x, -y)
+
     def camera(self, name: str) -> CameraConfig:
         """Raises ConfigError naming the cameras there are."""
         if name not in self.cameras:

@@ -210,11 +210,6 @@ class TileStore:
             result[change.rows, change.cols] = change.new
         return result
 
-    def bytes_used(self) -> int:
-        """Size of the store, less what its write-ahead log holds besides."""
-        pages, size = (int(self._rows(f"PRAGMA {name}")[0][0]) for name in ("page_count", "page_size"))
-        return pages * size
-
     def commit(
         self,
         tiles: Mapping[Key, Mapping[str, NDArray[Any]]] | None = None,

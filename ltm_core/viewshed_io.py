@@ -27,7 +27,6 @@ class _Counts:
     colors: tuple[tuple[int, int, int], ...]
 
 
-_HIDDEN = 0
 _PALETTE = _Counts(
     ("not seen", "1 camera", "2 cameras", "3 cameras", "4 or more"),
     ((92, 98, 112), (253, 190, 92), (243, 130, 62), (214, 68, 66), (140, 32, 92)),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from ltm_core.errors import LtmError, RecordingError
 from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.majority import UNSEEN, MajorityFuelMap
 from ltm_core.fuel.site_map import site_evidence_map
+from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.metrics.depth import DepthScore
 from ltm_core.metrics.depth_fit import DepthKind, at_pixels_of, fit_to_truth
@@ -307,7 +308,7 @@ def _score_fuel(score: BagScore, recorded: Recorded) -> None:
             score.fuel_vote = score_fuel(vote, geometry, truth, grid, len(labels))
             classes = np.where(unseen, UNSEEN, classes).astype(np.uint8)
             if recorded.site.fuel.prior is not None:
-                untouched = site_evidence_map(recorded.site, in_map(recorded.site, geometry), labels).layers().life_form
+                untouched = site_evidence_map(recorded.site, recorded.site.in_map(geometry), labels).layers().life_form
                 prior = np.where(unseen, UNSEEN, untouched).astype(np.uint8)
                 score.fuel_prior = score_fuel(prior, geometry, truth, grid, len(labels))
         score.fuel = score_fuel(classes, geometry, truth, grid, len(labels))
@@ -317,19 +318,19 @@ def _score_fuel(score: BagScore, recorded: Recorded) -> None:
 
 def majority_map(recorded: Recorded, geometry: GridGeometry, labels: LabelSet) -> NDArray[np.uint8] | None:
     """The majority vote of all recorded votes on `geometry` (in the site's CRS); None where the bag has none."""
-    grid = in_map(recorded.site, geometry)
+    grid = recorded.site.in_map(geometry)
     votes = MajorityFuelMap(grid, len(labels))
     counted = 0
-    for frame in recorded.stream().frames(["votes"]):
-        votes.add(msg_to_votes(frame.take("votes"), grid, labels.names, frame.camera_name))
+    for one in recorded_votes(recorded, grid, labels):
+        votes.add(one)
         counted += 1
     return votes.classes() if counted else None
 
 
-def in_map(site: Site, geometry: GridGeometry) -> GridGeometry:
-    """A raster of the site's CRS as one of the map frame."""
-    x, y = site.origin
-    return geometry.translated(-x, -y)
+def recorded_votes(recorded: Recorded, geometry: GridGeometry, labels: LabelSet) -> Iterator[CellVotes]:
+    """The votes of a bag, frame by frame; `geometry`: the fuel grid in the map frame. Raises MessageError."""
+    for frame in recorded.stream().frames(["votes"]):
+        yield msg_to_votes(frame.take("votes"), geometry, labels.names, frame.camera_name)
 
 
 def _score_terrain(score: BagScore, recorded: Recorded) -> None:

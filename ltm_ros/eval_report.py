@@ -174,12 +174,11 @@ def _fuel_figures(
     except LtmError:
         lacking.append("fuel map of all cameras in 3D: the bag has no fuel_map")
         return figures
-    x0, y0 = site.origin
     figures.append(
         Figure(
             "Fuel maps",
             "fuel_3d.png",
-            draw.fuel_3d(dem, classes, geometry.translated(-x0, -y0), labels, draw.pins(seen)),
+            draw.fuel_3d(dem, classes, site.in_map(geometry), labels, draw.pins(seen)),
             "The fuel map of all cameras on the terrain.",
         )
     )
@@ -194,8 +193,7 @@ def _truth_rows(
     if file is None:
         return []
     classes, geometry = read_fuel_map(file)
-    x0, y0 = recorded.site.origin
-    here = geometry.translated(-x0, -y0)
+    here = recorded.site.in_map(geometry)
     rows, cols = np.indices(grid.shape)
     row, col = here.cell_of(*grid.to_map(rows, cols))
     inside = here.contains(row, col)

@@ -40,7 +40,7 @@ from ltm_core.pose import Pose
 from ltm_core.site import Site
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmenter
-from ltm_ros.bag_score import DEPTH_SOURCES, Recorded, image_shape, in_metres, kind_of
+from ltm_ros.bag_score import DEPTH_SOURCES, Recorded, image_shape, in_metres, kind_of, recorded_votes
 from ltm_ros.frame_stream import FrameStream, StreamedFrame
 
 MAP_SIDE = 1500.0
@@ -281,13 +281,10 @@ def pins(seen: Sequence[View]) -> list[Pin]:
 def camera_maps(recorded: Recorded, geometry: GridGeometry, labels: LabelSet) -> dict[str, Labels]:
     """The majority map of each camera's own votes in a bag, on the site's fuel grid (map frame)."""
     from ltm_core.fuel.majority import MajorityFuelMap
-    from ltm_msgs_py.votes import msg_to_votes
 
     maps: dict[str, MajorityFuelMap] = {}
-    for frame in recorded.stream().frames(["votes"]):
-        name = frame.camera_name
-        votes = msg_to_votes(frame.take("votes"), geometry, labels.names, name)
-        maps.setdefault(name, MajorityFuelMap(geometry, len(labels))).add(votes)
+    for votes in recorded_votes(recorded, geometry, labels):
+        maps.setdefault(votes.source, MajorityFuelMap(geometry, len(labels))).add(votes)
     return {name: map_.classes() for name, map_ in maps.items()}
 
 

@@ -25,9 +25,6 @@ from ltm_core.tracing import TerrainTracer
 
 Image = NDArray[np.float32]
 
-GROUPS = ("all", "open", "covered", "changed")
-"""Pixels that are scored together: all; those that show bare ground as it was at the time of the DEM; those where
-plants stand before it; those of ground or plants that have changed since."""
 _OPEN = 0.005  # relative: closer to bare ground than this (and 0.5 m) nothing stands before it
 
 

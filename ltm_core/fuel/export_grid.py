@@ -20,7 +20,6 @@ from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geodesy import SiteFrame
 from ltm_core.grid import GridGeometry
 
-LANDFIRE_CRS = "EPSG:5070"
 _MOST_SAMPLES = 8
 """Of the DEM, a side of a fuel cell, for its mean height."""
 

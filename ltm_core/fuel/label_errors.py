@@ -50,13 +50,6 @@ class LabelErrors:
             raise ConfigError(f"label errors must be {FORMS} rows of shares that sum to 1, got {self.shares.tolist()}")
 
     @classmethod
-    def from_counts(cls, counts: NDArray[np.int64], source: str = "") -> LabelErrors:
-        """From a confusion matrix over life forms, [true, label]; rows without a count are not known."""
-        total = counts.sum(axis=1, keepdims=True).astype(np.float64)
-        with np.errstate(invalid="ignore"):
-            return cls(counts / np.where(total > 0, total, np.nan), source)
-
-    @classmethod
     def load(cls, path: Path) -> LabelErrors:
         """From YAML: `shares: {grass: {grass: 0.8, shrub: 0.2}, ...}`. Raises ConfigError on wrong names and values."""
         content = load_yaml(path, _ErrorsFile)

@@ -30,7 +30,6 @@ from ltm_core.vision.labels import LabelSet
 SUBCELLS = 3
 """Of the truth, a side of a fuel cell: cells are mixed."""
 CODE_OF_FORM = {LifeForm.GRASS: 102, LifeForm.SHRUB: 145, LifeForm.TREE: 183, LifeForm.BARE: 99}
-_FORMS = tuple(CODE_OF_FORM)
 BEGIN_NS = 1_750_000_000 * 10**9
 _REACH = 3000.0
 _WIDTH, _HEIGHT, _HFOV_DEG = 640, 360, 62.0

@@ -68,8 +68,6 @@ def map_picture(
     labels: LabelSet,
 ) -> Rgb:
     """The fuel map over relief with the cameras and the sectors that they looked into."""
-    x, y = site.origin
-    in_map = geometry.translated(-x, -y)
     named: set[str] = set()
     cameras = []
     for frame in frames:
@@ -77,7 +75,7 @@ def map_picture(
         named.add(frame.camera_name)
         place = (float(frame.pose.position[0]), float(frame.pose.position[1]))
         cameras.append(MapCamera(name, frame.camera, place, frame.pose.angles_deg[0]))
-    return fuel_map_picture(classes, in_map, labels, dem, cameras)
+    return fuel_map_picture(classes, site.in_map(geometry), labels, dem, cameras)
 
 
 def write_pictures(
