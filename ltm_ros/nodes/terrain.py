@@ -60,6 +60,8 @@ _PARTS: Mapping[str, Topic] = {
 }
 _WAITING = 6
 """Frames of one camera that wait for their parts: each holds some 20 MB."""
+_CLOCKS_SET_NS = 946_684_800_000_000_000
+"""The year 2000: a stamp before it is of a clock that was never set, and would look like a view decades apart."""
 
 
 class TerrainNodeConfig(NodeConfig):
@@ -75,7 +77,7 @@ class TerrainNodeConfig(NodeConfig):
 
 
 class Terrain(Handler[TerrainNodeConfig]):
-    """Sends the cells whose change is new as they are decided, and the whole grid of changes, latched."""
+    """Sends the cells whose change is new as they are decided and stored, and the whole grid of changes, latched."""
 
     publications = (TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO)
 
@@ -107,6 +109,7 @@ class Terrain(Handler[TerrainNodeConfig]):
         self._labels: dict[str, OrderedDict[int, Any]] = defaultdict(OrderedDict)
         self._paced = self._dirty = False
         self._undecided = 0
+        self._untold = Changed.none()
         self._since_grid = self._since_commit = 0.0
 
     @property
@@ -192,6 +195,9 @@ class Terrain(Handler[TerrainNodeConfig]):
 
     def _take(self, camera: str, depth: Any, sigma: Any, source: Any, info: Any, pose: Any) -> None:
         stamp = stamp_of(depth)
+        if stamp < _CLOCKS_SET_NS:
+            self.health.drop("unset_clock", f"a frame of {camera} of stamp {stamp} ns; set the camera's clock")
+            return
         now = self.outlet.now_ns()
         if now and stamp > now + self.config.max_ahead * 1e9:
             self.health.drop("future", f"a frame of {camera} is {(stamp - now) / 1e9:.0f} s ahead; set the clocks")
@@ -228,14 +234,14 @@ class Terrain(Handler[TerrainNodeConfig]):
             self.health.gauge(f"turned_deg.{camera}", f"{added.registration.turned_deg:.3f}")
 
     def _settle(self) -> None:
-        """Decide what the frames since the last call have changed, and say so."""
-        if not self._undecided:
-            return
-        self._undecided = 0
-        self._dirty = True
-        changed = self._map.decide()
-        if len(changed.rows):
-            self._publish_update(changed)
+        """Decide what the frames since the last call have changed; what is told of is in the store, whatever comes."""
+        if self._undecided:
+            self._undecided, self._dirty = 0, True
+            self._untold = self._untold.joined(self._map.decide())
+        if len(self._untold.rows):
+            self._map.commit()
+            self._publish_update(self._untold)
+            self._untold = Changed.none()
 
     def _publish_update(self, changed: Changed) -> None:
         heights = self._map.heights_at(changed)

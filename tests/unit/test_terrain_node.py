@@ -10,47 +10,30 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
-import yaml
 from outlets import Kept
-from small_site import BEGIN_NS, MAST, NAME, SmallSite, write_small_site
+from small_site import BEGIN_NS, NAME, SmallSite
+from terrain_frames import HOUR, fused_messages, sunk, write_terrain_site
 
-from ltm_core.dem import Dem
 from ltm_core.depth.fusion import Source
-from ltm_core.errors import ConfigError, LtmError
-from ltm_core.pose import Pose
-from ltm_core.tracing import TerrainTracer
-from ltm_msgs_py.camera_info import camera_to_msg
+from ltm_core.errors import ConfigError, LtmError, StoreError
+from ltm_core.tile_store import TileStore
 from ltm_msgs_py.grid import msg_to_classes
-from ltm_msgs_py.image import depth_to_msg, image_to_msg
-from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.image import depth_to_msg
 from ltm_msgs_py.terrain import msg_to_changed
 from ltm_ros.graph import describe
 from ltm_ros.health import Health
-from ltm_ros.nodes.terrain import Terrain, TerrainNodeConfig
+from ltm_ros.nodes.terrain import STORE_FILE, Terrain, TerrainNodeConfig
 from ltm_ros.topics import (
-    FUSED_DEPTH,
-    FUSED_SIGMA,
-    FUSED_SOURCE,
-    LABELS_IMAGE,
-    POSED_CAMERA_INFO,
-    POSED_POSE,
     TERRAIN_CHANGE,
     TERRAIN_INFO,
     TERRAIN_UPDATE,
     camera_topic,
 )
 
-HOUR = 3_600_000_000_000
-SURE = np.diag([1e-4] * 3 + [1e-10] * 3)
-
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> SmallSite:
-    small = write_small_site(tmp_path_factory.mktemp("site"))
-    content = yaml.safe_load(small.path.read_text())
-    content["terrain"] = {"pixel_step": 1, "threshold": 2.0, "register_frames": False}
-    small.path.write_text(yaml.safe_dump(content))
-    return SmallSite(small.folder)
+    return write_terrain_site(tmp_path_factory.mktemp("site"))
 
 
 def node(small: SmallSite, **parameters: Any) -> tuple[Terrain, Kept, Health]:
@@ -59,29 +42,6 @@ def node(small: SmallSite, **parameters: Any) -> tuple[Terrain, Kept, Health]:
     terrain = Terrain(config, outlet, health)
     terrain.start()
     return terrain, outlet, health
-
-
-def sunk(small: SmallSite) -> Dem:
-    """Every second square of 12 x 12 cells is 9 m lower than the site's DEM says."""
-    row, col = np.mgrid[0 : small.dem.geometry.height, 0 : small.dem.geometry.width]
-    return Dem(small.dem.elevation - 9.0 * ((row // 12 + col // 12) % 2 == 0), small.dem.geometry)
-
-
-def messages(small: SmallSite, surface: Dem, stamp: int, source: Source = Source.NETWORK) -> dict[Any, Any]:
-    """What the mast's fusion would send of a surface."""
-    pose = small.frames(1)[1].pose
-    pose = Pose(pose.position + np.array([0.0, 0.0, 15.0]), pose.rotation)
-    depth = TerrainTracer(surface).trace(MAST, pose).depth()
-    ids = np.full(depth.shape, 3, np.uint8)
-    frame = "mast_optical"
-    return {
-        LABELS_IMAGE: image_to_msg(ids, "mono8", stamp, frame),
-        POSED_CAMERA_INFO: camera_to_msg(MAST, stamp, frame),
-        POSED_POSE: pose_to_msg(pose, stamp, covariance=SURE),
-        FUSED_SIGMA: depth_to_msg(np.full(depth.shape, 0.5, np.float32), stamp, frame),
-        FUSED_SOURCE: image_to_msg(np.full(depth.shape, source, np.uint8), "mono8", stamp, frame),
-        FUSED_DEPTH: depth_to_msg(depth, stamp, frame),
-    }
 
 
 def feed(terrain: Terrain, parts: dict[Any, Any]) -> None:
@@ -94,9 +54,9 @@ def feed(terrain: Terrain, parts: dict[Any, Any]) -> None:
 def test_change_goes_out_once_views_agree(small: SmallSite) -> None:
     terrain, outlet, health = node(small)
     truth = sunk(small)
-    feed(terrain, messages(small, truth, BEGIN_NS))
+    feed(terrain, fused_messages(small, truth, BEGIN_NS))
     assert outlet.on(TERRAIN_UPDATE) == []
-    feed(terrain, messages(small, truth, BEGIN_NS + 2 * HOUR))
+    feed(terrain, fused_messages(small, truth, BEGIN_NS + 2 * HOUR))
     (update,) = outlet.on(TERRAIN_UPDATE)
     changed, z = msg_to_changed(update)
     was = small.dem.elevation[changed.rows, changed.cols]
@@ -116,7 +76,7 @@ def test_change_goes_out_once_views_agree(small: SmallSite) -> None:
 def test_what_was_traced_never_becomes_change(small: SmallSite) -> None:
     terrain, outlet, health = node(small)
     for hours in (0, 2):
-        feed(terrain, messages(small, sunk(small), BEGIN_NS + hours * HOUR, Source.TERRAIN))
+        feed(terrain, fused_messages(small, sunk(small), BEGIN_NS + hours * HOUR, Source.TERRAIN))
     assert outlet.on(TERRAIN_UPDATE) == []
     assert health.summary()["noted.nothing_seen"] == "2"
 
@@ -127,12 +87,12 @@ def test_the_surface_is_kept_and_written(small: SmallSite, tmp_path: Path) -> No
     terrain, _, _ = node(small, folder=str(folder))
     with pytest.raises(ConfigError, match="nothing to write"):
         terrain.save()
-    feed(terrain, messages(small, truth, BEGIN_NS))
+    feed(terrain, fused_messages(small, truth, BEGIN_NS))
     terrain.finish()
     terrain, outlet, health = node(small, folder=str(folder))
-    feed(terrain, messages(small, truth, BEGIN_NS))
+    feed(terrain, fused_messages(small, truth, BEGIN_NS))
     assert health.dropped == {"duplicate": 1}
-    feed(terrain, messages(small, truth, BEGIN_NS + 2 * HOUR))
+    feed(terrain, fused_messages(small, truth, BEGIN_NS + 2 * HOUR))
     assert len(outlet.on(TERRAIN_UPDATE)) == 1
     assert "terrain_height.tif" in terrain.save()
     terrain.finish()
@@ -149,11 +109,43 @@ def test_the_surface_is_kept_and_written(small: SmallSite, tmp_path: Path) -> No
         assert set(np.unique(file.read(2))) == {0, 1}
 
 
+def test_what_was_told_of_is_kept_and_what_cannot_be_kept_is_told_of_later(
+    small: SmallSite, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "kept"
+    terrain, outlet, _ = node(small, folder=str(folder))
+    feed(terrain, fused_messages(small, sunk(small), BEGIN_NS))
+    with monkeypatch.context() as broken:
+
+        def full(*_: Any) -> None:
+            raise StoreError("no space left")
+
+        broken.setattr(TileStore, "commit", full)
+        with pytest.raises(StoreError, match="no space left"):
+            feed(terrain, fused_messages(small, sunk(small), BEGIN_NS + 2 * HOUR))
+        assert outlet.on(TERRAIN_UPDATE) == []
+    terrain.idle()
+    (update,) = outlet.on(TERRAIN_UPDATE)
+    changed, _ = msg_to_changed(update)
+    with TileStore.open_read_only(folder / STORE_FILE, "terrain") as store:
+        assert store.frame_count() == 2
+        assert sum(len(change.rows) for change in store.changes("change")) == len(changed.rows)
+        assert sum(int((tile["kind"] > 0).sum()) for _, tile in store.tiles()) == len(changed.rows)
+
+
+def test_a_clock_that_was_never_set_is_no_view_decades_ago(small: SmallSite) -> None:
+    terrain, outlet, health = node(small)
+    for stamp in (5_000_000_000, BEGIN_NS):
+        feed(terrain, fused_messages(small, sunk(small), stamp))
+    assert health.dropped == {"unset_clock": 1}
+    assert outlet.on(TERRAIN_UPDATE) == []
+
+
 def test_bad_frames_are_dropped_by_their_cause(small: SmallSite) -> None:
     terrain, outlet, health = node(small)
 
     def fails(kind: str, **parts: Any) -> None:
-        message = messages(small, small.dem, BEGIN_NS + fails.number * HOUR)  # type: ignore[attr-defined]
+        message = fused_messages(small, small.dem, BEGIN_NS + fails.number * HOUR)  # type: ignore[attr-defined]
         fails.number += 1  # type: ignore[attr-defined]
         given = {topic: parts.get(topic.name.replace("/", "_"), lambda m: m)(m) for topic, m in message.items()}
         with pytest.raises(LtmError) as caught:
@@ -181,7 +173,7 @@ def test_bad_frames_are_dropped_by_their_cause(small: SmallSite) -> None:
     fails("PoseError", posed_pose=wild_covariance)
     fails("ImageError", fused_sigma=small_image)
     fails("PoseError", posed_pose=underground)
-    feed(terrain, messages(small, small.dem, BEGIN_NS + 40 * HOUR))
+    feed(terrain, fused_messages(small, small.dem, BEGIN_NS + 40 * HOUR))
     assert outlet.on(TERRAIN_UPDATE) == []
     terrain.finish()
     assert health.dropped == {}
