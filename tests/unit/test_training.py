@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ltm_core.errors import ConfigError, ImageError, RecordingError
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.segmenter import Segmenter
-from ltm_core.vision.train.augment import augmented, fractal_noise
+from ltm_core.vision.train.augment import augmented, fractal_noise, photo_looks
 from ltm_core.vision.train.config import AugmentConfig, NetworkConfig, OptimiserConfig, SplitConfig, TrainingConfig
 from ltm_core.vision.train.frames import LAND, UNKNOWN, Frame, read_frames, read_split
 
@@ -98,7 +98,7 @@ def test_augmentation_repeats_with_its_seed_and_keeps_labels_on_their_pixels() -
     image, labels = _frame(5)
     inverse = (labels + 1).astype(np.float32)
     frame = Frame(image, labels, Path("oak/0005.png"), inverse)
-    geometry = AugmentConfig(new_sky=0, ground_tint=0, snow=0, haze=0, light=0, grey=0, blur=0, noise=0, jpeg=0)
+    geometry = AugmentConfig(**{**dict.fromkeys(AugmentConfig.model_fields, 0.0), "flip": 0.5, "rescale": 0.7})
     for seed in range(6):
         photo, truth, depth = augmented(frame, (72, 80), geometry, np.random.default_rng(seed))
         again = augmented(frame, (72, 80), geometry, np.random.default_rng(seed))
@@ -129,6 +129,32 @@ def test_every_augmentation_gives_a_photo_and_leaves_labels_be() -> None:
         assert set(np.unique(truth)) <= {*np.unique(labels), UNKNOWN}
 
 
+def test_rendered_land_takes_on_a_photos_look_and_its_classes_stay_apart() -> None:
+    """Towards the photo's mean and contrast by the part drawn; sky, and the photo itself, as they were."""
+    image, labels = _frame(7)
+    blue, photo_labels = _frame(8)
+    blue = np.where((photo_labels == Label.SKY)[..., None], blue, blue // 4 + np.array([0, 0, 60], np.uint8))
+    order = np.ones(SIZE, np.float32)
+    photo = Frame(blue.astype(np.uint8), photo_labels, Path("photos/8.png"), order, ordinal=True)
+    rendered = Frame(image, labels, Path("oak/7.png"), order)
+    looks = photo_looks([rendered, photo])
+    assert looks.shape == (1, 2, 3)
+    only = AugmentConfig(**{**dict.fromkeys(AugmentConfig.model_fields, 0.0), "photo_look": 1.0})
+    land = labels != Label.SKY
+    inner = cv2.erode((labels == Label.SKY).astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
+    target = blue[photo_labels != Label.SKY].mean(axis=0)
+    for seed in range(6):
+        changed, truth, _ = augmented(rendered, SIZE, only, np.random.default_rng(seed), looks)
+        np.testing.assert_array_equal(truth, labels)
+        np.testing.assert_array_equal(changed[inner], image[inner])
+        before, after = (np.abs(a[land].mean(axis=0) - target).sum() for a in (image, changed))
+        assert after < 0.9 * before
+        lightness = [changed[labels == label].mean() for label in (Label.TREE, Label.SHRUB, Label.GRASS)]
+        assert lightness == sorted(lightness)
+        same, _, _ = augmented(photo, SIZE, only, np.random.default_rng(seed), looks)
+        np.testing.assert_array_equal(same, photo.image)
+
+
 TINY = TrainingConfig(
     name="tiny",
     width=96,
@@ -141,7 +167,7 @@ TINY = TrainingConfig(
     optimiser=OptimiserConfig(
         steps=30, batch=4, validate_every=15, learning_rate=0.01, encoder_rate=1.0, average=0.8, frozen=0.0
     ),
-    augment=AugmentConfig(new_sky=0, ground_tint=0, snow=0, haze=0, light=0, grey=0, noise=0.5, jpeg=0),
+    augment=AugmentConfig(photo_look=0, new_sky=0, ground_tint=0, snow=0, haze=0, light=0, grey=0, noise=0.5, jpeg=0),
 )
 
 

@@ -3,6 +3,7 @@
 All work on float32 RGB (H, W, 3) in 0..1 and labels (H, W) uint8; each draws from the generator it is given.
 """
 
+from collections.abc import Iterable
 from typing import Any
 
 import cv2
@@ -16,14 +17,19 @@ from ltm_core.vision.train.frames import UNKNOWN, Frame
 Image = npt.NDArray[np.float32]
 Labels = npt.NDArray[np.uint8]
 Rng = np.random.Generator
+Looks = npt.NDArray[np.float32]
+"""Of each photo (N, 2, 3): mean and standard deviation of its land in CIE L*a*b*."""
+
+_LAND_LEAST = 0.1  # of a picture: with less land than this there is no look of it
 
 
 def augmented(
-    frame: Frame, size: tuple[int, int], chances: AugmentConfig, rng: Rng
+    frame: Frame, size: tuple[int, int], chances: AugmentConfig, rng: Rng, looks: Looks | None = None
 ) -> tuple[npt.NDArray[np.uint8], Labels, Image]:
     """A changed copy of a frame at `size` (height, width): photo, labels, inverse depth (NaN where unknown).
 
-    Pixels that a window has from outside its frame are UNKNOWN.
+    Pixels that a window has from outside its frame are UNKNOWN. `looks`: of photos (see `photo_looks`), which rendered
+    land may take on.
     """
     matrix = _window(frame.labels.shape, size, rng, rescale=rng.random() < chances.rescale)
     if rng.random() < chances.flip:
@@ -40,6 +46,8 @@ def augmented(
         borderMode=cv2.BORDER_REFLECT_101,
     )
     photo = np.asarray(image, np.float32) / 255.0
+    if looks is not None and len(looks) and not frame.ordinal and rng.random() < chances.photo_look:
+        photo = _photo_look(photo, labels, looks[int(rng.integers(len(looks)))], rng)
     if rng.random() < chances.ground_tint:
         photo = _ground_tint(photo, labels, rng)
     if rng.random() < chances.snow:
@@ -140,6 +148,41 @@ def _new_sky(photo: Image, labels: Labels, rng: Rng) -> Image:
     photo = np.where((labels == UNLABELLED)[..., None], photo * shift.astype(np.float32), photo)
     weight = _soft_mask(sky)
     return np.asarray(np.clip(photo * (1.0 - weight) + new * weight, 0.0, 1.0), np.float32)
+
+
+def photo_looks(frames: Iterable[Frame]) -> Looks:
+    """The looks of the real photos among frames: those whose depth is a teacher's order."""
+    looks = []
+    for frame in frames:
+        land = _land(frame.labels)
+        if frame.ordinal and land.mean() > _LAND_LEAST:
+            colours = _lab(np.asarray(frame.image, np.float32) / 255.0)[land]
+            looks.append((colours.mean(axis=0), colours.std(axis=0)))
+    return np.array(looks, np.float32).reshape(-1, 2, 3)
+
+
+def _photo_look(photo: Image, labels: Labels, look: Looks, rng: Rng) -> Image:
+    """Rendered land with a part of the mean colour and contrast of a real photo's land (Reinhard et al. 2001): film,
+    season and light of the world, while what grows there differs among itself as before."""
+    land = _land(labels)
+    if land.mean() < _LAND_LEAST:
+        return photo
+    colours = _lab(photo)
+    mean, spread = colours[land].mean(axis=0), colours[land].std(axis=0)
+    part = np.float32(rng.uniform(0.2, 0.9))
+    gain = np.clip(look[1] / np.maximum(spread, 1.0), 0.5, 2.0) ** part
+    changed = (colours - mean) * gain + mean + part * (look[0] - mean)
+    new = np.clip(np.asarray(cv2.cvtColor(changed.astype(np.float32), cv2.COLOR_LAB2RGB), np.float32), 0.0, 1.0)
+    weight = _soft_mask(land)
+    return np.asarray(photo * (1.0 - weight) + new * weight, np.float32)
+
+
+def _land(labels: Labels) -> npt.NDArray[np.bool_]:
+    return np.asarray((labels != Label.SKY) & (labels != UNKNOWN))
+
+
+def _lab(photo: Image) -> Image:
+    return np.asarray(cv2.cvtColor(photo, cv2.COLOR_RGB2LAB), np.float32)
 
 
 def _ground_tint(photo: Image, labels: Labels, rng: Rng) -> Image:

@@ -60,6 +60,7 @@ class AugmentConfig(StrictModel):
     flip: float = 0.5
     rescale: float = 0.7
     new_sky: float = 0.3
+    photo_look: float = 0.3  # of rendered frames, where photos train too
     ground_tint: float = 0.2
     snow: float = 0.08
     haze: float = 0.25

@@ -18,7 +18,7 @@ from torch.nn import functional
 
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.metrics.segmentation import SegmentationScore
-from ltm_core.vision.train.augment import augmented
+from ltm_core.vision.train.augment import augmented, photo_looks
 from ltm_core.vision.train.config import OptimiserConfig, TrainingConfig
 from ltm_core.vision.train.frames import Frame, Split
 from ltm_core.vision.train.landscape import LandscapeNetwork
@@ -197,13 +197,13 @@ def _at_size(image: npt.NDArray[np.uint8], size: tuple[int, int]) -> npt.NDArray
 def _batches(config: TrainingConfig, frames: list[Frame], done: int) -> Iterator[Batch]:
     """Augmented batches after the first `done`, made one ahead; what is in a batch depends on seed and step alone."""
     count, small_steps = config.optimiser.batch, round(config.optimiser.small * config.optimiser.steps)
-    deck = Deck(frames, config.shares, config.seed)
+    deck, looks = Deck(frames, config.shares, config.seed), photo_looks(frames)
 
     def batch(step: int) -> Batch:
         size = _two_thirds(config) if step < small_steps else (config.height, config.width)
         chosen = [frames[deck.card(step * count + index)] for index in range(count)]
         rng = np.random.default_rng([config.seed, 1, step])
-        windows = [augmented(frame, size, config.augment, rng) for frame in chosen]
+        windows = [augmented(frame, size, config.augment, rng, looks) for frame in chosen]
         return Batch(
             normalised([photo for photo, _, _ in windows]).to(device()),
             torch.from_numpy(np.stack([labels for _, labels, _ in windows])).to(device()),
