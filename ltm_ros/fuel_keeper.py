@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
 from ltm_core.errors import LtmError, StoreError
-from ltm_core.fuel.evidence import EvidenceMap, Window
+from ltm_core.fuel.evidence import Window
 from ltm_core.fuel.stored_map import restore, votes_of, votes_to_bytes
+from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.tile_store import CellChanges, FrameRecord, Key, Tile, TileStore
 from ltm_ros.fuel_layers import ShownLayers
@@ -58,7 +59,7 @@ class FuelKeeper:
 
     def __init__(
         self,
-        make_map: Callable[[], EvidenceMap],
+        make_map: Callable[[], LivingFuelMap],
         open_store: Callable[[], TileStore],
         health: Health,
         durable: bool = True,
@@ -111,12 +112,30 @@ class FuelKeeper:
         self._take(Counted(record, window))
         return Counting.EMPTY if window is None else Counting.COUNTED
 
-    def replace_tiles(self, tiles: Mapping[Key, Tile]) -> None:
-        """Put other state in place of the map's, as when a region is cleared."""
+    def replace_tiles(
+        self,
+        tiles: Mapping[Key, Tile],
+        source: str = "",
+        stamp_ns: int = 0,
+        window: Window | None = None,
+        changes: Sequence[CellChanges] = (),
+    ) -> None:
+        """Put other state in place of the map's, as when a region is cleared; the next `settle` writes it.
+
+        `source`, `stamp_ns`: on whose word, for the record of who touched what. `window`: what it changes. `changes`:
+        what else belongs into the journal.
+        """
         for key, tile in tiles.items():
             self.map.load_tile(key, tile)
         self._dirty.update(tiles)
-        self._changes += self.shown.refresh_all()
+        self._changes += [*changes, *self.shown.refresh_all()]
+        self._logged = LOGGED_FRAMES  # no payload could bring this state back
+        if not source:
+            return
+        while (before := self.seen(source, stamp_ns)) is Counting.DUPLICATE:
+            stamp_ns += 1
+        if before is None:
+            self._take(Counted(FrameRecord(source, stamp_ns, sorted(tiles)), window))
 
     def wait(self, seconds: float) -> None:
         """Time has passed: where the store was away, try it again now and then."""

@@ -1,4 +1,4 @@
-"""The layers of the fuel map that are shown and whose history is kept, and how they are coloured."""
+"""The layers of the fuel map that are shown and whose history is kept."""
 
 from __future__ import annotations
 
@@ -9,22 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.fuel.evidence import EvidenceMap, Window
-from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.stored_map import JOURNALED
 from ltm_core.tile_store import CellChanges, TileStore
-from ltm_core.vision.labels import LabelSet
-
-_BURNED_COLOR = (45, 35, 35)
-
-
-def life_form_labels(labels: LabelSet) -> LabelSet:
-    """Names and colours of the map's classes: life forms have the ids of the labels of their names; burned has none."""
-    shown = LifeForm.BURNED
-    return LabelSet(
-        names=(*labels.names[:shown], shown.name.lower()),
-        colors=(*labels.colors[:shown], _BURNED_COLOR),
-        ground_cover=(*labels.ground_cover[:shown], True),
-    )
 
 
 class ShownLayers:
@@ -45,11 +31,14 @@ class ShownLayers:
         return self.refresh([(0, 0, *self._evidence.geometry.shape)])
 
     def missing_from(self, journal: TileStore, initial: Mapping[str, NDArray[Any]]) -> list[CellChanges]:
-        """How the layers differ from what the journal makes of the `initial` ones, those without any evidence."""
+        """How the layers differ from what the journal makes of the `initial` ones, those without any evidence.
+
+        It is found now, by a nanosecond after the latest frame: as of that frame, the map is what was shown then.
+        """
         found = []
         for name in JOURNALED:
             recorded = journal.as_of(name, initial[name], 2**63 - 1)
-            found += self._changes(name, recorded, getattr(self, name), (0, 0))
+            found += self._changes(name, recorded, getattr(self, name), (0, 0), self._evidence.newest_ns + 1)
         return found
 
     def copies(self) -> dict[str, NDArray[Any]]:
@@ -62,15 +51,16 @@ class ShownLayers:
         found = []
         for name in JOURNALED:
             shown, now = getattr(self, name)[part], getattr(layers, name)
-            found += self._changes(name, shown, now, (row, col))
+            found += self._changes(name, shown, now, (row, col), self._evidence.newest_ns)
             shown[...] = now
         return found
 
-    def _changes(self, layer: str, old: NDArray[Any], new: NDArray[Any], corner: tuple[int, int]) -> list[CellChanges]:
+    def _changes(
+        self, layer: str, old: NDArray[Any], new: NDArray[Any], corner: tuple[int, int], stamp: int
+    ) -> list[CellChanges]:
         rows, cols = np.nonzero(old != new)
         if len(rows) == 0:
             return []
-        stamp = self._evidence.newest_ns
         return [CellChanges(layer, stamp, rows + corner[0], cols + corner[1], old[rows, cols], new[rows, cols])]
 
 

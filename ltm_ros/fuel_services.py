@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.errors import MessageError
+from ltm_core.errors import ImageError, MessageError
 from ltm_core.fuel.codes import FuelSystem, fuel_models
-from ltm_core.fuel.evidence import TILE, EvidenceMap
+from ltm_core.fuel.evidence import TILE, EvidenceMap, Window
 from ltm_core.fuel.export_grid import make_landscape
 from ltm_core.fuel.landscape_io import write_landscape
 from ltm_core.fuel.lcp_io import write_lcp
@@ -21,6 +22,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.site import Site
 from ltm_core.tile_store import Key, Tile, TileStore
 from ltm_core.vision.labels import LabelSet
+from ltm_msgs_py.stamp import stamp_of
 
 MOST_CORNERS = 1000
 
@@ -65,17 +67,37 @@ def answer(evidence: EvidenceMap, store: TileStore | None, classes: LabelSet, x:
     }
 
 
-def polygon_of(message: Any) -> list[tuple[float, float]]:
-    """Corners of a PolygonStamped in the map frame. Raises MessageError on another frame or no polygon."""
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A part of the map that somebody has drawn: `cells` (H, W) whose centres lie inside, one or more; the stamp that
+    it came with, 0 none.
+    """
+
+    cells: NDArray[np.bool_]
+    stamp_ns: int
+
+    @property
+    def window(self) -> Window:
+        """Row, col, height, width of its bounds."""
+        rows, cols = np.nonzero(self.cells)
+        top, left = int(rows.min()), int(cols.min())
+        return top, left, int(rows.max()) - top + 1, int(cols.max()) - left + 1
+
+
+def region_of(message: Any, geometry: GridGeometry) -> Region:
+    """The cells in a PolygonStamped. Raises MessageError on another frame, no polygon, or one that holds no cell."""
     corners = [(float(p.x), float(p.y)) for p in message.polygon.points[: MOST_CORNERS + 1]]
     if message.header.frame_id != "map":
         raise MessageError(f"region is given in frame {message.header.frame_id!r}, wanted 'map'")
     if not 3 <= len(corners) <= MOST_CORNERS or not np.isfinite(corners).all():
         raise MessageError(f"region has {len(corners)} corners; give 3 to {MOST_CORNERS} finite ones")
-    return corners
+    cells = _cells_in(corners, geometry)
+    if not cells.any():
+        raise MessageError(f"region from {corners[0]} on holds no cell of the map, {geometry.bounds} in the map frame")
+    return Region(cells, stamp_of(message))
 
 
-def cells_in(polygon: Sequence[tuple[float, float]], geometry: GridGeometry) -> NDArray[np.bool_]:
+def _cells_in(polygon: Sequence[tuple[float, float]], geometry: GridGeometry) -> NDArray[np.bool_]:
     """(H, W): cells whose centres lie inside."""
     from rasterio.features import geometry_mask
 
@@ -84,10 +106,23 @@ def cells_in(polygon: Sequence[tuple[float, float]], geometry: GridGeometry) -> 
     return np.asarray(inside, np.bool_)
 
 
+def burned(evidence: EvidenceMap, cells: NDArray[np.bool_], stamp_ns: int) -> dict[Key, Tile]:
+    """The state of the tiles that hold these cells, burned at that time. Raises MessageError for no such time."""
+    try:
+        evidence.burn(cells, stamp_ns)
+    except ImageError as error:
+        raise MessageError(str(error)) from error
+    return {key: evidence.tile_state(key) for key in _tiles_of(cells)}
+
+
+def _tiles_of(cells: NDArray[np.bool_]) -> list[Key]:
+    return sorted({(int(row) // TILE, int(col) // TILE) for row, col in np.argwhere(cells)})
+
+
 def forgotten(evidence: EvidenceMap, cells: NDArray[np.bool_]) -> dict[Key, Tile]:
     """The state of the tiles that hold these cells, with nothing known of them."""
     tiles = {}
-    for row, col in {(int(r) // TILE, int(c) // TILE) for r, c in np.argwhere(cells)}:
+    for row, col in _tiles_of(cells):
         state = evidence.tile_state((row, col))
         inside = np.zeros((TILE, TILE), np.bool_)
         part = cells[row * TILE : (row + 1) * TILE, col * TILE : (col + 1) * TILE]

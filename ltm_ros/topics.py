@@ -40,6 +40,7 @@ FUEL_MAP_INFO = Topic("fuel_map/info", String, latched=True)
 FUEL_MAP_QUERY = Topic("fuel_map/query", PointStamped)
 FUEL_MAP_ANSWER = Topic("fuel_map/answer", String, latched=True)
 FUEL_MAP_REGION = Topic("fuel_map/region", PolygonStamped)
+FUEL_MAP_CELLS = Topic("fuel_map/cells", PointCloud2, latched=True)
 
 TERRAIN_UPDATE = Topic("terrain/update", PointCloud2)
 TERRAIN_CHANGE = Topic("terrain/change", OccupancyGrid, latched=True)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError, RasterError
 from ltm_core.fuel.codes import FuelSystem
+from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.landscape import LANDSCAPE_BANDS, LANDSCAPE_UNITS, Landscape
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.grid import GridGeometry
@@ -91,6 +92,20 @@ def write_raster(
     except OSError as error:
         partial.unlink(missing_ok=True)
         raise ConfigError(f"{path}: cannot be written there ({error})") from error
+
+
+def write_layers(folder: Path, layers: FuelLayers, geometry: GridGeometry) -> None:
+    """Every layer as a Cloud Optimized GeoTIFF of its name. Raises ConfigError where it cannot be written."""
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be made ({error.strerror})") from error
+    nodata = {"prior": NODATA, "code": NODATA, "life_form": 255, "p_max": float("nan"), "entropy": float("nan")}
+    for name, layer in vars(layers).items():
+        # GeoTIFF has no booleans, and seconds are fine enough for when a cell was seen.
+        stored = layer.astype("uint8") if layer.dtype == bool else layer
+        stored = (layer // 10**9).astype("uint32") if name == "last_seen" else stored
+        write_cog(folder / f"{name}.tif", stored, geometry, nodata.get(name))
 
 
 def write_cog(path: Path, array: NDArray[Any], geometry: GridGeometry, nodata: float | None) -> None:

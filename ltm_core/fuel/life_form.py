@@ -25,6 +25,7 @@ class LifeForm(IntEnum):
 
 FORMS: Final = len(LifeForm)
 """Arrays over life forms have the form's id - 1 as index."""
+BURNED_COLOR: Final = (45, 35, 35)
 NODATA: Final = -9999
 """Of fuel codes and canopy bands: nothing is known."""
 NONBURNABLE: Final = (91, 92, 93, 98, 99)
@@ -71,3 +72,13 @@ def label_forms(labels: LabelSet) -> NDArray[np.int64]:
     indices = {form.name.lower(): form - 1 for form in LifeForm}
     covers = zip(labels.names, labels.ground_cover, strict=True)
     return np.array([indices.get(name, -1) if cover else -1 for name, cover in covers], np.int64)
+
+
+def life_form_labels(labels: LabelSet) -> LabelSet:
+    """Names and colours of the map's classes: life forms have the ids of the labels of their names; burned has none."""
+    shown = LifeForm.BURNED
+    return LabelSet(
+        names=(*labels.names[:shown], shown.name.lower()),
+        colors=(*labels.colors[:shown], BURNED_COLOR),
+        ground_cover=(*labels.ground_cover[:shown], True),
+    )

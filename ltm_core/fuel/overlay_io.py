@@ -13,8 +13,11 @@ from ltm_core.errors import ConfigError
 from ltm_core.grid import GridGeometry
 
 
-def write_kmz(path: Path, picture: NDArray[np.uint8], geometry: GridGeometry, name: str) -> None:
-    """`picture` (n H, n W, 3) of a grid (H, W), warped to longitude and latitude, transparent outside.
+def write_kmz(
+    path: Path, picture: NDArray[np.uint8], geometry: GridGeometry, name: str, legend: NDArray[np.uint8]
+) -> None:
+    """`picture` (n H, n W, 3) of a grid (H, W), warped to longitude and latitude, transparent outside; `legend`
+    (h, w, 3) stays in the screen's corner.
 
     Raises ConfigError where it cannot be written.
     """
@@ -39,18 +42,23 @@ def write_kmz(path: Path, picture: NDArray[np.uint8], geometry: GridGeometry, na
         resampling=Resampling.nearest,
     )
     west, south, east, north = array_bounds(height, width, transform)
-    image = io.BytesIO()
-    Image.fromarray(np.moveaxis(warped, 0, -1)).save(image, "PNG")
+    images = {"map.png": np.moveaxis(warped, 0, -1), "legend.png": legend}
     document = (
-        '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><GroundOverlay>'
-        f"<name>{name}</name><Icon><href>map.png</href></Icon><LatLonBox><north>{north:.9f}</north>"
-        f"<south>{south:.9f}</south><east>{east:.9f}</east><west>{west:.9f}</west></LatLonBox></GroundOverlay></kml>\n"
+        '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>'
+        f"<name>{name}</name><GroundOverlay><name>life forms</name><Icon><href>map.png</href></Icon><LatLonBox><north>{north:.9f}</north>"
+        f"<south>{south:.9f}</south><east>{east:.9f}</east><west>{west:.9f}</west></LatLonBox></GroundOverlay>"
+        "<ScreenOverlay><name>legend</name><Icon><href>legend.png</href></Icon>"
+        '<overlayXY x="0" y="0" xunits="fraction" yunits="fraction"/>'
+        '<screenXY x="0.02" y="0.05" xunits="fraction" yunits="fraction"/></ScreenOverlay></Document></kml>\n'
     )
     partial = path.with_name(f".{path.name}.partial")
     try:
         with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr("doc.kml", document)
-            archive.writestr("map.png", image.getvalue())
+            for file, pixels in images.items():
+                image = io.BytesIO()
+                Image.fromarray(pixels).save(image, "PNG")
+                archive.writestr(file, image.getvalue())
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError
 from ltm_core.fuel.decision import FuelLayers
-from ltm_core.fuel.life_form import LifeForm
+from ltm_core.fuel.life_form import LifeForm, life_form_labels
 from ltm_core.grid import GridGeometry
 from ltm_core.vision.labels import LabelSet
 
@@ -25,7 +25,6 @@ _LAS_CLASS: Final = {
     LifeForm.BURNED: 2,
 }
 """ASPRS classes: low, medium and high vegetation, ground, water, building."""
-_BURNED_COLOR: Final = (40, 32, 30)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +48,7 @@ def fuel_points(
     rows, cols = np.nonzero(known)
     x, y = geometry.to_map(rows, cols)
     forms = layers.life_form[known]
-    palette = np.full((256, 3), _BURNED_COLOR, np.uint8)
-    palette[: len(labels)] = labels.colors
+    palette = np.array(life_form_labels(labels).colors, np.uint8)
     return FuelPoints(
         np.column_stack([x, y, heights[known]]),
         forms,

@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from ltm_core.fuel.codes import Region
-from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.prior_io import load_prior
+from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.grid import GridGeometry
 from ltm_core.site import Site
 from ltm_core.vision.labels import LabelSet
 
 
-def site_evidence_map(site: Site, geometry: GridGeometry, labels: LabelSet) -> EvidenceMap:
+def site_evidence_map(site: Site, geometry: GridGeometry, labels: LabelSet) -> LivingFuelMap:
     """An empty map on the fuel grid (`Site.fuel_geometry`, in the map frame) over the site's prior.
 
     Raises ConfigError and RasterError for a region, label errors or prior that cannot be taken.
@@ -23,4 +23,4 @@ def site_evidence_map(site: Site, geometry: GridGeometry, labels: LabelSet) -> E
     errors = (
         LabelErrors.of_model(site.model) if fuel.label_errors is None else LabelErrors.load(Path(fuel.label_errors))
     )
-    return EvidenceMap(geometry, prior, labels, fuel.fusion, errors, Region.named(fuel.region))
+    return LivingFuelMap(geometry, prior, labels, fuel.fusion, errors, Region.named(fuel.region))

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError
-from ltm_core.fuel.evidence import EVIDENCE_FIELDS, EVIDENCE_VERSION, TILE, EvidenceMap
+from ltm_core.fuel.evidence import EVIDENCE_FIELDS, EVIDENCE_VERSION, TILE
 from ltm_core.fuel.sighting import CellSighting
+from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.site import Site
@@ -24,6 +25,9 @@ STORE_FILE: Final = "fuel_map.ltm"
 """Name of a site's store in the folder that the site's fuel map keeps its files in."""
 JOURNALED: Final = ("life_form", "code")
 """Layers whose changes the store's journal holds."""
+_ALWAYS: Final = 2**63 - 1
+SURFACE_LAYER: Final = "surface"
+"""Of the journal: what the changed surface has told each cell (`LivingFuelMap.told`)."""
 _SIGHTING = ("cos_incidence", "footprint", "sigma_along", "sigma_across", "bearing")
 
 
@@ -36,13 +40,14 @@ def fuel_schema(site: Site, geometry: GridGeometry) -> StoreSchema:
     return StoreSchema(STORE_KIND, EVIDENCE_VERSION, site.in_crs(geometry), TILE, dict(EVIDENCE_FIELDS), terms)
 
 
-def restore(store: TileStore, evidence: EvidenceMap) -> set[Key]:
+def restore(store: TileStore, evidence: LivingFuelMap) -> set[Key]:
     """Fill an empty map with what a store holds; the tiles that the store does not hold in their last state.
 
     Raises ConfigError where the store is damaged, StoreError where it cannot be read just now.
     """
     for key, tile in store.tiles():
         evidence.load_tile(key, tile)
+    evidence.recall(store.as_of(SURFACE_LAYER, np.zeros_like(evidence.told), _ALWAYS))
     newer: set[Key] = set()
     for frame in store.waiting():
         window = evidence.add(votes_of(frame, evidence.geometry))
@@ -51,7 +56,7 @@ def restore(store: TileStore, evidence: EvidenceMap) -> set[Key]:
     return newer
 
 
-def open_stored_map(path: Path | str, site: Site, empty: EvidenceMap) -> TileStore:
+def open_stored_map(path: Path | str, site: Site, empty: LivingFuelMap) -> TileStore:
     """A site's store for reading, also while a node writes it; fills the `empty` map of the site.
 
     The map as of an earlier date: `store.as_of("code", layers.code, until_ns)` with the empty map's layers. Raises

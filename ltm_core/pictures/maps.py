@@ -55,8 +55,8 @@ def labelled_shade(
     known = {g.crs for g in (geometry, dem.geometry, view) if g.crs is not None}
     if len(known) > 1:
         raise RasterError(f"a map needs its rasters in one CRS, got {' and '.join(sorted(known))}")
-    picture = _relief(dem, view)
-    ids = _nearest(classes, geometry, view, UNLABELLED)
+    picture = relief(dem, view)
+    ids = nearest(classes, geometry, view, UNLABELLED)
     colors = label_colors(ids, label_set)
     # Shade the class colours too, or steep ground loses its shape under them.
     tinted = np.clip(colors * (0.4 + 0.62 * picture[..., :1] / 255.0), 0, 255).astype(np.uint8)
@@ -79,10 +79,10 @@ def fuel_map_picture(
     `bounds` (x_min, y_min, x_max, y_max): the part shown; default: around all seen cells and cameras.
     """
     if bounds is None:
-        bounds = _interesting(classes != UNLABELLED, geometry, cameras, dem.geometry)
-    view = _view(bounds, width)
+        bounds = interesting_bounds(classes != UNLABELLED, geometry, cameras, dem.geometry)
+    view = view_of(bounds, width)
     picture = labelled_shade(classes, geometry, label_set, dem, view)
-    picture = _furnish(picture, view, cameras, title)
+    picture = furnished(picture, view, cameras, title)
     names = label_legend(width, label_set, np.unique(classes[classes != UNLABELLED]).tolist())
     return with_legend(picture, scale_bar(view), names)
 
@@ -100,16 +100,16 @@ def terrain_map_picture(
         raise RasterError(f"seen cells of shape {seen.shape} do not fit a DEM of {dem.elevation.shape}")
     if bounds is None:
         mask = seen if seen is not None else np.isfinite(dem.elevation)
-        bounds = _interesting(mask, dem.geometry, cameras, dem.geometry)
-    view = _view(bounds, width)
+        bounds = interesting_bounds(mask, dem.geometry, cameras, dem.geometry)
+    view = view_of(bounds, width)
     colors = terrain_colors(dem)
     bands = [_smooth(colors[..., c].astype(np.float32), dem.geometry, view) for c in range(3)]
     picture = np.asarray(np.nan_to_num(np.stack(bands, axis=-1), nan=PAPER[0]).round(), np.uint8)
     if seen is not None:
-        hit = _nearest(seen.astype(np.uint8), dem.geometry, view, 0) > 0
+        hit = nearest(seen.astype(np.uint8), dem.geometry, view, 0) > 0
         mixed = np.asarray(cv2.addWeighted(picture, 0.45, np.full_like(picture, _SEEN), 0.55, 0.0), np.uint8)
         picture = np.where(hit[..., None], mixed, picture)
-    return with_legend(_furnish(picture, view, cameras, title), scale_bar(view))
+    return with_legend(furnished(picture, view, cameras, title), scale_bar(view))
 
 
 def scale_bar(view: GridGeometry) -> Rgb:
@@ -128,7 +128,7 @@ def scale_bar(view: GridGeometry) -> Rgb:
     return draw_texts(strip, texts, size, INK)
 
 
-def _relief(dem: Dem, view: GridGeometry) -> Rgb:
+def relief(dem: Dem, view: GridGeometry) -> Rgb:
     """Light grey relief on the view; paper where there is no terrain."""
     shade = _smooth(hillshade(dem), dem.geometry, view)
     grey = np.clip(40 + 225 * np.nan_to_num(shade, nan=0.0), 0, 255)
@@ -159,7 +159,7 @@ def _smooth(values: NDArray[np.float32], geometry: GridGeometry, view: GridGeome
     return np.asarray(sampled, np.float32)
 
 
-def _nearest(values: Labels, geometry: GridGeometry, view: GridGeometry, outside: int) -> Labels:
+def nearest(values: Labels, geometry: GridGeometry, view: GridGeometry, outside: int) -> Labels:
     """The cell under each of the view's pixel centres."""
     x, _ = view.to_map(0, np.arange(view.width))
     _, y = view.to_map(np.arange(view.height), 0)
@@ -169,7 +169,7 @@ def _nearest(values: Labels, geometry: GridGeometry, view: GridGeometry, outside
     return np.where(inside, picked, np.uint8(outside))
 
 
-def _view(bounds: tuple[float, float, float, float], width: int) -> GridGeometry:
+def view_of(bounds: tuple[float, float, float, float], width: int) -> GridGeometry:
     x_min, y_min, x_max, y_max = bounds
     if not (x_max > x_min and y_max > y_min):
         raise RasterError(f"a map needs bounds with x_min < x_max and y_min < y_max, got {bounds}")
@@ -177,7 +177,7 @@ def _view(bounds: tuple[float, float, float, float], width: int) -> GridGeometry
     return GridGeometry(x_min, y_max, resolution, width, max(1, round((y_max - y_min) / resolution)))
 
 
-def _interesting(
+def interesting_bounds(
     mask: NDArray[np.bool_], geometry: GridGeometry, cameras: Sequence[MapCamera], terrain: GridGeometry
 ) -> tuple[float, float, float, float]:
     """Bounds of the marked cells and the cameras with a margin, not thinner than 5:8, inside the terrain."""
@@ -197,14 +197,14 @@ def _interesting(
     return (left, bottom, right, top) if right > left and top > bottom else terrain.bounds
 
 
-def _furnish(picture: Rgb, view: GridGeometry, cameras: Sequence[MapCamera], title: str | None) -> Rgb:
+def furnished(picture: Rgb, view: GridGeometry, cameras: Sequence[MapCamera], title: str | None) -> Rgb:
     """Cameras, north arrow and title drawn on a map."""
     picture = picture.copy()
     size = _text_size(view)
     labels: list[tuple[str, float, float, Anchor]] = []
     for camera in cameras:
         labels.append(_draw_camera(picture, view, camera, size))
-    labels.append(_draw_north(picture, size))
+    labels.append(draw_north(picture, size))
     if title:
         labels.append((title, size, size * 0.9, "lt"))
     return draw_texts(picture, labels, size, INK, halo=PAPER)
@@ -242,7 +242,7 @@ def _draw_camera(picture: Rgb, view: GridGeometry, camera: MapCamera, size: int)
     return camera.name, x, min(max(y, size), view.height - size), "mm"
 
 
-def _draw_north(picture: Rgb, size: int) -> tuple[str, float, float, Anchor]:
+def draw_north(picture: Rgb, size: int) -> tuple[str, float, float, Anchor]:
     x, y = picture.shape[1] - 2 * size, size
     tip, half, height = (x, y), round(size * 0.7), round(size * 2.2)
     left = np.array([tip, (x - half, y + height), (x, y + round(height * 0.72))], np.int32)

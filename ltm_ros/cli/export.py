@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from ltm_core.fuel.decision import FuelLayers
-    from ltm_core.fuel.prior import FuelPrior
     from ltm_core.grid import GridGeometry
-    from ltm_core.site import Site
+    from ltm_ros.fuel_source import FuelSource
 
 
 class Format(StrEnum):
@@ -25,6 +23,8 @@ class Format(StrEnum):
     elmfire = "elmfire"
     layers = "layers"
     png = "png"
+    change = "change"
+    coverage = "coverage"
     kmz = "kmz"
     ply = "ply"
     las = "las"
@@ -57,10 +57,17 @@ def export(
         typer.Option(
             "--format",
             help="auto: by the suffix of --out. classes: label map; lcp, landscape (GeoTIFF of 8 bands), elmfire "
-            "(folder): for fire models; layers: folder of Cloud Optimized GeoTIFFs; png, kmz; ply, las: 3D points.",
+            "(folder): for fire models; layers: folder of Cloud Optimized GeoTIFFs; ply, las: 3D points; pictures: png "
+            "(what the map says and how surely), change (before and after), coverage (who saw what), kmz (on a globe).",
         ),
     ] = Format.auto,
     system: Annotated[Codes, typer.Option(help="Fuel models of a landscape.")] = Codes.fbfm40,
+    as_of: Annotated[
+        str | None, typer.Option("--as-of", help="Of a store: the map as it was then, a date or moment, UTC.")
+    ] = None,
+    since: Annotated[
+        str | None, typer.Option("--since", help="For change: the earlier date. Default: the map before any evidence.")
+    ] = None,
 ) -> None:
     """Write a fuel map; into another CRS by nearest cell, on a grid with edges at 15 mod 30."""
     from ltm_core.errors import ConfigError
@@ -70,117 +77,115 @@ def export(
         raise ConfigError(f"{out}: its suffix names no format; give --format, or one of {', '.join(_BY_SUFFIX)}")
     if not out.parent.is_dir():
         raise ConfigError(f"{out}: the folder {out.parent} does not exist; make it first")
+    if since is not None and kind is not Format.change:
+        raise ConfigError("--since is the earlier date of a picture of change: give --format change")
     if kind is Format.classes:
-        geometry = _export_classes(source, out, site, crs)
+        geometry = _export_classes(source, out, site, crs, as_of)
     else:
         if site is None:
             raise ConfigError(f"{kind} needs the terrain and the prior fuel map of a site: name its file with --site")
-        geometry = _export_site(source, out, site, crs, kind, system)
+        from ltm_core.site_io import load_site
+        from ltm_ros.fuel_source import FuelSource
+
+        with FuelSource.open(source, load_site(site)) as map_:
+            geometry = _export_site(map_, out, crs, kind, system, as_of, since)
     typer.echo(f"wrote {out}: {geometry.width} x {geometry.height} cells of {geometry.resolution:g} m, {geometry.crs}")
 
 
-def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None) -> GridGeometry:
+def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None, as_of: str | None) -> GridGeometry:
     from ltm_core.errors import ConfigError
     from ltm_core.fuel.fuel_map_io import read_fuel_map, resampled, write_fuel_map
+    from ltm_core.fuel.life_form import life_form_labels
     from ltm_core.site_io import load_site
     from ltm_core.vision.labels import LabelSet
+    from ltm_ros.fuel_source import FuelSource
 
     labels = LabelSet.load()
-    if source.suffix.lower() in (".tif", ".tiff"):
+    if source.suffix.lower() in (".tif", ".tiff") and as_of is None:
         classes, geometry = read_fuel_map(source)
     else:
         if site is None:
             raise ConfigError("a bag's fuel map stands in its site's map frame: name the site file with --site")
-        config = load_site(site)
-        if source.suffix == ".ltm":
-            layers, _, geometry = _site_layers(source, config)
-            classes = layers.life_form
+        if source.suffix == ".ltm" or as_of is not None:
+            with FuelSource.open(source, load_site(site)) as map_:
+                classes, geometry, labels = map_.at(as_of).life_form, map_.geometry, map_.labels
         else:
             from ltm_ros.recorded_map import last_fuel_map
 
-            classes, geometry, labels = last_fuel_map(source, config)
+            classes, geometry, labels = last_fuel_map(source, load_site(site))
     if crs is not None:
         classes, geometry = resampled(classes, geometry, crs)
-    write_fuel_map(out, classes, geometry, labels)
+    write_fuel_map(out, classes, geometry, life_form_labels(labels))
     return geometry
 
 
-def _export_site(source: Path, out: Path, site: Path, crs: str | None, kind: Format, system: Codes) -> GridGeometry:
+def _export_site(
+    map_: FuelSource, out: Path, crs: str | None, kind: Format, system: Codes, as_of: str | None, since: str | None
+) -> GridGeometry:
     """Everything that needs more than the label map."""
-    from ltm_core.fuel.codes import FuelSystem, Region
+    from ltm_core.fuel.codes import FuelSystem
     from ltm_core.fuel.export_grid import GridTransfer, make_landscape, snapped_grid
-    from ltm_core.fuel.landscape_io import write_cog, write_elmfire, write_landscape
+    from ltm_core.fuel.landscape_io import write_elmfire, write_landscape, write_layers
     from ltm_core.fuel.lcp_io import write_lcp
-    from ltm_core.fuel.life_form import NODATA
-    from ltm_core.fuel.overlay_io import write_kmz
+    from ltm_core.fuel.life_form import life_form_labels
     from ltm_core.fuel.points_io import fuel_points, write_las, write_ply
-    from ltm_core.pictures.fuel import fuel_picture
-    from ltm_core.site_io import load_site
-    from ltm_core.vision.labels import LabelSet
 
-    config = load_site(site)
-    layers, prior, grid = _site_layers(source, config)
-    target = grid if crs is None else snapped_grid(grid, crs, config.fuel.phase)
-    dem = config.open_dem()
+    site, grid, layers = map_.site, map_.geometry, map_.at(as_of)
+    target = grid if crs is None else snapped_grid(grid, crs, site.fuel.phase)
+    dem = site.open_dem()
     if kind in (Format.lcp, Format.landscape, Format.elmfire):
-        region = Region.named(config.fuel.region)
-        chosen = FuelSystem(system.value)
-        landscape = make_landscape(layers, prior, dem, config.frame, grid, region, chosen, target)
+        landscape = make_landscape(
+            layers, map_.prior, dem, site.frame, grid, map_.region, FuelSystem(system.value), target
+        )
         if kind is Format.lcp:
-            write_lcp(out, landscape, f"{config.name}: fuel map of cameras over {'a prior' if prior else 'no prior'}")
+            over = "a prior" if map_.prior else "no prior"
+            write_lcp(out, landscape, f"{site.name}: fuel map of cameras over {over}")
         elif kind is Format.landscape:
             write_landscape(out, landscape)
         else:
             write_elmfire(out, landscape)
         return target
+    if kind in (Format.png, Format.change, Format.coverage):
+        _draw(map_, out, kind, as_of, since)
+        return grid
     transfer = GridTransfer(grid, target)
-    moved, heights, labels = transfer.layers(layers), transfer.heights(dem, config.frame)[1:-1, 1:-1], LabelSet.load()
+    moved, heights = transfer.layers(layers), transfer.heights(dem, site.frame)[1:-1, 1:-1]
     if kind is Format.layers:
-        out.mkdir(exist_ok=True)
-        nodata = {"prior": NODATA, "code": NODATA, "life_form": 255, "p_max": float("nan"), "entropy": float("nan")}
-        for name, layer in vars(moved).items():
-            # GeoTIFF has no booleans, and seconds are fine enough for when a cell was seen.
-            stored = layer.astype("uint8") if layer.dtype == bool else layer
-            stored = (layer // 10**9).astype("uint32") if name == "last_seen" else stored
-            write_cog(out / f"{name}.tif", stored, target, nodata.get(name))
-    elif kind in (Format.png, Format.kmz):
-        picture = fuel_picture(moved, heights, labels, target.resolution)
-        if kind is Format.kmz:
-            write_kmz(out, picture, target, f"fuel map of {config.name}")
-        else:
-            from PIL import Image
+        write_layers(out, moved, target)
+    elif kind is Format.kmz:
+        from ltm_core.fuel.overlay_io import write_kmz
+        from ltm_core.pictures.fuel import overlay_picture
+        from ltm_core.pictures.legend import label_legend
 
-            Image.fromarray(picture).save(out)
+        palette = life_form_labels(map_.labels)
+        shown = label_legend(520, palette, set(moved.life_form.ravel().tolist()) - {255})
+        picture = overlay_picture(moved, heights, target.resolution, palette)
+        write_kmz(out, picture, target, f"fuel map of {site.name}", shown)
     else:
-        points = fuel_points(moved, heights, target, labels)
+        points = fuel_points(moved, heights, target, map_.labels)
         (write_ply if kind is Format.ply else write_las)(out, points)
     return target
 
 
-def _site_layers(source: Path, config: Site) -> tuple[FuelLayers, FuelPrior | None, GridGeometry]:
-    """Layers and prior on the fuel grid, in the site's CRS."""
-    from ltm_core.errors import RasterError
-    from ltm_core.fuel.codes import Region
-    from ltm_core.fuel.decision import layers_of_classes
-    from ltm_core.fuel.fuel_map_io import read_fuel_map
-    from ltm_core.fuel.prior_io import load_prior
-    from ltm_core.fuel.site_map import site_evidence_map
-    from ltm_core.fuel.stored_map import open_stored_map
-    from ltm_core.resources import config_path
-    from ltm_core.vision.labels import LabelSet
+def _draw(map_: FuelSource, out: Path, kind: Format, as_of: str | None, since: str | None) -> None:
+    from ltm_core.fuel.life_form import life_form_labels
+    from ltm_core.pictures import to_png
+    from ltm_core.pictures.fuel_sheets import change_sheet, coverage_sheet, fuel_sheet, seen_sheet
+    from ltm_ros.fuel_pictures import canvas_of
 
-    if source.suffix == ".ltm":
-        geometry = config.fuel_geometry(config.open_dem())
-        evidence = site_evidence_map(config, geometry, LabelSet.load(config_path(config.labels)))
-        with open_stored_map(source, config, evidence):
-            return evidence.layers(), evidence.prior, config.in_crs(geometry)
-    if source.suffix.lower() in (".tif", ".tiff"):
-        classes, grid = read_fuel_map(source)
-        if grid.crs != config.crs:
-            raise RasterError(f"{source} is in {grid.crs}, the site in {config.crs}: export the site's own map")
+    layers, palette = map_.at(as_of), life_form_labels(map_.labels)
+    canvas = canvas_of(map_.site, map_.site.open_dem(), map_.site.in_map(map_.geometry))
+    if kind is Format.png:
+        sheet = fuel_sheet(canvas, layers, palette)
+    elif kind is Format.change:
+        names = (since or "before any evidence", as_of or "now")
+        sheet = change_sheet(canvas, map_.empty if since is None else map_.at(since), layers, palette, names)
     else:
-        from ltm_ros.recorded_map import last_fuel_map
+        coverage = map_.coverage()
+        sheet = seen_sheet(canvas, map_.seen_by()) if coverage is None else coverage_sheet(canvas, coverage)
+    try:
+        out.write_bytes(to_png(sheet))
+    except OSError as error:
+        from ltm_core.errors import ConfigError
 
-        classes, grid, _ = last_fuel_map(source, config)
-    prior = None if config.fuel.prior is None else load_prior(config.fuel.prior, grid)
-    return layers_of_classes(classes, prior, Region.named(config.fuel.region)), prior, grid
+        raise ConfigError(f"{out}: cannot be written there ({error.strerror})") from error

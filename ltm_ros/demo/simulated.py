@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ltm_core.errors import RecordingError
 from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import STORE_FILE, open_stored_map
 from ltm_core.resources import config_path
@@ -18,7 +19,6 @@ from ltm_ros.bag_score import BagScore, DepthRow, Recorded, score_bag
 from ltm_ros.cli.summary import node_rows
 from ltm_ros.demo.outcome import camera_pictures, conditions, headings, map_picture, range_scale, write_pictures
 from ltm_ros.eval_tables import tables
-from ltm_ros.fuel_layers import life_form_labels
 from ltm_ros.fuel_services import write_landscapes
 from ltm_ros.recorded_frames import recorded_frames
 from ltm_ros.replay.run import ReplayOptions, run_live

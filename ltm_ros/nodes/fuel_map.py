@@ -16,6 +16,7 @@ from std_msgs.msg import String
 from ltm_core.errors import ConfigError, MessageError
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.fuel_map_io import write_fuel_map
+from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.fuel.sighting import CellSighting
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import STORE_FILE, fuel_schema
@@ -26,30 +27,30 @@ from ltm_core.site import SITE_NAMES
 from ltm_core.site_io import load_site
 from ltm_core.tile_store import TileStore
 from ltm_core.vision.labels import LabelSet
-from ltm_msgs_py.grid import classes_to_msg, tile_to_msg
 from ltm_msgs_py.label_info import msg_to_model
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.votes import msg_to_votes
-from ltm_ros.fuel_keeper import Counted, Counting, FuelKeeper
-from ltm_ros.fuel_layers import life_form_labels
-from ltm_ros.fuel_services import answer, cells_in, forgotten, polygon_of, write_landscapes
+from ltm_ros.fuel_keeper import Counting, FuelKeeper
+from ltm_ros.fuel_publisher import FuelPublisher
+from ltm_ros.fuel_services import Region, answer, burned, forgotten, region_of, write_landscapes
+from ltm_ros.fuel_surface import SurfaceListener, terrain_grid
 from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.health import Health
 from ltm_ros.node import run_node
 from ltm_ros.topics import (
-    FUEL_MAP,
     FUEL_MAP_ANSWER,
     FUEL_MAP_INFO,
     FUEL_MAP_QUERY,
     FUEL_MAP_REGION,
-    FUEL_MAP_UPDATE,
     FUEL_VOTES,
     LABELS_INFO,
+    TERRAIN_CHANGE,
+    TERRAIN_UPDATE,
     camera_topic,
 )
 
-MAP_CELLS_PER_S = 1_000_000
-"""Of the latched map: a large one goes out less often than twice a second."""
+BURN_SOURCE = "fuel_map/burn"
+"""Under which the store keeps burns; no camera can have this name."""
 
 
 class FuelMapConfig(NodeConfig):
@@ -70,14 +71,15 @@ class FuelMap(Handler[FuelMapConfig]):
     Live, that is at each `tick`, twice a second; in an offline replay, after each frame.
     """
 
-    publications = (FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_INFO, FUEL_MAP_ANSWER)
+    publications = (*FuelPublisher.publications, FUEL_MAP_INFO, FUEL_MAP_ANSWER)
 
     def __init__(self, config: FuelMapConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         self._site = load_site(config.site)
         self._labels = LabelSet.load(config_path(self._site.labels))
         self._classes = life_form_labels(self._labels)
-        self._geometry = self._site.fuel_geometry(self._site.open_dem())
+        dem = self._site.open_dem()
+        self._geometry = self._site.fuel_geometry(dem)
         self._folder = _folder(config)
         self._keeper = FuelKeeper(
             lambda: site_evidence_map(self._site, self._geometry, self._labels),
@@ -85,11 +87,14 @@ class FuelMap(Handler[FuelMapConfig]):
             health,
             durable=self._folder is not None,
         )
+        self._publisher = FuelPublisher(outlet, health, self._keeper, self._geometry, dem)
+        self._surface: SurfaceListener | None = None
+        if self._site.terrain is not None:
+            grid = terrain_grid(dem.geometry, self._site.terrain.resolution)
+            self._surface = SurfaceListener(grid, self._keeper, health, self._is_ahead)
         self._models: dict[str, str] = {}
-        self._region: list[tuple[float, float]] | None = None
+        self._region: Region | None = None
         self._paced = False
-        self._since_map = 0.0
-        self._dirty = True
 
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
@@ -103,7 +108,11 @@ class FuelMap(Handler[FuelMapConfig]):
             )
             for camera in self._site.cameras
         }
-        return {**cameras, **models, FUEL_MAP_QUERY: self.on_query, FUEL_MAP_REGION: self.on_region}
+        asked = {FUEL_MAP_QUERY: self.on_query, FUEL_MAP_REGION: self.on_region}
+        if self._surface is None:
+            return {**cameras, **models, **asked}
+        surface = {TERRAIN_UPDATE: self._surface.on_update, TERRAIN_CHANGE: self.on_surface_change}
+        return {**cameras, **models, **asked, **surface}
 
     @property
     def discoverable(self) -> Mapping[Topic, Callable[[str, Any], None]]:
@@ -113,24 +122,24 @@ class FuelMap(Handler[FuelMapConfig]):
 
     @property
     def services(self) -> Mapping[str, Callable[[], str]]:
-        return {"fuel_map/save": self.save, "fuel_map/export": self.export, "fuel_map/clear": self.clear}
+        return {
+            "fuel_map/save": self.save,
+            "fuel_map/export": self.export,
+            "fuel_map/clear": self.clear,
+            "fuel_map/burn": self.burn,
+        }
 
     def start(self) -> None:
         geometry = self._site.in_crs(self._geometry)
         info = self._classes.info() | {"crs": geometry.crs, "x_min": geometry.x_min, "y_max": geometry.y_max}
         self.outlet.publish(FUEL_MAP_INFO, String(data=json.dumps(info)))
-        self._publish_map()
-        self._announce([])
+        self._publisher.send_map()
+        self._publisher.announce([])
         _compile(self._labels)
 
     def on_votes(self, camera: str, message: Any) -> None:
         stamp = stamp_of(message)
-        now = self.outlet.now_ns()
-        if now and stamp > now + self.config.max_ahead * 1e9:
-            self.health.drop(
-                "future",
-                f"votes of {camera} are {(stamp - now) / 1e9:.0f} s ahead of this node's clock; set the clocks",
-            )
+        if self._is_ahead(f"votes of {camera}", stamp):
             return
         counting = self._keeper.seen(camera, stamp)
         if counting is None:
@@ -164,7 +173,13 @@ class FuelMap(Handler[FuelMapConfig]):
         self.outlet.publish(FUEL_MAP_ANSWER, String(data=json.dumps(asked | found)))
 
     def on_region(self, message: Any) -> None:
-        self._region = polygon_of(message)
+        self._region = region_of(message, self._geometry)
+
+    def on_surface_change(self, message: Any) -> None:
+        """What the terrain has found gone or grown is told to the map, in the store, and then to all."""
+        assert self._surface is not None
+        if self._surface.on_change(message):
+            self._settle(write_tiles=True)
 
     def idle(self) -> None:
         if not self._paced:
@@ -172,22 +187,22 @@ class FuelMap(Handler[FuelMapConfig]):
 
     def tick(self, waited: float) -> None:
         self._paced = True
-        self._since_map += waited
         self._keeper.wait(waited)
+        if self._surface is not None:
+            self._surface.retry()
         self._settle()
-        cells = self._geometry.width * self._geometry.height
-        if self._dirty and self._since_map >= cells / MAP_CELLS_PER_S:
-            self._publish_map()
+        self._publisher.tick(waited)
 
     def finish(self) -> None:
-        self._announce(self._keeper.close())
-        self._publish_map()
+        self._publisher.announce(self._keeper.close())
+        self._publisher.send_map()
+        self._publisher.send_cells()
         if self.config.export_path:
             self._write()
 
     def save(self) -> str:
         """Write the map to the configured file. Raises ConfigError where none is configured."""
-        self._announce(self._keeper.settle(write_tiles=True))
+        self._settle(write_tiles=True)
         path = self._write()
         return f"fuel map of {self._keeper.saved_frames} frames written to {path.name}"
 
@@ -200,34 +215,42 @@ class FuelMap(Handler[FuelMapConfig]):
 
     def clear(self) -> str:
         """Forget all evidence in the region that came last on `fuel_map/region`; it serves once."""
-        if self._region is None:
-            raise ConfigError("no region is chosen: publish its corners on fuel_map/region first, in the frame map")
-        cells = cells_in(self._region, self._geometry)
-        self._region = None
+        cells = self._take_region().cells
         self._keeper.replace_tiles(forgotten(self._keeper.map, cells))
-        self._announce(self._keeper.settle(write_tiles=True))
-        self._publish_map()
+        self._settle(write_tiles=True)
+        self._publisher.send_map()
         return f"evidence of {int(cells.sum())} cells forgotten"
 
-    def _settle(self) -> None:
-        self._announce(self._keeper.settle())
+    def burn(self) -> str:
+        """Mark the region that came last on `fuel_map/region` as burned at its stamp, or now; it serves once."""
+        region = self._take_region()
+        stamp = region.stamp_ns or self.outlet.now_ns() or self._keeper.map.newest_ns
+        if self._is_ahead("the burned region", stamp):
+            raise MessageError(f"the region burned at {stamp} ns, which has not come yet by this node's clock")
+        tiles = burned(self._keeper.map, region.cells, stamp)
+        self._keeper.replace_tiles(tiles, BURN_SOURCE, stamp, region.window)
+        self._settle(write_tiles=True)
+        self._publisher.send_map()
+        return f"{int(region.cells.sum())} cells burned at stamp {stamp} ns"
 
-    def _announce(self, saved: list[Counted]) -> None:
-        for counted in saved:
-            if counted.window is not None:
-                self._dirty = True
-                tile = tile_to_msg(
-                    self._keeper.shown.life_form, self._geometry, counted.window, counted.record.stamp_ns
-                )
-                self.outlet.publish(FUEL_MAP_UPDATE, tile)
-        self._dirty |= self._keeper.unsaved_frames > 0
-        self.health.gauge("frames", self._keeper.saved_frames)
-        self.health.gauge("unsaved_frames", self._keeper.unsaved_frames)
+    def _take_region(self) -> Region:
+        if self._region is None:
+            raise ConfigError("no region is chosen: publish its corners on fuel_map/region first, in the frame map")
+        region, self._region = self._region, None
+        return region
 
-    def _publish_map(self) -> None:
-        self._dirty, self._since_map = False, 0.0
-        shown = self._keeper.shown.life_form
-        self.outlet.publish(FUEL_MAP, classes_to_msg(shown, self._geometry, self._keeper.map.newest_ns))
+    def _is_ahead(self, what: str, stamp: int) -> bool:
+        """Whether a stamp is in the future; it is counted as dropped then."""
+        now = self.outlet.now_ns()
+        ahead = bool(now) and stamp > now + self.config.max_ahead * 1e9
+        if ahead:
+            self.health.drop(
+                "future", f"{what}: {(stamp - now) / 1e9:.0f} s ahead of this node's clock; set the clocks"
+            )
+        return ahead
+
+    def _settle(self, write_tiles: bool = False) -> None:
+        self._publisher.announce(self._keeper.settle(write_tiles))
 
     def _write(self) -> Path:
         name = self.config.export_path or (self._folder / "fuel_map.tif" if self._folder is not None else "")

@@ -58,9 +58,9 @@ class Bystander:
         """Keep what comes on `topic`, an absolute name."""
         self.node.create_subscription(message_type, topic, self.heard[topic].append, stream_qos(latched, depth))
 
-    def open(self, topic: str, message_type: type, listeners: int = 1) -> None:
+    def open(self, topic: str, message_type: type, listeners: int = 1, latched: bool = False) -> None:
         """Prepare to send on `topic`; waits until so many listen."""
-        sender = self._senders[topic] = self.node.create_publisher(message_type, topic, stream_qos())
+        sender = self._senders[topic] = self.node.create_publisher(message_type, topic, stream_qos(latched))
         wait_for(lambda: sender.get_subscription_count() >= listeners, f"{listeners} listeners on {topic}")
 
     def send(self, topic: str, message: Any) -> None:

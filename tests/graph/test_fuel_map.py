@@ -13,9 +13,16 @@ from bystander import Bystander, wait_for
 from fuel_frames import CAMERAS, NAME, camera_of, grid_of, message, stamp_of_frame, write_site
 from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
 
+from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.stored_map import STORE_FILE
+from ltm_core.raster_io import write_geotiff
 from ltm_core.site_io import load_site
+from ltm_core.terrain.change import Changed, ChangeKind
 from ltm_core.tile_store import TileStore
+from ltm_msgs_py.grid import classes_to_msg, msg_to_classes
+from ltm_msgs_py.stamp import ns_to_time
+from ltm_msgs_py.terrain import changed_to_msg
+from ltm_ros.fuel_surface import terrain_grid
 from ltm_ros.graph import Graph, describe
 from ltm_ros.runner import Runner
 from ltm_ros.supervisor import RestartPolicy
@@ -26,6 +33,8 @@ from ltm_ros.topics import (
     FUEL_MAP_REGION,
     FUEL_MAP_UPDATE,
     FUEL_VOTES,
+    TERRAIN_CHANGE,
+    TERRAIN_UPDATE,
     camera_topic,
     site_topic,
 )
@@ -141,3 +150,69 @@ def test_cameras_join_and_people_ask(living: Living) -> None:
     bystander.send(site_topic(NAME, FUEL_MAP_REGION), region)
     wait_for(lambda: bystander.call(f"{NODE}/clear")[0], "the region to be cleared")
     wait_for(lambda: (np.array(bystander.heard[maps][-1].data) == -1).all(), "an empty map")
+
+
+@pytest.fixture
+def wood(tmp_path: Path) -> Path:
+    """Site file of a wood whose terrain is kept up to date in cells of 10 m."""
+    plain = write_site(tmp_path)
+    grid = load_site(plain).in_crs(grid_of(plain))
+    write_geotiff(tmp_path / "prior.tif", np.full(grid.shape, 183, np.int16), grid, -9999)
+    return write_site(tmp_path, fuel={"prior": "prior.tif"}, terrain={"resolution": 10.0})
+
+
+def test_what_the_terrain_finds_comes_out_of_the_fuel_map(ros_domain: int, wood: Path, tmp_path: Path) -> None:
+    """A felled stand, told while the map is up, and again to the map that comes back after a kill; and a fire."""
+    site, folder = load_site(wood), tmp_path / "kept"
+    fuel, terrain = grid_of(wood), terrain_grid(site.open_dem().geometry, 10.0)
+    kinds = np.full(terrain.shape, int(ChangeKind.NONE), np.uint8)
+    x, y = fuel.to_map(np.array([20, 24]), np.array([31, 36]))
+    row, col = terrain.cell_of(x - 10, y + 10)
+    kinds[row[0] : row[1], col[0] : col[1]] = ChangeKind.REMOVED
+    stand = np.zeros(fuel.shape, bool)
+    stand[20:24, 31:36] = True
+    rows, cols = (part.astype(np.int32) for part in np.nonzero(kinds))
+    changed = Changed(rows, cols, rows.astype(np.uint8) * 0, kinds[rows, cols], np.full(len(rows), -14.0, np.float32))
+    stamp = stamp_of_frame(0)
+    changes, updates = (site_topic(NAME, topic) for topic in (TERRAIN_CHANGE, TERRAIN_UPDATE))
+    maps, regions = (site_topic(NAME, topic) for topic in (FUEL_MAP, FUEL_MAP_REGION))
+
+    graph = Graph(NAME, (describe(site, wood, parameters={"fuel_map": {"folder": str(folder)}}).node("fuel_map"),))
+    policy = RestartPolicy(initial_s=0.1, maximum_s=1.0)
+    runner = Runner(graph, domain_id=ros_domain, log_folder=tmp_path / "log", console=lambda line: None, policy=policy)
+    with runner, Bystander() as bystander:
+        runner.wait_until_ready(120.0)
+        bystander.listen(UPDATE, FUEL_MAP_UPDATE.type, depth=FUEL_MAP_UPDATE.depth)
+        bystander.listen(maps, FUEL_MAP.type, latched=True)
+        bystander.open(changes, TERRAIN_CHANGE.type, latched=True)
+        bystander.open(updates, TERRAIN_UPDATE.type)
+        bystander.open(regions, PolygonStamped)
+        bystander.wait_for_wiring(1)
+        heights = np.full(len(rows), 300.0, np.float32)
+        bystander.send(updates, changed_to_msg(changed, heights, terrain, stamp))
+        bystander.send(changes, classes_to_msg(kinds, terrain.translated(40.0, 0.0), stamp))  # of another site
+        wait_for(
+            lambda: bystander.count(NODE, "dropped.message") == 1, "the refusal", lambda: bystander.summaries[NODE]
+        )
+        bystander.send(changes, classes_to_msg(kinds, terrain, stamp))
+        tile = bystander.wait_for_stamp(UPDATE, stamp)
+        assert (tile.info.height, tile.info.width) == (4, 5)
+        assert set(tile.data) == {int(LifeForm.GRASS)}
+
+        runner.kill("fuel_map")
+        process = runner.processes["fuel_map"]
+        wait_for(lambda: process.starts == 2 and process.running, "the node again")
+        bystander.heard[maps].clear()
+        wait_for(lambda: bystander.heard[maps], "the map")  # the terrain's latched message comes again
+        region = PolygonStamped()
+        region.header.frame_id, region.header.stamp = "map", ns_to_time(stamp)
+        corners = [fuel.to_map(r, c) for r, c in ((1.5, 1.5), (1.5, 9.5), (8.5, 9.5), (8.5, 1.5))]
+        region.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners]
+        bystander.summaries.clear()
+        bystander.wait_for_wiring(1)
+        bystander.send(regions, region)
+        wait_for(lambda: bystander.call(f"{NODE}/burn")[0], "the region to burn")
+        expected = np.where(stand, int(LifeForm.GRASS), int(LifeForm.TREE))
+        expected[2:9, 2:10] = LifeForm.BURNED
+        wait_for(lambda: np.array_equal(msg_to_classes(bystander.heard[maps][-1])[0], expected), "both in the map")
+        assert bystander.stamps(UPDATE).count(stamp) == 2, "one of the stand, one of the fire"

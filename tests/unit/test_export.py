@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, RecordingError
 from ltm_core.fuel.fuel_map_io import read_fuel_map, write_fuel_map
+from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.grid import GridGeometry
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
@@ -74,7 +75,7 @@ def test_in_landfires_crs(bag: Path, site_file: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["in.tif", "IN.TIFF"])
 def test_from_a_raster(tmp_path: Path, name: str) -> None:
-    write_fuel_map(tmp_path / name, CLASSES, IN_CRS, LabelSet.load())
+    write_fuel_map(tmp_path / name, CLASSES, IN_CRS, life_form_labels(LabelSet.load()))
     export(tmp_path / name, "--out", tmp_path / "out.tif")
     assert (tmp_path / "out.tif").read_bytes() == (tmp_path / name).read_bytes()
 
@@ -114,7 +115,7 @@ def test_what_fire_models_read(bag: Path, site_file: Path, tmp_path: Path) -> No
         else:
             assert f"element vertex {count}".encode() in (tmp_path / name).read_bytes()[:400]
     export(bag, "--site", site_file, "--out", tmp_path / "map.kmz")
-    assert sorted(zipfile.ZipFile(tmp_path / "map.kmz").namelist()) == ["doc.kml", "map.png"]
+    assert sorted(zipfile.ZipFile(tmp_path / "map.kmz").namelist()) == ["doc.kml", "legend.png", "map.png"]
 
 
 def test_a_format_that_is_none(bag: Path, tmp_path: Path) -> None:

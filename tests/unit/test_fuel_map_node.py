@@ -28,7 +28,7 @@ from outlets import Kept
 from ltm_core.errors import ConfigError, LtmError, MessageError, StoreError
 from ltm_core.fuel.evidence import EVIDENCE_FIELDS, EvidenceMap
 from ltm_core.fuel.fuel_map_io import read_fuel_map
-from ltm_core.fuel.life_form import LifeForm
+from ltm_core.fuel.life_form import LifeForm, life_form_labels
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import STORE_FILE, open_stored_map, votes_of, votes_to_bytes
 from ltm_core.grid import GridGeometry
@@ -37,7 +37,6 @@ from ltm_core.tile_store import FrameRecord, TileStore
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.label_info import label_set_to_msg
 from ltm_ros import fuel_keeper
-from ltm_ros.fuel_layers import life_form_labels
 from ltm_ros.health import Health
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
 from ltm_ros.topics import FUEL_MAP, FUEL_MAP_ANSWER, FUEL_MAP_UPDATE, FUEL_VOTES

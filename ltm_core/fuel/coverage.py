@@ -1,0 +1,44 @@
+"""Who saw which fuel cell, how often and how finely."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.grid import GridGeometry
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """By one camera, (H, W) each. `frames`: how many saw the cell. `footprint`: metres of ground away from the camera
+    that a pixel covered at best, NaN where none is known.
+    """
+
+    frames: NDArray[np.int32]
+    footprint: NDArray[np.float32]
+
+
+class CoverageMap:
+    """Counts the votes of frames by camera, on one fuel grid."""
+
+    def __init__(self, geometry: GridGeometry) -> None:
+        self.geometry = geometry
+        self.cameras: dict[str, Seen] = {}
+
+    def add(self, votes: CellVotes) -> None:
+        """Count a frame."""
+        shape = self.geometry.shape
+        if votes.source not in self.cameras:
+            self.cameras[votes.source] = Seen(np.zeros(shape, np.int32), np.full(shape, np.nan, np.float32))
+        seen, cells = self.cameras[votes.source], (votes.rows, votes.cols)
+        seen.frames[cells] += 1
+        if votes.sighting is not None:
+            seen.footprint[cells] = np.fmin(seen.footprint[cells], votes.sighting.footprint)
+
+    def count(self) -> NDArray[np.int32]:
+        """(H, W): how many cameras saw each cell."""
+        seen = [camera.frames > 0 for camera in self.cameras.values()]
+        return np.sum(seen, axis=0, dtype=np.int32) if seen else np.zeros(self.geometry.shape, np.int32)

@@ -1,0 +1,229 @@
+"""What a changed surface tells the fuel map: which fuel cells it concerns, and what stands there now.
+
+Where the surface has changed, the prior map no longer holds: such a cell starts from the code of what stands there now,
+and what cameras had seen there before is void, as after a burn. From then on evidence works on it as on any cell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.fuel.codes import FuelSystem
+from ltm_core.fuel.decision import FuelLayers
+from ltm_core.fuel.evidence import TILE, EvidenceMap, Window
+from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
+from ltm_core.fuel.prior import FuelPrior
+from ltm_core.grid import GridGeometry
+from ltm_core.terrain.change import ChangeKind
+from ltm_core.terrain.handover import LEAST_SEEN, SHRUB_BELOW, FuelChange, cover_after, fuel_changes
+from ltm_core.terrain.layers import SurfaceLayers
+from ltm_core.tile_store import Key, Tile
+
+UNSEEN: Final = 255
+"""Of a grid of changes: independent views have not looked."""
+SOURCE: Final = "terrain"
+"""Under which the store keeps who told it; no camera may have this name."""
+_BLOCK: Final = 16
+"""Fuel cells a side that are looked at together."""
+_CODES: Final = 1000
+"""What a cell was told is one number: its kind of change times this, plus the code that it starts from, 0 its own."""
+_KEPT: Final = ("seen_by", "last_seen", "burned_at")
+"""Of a cell's state, where what was known of its cover is void."""
+_KINDS: Final = {
+    FuelChange.REMOVED: ChangeKind.REMOVED,
+    FuelChange.GROWN: ChangeKind.GROWN,
+    FuelChange.MOVED_GROUND: ChangeKind.LOWERED,
+}
+
+
+class LivingFuelMap(EvidenceMap):
+    """An evidence map whose prior gives way where the surface has changed. Arguments as of `EvidenceMap`."""
+
+    def __init__(self, geometry: GridGeometry, prior: FuelPrior | None, *arguments: Any, **named: Any) -> None:
+        super().__init__(geometry, prior, *arguments, **named)
+        self._given = prior
+        self.told = np.zeros(geometry.shape, np.int32)
+        """(H, W): what the surface has told each cell, 0 nothing."""
+
+    @property
+    def kinds_told(self) -> NDArray[np.uint8]:
+        """(H, W) ChangeKind."""
+        return (self.told // _CODES).astype(np.uint8)
+
+    def recall(self, told: NDArray[np.integer]) -> None:
+        """Put back what `told` was, (H, W)."""
+        self.told = told.astype(np.int32)
+        codes = np.full(told.shape, NODATA, np.int16) if self._given is None else self._given.codes.copy()
+        starts = self.told % _CODES
+        codes[starts > 0] = starts[starts > 0]
+        if self._given is not None:
+            self.prior = replace(self._given, codes=codes)
+        else:
+            self.prior = FuelPrior(codes, self.geometry) if (starts > 0).any() else None
+
+    def layers(self, window: Window | None = None, at_ns: int | None = None) -> FuelLayers:
+        """As of `EvidenceMap`; `prior` is the map that the site started from, and `changed` means: not its code."""
+        found = super().layers(window, at_ns)
+        row, col, height, width = window or (0, 0, *self.geometry.shape)
+        part = slice(row, row + height), slice(col, col + width)
+        other = self.told[part] % _CODES > 0
+        if not other.any():
+            return found
+        given = np.full(found.code.shape, NODATA, np.int16) if self._given is None else self._given.codes[part].copy()
+        return replace(found, prior=given, changed=np.where(other, found.code != given, found.changed))
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceNews:
+    """Fuel cells whose change is not the one that was told before, (N,) each: row, col, `kind` (ChangeKind, NONE: taken
+    back), and the median `shift` of the changed part in metres, NaN where it is not known.
+    """
+
+    rows: NDArray[np.int64]
+    cols: NDArray[np.int64]
+    kind: NDArray[np.uint8]
+    shift: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+def news_of(
+    kinds: NDArray[np.uint8],
+    shift: NDArray[np.float32],
+    window: GridGeometry,
+    fuel: GridGeometry,
+    told: NDArray[np.uint8],
+) -> SurfaceNews:
+    """What a part of the terrain's grid says that the fuel cells do not know yet.
+
+    Args:
+        kinds: (h, w) ChangeKind, UNSEEN where independent views have not looked.
+        shift: (h, w) metres from the reference surface, NaN where it is not known.
+        window: their geometry, in the map frame.
+        told: (H, W) ChangeKind of each cell of `fuel`, as it was told last (`LivingFuelMap.kinds_told`).
+    """
+    fuel_rows = fuel.cell_of(0.0, window.to_map(np.arange(window.height), 0)[1])[0]
+    fuel_cols = fuel.cell_of(window.to_map(0, np.arange(window.width))[0], 0.0)[1]
+    found: dict[tuple[int, int], tuple[int, float]] = {}
+    for row, col in _cells_told(told, fuel_rows, fuel_cols):
+        seen = kinds[_span(fuel_rows, row, row + 1), _span(fuel_cols, col, col + 1)] != UNSEEN
+        if seen.sum() >= LEAST_SEEN * (fuel.resolution / window.resolution) ** 2:
+            found[row, col] = int(ChangeKind.NONE), float("nan")
+    for block_row, block_col in _blocks_changed(kinds, fuel_rows, fuel_cols):
+        part = (
+            _span(fuel_rows, block_row * _BLOCK, (block_row + 1) * _BLOCK),
+            _span(fuel_cols, block_col * _BLOCK, (block_col + 1) * _BLOCK),
+        )
+        height, width = kinds[part].shape
+        corner = window.window(part[0].start, part[1].start, height, width)
+        for cell in fuel_changes(_as_layers(kinds[part], shift[part], corner), fuel):
+            found[cell.row, cell.col] = int(_KINDS[cell.change]), cell.shift
+    news = [(row, col, kind, by) for (row, col), (kind, by) in sorted(found.items()) if told[row, col] != kind]
+    columns = np.array(news, np.float64).reshape(-1, 4).T
+    rows, cols = columns[:2].astype(np.int64)
+    return SurfaceNews(rows, cols, columns[2].astype(np.uint8), columns[3].astype(np.float32))
+
+
+def tell(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[NDArray[np.int32], dict[Key, Tile]]:
+    """What the cells of the news, (N,), are told (of `LivingFuelMap.told`), and the state of their tiles then;
+    `evidence` itself stays as it is.
+
+    A cell that shows already what the change means keeps its evidence, as do burned cells and those that labels never
+    change. A change that is taken back gives a cell its prior back.
+    """
+    told = news.kind.astype(np.int32) * _CODES
+    tiles: dict[Key, Tile] = {}
+    keys = np.stack([news.rows // TILE, news.cols // TILE], axis=-1)
+    for key in sorted({(int(r), int(c)) for r, c in keys}):
+        top, left = key[0] * TILE, key[1] * TILE
+        height, width = (min(TILE, n - k) for n, k in zip(evidence.geometry.shape, (top, left), strict=True))
+        layers = evidence.layers((top, left, height, width))
+        state = tiles[key] = evidence.tile_state(key)
+        for i in np.flatnonzero((keys == key).all(axis=1)):
+            cell = int(news.rows[i]) - top, int(news.cols[i]) - left
+            before = int(evidence.told[news.rows[i], news.cols[i]]) % _CODES
+            given, form = int(layers.prior[cell]), int(layers.life_form[cell])
+            if news.kind[i] == ChangeKind.NONE or given in evidence.rules.mask:
+                continue
+            last = state["last"][cell]
+            shown = int(last.argmax()) + 1 if last.any() else UNSEEN
+            now = form_after(ChangeKind(news.kind[i]), float(news.shift[i]), form, shown)
+            if now is None:
+                told[i] += before
+                continue
+            told[i] += _code_of(LifeForm(now), given, evidence)
+            for name, array in state.items():
+                if name not in _KEPT:
+                    array[cell] = 0
+    return told, tiles
+
+
+def _code_of(form: LifeForm, given: int, evidence: LivingFuelMap) -> int:
+    """The code of a cell that is now of `form`; 0 where its prior's is one of that form."""
+    agreeing = forms_of(np.array([given], np.int16))[0]
+    if agreeing[form - 1]:
+        return 0
+    codes = getattr(evidence.region.changed, FuelSystem.FBFM40 if evidence.prior is None else evidence.prior.system)
+    to_tree = codes.shrubs_to_tree if agreeing[LifeForm.SHRUB - 1] else codes.to_tree
+    of_form = {LifeForm.GRASS: codes.grass, LifeForm.SHRUB: codes.shrub, LifeForm.TREE: to_tree}
+    return int((of_form | {LifeForm.BARE: codes.bare, LifeForm.BUILT: codes.built})[form])
+
+
+def form_after(kind: ChangeKind, shift: float, form: int, shown: int) -> int | None:
+    """The life form of a cell of `form` whose surface has moved by `shift` metres, NaN unknown; None: it stays.
+
+    `shown`: what a camera showed there last, UNSEEN nothing. Where plants are gone and no camera says what is left, it
+    is grass: a felled stand burns.
+    """
+    if form == LifeForm.BURNED:
+        return None
+    if kind == ChangeKind.LOWERED:
+        return LifeForm.BARE if form in (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE) else None
+    known = np.array([shown], np.uint8)
+    if kind == ChangeKind.REMOVED:
+        low = form == LifeForm.SHRUB and abs(shift) < SHRUB_BELOW
+        if form != LifeForm.TREE and not low:
+            return None
+        cover = cover_after(kind, shift, known)
+        return LifeForm.GRASS if cover is None or cover == form else cover
+    height = 0.0 if np.isnan(shift) else shift
+    if form in (LifeForm.TREE, LifeForm.BUILT) or (form == LifeForm.SHRUB and height < SHRUB_BELOW):
+        return None
+    cover = cover_after(kind, height, known)
+    return None if cover == form else cover
+
+
+def _span(cells: NDArray[np.int64], first: int, beyond: int) -> slice:
+    """Where the ascending `cells` lie in [first, beyond)."""
+    return slice(int(np.searchsorted(cells, first)), int(np.searchsorted(cells, beyond)))
+
+
+def _cells_told(told: NDArray[np.uint8], rows: NDArray[np.int64], cols: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """Those that the window touches."""
+    known = np.argwhere(told > 0)
+    inside = np.isin(known[:, 0], rows) & np.isin(known[:, 1], cols)
+    return [(int(r), int(c)) for r, c in known[inside]]
+
+
+def _blocks_changed(
+    kinds: NDArray[np.uint8], rows: NDArray[np.int64], cols: NDArray[np.int64]
+) -> list[tuple[int, int]]:
+    """Blocks of fuel cells in which anything has changed."""
+    row, col = np.nonzero((kinds > 0) & (kinds != UNSEEN))
+    pairs = np.unique(np.stack([rows[row] // _BLOCK, cols[col] // _BLOCK]), axis=1)
+    return [(int(r), int(c)) for r, c in pairs.T]
+
+
+def _as_layers(kinds: NDArray[np.uint8], shift: NDArray[np.float32], window: GridGeometry) -> SurfaceLayers:
+    """What the rule of both maps asks of: only changes, how far, and where anybody has looked."""
+    seen = kinds != UNSEEN
+    flat: NDArray[Any] = np.zeros(kinds.shape, np.float32)
+    given: dict[str, Any] = {field.name: flat for field in fields(SurfaceLayers)}
+    given |= {"geometry": window, "height": shift, "observed": seen, "change": np.where(seen, kinds, 0)}
+    given |= {"since": np.zeros(kinds.shape, np.uint32), "by": np.zeros(kinds.shape, np.uint32)}
+    return SurfaceLayers(**given | {"label": np.full(kinds.shape, UNSEEN, np.uint8)})
