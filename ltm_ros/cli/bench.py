@@ -9,11 +9,13 @@ import typer
 
 from ltm_ros.cli.bench_fusion import fusion
 from ltm_ros.cli.bench_network import network
+from ltm_ros.cli.bench_segmentation import segmentation
 from ltm_ros.cli.bench_terrain import terrain
 
 bench = typer.Typer(help="How fast: tracing, beside other tracers; a fuel map under many towers.", no_args_is_help=True)
 bench.command()(network)
 bench.command()(fusion)
+bench.command()(segmentation)
 bench.command()(terrain)
 
 

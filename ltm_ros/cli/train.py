@@ -43,6 +43,7 @@ def run(
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 2,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in the folder.")] = False,
     start: Annotated[Path | None, typer.Option(help="Checkpoint of another run whose weights to start from.")] = None,
+    until: Annotated[int | None, typer.Option(min=1, help="End after this step; --resume goes on from there.")] = None,
 ) -> None:
     """Train the network of CONFIG: checkpoints, a picture of the course, ONNX file, manifests, calibration, scores."""
     import json
@@ -73,7 +74,7 @@ def run(
     out = out or Path("out/train") / settings.name
     labels, console = LabelSet.load(), Console()
     split = read_split(folder, settings.split, len(labels))
-    manifest = trained(settings, split, labels, out, threads, console, resume=resume, start=start)
+    manifest = trained(settings, split, labels, out, threads, console, resume=resume, start=start, until=until)
     segmenter = Segmenter.open(manifest, threads)
     found = {"validation": score_sets(segmenter, split.validation), "test": score_sets(segmenter, split.test)}
     report: dict[str, object] = {"name": settings.name, "seed": settings.seed, "steps": settings.optimiser.steps}

@@ -33,6 +33,7 @@ def trained(
     console: Console,
     resume: bool = False,
     start: Path | None = None,
+    until: int | None = None,
 ) -> Path:
     """Train, export into `out` and calibrate on the validation sets; gives the manifest's path."""
     import torch
@@ -62,7 +63,7 @@ def trained(
             if progress.validation is not None:
                 console.print(f"step {progress.step}: validation mean F1 {progress.validation.mean_f1:.3f}")
 
-        network, run = loop.train(settings, split, len(labels), report, run, checkpoint)
+        network, run = loop.train(settings, split, len(labels), report, run, checkpoint, until)
     write_curve(out / f"{settings.name}_curve.png", settings.name, run)
     manifest = export(network, settings, labels, out)
     if split.validation:

@@ -122,16 +122,19 @@ def train(
     report: Callable[[Progress], None],
     run: Run | None = None,
     checkpoint: Path | None = None,
+    until: int | None = None,
 ) -> tuple[LandscapeNetwork, Run]:
     """Train on `split.train`; gives the network with averaged weights, and the run.
 
     They are the weights that scored best on `split.validation` (mean F1 of the classes that occur), or the last ones
-    where no frames validate. With `checkpoint`, the run is written there at every validation, for `Run.resume`.
+    where no frames validate. With `checkpoint`, the run is written there at every validation, for `Run.resume`. With
+    `until`, it ends after that step of its course, as if it had been broken off there.
     """
     run = Run.start(config, classes) if run is None else run
     optimiser, settings = run.optimiser, config.optimiser
     weights = _class_weights(split.train, classes, settings.class_weight_power).to(device())
-    for step, batch in enumerate(_batches(config, split.train, run.step), start=run.step + 1):
+    last = settings.steps if until is None else min(until, settings.steps)
+    for step, batch in enumerate(_batches(config, split.train, run.step, last), start=run.step + 1):
         for group in optimiser.param_groups:
             group["lr"] = _learning_rate(settings, step) * group["scale"]
         frozen = step <= settings.frozen * settings.steps
@@ -153,7 +156,7 @@ def train(
         run.step = step
         run.losses.append(float(loss.detach()))
         validation = None
-        if step % settings.validate_every == 0 or step == settings.steps:
+        if step % settings.validate_every == 0 or step == last:
             if split.validation:
                 validation = score(run.average, split.validation, config, classes)
                 run.validations.append((step, validation.mean_f1))
@@ -194,8 +197,9 @@ def _at_size(image: npt.NDArray[np.uint8], size: tuple[int, int]) -> npt.NDArray
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _batches(config: TrainingConfig, frames: list[Frame], done: int) -> Iterator[Batch]:
-    """Augmented batches after the first `done`, made one ahead; what is in a batch depends on seed and step alone."""
+def _batches(config: TrainingConfig, frames: list[Frame], done: int, last: int) -> Iterator[Batch]:
+    """Augmented batches after the first `done` up to the `last`, made one ahead; what is in a batch depends on seed and
+    step alone."""
     count, small_steps = config.optimiser.batch, round(config.optimiser.small * config.optimiser.steps)
     deck, looks = Deck(frames, config.shares, config.seed), photo_looks(frames)
 
@@ -213,9 +217,9 @@ def _batches(config: TrainingConfig, frames: list[Frame], done: int) -> Iterator
 
     with ThreadPoolExecutor(1) as maker:
         following = maker.submit(batch, done)
-        for step in range(done, config.optimiser.steps):
+        for step in range(done, last):
             current = following.result()
-            if step + 1 < config.optimiser.steps:
+            if step + 1 < last:
                 following = maker.submit(batch, step + 1)
             yield current
 

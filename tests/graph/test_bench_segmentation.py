@@ -1,0 +1,29 @@
+"""`ltm bench segmentation`: a real node answers every photo."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltm_core.errors import LtmError
+from ltm_ros.bench.segmentation import run_segmentation
+from ltm_ros.cli.bench_segmentation import segmentation
+
+
+def test_a_node_labels_as_many_photos_as_it_is_sent(
+    ros_domain: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = tmp_path / "new" / "rate.json"
+    segmentation(width=320, height=192, threads="1", frames=6, repeats=1, domain=ros_domain, json_path=report)
+    (row,) = json.loads(report.read_text())["rows"]
+    assert (row["model"], row["node"]["frames"]) == ("landscape_lite0", 6)
+    assert all(row["node"][key] > 0 for key in ("hz", "cpu_ms", "latency_ms"))
+    assert "labels of a 320 x 192 photo" in capsys.readouterr().out
+
+
+def test_a_node_without_its_network_is_told_of(ros_domain: int, tmp_path: Path) -> None:
+    with pytest.raises(LtmError, match="segmentation"):
+        run_segmentation(str(tmp_path / "absent.yaml"), 1, np.zeros((64, 96, 3), np.uint8), 5, ros_domain)
