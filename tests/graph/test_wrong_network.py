@@ -1,0 +1,41 @@
+"""A network file that is not what its manifest states: its node says what was expected and found, the rest goes on."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+from networks import write_classifier
+from small_site import SmallSite
+
+from ltm_core.site_io import load_site
+from ltm_ros.graph import Graph, describe
+from ltm_ros.runner import Runner
+from ltm_ros.supervisor import RestartPolicy
+
+pytestmark = pytest.mark.graph
+PATIENCE_S = 180.0
+
+
+def test_a_changed_network_file_costs_its_node_alone(small_site: SmallSite, ros_domain: int, tmp_path: Path) -> None:
+    manifest = write_classifier(tmp_path)
+    file = next(tmp_path.glob("*.onnx"))
+    file.write_bytes(file.read_bytes() + b"\0")
+    parameters = {"segmentation": {"model": str(manifest)}}
+    whole = describe(load_site(small_site.path), small_site.path, cameras=("tower",), parameters=parameters)
+    graph = Graph(whole.site, (whole.node("tower/segmentation"), whole.node("tower/depth")))
+    lines: list[str] = []
+    policy = RestartPolicy(initial_s=0.1, maximum_s=0.4, config_tries=2)
+    with Runner(
+        graph, log_folder=tmp_path / "log", domain_id=ros_domain, console=lines.append, policy=policy
+    ) as runner:
+        deadline = time.monotonic() + PATIENCE_S
+        while not runner.given_up:
+            assert time.monotonic() < deadline, "\n".join(lines)
+            time.sleep(0.1)
+        assert runner.given_up == ["tower/segmentation"]
+        assert runner.processes["tower/depth"].running
+    (verdict,) = [line for line in lines if "given up" in line]
+    assert "sha256" in verdict
+    assert file.name in verdict
