@@ -1,9 +1,10 @@
 """The fuel map as evidence: what each cell has been seen to be, by whom and when, over the prior map.
 
-A cell's life form has a Dirichlet distribution. Its parameters are kappa pi(l | the prior's life form) plus the
-evidence of all frames (`frame_evidence`), which decays with a time constant of each form. The fuel code is a function
-of the prior, the evidence and the time of asking (`decision`): nothing is decided when a frame comes, so that frames
-may come late and in any order.
+A cell's life form has a Dirichlet distribution. Its parameters are kappa pi(l | the prior's life form) plus evidence.
+What a frame shows (`frame_evidence`) is kept by view, the direction in which it looks at the cell, and by epoch; of
+each view the newest epochs. What all looks are worth together is a function of that state and of the time of asking,
+and so is the fuel code (`decision`): nothing is decided when a frame comes, so that frames may come late and in any
+order. docs/fuel_map.md has the mathematics.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from numpy.typing import NDArray
 from ltm_core.errors import ImageError, RasterError
 from ltm_core.fuel.codes import Region
 from ltm_core.fuel.decision import CellEvidence, Decider, FuelLayers
-from ltm_core.fuel.evidence_kernel import accumulate
-from ltm_core.fuel.frame_evidence import frame_evidence
+from ltm_core.fuel.evidence_kernel import accumulate, pooled
+from ltm_core.fuel.frame_evidence import FrameEvidence, frame_evidence
 from ltm_core.fuel.label_errors import LabelErrors
-from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, label_forms
+from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, label_forms
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
@@ -35,12 +36,24 @@ Key = tuple[int, int]
 
 CAMERAS_KEPT: Final = 8
 """Cameras that a cell remembers; of more, those with the least hashes of their names."""
+VIEWS: Final = 6
+"""Directions from which a cell is seen. Frames of one direction are one view, whatever cameras took them: they see the
+same side of the same plants, and the network errs alike on them."""
+EPOCHS: Final = 2
+"""Of each view, the newest ones in which it saw the cell: newer looks of a view stand in place of its older ones."""
+EPOCH_S: Final = 10 * 86400
+"""Length of an epoch: long enough for several weathers."""
+UNIT: Final = 256
+"""Evidence is kept in whole numbers of 1 / UNIT, whose sums do not depend on their order."""
 TILE: Final = 32
 """Cells a side of the tiles in which the state is kept."""
-EVIDENCE_VERSION: Final = 1
+EVIDENCE_VERSION: Final = 2
 
 EVIDENCE_FIELDS: Final[Mapping[str, Field]] = {
-    "evidence": Field(np.float64, (FORMS,)),  # as of 1970: what a frame adds, grown by exp(its time / time constant)
+    "shown": Field(np.uint32, (VIEWS, EPOCHS, FORMS)),  # sum of what the frames say for each form
+    "best": Field(np.uint16, (VIEWS, EPOCHS)),  # the most that a frame says
+    "span": Field(np.uint32, (VIEWS, EPOCHS, 2)),  # seconds of the earliest and the latest frame; 0 none
+    "epochs": Field(np.uint16, (VIEWS, EPOCHS)),  # their numbers from 1970 on, newest first; 0 none
     "first": Field(np.uint32, (FORMS,)),  # second of the earliest frame that shows the form; 0 none
     "last": Field(np.uint32, (FORMS,)),  # of the latest
     "witnesses": Field(np.uint32, (FORMS, 2)),  # hashes of two cameras that show the form; 0 none
@@ -58,6 +71,13 @@ def camera_hash(source: str) -> int:
     return zlib.crc32(source.encode()) or 1
 
 
+def _views(source: str, frame: FrameEvidence) -> NDArray[np.int64]:
+    """(N,) which view of each cell a frame belongs to; that of a camera which tells no bearing is always the same."""
+    if frame.bearing is None:
+        return np.full(len(frame), camera_hash(source) % VIEWS)
+    return np.floor(frame.bearing * (VIEWS / (2 * np.pi))).astype(np.int64) % VIEWS
+
+
 class EvidenceMap:
     """Counts the votes of frames, and tells the fuel map that they make of the prior.
 
@@ -65,7 +85,7 @@ class EvidenceMap:
         geometry: the fuel grid; votes must be on it.
         prior: the map that evidence starts from; None: nothing is known, each life form is as likely.
         labels: what the votes count.
-        errors: of the network that labels; None: those of `label_errors/default.yaml`.
+        errors: of the network that labels; None: those assumed of an unknown one.
         region: which codes changed cells get.
 
     Raises RasterError for a prior on another grid.
@@ -88,8 +108,10 @@ class EvidenceMap:
         self.region = region if region is not None else Region.named("dry")
         self.newest_ns = 0
         """The latest stamp counted, to the second: the map's own time."""
-        self._errors = errors if errors is not None else LabelErrors.of_model("default")
+        self._errors = errors if errors is not None else LabelErrors.assumed()
         self._forms = label_forms(labels)
+        # Cells of which the prior says the same are of one stand.
+        self._stands = None if prior is None else np.packbits(forms_of(prior.codes), axis=-1)[..., 0]
         self._decider = Decider(prior.system if prior is not None else None, self.rules, self.region)
         years = self.rules.decay_years.model_dump()
         self._decay_s = np.array([years[form.name.lower()] for form in LifeForm]) * (365.25 * 86400)
@@ -116,20 +138,21 @@ class EvidenceMap:
             raise ImageError(
                 f"votes of {votes.source} have the stamp {votes.stamp_ns} ns, which is not in 1970 to 2106"
             )
-        frame = frame_evidence(votes, self._forms, self._errors, self.rules)
+        frame = frame_evidence(votes, self._forms, self._errors, self.rules, self._stands)
         if len(frame) == 0:
             return None
-        second = votes.stamp_ns // 10**9
+        second = max(votes.stamp_ns // 10**9, 1)
         state = self._state
         accumulate(
             frame.rows,
             frame.cols,
-            frame.amounts,
+            np.floor(frame.amounts * UNIT + 0.5).astype(np.uint32),
             frame.supported,
-            np.uint32(max(second, 1)),
+            _views(votes.source, frame),
+            np.uint32(second),
+            np.uint16(1 + second // EPOCH_S),
             np.uint32(camera_hash(votes.source)),
-            np.exp(second / self._decay_s),
-            *(state[name] for name in ("evidence", "first", "last", "witnesses", "seen_by", "last_seen", "burned_at")),
+            *(state[name] for name in EVIDENCE_FIELDS),
         )
         self.newest_ns = max(self.newest_ns, second * 10**9)
         row, col = int(frame.rows.min()), int(frame.cols.min())
@@ -165,8 +188,17 @@ class EvidenceMap:
         codes = np.full(shape, NODATA, np.int16) if self.prior is None else self.prior.codes[part]
         now = (self.newest_ns if at_ns is None else at_ns) / 1e9
         touched = (state["last_seen"] > 0) | (state["burned_at"] > 0)
+        correlation = self._errors.correlation
+        worth = pooled(
+            *(state[name][touched] for name in ("shown", "best", "span")),
+            now,
+            self._decay_s,
+            self.rules.look_s,
+            correlation.between_frames,
+            correlation.between_views,
+        )
         cells = CellEvidence(
-            evidence=state["evidence"][touched] * np.exp(-now / self._decay_s),
+            evidence=worth / UNIT,
             first=state["first"][touched],
             last=state["last"][touched],
             cameras=(state["witnesses"][touched] > 0).sum(axis=-1),

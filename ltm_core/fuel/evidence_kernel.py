@@ -23,22 +23,34 @@ def _index_of(rows: Any, cols: Any) -> Any:
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def with_neighbours(rows: Any, cols: Any, values: Any, weight: float) -> Any:
-    """`values` (N, F) of each cell plus `weight` times those of the up to eight cells about it."""
+def with_neighbours(
+    rows: Any, cols: Any, values: Any, stands: Any, weight: float, sigma: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`values` (N, F) of each cell plus those of the cells of its stand (N,) about it, which weigh `weight` times a
+    Gaussian of `sigma` cells; and (N,) the sum of these weights, 1 for the cell itself.
+    """
     n, width = values.shape
-    out = values.copy()
+    out, cells = values.copy(), np.ones(n)
     if n == 0 or weight == 0:
-        return out
+        return out, cells
     index = _index_of(rows, cols)
     top, left = rows.min() - 1, cols.min() - 1
+    reach = int(2 * sigma + 0.5)
+    kernel = np.empty((2 * reach + 1, 2 * reach + 1))
+    for dr in range(-reach, reach + 1):
+        for dc in range(-reach, reach + 1):
+            kernel[dr + reach, dc + reach] = weight * np.exp(-0.5 * (dr * dr + dc * dc) / (sigma * sigma))
     for i in range(n):
-        for r in range(rows[i] - top - 1, rows[i] - top + 2):
-            for c in range(cols[i] - left - 1, cols[i] - left + 2):
+        row, col = rows[i] - top, cols[i] - left
+        for r in range(max(row - reach, 0), min(row + reach + 1, index.shape[0])):
+            for c in range(max(col - reach, 0), min(col + reach + 1, index.shape[1])):
                 j = index[r, c]
-                if j >= 0 and j != i:
+                if j >= 0 and j != i and stands[j] == stands[i]:
+                    share = kernel[r - row + reach, c - col + reach]
+                    cells[i] += share
                     for f in range(width):
-                        out[i, f] += weight * values[j, f]
-    return out
+                        out[i, f] += share * values[j, f]
+    return out, cells
 
 
 @numba.njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -116,15 +128,42 @@ def _remember(row: Any, value: Any) -> None:
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _slot(epochs: Any, epoch: Any, shown: Any, best: Any, span: Any) -> int:
+    """Index of an epoch among the newest ones of a view, which are kept newest first; 0 is an empty place.
+
+    A new one pushes the oldest out; -1 for one that is older than all that are kept.
+    """
+    kept = epochs.size
+    place = 0
+    while place < kept and epochs[place] > epoch:
+        place += 1
+    if place == kept:
+        return -1
+    if epochs[place] != epoch:
+        for k in range(kept - 1, place, -1):
+            epochs[k], best[k] = epochs[k - 1], best[k - 1]
+            shown[k, :] = shown[k - 1, :]
+            span[k, :] = span[k - 1, :]
+        epochs[place], best[place] = epoch, 0
+        shown[place, :] = 0
+        span[place, :] = 0
+    return place
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def accumulate(
     rows: Any,
     cols: Any,
     amounts: Any,
     supported: Any,
+    views: Any,
     second: Any,
+    epoch: Any,
     camera: Any,
-    growth: Any,
-    evidence: Any,
+    shown: Any,
+    best: Any,
+    span: Any,
+    epochs: Any,
     first: Any,
     last: Any,
     witnesses: Any,
@@ -132,15 +171,17 @@ def accumulate(
     last_seen: Any,
     burned_at: Any,
 ) -> None:
-    """Add `amounts` (N, F), grown to the epoch's value by `growth` (F,); `supported` (N,): the form whose frames are
-    kept count of, -1 for none. Each step is a sum, a minimum or a maximum, so that the order of frames does not matter.
+    """Add `amounts` (N, F), whole numbers, to what the views (N,) show in an epoch; `supported` (N,): the form whose
+    frames are kept count of, -1 for none.
+
+    Each step is a sum of integers, a minimum, a maximum, or the choice of the newest or the least of a set: the state
+    does not depend on the order of frames, to the last bit.
     """
+    ceiling = np.uint64(np.iinfo(np.uint32).max)
     for i in range(rows.size):
         r, c = rows[i], cols[i]
         if second < burned_at[r, c]:
             continue  # it shows what has burned since
-        for f in range(growth.size):
-            evidence[r, c, f] += amounts[i, f] * growth[f]
         last_seen[r, c] = max(last_seen[r, c], second)
         _remember(seen_by[r, c], camera)
         f = supported[i]
@@ -148,3 +189,64 @@ def accumulate(
             first[r, c, f] = second if first[r, c, f] == 0 else min(first[r, c, f], second)
             last[r, c, f] = max(last[r, c, f], second)
             _remember(witnesses[r, c, f], camera)
+        v = views[i]
+        e = _slot(epochs[r, c, v], epoch, shown[r, c, v], best[r, c, v], span[r, c, v])
+        if e < 0:
+            continue  # the view has newer looks enough
+        whole = np.uint64(0)
+        for g in range(amounts.shape[1]):
+            whole += np.uint64(amounts[i, g])
+            shown[r, c, v, e, g] = np.uint32(min(np.uint64(shown[r, c, v, e, g]) + np.uint64(amounts[i, g]), ceiling))
+        best[r, c, v, e] = max(best[r, c, v, e], whole)
+        if span[r, c, v, e, 0] == 0 or second < span[r, c, v, e, 0]:
+            span[r, c, v, e, 0] = second
+        span[r, c, v, e, 1] = max(span[r, c, v, e, 1], second)
+
+
+@numba.njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def pooled(
+    shown: Any,
+    best: Any,
+    span: Any,
+    now: float,
+    decay_s: Any,
+    look_s: float,
+    between_frames: float,
+    between_views: float,
+) -> NDArray[np.float64]:
+    """(N, F) evidence that the looks of all views are worth together, as of a time: nested design effects.
+
+    `shown` (N, V, E, F), `best` (N, V, E), `span` (N, V, E, 2): what each view shows in each epoch, the most that a
+    frame adds to it, and its first and last second.
+    """
+    n, views, epochs, forms = shown.shape
+    out = np.zeros((n, forms))
+    share = np.empty(forms)
+    for i in range(n):
+        total, largest = 0.0, 0.0
+        for v in range(views):
+            share[:] = 0.0
+            whole, peak, looks, begin, end = 0.0, 0.0, 0.0, np.inf, 0.0
+            for e in range(epochs):
+                if best[i, v, e] == 0:
+                    continue
+                opened, closed = float(span[i, v, e, 0]), float(span[i, v, e, 1])
+                age = max(now - closed, 0.0)
+                for f in range(forms):
+                    whole += shown[i, v, e, f]
+                    share[f] += shown[i, v, e, f] * np.exp(-age / decay_s[f])
+                peak = max(peak, float(best[i, v, e]))
+                looks += 1 + (closed - opened) / look_s
+                begin, end = min(begin, opened), max(end, closed)
+            if whole == 0:
+                continue
+            # No more looks than frames of full worth, nor than the light has had time to change between.
+            looks = max(min(looks, whole / peak, 1 + (end - begin) / look_s), 1.0)
+            worth = peak * looks / (1 + (looks - 1) * between_frames)
+            for f in range(forms):
+                out[i, f] += worth * share[f] / whole
+            total += worth
+            largest = max(largest, worth)
+        if total > 0:
+            out[i] /= 1 + (total / largest - 1) * between_views
+    return out

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,22 +23,25 @@ _SUPPORTS = 0.5
 class FrameEvidence:
     """`rows`, `cols`: (N,) int64 cells of the fuel grid. `amounts`: (N, FORMS) evidence for each life form, at most
     the frame cap a cell. `supported`: (N,) int64 index of the form that the frame shows there, -1 where it is not sure.
+    `bearing`: (N,) radians clockwise from grid north in which the frame looks at the cell; None: not known.
     """
 
     rows: NDArray[np.int64]
     cols: NDArray[np.int64]
     amounts: NDArray[np.float64]
     supported: NDArray[np.int64]
+    bearing: NDArray[np.float64] | None
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    def only(self, chosen: NDArray[Any]) -> FrameEvidence:
-        return FrameEvidence(self.rows[chosen], self.cols[chosen], self.amounts[chosen], self.supported[chosen])
-
 
 def frame_evidence(
-    votes: CellVotes, forms: NDArray[np.int64], errors: LabelErrors, rules: FusionRules
+    votes: CellVotes,
+    forms: NDArray[np.int64],
+    errors: LabelErrors,
+    rules: FusionRules,
+    stands: NDArray[np.uint8] | None = None,
 ) -> FrameEvidence:
     """Evidence w n p(l) of each cell.
 
@@ -49,6 +51,7 @@ def frame_evidence(
 
     Args:
         forms: (K,) index of each label's life form, -1 for none (`life_form.label_forms`).
+        stands: (H, W) a number for each kind of stand that the prior map knows; None: all are one.
 
     Raises ImageError for votes over other classes.
     """
@@ -64,8 +67,10 @@ def frame_evidence(
         useful &= np.maximum(votes.sighting.sigma_along, votes.sighting.sigma_across) <= rules.max_sigma
     votes, counts, pixels = votes.only(useful), counts[useful], pixels[useful]
     rows, cols = votes.rows.astype(np.int64), votes.cols.astype(np.int64)
-    probability = _probability(rows, cols, counts / pixels[:, None], pixels, errors, rules)
+    stand = np.zeros(len(rows), np.uint8) if stands is None else stands[rows, cols]
+    probability = _probability(rows, cols, counts / pixels[:, None], pixels, stand, errors, rules)
     amount = np.minimum(pixels, rules.frame_cap)
+    bearing = None
     if votes.confidence is not None:
         amount *= np.minimum(votes.confidence / rules.sure, 1.0)
     if votes.sighting is not None:
@@ -73,6 +78,7 @@ def frame_evidence(
         amount *= cell / np.hypot(cell, votes.sighting.footprint)
         cosine = np.maximum(votes.sighting.cos_incidence.astype(np.float64), 0.02)
         parallax = rules.relief * np.sqrt(1 - np.minimum(cosine, 1.0) ** 2) / cosine
+        bearing = votes.sighting.bearing.astype(np.float64)
         probability, coverage = spread(
             rows,
             cols,
@@ -80,13 +86,15 @@ def frame_evidence(
             amount,
             np.minimum(np.hypot(votes.sighting.sigma_along, parallax), rules.max_sigma) / cell,
             votes.sighting.sigma_across.astype(np.float64) / cell,
-            votes.sighting.bearing.astype(np.float64),
+            bearing,
         )
         amount *= coverage
-    amounts = amount[:, None] * probability
+    # Shafer's discount: labels that two forms explain as well say nothing of either.
+    first, second = (np.partition(probability, -k, axis=1)[:, -k] for k in (1, 2))
+    amounts = (amount * (first - second))[:, None] * probability
     shown = amounts.argmax(axis=1)
     sure = amounts.max(axis=1, initial=0.0) >= np.maximum(_SUPPORTS, 0.5 * amount)
-    return FrameEvidence(rows, cols, amounts, np.where(sure, shown, -1))
+    return FrameEvidence(rows, cols, amounts, np.where(sure, shown, -1), bearing)
 
 
 def _probability(
@@ -94,6 +102,7 @@ def _probability(
     cols: NDArray[np.int64],
     shares: NDArray[np.float64],
     pixels: NDArray[np.float64],
+    stand: NDArray[np.uint8],
     errors: LabelErrors,
     rules: FusionRules,
 ) -> NDArray[np.float64]:
@@ -103,8 +112,11 @@ def _probability(
     """
     table = errors.log_likelihood()
     known = np.isfinite(table).all(axis=1)
-    independent = pixels / (1 + (pixels - 1) * rules.label_correlation)
+    correlation = errors.correlation
+    independent = pixels / (1 + (pixels - 1) * correlation.cell)
     own = independent[:, None] * (shares @ table[known].T)
+    pooled, cells = with_neighbours(rows, cols, own, stand, rules.context, rules.context_cells)
+    pooled /= (1 + (cells - 1) * correlation.between_cells)[:, None]
     likelihood = np.full((len(shares), FORMS), -np.inf)
-    likelihood[:, known] = with_neighbours(rows, cols, own, rules.context)
+    likelihood[:, known] = pooled
     return np.asarray(np.exp(log_softmax(likelihood, axis=1)), np.float64)

@@ -1,32 +1,77 @@
-"""What a network calls the pixels of a cell of each life form: the likelihood of its labels."""
+"""What a network calls the pixels of a cell of each life form: the likelihood of its labels, and how its errors hang
+together.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ltm_core.config_io import load_yaml
-from ltm_core.errors import ConfigError
+from ltm_core.errors import ConfigError, ModelError
 from ltm_core.fuel.life_form import FORMS, LifeForm
 from ltm_core.resources import config_path
+from ltm_core.vision.calibration_io import Calibration, load_calibration
+from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.strict import StrictModel
 
 FLOOR = 0.01
 """The least share that any label is taken to have: a matrix counted on a few scenes never rules anything out."""
+ASSUMED = "default"
+"""Name of the file for networks of which nothing is known."""
 _NAMES = tuple(form.name.lower() for form in LifeForm)
+
+
+class LabelCorrelation(StrictModel):
+    """Intraclass correlations of a network's label errors: how much two pixels of one cell err alike beyond chance.
+
+    0: each errs for itself; 1: always both. Measured against truth by `ltm eval fuel BAG` (`label_correlation`).
+    """
+
+    cell: float = Field(ge=0, le=1)
+    """Of two pixels in one frame."""
+    stand: float = Field(ge=0, le=1)
+    """Of a pixel of the cell and one of another cell of its stand, some 100 m away, in one frame."""
+    view: float = Field(ge=0, le=1)
+    """Of two pixels in two frames of one view."""
+    network: float = Field(ge=0, le=1)
+    """Of two pixels in two views: errors of the network itself, whoever looks."""
+
+    @model_validator(mode="after")
+    def _nested(self) -> Self:
+        if not (self.cell >= self.view >= self.network and self.cell >= self.stand):
+            raise ValueError(f"must fall from cell to stand, and from cell over view to network; got {self}")
+        return self
+
+    @property
+    def between_cells(self) -> float:
+        """Of what two cells of one stand say of it."""
+        return self.stand / self.cell if self.cell > 0 else 0.0
+
+    @property
+    def between_frames(self) -> float:
+        """Of what two frames of one view say of a cell."""
+        return self.view / self.cell if self.cell > 0 else 0.0
+
+    @property
+    def between_views(self) -> float:
+        """Of what two views say of a cell."""
+        return self.network / self.view if self.view > 0 else 0.0
 
 
 class _ErrorsFile(StrictModel):
     source: str = Field(min_length=1)
-    shares: dict[str, dict[str, float]]
+    shares: dict[str, dict[str, float]] | None = None
+    correlation: LabelCorrelation | None = None
 
     @model_validator(mode="after")
     def _names_are_life_forms(self) -> _ErrorsFile:
-        for form, row in self.shares.items():
+        for form, row in (self.shares or {}).items():
             if strange := [name for name in (form, *row) if name not in _NAMES]:
                 raise ValueError(f"shares.{form}: {', '.join(strange)} is no life form; they are {', '.join(_NAMES)}")
             if min(row.values(), default=0) < 0 or not sum(row.values()) > 0:
@@ -37,10 +82,11 @@ class _ErrorsFile(StrictModel):
 @dataclass(frozen=True, eq=False)
 class LabelErrors:
     """`shares`: (FORMS, FORMS), by [the cell's life form, label]: rows sum to 1, NaN for a form that the network was
-    never tried on, which its labels then are no evidence of.
+    never tried on, which its labels then are no evidence of. `source`: where the figures are from.
     """
 
     shares: NDArray[np.float64]
+    correlation: LabelCorrelation
     source: str = ""
 
     def __post_init__(self) -> None:
@@ -51,22 +97,78 @@ class LabelErrors:
 
     @classmethod
     def load(cls, path: Path) -> LabelErrors:
-        """From YAML: `shares: {grass: {grass: 0.8, shrub: 0.2}, ...}`. Raises ConfigError on wrong names and values."""
+        """From YAML: `shares: {grass: {grass: 0.8, shrub: 0.2}, ...}`, `correlation: {cell: 0.4, ...}`; what is left
+        out is that of the assumed network. Raises ConfigError on wrong names and values.
+        """
         content = load_yaml(path, _ErrorsFile)
-        shares = np.full((FORMS, FORMS), np.nan)
-        for form, row in content.shares.items():
-            values = np.array([row.get(name, 0.0) for name in _NAMES])
-            shares[_NAMES.index(form)] = values / values.sum()
-        return cls(shares, content.source)
+        if content.shares is not None and content.correlation is not None:
+            return cls(_shares(content.shares), content.correlation, content.source)
+        assumed = cls.assumed()
+        shares = assumed.shares if content.shares is None else _shares(content.shares)
+        return cls(shares, content.correlation or assumed.correlation, content.source)
+
+    @classmethod
+    def assumed(cls) -> LabelErrors:
+        """Of a network of which nothing is known."""
+        path = _file_of(ASSUMED)
+        content = load_yaml(path, _ErrorsFile)
+        if content.shares is None or content.correlation is None:
+            raise ConfigError(f"{path}: must give both shares and correlation")
+        return cls(_shares(content.shares), content.correlation, content.source)
 
     @classmethod
     def of_model(cls, model: str) -> LabelErrors:
-        """Of a network by its manifest's name; `config/fuel/label_errors/default.yaml` for one without its own."""
-        folder = config_path("fuel/label_errors")
-        own = folder / f"{Path(model).stem}.yaml"
-        return cls.load(own if own.is_file() else folder / "default.yaml")
+        """Of a network by its manifest's name or path.
+
+        Shares are those of the calibration beside its manifest, correlations those of its file in
+        `config/fuel/label_errors/`; what neither says is that of the assumed network. Raises ConfigError.
+        """
+        assumed, own = cls.assumed(), _file_of(Path(model).stem)
+        given = load_yaml(own, _ErrorsFile) if own.is_file() else _ErrorsFile(source=assumed.source)
+        calibration = _calibration(model)
+        correlation = given.correlation or assumed.correlation
+        if given.shares is not None:
+            return cls(_shares(given.shares), correlation, given.source)
+        if calibration is None:
+            return cls(assumed.shares, correlation, given.source)
+        about = f"its calibration on {calibration.measured_on}; correlation: {given.source}"
+        return cls(_calibrated(calibration, assumed.shares), correlation, about)
 
     def log_likelihood(self) -> NDArray[np.float64]:
         """(FORMS, FORMS): log share by [life form, label]; -inf rows for forms that are not known."""
         mixed = (1 - FORMS * FLOOR) * self.shares + FLOOR
         return np.where(np.isnan(mixed), -np.inf, np.log(mixed))
+
+
+def _file_of(name: str) -> Path:
+    return config_path("fuel/label_errors") / f"{name}.yaml"
+
+
+def _shares(rows: dict[str, dict[str, float]]) -> NDArray[np.float64]:
+    shares = np.full((FORMS, FORMS), np.nan)
+    for form, row in rows.items():
+        values = np.array([row.get(name, 0.0) for name in _NAMES])
+        shares[_NAMES.index(form)] = values / values.sum()
+    return shares
+
+
+def _calibration(model: str) -> Calibration | None:
+    """That of a network; None for one without, and for names that are no network's."""
+    try:
+        manifest = Manifest.find(model)
+    except ModelError:
+        return None
+    return load_calibration(manifest)
+
+
+def _calibrated(calibration: Calibration, otherwise: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The confusion among life forms, that of `otherwise` for forms which the network does not know."""
+    shares = otherwise.copy()
+    names = {name: index for index, name in enumerate(calibration.classes) if name in _NAMES}
+    for form, row in names.items():
+        values = np.zeros(FORMS)
+        for label, column in names.items():
+            values[_NAMES.index(label)] = calibration.confusion[row][column]
+        if values.sum() > 0:
+            shares[_NAMES.index(form)] = values / values.sum()
+    return shares

@@ -10,18 +10,15 @@ from ltm_core.vision.strict import StrictModel
 
 
 class DecayYears(StrictModel):
-    """Time constants after which evidence of a life form has shrunk to 1/e: how long what a camera saw stays true.
+    """Time constants after which evidence of a life form has shrunk to 1/e: how long what a camera saw stays true."""
 
-    At least a quarter of a year, so that float64 holds evidence of any date until 2106.
-    """
-
-    grass: float = Field(2.0, ge=0.25)
-    shrub: float = Field(6.0, ge=0.25)
-    tree: float = Field(15.0, ge=0.25)
-    bare: float = Field(2.0, ge=0.25)
-    water: float = Field(10.0, ge=0.25)
-    built: float = Field(20.0, ge=0.25)
-    burned: float = Field(0.5, ge=0.25)
+    grass: float = Field(2.0, gt=0)
+    shrub: float = Field(6.0, gt=0)
+    tree: float = Field(15.0, gt=0)
+    bare: float = Field(2.0, gt=0)
+    water: float = Field(10.0, gt=0)
+    built: float = Field(20.0, gt=0)
+    burned: float = Field(0.5, gt=0)
 
 
 class FusionRules(StrictModel):
@@ -29,15 +26,17 @@ class FusionRules(StrictModel):
     """Probability that the prior map is right about a cell's life form."""
     prior_evidence: float = Field(6.0, gt=0)
     """What the prior map weighs, in the unit of evidence: one unit is a pixel that sees a cell perfectly."""
-    frame_cap: float = Field(FRAME_CAP, gt=0)
+    frame_cap: float = Field(FRAME_CAP, gt=0, le=255)
     """Evidence that one frame can give for one cell at most."""
     sure: float = Field(0.7, gt=0, le=1)
     """Mean confidence of labels from which on they weigh fully; less confident ones weigh in proportion."""
-    label_correlation: float = Field(0.2, ge=0, le=1)
-    """Of a network's errors within one cell of one frame: n pixels say as much as n / (1 + (n - 1) correlation)
-    independent ones (Kish's design effect)."""
-    context: float = Field(0.15, ge=0, le=1)
-    """What the labels of each of the eight cells about a cell in the same frame say for it, beside its own."""
+    context: float = Field(0.2, ge=0, le=1)
+    """What the labels of a cell of the same stand say for a cell that lies beside it, beside its own labels. A stand is
+    where the prior map says the same: plants grow and change by stands, and the network errs by smaller pieces."""
+    context_cells: float = Field(3.0, gt=0, le=8)
+    """Standard deviation of the Gaussian by which that falls with distance."""
+    look_s: float = Field(3600.0, gt=0)
+    """Seconds after which the light has moved on so far that a frame of the same view is another look."""
     relief: float = Field(2.0, ge=0)
     """Metres by which plants stand above the terrain that their pixels are traced to; it displaces along the sight."""
     max_sigma: float = Field(300.0, gt=0)

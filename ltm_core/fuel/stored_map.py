@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
@@ -34,10 +33,9 @@ _SIGHTING = ("cos_incidence", "footprint", "sigma_along", "sigma_across", "beari
 def fuel_schema(site: Site, geometry: GridGeometry) -> StoreSchema:
     """What the store of a site's map states; `geometry`: the fuel grid in the map frame.
 
-    Evidence is grown by its decay, so the time constants are part of its meaning.
+    The rules of fusion are no part of it: what frames show is kept, what it is worth is decided when the map is asked.
     """
-    terms = json.dumps({"decay_years": site.fuel.fusion.decay_years.model_dump()}, sort_keys=True)
-    return StoreSchema(STORE_KIND, EVIDENCE_VERSION, site.in_crs(geometry), TILE, dict(EVIDENCE_FIELDS), terms)
+    return StoreSchema(STORE_KIND, EVIDENCE_VERSION, site.in_crs(geometry), TILE, dict(EVIDENCE_FIELDS))
 
 
 def restore(store: TileStore, evidence: LivingFuelMap) -> set[Key]:

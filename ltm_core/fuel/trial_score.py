@@ -15,7 +15,8 @@ from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.majority import UNSEEN, MajorityFuelMap
 from ltm_core.fuel.rules import FusionRules
-from ltm_core.fuel.trial import Trial, frames, make_world
+from ltm_core.fuel.trial import Trial, frames
+from ltm_core.fuel.trial_world import make_world
 from ltm_core.vision.labels import LabelSet
 
 
@@ -52,9 +53,10 @@ def run_trial(
     trial: Trial, seed: int, errors: LabelErrors, labels: LabelSet, rules: FusionRules, dem: Dem | None = None
 ) -> TrialScore:
     """One country, one set of frames, and both maps made of them."""
-    world = make_world(trial, seed, dem)
+    world = make_world(seed, trial.prior_wrong, dem)
+    known = trial.known(errors)
     prior = world.prior if trial.has_prior else None
-    ours = EvidenceMap(world.geometry, prior, labels, rules, errors)
+    ours = EvidenceMap(world.geometry, prior, labels, rules, known)
     vote = MajorityFuelMap(world.geometry, len(labels))
     spent, count = 0.0, 0
     for votes in frames(world, trial, errors, labels, seed):
@@ -65,7 +67,7 @@ def run_trial(
         count += 1
     layers = ours.layers()
     voted = vote.classes()
-    before = EvidenceMap(world.geometry, world.prior, labels, rules, errors).layers().life_form
+    before = EvidenceMap(world.geometry, world.prior, labels, rules, known).layers().life_form
     seen = voted != UNSEEN
     patch = world.patch & seen
     elsewhere = seen & ~world.patch

@@ -17,7 +17,7 @@ from ltm_core.fuel.vote_kernel import sum_pixels
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 
-FRAME_CAP = 6.0
+FRAME_CAP = 10.0
 """Pixels of one frame in one cell that count as evidence at most: they see the same plants under the same light, so a
 thousand of them say hardly more than a few."""
 
@@ -162,10 +162,15 @@ class VoteCaster:
         )
         rows = (sums.cells // self.geometry.width).astype(np.int32)
         cols = (sums.cells % self.geometry.width).astype(np.int32)
-        z = self._dem.elevation_at(*self.geometry.to_map(rows, cols)).astype(np.float32)
+        x, y = self.geometry.to_map(rows, cols)
+        z = self._dem.elevation_at(x, y).astype(np.float32)
         sighting = sight_cells(
             sums.x, sums.y, self._dem, self.geometry.resolution, camera, pose, self._bend, covariance
         )
+        # Of the cells themselves and not of where in them pixels happen to lie: a camera that stays sees each of them
+        # in one bearing.
+        east, north = x - pose.position[0], y - pose.position[1]
+        sighting = replace(sighting, bearing=np.arctan2(east, north).astype(np.float32))
         mean = None if confidence is None else (sums.confidence / 255).astype(np.float32)
         return CellVotes(self.geometry, rows, cols, sums.counts, z, stamp_ns, source, mean, sighting)
 

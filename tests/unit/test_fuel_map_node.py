@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import sqlite3
 from array import array
 from collections.abc import Callable
 from pathlib import Path
@@ -252,10 +254,14 @@ def test_foreign_and_damaged_stores_end_the_node_and_stay_as_they_are(site: Path
     Node(write_site(other, fuel={"resolution": 60.0}), folder=str(folder)).handler.finish()
     damaged = bytearray(path.read_bytes())
     damaged[5000:9000] = bytes(4000)
-    decay = {"fusion": {"decay_years": {"tree": 9.0}}}
     cases = {"geometry is": (path.read_bytes(), {}), "damaged": (bytes(damaged), {}), "not a tile": (b"diary" * 99, {})}
     Node(site, folder=str(other)).handler.finish()
-    cases["decay_years"] = ((other / STORE_FILE).read_bytes(), {"fuel": decay})
+    with contextlib.closing(sqlite3.connect(other / STORE_FILE)) as store:
+        (described,) = store.execute("SELECT content FROM description").fetchone()
+        older = json.dumps(json.loads(described) | {"version": 1})
+        store.execute("UPDATE description SET content = ?", (older,))
+        store.commit()
+    cases["version is 1"] = ((other / STORE_FILE).read_bytes(), {})
     for complaint, (content, changes) in cases.items():
         path.write_bytes(content)
         with pytest.raises(ConfigError, match=complaint):
