@@ -20,6 +20,10 @@ CREST = 3.0
 """Metres that unlabelled or low cover may rise over a crest."""
 TREE_CREST = 12.0
 """Metres that a tree may rise over a crest."""
+STANDING: Mapping[str, float] = {"grass": 0.03, "shrub": 0.1, "tree": 0.3, "bare": 0.03, "water": 0.01, "built": 0.3}
+"""Chance that a pixel of a class shows something which stands clearly before the bare ground behind it: of label images
+that are often wrong about crowns. Of unlabelled pixels UNLABELLED_STANDING."""
+UNLABELLED_STANDING = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,13 +32,14 @@ class DepthClasses:
 
     `cover`: float32 metres of cover above bare ground. `ground`: bool, the terrain shows there. `crest`: float32 metres
     to which a silhouette may be raised there. `surface`: float32 log odds that a canopy raster and not bare ground is
-    what shows. `sky`: the id of sky.
+    what shows. `standing`: float32, the chance that something stands before the ground. `sky`: the id of sky.
     """
 
     cover: NDArray[np.float32]
     ground: NDArray[np.bool_]
     crest: NDArray[np.float32]
     surface: NDArray[np.float32]
+    standing: NDArray[np.float32]
     sky: int = int(Label.SKY)
 
     @classmethod
@@ -52,6 +57,10 @@ class DepthClasses:
         surface[[Label.GRASS, Label.BARE, Label.WATER]] = -3.0
         surface[[Label.SHRUB, Label.TREE]] = 0.5, 2.0
         crest[Label.SKY] = 0.0
+        standing = np.full(256, UNLABELLED_STANDING, np.float32)
+        standing[Label.SKY] = 0.0
+        for name, chance in STANDING.items():
+            standing[labels.id_of(name)] = chance
         cover[UNLABELLED] = 0.0
         ground[UNLABELLED] = True
-        return cls(cover, ground, crest, surface)
+        return cls(cover, ground, crest, surface, standing)

@@ -1,11 +1,9 @@
 """TopoDepth: traced depth and a network's depth of one photo made one, pixel by pixel, by what each is worth there.
 
 After the paper's pixel sampling and RANSAC regression (the LTM paper, after FireLoc): the network's free scale comes
-from pixels whose terrain can be trusted. Then every pixel takes the mean of the two, weighted by inverse variance, in
-inverse depth; but where they differ by more than they do anywhere on trusted ground, something stands there that the
-terrain does not know (or is gone), and the network alone is taken. Far away the terrain decides, since a network's
-sigma grows with the square of the depth. Before that the terrain's answer is brought to the visible surface: by the
-height of what the labels say grows there, or by a canopy raster, and at silhouettes by the photo.
+from pixels whose terrain can be trusted, and so does what the network says where the depth is known. The terrain's
+answer is brought to the visible surface, by the height of what the labels say grows there or by a canopy raster, and at
+silhouettes by the photo. Then every pixel is decided: see `combine`.
 """
 
 from __future__ import annotations
@@ -15,31 +13,23 @@ from enum import IntEnum, StrEnum
 from typing import Any
 
 import cv2
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.depth.classes import DepthClasses
-from ltm_core.depth.guided import guided_coefficients
+from ltm_core.depth.combine import combine
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_fit import NetworkFit, fit_network
 from ltm_core.depth.pose_check import PoseCheck, check_pose
 from ltm_core.depth.range_image import RangeImage
 from ltm_core.depth.sampling import ground_samples
+from ltm_core.depth.seen import SeenDepth
 from ltm_core.depth.silhouettes import raise_silhouettes
 from ltm_core.depth.surface import expected_surface
 from ltm_core.errors import ImageError
 
 Image = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
-
-OVERRULE = 3.0
-"""Joint sigmas beyond which a network that sees something nearer contradicts the terrain."""
-OVERRULE_FARTHER = 5.0
-"""The same for something farther: ground vanishes more seldom than plants and walls stand up before it."""
-
-STEP_DOUBT = 0.5
-"""Sigma at a network's edges as a part of the step there, where it stands alone against the terrain."""
 
 
 class Source(IntEnum):
@@ -103,7 +93,7 @@ class FusedDepth:
             "inlier_ratio": round(self.inlier_ratio, 4),
             "scale": line.scale if line is not None else None,
             "shift": line.shift if line is not None else None,
-            "regional": bool(self.fit is not None and self.fit.regional),
+            "regional": bool(self.fit is not None and self.fit.answers.regional),
             "share": {source.name.lower(): round(float(shares[source]), 4) for source in Source},
             "pose": {k: round(v, 4) if isinstance(v, float) else v for k, v in asdict(self.pose).items()},
         }
@@ -153,23 +143,26 @@ def fuse(
     samples = ground_samples(expected, sigma, labels, classes.ground, camera.fy)
     fit = None if network is None else fit_network(network, samples, (size[0], size[1]))
     source = np.empty(size, np.uint8)
-    nothing = np.zeros((1, 1), np.float32)
-    beside = _upsampled(fit, rgb) if fit is not None and not fit.trouble else None
-    inverse, doubt, step = (nothing, nothing, nothing) if beside is None else beside
+    beside = SeenDepth.of(fit, rgb) if fit is not None and not fit.trouble else None
     raise_silhouettes(rgb, ground, expected, sigma, labels, classes.crest, classes.sky, camera, beside)
-    over = surface.depth() if surface is not None else np.zeros((1, 1), np.float32)
-    _combine(
+    nothing = np.zeros((1, 1), np.float32)
+    seen = SeenDepth.none() if beside is None else beside
+    combine(
         expected,
         sigma,
-        over,
+        surface.depth() if surface is not None else nothing,
         surface is not None,
-        inverse,
-        doubt,
-        step,
+        seen.inverse,
+        seen.nearest,
+        seen.farthest,
+        seen.answers.shift,
+        seen.answers.factor,
+        np.float32(seen.gross),
         beside is not None,
         np.zeros((1, 1), np.uint8) if labels is None else labels,
         labels is not None,
         classes.sky,
+        classes.standing,
         classes.surface,
         source,
     )
@@ -207,93 +200,3 @@ def _beyond_the_dem(ground: Image) -> NDArray[np.bool_] | None:
     open_ended[regions[edge & unknown]] = True
     found = open_ended[regions]
     return np.asarray(found, np.bool_) if found.any() else None
-
-
-def _upsampled(fit: NetworkFit, rgb: Bytes) -> tuple[Image, Image, Image]:
-    """The network's inverse depth at the photo's size, its edges drawn to the photo's, its sigma and step, (H, W)."""
-    height, width = rgb.shape[:2]
-    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-    gain, offset = guided_coefficients(fit.inverse, grey)
-    gain, offset, sigma, step = (
-        np.asarray(cv2.resize(a, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
-        for a in (gain, offset, fit.sigma, fit.step)
-    )
-    _apply(gain, grey, offset)
-    return offset, sigma, step
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "contract"})  # type: ignore[untyped-decorator]
-def _apply(gain: Image, grey: Bytes, offset: Image) -> None:
-    """offset + gain * grey, into `offset`."""
-    for v in range(grey.shape[0]):
-        for u in range(grey.shape[1]):
-            offset[v, u] += gain[v, u] * np.float32(grey[v, u])
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _combine(
-    depth: Image,
-    sigma: Image,
-    over: Image,
-    has_over: bool,
-    inverse: Image,
-    doubt: Image,
-    step: Image,
-    usable: bool,
-    labels: Bytes,
-    labelled: bool,
-    sky: int,
-    prefers_over: NDArray[np.float32],
-    source: Bytes,
-) -> None:
-    """Fuse in place: `depth` and `sigma` come in as the terrain's and go out as the fused ones."""
-    far = np.float32(1e9)
-    height, width = depth.shape
-    for v in range(height):
-        for u in range(width):
-            d, s = depth[v, u], sigma[v, u]
-            label = labels[v, u] if labelled else np.uint8(255)
-            y, t = np.float32(np.nan), np.float32(np.nan)
-            if usable:
-                y, t = inverse[v, u], doubt[v, u] + np.float32(STEP_DOUBT) * step[v, u]
-            if has_over:
-                c = over[v, u]
-                if c < far and (not d < far or abs(c - d) > s):
-                    # Bare ground or canopy: the label's odds, and which of the two the network is nearer to.
-                    odds = prefers_over[label]
-                    if y == y:
-                        a = np.float32(0.0)
-                        if d < far:
-                            a = 1 / d
-                        to_ground, to_over = (y - a) / t, (y - 1 / c) / t
-                        gain = np.float32(0.5) * (to_ground * to_ground - to_over * to_over)
-                        odds += min(max(gain, np.float32(-4.0)), np.float32(4.0))
-                    if odds > 0:
-                        s = np.float32(0.03) * c if np.isnan(s) else max(s, np.float32(0.01) * c)
-                        d = c
-            clear = y > 4 * t and label != sky
-            if d < far:
-                source[v, u] = 1
-                if y == y:
-                    a, b = 1 / d, s / (d * d)
-                    joint = t * t + b * b
-                    off = y - a
-                    most = OVERRULE if off > 0 else OVERRULE_FARTHER
-                    if off * off <= most * most * joint:
-                        w = b * b / joint
-                        a += w * off
-                        if a > 0:
-                            d = 1 / a
-                            s = t * b / np.sqrt(joint) * d * d
-                            if w > np.float32(0.1):
-                                source[v, u] = 3
-                    elif clear:
-                        d, s = 1 / y, t / (y * y)
-                        source[v, u] = 2
-            elif clear:
-                d, s = 1 / y, t / (y * y)
-                source[v, u] = 2
-            else:
-                source[v, u] = 4 if d > far else 0
-                s = np.float32(np.nan)
-            depth[v, u], sigma[v, u] = d, s

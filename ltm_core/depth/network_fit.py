@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ltm_core.depth.answers import RELATIVE_FLOOR, Answers
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.regression import Line, robust_line, robust_offset
+from ltm_core.depth.regression import WIDTH, Line, robust_line, robust_offset
 from ltm_core.depth.sampling import GroundSamples
 
 Floats = NDArray[np.float64]
@@ -21,37 +22,36 @@ Image = NDArray[np.float32]
 
 LEAST_INLIERS = 0.3
 """Share of samples below which nothing holds together."""
-LEAST_EXPLAINED = 0.2
+LEAST_EXPLAINED = 0.1
 """Part of the ground's robust spread in inverse depth that a network must take away to be of use."""
-REGIONS = (9, 16)
-"""Rows and columns of the field of slow corrections."""
-_SHRINK = (4.0, 16.0, 64.0)  # samples' worth of belief in no correction, tried in turn
-_GAIN = 0.97  # of the held-out error: corrections that do not reach it are left out
-_RELATIVE_FLOOR = 2e-3  # least relative noise of a fit that is believed
-_WINSOR = 6.0
-_COVERED = 4.0
-TAIL, TAIL_SIGMAS = 0.99, 2.576
-"""A normal distribution's share of residuals within so many sigmas."""
-UNSAMPLED = 4.0
-"""Variance of a region without samples, in that of regions held out."""
+_SHIFT_GAIN = (
+    0.8  # of the residual: a shift that does not bring it there is left out, for it would rule all that is far
+)
+_TYPICAL = 0.1  # relative sigma of the terrain from which on a sample counts for less
+GROSS_SIGMAS = 3.0
+"""Joint sigmas beyond which a network's residual is no noise."""
+COVERED_GROSS = 0.5
+"""Part of the ground that a network sees much too near which is its error, and no cover that the labels missed."""
+LEAST_GROSS = 0.003
+"""Least share of gross errors that a network is believed to make."""
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkFit:
     """A network's inverse depth in 1/m at its own size, and what the fit says of it.
 
-    `inverse`, `sigma`: (h, w) float32, 1/m; sigma is so large that on trusted ground one residual in 100 lies beyond
-    2.6 of it, as of a normal distribution, though a network's errors have long tails. `step`: (h, w) float32, 1/m, how
-    far `inverse` ranges among a pixel's neighbours: edges are soft, and halfway is neither side's depth. `line`: scale
-    and shift, in the measure of the network's kind. `regional`: whether slow corrections are in. `trouble`: why the fit
-    cannot be used; empty where it can.
+    `inverse`: (h, w) float32, 1/m, by one scale and shift. `nearest`, `farthest`: the same, the greatest and the least
+    among a pixel's neighbours: edges are soft, and halfway is neither side's depth. `answers`: what it says where the
+    truth is known. `gross`: share of answers that are no noise but wrong. `line`: scale and shift, in the measure of
+    the network's kind. `trouble`: why the fit cannot be used; empty where it can.
     """
 
     inverse: Image
-    sigma: Image
-    step: Image
+    nearest: Image
+    farthest: Image
+    answers: Answers
+    gross: float
     line: Line | None
-    regional: bool
     trouble: str
 
     @property
@@ -69,7 +69,7 @@ def fit_network(network: NetworkDepth, samples: GroundSamples, size: tuple[int, 
     known = np.isfinite(at)
     if known.sum() < 50:
         return _unusable(network, None, f"{int(known.sum())} of {len(samples)} ground samples have a network depth")
-    line = _line(network.kind, at[known], samples.depth[known])
+    line = _line(network.kind, at[known], samples.part(known))
     if line is None:
         return _unusable(network, None, "the network's depth is constant over the ground samples")
     if line.inlier_ratio < LEAST_INLIERS:
@@ -77,34 +77,17 @@ def fit_network(network: NetworkDepth, samples: GroundSamples, size: tuple[int, 
     if line.scale <= 0:
         return _unusable(network, line, f"the network's depth runs against the terrain's (scale {line.scale:.3g})")
     inverse = _in_metres(network, line)
-    noise = _noise(1.0 / samples.depth, 1.0 / samples.depth - sampled(inverse, samples, size))
-    if network.kind == "relative_inverse":
-        again = robust_line(
-            at[known], 1.0 / samples.depth[known], 1.0 / noise.of(1.0 / samples.depth[known]).astype(np.float64)
-        )
-        if again is not None and again.scale > 0:
-            line, inverse = replace(again, inliers=line.inliers), _in_metres(network, again)
-            noise = _noise(1.0 / samples.depth, 1.0 / samples.depth - sampled(inverse, samples, size))
-    explained = _explained(1.0 / samples.depth, sampled(inverse, samples, size))
+    read = sampled(inverse, samples, size)
+    explained = _explained(1.0 / samples.depth, read)
     if explained < LEAST_EXPLAINED:
         return _unusable(network, line, f"the network's depth explains only {explained:.0%} of the terrain's")
-    sigma = noise.of(inverse)
-    here, spread = sampled(inverse, samples, size), sampled(sigma, samples, size)
-    off = 1.0 / samples.depth - here
-    terrain = samples.sigma / samples.depth**2
-    usable = np.isfinite(off) & np.isfinite(spread)
-    field, factor = _regional(off / spread, usable, samples, size)
-    if field is not None:
-        inverse = inverse + sigma * _grown(field, inverse.shape)
-        off = 1.0 / samples.depth - sampled(inverse, samples, size)
-    sigma = (sigma * _grown(factor, sigma.shape)).astype(np.float32)
-    joint = (off / np.hypot(sampled(sigma, samples, size), terrain))[usable]
-    # Only where the network sees something farther than the terrain: there it errs, since ground seldom vanishes.
-    # What it sees nearer may be plants that no label told of.
-    farther = joint[joint > 0]
-    tail = float(np.quantile(farther, TAIL)) if len(farther) >= 20 else 0.0
-    sigma = (sigma * max(1.0, tail / TAIL_SIGMAS)).astype(np.float32)
-    return NetworkFit(inverse.astype(np.float32), sigma, _range(inverse), line, field is not None, "")
+    answers = Answers.of(read, samples, size)
+    # Ground seldom vanishes, so what is farther than the terrain is an error; what is nearer may be plants as well.
+    joint = answers.joint(read, samples, size)
+    joint = joint[np.isfinite(joint)]
+    gross = float(np.mean(joint > GROSS_SIGMAS) + COVERED_GROSS * np.mean(joint < -GROSS_SIGMAS))
+    gross = max(LEAST_GROSS, gross)
+    return NetworkFit(inverse, *_neighbours(inverse), answers, gross, line, "")
 
 
 def sampled(image: Image, samples: GroundSamples, size: tuple[int, int]) -> Floats:
@@ -137,42 +120,56 @@ def _too_few(samples: GroundSamples) -> str:
     return "" if len(samples) >= 50 else f"{len(samples)} pixels of trustworthy ground are too few to fit a scale to"
 
 
-def _line(kind: str, values: Floats, depth: Floats) -> Line | None:
+def _line(kind: str, values: Floats, samples: GroundSamples) -> Line | None:
+    """Scale and shift. Residuals of inverse depth weigh in proportion to it among the near, evenly among the far, and
+    less where the terrain itself is unsure."""
+    inverse = 1.0 / samples.depth
+    relative = samples.sigma / samples.depth
     if kind == "relative_inverse":
-        return robust_line(values, 1.0 / depth, floor=_RELATIVE_FLOOR / float(np.median(depth)))
+        typical = np.hypot(inverse, np.median(inverse))
+        weight = 1.0 / (typical * np.hypot(1.0, relative / _TYPICAL))
+        line = robust_line(values, inverse, weight, floor=RELATIVE_FLOOR)
+        return _without_shift(line, values, inverse, weight)
     if kind == "affine_invariant":
-        return robust_line(values, depth, weight=1.0 / depth, floor=_RELATIVE_FLOOR)
-    return robust_offset(np.log(depth) - np.log(values), floor=_RELATIVE_FLOOR)
+        return robust_line(values, samples.depth, inverse / np.hypot(1.0, relative / _TYPICAL), floor=RELATIVE_FLOOR)
+    known = values > 0
+    line = robust_offset(np.log(samples.depth[known]) - np.log(values[known]), floor=RELATIVE_FLOOR)
+    return None if line is None else replace(line, inliers=_spread_out(line.inliers, known))
 
 
-@dataclass(frozen=True, eq=False)
-class _Noise:
-    """Sigma of inverse depth as it grows with inverse depth itself: `sigma` (K,) at `inverse` (K,), 1/m."""
+def _without_shift(line: Line | None, values: Floats, inverse: Floats, weight: Floats) -> Line | None:
+    """The line through 0 unless the shift earns its place: one that hardly shows on the ground that was sampled would
+    yet decide how far all else is."""
+    positive = values > 0
+    if line is None or positive.mean() < 0.9:
+        return line
+    ratio = robust_offset(np.log(inverse[positive]) - np.log(values[positive]), floor=RELATIVE_FLOOR)
+    if ratio is None:
+        return line
+    scale = float(np.exp(ratio.shift))
+    off = np.abs(scale * values - inverse) * weight
+    shifted = float(np.median(np.abs(line.scale * values + line.shift - inverse) * weight))
+    plain = float(np.median(off))
+    if shifted < _SHIFT_GAIN * plain:
+        return line
+    sigma = max(1.4826 * plain, RELATIVE_FLOOR)
+    return Line(scale, 0.0, sigma, off <= WIDTH * sigma)
 
-    inverse: Floats
-    sigma: Floats
 
-    def of(self, inverse: NDArray[np.floating]) -> Image:
-        # Nearer than all samples: in proportion, for nothing is known of it.
-        beyond = np.maximum(inverse / self.inverse[-1], 1.0)
-        sigma: Image = (np.interp(inverse, self.inverse, self.sigma) * beyond).astype(np.float32)
-        return sigma
-
-
-def _noise(inverse: Floats, off: Floats) -> _Noise:
-    """Robust spread of `off` (N,) in eight parts of equal count from far to near, never falling towards the near."""
-    usable = np.isfinite(off)
-    order = np.argsort(inverse[usable])
-    parts = np.array_split(order, 8)
-    centre = np.array([np.median(inverse[usable][part]) for part in parts])
-    spread = np.array([1.4826 * np.median(np.abs(off[usable][part])) for part in parts])
-    return _Noise(centre, np.maximum(np.maximum.accumulate(spread), _RELATIVE_FLOOR * centre))
+def _spread_out(inliers: NDArray[np.bool_], known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    everywhere = np.zeros(len(known), np.bool_)
+    everywhere[known] = inliers
+    return everywhere
 
 
 def _explained(inverse: Floats, fitted: Floats) -> float:
+    """The part of the ground's robust spread in inverse depth, in proportion to it, that `fitted` takes away."""
     usable = np.isfinite(fitted)
-    before = np.median(np.abs(inverse[usable] - np.median(inverse[usable])))
-    return 1.0 - float(np.median(np.abs(inverse[usable] - fitted[usable])) / max(before, 1e-12))
+    inverse, fitted = inverse[usable], fitted[usable]
+    middle = np.median(inverse)
+    typical = np.hypot(inverse, middle)
+    before = np.median(np.abs(inverse - middle) / typical)
+    return 1.0 - float(np.median(np.abs(inverse - fitted) / typical) / max(before, 1e-12))
 
 
 def _in_metres(network: NetworkDepth, line: Line) -> Image:
@@ -188,57 +185,13 @@ def _in_metres(network: NetworkDepth, line: Line) -> Image:
         return np.where(depth > 0, 1.0 / depth, np.nan).astype(np.float32)
 
 
-def _regional(
-    off: Floats, usable: NDArray[np.bool_], samples: GroundSamples, size: tuple[int, int]
-) -> tuple[Image | None, Image]:
-    """The field of slow corrections in sigmas, or None where it does not help, and the sigmas' local factor, (R, C).
-
-    A field is taken over the regions of a checkerboard and judged on the others: what a correction says of ground that
-    it has not seen is what it will say of trees.
-    """
-    # What the network sees much nearer than the terrain is cover that no label told of, not its slow error.
-    usable = usable & ~(off < -_COVERED)
-    rows = np.minimum((samples.rows * REGIONS[0]) // size[0], REGIONS[0] - 1)[usable]
-    cols = np.minimum((samples.cols * REGIONS[1]) // size[1], REGIONS[1] - 1)[usable]
-    off = np.clip(off[usable], -_WINSOR, _WINSOR)
-    index, black = rows * REGIONS[1] + cols, (rows + cols) % 2 == 0
-    unseen = float(np.mean(off**2))
-    best, shrink = unseen * _GAIN**2, None
-    for belief in _SHRINK:
-        left = np.concatenate(
-            [(off - _field(index[s], off[s], belief).ravel()[index])[~s] for s in (black, ~black) if s.any()]
-        )
-        if len(left) and float(np.mean(left**2)) < best:
-            unseen = best = float(np.mean(left**2))
-            shrink = belief
-    field = None if shrink is None else _field(index, off, shrink)
-    if field is not None:
-        off = off - field.ravel()[index]
-    # Where no ground was sampled, errors are those of regions that were held out, and more: these lay side by side.
-    spread = np.sqrt(_field(index, off**2, 16.0, max(1.0, UNSAMPLED * unseen)))
-    return field, spread
-
-
-def _field(index: NDArray[np.intp], off: Floats, belief: float, prior: float = 0.0) -> Image:
-    """Smoothed mean of `off` by region (R, C), drawn towards `prior` by as many samples as `belief` says."""
-    cells = REGIONS[0] * REGIONS[1]
-    totals = np.bincount(index, off - prior, cells).reshape(REGIONS).astype(np.float32)
-    counts = np.bincount(index, minlength=cells).reshape(REGIONS).astype(np.float32)
-    totals, counts = (cv2.GaussianBlur(a, (0, 0), 1.0, borderType=cv2.BORDER_REPLICATE) for a in (totals, counts))
-    return np.asarray(prior + totals / (counts + belief), np.float32)
-
-
-def _range(image: Image) -> Image:
-    """Largest minus least value among each pixel's neighbours."""
+def _neighbours(image: Image) -> tuple[Image, Image]:
+    """Largest and least value among each pixel's neighbours."""
     known = np.nan_to_num(image, nan=0.0)
     square = np.ones((3, 3), np.uint8)
-    return np.asarray(cv2.dilate(known, square) - cv2.erode(known, square), np.float32)
-
-
-def _grown(field: Image, shape: tuple[int, ...]) -> Image:
-    return np.asarray(cv2.resize(field, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR), np.float32)
+    return np.asarray(cv2.dilate(known, square), np.float32), np.asarray(cv2.erode(known, square), np.float32)
 
 
 def _unusable(network: NetworkDepth, line: Line | None, trouble: str) -> NetworkFit:
     nothing = np.full(network.values.shape, np.nan, np.float32)
-    return NetworkFit(nothing, nothing, nothing, line, False, trouble)
+    return NetworkFit(nothing, nothing, nothing, Answers.none(), 1.0, line, trouble)

@@ -18,6 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
+from ltm_core.depth.answers import said
+from ltm_core.depth.crests import smoothed
+from ltm_core.depth.seen import SeenDepth
 from ltm_core.depth.surface import JUMP
 
 Image = NDArray[np.float32]
@@ -32,7 +35,6 @@ _TEMPER = 0.3  # of a pixel's colour likelihood: neighbours share texture, so th
 _MOST = 2.0  # log likelihood that one pixel's colour may carry
 _NETWORK_MOST = 3.0  # the same of its network depth
 _NETWORK_SURE = 1.0  # log likelihood from which on the network may raise an edge beyond the usual cover
-_SIDE_DOUBT = 0.2  # of a network's step: less than elsewhere, for it only has to say which of two sides it is
 _NEED = 1.0  # log odds by which a cut must be better than none
 _BLUR = (5, 3)
 
@@ -60,18 +62,17 @@ def raise_silhouettes(
     crest: NDArray[np.float32],
     sky: int,
     camera: Camera,
-    network: tuple[Image, Image, Image] | None = None,
+    network: SeenDepth | None = None,
 ) -> Silhouettes:
     """Move the edges of `surface` and `sigma` (H, W), in place, to where the photo has them; the edges found.
 
-    `crest`: (256,) metres to which a pixel of each class may belong to cover on the crest below it. `network`: inverse
-    depth, its sigma and its step at the photo's size (H, W), 1/m (see `network_fit`), where there is a network.
+    `crest`: (256,) metres to which a pixel of each class may belong to cover on the crest below it. `network`: what it
+    sees at the photo's size, where there is one.
     """
     color = np.asarray(cv2.blur(rgb, _BLUR), np.uint8)
     rows, cols = _edges(ground, np.float32(JUMP))
     raised = np.zeros(len(rows), np.int32)
-    nothing = np.zeros((1, 1), np.float32)
-    inverse, doubt, step = (nothing, nothing, nothing) if network is None else network
+    seen = SeenDepth.none() if network is None else network
     _cut(
         color,
         ground,
@@ -80,16 +81,17 @@ def raise_silhouettes(
         crest,
         sky,
         np.float32(camera.fy),
-        inverse,
-        doubt,
-        step,
+        seen.inverse,
+        seen.answers.shift,
+        seen.answers.factor,
         network is not None,
+        np.float32(JUMP),
         rows,
         cols,
-        surface,
-        sigma,
         raised,
     )
+    raised = smoothed(rows, cols, raised, ground.shape[1])
+    _raise(rows, cols, raised, ground, surface, sigma)
     return Silhouettes(rows, cols, ground[rows, cols], raised)
 
 
@@ -143,12 +145,25 @@ def _step(inverse: Image, v: int, u: int, above: int, near: np.float32, far: np.
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _farther(inverse: np.float32, doubt: np.float32, near: np.float32, far: np.float32) -> np.float32:
-    """Log likelihood that the network speaks for the far side and not for the near one."""
+def _farther(
+    inverse: np.float32,
+    row: int,
+    col: int,
+    shift: Image,
+    factor: Image,
+    near: np.float32,
+    far: np.float32,
+) -> np.float32:
+    """Log likelihood that the network speaks for the far side and not for the near one. `row`, `col`: of the tables."""
     if np.isnan(inverse) or np.isnan(far):
         return np.float32(0.0)
-    a, b = (inverse - 1 / near) / doubt, (inverse - 1 / far) / doubt
-    gain = np.float32(0.5) * (a * a - b * b)
+    gain = np.float32(0.0)
+    for side in range(2):
+        true = np.float32(1.0) / (far if side else near)
+        less, spread = said(row, col, true, shift, factor)
+        off = (inverse - true + less) / spread
+        cost = np.float32(0.5) * off * off + np.log(spread)
+        gain += -cost if side else cost
     return min(max(gain, np.float32(-_NETWORK_MOST)), np.float32(_NETWORK_MOST))
 
 
@@ -162,13 +177,12 @@ def _cut(
     sky: int,
     focal: np.float32,
     inverse: Image,
-    doubt: Image,
-    step: Image,
+    shift: Image,
+    factor: Image,
     networked: bool,
+    jump: np.float32,
     rows: NDArray[np.int32],
     cols: NDArray[np.int32],
-    surface: Image,
-    sigma: Image,
     raised: NDArray[np.int32],
 ) -> None:
     height = color.shape[0]
@@ -178,6 +192,7 @@ def _cut(
     for i in range(len(rows)):
         v, u = rows[i], cols[i]
         d = ground[v, u]
+        row, col = v * shift.shape[0] // height, u * shift.shape[1] // color.shape[1]
         # The widest strip that any class allows decides where the far side's colour is taken; for most columns
         # no pixel is of a tall class and the usual crest's strip will do.
         usual = min(STRIP_PX, int(crest[255] * focal / d))
@@ -189,16 +204,28 @@ def _cut(
         for s in range(1, min(tall, v) + 1):
             taller = labelled and crest[labels[v - s, u]] > crest[255]
             if not taller and share > 0:
-                unsure = doubt[v - s, u] + np.float32(_SIDE_DOUBT) * step[v - s, u]
-                taller = share * _farther(inverse[v - s, u], unsure, d, ground[v - s, u]) < -_NETWORK_SURE
+                side = _farther(inverse[v - s, u], row, col, shift, factor, d, ground[v - s, u])
+                taller = share * side < -_NETWORK_SURE
             if not taller:
                 break
             strip = max(strip, s)
         strip = min(strip, v - _SAMPLE)
         if strip < 1 or v + _SAMPLE > height:
             continue
+        # The far side's colour must be that of the surface that the edge hides, not of what is behind that again.
+        behind = ground[v - 1, u]
+        thick = 1
+        while thick < strip + _SAMPLE and behind < 1e9 and _same(behind, ground[v - 1 - thick, u], jump):
+            behind = ground[v - 1 - thick, u]
+            thick += 1
+        top = v - strip - _SAMPLE
+        if behind < 1e9 and thick < strip + _SAMPLE:
+            strip = max(thick - _SAMPLE, thick // 2)
+            top = v - thick
+            if strip < 1:
+                continue
         _sample(color, v, v + _SAMPLE, u, near, near_var)
-        _sample(color, v - strip - _SAMPLE, v - strip, u, far, far_var)
+        _sample(color, top, v - strip, u, far, far_var)
         constant = np.float32(0.0)
         for j in range(3):
             constant += np.float32(0.5) * np.log(near_var[j] / far_var[j])
@@ -213,8 +240,8 @@ def _cut(
             evidence = min(max(np.float32(_TEMPER) * evidence, np.float32(-_MOST)), np.float32(_MOST))
             further = np.float32(0.0)
             if share > 0:
-                unsure = doubt[r, u] + np.float32(_SIDE_DOUBT) * step[r, u]
-                further = share * _farther(inverse[r, u], unsure, d, ground[r, u])
+                side = _farther(inverse[r, u], row, col, shift, factor, d, ground[r, u])
+                further = share * side
             if labelled:
                 label = labels[r, u]
                 if s * d > crest[label] * focal and further > -_NETWORK_SURE:
@@ -226,7 +253,28 @@ def _cut(
             if cost < best:
                 best, cut = cost, s
         raised[i] = cut
-        for s in range(1, cut + 1):
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _same(a: np.float32, b: np.float32, jump: np.float32) -> bool:
+    """Whether neighbouring depths are of one surface."""
+    return bool(b < 1e9 and b < jump * a and a < jump * b)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _raise(
+    rows: NDArray[np.int32],
+    cols: NDArray[np.int32],
+    raised: NDArray[np.int32],
+    ground: Image,
+    surface: Image,
+    sigma: Image,
+) -> None:
+    """Write the near side's depth above each edge."""
+    for i in range(len(rows)):
+        v, u = rows[i], cols[i]
+        d = ground[v, u]
+        for s in range(1, raised[i] + 1):
             if not surface[v - s, u] <= d:
                 surface[v - s, u] = d
                 sigma[v - s, u] = max(sigma[v, u], np.float32(0.02) * d)

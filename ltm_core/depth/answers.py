@@ -1,0 +1,191 @@
+"""What a network answers where the true depth is known: its slow errors and its noise, by region and by depth.
+
+The question that fusion asks of every pixel is not how far off the network usually is, but what it would say *here* if
+the terrain were right. A network that takes all far hills for nearer ones does not contradict a far hill; one that sees
+them so everywhere but at one spot does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from ltm_core.depth.sampling import GroundSamples
+
+Floats = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+REGIONS = (9, 16)
+"""Rows and columns in which samples are gathered."""
+RELATIVE_FLOOR = 2e-3
+"""Least relative noise that is believed."""
+UNSAMPLED = 4.0
+"""Variance of a region without samples, in that of regions held out."""
+OCTAVES = 28
+"""Half octaves of depth, from 4 m on."""
+_FIRST, _FARTHEST = 4.5, 40_000.0  # 2 log2 of the first half octave's middle; metres
+_FINE = 4  # cells of the tables in one region, each way
+_SHRINK = (4.0, 16.0, 64.0)  # samples' worth of belief in no correction, tried in turn
+_GAIN = 0.97  # of the held-out error: corrections that do not reach it are left out
+_WINSOR = 6.0
+_COVERED = 4.0
+_BLUR = (1.0, 1.0, 1.5)
+_PEAK = 0.15  # about what a smoothed cell keeps of its own
+_LEAST_SAID = 0.25  # of the true inverse depth that a network is taken to say
+_FEWEST = 10  # samples of which a spread is taken
+_BELIEF = 40.0  # samples' worth of it in that of all
+_LEAST_SPREAD = 0.5  # of that of all
+_BEYOND = 1.5  # growth of the spread with each half octave beyond all samples
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """Where the true inverse depth is x, the network says x - shift x, with a sigma of factor x.
+
+    `shift`, `factor`: (R, C, D) float32 over the photo and half octaves of depth. `regional`: whether they differ over
+    the photo.
+    """
+
+    shift: Image
+    factor: Image
+    regional: bool
+
+    @classmethod
+    def of(cls, read: Floats, samples: GroundSamples, size: tuple[int, int]) -> Answers:
+        """From what the network said (N,), 1/m, at ground samples of a photo of `size` (height, width)."""
+        usable = np.isfinite(read)
+        samples, read = samples.part(usable), read[usable]
+        terrain = samples.sigma / samples.depth
+        octave = octaves(samples.depth)
+        less = 1.0 - read * samples.depth
+        usual, spread = _by_depth(octave, less, terrain)
+        off = (less - usual[octave]) / np.hypot(spread[octave], terrain)
+        # What the network sees much nearer than the terrain is cover that no label told of, not its slow error.
+        ground = off > -_COVERED
+        mean, factor = _by_region(np.clip(off, -_WINSOR, _WINSOR)[ground], samples.part(ground), size)
+        shift = usual.astype(np.float32) + _grown(mean) * spread.astype(np.float32)
+        return cls(shift, _grown(factor) * spread.astype(np.float32), bool(mean.any()))
+
+    @classmethod
+    def none(cls) -> Answers:
+        """In place of a network that is not there."""
+        plain = np.zeros((1, 1, OCTAVES), np.float32)
+        return cls(plain, plain + 1, False)
+
+    def joint(self, read: Floats, samples: GroundSamples, size: tuple[int, int]) -> Floats:
+        """True less read inverse depth at samples (N,), in sigmas of both network and terrain."""
+        rows = samples.rows * self.shift.shape[0] // size[0]
+        cols = samples.cols * self.shift.shape[1] // size[1]
+        at = rows, cols, octaves(samples.depth)
+        off = 1.0 - read * samples.depth - self.shift[at]
+        return np.asarray(off / np.hypot(self.factor[at], samples.sigma / samples.depth), np.float64)
+
+
+def octaves(depth: NDArray[np.floating]) -> NDArray[np.intp]:
+    """The half octave that each depth, metres, is in."""
+    places = np.rint(2.0 * np.log2(depth) - _FIRST)
+    return np.asarray(np.clip(places, 0, OCTAVES - 1), np.intp)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def said(row: int, col: int, inverse: np.float32, shift: Image, factor: Image) -> tuple[np.float32, np.float32]:
+    """By how much less than the true `inverse` depth the network says in a cell of the tables, and its sigma, 1/m."""
+    # What has no depth, as the sky, is taken for the farthest that the tables know.
+    inverse = max(inverse, np.float32(1 / _FARTHEST))
+    place = np.float32(-2.0) * np.log2(inverse) - np.float32(_FIRST)
+    place = min(max(place, np.float32(0.0)), np.float32(OCTAVES - 1.001))
+    k = int(place)
+    part = place - np.float32(k)
+    less = shift[row, col, k] + part * (shift[row, col, k + 1] - shift[row, col, k])
+    sigma = factor[row, col, k] + part * (factor[row, col, k + 1] - factor[row, col, k])
+    return less * inverse, sigma * inverse
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def meant(row: int, col: int, read: np.float32, shift: Image, factor: Image) -> tuple[np.float32, np.float32]:
+    """The true inverse depth that the network means where it says `read`, and its sigma, 1/m."""
+    plain = np.float32(1.0)
+    less, sigma = said(row, col, read, shift, factor)
+    if read > 0:
+        plain = max(plain - less / read, np.float32(_LEAST_SAID))
+    return read / plain, sigma / plain
+
+
+def _by_depth(octave: NDArray[np.intp], less: Floats, terrain: Floats) -> tuple[Floats, Floats]:
+    """Median of `less` (N,), a part of the true inverse depth, by half octave, and its spread without the terrain's.
+
+    Both are drawn towards those of all samples by some samples' worth of belief: the few of one half octave may all
+    lie on one hill.
+    """
+    middle, wide = _spread(less, terrain)
+    known, usual, square = [], [], []
+    for which in np.unique(octave):
+        part = octave == which
+        count = int(part.sum())
+        if count >= _FEWEST:
+            here, own = _spread(less[part], terrain[part])
+            weight = count / (count + _BELIEF)
+            known.append(which)
+            usual.append(middle + weight * (here - middle))
+            # What the belief takes from the middle is left as spread.
+            square.append(weight * own**2 + (1 - weight) * (wide**2 + weight * (here - middle) ** 2))
+    if not known:
+        return np.full(OCTAVES, middle), np.full(OCTAVES, wide)
+    every = np.arange(OCTAVES)
+    beyond = np.maximum(np.maximum(known[0] - every, every - known[-1]), 0)
+    spread = np.sqrt(np.maximum(np.interp(every, known, square), (_LEAST_SPREAD * wide) ** 2))
+    return np.interp(every, known, usual), spread * _BEYOND**beyond
+
+
+def _spread(less: Floats, terrain: Floats) -> tuple[float, float]:
+    middle = float(np.median(less))
+    wide = 1.4826 * float(np.median(np.abs(less - middle)))
+    return middle, max(wide**2 - float(np.median(terrain)) ** 2, RELATIVE_FLOOR**2) ** 0.5
+
+
+def _by_region(off: Floats, samples: GroundSamples, size: tuple[int, int]) -> tuple[Image, Image]:
+    """Mean of `off` (N,) by region and depth, 0 where that does not help, and the spread about it, (R, C, D).
+
+    Means are taken over the regions of a checkerboard and judged on the others: what they say of ground that they have
+    not seen is what they will say of trees.
+    """
+    rows = np.minimum(samples.rows * REGIONS[0] // size[0], REGIONS[0] - 1)
+    cols = np.minimum(samples.cols * REGIONS[1] // size[1], REGIONS[1] - 1)
+    index = (rows * REGIONS[1] + cols) * OCTAVES + octaves(samples.depth)
+    black = (rows + cols) % 2 == 0
+    unseen = float(np.mean(off**2))
+    best, shrink = unseen * _GAIN**2, None
+    for belief in _SHRINK:
+        left = np.concatenate(
+            [(off - _means(index[s], off[s], belief).ravel()[index])[~s] for s in (black, ~black) if s.any()]
+        )
+        if len(left) and float(np.mean(left**2)) < best:
+            unseen = best = float(np.mean(left**2))
+            shrink = belief
+    shift = np.zeros((*REGIONS, OCTAVES), np.float32)
+    if shrink is not None:
+        shift = _means(index, off, shrink)
+        off = off - shift.ravel()[index]
+    # Where no ground was sampled, errors are those of regions that were held out, and more: these lay side by side.
+    return shift, np.sqrt(_means(index, off**2, 16.0, max(1.0, UNSAMPLED * unseen)))
+
+
+def _means(index: NDArray[np.intp], off: Floats, belief: float, prior: float = 0.0) -> Image:
+    """Smoothed mean of `off` by region and depth, drawn towards `prior` by as many samples as `belief` says."""
+    cells = (*REGIONS, OCTAVES)
+    totals = np.bincount(index, off - prior, np.prod(cells)).reshape(cells)
+    counts = np.bincount(index, minlength=int(np.prod(cells))).reshape(cells).astype(np.float64)
+    # Smoothed sums of a unit of belief's height: a lone cell still counts with all its samples.
+    totals, counts = (gaussian_filter(a, _BLUR, mode="nearest", truncate=2.0) / _PEAK for a in (totals, counts))
+    return np.asarray(prior + totals / (counts + belief), np.float32)
+
+
+def _grown(table: Image) -> Image:
+    """A table (R, C, D) at _FINE times the rows and columns."""
+    size = (table.shape[1] * _FINE, table.shape[0] * _FINE)
+    return np.ascontiguousarray(cv2.resize(table, size, interpolation=cv2.INTER_LINEAR), np.float32)
