@@ -10,12 +10,16 @@ from pathlib import Path
 import jinja2
 import numpy as np
 
+from ltm_core.dem import Dem
 from ltm_core.errors import LtmError, MessageError
 from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.fuel.majority import UNSEEN
 from ltm_core.grid import GridGeometry
 from ltm_core.metrics.depth_maps_io import DepthMapFolder
-from ltm_core.pictures import fit, to_jpeg, to_png
+from ltm_core.pictures import MapCamera, fit, to_jpeg, to_png
+from ltm_core.pictures.fuel import Place
+from ltm_core.pictures.fuel_sheets import change_sheet, coverage_sheet
 from ltm_core.pictures.types import Labels, Rgb
 from ltm_core.resources import config_path
 from ltm_core.vision.labels import LabelSet
@@ -24,6 +28,8 @@ from ltm_ros import eval_report_figures as draw
 from ltm_ros.bag_score import BagScore, Recorded
 from ltm_ros.eval_report_page import PAGE
 from ltm_ros.eval_tables import shown, tables
+from ltm_ros.fuel_pictures import canvas_of, seen_window
+from ltm_ros.fuel_source import FuelSource
 from ltm_ros.recorded_map import last_fuel_map
 from ltm_ros.report import Table
 
@@ -182,6 +188,33 @@ def _fuel_figures(
             "The fuel map of all cameras on the terrain.",
         )
     )
+    return [*figures, *_change_figures(recorded, inputs, dem, cameras)]
+
+
+def _change_figures(recorded: Recorded, inputs: ReportInputs, dem: Dem, cameras: Sequence[MapCamera]) -> list[Figure]:
+    """What has changed in the map, since the earlier run or from the prior on, and what each camera saw of it."""
+    places = [Place(camera.name, *camera.position) for camera in cameras if camera.name]
+    figures: list[Figure] = []
+    with FuelSource.open(recorded.bag, recorded.site) as now:
+        grid, before, name = recorded.site.in_map(now.geometry), now.empty, "the prior map"
+        if inputs.before is not None:
+            with FuelSource.open(inputs.before.bag, inputs.before.site) as earlier:
+                before, name = earlier.layers, "the earlier run"
+        coverage = now.coverage()
+        assert coverage is not None, "the bag has votes"
+        window = seen_window(grid, coverage.count() > 0, places)
+        canvas = canvas_of(recorded.site, dem, grid, places, window)
+        palette = life_form_labels(now.labels)
+        if (before.code >= 0).any():
+            names = (name, "after this run")
+            sheet = change_sheet(canvas, before, now.layers, palette, names)
+            figures.append(
+                Figure(
+                    "Fuel maps", "fuel_change.png", sheet, f"The fuel map against {name}; outlined: what has changed."
+                )
+            )
+    told = "In how many frames each camera saw a cell, and how much ground lay under one of its pixels at best."
+    figures.append(Figure("Fuel maps", "fuel_coverage.png", coverage_sheet(canvas, coverage), told))
     return figures
 
 

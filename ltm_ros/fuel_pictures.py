@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, PoseError, RasterError
+from ltm_core.fuel.coverage import CoverageMap
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.stored_map import JOURNALED
+from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.pictures.fuel import FuelCanvas, Place
 from ltm_core.site import Site
@@ -84,3 +86,11 @@ def seen_window(
     west, east = max(min(xs) - margin, geometry.x_min), min(max(xs) + margin, geometry.x_max)
     south, north = max(min(ys) - margin, geometry.y_min), min(max(ys) + margin, geometry.y_max)
     return west, south, east, north
+
+
+def coverage_of(votes: Iterable[CellVotes], geometry: GridGeometry) -> CoverageMap:
+    """How often and how finely each camera has seen each cell of a fuel grid, in the map frame."""
+    coverage = CoverageMap(geometry)
+    for one in votes:
+        coverage.add(one)
+    return coverage

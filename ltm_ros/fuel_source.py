@@ -95,12 +95,11 @@ class FuelSource:
         if self.bag is None:
             return None
         from ltm_ros.bag_score import Recorded, recorded_votes
+        from ltm_ros.fuel_pictures import coverage_of
 
         grid = self.site.in_map(self.geometry)
-        coverage = CoverageMap(grid)
-        for votes in recorded_votes(Recorded(self.bag, self.bag, self.site, self.bag.parent), grid, self.labels):
-            coverage.add(votes)
-        return coverage
+        recorded = Recorded(self.bag, self.bag, self.site, self.bag.parent)
+        return coverage_of(recorded_votes(recorded, grid, self.labels), grid)
 
     def __enter__(self) -> Self:
         return self

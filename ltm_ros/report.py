@@ -92,6 +92,15 @@ class Table:
 
 
 @dataclass(frozen=True, eq=False)
+class Sheet:
+    """A picture under a heading of its own."""
+
+    title: str
+    picture: Rgb
+    caption: str
+
+
+@dataclass(frozen=True, eq=False)
 class ReportData:
     """Everything the report shows; sections without data are left out.
 
@@ -106,6 +115,7 @@ class ReportData:
     nodes: Sequence[NodeRow]
     cameras: Sequence[CameraPictures] = ()
     fuel_map: Rgb | None = None
+    sheets: Sequence[Sheet] = ()
     depth: Sequence[DepthScore] = ()
     labels: SegmentationScore | None = None
     fuel: FuelScore | None = None

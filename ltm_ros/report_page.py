@@ -110,6 +110,12 @@ img { display: block; width: 100%; height: auto; border-radius: 8px; border: 1px
 </figcaption>
 </figure>
 {% endif %}
+{% for sheet in data.sheets %}
+<h2>{{ sheet.title }}</h2>
+<figure>{{ zoomable(sheet.picture, sheet.title) }}
+<figcaption>{{ sheet.caption }}</figcaption>
+</figure>
+{% endfor %}
 {% if data.cameras %}
 <h2>What the cameras saw</h2>
 <div class="legend">

@@ -45,8 +45,9 @@ def write_kmz(
     images = {"map.png": np.moveaxis(warped, 0, -1), "legend.png": legend}
     document = (
         '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>'
-        f"<name>{name}</name><GroundOverlay><name>life forms</name><Icon><href>map.png</href></Icon><LatLonBox><north>{north:.9f}</north>"
-        f"<south>{south:.9f}</south><east>{east:.9f}</east><west>{west:.9f}</west></LatLonBox></GroundOverlay>"
+        f"<name>{name}</name><GroundOverlay><name>life forms</name><Icon><href>map.png</href></Icon>"
+        f"<LatLonBox><north>{north:.9f}</north><south>{south:.9f}</south><east>{east:.9f}</east>"
+        f"<west>{west:.9f}</west></LatLonBox></GroundOverlay>"
         "<ScreenOverlay><name>legend</name><Icon><href>legend.png</href></Icon>"
         '<overlayXY x="0" y="0" xunits="fraction" yunits="fraction"/>'
         '<screenXY x="0.02" y="0.05" xunits="fraction" yunits="fraction"/></ScreenOverlay></Document></kml>\n'

@@ -11,12 +11,14 @@ from ltm_ros.cli.bench_fusion import fusion
 from ltm_ros.cli.bench_network import network
 from ltm_ros.cli.bench_segmentation import segmentation
 from ltm_ros.cli.bench_terrain import terrain
+from ltm_ros.cli.bench_votes import votes
 
 bench = typer.Typer(help="How fast: tracing, beside other tracers; a fuel map under many towers.", no_args_is_help=True)
 bench.command()(network)
 bench.command()(fusion)
 bench.command()(segmentation)
 bench.command()(terrain)
+bench.command()(votes)
 
 
 @bench.command()

@@ -11,12 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
+from ltm_core.fuel.coverage import CoverageMap
+from ltm_core.fuel.decision import FuelLayers
 from ltm_core.grid import GridGeometry
 from ltm_core.pictures import MapCamera, RangeScale, fuel_map_picture, overlay_depth, overlay_labels, panel, to_png
+from ltm_core.pictures.fuel import Place
+from ltm_core.pictures.fuel_sheets import change_sheet, coverage_sheet, fuel_sheet
 from ltm_core.site import Site
 from ltm_core.vision.labels import LabelSet
+from ltm_ros.fuel_pictures import canvas_of, seen_window
 from ltm_ros.recorded_frames import RecordedFrame
-from ltm_ros.report import CameraPictures
+from ltm_ros.report import CameraPictures, Sheet
 
 Rgb = NDArray[np.uint8]
 HEADING_STEP_DEG = 20.0
@@ -76,6 +81,40 @@ def map_picture(
         place = (float(frame.pose.position[0]), float(frame.pose.position[1]))
         cameras.append(MapCamera(name, frame.camera, place, frame.pose.angles_deg[0]))
     return fuel_map_picture(classes, site.in_map(geometry), labels, dem, cameras)
+
+
+def fuel_sheets(
+    site: Site,
+    dem: Dem,
+    before: FuelLayers,
+    after: FuelLayers,
+    coverage: CoverageMap,
+    frames: Sequence[RecordedFrame],
+    palette: LabelSet,
+) -> dict[str, Sheet]:
+    """What the fuel map says and how surely, what has changed in it, and who saw what of it, by file name."""
+    spots = {f.camera_name: Place(f.camera_name, float(f.pose.position[0]), float(f.pose.position[1])) for f in frames}
+    places, seen = list(spots.values()), coverage.count() > 0
+    whole = canvas_of(site, dem, coverage.geometry, places)
+    part = canvas_of(site, dem, coverage.geometry, places, seen_window(coverage.geometry, seen, places))
+    changed = int((before.code != after.code).sum())
+    return {
+        "fuel_layers": Sheet(
+            "How sure the map is",
+            fuel_sheet(whole, after, palette),
+            "Life forms and fuel models of all cells, the doubt that is left, and how many cameras see each.",
+        ),
+        "fuel_change": Sheet(
+            "Before and after",
+            change_sheet(part, before, after, palette, ("prior map", "with what the cameras saw")),
+            f"The map that the run started from, and the one it ended with; {changed:,} cells have changed.",
+        ),
+        "fuel_coverage": Sheet(
+            "Coverage",
+            coverage_sheet(part, coverage),
+            "In how many frames each camera saw a cell, and how much ground lay under one of its pixels at best.",
+        ),
+    }
 
 
 def write_pictures(

@@ -12,13 +12,23 @@ from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import STORE_FILE, open_stored_map
+from ltm_core.pictures import to_png
 from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
-from ltm_ros.bag_score import BagScore, DepthRow, Recorded, score_bag
+from ltm_ros.bag_score import BagScore, DepthRow, Recorded, recorded_votes, score_bag
 from ltm_ros.cli.summary import node_rows
-from ltm_ros.demo.outcome import camera_pictures, conditions, headings, map_picture, range_scale, write_pictures
+from ltm_ros.demo.outcome import (
+    camera_pictures,
+    conditions,
+    fuel_sheets,
+    headings,
+    map_picture,
+    range_scale,
+    write_pictures,
+)
 from ltm_ros.eval_tables import tables
+from ltm_ros.fuel_pictures import coverage_of
 from ltm_ros.fuel_services import write_landscapes
 from ltm_ros.recorded_frames import recorded_frames
 from ltm_ros.replay.run import ReplayOptions, run_live
@@ -68,15 +78,21 @@ def run_demo(
 
     dem = site.open_dem()
     evidence = site_evidence_map(site, site.fuel_geometry(dem), labels)
+    before = evidence.layers()
     with open_stored_map(state / STORE_FILE, site, evidence):
         write_landscapes(evidence, site, out)
-    score = score_bag(Recorded(out / "recording", site_path, site, demo))
+    recorded = Recorded(out / "recording", site_path, site, demo)
+    score = score_bag(recorded)
     result = DemoResult(node_rows(summaries), score, seconds)
     classes, geometry = read_fuel_map(out / "fuel_map.tif")
     shown = headings(recorded_frames(out / "recording", site))
     fuel_map = map_picture(classes, geometry, site, dem, shown, life_form_labels(labels))
     scale = range_scale(shown)
     write_pictures(out / "pictures", shown, fuel_map, labels, scale)
+    coverage = coverage_of(recorded_votes(recorded, evidence.geometry, labels), evidence.geometry)
+    sheets = fuel_sheets(site, dem, before, evidence.layers(), coverage, shown, life_form_labels(labels))
+    for name, sheet in sheets.items():
+        (out / "pictures" / f"{name}.png").write_bytes(to_png(sheet.picture))
     data = ReportData(
         title="LTM demonstration",
         summary=(
@@ -88,6 +104,7 @@ def run_demo(
         nodes=result.nodes,
         cameras=camera_pictures(shown, labels, scale),
         fuel_map=fuel_map,
+        sheets=list(sheets.values()),
         depth=result.depth.scores,
         labels=score.labels,
         fuel=score.fuel,

@@ -12,10 +12,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import Field
 
 from ltm_core.depth.range_image import RangeImage
+from ltm_core.fuel.life_form import NODATA, life_form_labels
 from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.camera_info import msg_to_camera
+from ltm_msgs_py.fuel_cells import msg_to_fuel_cells
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.image import msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pointcloud import msg_to_columns, take
@@ -31,6 +33,7 @@ from ltm_ros.topics import (
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
     FUEL_MAP,
+    FUEL_MAP_CELLS,
     FUSED_DEPTH,
     LABELS_IMAGE,
     NETWORK_DEPTH,
@@ -60,11 +63,13 @@ class Viewer(Handler[ViewerConfig]):
     def __init__(self, config: ViewerConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         self._site = load_site(config.site)
+        dem = self._site.open_dem()
+        self._fuel_grid = self._site.fuel_geometry(dem)
         self._view = RerunView(
             f"ltm {self._site.name}",
             self._site,
-            self._site.open_dem(),
-            LabelSet.load(config_path(self._site.labels)),
+            dem,
+            life_form_labels(LabelSet.load(config_path(self._site.labels))),
             save=free_path(Path(config.save)) if config.save else None,
             serve=config.serve,
             web_port=config.web_port,
@@ -97,6 +102,8 @@ class Viewer(Handler[ViewerConfig]):
             taken[fused] = partial(self._join_fusion, camera, "fused")
             taken[network] = partial(self._network.__setitem__, camera)
         taken[Topic(site_topic(self._site.name, FUEL_MAP), FUEL_MAP.type, latched=True)] = self.on_fuel_map
+        cells = site_topic(self._site.name, FUEL_MAP_CELLS)
+        taken[Topic(cells, FUEL_MAP_CELLS.type, latched=True)] = self.on_fuel_cells
         if self._site.terrain is not None:
             for topic, shown in ((TERRAIN_CHANGE, self.on_change), (TERRAIN_UPDATE, self.on_changed_cells)):
                 taken[Topic(site_topic(self._site.name, topic), topic.type, topic.latched)] = shown
@@ -105,6 +112,13 @@ class Viewer(Handler[ViewerConfig]):
 
     def on_fuel_map(self, message: Any) -> None:
         self._view.log_fuel_map(stamp_of(message), *msg_to_classes(message))
+
+    def on_fuel_cells(self, message: Any) -> None:
+        cells = msg_to_fuel_cells(message, self._fuel_grid)
+        nothing = {"life_form": 255, "code": NODATA, "entropy": 1.0, "changed": 0, "seen_by": 0}
+        shape = self._fuel_grid.shape
+        rasters = {name: cells.raster(name, shape, elsewhere) for name, elsewhere in nothing.items()}
+        self._view.log_fuel_layers(stamp_of(message), rasters)
 
     def on_change(self, message: Any) -> None:
         self._view.log_change(stamp_of(message), *msg_to_classes(message))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import rerun.blueprint as rrb
 
+from ltm_ros.rerun_view.fuel_maps import TITLES
 from ltm_ros.rerun_view.scene import Eye
 
 TIMELINE = "stamp"
@@ -40,7 +41,7 @@ def site_blueprint(
         name="Site",
     )
     gallery = rrb.Vertical(*(_camera_row(site, camera, timed=False) for camera in cameras), name="Cameras")
-    extra: list[rrb.Container] = []
+    extra: list[rrb.Container] = [_fuel_layers()]
     if tabs.fusion:
         extra.append(rrb.Vertical(*(_depth_row(camera) for camera in cameras), name="Depth"))
     if tabs.terrain:
@@ -89,6 +90,12 @@ def _fuel_grid(window: MapWindow) -> rrb.Spatial2DView:
         name="Fuel map",
         visual_bounds=rrb.VisualBounds2D(x_range=window.columns, y_range=window.rows),
     )
+
+
+def _fuel_layers() -> rrb.Grid:
+    """What the fuel map knows of each cell besides what covers it."""
+    views = [rrb.Spatial2DView(origin=f"/fuel_layers/{name}", name=title) for name, title in TITLES.items()]
+    return rrb.Grid(*views, grid_columns=2, name="Fuel")
 
 
 def _camera_row(site: str, camera: str, timed: bool) -> rrb.Horizontal:

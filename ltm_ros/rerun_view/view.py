@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,12 +18,14 @@ from ltm_core.dem import Dem
 from ltm_core.errors import ImageError, PoseError
 from ltm_core.grid import GridGeometry
 from ltm_core.pictures import MapCamera, RangeScale, labelled_shade, to_jpeg
+from ltm_core.pictures.fuel import Place
 from ltm_core.pictures.types import UNLABELLED, Labels, Palette, Rgb
 from ltm_core.pose import Pose
 from ltm_core.site import Site
 from ltm_ros.rerun_view import frames, scene
 from ltm_ros.rerun_view.blueprint import TIMELINE, MapWindow, Tabs, site_blueprint
 from ltm_ros.rerun_view.change import ChangeLayer, change_picture
+from ltm_ros.rerun_view.fuel_maps import FuelMaps
 from ltm_ros.rerun_view.server import RerunProcess, grpc_url, web_url
 
 MAX_POINTS = 15_000
@@ -74,6 +77,7 @@ class RerunView:
                     self._place(name, config.pose.pose(dem, site.frame), config.calibration.camera())
         self._fuel = scene.FuelLayer(dem, site.fuel_geometry(dem), label_set)
         self._fuel_geometry = site.fuel_geometry(dem)
+        self._fuel_maps: FuelMaps | None = None
         self._change = ChangeLayer()
         if sinks:
             self._recording.set_sinks(*sinks, default_blueprint=self._blueprint())
@@ -161,6 +165,15 @@ class RerunView:
                 self._log_tile(tile)
             if changed:
                 self._recording.log("fuel_map/classes", rr.SegmentationImage(classes, opacity=0.7, draw_order=1.0))
+
+    def log_fuel_layers(self, stamp_ns: int, rasters: Mapping[str, NDArray[Any]]) -> None:
+        """What is known of the cells of the fuel map besides their life form: as of `FuelMaps.draw`."""
+        with self._at(stamp_ns):
+            if self._fuel_maps is None or self._fuel_maps.geometry != self._fuel_geometry:
+                places = [Place(name, *camera.position) for name, camera in self._cameras.items()]
+                self._fuel_maps = FuelMaps(self._fuel_geometry, self._dem, self._palette, places)
+            for name, picture in self._fuel_maps.draw(rasters).items():
+                self._recording.log(f"fuel_layers/{name}", picture)
 
     def log_change(self, stamp_ns: int, kinds: Labels, geometry: GridGeometry) -> None:
         """Kinds of change (H, W) of a window of the terrain's grid, 255 not looked at, map frame."""

@@ -1,0 +1,97 @@
+"""What forming the votes of a frame costs, and how large their message is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.bench.measure import Cost, least_cost
+from ltm_core.bench.terrain import ridged_terrain
+from ltm_core.camera import Camera
+from ltm_core.fuel.votes import CellVotes, VoteCaster
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+from ltm_core.tracing import TerrainTracer
+from ltm_core.vision.labels import LabelSet
+
+MAST = 60.0
+"""Metres of the camera above the ridge that it stands on."""
+REACH = 6000.0
+"""Metres out to which pixels vote, as a site has it by default."""
+_SIZE = 5000
+_STAND = 20
+
+
+@dataclass(frozen=True)
+class View:
+    """Where the camera looks: degrees right of grid north, up from the horizon, and its horizontal field of view."""
+
+    name: str
+    azimuth_deg: float
+    pitch_deg: float
+    hfov_deg: float
+
+
+VIEWS = (
+    View("wide, to the horizon", 35.0, -6.0, 70.0),
+    View("tower, zoomed out", 35.0, -10.0, 54.0),
+    View("zoomed in on a far slope", 35.0, -4.0, 15.0),
+    View("steep down", 35.0, -35.0, 60.0),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class VotesCost:
+    """`ground`: share of pixels that see terrain within reach. `votes`: what the frame gave."""
+
+    view: View
+    cost: Cost
+    ground: float
+    votes: CellVotes
+
+
+def run(width: int = 1920, height: int = 1080, repeats: int = 15, cell: float = 30.0) -> list[VotesCost]:
+    """Votes of depth images of ridged mountains of 5 x 5 km under a patchwork of labels, with confidence and a pose's
+    covariance, as a node forms them; the kernels are compiled before.
+    """
+    dem = ridged_terrain(_SIZE)
+    middle = _SIZE // 2
+    near = dem.elevation[middle - 400 : middle + 400, middle - 400 : middle + 400]
+    row, col = (int(i) + middle - 400 for i in np.unravel_index(near.argmax(), near.shape))
+    x, y = (float(v) for v in dem.geometry.to_map(row, col))
+    labels = LabelSet.load()
+    grid = GridGeometry(0.0, float(_SIZE), cell, int(_SIZE // cell), int(_SIZE // cell))
+    caster = VoteCaster(grid, dem, labels.votes_table[: len(labels)], REACH)
+    tracer = TerrainTracer(dem)
+    covariance = np.diag([0.25] * 3 + [np.radians(0.3) ** 2] * 3)
+    found = []
+    for view in VIEWS:
+        camera = Camera.from_fov(width, height, view.hfov_deg)
+        pose = Pose.from_angles((x, y, float(near.max()) + MAST), view.azimuth_deg, view.pitch_deg)
+        traced = tracer.trace(camera, pose)
+        depth, (classes, confidence) = traced.depth(), _labelled(height, width, len(labels))
+
+        def cast(
+            depth: NDArray[np.float32] = depth,
+            camera: Camera = camera,
+            pose: Pose = pose,
+            classes: NDArray[np.uint8] = classes,
+            confidence: NDArray[np.uint8] = confidence,
+        ) -> CellVotes:
+            return caster.cast(depth, camera, pose, classes, 0, "tower", confidence, covariance)
+
+        votes = cast()
+        ground = float((traced.range < REACH).mean())
+        found.append(VotesCost(view, least_cost(cast, repeats), ground, votes))
+    return found
+
+
+def _labelled(height: int, width: int, classes: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Patches of all classes, and their confidence."""
+    rng = np.random.default_rng(11)
+    step = 24
+    coarse = rng.integers(1, classes, (-(-height // step), -(-width // step)), np.uint8)
+    fine = coarse.repeat(step, axis=0).repeat(step, axis=1)[:height, :width]
+    return np.ascontiguousarray(fine), rng.integers(90, 256, (height, width)).astype(np.uint8)
