@@ -81,7 +81,7 @@ _SEEN = Scale(("seen",), (CAMERAS.colors[1],), ())
 
 
 def _area(cells: NDArray[np.bool_], coverage: CoverageMap) -> str:
-    return f"{cells.sum() * coverage.geometry.resolution**2 / 1e6:.2f} km²"
+    return f"{cells.sum() * coverage.geometry.resolution**2 / 1e6:.2f} sq km"
 
 
 def _sheet(maps: Mapping[str, Rgb]) -> Rgb:
