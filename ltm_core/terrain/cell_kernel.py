@@ -27,6 +27,10 @@ Counts = NDArray[np.uint16]
 Bytes = NDArray[np.uint8]
 
 NO_LABEL = 255
+TALL = 10.0
+"""Metres: what rises that high at once is a building or, more often, something that passes before the camera."""
+TALL_LOOKS = 2.5
+"""Looks of one camera that it takes to believe it; two cameras need no more of them than for anything else."""
 
 
 class Cells(NamedTuple):
@@ -280,7 +284,8 @@ def take(
     cells.c_last[slot, k] = max(cells.c_last[slot, k], seconds)
     cells.c_cameras[slot, k] |= bit
     cells.c_frames[slot, k] = min(cells.c_frames[slot, k] + 1, 65535)
-    if independent(
+    passing = cells.c_dz[slot, k] > TALL and cells.c_looks[slot, k] < TALL_LOOKS and _bits(cells.c_cameras[slot, k]) < 2
+    if not passing and independent(
         cells.c_cameras[slot, k],
         cells.c_first[slot, k],
         cells.c_last[slot, k],

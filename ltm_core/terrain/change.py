@@ -21,8 +21,14 @@ from ltm_core.tile_store import Key, Tile
 
 SMOOTHING = 1.5
 """Metres: the deviation of the Gaussian over which neighbours speak for each other."""
+WIDE = 4.0
+"""Metres: that over which they do where the nearer ones do not know."""
+_WIDE_SIGMA = 2.0
+"""Metres by which a cell may differ from the mean of that wide neighbourhood."""
 _OWN_SHARE = 0.4
 """Of its neighbours' shift that a cell must show itself: a gap in a felled stand was no tree."""
+_WEAKLY_SURE, _WEAKLY_CHANGED = 0.5, 0.75
+"""Of the confidence and of the threshold that a cell needs beside a surely changed one."""
 _COMPATIBLE = 2.0
 """Deviations by which a cell's own estimate may miss its neighbours' shift and still not contradict it."""
 _BRIDGED = 2
@@ -74,7 +80,7 @@ class Changed:
 
 def margin_of(resolution: float) -> int:
     """Cells beyond a window that decide about cells inside it."""
-    return math.ceil(_REACH * SMOOTHING / resolution)
+    return math.ceil(_REACH * WIDE / resolution)
 
 
 def mosaic(peek: Callable[[Key], Tile | None], window: Window, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
@@ -123,8 +129,12 @@ def decide(
         base = np.where(fresh, np.where(parts["dz"] < -config.threshold, np.float32(0), parts["dz"]), base)
     usable = sure & np.isfinite(base) & np.isfinite(surface)
     off = np.where(usable, parts["dz"] - np.nan_to_num(base), np.float32(0)).astype(np.float32)
-    shift, doubt = _smoothed(off, np.where(usable, 1 / (variance + rules.reference_variance), 0), reference)
+    weight = np.where(usable, 1 / (variance + rules.reference_variance), 0).astype(np.float32)
+    shift, doubt = _mean_of_neighbours(off, weight, reference.geometry.resolution)
     strong, weak = _levels(off, variance, shift, doubt, usable, parts["kind"] > 0, config)
+    # What never stood there cannot have been removed: such a cell is lowered, by its own account, or as it was.
+    stood = surface + np.nan_to_num(base) - ground
+    weak &= (shift > 0) | (stood >= config.threshold) | _shows(off, shift, config.threshold)
     kept = _regions(strong, weak, config.min_area / reference.geometry.resolution**2)
     kind = np.zeros((height, width), np.uint8)
     below = surface + np.nan_to_num(base) + shift < ground - config.threshold
@@ -142,12 +152,25 @@ def decide(
     return changed, {"base": base.astype(np.float32), "kind": kind, "shift": shift, "since": since, "by": by}
 
 
-def _smoothed(off: Floats, weight: Floats, reference: Reference) -> tuple[Floats, Floats]:
-    """The weighted mean of each cell's neighbourhood, and its deviation as if the neighbours' errors were one."""
-    sigma = SMOOTHING / reference.geometry.resolution
-    total = _blurred(weight.astype(np.float32), sigma)
+def _mean_of_neighbours(off: Floats, weight: Floats, resolution: float) -> tuple[Floats, Floats]:
+    """What each cell's neighbours say of its shift, and the deviation of that. Where the near ones are unsure, as on
+    the steep sides of crowns, the wider neighbourhood counts the more.
+    """
+    near, near_doubt = _smoothed(off, weight, SMOOTHING / resolution)
+    wide, wide_doubt = _smoothed(off, weight, WIDE / resolution)
     with np.errstate(divide="ignore", invalid="ignore"):
-        mean = _blurred((weight * off).astype(np.float32), sigma) / total
+        of_near, of_wide = 1 / near_doubt**2, 1 / (wide_doubt**2 + _WIDE_SIGMA**2)
+        mean = (of_near * near + of_wide * wide) / (of_near + of_wide)
+        doubt = 1 / np.sqrt(of_near + of_wide)
+    known = of_near + of_wide > 0
+    return np.where(known, mean, 0).astype(np.float32), np.where(known, doubt, np.inf).astype(np.float32)
+
+
+def _smoothed(off: Floats, weight: Floats, sigma: float) -> tuple[Floats, Floats]:
+    """The weighted mean of each cell's neighbourhood, and its deviation as if the neighbours' errors were one."""
+    total = _blurred(weight, sigma)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = _blurred(weight * off, sigma) / total
         doubt = np.sqrt(_blurred((weight > 0).astype(np.float32), sigma) / total)
     known = total > 1e-6
     return np.where(known, mean, 0).astype(np.float32), np.where(known, doubt, np.inf).astype(np.float32)
@@ -188,12 +211,18 @@ def _levels(
     estimate does not show is the neighbours'.
     """
     half = config.threshold / 2
-    own = usable & (off * np.sign(shift) >= np.maximum(half, _OWN_SHARE * np.abs(shift)))
+    own = usable & _shows(off, shift, config.threshold)
     strong = own & (np.abs(shift) >= config.threshold) & (np.abs(shift) >= config.confidence * doubt)
     strong |= own & former & (np.abs(shift) >= half)
     compatible = own | (usable & ((off - shift) ** 2 <= _COMPATIBLE**2 * variance))
-    weak = compatible & (np.abs(shift) >= config.threshold * 0.75) & (np.abs(shift) >= config.confidence / 2 * doubt)
+    sure = np.abs(shift) >= _WEAKLY_SURE * config.confidence * doubt
+    weak = compatible & sure & (np.abs(shift) >= _WEAKLY_CHANGED * config.threshold)
     return strong, weak | strong
+
+
+def _shows(off: Floats, shift: Floats, threshold: float) -> NDArray[np.bool_]:
+    """Whether a cell's own estimate shows its neighbours' shift."""
+    return np.asarray(off * np.sign(shift) >= np.maximum(threshold / 2, _OWN_SHARE * np.abs(shift)), np.bool_)
 
 
 def _regions(strong: NDArray[np.bool_], weak: NDArray[np.bool_], least: float) -> NDArray[np.bool_]:

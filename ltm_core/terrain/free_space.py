@@ -23,6 +23,8 @@ Indices = NDArray[np.int32]
 
 INSIDE = 0.6
 """Of a thing's height above the reference: a point that is well within it."""
+FIRM_LOOKS = 2.5
+"""Looks from which on it takes independent views to take growth back; before, one that sees through it is enough."""
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
@@ -56,7 +58,10 @@ def see_through(
     rules: Rules,
     reach: tuple[float, float],
 ) -> int:
-    """Drop candidates that this image sees through, and count it against growth that was accepted; how many cells.
+    """Drop what this image sees through, or count it against growth that several looks have seen; how many cells.
+
+    What the image itself has brought is looked at too: what stands, stands on something, so that whatever hovers in the
+    air, as smoke does or a bird, is seen through under its own place.
 
     Args:
         cells, places: the state in memory, and (N, 3) slot, tile row and tile column of the tiles in it.
@@ -129,6 +134,10 @@ def _apply(cells: Cells, standing: Standing, seconds: int, bit: int, rules: Rule
         slot, k = standing.slot[i], standing.cell[i]
         if standing.candidate[i]:
             cells.c_looks[slot, k] = 0
+        elif cells.looks[slot, k] < FIRM_LOOKS:
+            cells.looks[slot, k] = 0
+            cells.cameras[slot, k] = 0
+            cells.frames[slot, k] = 0
         else:
             limit = np.float32(standing.dz[i] * INSIDE)
             take(cells, slot, k, limit, rules.carve_variance, np.float32(0.0), True, seconds, bit, rules)

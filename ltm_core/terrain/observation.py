@@ -122,7 +122,7 @@ class Observer:
     def _arrays(self, count: int) -> Seen:
         if self._seen is None or len(self._seen.kind) != count:
             dz, variance, pose = (np.empty(count, np.float32) for _ in range(3))
-            carved = np.empty(4 * count, np.int32), np.empty(4 * count, np.float32)
+            carved = np.empty(2 * count, np.int32), np.empty(2 * count, np.float32)
             self._seen = Seen(np.empty(count, np.uint8), np.empty(count, np.int32), dz, variance, pose, *carved)
         return self._seen
 

@@ -10,6 +10,8 @@ A pixel is compared with the range at which its ray would meet the reference sur
 
 The incidence factor |n.d| / n_z (n: normal of the surface, d: the ray's direction) turns metres along the ray into
 metres of height; it is taken over blocks of cells, since a crown's own slopes say nothing of how the canopy is met.
+What it cannot tell, it does not claim to know: on the steep side of a crown a small error along the ray is a large one
+of height, so the variance takes the slope of the cell itself where that is the steeper one.
 """
 
 from __future__ import annotations
@@ -59,6 +61,18 @@ class View(NamedTuple):
     rotation: Floats
     position: Floats
     covariance: Floats
+    bend: float
+
+
+class Ray(NamedTuple):
+    """One ray in the map frame: origin, unit direction, and its bend over slant range."""
+
+    x: float
+    y: float
+    z: float
+    dx: float
+    dy: float
+    dz: float
     bend: float
 
 
@@ -139,6 +153,18 @@ def _slopes_at(ground: Ground, cell: int) -> tuple[float, float]:
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _steepness(ground: Ground, cell: int, dx: float, dy: float, dz: float) -> float:
+    """The incidence factor on the cell's own slope; 0 where that is not known."""
+    height, width = ground.surface.shape
+    r, c = cell // width, cell % width
+    z, step = ground.surface, 2 * ground.resolution
+    east = (z[r, min(c + 1, width - 1)] - z[r, max(c - 1, 0)]) / step
+    north = (z[max(r - 1, 0), c] - z[min(r + 1, height - 1), c]) / step
+    steepness: float = abs(dz - east * dx - north * dy)
+    return steepness if steepness < math.inf else 0.0
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _pose_variance(covariance: Floats, east: float, north: float, px: float, py: float, pz: float) -> float:
     """Variance of the height of a surface with these slopes, seen at (px, py, pz) from the camera: the row of the
     camera's shift o and turn w in n.(o + w x p) / n_z is [n, p x n] / n_z, with n / n_z = (-east, -north, 1).
@@ -154,49 +180,49 @@ def _pose_variance(covariance: Floats, east: float, north: float, px: float, py:
     return max(total, 0.0)
 
 
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _above(ground: Ground, ray: Ray, t: float) -> float:
+    """Height of a ray over the reference surface after `t` metres."""
+    z: float = ray.z + ray.dz * t + ray.bend * t * t - _height_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)
+    return z
+
+
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _likeliest(
-    ground: Ground,
-    x0: float,
-    y0: float,
-    z0: float,
-    dx: float,
-    dy: float,
-    dz: float,
-    bend: float,
-    r: float,
-    sigma: float,
-    expected: float,
-) -> float:
-    """Where along its ray a thing stands that is nearer than the reference: small changes are likelier than large ones,
-    so that a crown has grown rather than the gap before it has filled to the crown's height.
+def _likeliest(ground: Ground, ray: Ray, r: float, sigma: float, first: float, last: float) -> float:
+    """Where along its ray, from `first` to `last`, a thing stands that is not where the reference has it: small changes
+    are likelier than large ones, so that a crown has grown rather than the gap before it has filled to the crown's
+    height, and what stood behind a felled stand is seen where it stands.
     """
     step = max(ground.resolution, sigma / 8)
     best, least = r, math.inf
-    t = max(r - _SEARCH * sigma, 0.0)
-    end = min(r + _SEARCH * sigma, expected)
+    t = max(r - _SEARCH * sigma, first)
+    end = min(r + _SEARCH * sigma, last)
     while t < end:
-        above = z0 + dz * t + bend * t * t - _height_at(ground, x0 + dx * t, y0 + dy * t)
-        if above > 0:
-            cost = 0.5 * ((t - r) / sigma) ** 2 + above / LIKELY_CHANGE
-            if cost < least:
-                best, least = t, cost
+        cost = 0.5 * ((t - r) / sigma) ** 2 + abs(_above(ground, ray, t)) / LIKELY_CHANGE
+        if cost < least:
+            best, least = t, cost
         t += step
     return best
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def observe(ground: Ground, view: View, pixels: Pixels, limits: Limits, seen: Seen) -> int:
-    """Fill `seen`; the number of carved cells. Carving ends silently where its arrays are full."""
+    """Fill `seen`; the number of carved cells. Carving ends silently where its arrays are full.
+
+    Rows are taken from the bottom up: where a ray has carved, the one above it in its column passes higher, and goes on
+    where that ended. So an image carves a cell a few times, and not once for each ray over it.
+    """
     rows, cols = pixels.range.shape
     carved = 0
+    reached = np.zeros(cols, np.float64)
     own = limits.own_sigma**2
     m = view.rotation
     x0, y0, z0 = view.position[0], view.position[1], view.position[2]
-    for v in range(rows):
+    for v in range(rows - 1, -1, -1):
         for u in range(cols):
             i = v * cols + u
             seen.kind[i] = NOTHING
+            before, reached[u] = reached[u], 0.0
             r, sigma, expected = float(pixels.range[v, u]), float(pixels.sigma[v, u]), float(pixels.expected[v, u])
             # Unknown depth, sigma or reference; depth that was copied from the reference.
             if pixels.informs[v, u] == 0 or not r > limits.min_range or not sigma > 0.0 or math.isnan(expected):
@@ -236,7 +262,8 @@ def observe(ground: Ground, view: View, pixels: Pixels, limits: Limits, seen: Se
                 seen.kind[i] = AGREES
                 seen.cell[i] = cell
                 seen.dz[i] = -off
-                seen.variance[i] = (sigma * sigma + spread * spread) * incidence * incidence + own
+                steep = max(incidence, _steepness(ground, cell, dx, dy, dz))
+                seen.variance[i] = (sigma * steep) ** 2 + (spread * incidence) ** 2 + own
                 z = dz * expected + view.bend * flat2 * expected * expected
                 seen.pose_variance[i] = _pose_variance(view.covariance, east, north, x - x0, y - y0, z)
                 continue
@@ -244,7 +271,8 @@ def observe(ground: Ground, view: View, pixels: Pixels, limits: Limits, seen: Se
             if farther and not math.isinf(expected):
                 end = min(expected + SKY_SEEN_THROUGH, limits.max_range) if math.isinf(r) else r - slack
                 step = ground.resolution / max(math.sqrt(flat2), 0.1)
-                t = expected + 0.5 * step
+                t = max(expected, before) + 0.5 * step
+                reached[u] = max(end, before)
                 for _ in range(_LONGEST_CARVE):
                     if t >= end or carved >= len(seen.carved_cell):
                         break
@@ -259,14 +287,14 @@ def observe(ground: Ground, view: View, pixels: Pixels, limits: Limits, seen: Se
                     t += step
             if math.isinf(r) or r > limits.max_range:
                 continue
-            if not farther:
-                r = _likeliest(ground, x0, y0, z0, dx, dy, dz, view.bend * flat2, r, sigma, expected)
+            ray = Ray(x0, y0, z0, dx, dy, dz, view.bend * flat2)
+            first, last = (expected, math.inf) if farther else (0.0, expected)
+            r = _likeliest(ground, ray, r, sigma, first, last)
             x, y = x0 + dx * r, y0 + dy * r
             cell = _cell_at(ground, x, y)
             if cell < 0:
                 continue
-            z = dz * r + view.bend * flat2 * r * r
-            above = z0 + z - _height_at(ground, x, y)
+            above = _above(ground, ray, r)
             if not abs(above) <= limits.tallest:
                 continue
             east, north = _slopes_at(ground, cell)
@@ -274,6 +302,10 @@ def observe(ground: Ground, view: View, pixels: Pixels, limits: Limits, seen: Se
             seen.kind[i] = FARTHER if farther else NEARER
             seen.cell[i] = cell
             seen.dz[i] = above
-            seen.variance[i] = sigma * sigma * incidence * incidence + own
+            # Among crowns, a little nearer or farther is a lot higher or lower.
+            rough = abs(_above(ground, ray, r + 0.5 * sigma) - _above(ground, ray, r - 0.5 * sigma))
+            known = rough if rough < math.inf else 0.0
+            seen.variance[i] = max(sigma * incidence, known) ** 2 + own
+            z = dz * r + view.bend * flat2 * r * r
             seen.pose_variance[i] = _pose_variance(view.covariance, east, north, x - x0, y - y0, z)
     return carved

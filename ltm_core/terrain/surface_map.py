@@ -29,8 +29,8 @@ _OWN_SIGMA = 0.25
 """Metres: what the height of a cell can mean when a crown or boulder stands in it."""
 _CARVE_SIGMA = 0.5
 """Metres: of the height of a ray that passed over a cell."""
-_CHUNK = 16
-"""Tiles a side that are decided at once."""
+_CHUNK = 8
+"""Tiles a side that are decided at once: the rasters of more would be the largest part of the map's memory."""
 
 
 @dataclass(frozen=True)
@@ -139,8 +139,8 @@ class SurfaceMap:
         slots = self._pool.require(keys)
         scatter(seen, carved, self._observer.labels(frame), width, TILE, self._pool.slots, self._pool.scratch)
         bit, seconds = 1 << self.cameras.index(frame.source), frame.stamp_ns // 1_000_000_000
-        self._see_through(frame, seconds, bit)
         cells = merge(self._pool.cells, self._pool.scratch, slots, seconds, bit, self._rules)
+        self._see_through(frame, seconds, bit)
         self._pool.touched(keys)
         self._pool.record(FrameRecord(frame.source, frame.stamp_ns, keys))
         self._undecided.update(keys)

@@ -14,7 +14,8 @@ from ltm_core.site import TerrainConfig
 from ltm_core.terrain.layers import SurfaceLayers
 from ltm_core.terrain.reference import Reference
 from ltm_core.terrain.surface_map import SurfaceMap
-from ltm_core.terrain.trials import TOWERS, Conditions, Trial, frames, trial
+from ltm_core.terrain.trial_ground import TOWERS
+from ltm_core.terrain.trials import Conditions, Trial, frames, trial
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +62,9 @@ class TrialScore:
 
 def score_trial(name: str, conditions: Conditions, config: TerrainConfig | None = None) -> TrialScore:
     """Let the towers look at a scene, and compare. Raises ConfigError for an unknown scene."""
-    config = config or TerrainConfig()
-    scene = trial(name)
+    # Trials make those pixels only that the map would take of a whole image.
+    config = (config or TerrainConfig()).model_copy(update={"pixel_step": 1})
+    scene = trial(name, conditions.seed)
     surface = SurfaceMap(Reference.of(scene.bare, scene.given), config, tuple(TOWERS))
     costs = []
     for frame in frames(scene, conditions):

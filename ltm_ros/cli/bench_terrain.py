@@ -16,6 +16,7 @@ def terrain(
 ) -> None:
     """Processor time of the terrain's update a 1080p frame, and its memory."""
     import json
+    import tempfile
     from dataclasses import asdict
 
     from rich.console import Console
@@ -28,8 +29,8 @@ def terrain(
     state = conditions(("numpy", "numba", "opencv-python-headless"))
     load = " ".join(f"{v:.2f}" for v in state.load_average)
     console.print(f"{state.cpu}, {state.cores} cores, load average {load}, Python {state.python}")
-    with console.status("measuring"):
-        cost = measure_surface(size, repeats, views)
+    with console.status("measuring"), tempfile.TemporaryDirectory() as folder:
+        cost = measure_surface(Path(folder), size, repeats, views)
     table = Table(title=f"terrain update, {cost.pixels[0]} x {cost.pixels[1]}, {cost.cells[0]} x {cost.cells[1]} cells")
     for name in ("", "processor ms", "wall ms"):
         table.add_column(name, justify="left" if not name else "right")
@@ -41,7 +42,7 @@ def terrain(
         table.add_row(name, f"{one.cpu_ms:.0f}", f"{one.wall_ms:.0f}")
     console.print(table)
     console.print(
-        f"memory of the map after {cost.views} views, with bare earth, surface and tracer: {cost.memory_mb:.0f} MB "
+        f"memory of the map after {cost.views} views, with bare earth, surface and tracer, its store in a file: {cost.memory_mb:.0f} MB "
         f"({cost.tiles} tiles of 64 x 64 cells in memory); peak of the process {cost.peak_mb:.0f} MB"
     )
     if json_path is not None:

@@ -14,15 +14,21 @@ import numpy as np
 from pydantic import Field
 from std_msgs.msg import String
 
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
 from ltm_core.depth.fusion import Source
 from ltm_core.errors import ConfigError
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
 from ltm_core.resources import config_path
+from ltm_core.site import TerrainConfig
 from ltm_core.site_io import load_site
 from ltm_core.terrain import DepthFrame, Reference, SurfaceMap
 from ltm_core.terrain.change import Changed, ChangeKind
 from ltm_core.terrain.terrain_io import write_surface
 from ltm_core.terrain.tile_pool import schema_of
 from ltm_core.tile_store import TileStore
+from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
@@ -111,6 +117,7 @@ class Terrain(Handler[TerrainNodeConfig]):
         self._undecided = 0
         self._untold = Changed.none()
         self._since_grid = self._since_commit = 0.0
+        _compile_kernels(site.terrain)
 
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
@@ -264,6 +271,22 @@ class Terrain(Handler[TerrainNodeConfig]):
         except OSError as error:
             raise ConfigError(f"{self._folder}: no folder that can be used ({error.strerror})") from error
         return TileStore.open(self._folder / STORE_FILE, schema)
+
+
+def _compile_kernels(config: TerrainConfig) -> None:
+    """Now, or load them from numba's cache: a node that says it is ready shall not think for a minute at the first
+    frame. Two looks at a plain that has sunk go all the way to a change.
+    """
+    plain = Dem(np.zeros((64, 64), np.float32), GridGeometry(0.0, 64.0, 1.0, 64, 64))
+    camera, pose = Camera.from_fov(64, 48, 50.0), Pose.from_angles((32.0, 5.0, 30.0), 0.0, -45.0)
+    sunk = TerrainTracer(Dem(plain.elevation - 10, plain.geometry)).trace(camera, pose).depth()
+    sure, seen = np.full(sunk.shape, 0.1, np.float32), np.ones(sunk.shape, np.bool_)
+    covariance = np.diag([1e-4] * 3 + [1e-5] * 3)
+    for stable in (None, seen):
+        tiny = SurfaceMap(Reference.of(plain), config.model_copy(update={"cache_mb": 32.0}), ("any",))
+        for stamp in (0, 7_200_000_000_000):
+            tiny.add(DepthFrame(sunk, sure, seen, camera, pose, stamp, "any", covariance, None, stable))
+        tiny.decide()
 
 
 NODE = NodeType("terrain", TerrainNodeConfig, Terrain)

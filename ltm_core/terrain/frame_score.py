@@ -1,0 +1,120 @@
+"""The surface map scored on frames of a simulated landscape: started from the surface of one date, looking at another.
+
+What cameras measure is the frames' true depth with noise, or what fusion makes of their photos.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.depth.classes import DepthClasses
+from ltm_core.depth.fusion import FusionSettings, Source, Verdict, fuse
+from ltm_core.depth.monocular import DepthNetwork
+from ltm_core.depth.truth_frames_io import TruthFrame
+from ltm_core.metrics.change import ChangeScore, score_change
+from ltm_core.metrics.surface import SurfaceScore, cell_means, score_surface
+from ltm_core.site import TerrainConfig
+from ltm_core.terrain.layers import SurfaceLayers
+from ltm_core.terrain.observation import DepthFrame
+from ltm_core.terrain.reference import Reference
+from ltm_core.terrain.surface_map import SurfaceMap
+from ltm_core.terrain.trials import Noise
+from ltm_core.tracing import TerrainTracer
+
+HOUR_NS = 3_600_000_000_000
+_SURE = np.diag([1e-6] * 3 + [1e-12] * 3)
+Measure = Callable[[TruthFrame], tuple[DepthFrame, str]]
+"""What a camera measures in a frame, and what fusion had to say of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameScore:
+    """`change`: of the cells that independent views have seen; truly changed is what moved by the map's threshold.
+    `before`, `after`: heights of the truly changed ones as given and as updated. `verdicts`: of the fusion.
+    """
+
+    frames: int
+    change: ChangeScore
+    before: SurfaceScore
+    after: SurfaceScore
+    verdicts: Counter[str]
+    layers: SurfaceLayers
+    truth: NDArray[np.bool_]
+
+
+def score_frames(
+    frames: Iterable[TruthFrame], ground: Dem, before: Dem, now: Dem, measure: Measure, config: TerrainConfig
+) -> FrameScore:
+    """Let the map look at frames, an hour apart whatever their stamps say, and compare with the true surface `now`.
+
+    `ground`, `before`: what the map starts from, in the map frame. Raises RasterError, PoseError and ImageError.
+    """
+    reference = Reference.of(ground, before, config.resolution)
+    truth = cell_means(now.elevation, now.geometry, reference.geometry)
+    kept = list(frames)
+    surface = SurfaceMap(reference, config, sorted({frame.camera_name for frame in kept}))
+    verdicts: Counter[str] = Counter()
+    for number, frame in enumerate(kept):
+        seen, verdict = measure(frame)
+        verdicts[verdict] += 1
+        surface.add(replace(seen, stamp_ns=frame.stamp_ns + number * HOUR_NS))
+    surface.decide()
+    layers = surface.layers()
+    known = layers.observed & np.isfinite(truth) & np.isfinite(reference.surface)
+    moved = np.nan_to_num(np.abs(truth - reference.surface)) >= config.threshold
+    return FrameScore(
+        len(kept),
+        score_change(layers.change > 0, moved, known),
+        score_surface(reference.surface, truth, known & moved),
+        score_surface(layers.height, truth, known & moved),
+        verdicts,
+        layers,
+        moved,
+    )
+
+
+def true_depth(noise: Noise, seed: int = 1) -> Measure:
+    """The frame's true depth with sigma `constant` + `share` x range, independent by pixel; the pose is exact."""
+    rng = np.random.default_rng(seed)
+
+    def measure(frame: TruthFrame) -> tuple[DepthFrame, str]:
+        depth = frame.surface
+        with np.errstate(invalid="ignore"):
+            sigma = (noise.constant + noise.share * np.where(np.isfinite(depth), depth, 0)).astype(np.float32)
+        measured = (depth + sigma * rng.standard_normal(depth.shape, np.float32)).astype(np.float32)
+        everywhere = np.ones(depth.shape, np.bool_)
+        return _frame(frame, measured, sigma, everywhere, frame.camera.scaled(frame.step)), "true depth"
+
+    return measure
+
+
+def fused_depth(before: Dem, network: DepthNetwork, classes: DepthClasses) -> Measure:
+    """What fusion makes of the frame's photo and the terrain as it was; where it suspects the pose, nothing."""
+    tracer = TerrainTracer(before)
+
+    def measure(frame: TruthFrame) -> tuple[DepthFrame, str]:
+        traced = tracer.trace(frame.camera, frame.pose)
+        fused = fuse(traced, network.predict(frame.photo, frame.camera), frame.photo, None, classes, FusionSettings())
+        measured = (fused.source == Source.NETWORK) | (fused.source == Source.BOTH)
+        if fused.verdict is Verdict.POSE_SUSPECTED:
+            measured[:] = False
+        return _frame(frame, fused.depth, fused.sigma, measured, frame.camera), fused.verdict.value
+
+    return measure
+
+
+def _frame(
+    frame: TruthFrame,
+    depth: NDArray[np.float32],
+    sigma: NDArray[np.float32],
+    measured: NDArray[np.bool_],
+    camera: Camera,
+) -> DepthFrame:
+    return DepthFrame(depth, sigma, measured, camera, frame.pose, frame.stamp_ns, frame.camera_name, _SURE)

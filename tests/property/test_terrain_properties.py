@@ -1,0 +1,94 @@
+"""What no single view and nothing that moves can do to a cell, whatever it shows and however often it comes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ltm_core.grid import GridGeometry
+from ltm_core.terrain.cell_kernel import Rules, independent, take
+from ltm_core.terrain.tile_pool import TilePool, schema_of
+from ltm_core.tile_store import TileStore
+
+RULES = Rules(3.0, 0.09, 3600.0, 600.0, 8.0, 1.5, 0.25)
+BEGIN = 1_700_000_000
+Look = tuple[int, int, float, float, bool]
+"""Seconds, bit of the camera, height above the reference, variance, whether it is a bound only."""
+
+heights = st.floats(-50.0, 60.0, width=32)
+variances = st.floats(np.float32(0.01).item(), 30.0, width=32)
+
+
+@cache
+def pool(canopy_known: bool) -> TilePool:
+    return TilePool(TileStore.in_memory(schema_of(GridGeometry(0.0, 64.0, 1.0, 64, 64))), 1, canopy_known)
+
+
+def seen_by(looks: Sequence[Look], canopy_known: bool = True) -> TilePool:
+    """A fresh cell, the first of the first tile, after these looks."""
+    one = pool(canopy_known)
+    for name, values in one.cells._asdict().items():
+        values[0, 0] = (0.0 if canopy_known else np.nan) if name == "base" else 0
+    for seconds, bit, dz, variance, bounded in looks:
+        take(one.cells, 0, 0, np.float32(dz), np.float32(variance), np.float32(0.0), bounded, seconds, bit, RULES)
+    return one
+
+
+def believed(one: TilePool) -> bool:
+    """Whether independent views stand behind the cell's estimate."""
+    c = one.cells
+    return bool(c.looks[0, 0] > 0) and bool(
+        independent(c.cameras[0, 0], c.first[0, 0], c.last[0, 0], RULES.independent_after, RULES.settle)
+    )
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.lists(st.tuples(st.integers(0, 3599), st.just(4), heights, variances, st.booleans()), max_size=12),
+    st.booleans(),
+)
+def test_one_view_is_never_believed(looks: list[Look], canopy_known: bool) -> None:
+    looks = [(BEGIN + seconds, *rest) for seconds, *rest in looks]  # type: ignore[misc]
+    assert not believed(seen_by(looks, canopy_known))
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.lists(st.tuples(st.integers(0, 599), st.sampled_from([1, 2, 8]), heights, variances, st.booleans()), max_size=12)
+)
+def test_cameras_that_look_at_once_are_not_believed(looks: list[Look]) -> None:
+    """What they see may have moved on before the settling time is over."""
+    assert not believed(seen_by([(BEGIN + seconds, *rest) for seconds, *rest in looks]))  # type: ignore[misc]
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.lists(st.integers(-9, 11).filter(bool), min_size=1, max_size=10, unique=True),
+    st.data(),
+)
+def test_what_is_elsewhere_each_time_never_becomes_the_estimate(levels: list[int], data: st.DataObject) -> None:
+    """Heights 5 m apart, each seen once, by any camera at any hour, among looks at the ground as it is."""
+    looks: list[Look] = []
+    for i, level in enumerate(levels):
+        bit = data.draw(st.sampled_from([1, 2, 4]))
+        seconds = BEGIN + 3600 * data.draw(st.integers(0, 50)) + i
+        looks.append((seconds, bit, 5.0 * level, 0.05, False))
+        if data.draw(st.booleans()):
+            looks.append((seconds + 7200, data.draw(st.sampled_from([1, 2, 4])), 0.0, 0.05, False))
+    one = seen_by(looks)
+    assert abs(float(one.cells.dz[0, 0])) < 1e-6
+    assert one.cells.looks[0, 0] <= sum(1 for look in looks if look[2] == 0.0)
+
+
+@settings(max_examples=100, deadline=None)
+@given(heights.filter(lambda h: abs(h) > 3.0), st.integers(1, 60), st.integers(1, 60))
+def test_what_stays_is_believed(height: float, first: int, second: int) -> None:
+    """The same height three times, hours apart, from two cameras."""
+    times = (0, 3600 * first, 3600 * (first + second))
+    one = seen_by([(BEGIN + t, bit, height, 0.05, False) for t, bit in zip(times, (1, 2, 1), strict=True)])
+    assert believed(one)
+    assert abs(float(one.cells.dz[0, 0]) - height) < 1e-3
