@@ -126,7 +126,7 @@ class Decider:
         enough = cells.evidence[here] >= rules.min_evidence
         apart = cells.last[here].astype(np.int64) - cells.first[here] >= rules.min_interval_s
         changes = has_prior & ~masked & (better >= rules.posterior) & enough & (apart | (cells.cameras[here] > 1))
-        favoured = np.where(agreeing | ~has_prior[:, None], alpha, -1.0).argmax(axis=1)
+        favoured = _favoured(alpha, agreeing | ~has_prior[:, None], has_prior, rules.posterior)
         form = np.where(changes, challenger, favoured)
 
         faded = changes & (form == _BURNED) & (now_s - cells.last[:, _BURNED] >= rules.burned_days * 86400)
@@ -164,6 +164,19 @@ class Decider:
         mixed = both & ((form == _GRASS) | (form == _SHRUB))
         code = np.where((form == _TREE) & original[:, _SHRUB], c.shrubs_to_tree, table[form])
         return np.where(mixed, c.grass_shrub, code)
+
+
+def _favoured(
+    alpha: NDArray[np.float64], possible: NDArray[np.bool_], has_prior: NDArray[np.bool_], posterior: float
+) -> NDArray[np.int64]:
+    """(N,) the form of cells that do not change: of those that a prior's code stands for, its first one, unless another
+    is the commoner with the probability that a change would need; without a prior, the commonest.
+    """
+    best = np.where(possible, alpha, -1.0).argmax(axis=1)
+    usual = possible.argmax(axis=1)
+    every = np.arange(len(alpha))
+    surer = betainc(alpha[every, usual], alpha[every, best], 0.5) >= posterior
+    return np.where(has_prior & ~surer, usual, best)
 
 
 def _contest(

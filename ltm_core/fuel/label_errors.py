@@ -4,7 +4,7 @@ together.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
@@ -133,6 +133,14 @@ class LabelErrors:
             return cls(assumed.shares, correlation, given.source)
         about = f"its calibration on {calibration.measured_on}; correlation: {given.source}"
         return cls(_calibrated(calibration, assumed.shares), correlation, about)
+
+    def scaled(self, level: float) -> LabelErrors:
+        """A network with `level` times the share of wrong labels, at most all but a tenth of a form's."""
+        wrong = self.shares * (1 - np.eye(FORMS))
+        total = wrong.sum(axis=1, keepdims=True)
+        factor = np.minimum(level, 0.9 / np.maximum(total, 1e-9))
+        shares = wrong * factor
+        return replace(self, shares=shares + np.diag(1 - shares.sum(axis=1)))
 
     def log_likelihood(self) -> NDArray[np.float64]:
         """(FORMS, FORMS): log share by [life form, label]; -inf rows for forms that are not known."""

@@ -18,7 +18,8 @@ class DecayYears(StrictModel):
     bare: float = Field(2.0, gt=0)
     water: float = Field(10.0, gt=0)
     built: float = Field(20.0, gt=0)
-    burned: float = Field(0.5, gt=0)
+    burned: float = Field(6.0, gt=0)
+    """That it has burned: how long it looks burned is `burned_days`, and then it is what has grown since."""
 
 
 class FusionRules(StrictModel):

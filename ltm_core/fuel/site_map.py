@@ -20,7 +20,10 @@ def site_evidence_map(site: Site, geometry: GridGeometry, labels: LabelSet) -> L
     """
     fuel = site.fuel
     prior = None if fuel.prior is None else load_prior(fuel.prior, site.in_crs(geometry))
-    errors = (
-        LabelErrors.of_model(site.model) if fuel.label_errors is None else LabelErrors.load(Path(fuel.label_errors))
-    )
-    return LivingFuelMap(geometry, prior, labels, fuel.fusion, errors, Region.named(fuel.region))
+    return LivingFuelMap(geometry, prior, labels, fuel.fusion, site_label_errors(site), Region.named(fuel.region))
+
+
+def site_label_errors(site: Site) -> LabelErrors:
+    """What is known of the errors of the site's network. Raises ConfigError."""
+    given = site.fuel.label_errors
+    return LabelErrors.of_model(site.model) if given is None else LabelErrors.load(Path(given))

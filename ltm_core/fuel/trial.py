@@ -26,6 +26,8 @@ from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 
+TUNING_SEEDS = (101, 102)
+"""Of the countries on which the constants of `FusionRules` were chosen; scores are of others."""
 BEGIN_NS = 1_750_000_000 * 10**9
 _CLUMP_PX = 6.0
 """Of the errors of a frame, standard deviation of the Gaussian that makes neighbours err together."""

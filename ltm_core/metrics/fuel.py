@@ -37,6 +37,19 @@ def score_fuel(
 
     Raises RasterError where the grids' cells do not coincide, or their CRSs differ.
     """
+    true = on_grid(truth, truth_geometry, geometry)
+    both = (classes < class_count) & (true < class_count)
+    confusion = np.bincount(
+        true[both].astype(np.int64) * class_count + classes[both], minlength=class_count * class_count
+    ).reshape(class_count, class_count)
+    return FuelScore(classes.size, int(both.sum()), int(np.trace(confusion)), confusion)
+
+
+def on_grid(truth: NDArray[np.uint8], truth_geometry: GridGeometry, geometry: GridGeometry) -> NDArray[np.uint8]:
+    """Classes of `truth_geometry` at the cells of `geometry`, UNSEEN where it has none.
+
+    Raises RasterError where the grids' cells do not coincide, or their CRSs differ.
+    """
     crs, truth_crs = geometry.crs, truth_geometry.crs
     if crs != truth_crs and (crs is None or truth_crs is None or CRS(crs) != CRS(truth_crs)):
         raise RasterError(f"fuel map in {crs} cannot be scored against truth in {truth_crs}: warp one to the other")
@@ -47,10 +60,6 @@ def score_fuel(
     rows, cols = np.indices(geometry.shape)
     rows, cols = rows + round(float(row)), cols + round(float(col))
     inside = truth_geometry.contains(rows, cols)
-    true = np.full(classes.shape, UNSEEN, np.uint8)
+    true = np.full(geometry.shape, UNSEEN, np.uint8)
     true[inside] = truth[rows[inside], cols[inside]]
-    both = (classes < class_count) & (true < class_count)
-    confusion = np.bincount(
-        true[both].astype(np.int64) * class_count + classes[both], minlength=class_count * class_count
-    ).reshape(class_count, class_count)
-    return FuelScore(classes.size, int(both.sum()), int(np.trace(confusion)), confusion)
+    return true

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltm_core.errors import ImageError, RasterError
-from ltm_core.fuel.evidence import EVIDENCE_FIELDS, TILE, EvidenceMap, camera_hash
+from ltm_core.fuel.evidence import EPOCH_S, EVIDENCE_FIELDS, TILE, EvidenceMap, camera_hash
 from ltm_core.fuel.frame_evidence import frame_evidence
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import NODATA, LifeForm, label_forms
@@ -207,6 +207,96 @@ def test_evidence_decays_with_the_time_constant_of_its_form() -> None:
     assert (later / before > np.exp(-1)).all()
     assert (later / before < np.exp(-1) + 0.03).all()
     assert grid_map.newest_ns == NOW * 10**9
+
+
+@pytest.mark.parametrize("label", [label for label in Label if label != Label.SKY])
+def test_each_form_has_its_own_time_constant(label: Label) -> None:
+    grid_map = fuel_map(votes(label), errors=LabelErrors(np.eye(7), INDEPENDENT))
+    years = getattr(FusionRules().decay_years, LifeForm(label).name.lower())
+    now = grid_map.layers().evidence
+    later = grid_map.layers(at_ns=int((NOW + years * YEAR) * 10**9)).evidence
+    np.testing.assert_allclose(later / now, np.exp(-1), rtol=0.02)
+
+
+def test_burned_labels_live_for_a_time() -> None:
+    labels = LabelSet((*LABELS.names, "burned"), (*LABELS.colors, (0, 0, 0)), (*LABELS.ground_cover, True))
+    grid_map = EvidenceMap(GRID, PRIOR, labels, errors=LabelErrors(np.eye(7), INDEPENDENT))
+    frame = votes(Label.TREE, cells=[(0, 0)])
+    counts = np.zeros((1, 8), np.uint32)
+    counts[0, 7] = 40
+    for camera in ("north", "south"):
+        grid_map.add(replace(frame, counts=counts, source=camera))
+    burned = grid_map.layers()
+    assert (burned.code[0, 0], burned.life_form[0, 0]) == (99, LifeForm.BURNED)
+    day = 86400 * 10**9
+    assert grid_map.layers(at_ns=NOW * 10**9 + 179 * day).code[0, 0] == 99
+    grown = grid_map.layers(at_ns=NOW * 10**9 + 181 * day)
+    assert (grown.code[0, 0], grown.life_form[0, 0], grown.changed[0, 0]) == (101, LifeForm.GRASS, True)
+
+
+def test_cells_of_two_forms_keep_the_usual_one_until_another_is_sure() -> None:
+    assert fuel_map(votes(Label.SHRUB, pixels=1)).layers().life_form[1, 0] == LifeForm.GRASS
+    sure = fuel_map(*(votes(Label.SHRUB, NOW + k * HOUR) for k in range(3))).layers()
+    assert (sure.life_form[1, 0], sure.code[1, 0], sure.changed[1, 0]) == (LifeForm.SHRUB, 121, False)
+
+
+def looks_of(bearing: float, source: str, second: float = NOW) -> CellVotes:
+    return votes(Label.TREE, second, source, sighting=sighting(6, bearing=bearing))
+
+
+def test_two_cameras_of_one_tower_are_one_view_and_two_sides_are_two() -> None:
+    systematic = LabelErrors(ASSUMED.shares, LabelCorrelation(cell=0.7, stand=0.1, view=0.7, network=0.2))
+    one, same, other = (
+        fuel_map(*of, errors=systematic).layers().evidence
+        for of in (
+            [looks_of(0.1, "north")],
+            [looks_of(0.1, "north"), looks_of(0.2, "north_wide")],
+            [looks_of(0.1, "north"), looks_of(3.0, "south")],
+        )
+    )
+    np.testing.assert_allclose(same, one, rtol=1e-3)
+    np.testing.assert_allclose(other, one * 2 / (1 + 0.2 / 0.7), rtol=1e-3)
+
+
+def test_frames_of_a_view_say_less_the_more_its_errors_are_the_same() -> None:
+    hours = [looks_of(1.0, "north", NOW + k * HOUR) for k in range(4)]
+    for view in (0.0, 0.2, 0.5):
+        errors = LabelErrors(ASSUMED.shares, LabelCorrelation(cell=0.5, stand=0.1, view=view, network=0.0))
+        once, often = (fuel_map(*of, errors=errors).layers().evidence for of in (hours[:1], hours))
+        np.testing.assert_allclose(often, once * 4 / (1 + 3 * view / 0.5), rtol=1e-3)
+
+
+def test_systematic_errors_of_one_view_never_change_a_cell() -> None:
+    """The errors that were measured of landscape_lite0: however long one tower says so, the prior stands."""
+    errors = LabelErrors(ASSUMED.shares, LabelCorrelation(cell=0.78, stand=0.33, view=0.78, network=0.34))
+    shrub_or_tree = [0, 0, 12, 28, 0, 0, 0]
+    frames = [votes(shrub_or_tree, NOW + k * HOUR, sighting=sighting(6)) for k in range(30)]
+    assert not fuel_map(*frames, errors=errors).layers().changed[0, 0]
+    assert fuel_map(*frames).layers().changed[0, 0]
+
+
+def test_a_view_says_what_it_shows_of_late() -> None:
+    """Years of shrubs do not outweigh that they are gone: the newest epochs of a view stand in place of older ones."""
+    shrubs = [votes(Label.SHRUB, NOW + k * EPOCH_S) for k in range(30)]
+    grass = [votes(Label.GRASS, NOW + k * EPOCH_S) for k in (30, 31)]
+    assert not fuel_map(*shrubs, grass[0]).layers().changed[0, 0]
+    gone = fuel_map(*shrubs, *grass)
+    assert (gone.layers().code[0, 0], gone.layers().changed[0, 0]) == (102, True)
+    late = fuel_map(*grass, *shrubs[::-1])
+    for name in ("shown", "best", "span", "epochs"):
+        np.testing.assert_array_equal(late.tile_state((0, 0))[name], gone.tile_state((0, 0))[name])
+
+
+def test_context_is_of_the_same_stand_only() -> None:
+    """What grows beside a cell in another stand of the prior says nothing of it."""
+    frame = votes(Label.SHRUB)
+    frame.counts[[0, 1], Label.SHRUB] = 20
+    frame.counts[[0, 1], Label.TREE] = 20  # the two shrub stands of the prior, of which the labels are unsure
+    of = {}
+    for stands in (None, np.array([[1, 1, 2], [3, 4, 5]], np.uint8)):
+        evidence = frame_evidence(frame, label_forms(LABELS), TRUSTED, FusionRules(), stands)
+        of[stands is None] = evidence.amounts[0] / evidence.amounts[0].sum()
+    assert of[True][LifeForm.SHRUB - 1] > of[False][LifeForm.SHRUB - 1] + 0.02
 
 
 def test_the_order_of_frames_does_not_matter() -> None:

@@ -1,0 +1,75 @@
+"""A fuel map against truth, by what it changed of the prior map: changes found, false ones, right cells by form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.fuel.life_form import LifeForm, forms_of
+from ltm_core.fuel.majority import UNSEEN
+
+
+@dataclass(frozen=True)
+class Share:
+    """So many of so many."""
+
+    count: int
+    of: int
+
+    @property
+    def value(self) -> float:
+        return self.count / self.of if self.of else float("nan")
+
+
+@dataclass(frozen=True)
+class MapScore:
+    """Over cells that frames voted in and whose truth is known.
+
+    `right`: cells of the true life form. `found`: of cells whose true form is not the prior's, those that the map has
+    changed to it. `false_flips`: of cells whose true form is the prior's, those that the map has changed. `by_form`:
+    right cells and false flips of each true form.
+    """
+
+    name: str
+    right: Share
+    found: Share
+    false_flips: Share
+    by_form: dict[str, tuple[Share, Share]]
+
+
+def score_map(
+    name: str,
+    life_form: NDArray[np.uint8],
+    truth: NDArray[np.uint8],
+    prior: NDArray[np.int16] | None,
+    seen: NDArray[np.bool_],
+) -> MapScore:
+    """(H, W) each; `prior`: fuel codes, None: there is none, and nothing is a change then."""
+    cells = seen & (truth >= 1) & (truth <= len(LifeForm))
+    form, true = life_form[cells], truth[cells]
+    right = form == true
+    if prior is None:
+        held = agrees = np.ones(len(true), np.bool_)
+    else:
+        forms = forms_of(prior[cells])
+        known = forms.any(axis=1)
+        every = np.arange(len(true))
+        held = forms[every, true - 1] | ~known
+        agrees = forms[every, np.where(form == UNSEEN, 1, form) - 1] | (form == UNSEEN) | ~known
+    return MapScore(
+        name,
+        _share(right, np.ones_like(right)),
+        _share(right, ~held),
+        _share(~agrees, held),
+        {
+            shown.name.lower(): (_share(right, true == shown), _share(~agrees, held & (true == shown)))
+            for shown in LifeForm
+            if (true == shown).any()
+        },
+    )
+
+
+def _share(chosen: NDArray[np.bool_], among: NDArray[np.bool_]) -> Share:
+    return Share(int((chosen & among).sum()), int(among.sum()))
