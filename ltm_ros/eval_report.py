@@ -25,11 +25,12 @@ from ltm_core.resources import config_path
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmenter
 from ltm_ros import eval_report_figures as draw
-from ltm_ros.bag_score import BagScore, Recorded
+from ltm_ros.bag_score import BagScore
 from ltm_ros.eval_report_page import PAGE
 from ltm_ros.eval_tables import shown, tables
 from ltm_ros.fuel_pictures import canvas_of, seen_window
 from ltm_ros.fuel_source import FuelSource
+from ltm_ros.recorded import Recorded
 from ltm_ros.recorded_map import last_fuel_map
 from ltm_ros.report import Table
 

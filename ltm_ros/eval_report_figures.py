@@ -40,8 +40,9 @@ from ltm_core.pose import Pose
 from ltm_core.site import Site
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmenter
-from ltm_ros.bag_score import DEPTH_SOURCES, Recorded, image_shape, in_metres, kind_of, recorded_votes
+from ltm_ros.bag_score import DEPTH_SOURCES, in_metres, kind_of
 from ltm_ros.frame_stream import FrameStream, StreamedFrame
+from ltm_ros.recorded import Recorded, image_shape, recorded_votes
 
 MAP_SIDE = 1500.0
 """Metres of the square that fuel maps show, as in the paper."""

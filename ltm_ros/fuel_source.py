@@ -94,8 +94,8 @@ class FuelSource:
         """How often and how finely the cameras of a bag have seen each cell; None of anything but a bag."""
         if self.bag is None:
             return None
-        from ltm_ros.bag_score import Recorded, recorded_votes
         from ltm_ros.fuel_pictures import coverage_of
+        from ltm_ros.recorded import Recorded, recorded_votes
 
         grid = self.site.in_map(self.geometry)
         recorded = Recorded(self.bag, self.bag, self.site, self.bag.parent)

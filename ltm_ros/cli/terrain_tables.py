@@ -183,7 +183,7 @@ def simulated_frames(
 def recorded_run(bag: Path, site: Path | None, truth: Path | None, date: str, out: Path | None) -> None:
     """What the terrain node of a recorded run had found when it ended, against the true surfaces."""
     from ltm_core.errors import RecordingError
-    from ltm_ros.bag_score import Recorded
+    from ltm_ros.recorded import Recorded
     from ltm_ros.terrain_score import score_terrain
 
     recorded = Recorded.find(bag, site, truth, date or None)

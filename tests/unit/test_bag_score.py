@@ -27,9 +27,10 @@ from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pointcloud import columns_to_msg
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_ros.bag_score import SHARED, TRUTHS, BagScore, Recorded, score_bag
+from ltm_ros.bag_score import SHARED, TRUTHS, BagScore, score_bag
 from ltm_ros.cli.main import cli
 from ltm_ros.eval_tables import as_json, rich_table, tables
+from ltm_ros.recorded import Recorded
 
 CAMERA = Camera(18, 10, 20.0, 21.0, 8.5, 4.5)
 STEP = 2

@@ -25,9 +25,9 @@ from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.votes import votes_to_msg
-from ltm_ros.bag_score import Recorded
 from ltm_ros.cli.main import cli
 from ltm_ros.eval_report import ReportInputs, figures_of
+from ltm_ros.recorded import Recorded
 
 CAMERA = Camera.from_fov(96, 60, 60.0)
 SECOND = 1_000_000_000

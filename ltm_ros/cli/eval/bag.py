@@ -48,8 +48,9 @@ def bag(
 
     from ltm_core.errors import ConfigError, RecordingError
     from ltm_core.metrics.depth_maps_io import DepthMapFolder
-    from ltm_ros.bag_score import Recorded, score_bag
+    from ltm_ros.bag_score import score_bag
     from ltm_ros.eval_tables import as_json, rich_table, tables
+    from ltm_ros.recorded import Recorded
 
     console = Console()
     folders = []

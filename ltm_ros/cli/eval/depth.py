@@ -74,7 +74,7 @@ def depth(
     if (place / "frames.json").is_file():
         dem, frames = open_dem(place), read_truth_frames(place, date)
     else:
-        from ltm_ros.bag_score import Recorded
+        from ltm_ros.recorded import Recorded
         from ltm_ros.truth_frames import recorded_truth_frames
 
         recorded = Recorded.find(place, site)
