@@ -100,6 +100,8 @@ def test_all_figures(recorded: Recorded, tmp_path: Path) -> None:
         "depth_4_east.png",
         "fuel_maps.png",
         "fuel_3d.png",
+        "fuel_change.png",
+        "fuel_coverage.png",
     ]
     assert lacking == []
     by_name = {figure.file: figure.picture for figure in figures}

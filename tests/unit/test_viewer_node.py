@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,23 @@ import yaml
 from outlets import Kept
 from small_site import write_small_site
 
+from ltm_core.errors import MessageError
+from ltm_core.fuel.codes import Region
+from ltm_core.fuel.decision import layers_of_classes
+from ltm_core.fuel.life_form import LifeForm
+from ltm_msgs_py.fuel_cells import fuel_cells_to_msg
+from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import depth_to_msg
 from ltm_ros.health import Health
-from ltm_ros.topics import DEPTH_IMAGE, FUSED_DEPTH, NETWORK_DEPTH, camera_topic
+from ltm_ros.topics import (
+    DEPTH_IMAGE,
+    FUEL_MAP,
+    FUEL_MAP_CELLS,
+    FUSED_DEPTH,
+    NETWORK_DEPTH,
+    camera_topic,
+    site_topic,
+)
 
 pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 
@@ -58,3 +73,25 @@ def test_without_a_depth_network_nobody_is_asked_for_fused_depth(tmp_path: Path)
     node = viewer(write_small_site(tmp_path).path, tmp_path / "view.rrd")
     assert not [topic.name for topic in node.subscriptions if "fused" in topic.name or "network" in topic.name]
     node.finish()
+
+
+def test_the_layers_of_the_fuel_map_are_shown_with_burned_cells(tmp_path: Path) -> None:
+    small = write_small_site(tmp_path)
+    node = viewer(small.path, tmp_path / "view.rrd")
+    take = {topic.name: callback for topic, callback in node.subscriptions.items()}
+    grid = small.site.fuel_geometry(small.dem)
+    classes = np.full(grid.shape, LifeForm.GRASS, np.uint8)
+    classes[2:4, 3:5] = LifeForm.BURNED
+    layers = layers_of_classes(classes, None, Region.named("dry"))
+    seen = replace(layers, last_seen=np.where(classes == LifeForm.BURNED, STAMP, 0))
+    cells = fuel_cells_to_msg(seen, np.zeros(grid.shape), grid, STAMP)
+    take[site_topic(small.site.name, FUEL_MAP_CELLS)](cells)
+    take[site_topic(small.site.name, FUEL_MAP)](classes_to_msg(classes, grid, STAMP))
+    elsewhere = fuel_cells_to_msg(seen, np.zeros(grid.shape), grid.translated(9e5, 0.0), STAMP)
+    with pytest.raises(MessageError, match="outside the fuel grid"):
+        take[site_topic(small.site.name, FUEL_MAP_CELLS)](elsewhere)
+    node.finish()
+    found = {str(chunk.entity_path): chunk for chunk in RrdReader(str(tmp_path / "view.rrd")).stream()}
+    assert {f"/fuel_layers/{name}" for name in ("life_form", "code", "entropy", "seen_by")} <= set(found)
+    context = str(found["/"].to_record_batch().to_pydict())
+    assert "burned" in context
