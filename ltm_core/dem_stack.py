@@ -107,6 +107,12 @@ class DemStack(Dem):
         object.__setattr__(self, "coarser", tuple(levels[1:]))
 
 
+def open_terrain(rasters: Sequence[tuple[Path | str, str | None]]) -> Dem:
+    """Open (path, CRS or None) of one raster as `Dem.open` does, of several, finest first, as `DemStack.open` does."""
+    (path, crs), *coarser = rasters
+    return DemStack.open(path, crs, *coarser) if coarser else Dem.open(path, crs)
+
+
 def with_surface(ground: Dem, surface: Dem) -> Dem:
     """The terrain with the tops of trees and houses, where `surface` holds them, and bare earth elsewhere.
 

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
-from ltm_core.dem_stack import DemStack, with_surface
+from ltm_core.dem_stack import open_terrain, with_surface
 from ltm_core.errors import ConfigError, PoseError
 from ltm_core.fuel.prior_config import PriorConfig
 from ltm_core.fuel.rules import FusionRules
@@ -236,10 +236,7 @@ class Site(Config):
 
     def open_dem(self) -> Dem:
         """The bare earth in the map frame; a `DemStack` where the site has coarser rasters too."""
-        if not self.coarser:
-            return Dem.open(self.dem.path, self.dem.crs).in_frame(self.frame)
-        around = ((dem.path, dem.crs) for dem in self.coarser)
-        return DemStack.open(self.dem.path, self.dem.crs, *around).in_frame(self.frame)
+        return open_terrain([(dem.path, dem.crs) for dem in (self.dem, *self.coarser)]).in_frame(self.frame)
 
     def open_surface(self, ground: Dem) -> Dem:
         """What cameras see of the terrain, in the map frame: `ground` (of `open_dem`) with the tops of trees and houses

@@ -6,6 +6,7 @@ same position; *still*, the same camera and pose again.
 
 from __future__ import annotations
 
+import itertools
 import math
 import multiprocessing
 import tempfile
@@ -155,9 +156,10 @@ def measure(name: str, elevation: np.ndarray[Any, np.dtype[np.float32]], scenes:
     made: list[Any] = []
     setup = cost_of(lambda: made.append(make(dem)))
     frames = {}
+    steps = itertools.count(1)
     for scene in scenes:
         if kind is None:
-            frames[scene.name] = _ours(made[0], scene, pose, repeats)
+            frames[scene.name] = _ours(made[0], scene, pose, repeats, steps)
         else:
             call = made[0].prepare(View(scene.camera(kind.every), pose))
             if kind.every == 1:
@@ -166,7 +168,8 @@ def measure(name: str, elevation: np.ndarray[Any, np.dtype[np.float32]], scenes:
     return Measured(name, size, setup, peak_mb() - before, frames)
 
 
-def _ours(tracer: TerrainTracer, scene: Scene, pose: Pose, repeats: int) -> dict[str, Cost]:
+def _ours(tracer: TerrainTracer, scene: Scene, pose: Pose, repeats: int, steps: Iterator[int]) -> dict[str, Cost]:
+    """`steps`: numbers that no scene has had before, so that no position and no direction comes again."""
     camera = scene.camera()
     tracer.trace(camera, pose)
 
@@ -177,10 +180,9 @@ def _ours(tracer: TerrainTracer, scene: Scene, pose: Pose, repeats: int) -> dict
         azimuth, pitch, roll = pose.angles_deg
         return Pose.from_angles(pose.position, azimuth + 0.01 * (k + 1), pitch, roll)
 
-    counts = iter(range(1, 10**9))
-    cold = least_cost(lambda: tracer.trace(camera, moved(next(counts))), repeats)
+    cold = least_cost(lambda: tracer.trace(camera, moved(next(steps))), repeats)
     tracer.trace(camera, pose)
-    warm = least_cost(lambda: tracer.trace(camera, turned(next(counts))), repeats)
+    warm = least_cost(lambda: tracer.trace(camera, turned(next(steps))), repeats)
     tracer.trace(camera, pose)
     still = least_cost(lambda: tracer.trace(camera, pose), repeats)
     return {"warm": warm, "cold": cold, "still": still}

@@ -19,13 +19,12 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from ltm_core.tracing.cells import FASTMATH, clearance, first_root, meets, ray_height, surface
 from ltm_core.tracing.holes import filled_at
 from ltm_core.tracing.pyramid import LEAF
 
 Floats = NDArray[np.float64]
 
-# Contracting to FMA is safe; nnan and ninf would break the NaN and infinity that mean hole and sky.
-_FASTMATH = {"contract", "nsz"}
 # Below this a ray is taken to be plumb: 10 km down it is then off by 10 micrometres.
 PLUMB_SINE = 1e-9
 # Cells: a hole that is crossed over less than this is only touched at a corner, and does not count.
@@ -93,7 +92,7 @@ LOST = -3.0
 """Known ground, and then an outer hole: what it meets from now on may be hidden by ground that is not known."""
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def _crossing(west: float, north: float, east: float, south: float, cx: float, cy: float) -> tuple[float, float]:
     """Ranges (q_in, q_out) between which a ray is over a window; q_in > q_out where it never is."""
     q_in, q_out = 0.0, np.inf
@@ -112,13 +111,13 @@ def _crossing(west: float, north: float, east: float, south: float, cx: float, c
     return q_in, q_out
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def over_raster(stage: Stage, cx: float, cy: float) -> tuple[float, float]:
     """Ranges (q_in, q_out) between which a ray is over a stage's raster; q_in > q_out where it never is."""
     return _crossing(stage.west, stage.north, stage.east, stage.south, cx, cy)
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def stretch(stage: Stage, cx: float, cy: float) -> tuple[float, float]:
     """Ranges between which a ray's way belongs to a stage; start > end where none of it does."""
     start, end = over_raster(stage, cx, cy)
@@ -132,7 +131,7 @@ def stretch(stage: Stage, cx: float, cy: float) -> tuple[float, float]:
     return max(start, finer_out), end
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def finished(stage: Stage, cx: float, cy: float, s: float, bend: float, q: float) -> float:
     """The answer of the last stage: what a ray that has met nothing gives, +inf where it leaves climbing, else NaN."""
     if not (stage.last and q < 0.0):
@@ -149,7 +148,7 @@ def finished(stage: Stage, cx: float, cy: float, s: float, bend: float, q: float
     return np.inf if s + 2.0 * bend * q_out >= 0.0 else np.nan
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def hit_between(
     ground: Ground,
     stage: Stage,
@@ -183,7 +182,7 @@ def hit_between(
     ahead_y = 1 if cy > 0.0 else 0
 
     q = start
-    z = oz + q * (s + bend * q)
+    z = ray_height(oz, s, bend, q)
     ix = min(max(math.floor(ox + cx * q), 0), x_last - 1)
     iy = min(max(math.floor(oy + cy * q), 0), y_last - 1)
     level = min(level, offsets.size - 1) if level >= LEAF else 0
@@ -200,7 +199,7 @@ def hit_between(
         q_x = ((x1 if ahead_x else x0) - ox) * inv_cx if cx != 0.0 else np.inf
         q_y = ((y1 if ahead_y else y0) - oy) * inv_cy if cy != 0.0 else np.inf
         q_exit = min(max(min(q_x, q_y), q), end)
-        z_exit = oz + q_exit * (s + bend * q_exit)
+        z_exit = ray_height(oz, s, bend, q_exit)
         if level > 0:
             bound = bounds[np.uint64(offsets[level] + by * widths[level] + bx)]
             dq = q_exit - q
@@ -215,27 +214,19 @@ def hit_between(
             at = np.uint64(iy * width + ix)
             below = np.uint64(at + np.uint64(width))
             h00 = float(nodes[at])
-            h01 = float(nodes[at + np.uint64(1)])
-            h10 = float(nodes[below])
+            h10 = float(nodes[at + np.uint64(1)])
+            h01 = float(nodes[below])
             h11 = float(nodes[below + np.uint64(1)])
-            b = h01 - h00
-            e = h10 - h00
-            g = h11 - h10 - b
+            b, e, g = surface(h00, h10, h01, h11)
             if g == g:
                 u = ox + cx * q - ix
                 v = oy + cy * q - iy
                 dq = q_exit - q
-                f0 = z - (h00 + b * u + v * (e + g * u))
+                f0, f1, a = clearance(z, s, bend, q, cx, cy, h00, b, e, g, u, v)
                 if f0 <= 0.0:
                     return np.nan if lost or (not entered and f0 < 0.0) else q
-                f1 = s + 2.0 * bend * q - (b + g * v) * cx - (e + g * u) * cy
-                a = bend - g * cx * cy
-                discriminant = f1 * f1 - 4.0 * a * f0
-                crosses = f0 + dq * (f1 + a * dq) <= 0.0
-                dips = f1 < 0.0 and f1 + 2.0 * a * dq > 0.0 and discriminant >= 0.0
-                if crosses or dips:
-                    step = 2.0 * f0 / (-f1 + math.sqrt(max(discriminant, 0.0)))
-                    return np.nan if lost else q + min(step, dq)
+                if meets(f0, f1, a, dq):
+                    return np.nan if lost else q + first_root(f0, f1, a, dq)
                 entered = True
             elif q_exit - q > TOUCH:
                 north = iy * width + ix
@@ -285,7 +276,7 @@ def cell_ceiling(ground: Ground, at: int) -> float:
     return highest
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def lowest(oz: float, s: float, bend: float, q0: float, q1: float) -> float:
     """The least height of z(q) = oz + s q + bend q^2 on [q0, q1]."""
     z = min(oz + q0 * (s + bend * q0), oz + q1 * (s + bend * q1))
@@ -294,7 +285,7 @@ def lowest(oz: float, s: float, bend: float, q0: float, q1: float) -> float:
     return z
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def height_at(ground: Ground, x: float, y: float) -> float:
     """Bilinear height at grid position (x, y); NaN outside the nodes and in holes."""
     nodes, width, height = ground.nodes, ground.width, ground.height
@@ -313,7 +304,7 @@ def height_at(ground: Ground, x: float, y: float) -> float:
     return h
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FASTMATH, parallel=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH, parallel=True, nogil=True)  # type: ignore[untyped-decorator]
 def trace_directions(
     ground: Ground, stage: Stage, rotation: Floats, rays: Floats, first: bool, out: NDArray[np.float32]
 ) -> None:

@@ -28,9 +28,14 @@ def trace(
     tracers: Annotated[str, typer.Option(help="Only these tracers, with commas; all where empty.")] = "",
     repeats: Annotated[int, typer.Option(help="Frames that each figure is the least of.", min=1)] = 5,
     json: Annotated[Path | None, typer.Option(help="Write the figures here.")] = None,
+    peers: Annotated[
+        Path | None,
+        typer.Option(help="Folder with packages for peers only (pip install --target), looked at after our own."),
+    ] = None,
 ) -> None:
     """Trace the same views with ours and with embreex, Open3D, Mitsuba and the paper's march."""
     import json as json_module
+    import sys
 
     from rich.console import Console
 
@@ -38,6 +43,10 @@ def trace(
     from ltm_core.bench.summary import growth, rows
     from ltm_core.bench.tracing import SCENES, Measured, Skipped, run
 
+    if peers is not None:
+        if not peers.is_dir():
+            raise typer.BadParameter(f"no such folder: {peers}", param_hint="--peers")
+        sys.path.append(str(peers))  # the measuring processes get this path too
     console = Console()
     widths = _widths(sizes)
     chosen = [s for s in SCENES if any(part in s.name for part in scenes.split(","))]

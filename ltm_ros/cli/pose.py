@@ -19,7 +19,10 @@ def pose(
     gcps: Annotated[Path, typer.Option(help="CSV of control points: id, x, y, z (or lon, lat, z), u, v.")],
     pose_guess: Annotated[Path, typer.Option(help="Pose file of what is known: position, camera; angles if they are.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Pose file to write; `ltm trace --pose` reads it.")],
-    dem: Annotated[Path | None, typer.Option(help="Elevation raster: the points are traced to it too.")] = None,
+    dem: Annotated[
+        list[Path] | None,
+        typer.Option(help="Elevation raster: the points are traced to it too; again for coarser ones around it."),
+    ] = None,
     free: Annotated[str, typer.Option(help="Fitted besides the angles: focal, k1, position; or none.")] = "focal,k1",
     first_pixel: Annotated[
         float, typer.Option(help="Number of the first pixel's centre in the CSV: 0 (OpenCV), 1 (Matlab), 0.5.")
@@ -35,14 +38,15 @@ def pose(
     from rich.console import Console
 
     from ltm_core.config_io import load_yaml
-    from ltm_core.dem import Dem
+    from ltm_core.dem_stack import open_terrain
     from ltm_core.geodesy import ray_bend
     from ltm_core.resection import resect
     from ltm_core.resection_adjustment import Parameter
     from ltm_core.resection_io import GuessConfig, read_control_points, set_up_resection, write_pose, write_report
 
     guess = load_yaml(pose_guess, GuessConfig)
-    setup = set_up_resection(guess, None if dem is None else Dem.open(dem, crs), crs)
+    terrain = open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])]) if dem else None
+    setup = set_up_resection(guess, terrain, crs)
     names = [name.strip() for name in free.split(",") if name.strip() not in ("", "none", "angles")]
     result = resect(
         read_control_points(gcps, setup.frame, first_pixel),

@@ -9,18 +9,23 @@ import typer
 
 
 def trace(
-    dem: Annotated[Path, typer.Option(help="Elevation raster that GDAL reads, projected, in metres.")],
+    dem: Annotated[
+        list[Path],
+        typer.Option(help="Elevation raster that GDAL reads, projected, in metres; again for coarser ones around it."),
+    ],
     pose: Annotated[Path, typer.Option(help="YAML: position, azimuth, pitch, roll, camera (ltm_core.trace_io).")],
     out: Annotated[Path, typer.Option(help="Folder for the results; made if it is not there.")],
     image: Annotated[Path | None, typer.Option(help="The photo, to draw the depth over.")] = None,
-    crs: Annotated[str | None, typer.Option(help="CRS of a raster that carries none, such as EPSG:32611.")] = None,
+    crs: Annotated[
+        str | None, typer.Option(help="CRS of a raster (of several: the finest) that carries none, such as EPSG:32611.")
+    ] = None,
 ) -> None:
     """Trace one picture to the terrain: depth and alignment rasters, depth over the photo, a map of the seen cells."""
     import numpy as np
     from rich.console import Console
     from rich.table import Table
 
-    from ltm_core.dem import Dem
+    from ltm_core.dem_stack import open_terrain
     from ltm_core.pictures import to_png
     from ltm_core.trace_io import cell_counts, load_picture_config, read_photo, set_up_picture, write_trace
     from ltm_core.trace_pictures import depth_picture, map_picture
@@ -28,7 +33,7 @@ def trace(
 
     console = Console()
     config = load_picture_config(pose)
-    setup = set_up_picture(config, Dem.open(dem, crs))
+    setup = set_up_picture(config, open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])]))
     photo = None if image is None else read_photo(image, setup.camera)
     with console.status("tracing"):
         tracer = TerrainTracer(setup.dem, config.curvature, config.refraction)
@@ -48,7 +53,10 @@ def trace(
     ranges = traced.range
     known = ranges[np.isfinite(ranges)]
     cell_area = setup.dem.geometry.resolution**2
-    table = Table(title=f"{setup.camera.width} x {setup.camera.height} pixels over {dem.name}", show_header=False)
+    table = Table(
+        title=f"{setup.camera.width} x {setup.camera.height} pixels over {', '.join(path.name for path in dem)}",
+        show_header=False,
+    )
     clearance = tracer.ground_clearance(setup.pose)
     table.add_row("camera above the ground", "outside the DEM" if np.isnan(clearance) else f"{clearance:.1f} m")
     for name, share in (

@@ -21,7 +21,9 @@ def viewshed(
     pose: Annotated[
         Path | None, typer.Option(help="Instead of a site: the pose file of one camera; needs --dem.")
     ] = None,
-    dem: Annotated[Path | None, typer.Option(help="Elevation raster for --pose.")] = None,
+    dem: Annotated[
+        list[Path] | None, typer.Option(help="Elevation raster for --pose; again for coarser ones around it.")
+    ] = None,
     resolution: Annotated[
         float | None, typer.Option(help="Cell size of the result, metres; default the DEM's.")
     ] = None,
@@ -31,7 +33,9 @@ def viewshed(
         bool, typer.Option("--all-round", help="Cameras turn: their directions do not matter.")
     ] = False,
     picture: Annotated[Path | None, typer.Option(help="PNG to draw; default beside the GeoTIFF.")] = None,
-    crs: Annotated[str | None, typer.Option(help="CRS of a raster that carries none, such as EPSG:32611.")] = None,
+    crs: Annotated[
+        str | None, typer.Option(help="CRS of a raster (of several: the finest) that carries none, such as EPSG:32611.")
+    ] = None,
 ) -> None:
     """Map what cameras cover: seen by how many, how finely, and how high smoke must rise to be seen."""
     import math
@@ -50,7 +54,7 @@ def viewshed(
         raise ConfigError("give either --site S.yaml, or --pose P.yaml with --dem")
     if site is not None:
         sight, frame, views, skipped = _from_site(site)
-    elif pose is not None and dem is not None:
+    elif pose is not None and dem:
         sight, frame, views = _from_pose(pose, dem, crs)
         skipped = []
     else:
@@ -107,13 +111,13 @@ def _from_site(path: Path) -> tuple[SightLines, SiteFrame, list[View], list[str]
     return SightLines(terrain, site.curvature, site.refraction), site.frame, views, skipped
 
 
-def _from_pose(path: Path, dem: Path, crs: str | None) -> tuple[SightLines, SiteFrame, list[View]]:
-    from ltm_core.dem import Dem
+def _from_pose(path: Path, dem: list[Path], crs: str | None) -> tuple[SightLines, SiteFrame, list[View]]:
+    from ltm_core.dem_stack import open_terrain
     from ltm_core.trace_io import load_picture_config, set_up_picture
     from ltm_core.viewshed import View
     from ltm_core.visibility import SightLines
 
     config = load_picture_config(path)
-    setup = set_up_picture(config, Dem.open(dem, crs))
+    setup = set_up_picture(config, open_terrain([(dem[0], crs), *((raster, None) for raster in dem[1:])]))
     sight = SightLines(setup.dem, config.curvature, config.refraction)
     return sight, setup.frame, [View(path.stem, setup.camera, setup.pose)]

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import rasterio
 from scenes import rough_terrain
 
 from ltm_core.dem import Dem
@@ -38,7 +39,7 @@ def pose_file(folder: Path, z: float, azimuth: float = 75.0) -> Path:
 def test_one_picture(tmp_path: Path, dem_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     photo = tmp_path / "photo.png"
     cv2.imwrite(str(photo), np.full((60, 96, 3), 90, np.uint8))
-    trace(dem=dem_file, pose=pose_file(tmp_path, 890.0), out=tmp_path / "out" / "one", image=photo)
+    trace(dem=[dem_file], pose=pose_file(tmp_path, 890.0), out=tmp_path / "out" / "one", image=photo)
     names = {path.name for path in (tmp_path / "out" / "one").iterdir()}
     assert names == {
         "range.tif",
@@ -55,10 +56,24 @@ def test_one_picture(tmp_path: Path, dem_file: Path, capsys: pytest.CaptureFixtu
     assert cv2.imread(str(tmp_path / "out" / "one" / "depth.png")).shape[1] == 96
 
 
+def test_a_coarser_raster_around_it(tmp_path: Path, dem_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where the ray leaves the fine raster there is ground too: fewer pixels see nothing."""
+    geometry = GridGeometry(399_000.0, 3_801_000.0, 10.0, 240, 230, "EPSG:32611")
+    Dem(np.full(geometry.shape, 780.0, np.float32), geometry).save(tmp_path / "around.tif")
+    seen = {}
+    for name, rasters in (("alone", [dem_file]), ("stack", [dem_file, tmp_path / "around.tif"])):
+        trace(dem=rasters, pose=pose_file(tmp_path, 890.0), out=tmp_path / name)
+        with rasterio.open(tmp_path / name / "range.tif") as written:
+            seen[name] = np.isfinite(written.read(1))
+    assert not (seen["alone"] & ~seen["stack"]).any()
+    assert seen["stack"].sum() > seen["alone"].sum()
+    assert "dem.tif, around.tif" in capsys.readouterr().out
+
+
 def test_says_so_when_no_terrain_is_in_view(tmp_path: Path, dem_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     away = pose_file(tmp_path, 1000.0)
     away.write_text(away.read_text().replace("400060.5", "402060.5").replace("75.0", "90.0"))
-    trace(dem=dem_file, pose=away, out=tmp_path / "out")
+    trace(dem=[dem_file], pose=away, out=tmp_path / "out")
     said = capsys.readouterr().out
     assert "No pixel sees the terrain" in said
     assert "402060" in said
@@ -66,5 +81,5 @@ def test_says_so_when_no_terrain_is_in_view(tmp_path: Path, dem_file: Path, caps
 
 def test_a_camera_under_the_ground_is_refused(tmp_path: Path, dem_file: Path) -> None:
     with pytest.raises(PoseError, match="under the ground"):
-        trace(dem=dem_file, pose=pose_file(tmp_path, 700.0), out=tmp_path / "out")
+        trace(dem=[dem_file], pose=pose_file(tmp_path, 700.0), out=tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -324,7 +324,7 @@ def test_the_command_writes_a_pose_that_trace_reads(
         gcps=tmp_path / "points.csv",
         pose_guess=tmp_path / "guess.yaml",
         out=fitted,
-        dem=dem,
+        dem=[dem],
         first_pixel=1.0,
         report=tmp_path / "report.json",
     )
@@ -336,7 +336,7 @@ def test_the_command_writes_a_pose_that_trace_reads(
     assert "traced against surveyed" in said
     assert "median residual 0.00 px" in said
     assert '"pose_covariance"' in (tmp_path / "report.json").read_text()
-    trace_command(dem=dem, pose=fitted, out=tmp_path / "traced")
+    trace_command(dem=[dem], pose=fitted, out=tmp_path / "traced")
     assert (tmp_path / "traced" / "depth.tif").exists()
 
 

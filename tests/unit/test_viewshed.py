@@ -170,7 +170,7 @@ def test_the_command_maps_a_site(folder: Path, capsys: pytest.CaptureFixture[str
 
 
 def test_the_command_maps_one_pose_as_in_its_site(folder: Path) -> None:
-    command(out=folder / "pose.tif", pose=folder / "pose.yaml", dem=folder / "dem.tif")
+    command(out=folder / "pose.tif", pose=folder / "pose.yaml", dem=[folder / "dem.tif"])
     (folder / "site.yaml").write_text(SITE[: SITE.index("  south")])
     command(out=folder / "site.tif", site=folder / "site.yaml")
     with rasterio.open(folder / "pose.tif") as one, rasterio.open(folder / "site.tif") as other:

@@ -1,0 +1,23 @@
+"""A block of the sweep: what is known of the rays of neighbouring columns, one row at a time.
+
+A block is one flat float64 array, in which each field has `COLUMNS` places from the index on that stands here.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+COLUMNS = 64
+PER_MAJOR, T, SLOPE, FACE, WEDGE, HINT, NEAR = range(0, 7 * COLUMNS, COLUMNS)
+"""1 / |major| of the unit ray; t; slope in metres a major cell; face and wedge; place of the entry of the row below
+within its wedge; node line where the ray's entry begins, or one of the following.
+"""
+MEETS_NOTHING, BY_PYRAMID, ANSWERED = -1.0, -2.0, -3.0
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def new_block() -> NDArray[np.float64]:
+    """A block before its first row."""
+    return np.zeros(7 * COLUMNS)
