@@ -20,8 +20,8 @@ MAST = 60.0
 """Metres of the camera above the ridge that it stands on."""
 REACH = 6000.0
 """Metres out to which pixels vote, as a site has it by default."""
-_SIZE = 5000
-_STAND = 20
+_ABOUT = 400
+"""Metres about the middle in which the camera's ridge is looked for."""
 
 
 @dataclass(frozen=True)
@@ -52,17 +52,20 @@ class VotesCost:
     votes: CellVotes
 
 
-def run(width: int = 1920, height: int = 1080, repeats: int = 15, cell: float = 30.0) -> list[VotesCost]:
-    """Votes of depth images of ridged mountains of 5 x 5 km under a patchwork of labels, with confidence and a pose's
-    covariance, as a node forms them; the kernels are compiled before.
+def run(
+    width: int = 1920, height: int = 1080, repeats: int = 15, cell: float = 30.0, extent: int = 5000
+) -> list[VotesCost]:
+    """Votes of depth images of ridged mountains, `extent` metres a side, under a patchwork of labels, with confidence
+    and a pose's covariance, as a node forms them; the kernels are compiled before.
     """
-    dem = ridged_terrain(_SIZE)
-    middle = _SIZE // 2
-    near = dem.elevation[middle - 400 : middle + 400, middle - 400 : middle + 400]
-    row, col = (int(i) + middle - 400 for i in np.unravel_index(near.argmax(), near.shape))
+    dem = ridged_terrain(extent)
+    middle = extent // 2
+    part = slice(middle - _ABOUT, middle + _ABOUT)
+    near = dem.elevation[part, part]
+    row, col = (int(i) + middle - _ABOUT for i in np.unravel_index(near.argmax(), near.shape))
     x, y = (float(v) for v in dem.geometry.to_map(row, col))
     labels = LabelSet.load()
-    grid = GridGeometry(0.0, float(_SIZE), cell, int(_SIZE // cell), int(_SIZE // cell))
+    grid = GridGeometry(0.0, float(extent), cell, int(extent // cell), int(extent // cell))
     caster = VoteCaster(grid, dem, labels.votes_table[: len(labels)], REACH)
     tracer = TerrainTracer(dem)
     covariance = np.diag([0.25] * 3 + [np.radians(0.3) ** 2] * 3)

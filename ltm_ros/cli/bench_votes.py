@@ -13,6 +13,7 @@ def votes(
     height: Annotated[int, typer.Option(help="Of the depth image, pixels.", min=64)] = 1080,
     repeats: Annotated[int, typer.Option(help="Calls that each figure is the least of.", min=1)] = 15,
     cell: Annotated[float, typer.Option(help="Of the fuel grid, metres.", min=1)] = 30.0,
+    extent: Annotated[int, typer.Option(help="Side of the mountains that are looked at, metres.", min=1000)] = 5000,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
 ) -> None:
     """Form the votes of a frame from several views: processor time, cells, and the size of the message."""
@@ -30,10 +31,10 @@ def votes(
     console = Console()
     state = conditions(("numpy", "numba", "ros-jazzy-rclpy"))
     with console.status("measuring"):
-        costs = run(width, height, repeats, cell)
+        costs = run(width, height, repeats, cell, extent)
     names = LabelSet.load().names
     table = Table(
-        title=f"votes of a {width} x {height} frame for cells of {cell:g} m out to {REACH / 1000:g} km",
+        title=f"votes of a {width} x {height} frame for cells of {cell:g} m out to {REACH:g} m, in {extent} m of mountains",
         caption=f"processor: least of {repeats} calls, one thread; message: serialised, at most {MAX_BYTES:,} bytes; "
         "where more cells are seen than fit, the best always go and the others take turns",
     )
@@ -69,5 +70,6 @@ def votes(
     console.print(f"{state.cpu}, {state.cores} cores, load average {load}, Python {state.python}, {versions}")
     if json_path is not None:
         json_path.parent.mkdir(parents=True, exist_ok=True)
-        report = {"conditions": state.as_dict(), "width": width, "height": height, "cell": cell, "views": rows}
+        report = {"conditions": state.as_dict(), "width": width, "height": height, "cell": cell, "extent": extent}
+        report["views"] = rows
         json_path.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
