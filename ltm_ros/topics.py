@@ -20,6 +20,7 @@ POSED_POSE = Topic("posed/pose", PoseWithCovarianceStamped)
 
 DEPTH_IMAGE = Topic("depth/image", Image)
 DEPTH_CAMERA_INFO = Topic("depth/camera_info", CameraInfo)
+GROUND_DEPTH = Topic("depth/ground", Image)
 ALIGNMENT = Topic("alignment", Image)
 
 FUSED_DEPTH = Topic("fused/depth", Image)

@@ -98,12 +98,14 @@ class SourceScore:
 @dataclass(frozen=True)
 class ConditionScore:
     """All sources under one condition, on the same pixels: those where every source has a depth. `verdicts`: frames by
-    verdict. `coverage`: share of the pixels of true finite depth that traced and fused depth cover.
+    verdict. `checked`: frames with enough far crests to tell a wrong pose by. `coverage`: share of the pixels of true
+    finite depth that traced and fused depth cover.
     """
 
     condition: Condition
     frames: int
     verdicts: Mapping[str, int]
+    checked: int
     inlier_ratio: float
     coverage: Mapping[str, float]
     rows: list[SourceScore]
@@ -133,6 +135,7 @@ class DepthEvaluation:
         self._tracer = TerrainTracer(condition.dem(dem), bend_curvature)
         self._tallies: dict[tuple[str, str], DepthTally] = {}
         self._verdicts: Counter[str] = Counter()
+        self._checked = 0
         self._inliers: list[float] = []
         self._covered = Counter[str]()
         self._true = 0
@@ -174,6 +177,7 @@ class DepthEvaluation:
                 tally.add(depth, np.where(pixels, frame.surface, np.nan).astype(np.float32))
         self._true += int(true.sum())
         self._verdicts[fused.verdict.value] += 1
+        self._checked += fused.pose.checked
         self._inliers.append(fused.inlier_ratio)
         return fused, sources
 
@@ -186,7 +190,7 @@ class DepthEvaluation:
         coverage = {name: count / max(self._true, 1) for name, count in self._covered.items()}
         frames = sum(self._verdicts.values())
         inliers = float(np.mean(self._inliers)) if self._inliers else float("nan")
-        return ConditionScore(self.condition, frames, dict(self._verdicts), inliers, coverage, rows)
+        return ConditionScore(self.condition, frames, dict(self._verdicts), self._checked, inliers, coverage, rows)
 
 
 def upsampled_labels(labels: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:

@@ -132,7 +132,7 @@ def fuse(
             raise ImageError(f"{what} of {shape} does not fit the traced depth of {size} (rows, columns)")
     settings = FusionSettings() if settings is None else settings
     camera = traced.camera
-    check = check_pose(rgb, ground, camera, settings.angle_sigma, settings.dem_sigma)
+    check = check_pose(rgb, ground, camera, settings.angle_sigma, settings.dem_sigma, labels, classes)
     if not np.isfinite(ground[::4, ::4]).any():
         return _traced_alone(ground, Verdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM", check)
     if check.suspected:

@@ -1,8 +1,10 @@
-"""Whether the terrain lies where the photo has it: traced silhouettes against the photo's edges.
+"""Whether the terrain lies where the photo has it: traced silhouettes against the photo's edges, and the traced skyline
+against that of the labels.
 
 A camera turned by half a degree moves every silhouette by the same some pixels. The traced silhouettes are shifted over
-the photo's vertical gradient; where they meet clearly more contrast at some distance than where they are, the pose is
-suspected. Cover on crests moves edges up by a few metres only, which is allowed for.
+the photo's vertical gradient. The pose is suspected where only turns beyond what is no surprise meet about as much
+contrast as the best one: the best place alone is blind along a ridge. Cover on crests moves edges up by a few metres
+only, and near crests, where that is much, are left out.
 """
 
 from __future__ import annotations
@@ -16,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
+from ltm_core.depth.classes import DepthClasses
+from ltm_core.depth.skyline_check import check_skyline
 from ltm_core.depth.surface import JUMP
 
 REACH_DEG = 2.5
@@ -23,58 +27,91 @@ REACH_DEG = 2.5
 _CELLS = 480  # of the contrast image in a row
 _LEAST_EDGES = 60
 _MOST_EDGES = 1500
-_ALLOWED_DEG = 0.25  # DEM cells and crests' cover displace silhouettes even with a perfect pose
+_NEAR_DEG = 0.25  # that cover and the DEM's error may move a silhouette by
+_ALLOWED_DEG = 0.13  # beside three sigmas of the direction
 _COVER = 1.0  # metres that cover raises a crest by
-_CLEARLY = 1.25  # ratio of the contrasts at the best and at the nearest place
+_AS_WELL = 0.8  # of the best contrast over the usual: about as good
+_CLEARLY = 0.6  # of the best contrast that the given pose must miss to be suspected
+_CONTRAST, _OUTSTANDING = 1.8, 4.0  # least contrast at the best place, and how many spreads it is above the usual one
 
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """`edges`: silhouettes looked at. `pitch_deg`, `azimuth_deg`: by how much the camera should be turned (up,
-    clockwise) for the terrain to fit the photo best, 0 where not known. `gain`: contrast met there over that met
-    without a turn. `suspected`, and `reason` in words.
+    """`edges`: silhouettes looked at; `columns`: of the skyline. `pitch_deg`, `azimuth_deg`: by how much the camera
+    should be turned (up, clockwise) for the terrain to fit the photo best, 0 where not known. `gain`: how many times
+    better it fits there. `suspected`, and `reason` in words.
     """
 
     edges: int
+    columns: int
     pitch_deg: float
     azimuth_deg: float
     gain: float
     suspected: bool
     reason: str
 
+    @property
+    def checked(self) -> bool:
+        """Whether there was enough to tell a wrong pose by."""
+        return self.edges >= _LEAST_EDGES or self.columns > 0
+
 
 def check_pose(
-    rgb: NDArray[np.uint8], ground: NDArray[np.float32], camera: Camera, angle_sigma: float, dem_sigma: float
+    rgb: NDArray[np.uint8],
+    ground: NDArray[np.float32],
+    camera: Camera,
+    angle_sigma: float,
+    dem_sigma: float,
+    labels: NDArray[np.uint8] | None = None,
+    classes: DepthClasses | None = None,
 ) -> PoseCheck:
-    """Check one photo (H, W, 3) against its traced depth (H, W).
+    """Check one photo (H, W, 3) and its labels (H, W), where there are any, against its traced depth (H, W).
 
-    `angle_sigma`, `dem_sigma`: radians and metres that are no surprise. Near crests say nothing, since a metre of cover
-    or of the DEM's error moves them by as much as a wrong pose would.
+    `angle_sigma`, `dem_sigma`: radians and metres that are no surprise. `classes`: what the labels mean.
     """
-    rows, cols = _silhouettes(ground, (_COVER + 2 * dem_sigma) / math.radians(_ALLOWED_DEG))
-    count = len(rows)
-    if count < _LEAST_EDGES:
-        return PoseCheck(count, 0.0, 0.0, 1.0, False, "")
+    allowed = _ALLOWED_DEG + 3 * math.degrees(angle_sigma)
+    nearest = (_COVER + dem_sigma) / math.radians(_NEAR_DEG)
+    rows, cols = _silhouettes(ground, nearest)
+    edges, columns = len(rows), 0
+    found = _check_edges(rgb, rows, cols, camera, allowed) if edges >= _LEAST_EDGES else None
+    reason = "the photo's edges fit the terrain's silhouettes"
+    if labels is not None and classes is not None:
+        reach = math.radians(REACH_DEG)
+        skyline = check_skyline(
+            labels, classes.sky, ground, camera, angle_sigma, dem_sigma, classes.crest, nearest, reach
+        )
+        columns = 0 if skyline is None else skyline.columns
+        if skyline is not None and skyline.least_deg > allowed and (found is None or not found[3]):
+            found = skyline.pitch_deg, skyline.azimuth_deg, skyline.gain, True
+            reason = "the labels' skyline fits the terrain's"
+    if found is None:
+        return PoseCheck(edges, columns, 0.0, 0.0, 1.0, False, "")
+    pitch, azimuth, gain, suspected = found
+    if suspected:
+        reason += f" {gain:.1f} times better with the camera turned by {pitch:+.2f} deg of pitch and "
+        reason += f"{azimuth:+.2f} deg of azimuth"
+    return PoseCheck(edges, columns, pitch, azimuth, gain, suspected, reason if suspected else "")
+
+
+def _check_edges(
+    rgb: NDArray[np.uint8], rows: NDArray[np.int64], cols: NDArray[np.int64], camera: Camera, allowed_deg: float
+) -> tuple[float, float, float, bool]:
+    """Pitch and azimuth of the best turn, degrees, its gain, and whether the pose is suspected."""
     shrink = max(1, round(rgb.shape[1] / _CELLS))  # photo pixels a cell
-    contrast = _contrast(rgb, shrink)
     reach = int(math.radians(REACH_DEG) * camera.fy / shrink)
-    scores = _scores(contrast, rows // shrink, cols // shrink, reach)
-    allowed = (math.radians(_ALLOWED_DEG) + 3 * angle_sigma) * camera.fy / shrink
+    scores = _scores(_contrast(rgb, shrink), rows // shrink, cols // shrink, reach)
     v, u = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    here = float(scores[np.hypot(v, u) <= allowed].max())
-    best = np.unravel_index(int(np.argmax(scores)), scores.shape)
-    down, right = int(best[0]) - reach, int(best[1]) - reach
-    gain = float(scores[best]) / max(here, 1e-9)
-    pitch = math.degrees(down * shrink / camera.fy)
-    azimuth = -math.degrees(right * shrink / camera.fx)
-    suspected = bool(gain > _CLEARLY and math.hypot(down, right) > allowed)
-    reason = (
-        f"the photo's edges fit the terrain's silhouettes {gain:.2f} times better with the camera turned by "
-        f"{pitch:+.2f} deg of pitch and {azimuth:+.2f} deg of azimuth"
-        if suspected
-        else ""
-    )
-    return PoseCheck(count, pitch, azimuth, gain, suspected, reason)
+    usual = float(np.median(scores))
+    spread = 1.4826 * float(np.median(np.abs(scores - usual)))
+    place = np.unravel_index(int(np.argmax(scores)), scores.shape)
+    best = float(scores[place])
+    here = float(scores[np.hypot(v, u) <= 1.0].max())
+    turns = np.degrees(np.hypot(v, u) * shrink / camera.fy)
+    least = float(turns[scores >= usual + _AS_WELL * (best - usual)].min())
+    clear = best >= max(_CONTRAST, usual + _OUTSTANDING * spread) and here < _CLEARLY * best
+    pitch = math.degrees((int(place[0]) - reach) * shrink / camera.fy)
+    azimuth = -math.degrees((int(place[1]) - reach) * shrink / camera.fx)
+    return pitch, azimuth, best / max(here, 1e-3), bool(clear and least > allowed_deg)
 
 
 def _silhouettes(ground: NDArray[np.float32], nearest: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

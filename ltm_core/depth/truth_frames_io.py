@@ -50,6 +50,11 @@ def open_dem(folder: Path) -> Dem:
     return Dem.open(folder / "dem.tif").in_frame(_frame(_index(folder)))
 
 
+def is_curved(folder: Path) -> bool:
+    """Whether the earth's curvature is in the scene of a folder. Raises RecordingError."""
+    return bool(_index(folder)["curvature"])
+
+
 def read_truth_frames(folder: Path, date: str = "") -> Iterator[TruthFrame]:
     """The frames of a folder, of one date where it has several (empty: all). Raises RecordingError."""
     index = _index(folder)

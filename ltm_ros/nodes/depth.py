@@ -22,18 +22,19 @@ from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet
 from ltm_ros.health import Health
 from ltm_ros.join import StampJoin
 from ltm_ros.node import run_node
-from ltm_ros.topics import ALIGNMENT, DEPTH_CAMERA_INFO, DEPTH_IMAGE, POSED_CAMERA_INFO, POSED_POSE
+from ltm_ros.topics import ALIGNMENT, DEPTH_CAMERA_INFO, DEPTH_IMAGE, GROUND_DEPTH, POSED_CAMERA_INFO, POSED_POSE
 
 
 class DepthConfig(NodeConfig):
     surface: bool = True
-    """Trace to the tops of trees and houses where the site has a surface raster; else, and where not, to bare earth."""
+    """Trace to the tops of trees and houses where the site has a surface raster; else, and where not, to bare earth.
+    Both hits are kept: the one on bare earth is then on `depth/ground`, while someone listens."""
 
 
 class Depth(Handler[DepthConfig]):
     """Needs no image: calibration and pose decide what the terrain looks like."""
 
-    publications = (DEPTH_IMAGE, DEPTH_CAMERA_INFO, ALIGNMENT)
+    publications = (DEPTH_IMAGE, DEPTH_CAMERA_INFO, GROUND_DEPTH, ALIGNMENT)
 
     def __init__(self, config: DepthConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -42,6 +43,7 @@ class Depth(Handler[DepthConfig]):
         ground = site.open_dem()
         traced = site.open_surface(ground) if config.surface else ground
         self._tracer = TerrainTracer(traced, site.curvature, site.refraction)
+        self._bare = self._tracer if traced is ground else TerrainTracer(ground, site.curvature, site.refraction)
         self._frame_id = f"{config.camera}_optical"
         self._join = StampJoin(("info", "pose"), self._trace, health)
         _compile_kernels()
@@ -61,6 +63,9 @@ class Depth(Handler[DepthConfig]):
         ranges = self._tracer.trace(camera, where)
         self.outlet.publish(DEPTH_CAMERA_INFO, camera_to_msg(camera, stamp, self._frame_id))
         self.outlet.publish(DEPTH_IMAGE, depth_to_msg(ranges.depth(), stamp, self._frame_id))
+        if self.outlet.wanted(GROUND_DEPTH):
+            bare = ranges if self._bare is self._tracer else self._bare.trace(camera, where)
+            self.outlet.publish(GROUND_DEPTH, depth_to_msg(bare.depth(), stamp, self._frame_id))
         if self.outlet.wanted(ALIGNMENT):
             self.outlet.publish(ALIGNMENT, image_to_msg(ranges.points(), "32FC3", stamp, "map"))
         for name, count in asdict(self._tracer.statistics).items():

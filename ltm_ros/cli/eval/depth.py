@@ -59,7 +59,7 @@ def depth(
     from ltm_core.depth.classes import DepthClasses
     from ltm_core.depth.evaluation import DepthEvaluation, Given, conditions, upsampled_labels
     from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
-    from ltm_core.depth.truth_frames_io import open_dem, read_truth_frames
+    from ltm_core.depth.truth_frames_io import is_curved, open_dem, read_truth_frames
     from ltm_core.errors import RecordingError
     from ltm_core.metrics.depth_maps_io import DepthMapFolder
     from ltm_core.pictures import to_png
@@ -72,7 +72,7 @@ def depth(
     place = source if source is not None else project_path("bags/demo/recording")
     name = segmentation or DEFAULT_MODEL
     if (place / "frames.json").is_file():
-        dem, frames = open_dem(place), read_truth_frames(place, date)
+        dem, frames, curved = open_dem(place), read_truth_frames(place, date), is_curved(place)
     else:
         from ltm_ros.recorded import Recorded
         from ltm_ros.truth_frames import recorded_truth_frames
@@ -80,12 +80,13 @@ def depth(
         recorded = Recorded.find(place, site)
         name = segmentation or recorded.site.model
         dem, frames = recorded.site.open_dem(), recorded_truth_frames(place, recorded.site)
+        curved = recorded.site.curvature
     classes = DepthClasses.of(LabelSet.load())
     network = None if depth_maps is not None else DepthNetwork.open(model)
     folder = None if depth_maps is None else DepthMapFolder.open(depth_maps.name, depth_maps)
     segmenter = Segmenter.open(name) if labels is Labels.model else None
     runs = [
-        DepthEvaluation(condition, dem, classes)
+        DepthEvaluation(condition, dem, classes, curved)
         for condition in conditions(*(_numbers(text) for text in (pose_error, occlude, coarsen, shift)))
     ]
     count = 0
@@ -121,6 +122,8 @@ def depth(
         verdicts = ", ".join(f"{n} {verdict}" for verdict, n in sorted(score.verdicts.items()))
         covered = ", ".join(f"{key} {value:.1%}" for key, value in score.coverage.items())
         console.print(f"{verdicts}; inlier ratio {score.inlier_ratio:.2f}; true depth covered: {covered}")
+    if len(scores) > 1:
+        console.print(_verdicts(scores))
     console.print(CLAIM)
     state = f"{place}, {count} frames, depth {what}, labels {labels.value if segmenter is None else name}"
     console.print(f"conditions: {state}; {len(os.sched_getaffinity(0))} cores, Python {platform.python_version()}")
@@ -156,6 +159,20 @@ def _table(score: ConditionScore, network: str) -> Table:
     return shown
 
 
+def _verdicts(scores: list[ConditionScore]) -> Table:
+    """What was said of each condition: suspicion of an exact pose is a false alarm."""
+    from rich.table import Table
+
+    shown = Table(title="verdicts by condition; suspecting the exact one is a false alarm")
+    for column in ("condition", "frames", "could be checked", "pose suspected", "network unusable", "traced", "fused"):
+        shown.add_column(column, justify="left" if column == "condition" else "right")
+    for score in scores:
+        said = (str(score.verdicts.get(verdict, 0)) for verdict in ("pose_suspected", "network_unusable"))
+        errors = (f"{score.rmse(source):,.1f} m" for source in ("traced", "fused"))
+        shown.add_row(score.condition.name, str(score.frames), str(score.checked), *said, *errors)
+    return shown
+
+
 def _as_json(score: ConditionScore) -> dict[str, Any]:
     from dataclasses import asdict
     from math import isfinite
@@ -175,6 +192,7 @@ def _as_json(score: ConditionScore) -> dict[str, Any]:
         "condition": asdict(score.condition),
         "frames": score.frames,
         "verdicts": dict(score.verdicts),
+        "checked": score.checked,
         "inlier_ratio": score.inlier_ratio,
         "coverage": dict(score.coverage),
         "rows": rows,

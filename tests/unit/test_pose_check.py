@@ -1,0 +1,62 @@
+"""A wrong pose told by the labels' skyline, and what must not be taken for one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from depth_scene import CAMERA, SKY, TREE, depth_scene
+
+from ltm_core.depth.classes import DepthClasses
+from ltm_core.depth.fusion import FusionSettings
+from ltm_core.depth.pose_check import PoseCheck, check_pose
+from ltm_core.vision.labels import LabelSet
+
+CLASSES = DepthClasses.of(LabelSet.load())
+SETTINGS = FusionSettings()
+
+
+def checked(turn: float, labels: np.ndarray | None) -> PoseCheck:
+    """Of a photo without any edge, so that only labels can tell."""
+    scene = depth_scene()
+    grey = np.full((CAMERA.height, CAMERA.width, 3), 120, np.uint8)
+    traced = scene.traced if turn == 0 else scene.turned(turn)
+    return check_pose(grey, traced.depth(), CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, labels, CLASSES)
+
+
+@pytest.mark.parametrize("turn", [-0.5, 0.5, 1.0, -2.0])
+def test_the_skyline_tells_a_wrong_pitch(turn: float) -> None:
+    check = checked(turn, depth_scene().labels)
+    assert check.suspected
+    assert check.checked
+    assert check.columns > 0.3 * 480
+    assert check.pitch_deg == pytest.approx(-turn, abs=0.2)
+    assert "skyline" in check.reason
+
+
+def test_an_exact_pose_is_not_suspected_even_with_rough_labels() -> None:
+    labels = depth_scene().labels
+    assert not checked(0.0, labels).suspected
+    # Labels at a quarter of the size, and a cloud that is taken for land over a tenth of the sky.
+    rough = np.repeat(np.repeat(labels[::4, ::4], 4, 0), 4, 1)
+    rough[:60, 200:264] = 1
+    assert not checked(0.0, rough).suspected
+
+
+def test_trees_on_a_far_crest_are_no_wrong_pose() -> None:
+    labels = depth_scene().labels.copy()
+    for _ in range(4):  # 5 m and more at 1200 m
+        above = np.roll(labels, -1, axis=0)
+        labels = np.where((labels == SKY) & (above != SKY), TREE, labels)
+    assert not checked(0.0, labels).suspected
+
+
+def test_without_a_known_skyline_labels_say_nothing() -> None:
+    scene = depth_scene()
+    beyond = scene.traced.range.copy()
+    beyond[np.isinf(beyond)] = np.nan
+    grey = np.full((CAMERA.height, CAMERA.width, 3), 120, np.uint8)
+    unknown = replace(scene.traced, range=beyond).depth()
+    check = check_pose(grey, unknown, CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, scene.labels, CLASSES)
+    assert (check.columns, check.suspected) == (0, False)
