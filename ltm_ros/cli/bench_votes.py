@@ -34,7 +34,7 @@ def votes(
         costs = run(width, height, repeats, cell, extent)
     names = LabelSet.load().names
     table = Table(
-        title=f"votes of a {width} x {height} frame for cells of {cell:g} m out to {REACH:g} m, in {extent} m of mountains",
+        title=f"votes of a {width} x {height} frame: cells of {cell:g} m out to {REACH:g} m in {extent} m of mountains",
         caption=f"processor: least of {repeats} calls, one thread; message: serialised, at most {MAX_BYTES:,} bytes; "
         "where more cells are seen than fit, the best always go and the others take turns",
     )
