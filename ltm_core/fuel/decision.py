@@ -176,7 +176,7 @@ def _favoured(
     usual = possible.argmax(axis=1)
     every = np.arange(len(alpha))
     surer = betainc(alpha[every, usual], alpha[every, best], 0.5) >= posterior
-    return np.where(has_prior & ~surer, usual, best)
+    return np.asarray(np.where(has_prior & ~surer, usual, best))
 
 
 def _contest(
