@@ -9,6 +9,7 @@ import typer
 
 from ltm_ros.cli.bench_fusion import fusion
 from ltm_ros.cli.bench_network import network
+from ltm_ros.cli.bench_render import render
 from ltm_ros.cli.bench_segmentation import segmentation
 from ltm_ros.cli.bench_terrain import terrain
 from ltm_ros.cli.bench_votes import votes
@@ -16,6 +17,7 @@ from ltm_ros.cli.bench_votes import votes
 bench = typer.Typer(help="How fast: tracing, beside other tracers; a fuel map under many towers.", no_args_is_help=True)
 bench.command()(network)
 bench.command()(fusion)
+bench.command()(render)
 bench.command()(segmentation)
 bench.command()(terrain)
 bench.command()(votes)
@@ -115,7 +117,7 @@ def _scene_table(scene: str, table: list[dict[str, Any]]) -> Any:
     for name in ("cells", "tracer", "processor ms", "wall ms", "over warm", "over cold"):
         shown.add_column(name, justify="left" if name == "tracer" else "right")
     for row in table:
-        for state in ("warm", "cold", "still"):
+        for state in ("warm", "cold", "still", "portable"):
             costs = (_number(row[f"ours_{state}_{clock}_ms"]) for clock in ("cpu", "wall"))
             shown.add_row(f"{row['size']}²", f"ours, {state}", *costs, "", "")
         for name in _NAMES:
