@@ -23,15 +23,15 @@ SMOOTHING = 1.5
 """Metres: the deviation of the Gaussian over which neighbours speak for each other."""
 WIDE = 4.0
 """Metres: that over which they do where the nearer ones do not know."""
-_WIDE_SIGMA = 2.0
+_WIDE_SIGMA = 1.5
 """Metres by which a cell may differ from the mean of that wide neighbourhood."""
 _OWN_SHARE = 0.4
 """Of its neighbours' shift that a cell must show itself: a gap in a felled stand was no tree."""
-_WEAKLY_SURE, _WEAKLY_CHANGED = 0.5, 0.75
+_WEAKLY_SURE, _WEAKLY_CHANGED = 0.15, 0.7
 """Of the confidence and of the threshold that a cell needs beside a surely changed one."""
 _COMPATIBLE = 2.0
 """Deviations by which a cell's own estimate may miss its neighbours' shift and still not contradict it."""
-_BRIDGED = 2
+_BRIDGED = 6
 """Cells around each that its region reaches over."""
 _REACH = 4.0
 """Deviations of the Gaussian that are taken."""

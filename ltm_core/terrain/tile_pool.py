@@ -67,8 +67,8 @@ class TilePool:
 
     @staticmethod
     def capacity_of(megabytes: float) -> int:
-        """Tiles that fit."""
-        return max(16, int(megabytes * 2**20 / ((_CELL_BYTES + _SCRATCH_BYTES) * TILE * TILE)))
+        """Tiles that fit; at least those of which changes are decided at once."""
+        return max(64, int(megabytes * 2**20 / ((_CELL_BYTES + _SCRATCH_BYTES) * TILE * TILE)))
 
     @property
     def known_keys(self) -> list[Key]:
