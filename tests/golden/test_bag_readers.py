@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
 from ltm_core.camera import Camera
+from ltm_core.fuel.codes import Region
+from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
@@ -25,9 +28,9 @@ from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg
+from ltm_msgs_py.fuel_cells import fuel_cells_to_msg
 from ltm_msgs_py.grid import classes_to_msg, tile_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
-from ltm_msgs_py.points import points_to_msg
 from ltm_msgs_py.pose import pose_to_msg, pose_to_stamped
 from ltm_msgs_py.stamp import ns_to_time
 from ltm_msgs_py.votes import votes_to_msg
@@ -60,7 +63,7 @@ def every_message() -> dict[str, Any]:
     status = DiagnosticStatus(level=DiagnosticStatus.WARN, name="depth: é", message="1 drop", hardware_id="")
     status.values = [KeyValue(key="rate", value="9.98"), KeyValue(key="drops", value="1")]
     diagnostics.status = [status]
-    xyz = rng.normal(size=(6, 3)).astype(np.float32)
+    layers = replace(layers_of_classes(classes, None, Region.named("dry")), last_seen=np.full(classes.shape, T0))
     return {
         "/ridge/east/image_raw": image_to_msg(rgb, "rgb8", T0, "east_optical"),
         "/ridge/east/image_raw/compressed": compressed_to_msg(encode_rgb(rgb), "jpeg", T0, "east_optical"),
@@ -74,9 +77,7 @@ def every_message() -> dict[str, Any]:
         "/ridge/east/fuel/votes": votes_to_msg(votes, ("grass", "shrub", "tree", "bare")),
         "/ridge/fuel_map": classes_to_msg(classes, grid, T0),
         "/ridge/fuel_map/update": tile_to_msg(classes, grid, (1, 0, 2, 4), T0),
-        "/ridge/terrain/points": points_to_msg(
-            xyz, T0, "map", rng.integers(0, 256, (6, 3), np.uint8), np.arange(6, dtype=np.uint8)
-        ),
+        "/ridge/fuel_map/cells": fuel_cells_to_msg(layers, np.zeros(classes.shape), grid, T0),
         "/diagnostics": diagnostics,
         "/clock": Clock(clock=ns_to_time(T0 + 5)),
     }

@@ -20,7 +20,7 @@ from ltm_core.pose import Pose
 from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.grid import classes_to_msg, msg_to_classes, tile_window
 from ltm_msgs_py.image import ENCODINGS, image_to_msg, msg_to_array
-from ltm_msgs_py.points import msg_to_points, points_to_msg
+from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns
 from ltm_msgs_py.pose import msg_to_pose, pose_to_msg
 from ltm_msgs_py.stamp import LATEST_NS, ns_to_time, time_to_ns
 from ltm_msgs_py.votes import msg_to_votes, votes_to_msg
@@ -131,17 +131,16 @@ def test_votes(data: st.DataObject, height: int, width: int, classes: int, stamp
 
 
 @quick
-@given(st.data(), st.integers(0, 20), st.booleans(), st.booleans())
-def test_points(data: st.DataObject, count: int, coloured: bool, labelled: bool) -> None:
-    xyz = data.draw(arrays(np.float32, (count, 3)))
-    rgb = data.draw(arrays(np.uint8, (count, 3))) if coloured else None
-    label = data.draw(arrays(np.uint8, count)) if labelled else None
-    back = msg_to_points(on_the_wire(points_to_msg(xyz, 1, "map", rgb, label)))
-    assert back.xyz.tobytes() == xyz.tobytes()
-    assert (back.rgb is None) == (rgb is None)
-    assert (back.label is None) == (label is None)
-    assert rgb is None or np.array_equal(back.rgb, rgb)
-    assert label is None or np.array_equal(back.label, label)
+@given(st.data(), st.integers(0, 20))
+def test_columns_of_points(data: st.DataObject, count: int) -> None:
+    given_columns = {
+        name: data.draw(arrays(dtype, count))
+        for name, dtype in (("x", np.float32), ("code", np.int16), ("form", np.uint8), ("t", np.float64))
+    }
+    back = msg_to_columns(on_the_wire(columns_to_msg(given_columns, 1, "map")))
+    assert {name: column.tobytes() for name, column in back.items()} == {
+        name: column.tobytes() for name, column in given_columns.items()
+    }
 
 
 @quick
@@ -198,7 +197,7 @@ def test_any_point_cloud_is_read_or_refused(
     msg.fields = given_fields
     msg.data = array("B", content)
     try:
-        points = msg_to_points(msg)
+        columns = msg_to_columns(msg)
     except MessageError:
         return
-    assert len(points.xyz) == height * width
+    assert {len(column) for column in columns.values()} == {height * width}
