@@ -52,7 +52,7 @@ def test_the_sky_of_held_out_photos_is_that_of_the_sky_network(
         true, found = teacher.segment(photo).labels == Label.SKY, ours.segment(photo).labels == Label.SKY
         score = score.plus(true.astype(np.uint8), found.astype(np.uint8))
         tally.add(skyline(found), skyline(true))
-    assert score.iou[1] > 0.93
+    assert score.iou[1] > 0.95
     assert tally.score().median <= 4.0
 
 
@@ -76,4 +76,4 @@ def test_near_and_far_are_in_order_on_a_real_glacier(shared_data: Path) -> None:
     nearer = np.log(inverse[rows[first], cols[first]] / inverse[rows[second], cols[second]])
     right = np.sign(nearer) == -np.sign(ratio)
     assert clear.sum() > 3000
-    assert right[clear].mean() > 0.65  # chance is 0.5; see the card
+    assert right[clear].mean() > 0.85  # chance is 0.5; see the card

@@ -194,7 +194,8 @@ def normalised(photos: list[npt.NDArray[np.uint8]]) -> Tensor:
 def _at_size(image: npt.NDArray[np.uint8], size: tuple[int, int]) -> npt.NDArray[np.uint8]:
     if image.shape[1::-1] == size:
         return image
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    shrinks = size[0] <= image.shape[1] and size[1] <= image.shape[0]  # as the segmenter resizes
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR), np.uint8)
 
 
 def _batches(config: TrainingConfig, frames: list[Frame], done: int, last: int) -> Iterator[Batch]:
