@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,8 @@ from ltm_core.grid import GridGeometry
 from ltm_core.simulator import noise
 from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, WATER, LandCover
 
+_STRIP = 128  # rows of ground texture made at once
+_THREADS = 2
 _WATER = np.array([0.02, 0.035, 0.036])  # a reservoir's own colour, under its reflections
 
 Array = NDArray[np.float64]
@@ -67,8 +70,26 @@ def palette(green: float, seed: int) -> Palette:
     )
 
 
-def ground_texture(cover: LandCover, geometry: GridGeometry, colors: Palette, green: float, seed: int) -> Field:
+def ground_texture(cover: LandCover, geometry: GridGeometry, colors: Palette, seed: int) -> Field:
     """Reflectance (H, W, 3) of the ground itself at the cells of `geometry`, plants left out.
+
+    Strip by strip: a whole site at once takes gigabytes.
+    """
+    out = np.empty((*geometry.shape, 3), np.float32)
+
+    def fill(first: int) -> None:
+        rows = min(_STRIP, geometry.height - first)
+        y_max = geometry.y_max - first * geometry.resolution
+        strip = GridGeometry(geometry.x_min, y_max, geometry.resolution, geometry.width, rows)
+        out[first : first + rows] = _strip_texture(cover, strip, colors, seed)
+
+    with ThreadPoolExecutor(_THREADS) as pool:
+        list(pool.map(fill, range(0, geometry.height, _STRIP)))
+    return out
+
+
+def _strip_texture(cover: LandCover, geometry: GridGeometry, colors: Palette, seed: int) -> Field:
+    """A part of `ground_texture`.
 
     Classes melt into one another over a few metres along ragged edges; brightness varies from hundreds of metres
     down to the cell.

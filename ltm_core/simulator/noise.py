@@ -46,7 +46,7 @@ def _gradient_noise(x: float, y: float, seed: int) -> float:
     return float(1.4142 * (low + v * (high - low)))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _fractal_rows(
     xs: Float, ys: Float, out: Field, wavelength: float, octaves: int, gain: float, ridged: bool, seed: int
 ) -> None:

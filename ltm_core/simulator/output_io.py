@@ -7,7 +7,8 @@ NNNN_truth.npz              range_surface, range_ground (slant metres, +inf sky)
 dem.tif                     the DEM handed to the system: an outdated copy of the first date's ground
 fuel_truth.tif              class ids on the 30 m grid at the first date (edges = 15 mod 30, 255 none)
 truth/DATE/                 the site at each date; all GeoTIFFs are in the scenario's CRS
-    bare_earth.tif          1 m, float32 metres
+    ground.tif              the ground's own cells: bilinear between their centres, it is what is rendered
+    bare_earth.tif          1 m, float32 metres: that ground sampled, which rounds edges sharper than a metre
     surface.tif             1 m, bare earth + canopy
     canopy.tif              1 m, height of shrubs and trees over bare earth (0: none; grass and stones not counted)
     class.tif               1 m, class ids
@@ -25,6 +26,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError
 from ltm_core.raster_io import write_geotiff
@@ -32,6 +34,7 @@ from ltm_core.simulator.outdated import outdated_dem
 from ltm_core.simulator.rasters import UNKNOWN, SiteRasters, site_change
 from ltm_core.simulator.run import SimulatedFrame, SimulatedSite
 from ltm_core.simulator.scenario import Scenario
+from ltm_core.simulator.sensors import Report
 
 _COLORS = {
     0: (0, 0, 0),
@@ -53,17 +56,23 @@ def write_site(out: Path, scenario: Scenario, site: SimulatedSite, truth: SiteRa
     write_geotiff(out / "fuel_truth.tif", truth.life_form, truth.coarse, nodata=UNKNOWN, colormap=_COLORS)
 
 
-def write_truth(out: Path, date: str, truth: SiteRasters) -> None:
+def write_truth(out: Path, date: str, scenario: Scenario, site: SimulatedSite, truth: SiteRasters) -> None:
     """`truth/DATE/`: the rasters of one date."""
     folder = out / "truth" / date
     folder.mkdir(parents=True, exist_ok=True)
+    ground = site.terrain.site
+    own = ground.geometry.translated(*scenario.origin, scenario.crs)
+    write_geotiff(folder / "ground.tif", _to_millimetres(ground.elevation), own)
     for name in ("bare_earth", "surface", "canopy"):
-        # Millimetres: the rest is noise that does not deflate
-        rounded = np.rint(getattr(truth, name).astype(np.float64) * 1024) / 1024
-        write_geotiff(folder / f"{name}.tif", rounded.astype(np.float32), truth.fine)
+        write_geotiff(folder / f"{name}.tif", _to_millimetres(getattr(truth, name)), truth.fine)
     write_geotiff(folder / "class.tif", truth.classes, truth.fine, nodata=UNKNOWN, colormap=_COLORS)
     write_geotiff(folder / "life_form.tif", truth.life_form, truth.coarse, nodata=UNKNOWN, colormap=_COLORS)
     write_geotiff(folder / "fuel_code.tif", truth.fuel_code, truth.coarse, nodata=UNKNOWN)
+
+
+def _to_millimetres(heights: NDArray[np.float32]) -> NDArray[np.float32]:
+    """What is below is noise that does not deflate."""
+    return np.asarray(np.rint(heights * np.float32(1024)) / np.float32(1024), np.float32)
 
 
 def write_change(out: Path, names: tuple[str, str], before: SiteRasters, after: SiteRasters) -> None:
@@ -107,6 +116,20 @@ def write_frame(out: Path, number: int, frame: SimulatedFrame) -> dict[str, Any]
         "pitch_deg": pitch,
         "roll_deg": roll,
         "mast": shot.mast,
+        "reported": _reported(shot.report),
+    }
+
+
+def _reported(report: Report) -> dict[str, Any]:
+    azimuth, pitch, roll = report.pose.angles_deg
+    return {
+        "stamp_ns": report.stamp_ns,
+        "received_ns": report.received_ns,
+        "position": [float(v) for v in report.pose.position],
+        "azimuth_deg": azimuth,
+        "pitch_deg": pitch,
+        "roll_deg": roll,
+        "covariance": [float(v) for v in np.diag(report.covariance)],
     }
 
 

@@ -21,6 +21,7 @@ SURFACE_CELL, FUEL_CELL = 1.0, 30.0  # m
 TERRAIN_CHANGED, CANOPY_CHANGED, CLASS_CHANGED = 1, 2, 4  # bits of change rasters
 _TERRAIN_STEP, _CANOPY_STEP = 0.1, 0.5  # m, the least that counts as change
 UNKNOWN = 255
+_STRIP = 256  # rows of the 1 m rasters sampled at once
 
 
 @dataclass(frozen=True)
@@ -52,10 +53,12 @@ def site_rasters(
     x_min, y_min, x_max, y_max = ground.geometry.bounds
     shape = round((x_max - x_min) / SURFACE_CELL), round((y_max - y_min) / SURFACE_CELL)
     fine = GridGeometry(x_min, y_max, SURFACE_CELL, *shape)
+    bare_earth, classes = np.empty(fine.shape, np.float32), np.empty(fine.shape, np.uint8)
     xs, _ = fine.to_map(0, np.arange(fine.width))
-    _, ys = fine.to_map(np.arange(fine.height), 0)
-    x, y = np.meshgrid(xs, ys)
-    bare_earth = ground.at(x, y).astype(np.float32)
+    for first in range(0, fine.height, _STRIP):
+        rows = np.arange(first, min(first + _STRIP, fine.height))
+        x, y = np.meshgrid(xs, fine.to_map(rows, 0)[1])
+        bare_earth[rows], classes[rows] = ground.at(x, y), cover.at(x, y)
     canopy = canopy_height(planting.everywhere(), ground, fine)
     x0, y0 = origin
     coarse = GridGeometry.snapped((x_min + x0, y_min + y0, x_max + x0, y_max + y0), FUEL_CELL, 15.0, crs)
@@ -63,7 +66,7 @@ def site_rasters(
     return SiteRasters(
         bare_earth,
         canopy,
-        cover.at(x, y),
+        classes,
         fine.translated(x0, y0, crs),
         life_form,
         fuel_codes(life_form, cover, coarse, origin),

@@ -75,7 +75,6 @@ def render_radiance(view: View, camera: Camera, pose: Pose, samples: int, seed: 
     can be smoothed where shadows' edges must not.
     """
     mi = mitsuba()
-    sensor = _sensor(camera, pose, {"type": "independent", "sample_count": samples}, "rgb")
     integrator = mi.load_dict({"type": "direct", "emitter_samples": 1, "bsdf_samples": 0})
     light = mi.traverse(view.light)
     parts = []
@@ -83,7 +82,10 @@ def render_radiance(view: View, camera: Camera, pose: Pose, samples: int, seed: 
         for k, (sun, sky) in enumerate(((1.0, 0.0), (0.0, 1.0))):
             light["sun_scale"], light["sky_scale"] = sun, sky
             light.update()
-            paths = samples if sky else max(1, round(0.6 * samples))  # the sun's light is hardly noisy
+            # Jittered in the pixel, both kinds need fewer paths than `samples` drawn one by one
+            paths = max(1, round((0.5 if sky else 0.6) * samples))
+            sensor = _sensor(camera, pose, {"type": "multijitter", "sample_count": paths}, "rgb")
+            paths = sensor.sampler().sample_count()  # which takes whole grids
             image = mi.render(view.full, sensor=sensor, integrator=integrator, spp=paths, seed=2 * seed + k)
             parts.append(np.asarray(image, np.float32))
     finally:

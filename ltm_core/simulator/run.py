@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
-from ltm_core.errors import ConfigError
+from ltm_core.errors import ConfigError, RasterError
 from ltm_core.pose import Pose
 from ltm_core.simulator.appearance import palette
 from ltm_core.simulator.ground_io import read_codes, read_elevation
@@ -30,7 +30,7 @@ from ltm_core.simulator.weather import Clouds, mirrored, smoke
 from ltm_core.simulator.works import with_lakes
 
 # Where in a pixel the distances for haze are taken, besides its centre
-_HAZE_SAMPLES = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
+_HAZE_SAMPLES = ((-0.25, -0.25), (0.25, 0.25))
 
 
 _FINER = 3.0  # rays a pixel's width when truth is looked up through a lens
@@ -71,19 +71,29 @@ class SimulatedSite:
 
 
 def make_site(scenario: Scenario) -> SimulatedSite:
-    """The site as it was before the scenario's first date: a function of its seed, terrain and vegetation alone."""
+    """The site as it was before the scenario's first date: a function of its seed, terrain and vegetation alone.
+
+    Raises ConfigError on rasters that cannot be read or do not cover it, and on lakes outside it.
+    """
     config, seed = scenario.terrain, scenario.seed
     if config.dem is None:
         terrain = make_terrain(config, seed)
     else:
         wide = surroundings_geometry(config)
         in_crs = wide.translated(*scenario.origin, scenario.crs)
-        terrain = terrain_of(read_elevation(config.dem, in_crs), wide, config, seed)
+        try:
+            elevation = read_elevation(config.dem, in_crs)
+        except RasterError as error:
+            raise ConfigError(f"terrain.dem: {error}") from error
+        terrain = terrain_of(elevation, wide, config, seed)
     terrain, lakes = with_lakes(terrain, scenario.lakes)
     codes = None
     if scenario.vegetation.fuel is not None:
         grid = cover_geometry(terrain).translated(*scenario.origin, scenario.crs)
-        codes = read_codes(scenario.vegetation.fuel, grid)
+        try:
+            codes = read_codes(scenario.vegetation.fuel, grid)
+        except RasterError as error:
+            raise ConfigError(f"vegetation.fuel: {error}") from error
     return SimulatedSite(terrain, make_landcover(terrain, scenario.vegetation, seed, codes, lakes))
 
 
@@ -144,26 +154,31 @@ def plan_shots(scenario: Scenario, site: SimulatedSite, date: DateConfig | None 
     return shots
 
 
-def render_shots(scenario: Scenario, site: SimulatedSite, shots: list[Shot]) -> Iterator[SimulatedFrame]:
-    """Render `shots` of one dated site one after another; the scene is rebuilt only where the eye moves.
+def render_shots(
+    scenario: Scenario, site: SimulatedSite, shots: list[Shot], view: View | None = None
+) -> Iterator[SimulatedFrame]:
+    """Render `shots` of one dated site one after another; the scene is rebuilt only where the eye moves. `view`: the
+    first eye's, if it is there already.
 
     Nothing in the scene moves, so a pose that comes again shares its light and its truth with the first time; the
     sensor's noise is its own.
     """
-    builder = SceneBuilder(scenario, site.terrain, site.cover)
-    view: View | None = None
-    eye: NDArray[np.float64] | None = None
+    builder: SceneBuilder | None = None
+    eye: NDArray[np.float64] | None = shots[0].pose.position if shots and view is not None else None
     seen: dict[tuple[Camera, Pose], _Light] = {}
     for k, shot in enumerate(shots):
         over = float(shot.pose.position[2] - site.terrain.site.at(*shot.pose.position[:2]))
         if over < _LEAST_MAST:
+            names = [c.name for c in scenario.cameras]
+            place = f"cameras.{names.index(shot.camera_name)}: " if shot.camera_name in names else ""
             raise ConfigError(
-                f"camera {shot.camera_name} is {-over:.2f} m under the ground that changes up to {shot.date} leave; "
-                "raise its mast or keep the change away from it"
+                f"{place}camera {shot.camera_name} is {-over:.2f} m under the ground that changes up to {shot.date} "
+                "leave; raise its mast or keep the change away from it"
             )
         if view is None or eye is None or not np.array_equal(eye, shot.pose.position):
             view, eye = None, shot.pose.position  # the old scene goes before the new one comes
             seen.clear()
+            builder = builder or SceneBuilder(scenario, site.terrain, site.cover)
             view = builder.view(eye)
         seed = scenario.seed * 10_007 + k
         key = (shot.camera, shot.pose)

@@ -14,8 +14,6 @@ from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SKY, TREE, UNLABELL
 from ltm_core.simulator.render import render_range
 from ltm_core.simulator.scene import View
 
-_SAME = 1e-3  # relative: ranges closer than this are one surface
-
 
 @dataclass(frozen=True)
 class FrameTruth:
@@ -29,19 +27,19 @@ class FrameTruth:
 
 
 def frame_truth(view: View, camera: Camera, pose: Pose, cover: LandCover) -> FrameTruth:
-    """Cast a ray through every pixel centre of `camera`, with everything standing and with the plants taken away
-    kind by kind.
+    """Cast a ray through every pixel centre of `camera`, at the ground alone and at each kind of plant alone.
 
-    The class is the kind whose removal lengthens the ray; the ground itself takes the class map's (under trees
-    grass, about houses bare), and ranges beyond the
-    map stay unlabelled.
+    The class is the kind that is hit first; the ground itself takes the class map's (under trees grass, about houses
+    bare), and ranges beyond the map stay unlabelled.
     """
-    ranges = [render_range(scene, camera, pose) for _, scene in view.layers]
-    labels = _ground_labels(ranges[0], camera, pose, view.bend, cover)
-    for k in range(1, len(ranges)):
-        nearer = ranges[k] < ranges[k - 1] - _SAME * 0.01 * np.where(np.isfinite(ranges[k]), ranges[k], 0)
-        labels[nearer] = view.layers[k][0]
-    return FrameTruth(ranges[-1], ranges[0], labels, camera)
+    ground = render_range(view.ground, camera, pose)
+    labels = _ground_labels(ground, camera, pose, view.bend, cover)
+    surface = ground.copy()
+    for class_id, scene in view.kinds:
+        ranges = render_range(scene, camera, pose)
+        labels[ranges < surface] = class_id
+        surface = np.minimum(surface, ranges)
+    return FrameTruth(surface, ground, labels, camera)
 
 
 def _ground_labels(

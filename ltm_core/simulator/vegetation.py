@@ -12,6 +12,7 @@ from ltm_core.simulator.appearance import Palette
 from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, LandCover
 from ltm_core.simulator.prototypes import FAR_PATCH, NEAR_PATCH, STAGES, TUFT_PATCH, Prototype, Prototypes
 from ltm_core.simulator.scenario import VegetationConfig
+from ltm_core.simulator.sight import line_of_sight
 from ltm_core.simulator.terrain import Terrain
 
 Array = NDArray[np.float64]
@@ -52,6 +53,11 @@ class _Cells:
     conifer: Mask
 
 
+def _keys(x: Array, y: Array) -> NDArray[np.int64]:
+    """One number for each metre's square of the map."""
+    return np.asarray(np.rint(x).astype(np.int64) * 2**32 + np.rint(y).astype(np.int64), np.int64)
+
+
 class Planting:
     """Where plants stand. Placement is a function of the ground and the seed; the eye only chooses the level of
     detail."""
@@ -72,9 +78,12 @@ class Planting:
         inside = (x >= g.x_min + half) & (x <= g.x_max - half) & (y >= g.y_min + half) & (y <= g.y_max - half)
         return np.where(inside, self._terrain.site.at(x, y), self._terrain.surroundings.at(x, y))
 
-    def around(self, eye: Array) -> list[Placement]:
-        """All instances for a camera at map point `eye` (3,)."""
+    def around(self, eye: Array, bend: float = 0.0) -> list[Placement]:
+        """All instances for a camera at map point `eye` (3,) but those that ridges hide from it; `bend`: metres that
+        the earth sinks a square metre of distance."""
         x, y = self._centers(FAR_PATCH)
+        sight = line_of_sight(self._terrain.surroundings, eye, FAR_PATCH, bend).at(x, y)
+        x, y = x[sight], y[sight]
         near = np.hypot(x - eye[0], y - eye[1]) < self._config.detail_radius
         out = self._patches(self._describe(x[~near], y[~near], FAR_PATCH), "far_")
         out += self._detailed(x[near], y[near], eye) + self._houses()
@@ -189,7 +198,7 @@ class Planting:
     def _trees(self, cell_x: Array, cell_y: Array, eye: Array | None) -> list[Placement]:
         """Single trees over the far cells centred at (cell_x, cell_y)."""
         g = self._terrain.surroundings.geometry
-        wanted = set(zip(np.rint(cell_x).astype(int).tolist(), np.rint(cell_y).astype(int).tolist(), strict=True))
+        wanted = _keys(cell_x, cell_y)
         x, y = self._centers(_TREE_SPACING)
         if eye is not None:
             close = np.hypot(x - eye[0], y - eye[1]) < self._config.detail_radius + FAR_PATCH
@@ -198,9 +207,9 @@ class Planting:
         y = y + (self._draw(x, y, 413) - 0.5) * 0.9 * _TREE_SPACING
         x, y = np.rint(x / LATTICE) * LATTICE, np.rint(y / LATTICE) * LATTICE
         # The far patches' own cells decide where detail ends, so that no tree is drawn twice
-        cx = np.rint(g.x_min + np.round((x - g.x_min) / FAR_PATCH) * FAR_PATCH).astype(int).tolist()
-        cy = np.rint(g.y_min + np.round((y - g.y_min) / FAR_PATCH) * FAR_PATCH).astype(int).tolist()
-        near = np.array([at in wanted for at in zip(cx, cy, strict=True)], bool)
+        cx = g.x_min + np.round((x - g.x_min) / FAR_PATCH) * FAR_PATCH
+        cy = g.y_min + np.round((y - g.y_min) / FAR_PATCH) * FAR_PATCH
+        near = np.isin(_keys(cx, cy), wanted)
         c = self._describe(x[near], y[near], _TREE_SPACING, samples=1)
         closed = self._draw(c.x, c.y, 415) < 0.72 * c.density
         dense = (c.shares[:, TREE] > 0) & closed

@@ -16,7 +16,7 @@ def simulate(
     bag: Annotated[
         Path | None,
         typer.Option(
-            help="Also write the frames as a recording (MCAP) with truth topics; of several dates, in BAG/DATE."
+            help="Also write the frames as a recording (MCAP) with truth topics; of several such dates, in BAG/DATE."
         ),
     ] = None,
     site_only: Annotated[bool, typer.Option("--site-only", help="Write the rasters only.")] = False,
@@ -36,7 +36,7 @@ def simulate(
     from ltm_core.errors import ConfigError
     from ltm_core.simulator.output_io import write_change, write_frame, write_index, write_site, write_truth
     from ltm_core.simulator.run import make_site, plan_shots, rasters_at, render_shots, site_at
-    from ltm_core.simulator.scenario import load_scenario, located
+    from ltm_core.simulator.scenario_io import load_scenario, located
 
     config = load_scenario(scenario)
     columns = (
@@ -60,13 +60,14 @@ def simulate(
             progress.update(task, description=f"{config.name}: truth of {date.name}")
             here, dated = config.at(date), site_at(config, site, date)
             truth = rasters_at(here, dated)
-            write_truth(out, date.name, truth)
+            write_truth(out, date.name, here, dated, truth)
             if before is None:
                 write_site(out, config, dated, truth)
             else:
                 write_change(out, (config.dates[i - 1].name, date.name), before, truth)
             before = truth
-            jobs.append((here, dated, plan_shots(config, standing, date)))
+            if date.frames:
+                jobs.append((here, dated, plan_shots(config, standing, date)))
         if site_only:
             progress.update(task, total=0, description=f"{config.name}: site written to {out}")
             return
@@ -77,16 +78,20 @@ def simulate(
         begin = 0
         for here, dated, shots in jobs:
             wanted = shots[max(0, first - begin) : max(0, last - begin)]
-            for number, frame in enumerate(render_shots(here, dated, wanted), start=max(first, begin)):
-                entries.append(write_frame(out, number, frame))
-                write_index(out, config, entries)
-                progress.update(task, completed=len(entries))
+            try:
+                for number, frame in enumerate(render_shots(here, dated, wanted), start=max(first, begin)):
+                    entries.append(write_frame(out, number, frame))
+                    write_index(out, config, entries)
+                    progress.update(task, completed=len(entries))
+            except ConfigError as error:
+                raise located(scenario, error) from error
             begin += len(shots)
         if bag is not None:
             from ltm_ros.simulated_bag import write_simulated_bag
 
-            for date in config.dates:
-                place = bag if len(config.dates) == 1 else bag / date.name
+            pictured = [date for date in config.dates if date.frames]
+            for date in pictured:
+                place = bag if len(pictured) == 1 else bag / date.name
                 task = progress.add_task(f"{config.name}: recording {place}", total=None)
 
                 def show(done: int, total: int, task: TaskID = task) -> None:

@@ -21,9 +21,9 @@ from ltm_core.simulator.scenario import (
     ImagingConfig,
     TerrainConfig,
     ViewsConfig,
-    load_scenario,
 )
 from ltm_core.simulator.scenario import VegetationConfig as Vegetation
+from ltm_core.simulator.scenario_io import load_scenario
 from ltm_core.simulator.terrain import HeightField, Terrain, make_terrain
 from ltm_core.simulator.truth import fuel_truth
 from ltm_core.simulator.viewpoints import draw_viewpoints

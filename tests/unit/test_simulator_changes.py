@@ -32,7 +32,8 @@ from ltm_core.simulator.rasters import (
     fuel_codes,
     site_change,
 )
-from ltm_core.simulator.scenario import PHONE, LakeConfig, SensorConfig, load_scenario
+from ltm_core.simulator.scenario import PHONE, LakeConfig, SensorConfig
+from ltm_core.simulator.scenario_io import load_scenario
 from ltm_core.simulator.sensors import SensorModel
 from ltm_core.simulator.stand import changed_terrain, mask_weights, stand_at
 from ltm_core.simulator.terrain import HeightField, Terrain

@@ -98,7 +98,7 @@ def test_range_through_pixel_centres_is_exact_on_a_plane(camera: Camera, curvatu
     view = SceneBuilder(config, site.terrain, site.cover).view(eye)
     assert view.bend == pytest.approx((1 - REFRACTION) / (2 * EARTH_RADIUS) if curvature else 0.0)
     pose = Pose.from_angles(eye, 20.0, -17.0, 6.0)
-    ranges = render_range(view.layers[0][1], camera, pose)
+    ranges = render_range(view.ground, camera, pose)
     truth = plane_range(camera, pose, view.bend)
     points = pose.position + camera.rays() @ pose.rotation.T * np.where(np.isfinite(truth), truth, 0)[..., None]
     inside = np.isfinite(truth) & np.all((points[..., :2] > 8) & (points[..., :2] < 592), axis=-1)

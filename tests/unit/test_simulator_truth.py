@@ -69,7 +69,7 @@ def _errors(site: SimulatedSite, resolution: float) -> NDArray[np.float64]:
     """|rendered - traced| range of bare ground (N,) away from silhouettes, the tracer's DEM at `resolution`."""
     shot = plan_shots(CONFIG, site)[0]
     view = SceneBuilder(CONFIG, site.terrain, site.cover).view(shot.pose.position)
-    rendered = render_range(view.layers[0][1], shot.camera, shot.pose)
+    rendered = render_range(view.ground, shot.camera, shot.pose)
     ground = site.terrain.site
     geometry = GridGeometry(0.0, 400.0, resolution, round(400 / resolution), round(400 / resolution))
     elevation = ground.at(*geometry.to_map(*np.mgrid[0 : geometry.height, 0 : geometry.width])).astype(np.float32)
