@@ -47,9 +47,16 @@ def segmentation(
         caption="call: the least of some in this process. node: a process of its own, photos in and labels out through "
         "DDS; its processor time a photo says how many a second one core gives, whatever else runs",
     )
-    table.add_column("model", no_wrap=True)
-    for column in ("threads", "call: cpu ms", "wall ms", "node: cpu ms", "Hz a core", "Hz by the clock"):
-        table.add_column(column, justify="right")
+    table.add_column("model", overflow="fold")
+    for column in (
+        "threads",
+        "call\ncpu ms",
+        "call\nwall ms",
+        "node\ncpu ms",
+        "node, Hz\na core",
+        "node, Hz\nby clock",
+    ):
+        table.add_column(column, justify="right", no_wrap=True)
     for name, count, cost, rate in rows:
         figures = (cost.cpu_ms, cost.wall_ms, rate.cpu_ms, 1e3 / rate.cpu_ms, rate.hz)
         table.add_row(name, str(count), *(f"{value:.1f}" for value in figures))
