@@ -78,7 +78,7 @@ class FuelConfig(Config):
     fusion: FusionRules = FusionRules()
     """How evidence is weighed and when a cell changes."""
     label_errors: str | None = None
-    """What the network takes for what: a YAML file, or None for config/fuel/label_errors/<model>.yaml."""
+    """What the network takes for what, and how its errors correlate: a YAML file; None: its calibration."""
 
 
 class TerrainConfig(Config):

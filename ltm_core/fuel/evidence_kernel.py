@@ -23,11 +23,23 @@ def _index_of(rows: Any, cols: Any) -> Any:
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _gaussian(weight: float, sigma: float) -> Any:
+    """(2 R + 1, 2 R + 1): `weight` at the centre."""
+    reach = int(2 * sigma + 0.5)
+    kernel = np.empty((2 * reach + 1, 2 * reach + 1))
+    for dr in range(-reach, reach + 1):
+        for dc in range(-reach, reach + 1):
+            kernel[dr + reach, dc + reach] = weight * np.exp(-0.5 * (dr * dr + dc * dc) / (sigma * sigma))
+    return kernel
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def with_neighbours(
     rows: Any, cols: Any, values: Any, stands: Any, weight: float, sigma: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """`values` (N, F) of each cell plus those of the cells of its stand (N,) about it, which weigh `weight` times a
-    Gaussian of `sigma` cells; and (N,) the sum of these weights, 1 for the cell itself.
+    Gaussian of `sigma` cells; and (N,) the sum of these weights, 1 for the cell itself. Of stand 0 nothing is known,
+    and it may end anywhere: there the Gaussian is of one cell.
     """
     n, width = values.shape
     out, cells = values.copy(), np.ones(n)
@@ -35,13 +47,11 @@ def with_neighbours(
         return out, cells
     index = _index_of(rows, cols)
     top, left = rows.min() - 1, cols.min() - 1
-    reach = int(2 * sigma + 0.5)
-    kernel = np.empty((2 * reach + 1, 2 * reach + 1))
-    for dr in range(-reach, reach + 1):
-        for dc in range(-reach, reach + 1):
-            kernel[dr + reach, dc + reach] = weight * np.exp(-0.5 * (dr * dr + dc * dc) / (sigma * sigma))
+    kernels = _gaussian(weight, min(sigma, 1.0)), _gaussian(weight, sigma)
     for i in range(n):
         row, col = rows[i] - top, cols[i] - left
+        kernel = kernels[0] if stands[i] == 0 else kernels[1]
+        reach = kernel.shape[0] // 2
         for r in range(max(row - reach, 0), min(row + reach + 1, index.shape[0])):
             for c in range(max(col - reach, 0), min(col + reach + 1, index.shape[1])):
                 j = index[r, c]

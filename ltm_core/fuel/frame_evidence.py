@@ -51,7 +51,7 @@ def frame_evidence(
 
     Args:
         forms: (K,) index of each label's life form, -1 for none (`life_form.label_forms`).
-        stands: (H, W) a number for each kind of stand that the prior map knows; None: all are one.
+        stands: (H, W) a number for each kind of stand that the prior map knows, 0 unknown; None: nothing is known.
 
     Raises ImageError for votes over other classes.
     """
