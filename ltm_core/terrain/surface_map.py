@@ -196,10 +196,6 @@ class SurfaceMap:
                 base[inside] = tile["base"][changed.rows[inside] % TILE, changed.cols[inside] % TILE]
         return np.asarray(surface + np.nan_to_num(base) + changed.shift, np.float32)
 
-    def seen_by(self, mask: int) -> tuple[str, ...]:
-        """Names of the cameras in a cell's mask."""
-        return tuple(name for i, name in enumerate(self.cameras) if mask >> i & 1)
-
     def _see_through(self, frame: DepthFrame, seconds: int, bit: int) -> None:
         pixels = self._observer.pixels
         see_through(

@@ -120,11 +120,15 @@ def test_photos_become_a_changed_surface(ros_domain: int, tmp_path: Path) -> Non
             assert str(file.crs) == "EPSG:26911"
             assert file.res == (10.0, 10.0)
             layers[name] = file.read(1)
+            place = file.transform
     changed = layers["change"] == info["kinds"]["grown"]
     assert int(changed.sum()) == told
-    height, width = small.dem.elevation.shape
-    was = small.dem.elevation[: layers["height"].shape[0], : layers["height"].shape[1]]
-    assert layers["height"].shape == (min(128, height), min(128, width))
+    # The files hold the tiles that were looked at.
+    whole = small.site.in_crs(small.dem.geometry)
+    top, left = round((whole.y_max - place.f) / 10.0), round((place.c - whole.x_min) / 10.0)
+    rows_of, cols_of = layers["height"].shape
+    was = small.dem.elevation[top : top + rows_of, left : left + cols_of]
+    assert was.shape == layers["height"].shape
     assert (layers["height"][changed] > was[changed]).all()
     np.testing.assert_allclose(layers["height"][~changed], was[~changed], atol=1e-3)
     assert (layers["sigma"][changed] > 0).all()
