@@ -36,6 +36,11 @@ _WINSOR = 6.0
 _COVERED = 4.0
 _BLUR = (1.0, 1.0, 1.5)
 _PEAK = 0.15  # about what a smoothed cell keeps of its own
+_STEPS = 4096  # of each of three tables of logarithms
+_NEAR, _MIDDLE, _FAR = (
+    np.clip(2.0 * np.log2((np.arange(_STEPS) + 0.5) * width) - _FIRST, 0.0, OCTAVES - 1.001).astype(np.float32)
+    for width in (1 / 16, 1.0, 16.0)
+)
 _LEAST_SAID = 0.25  # of the true inverse depth that a network is taken to say
 _FEWEST = 10  # samples of which a spread is taken
 _BELIEF = 40.0  # samples' worth of it in that of all
@@ -93,12 +98,21 @@ def octaves(depth: NDArray[np.floating]) -> NDArray[np.intp]:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _place(depth: np.float32) -> np.float32:
+    """Where a depth, metres, lies among the half octaves: a logarithm, looked up, since every pixel asks."""
+    if depth < np.float32(_STEPS / 16):
+        return np.float32(_NEAR[int(depth * np.float32(16.0))])
+    if depth < np.float32(_STEPS):
+        return np.float32(_MIDDLE[int(depth)])
+    return np.float32(_FAR[min(int(depth * np.float32(1 / 16)), _STEPS - 1)])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def said(row: int, col: int, inverse: np.float32, shift: Image, factor: Image) -> tuple[np.float32, np.float32]:
     """By how much less than the true `inverse` depth the network says in a cell of the tables, and its sigma, 1/m."""
     # What has no depth, as the sky, is taken for the farthest that the tables know.
     inverse = max(inverse, np.float32(1 / _FARTHEST))
-    place = np.float32(-2.0) * np.log2(inverse) - np.float32(_FIRST)
-    place = min(max(place, np.float32(0.0)), np.float32(OCTAVES - 1.001))
+    place = _place(np.float32(1.0) / inverse)
     k = int(place)
     part = place - np.float32(k)
     less = shift[row, col, k] + part * (shift[row, col, k + 1] - shift[row, col, k])

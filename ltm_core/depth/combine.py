@@ -26,7 +26,7 @@ _SOFT = 0.25  # of the range of a network's depth among neighbours: how far a pi
 _RANGES = 3.0  # e-foldings of depth over which something that stands before the terrain may be, each as likely
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
 def combine(
     depth: Image,
     sigma: Image,
@@ -100,7 +100,7 @@ def combine(
                 source[v, u] = 1
             else:
                 s = np.float32(np.nan)
-            if y == y:
+            if y == y and (ground or label != sky):
                 m, t = said(i, j, a, shift, factor)
                 # At an edge the network's depth is the other side's in part.
                 soft = np.float32(_SOFT) * (near - back)

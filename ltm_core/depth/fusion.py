@@ -133,7 +133,8 @@ def fuse(
     settings = FusionSettings() if settings is None else settings
     camera = traced.camera
     check = check_pose(rgb, ground, camera, settings.angle_sigma, settings.dem_sigma, labels, classes)
-    if not np.isfinite(ground[::4, ::4]).any():
+    # A sample first: where it has ground, as it nearly always does, that is all.
+    if not (np.isfinite(ground[::4, ::4]).any() or np.isfinite(ground).any()):
         return _traced_alone(ground, Verdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM", check)
     if check.suspected:
         return _traced_alone(ground, Verdict.POSE_SUSPECTED, check.reason, check)
