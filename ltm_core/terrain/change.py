@@ -23,15 +23,15 @@ SMOOTHING = 1.5
 """Metres: the deviation of the Gaussian over which neighbours speak for each other."""
 WIDE = 4.0
 """Metres: that over which they do where the nearer ones do not know."""
-_WIDE_SIGMA = 1.5
+_WIDE_SIGMA = 2.0
 """Metres by which a cell may differ from the mean of that wide neighbourhood."""
 _OWN_SHARE = 0.4
 """Of its neighbours' shift that a cell must show itself: a gap in a felled stand was no tree."""
-_WEAKLY_SURE, _WEAKLY_CHANGED = 0.15, 0.7
+_WEAKLY_SURE, _WEAKLY_CHANGED = 0.33, 0.75
 """Of the confidence and of the threshold that a cell needs beside a surely changed one."""
 _COMPATIBLE = 2.0
 """Deviations by which a cell's own estimate may miss its neighbours' shift and still not contradict it."""
-_BRIDGED = 6
+_BRIDGED = 2
 """Cells around each that its region reaches over."""
 _REACH = 4.0
 """Deviations of the Gaussian that are taken."""
@@ -226,8 +226,9 @@ def _shows(off: Floats, shift: Floats, threshold: float) -> NDArray[np.bool_]:
 
 
 def _regions(strong: NDArray[np.bool_], weak: NDArray[np.bool_], least: float) -> NDArray[np.bool_]:
-    """Cells of `weak` in regions that hold a strong cell and at least `least` cells. A region goes on across a few
-    cells that nobody sees: of a wood, cameras see crowns."""
+    """Cells of `weak` in regions that hold a strong cell and at least `least` cells. A region goes on across
+    a few cells that nobody sees: of a wood, cameras see crowns.
+    """
     near = ndimage.binary_dilation(weak, np.ones((3, 3)), iterations=_BRIDGED)
     labels, count = ndimage.label(near, np.ones((3, 3)))
     if count == 0:

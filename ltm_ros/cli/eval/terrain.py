@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-HELD_OUT = "11,12,13"
-"""Seeds that no constant of the map was chosen on: those were chosen on seeds 1 and 2."""
+HELD_OUT = "12,13,14"
+"""Seeds that no constant of the map was chosen on: those were chosen on seeds 1, 2 and 11."""
 
 
 def terrain(
