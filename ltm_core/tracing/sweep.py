@@ -117,7 +117,7 @@ def _sweep_tile(
         at = (height - 1 - k) * width + first
         turn_lanes(rays, 3 * at, groups, rotation, stage.resolution, block)
         turn(rays, 3 * at, groups * WIDTH, count, rotation, stage.resolution, block)
-        enter(highest, entries, starts, tangents, strips, count, block)
+        enter(highest, entries, starts, tangents, strips, outer, stage.last, count, block)
         prefetch_starts(nodes, n_x, stage, count, block)
         if groups > 0:
             waits = first_cells(nodes, n_x, n_y, stage, outer, groups, block, at, out, waiting, waits)
@@ -161,14 +161,17 @@ def enter(
     starts: NDArray[np.int64],
     tangents: NDArray[np.float32],
     strips: NDArray[np.int32],
+    outer: NDArray[np.float32],
+    last: bool,
     count: int,
     block: Floats,
 ) -> None:
-    """Find the entries of a block's rays, in the fields of `Wedges`."""
+    """Find the entries of a block's rays, in the fields of `Wedges`; `last`: no stage comes after this one."""
     for i in range(count):
         wedge, s = int(block[WEDGE + i]), block[SLOPE + i]
         if not (s <= highest[wedge]):
-            block[NEAR + i] = MEETS_NOTHING
+            # Whether it is over known ground when it leaves matters only where more ground may come.
+            block[NEAR + i] = MEETS_NOTHING if last or outer[wedge] == np.inf else BY_PYRAMID
         elif entries[wedge] <= 0:
             block[NEAR + i] = BY_PYRAMID
         else:

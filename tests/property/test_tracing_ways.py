@@ -116,11 +116,16 @@ def test_every_pixel_of_real_mountains(shared_data: Path) -> None:
     assert_ways_agree(big_tujunga(shared_data), 13, poses=10, width=161, height=121)
 
 
+def riddled(dem: Dem) -> Dem:
+    """`dem` with lakes and specks without data, so many that most images see some."""
+    return with_holes(dem, 6, enclosed=160, specks=1200, margin=False)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("holes", [False, True])
 def test_every_pixel_of_sixty_poses_in_real_mountains(shared_data: Path, holes: bool) -> None:
     dem = big_tujunga(shared_data)
-    assert_ways_agree(with_holes(dem, 6, margin=False) if holes else dem, 14, poses=60, width=320, height=240)
+    assert_ways_agree(riddled(dem) if holes else dem, 14, poses=60, width=320, height=240)
 
 
 @pytest.mark.parametrize("bend", [-3e-4, 7e-4, 1e-2])
