@@ -43,7 +43,8 @@ def terrain(
     console.print(table)
     console.print(
         f"memory of the map after {cost.views} views, with bare earth, surface and tracer, its store in a file: "
-        f"{cost.memory_mb:.0f} MB ({cost.tiles} tiles of 64 x 64 cells in memory); peak of the process {cost.peak_mb:.0f} MB"
+        f"{cost.memory_mb:.0f} MB ({cost.tiles} tiles of 64 x 64 cells in memory); "
+        f"peak of the process {cost.peak_mb:.0f} MB"
     )
     if json_path is not None:
         json_path.parent.mkdir(parents=True, exist_ok=True)
