@@ -23,6 +23,8 @@ UNSAVED_FRAMES = 500_000
 UNSAVED_BYTES = 256 << 20
 """Of the same, where the store has not been opened yet, so that they must be counted again once it is."""
 RETRY_S = 2.0
+AGE_NS = 3600 * 10**9
+"""Of the map's own time, after which cells that no frame has touched are looked at again."""
 
 
 class Counting(Enum):
@@ -75,6 +77,7 @@ class FuelKeeper:
         self._in_batch: set[tuple[str, int]] = set()
         self._batch_bytes = 0
         self._unshown: list[Window] = []
+        self._aged_ns = 0
         self._changes: list[CellChanges] = []
         self._dirty: set[Key] = set()
         self._keys: dict[Key, Key] = {}
@@ -146,7 +149,12 @@ class FuelKeeper:
 
     def settle(self, write_tiles: bool = False) -> list[Counted]:
         """Show and write what was counted; what is acknowledged with it. `write_tiles`: all that the map holds."""
-        self._changes += self.shown.refresh(self._unshown)
+        if self.map.newest_ns - self._aged_ns >= AGE_NS:
+            # Evidence fades and burns end where nobody looks, too.
+            self._aged_ns = self.map.newest_ns
+            self._changes += self.shown.refresh_all()
+        else:
+            self._changes += self.shown.refresh(self._unshown)
         self._unshown = []
         if self.store is None or (self._failed and self._waited < RETRY_S and not write_tiles):
             return []

@@ -92,6 +92,12 @@ LOST = -3.0
 """Known ground, and then an outer hole: what it meets from now on may be hidden by ground that is not known."""
 
 
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _normal(c: float) -> float:
+    """`c`, or 0 for a number so small that its reciprocal would overflow: a range of 0 times that is NaN."""
+    return c if abs(c) > 1e-300 else 0.0
+
+
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def _crossing(west: float, north: float, east: float, south: float, cx: float, cy: float) -> tuple[float, float]:
     """Ranges (q_in, q_out) between which a ray is over a window; q_in > q_out where it never is."""
@@ -337,6 +343,7 @@ def trace_directions(
                         out[k] = np.inf if up > 0.0 else stage.oz - height_at(ground, stage.ox, stage.oy)
                 else:
                     cx, cy, s = east / across, -north / across, up / across * stage.resolution
+                    cx, cy = _normal(cx), _normal(cy)
                     start, end = stretch(stage, cx, cy)
                     q = hit_between(ground, stage, cx, cy, s, stage.bend, start, end, state, START_LEVEL)
                     q = finished(stage, cx, cy, s, stage.bend, q)

@@ -205,7 +205,10 @@ def test_full_disk_map_lives_on_and_catches_up(kept: Callable[..., Node], site: 
     assert "SQLITE_FULL" in node.health.last_error
     assert "frames are in memory only" in node.health.last_error
     assert len(node.outlet.on(FUEL_MAP_UPDATE)) == int(node.gauge("frames")), "only what is saved is told"
-    np.testing.assert_array_equal(msg_to_classes(node.outlet.on(FUEL_MAP)[-1])[0], node.map.layers().life_form)
+    shown = node.handler._keeper.shown
+    np.testing.assert_array_equal(msg_to_classes(node.outlet.on(FUEL_MAP)[-1])[0], shown.life_form)
+    shown.refresh_all()
+    np.testing.assert_array_equal(shown.life_form, node.map.layers().life_form)
     node.feed(5, 59)
     assert node.health.dropped == {"duplicate": 2}
 
