@@ -13,6 +13,7 @@ from rich.text import Text
 
 from ltm_core.metrics.depth import DepthScore
 from ltm_ros.bag_score import SHARED, BagScore
+from ltm_ros.figures_io import without_nan
 from ltm_ros.report import NOTHING, Table
 
 _AGAINST = {"visible surface": "surface", "bare ground": "ground", SHARED: "shared"}
@@ -282,14 +283,3 @@ def shown(value: object) -> str:
     if not math.isfinite(value):
         return NOTHING
     return f"{value:,}" if isinstance(value, int | np.integer) else f"{value:,.2f}"
-
-
-def without_nan(value: Any) -> Any:
-    """Values that JSON has: NaN and infinity become null."""
-    if isinstance(value, dict):
-        return {key: without_nan(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [without_nan(item) for item in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value

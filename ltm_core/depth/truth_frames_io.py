@@ -47,7 +47,12 @@ class TruthFrame:
 
 def open_dem(folder: Path) -> Dem:
     """The outdated DEM of a folder of `ltm simulate`, in the map frame. Raises RecordingError, RasterError."""
-    return Dem.open(folder / "dem.tif").in_frame(_frame(_index(folder)))
+    return Dem.open(folder / "dem.tif").in_frame(site_frame(folder))
+
+
+def site_frame(folder: Path) -> SiteFrame:
+    """The map frame of a folder. Raises RecordingError."""
+    return _frame(_index(folder))
 
 
 def is_curved(folder: Path) -> bool:

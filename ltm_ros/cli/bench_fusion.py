@@ -15,13 +15,12 @@ def fusion(
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
 ) -> None:
     """Fuse one frame's depths: processor time by part, the network's own time aside."""
-    import json
-
     from rich.console import Console
     from rich.table import Table
 
     from ltm_core.bench.fusion import NETWORK_SIZE, run
     from ltm_core.bench.measure import conditions
+    from ltm_ros.figures_io import write_figures
 
     console = Console()
     state = conditions(("numpy", "numba", "opencv-python-headless"))
@@ -39,7 +38,6 @@ def fusion(
     versions = ", ".join(f"{name} {number}" for name, number in state.versions.items())
     console.print(f"{state.cpu}, {state.cores} cores, load average {load}, Python {state.python}, {versions}")
     if json_path is not None:
-        json_path.parent.mkdir(parents=True, exist_ok=True)
         rows = {row.part: {"cpu_ms": row.cost.cpu_ms, "wall_ms": row.cost.wall_ms} for row in costs}
         report = {"conditions": state.as_dict(), "width": width, "height": height, "parts": rows}
-        json_path.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        write_figures(json_path, report)

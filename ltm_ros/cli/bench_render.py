@@ -14,7 +14,6 @@ def render(
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
 ) -> None:
     """Render one frame of a scenario: processor time, wall time, instances and peak memory."""
-    import json
     from dataclasses import asdict
 
     from rich.console import Console
@@ -24,6 +23,7 @@ def render(
     from ltm_core.bench.rendering import run_rendering
     from ltm_core.resources import config_path
     from ltm_core.simulator.scenario_io import load_scenario
+    from ltm_ros.figures_io import write_figures
 
     console = Console()
     state = conditions(("mitsuba", "drjit", "numpy", "numba"))
@@ -45,5 +45,4 @@ def render(
     versions = ", ".join(f"{name} {number}" for name, number in state.versions.items())
     console.print(f"{state.cpu}, {state.cores} cores, load average {load}, Python {state.python}, {versions}")
     if json_path is not None:
-        json_path.parent.mkdir(parents=True, exist_ok=True)
-        json_path.write_text(json.dumps({"conditions": state.as_dict(), "cost": asdict(cost)}, indent=2))
+        write_figures(json_path, {"conditions": state.as_dict(), "cost": asdict(cost)})

@@ -19,7 +19,6 @@ def segmentation(
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
 ) -> None:
     """Label one photo: by the function, and by a node that gets it through DDS and publishes labels and confidence."""
-    import json
     from dataclasses import asdict
 
     import numpy as np
@@ -29,6 +28,7 @@ def segmentation(
     from ltm_core.bench.measure import conditions, least_cost
     from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
     from ltm_ros.bench.segmentation import run_segmentation
+    from ltm_ros.figures_io import write_figures
 
     console = Console()
     state = conditions(("numpy", "onnxruntime", "opencv-python-headless", "ros-jazzy-rclpy"))
@@ -65,7 +65,6 @@ def segmentation(
     versions = ", ".join(f"{name} {number}" for name, number in state.versions.items())
     console.print(f"{state.cpu}, {state.cores} cores, load average {load}, Python {state.python}, {versions}")
     if json_path is not None:
-        json_path.parent.mkdir(parents=True, exist_ok=True)
         report = {
             "conditions": state.as_dict(),
             "width": width,
@@ -75,4 +74,4 @@ def segmentation(
                 for name, count, cost, rate in rows
             ],
         }
-        json_path.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        write_figures(json_path, report)

@@ -15,7 +15,6 @@ def terrain(
     json_path: Annotated[Path | None, typer.Option("--json", help="Also write the figures to this file.")] = None,
 ) -> None:
     """Processor time of the terrain's update a 1080p frame, and its memory."""
-    import json
     import tempfile
     from dataclasses import asdict
 
@@ -24,6 +23,7 @@ def terrain(
 
     from ltm_core.bench.measure import conditions
     from ltm_core.bench.surface import measure_surface
+    from ltm_ros.figures_io import write_figures
 
     console = Console()
     state = conditions(("numpy", "numba", "opencv-python-headless"))
@@ -47,5 +47,4 @@ def terrain(
         f"peak of the process {cost.peak_mb:.0f} MB"
     )
     if json_path is not None:
-        json_path.parent.mkdir(parents=True, exist_ok=True)
-        json_path.write_text(json.dumps({"conditions": state.as_dict(), "cost": asdict(cost)}, indent=2) + "\n")
+        write_figures(json_path, {"conditions": state.as_dict(), "cost": asdict(cost)})

@@ -17,8 +17,6 @@ def votes(
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
 ) -> None:
     """Form the votes of a frame from several views: processor time, cells, and the size of the message."""
-    import json
-
     from rclpy.serialization import serialize_message
     from rich.console import Console
     from rich.table import Table
@@ -27,6 +25,7 @@ def votes(
     from ltm_core.bench.votes import REACH, run
     from ltm_core.vision.labels import LabelSet
     from ltm_msgs_py.votes import MAX_BYTES, fitting, votes_to_msg
+    from ltm_ros.figures_io import write_figures
 
     console = Console()
     state = conditions(("numpy", "numba", "ros-jazzy-rclpy"))
@@ -69,7 +68,6 @@ def votes(
     versions = ", ".join(f"{name} {number}" for name, number in state.versions.items())
     console.print(f"{state.cpu}, {state.cores} cores, load average {load}, Python {state.python}, {versions}")
     if json_path is not None:
-        json_path.parent.mkdir(parents=True, exist_ok=True)
         report = {"conditions": state.as_dict(), "width": width, "height": height, "cell": cell, "extent": extent}
         report["views"] = rows
-        json_path.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        write_figures(json_path, report)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from ltm_core.fuel.trial import TRIALS, TUNING_SEEDS, Trial
 from ltm_core.fuel.trial_score import TrialScore, run_trial
 from ltm_core.geodesy import SiteFrame
 from ltm_core.vision.labels import LabelSet
+from ltm_ros.figures_io import write_figures
 from ltm_ros.fuel_score import FuelBagScore, score_fuel_bag
 from ltm_ros.recorded import Recorded
 
@@ -175,5 +175,4 @@ def _ground(dem: Path | None) -> Dem | None:
 
 def _write(path: Path | None, figures: dict[str, Any]) -> None:
     if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+        write_figures(path, figures)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -27,6 +26,7 @@ from ltm_core.terrain.trial_score import TrialScore, score_trial
 from ltm_core.terrain.trial_summary import Spread, TrialSummary
 from ltm_core.terrain.trials import Conditions
 from ltm_core.vision.labels import LabelSet
+from ltm_ros.figures_io import write_figures
 
 SHEET_WIDTH = 520
 
@@ -126,9 +126,8 @@ def simulated_frames(
 ) -> None:
     """Frames of `ltm simulate` at its last or the named date, the surface of its first date given."""
     from ltm_core.dem import Dem
-    from ltm_core.depth.truth_frames_io import dates, open_dem, read_truth_frames
+    from ltm_core.depth.truth_frames_io import dates, open_dem, read_truth_frames, site_frame
     from ltm_core.errors import ConfigError
-    from ltm_core.geodesy import SiteFrame
     from ltm_core.terrain.frame_score import fused_depth, score_frames, true_depth
     from ltm_core.terrain.trials import Noise
 
@@ -140,8 +139,7 @@ def simulated_frames(
         )
     date = date or known[-1]
     given = open_dem(folder)
-    index = json.loads((folder / "frames.json").read_text(encoding="utf-8"))
-    frame = SiteFrame(index["crs"], *index["origin"])
+    frame = site_frame(folder)
 
     def raster(when: str, name: str) -> Dem:
         return Dem.open(folder / "truth" / when / f"{name}.tif").in_frame(frame)
@@ -241,18 +239,8 @@ def _draw(place: Path, layers: SurfaceLayers, truth: NDArray[np.bool_], width: i
 
 
 def _write(place: Path | None, report: dict[str, Any]) -> None:
-    if place is None:
-        return
-    place.parent.mkdir(parents=True, exist_ok=True)
-    place.write_text(json.dumps(_finite(report), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(one) for one in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    if place is not None:
+        write_figures(place, report)
 
 
 def _both(spread: Spread, form: str) -> str:

@@ -40,7 +40,6 @@ def bag(
     ] = None,
 ) -> None:
     """Score BAG: depth by range for each source, labels, skyline, fuel cells, terrain and latency, in one table."""
-    import json
     import os
     import platform
 
@@ -50,6 +49,7 @@ def bag(
     from ltm_core.metrics.depth_maps_io import DepthMapFolder
     from ltm_ros.bag_score import score_bag
     from ltm_ros.eval_tables import as_json, rich_table, tables
+    from ltm_ros.figures_io import write_figures
     from ltm_ros.recorded import Recorded
 
     console = Console()
@@ -78,8 +78,7 @@ def bag(
         highlight=False,
     )
     if json_path is not None:
-        json_path.parent.mkdir(parents=True, exist_ok=True)
-        json_path.write_text(json.dumps(as_json(score), indent=1) + "\n", encoding="utf-8")
+        write_figures(json_path, as_json(score))
         console.print(f"figures: {json_path}")
     if report is not None:
         from ltm_ros.eval_report import ReportInputs, write_eval_report

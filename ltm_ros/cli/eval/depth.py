@@ -49,7 +49,6 @@ def depth(
     json_path: Annotated[Path | None, typer.Option("--json", help="Also write every figure to this file.")] = None,
 ) -> None:
     """Score traced depth, a network alone, and both fused, on the same pixels, by range of true depth."""
-    import json
     import os
     import platform
     from itertools import islice
@@ -67,6 +66,7 @@ def depth(
     from ltm_core.resources import project_path
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+    from ltm_ros.figures_io import write_figures
 
     console = Console()
     place = source if source is not None else project_path("bags/demo/recording")
@@ -128,9 +128,8 @@ def depth(
     state = f"{place}, {count} frames, depth {what}, labels {labels.value if segmenter is None else name}"
     console.print(f"conditions: {state}; {len(os.sched_getaffinity(0))} cores, Python {platform.python_version()}")
     if json_path is not None:
-        json_path.parent.mkdir(parents=True, exist_ok=True)
         report = {"conditions": state, "claim": CLAIM, "scores": [_as_json(score) for score in scores]}
-        json_path.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        write_figures(json_path, report)
 
 
 def _numbers(text: str) -> list[float]:

@@ -17,7 +17,6 @@ def relative_depth(
 ) -> None:
     """Score networks alone, without terrain: AbsRel by range after a robust fit of scale and shift to the true depth
     (RANSAC, the same for every network), and how many pairs of pixels are in order of near and far."""
-    import json
     from dataclasses import asdict
 
     import numpy as np
@@ -30,6 +29,7 @@ def relative_depth(
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.segmenter import DEFAULT_MODEL
     from ltm_core.vision.train.frames import read_frames
+    from ltm_ros.figures_io import write_figures
 
     places = [folder] if (folder / "frames.json").is_file() else sorted(p.parent for p in folder.glob("*/frames.json"))
     if not places:
@@ -59,5 +59,4 @@ def relative_depth(
         console.print(table)
         result[place.name] = {name: asdict(score) for name, score in scores.items()}
     if json_path is not None:
-        json_path.parent.mkdir(parents=True, exist_ok=True)
-        json_path.write_text(json.dumps({"ranges": bin_names(), "sets": result}, indent=1) + "\n", encoding="utf-8")
+        write_figures(json_path, {"ranges": bin_names(), "sets": result})

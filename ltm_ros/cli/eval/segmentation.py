@@ -28,7 +28,6 @@ def segmentation(
 
     Labels of 255 are not counted. Skylines are compared at a width of 512 pixels.
     """
-    import json
     import os
     import platform
 
@@ -40,6 +39,7 @@ def segmentation(
     from ltm_core.vision.evaluate import score_frames
     from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
     from ltm_core.vision.train.frames import LABELS_SUFFIX, read_frames
+    from ltm_ros.figures_io import write_figures
 
     def holds_frames(path: Path) -> bool:
         return any(path.glob(f"*{LABELS_SUFFIX}"))
@@ -77,8 +77,7 @@ def segmentation(
         console.print(table)
         result[path.name] = {name: score.summary(names) for name, score in scores.items()}
     if json_path is not None:
-        json_path.parent.mkdir(parents=True, exist_ok=True)
-        json_path.write_text(json.dumps(result, indent=1))
+        write_figures(json_path, result)
 
 
 def _rows(names: tuple[str, ...], scores: list[LabelScore]) -> list[tuple[str, list[str]]]:

@@ -19,7 +19,6 @@ def sim2real(
 ) -> None:
     """SSIM, LPIPS, FID and KID between two folders, each with N, its weights and a 95 % interval."""
     import dataclasses
-    import json
     import math
     from typing import cast
 
@@ -31,7 +30,7 @@ def sim2real(
     from ltm_core.metrics.lpips import Backbone
     from ltm_core.metrics.picture_folder_io import pictures_in
     from ltm_core.metrics.sim2real import advice, compare
-    from ltm_ros.eval_tables import without_nan
+    from ltm_ros.figures_io import write_figures
 
     if backbone not in ("alexnet", "vgg16"):
         raise ConfigError(f"--backbone {backbone!r}: LPIPS has alexnet and vgg16")
@@ -72,8 +71,7 @@ def sim2real(
             "pairs": len(pairing.pairs), "side_px": side, "seed": seed, "notes": [n for n in notes if n],
             "metrics": [dataclasses.asdict(row) for row in found],
         }  # fmt: skip
-        json_path.parent.mkdir(parents=True, exist_ok=True)
-        json_path.write_text(json.dumps(without_nan(content), indent=1) + "\n", encoding="utf-8")
+        write_figures(json_path, content)
         console.print(f"figures: {json_path}")
     if any(not math.isfinite(row.estimate.value) for row in found):
         raise typer.Exit(1)
