@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
+from small_scenario import small_scenario
 
 pytest.importorskip("mitsuba", reason="needs the extra `sim`: pip install 'ltm[sim]'")
 
@@ -18,36 +17,11 @@ from ltm_core.simulator.canopy import canopy_height
 from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SHRUB, SKY, TREE, UNLABELLED, WATER
 from ltm_core.simulator.render import render_range
 from ltm_core.simulator.run import SimulatedSite, make_site, plan_shots, rasters_at, render_shots, site_at
-from ltm_core.simulator.scenario import Scenario
 from ltm_core.simulator.scene import SceneBuilder
 from ltm_core.simulator.vegetation import LATTICE, Placement, Planting
 from ltm_core.tracing import TerrainTracer
 
-
-def scenario(**changes: Any) -> Scenario:
-    values: dict[str, Any] = {
-        "name": "small",
-        "seed": 17,
-        "image": {"width": 120, "height": 80},
-        "truth_step": 1,
-        "imaging": {"samples": 1},
-        "terrain": {"size": 400.0, "surroundings": 1024.0, "relief": 110.0, "resolution": 2.0},
-        "vegetation": {"detail_radius": 200.0, "grass_radius": 20.0, "houses": 8, "tree": 0.3},
-        "lakes": [{"x": 210.0, "y": 190.0, "depth": 2.0, "radius": 40.0}],
-        "dates": [{"name": "before"}, {"name": "after", "years": 1.0}],
-        "changes": [
-            {"kind": "landslide", "depth": 5.0, "mask": {"circle": [120, 260, 50]}, "years": 1.0},
-            {"kind": "burn", "mask": {"box": [220, 220, 380, 380]}, "years": 1.0},
-        ],
-        "cameras": [
-            {"name": "a", "x": 120.0, "y": 90.0, "mast": 25.0, "patrol": {"azimuth_deg": [40.0], "pitch_deg": [-14.0]}},
-            {"name": "b", "x": 180.0, "y": 90.0, "mast": 90.0, "patrol": {"azimuth_deg": [17.0], "pitch_deg": [-26.0]}},
-        ],
-    }
-    return Scenario(**(values | changes))
-
-
-CONFIG = scenario()
+CONFIG = small_scenario()
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +36,7 @@ def slid(site: SimulatedSite) -> SimulatedSite:
 
 @pytest.fixture(scope="module")
 def natural() -> SimulatedSite:
-    return make_site(scenario(lakes=[]))
+    return make_site(small_scenario(lakes=[]))
 
 
 def _errors(site: SimulatedSite, resolution: float) -> NDArray[np.float64]:
