@@ -236,6 +236,7 @@ class FuelKeeper:
         self._logged = LOGGED_FRAMES if newer else 0  # written with the next frames
         self.saved_frames = store.frame_count()
         self.shown = ShownLayers(self.map)
+        self._aged_ns = self.map.newest_ns
         self._changes = self.shown.missing_from(store, self._initial) if self._durable else []
         for counted in before:
             if self.seen(counted.record.source, counted.record.stamp_ns) is None:
