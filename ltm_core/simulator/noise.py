@@ -15,7 +15,7 @@ Field = NDArray[np.float32]
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _hash(ix: int, iy: int, seed: int) -> float:
+def lattice_uniform(ix: int, iy: int, seed: int) -> float:
     """Uniform [0, 1) out of a lattice point (integer mix after Murmur3's finaliser)."""
     h = np.uint32((ix * 374761393 + iy * 668265263 + seed * 2246822519) & 0xFFFFFFFF)
     h ^= h >> np.uint32(15)
@@ -27,7 +27,7 @@ def _hash(ix: int, iy: int, seed: int) -> float:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _gradient_noise(x: float, y: float, seed: int) -> float:
+def gradient_noise(x: float, y: float, seed: int) -> float:
     """Perlin's gradient noise, about [-1, 1], zero mean, quintic fade."""
     ix = int(np.floor(x))
     iy = int(np.floor(y))
@@ -39,11 +39,36 @@ def _gradient_noise(x: float, y: float, seed: int) -> float:
     for k in range(4):
         ox = k & 1
         oy = k >> 1
-        angle = 2.0 * np.pi * _hash(ix + ox, iy + oy, seed)
+        angle = 2.0 * np.pi * lattice_uniform(ix + ox, iy + oy, seed)
         corners[k] = np.cos(angle) * (fx - ox) + np.sin(angle) * (fy - oy)
     low = corners[0] + u * (corners[1] - corners[0])
     high = corners[2] + u * (corners[3] - corners[2])
     return float(1.4142 * (low + v * (high - low)))
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def gradient_noise_3d(x: float, y: float, z: float, seed: int) -> float:
+    """Perlin's noise in space (2002: gradients to the twelve edges of a cube), about [-1, 1]."""
+    ix, iy, iz = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
+    fx, fy, fz = x - ix, y - iy, z - iz
+    u = fx * fx * fx * (fx * (fx * 6.0 - 15.0) + 10.0)
+    v = fy * fy * fy * (fy * (fy * 6.0 - 15.0) + 10.0)
+    w = fz * fz * fz * (fz * (fz * 6.0 - 15.0) + 10.0)
+    total = 0.0
+    for k in range(8):
+        ox, oy, oz = k & 1, (k >> 1) & 1, k >> 2
+        edge = int(12.0 * lattice_uniform(ix + ox + 7919 * (iz + oz), iy + oy - 6271 * (iz + oz), seed))
+        first, second = 1.0 - 2.0 * (edge & 1), 1.0 - (edge & 2)
+        dx, dy, dz = fx - ox, fy - oy, fz - oz
+        if edge < 4:
+            slope = first * dx + second * dy
+        elif edge < 8:
+            slope = first * dx + second * dz
+        else:
+            slope = first * dy + second * dz
+        weight = (u if ox else 1.0 - u) * (v if oy else 1.0 - v) * (w if oz else 1.0 - w)
+        total += weight * slope
+    return total
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -57,7 +82,7 @@ def _fractal_rows(
             amplitude = 1.0
             scale = 1.0 / wavelength
             for o in range(octaves):
-                n = _gradient_noise(xs[c] * scale + 17.3 * o, ys[r] * scale - 9.1 * o, seed + 101 * o)
+                n = gradient_noise(xs[c] * scale + 17.3 * o, ys[r] * scale - 9.1 * o, seed + 101 * o)
                 if ridged:
                     n = 1.0 - 2.0 * abs(n)
                 total += amplitude * n
@@ -97,7 +122,7 @@ def _fractal_points(x: Float, y: Float, out: Float, wavelength: float, octaves: 
         gain = 1.0
         scale = 1.0
         for o in range(octaves):
-            total += gain * _gradient_noise(scale * a + 5.5 * o, scale * b - 3.1 * o, seed + 101 * o)
+            total += gain * gradient_noise(scale * a + 5.5 * o, scale * b - 3.1 * o, seed + 101 * o)
             norm += gain
             gain *= 0.5
             scale *= 2.0
@@ -107,7 +132,7 @@ def _fractal_points(x: Float, y: Float, out: Float, wavelength: float, octaves: 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _uniform_points(x: Float, y: Float, out: Float, seed: int) -> None:
     for i in range(x.size):
-        out[i] = _hash(int(np.floor(x[i] * 100.0)), int(np.floor(y[i] * 100.0)), seed)
+        out[i] = lattice_uniform(int(np.floor(x[i] * 100.0)), int(np.floor(y[i] * 100.0)), seed)
 
 
 def at_points(x: Float, y: Float, wavelength: float, seed: int, octaves: int = 2) -> Float:

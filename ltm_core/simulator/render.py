@@ -130,3 +130,26 @@ def airlight(view: View, camera: Camera, pose: Pose, pitch_deg: float = 1.0) -> 
     )
     # The median leaves the sun's disc out
     return np.asarray(np.median(sky.reshape(-1, 3), axis=0), np.float32)
+
+
+def white_cards(view: View, elevation_deg: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Radiance (3,) of a perfectly white card in the open: one that faces the sun (at `elevation_deg`) without the
+    sky's light, and a level one without the sun's."""
+    mi = mitsuba()
+    card = {"type": "rectangle", "b": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}}
+    scene = mi.load_dict({"type": "scene", "light": view.light, "card": card})
+    integrator = mi.load_dict({"type": "direct", "emitter_samples": 4, "bsdf_samples": 0})
+    camera, above = Camera.from_fov(16, 16, 5.0), Pose.from_angles((0.0, 0.0, 3.0), 0.0, -89.9)
+    light = mi.traverse(view.light)
+    means = []
+    try:
+        for sun, sky in ((1.0, 0.0), (0.0, 1.0)):
+            light["sun_scale"], light["sky_scale"] = sun, sky
+            light.update()
+            sensor = _sensor(camera, above, {"type": "multijitter", "sample_count": 16}, "rgb")
+            image = np.asarray(mi.render(scene, sensor=sensor, integrator=integrator, spp=16, seed=0), np.float32)
+            means.append(image.reshape(-1, 3).mean(axis=0))
+    finally:
+        light["sun_scale"], light["sky_scale"] = 1.0, 1.0
+        light.update()
+    return means[0] / np.float32(np.sin(np.radians(elevation_deg))), means[1]

@@ -12,12 +12,13 @@ from ltm_core.camera import Camera
 from ltm_core.errors import ConfigError, RasterError
 from ltm_core.pose import Pose
 from ltm_core.simulator.appearance import palette
+from ltm_core.simulator.clouds import Clouds
 from ltm_core.simulator.ground_io import read_codes, read_elevation
 from ltm_core.simulator.imaging import add_haze, develop, lit
 from ltm_core.simulator.landcover import UNLABELLED, WATER, LandCover, cover_geometry, make_landcover
 from ltm_core.simulator.lens import lookup, pinhole_for, through
 from ltm_core.simulator.rasters import SiteRasters, site_rasters
-from ltm_core.simulator.render import air_length, airlight, render_radiance, render_range
+from ltm_core.simulator.render import air_length, airlight, render_radiance, render_range, white_cards
 from ltm_core.simulator.scenario import DateConfig, Scenario
 from ltm_core.simulator.scene import SceneBuilder, View
 from ltm_core.simulator.sensors import Report, SensorModel
@@ -26,7 +27,7 @@ from ltm_core.simulator.terrain import Terrain, make_terrain, surroundings_geome
 from ltm_core.simulator.truth import FrameTruth, frame_truth
 from ltm_core.simulator.vegetation import Planting
 from ltm_core.simulator.viewpoints import draw_viewpoints
-from ltm_core.simulator.weather import Clouds, mirrored, smoke
+from ltm_core.simulator.weather import mirrored, smoke
 from ltm_core.simulator.works import with_lakes
 
 # Where in a pixel the distances for haze are taken, besides its centre
@@ -207,17 +208,21 @@ def _light(scenario: Scenario, site: SimulatedSite, view: View, shot: Shot, seed
     rays = camera.rays() @ pose.rotation.T
     points = pose.position + rays * np.where(is_sky, 0.0, ranges[0])[..., None]
     points[..., 2] += view.bend * ((points[..., :2] - pose.position[:2]) ** 2).sum(axis=-1)  # upright again
-    horizon = airlight(view, camera, pose)
+    horizon, zenith = airlight(view, camera, pose), airlight(view, camera, pose, 60.0)
     sun, sky = light.sun, light.sky
     if scenario.clouds is not None:
-        clouds = Clouds(scenario.clouds, float(site.terrain.site.elevation.mean()), scenario.sun, scenario.seed)
-        sun = sun * np.where(is_sky, 1.0, clouds.sunlight(points)).astype(np.float32)[..., None]
-        sky = sky.copy()
-        sky[is_sky] = clouds.over_sky(sky[is_sky], rays[is_sky], pose.position)
+        datum = float(site.terrain.site.elevation.mean())
+        clouds = Clouds(scenario.clouds, datum, scenario.sun, pose.position, scenario.seed)
+        cards = white_cards(view, scenario.sun.elevation_deg)
+        overhead = clouds.overhead(*cards)
+        layer = clouds.seen(camera, pose)
+        sun = sun * np.where(is_sky, 1 - layer.opacity, clouds.sunlight(points))[..., None]
+        sky = np.where(is_sky[..., None], layer.over(sky, *cards), sky * overhead.factor)
+        horizon, zenith = overhead.air(horizon), overhead.air(zenith)
     radiance = lit(sun, sky, is_sky)
     water = ~is_sky & (site.cover.at(points[..., 0], points[..., 1]) == WATER)
     water &= np.abs(points[..., 2] - site.terrain.site.at(points[..., 0], points[..., 1])) < _WATER_SKIN
-    radiance = mirrored(radiance, water, rays, horizon, airlight(view, camera, pose, 60.0), seed)
+    radiance = mirrored(radiance, water, rays, horizon, zenith, seed)
     air = [air_length(r, camera, pose) for r in ranges]
     radiance = add_haze(radiance, air, horizon, scenario.atmosphere)
     truth = _truth(view, shot.camera.scaled(scenario.truth_step), pose, site.cover)

@@ -6,7 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
+from pyproj import CRS
+from pyproj.exceptions import CRSError
 
 from ltm_core.camera import Camera
 from ltm_core.simulator.changes import Change, Strict
@@ -85,11 +87,15 @@ class AtmosphereConfig(Strict):
 
 
 class CloudConfig(Strict):
-    """Fair-weather clouds, with their shadows: `cover` is the share of the sky, `base` metres above the site."""
+    """Clouds, with their shadows. `kind`: heaps with level bases, or a layer; `cover`: the share of the sky that they
+    take, 1 overcast; `veil`: how dense the ice clouds above them are."""
 
-    cover: float = Field(gt=0, lt=1)
-    base: float = Field(1500.0, gt=100)
-    size: float = Field(1100.0, gt=50)  # m, the longest wavelength
+    cover: float = Field(0.4, ge=0, le=1)
+    kind: Literal["cumulus", "stratus"] = "cumulus"
+    base: float = Field(1500.0, gt=100)  # m above the site
+    depth: float = Field(700.0, gt=20)  # m from bases to the highest tops
+    size: float = Field(2400.0, gt=50)  # m, the longest wavelength
+    veil: float = Field(0.0, ge=0, le=3)  # optical depth
 
 
 class SmokeConfig(Strict):
@@ -255,6 +261,17 @@ class Scenario(Strict):
     cameras: list[CameraSetup] = Field([])
     views: ViewsConfig | None = None
 
+    @field_validator("crs")
+    @classmethod
+    def _in_metres(cls, name: str) -> str:
+        try:
+            crs = CRS.from_user_input(name)
+        except CRSError as e:
+            raise ValueError(f"{name!r} is no CRS that PROJ knows; give one such as EPSG:32611") from e
+        if not crs.is_projected or any(axis.unit_name != "metre" for axis in crs.axis_info):
+            raise ValueError(f"{name} is {crs.name}, which is not in metres; give a projected CRS such as EPSG:32611")
+        return name
+
     @model_validator(mode="after")
     def _something_to_see(self) -> Scenario:
         if not self.cameras and self.views is None:
@@ -267,20 +284,37 @@ class Scenario(Strict):
             raise ValueError(f"names of dates must differ, got {dates}")
         if sorted(d.years for d in self.dates) != [d.years for d in self.dates]:
             raise ValueError(f"dates must be in order of years, got {[d.years for d in self.dates]}")
+        self._all_inside_the_site()
         for i, change in enumerate(self.changes):
-            x_min, y_min, x_max, y_max = change.mask.bounds()
-            if x_min < 0 or y_min < 0 or x_max > self.terrain.size or y_max > self.terrain.size:
+            if change.years > self.dates[-1].years:
                 raise ValueError(
-                    f"changes.{i} ({change.kind}): its mask reaches x {x_min:g} .. {x_max:g}, "
-                    f"y {y_min:g} .. {y_max:g}, outside the site [0, {self.terrain.size:g}]^2; draw it inside"
-                )
-        for i, c in enumerate(self.cameras):
-            if not (0 < c.x < self.terrain.size and 0 < c.y < self.terrain.size):
-                raise ValueError(
-                    f"cameras.{i}: {c.name} at ({c.x:g}, {c.y:g}) is outside the site [0, {self.terrain.size:g}]^2; "
-                    "place it inside"
+                    f"changes.{i} ({change.kind}): it happens in year {change.years:g}, after the last date "
+                    f"({self.dates[-1].name}, year {self.dates[-1].years:g}); give a date that sees it"
                 )
         return self
+
+    def _all_inside_the_site(self) -> None:
+        """Raises ValueError that names what lies outside, and what would be right."""
+        size, within = self.terrain.size, f"[0, {self.terrain.size:g}]^2"
+        if self.terrain.surroundings < size:
+            raise ValueError(
+                f"terrain.surroundings is {self.terrain.surroundings:g} m, narrower than the site of {size:g} m; give "
+                f"at least {size:g}"
+            )
+        for i, change in enumerate(self.changes):
+            x_min, y_min, x_max, y_max = change.mask.bounds()
+            if x_min < 0 or y_min < 0 or x_max > size or y_max > size:
+                raise ValueError(
+                    f"changes.{i} ({change.kind}): its mask reaches x {x_min:g} .. {x_max:g}, "
+                    f"y {y_min:g} .. {y_max:g}, outside the site {within}; draw it inside"
+                )
+        points = [(f"cameras.{i}: {c.name}", c.x, c.y) for i, c in enumerate(self.cameras)]
+        points += [(f"smoke.{i}: the column", column.x, column.y) for i, column in enumerate(self.smoke)]
+        for i, date in enumerate(self.dates):
+            points += [(f"dates.{i}: smoke", column.x, column.y) for column in date.smoke or []]
+        for what, x, y in points:
+            if not (0 < x < size and 0 < y < size):
+                raise ValueError(f"{what} at ({x:g}, {y:g}) is outside the site {within}; place it inside")
 
     def at(self, date: DateConfig) -> Scenario:
         """This scenario with the season, sun, air and clouds of `date` as its own."""

@@ -12,7 +12,9 @@ from pydantic import ValidationError
 from ltm_core.errors import ConfigError
 from ltm_core.simulator.scenario import Scenario
 
-_PLACE = re.compile(r"\b(changes|lakes|cameras|dates)\.(\d+)|\b(terrain)\.(dem)\b|\b(vegetation)\.(fuel)\b")
+_PLACE = re.compile(
+    r"\b(changes|lakes|cameras|dates|smoke)\.(\d+)|\b(terrain)\.(dem|surroundings)\b|\b(vegetation)\.(fuel)\b"
+)
 
 
 def load_scenario(path: Path | str) -> Scenario:

@@ -1,5 +1,4 @@
-"""What floats over a site: clouds with their shadows, columns of smoke; and what lies below: water that mirrors the
-sky."""
+"""Columns of smoke over a site, and water that mirrors the sky."""
 
 from __future__ import annotations
 
@@ -11,56 +10,10 @@ from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.pose import Pose
-from ltm_core.simulator import noise
-from ltm_core.simulator.scenario import CloudConfig, SmokeConfig, SunConfig
-from ltm_core.simulator.sky import sun_direction
+from ltm_core.simulator.scenario import SmokeConfig
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
-
-_CLOUD_SHADE = 0.78  # of the sun's light that a cloud's middle keeps back
-_CLOUD_FADE = 30_000.0  # m over which far clouds fade into the air
-_SOFT = 0.16  # of the noise's range over which a cloud's edge thins out
-
-
-class Clouds:
-    """Fair-weather clouds on a level plane, `base` metres over `datum`; a function of the seed and of map position."""
-
-    def __init__(self, config: CloudConfig, datum: float, sun: SunConfig, seed: int) -> None:
-        self._config, self._seed = config, seed + 801
-        self._height = datum + config.base
-        self._sun = sun_direction(sun)
-        # The threshold that leaves the share `cover` above it, from a wide sample
-        x, y = (a.ravel() * config.size * 0.37 for a in np.meshgrid(np.arange(90.0), np.arange(90.0)))
-        self._least = float(np.quantile(self._noise(x, y), 1 - config.cover))
-
-    def _noise(self, x: Array, y: Array) -> Array:
-        return noise.at_points(x, y, self._config.size, self._seed, octaves=6)
-
-    def thickness(self, x: Array, y: Array) -> Array:
-        """0 (none) .. 1 (thick) at points of the clouds' plane, any shape."""
-        flat = self._noise(np.ravel(x), np.ravel(y)).reshape(np.shape(x))
-        t = np.clip((flat - self._least) / _SOFT + 0.5, 0, 1)
-        return np.asarray(t * t * (3 - 2 * t), np.float64)
-
-    def sunlight(self, points: Array) -> Image:
-        """The share of the sun's light that reaches map points (..., 3)."""
-        t = (self._height - points[..., 2]) / self._sun[2]
-        shade = self.thickness(points[..., 0] + t * self._sun[0], points[..., 1] + t * self._sun[1])
-        return np.asarray(1 - _CLOUD_SHADE * shade, np.float32)
-
-    def over_sky(self, sky: Image, rays: Array, eye: Array) -> Image:
-        """Radiance (N, 3) of sky seen along unit `rays` (N, 3) from `eye`, with the clouds in front of it."""
-        up = np.maximum(rays[:, 2], 1e-4)
-        t = (self._height - eye[2]) / up
-        x, y = eye[0] + t * rays[:, 0], eye[1] + t * rays[:, 1]
-        thick = self.thickness(x, y)
-        # The side towards the sun is thinner light: what stands between it and the sun tells
-        beyond = self.thickness(x + 90 * self._sun[0], y + 90 * self._sun[1])
-        alpha = np.clip(1.25 * thick, 0, 1) * np.exp(-t / _CLOUD_FADE) * (rays[:, 2] > 0.004)
-        white = float(np.quantile(sky.max(axis=1), 0.9)) * 2.1 if len(sky) else 0.0
-        body = white * np.array([1.0, 0.985, 0.97]) * (1.0 - 0.42 * (0.55 * thick + 0.45 * beyond))[:, None]
-        return np.asarray(sky * (1 - alpha[:, None]) + body * alpha[:, None], np.float32)
 
 
 def smoke(
