@@ -12,6 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from ltm_ros.cli.train_adapt import adapt
+from ltm_ros.cli.train_blend import blend
 from ltm_ros.cli.train_photos import photos
 
 if TYPE_CHECKING:
@@ -42,12 +43,13 @@ def run(
     steps: Annotated[int | None, typer.Option(help="Training steps, instead of the configuration's.")] = None,
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 2,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in the folder.")] = False,
-    start: Annotated[Path | None, typer.Option(help="Checkpoint of another run whose weights to start from.")] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(help="Weights to start from: another run's checkpoint .pt, a manifest or model's name."),
+    ] = None,
     until: Annotated[int | None, typer.Option(min=1, help="End after this step; --resume goes on from there.")] = None,
 ) -> None:
     """Train the network of CONFIG: checkpoints, a picture of the course, ONNX file, manifests, calibration, scores."""
-    import json
-
     from rich.console import Console
 
     from ltm_core.config_io import load_yaml
@@ -55,13 +57,9 @@ def run(
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.train.config import TrainingConfig
     from ltm_core.vision.train.frames import read_split
-    from ltm_ros.cli.score_table import score_table
-    from ltm_ros.cli.train_run import need_torch, trained
+    from ltm_ros.cli.train_run import need_torch, report_scores, trained
 
     need_torch()
-    from ltm_core.vision.segmenter import Segmenter
-    from ltm_core.vision.train.finish import score_sets
-
     chosen = config or config_option
     if chosen is None:
         raise ConfigError("name a training configuration: ltm train config/training/landscape_lite0.yaml")
@@ -75,23 +73,7 @@ def run(
     labels, console = LabelSet.load(), Console()
     split = read_split(folder, settings.split, len(labels))
     manifest = trained(settings, split, labels, out, threads, console, resume=resume, start=start, until=until)
-    segmenter = Segmenter.open(manifest, threads)
-    found = {"validation": score_sets(segmenter, split.validation), "test": score_sets(segmenter, split.test)}
-    report: dict[str, object] = {"name": settings.name, "seed": settings.seed, "steps": settings.optimiser.steps}
-    for part, scores in found.items():
-        for name, score in scores.items():
-            title = f"{settings.name} on {name} ({part}); ECE {score.calibration.ece:.3f}"
-            console.print(score_table(labels.names, score.labels, title))
-        report[part] = {
-            name: {
-                "macro_f1": score.labels.mean_f1,
-                "mean_iou": score.labels.mean_iou,
-                "ece": score.calibration.ece,
-                "confusion": score.labels.confusion.tolist(),
-            }
-            for name, score in scores.items()
-        }
-    (out / f"{settings.name}_scores.json").write_text(json.dumps(report, indent=1))
+    report_scores(settings, manifest, split, labels, threads, console)
 
 
 def _with_steps(settings: TrainingConfig, steps: int) -> TrainingConfig:
@@ -102,3 +84,4 @@ train = typer.Typer(cls=TrainGroup, no_args_is_help=True, help="Train the networ
 train.command(WHOLE)(run)
 train.command()(adapt)
 train.command()(photos)
+train.command()(blend)

@@ -34,8 +34,9 @@ def adapt(
     need_torch()
     import torch
 
-    from ltm_core.vision.train.adapt import AdaptConfig, adapted, depth_error, load_exported
+    from ltm_core.vision.train.adapt import AdaptConfig, adapted, depth_error
     from ltm_core.vision.train.export import export_adapted
+    from ltm_core.vision.train.exported import load_exported
     from ltm_ros.traced_frames import traced_frames
 
     console = Console()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
@@ -13,6 +13,7 @@ from ltm_core.vision.labels import LabelSet
 if TYPE_CHECKING:
     from ltm_core.vision.train.config import TrainingConfig
     from ltm_core.vision.train.frames import Split
+    from ltm_core.vision.train.landscape import LandscapeNetwork
 
 
 def need_torch() -> None:
@@ -32,7 +33,7 @@ def trained(
     threads: int,
     console: Console,
     resume: bool = False,
-    start: Path | None = None,
+    start: str | None = None,
     until: int | None = None,
 ) -> Path:
     """Train, export into `out` and calibrate on the validation sets; gives the manifest's path."""
@@ -41,8 +42,6 @@ def trained(
 
     from ltm_core.vision.train import loop
     from ltm_core.vision.train.curve_io import write_curve
-    from ltm_core.vision.train.export import export
-    from ltm_core.vision.train.finish import calibrate
 
     for part, frames in (("train", split.train), ("validation", split.validation), ("test", split.test)):
         sets = sorted({frame.path.parent.name for frame in frames})
@@ -65,6 +64,16 @@ def trained(
 
         network, run = loop.train(settings, split, len(labels), report, run, checkpoint, until)
     write_curve(out / f"{settings.name}_curve.png", settings.name, run)
+    return finished(settings, network, split, labels, out, console)
+
+
+def finished(
+    settings: TrainingConfig, network: LandscapeNetwork, split: Split, labels: LabelSet, out: Path, console: Console
+) -> Path:
+    """Export a network into `out` and calibrate it on the validation sets; gives the manifest's path."""
+    from ltm_core.vision.train.export import export
+    from ltm_core.vision.train.finish import calibrate
+
     manifest = export(network, settings, labels, out)
     if split.validation:
         temperature, _ = calibrate(manifest, split.validation, labels, settings.seed)
@@ -74,9 +83,7 @@ def trained(
     return manifest
 
 
-def _run(settings: TrainingConfig, classes: int, checkpoint: Path, resume: bool, start: Path | None):  # type: ignore[no-untyped-def]  # noqa: ANN202
-    import torch
-
+def _run(settings: TrainingConfig, classes: int, checkpoint: Path, resume: bool, start: str | None):  # type: ignore[no-untyped-def]  # noqa: ANN202
     from ltm_core.vision.train import loop
 
     if resume:
@@ -84,8 +91,52 @@ def _run(settings: TrainingConfig, classes: int, checkpoint: Path, resume: bool,
             raise ConfigError(f"{checkpoint}: no checkpoint to resume from; train without --resume")
         return loop.Run.resume(checkpoint, settings, classes)
     if start is not None:
-        if not start.is_file():
-            raise ConfigError(f"{start}: no such checkpoint to start from")
-        content = torch.load(start, map_location="cpu", weights_only=True)
-        return loop.Run.start(settings, classes, content["best_state"] or content["average"])
+        return loop.Run.start(settings, classes, _weights(start, settings.network.fixed))
     return loop.Run.start(settings, classes)
+
+
+def _weights(start: str, fixed: int) -> dict[str, Any]:
+    """Of a checkpoint, or of the network that a manifest or a model's name gives."""
+    import torch
+
+    from ltm_core.vision.manifest import Manifest
+    from ltm_core.vision.train.exported import load_exported
+
+    weights: dict[str, Any]
+    if not start.endswith(".pt"):
+        weights = load_exported(Manifest.find(start), fixed).state_dict()
+        return weights
+    if not Path(start).is_file():
+        raise ConfigError(f"{start}: no such checkpoint to start from")
+    content: dict[str, Any] = torch.load(start, map_location="cpu", weights_only=True)
+    weights = content["best_state"] or content["average"]
+    return weights
+
+
+def report_scores(
+    settings: TrainingConfig, manifest: Path, split: Split, labels: LabelSet, threads: int, console: Console
+) -> None:
+    """Print the finished network's scores on the held-out sets and write them to `<name>_scores.json` beside it."""
+    import json
+
+    from ltm_core.vision.segmenter import Segmenter
+    from ltm_core.vision.train.finish import score_sets
+    from ltm_ros.cli.score_table import score_table
+
+    segmenter = Segmenter.open(manifest, threads)
+    found = {"validation": score_sets(segmenter, split.validation), "test": score_sets(segmenter, split.test)}
+    report: dict[str, object] = {"name": settings.name, "seed": settings.seed, "steps": settings.optimiser.steps}
+    for part, scores in found.items():
+        for name, score in scores.items():
+            title = f"{settings.name} on {name} ({part}); ECE {score.calibration.ece:.3f}"
+            console.print(score_table(labels.names, score.labels, title))
+        report[part] = {
+            name: {
+                "macro_f1": score.labels.mean_f1,
+                "mean_iou": score.labels.mean_iou,
+                "ece": score.calibration.ece,
+                "confusion": score.labels.confusion.tolist(),
+            }
+            for name, score in scores.items()
+        }
+    (manifest.parent / f"{settings.name}_scores.json").write_text(json.dumps(report, indent=1))

@@ -63,3 +63,7 @@ def test_a_quick_training_improves_on_scenes_it_does_not_train_on(tmp_path: Path
     (tmp_path / "out" / "checkpoint.pt").stat()
     again = ltm("train", "run", str(config), "--frames", str(tmp_path / "frames"), "--out", str(out), "--resume")
     assert "from step 60 of 60" in again
+    parts = (str(config), str(out / "quick.yaml"), str(out / "quick.yaml"))
+    same = ltm("train", "blend", *parts, "--frames", str(tmp_path / "frames"), "--out", str(tmp_path / "mean"))
+    assert "held_out_too (test)" in same
+    assert Segmenter.open(tmp_path / "mean" / "quick.yaml").segment(photo.copy()).labels.shape == photo.shape[:2]

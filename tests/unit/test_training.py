@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from ltm_core.errors import ConfigError, ImageError, RecordingError
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.segmenter import Segmenter
-from ltm_core.vision.train.augment import augmented, fractal_noise, photo_looks
+from ltm_core.vision.train.augment import Lent, augmented, photo_looks
 from ltm_core.vision.train.config import AugmentConfig, NetworkConfig, OptimiserConfig, SplitConfig, TrainingConfig
 from ltm_core.vision.train.frames import LAND, UNKNOWN, Frame, read_frames, read_split
+from ltm_core.vision.train.noise import fractal_noise
 
 SIZE = (64, 96)
 COLORS = np.array([(140, 190, 235), (200, 190, 90), (110, 90, 50), (20, 70, 30), (160, 150, 140)], np.uint8)
@@ -115,7 +116,7 @@ def test_augmentation_repeats_with_its_seed_and_keeps_labels_on_their_pixels() -
 
 def test_every_augmentation_gives_a_photo_and_leaves_labels_be() -> None:
     image, labels = _frame(6)
-    every = AugmentConfig(**dict.fromkeys(AugmentConfig.model_fields, 1.0))
+    every = AugmentConfig(**{**dict.fromkeys(AugmentConfig.model_fields, 1.0), "lake": 0.0})
     none = AugmentConfig(**dict.fromkeys(AugmentConfig.model_fields, 0.0))
     frame = Frame(image, labels, Path("oak/0006.png"))
     photo, truth, depth = augmented(frame, SIZE, none, np.random.default_rng(0))
@@ -144,14 +145,14 @@ def test_rendered_land_takes_on_a_photos_look_and_its_classes_stay_apart() -> No
     inner = cv2.erode((labels == Label.SKY).astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
     target = blue[photo_labels != Label.SKY].mean(axis=0)
     for seed in range(6):
-        changed, truth, _ = augmented(rendered, SIZE, only, np.random.default_rng(seed), looks)
+        changed, truth, _ = augmented(rendered, SIZE, only, np.random.default_rng(seed), Lent(looks, []))
         np.testing.assert_array_equal(truth, labels)
         np.testing.assert_array_equal(changed[inner], image[inner])
         before, after = (np.abs(a[land].mean(axis=0) - target).sum() for a in (image, changed))
         assert after < 0.9 * before
         lightness = [changed[labels == label].mean() for label in (Label.TREE, Label.SHRUB, Label.GRASS)]
         assert lightness == sorted(lightness)
-        same, _, _ = augmented(photo, SIZE, only, np.random.default_rng(seed), looks)
+        same, _, _ = augmented(photo, SIZE, only, np.random.default_rng(seed), Lent(looks, []))
         np.testing.assert_array_equal(same, photo.image)
 
 
@@ -228,14 +229,17 @@ def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp
     from ltm_core.camera import Camera
     from ltm_core.depth.monocular import DepthNetwork
     from ltm_core.vision.manifest import Manifest
-    from ltm_core.vision.train.adapt import AdaptConfig, adapted, depth_error, frame_of, load_exported
+    from ltm_core.vision.train.adapt import AdaptConfig, adapted, depth_error, frame_of
     from ltm_core.vision.train.export import export, export_adapted
+    from ltm_core.vision.train.exported import load_exported
     from ltm_core.vision.train.loop import train
 
     labels = LabelSet.load()
     torch.set_num_threads(1)  # so few steps of so small a network go elsewhere with every order of summation
-    start, _ = train(TINY, read_split(frames, TINY.split, 7), 7, lambda _: None)
-    base = Manifest.load(export(start, TINY, labels, tmp_path / "base"))
+    # Wide enough that the depth head, which nothing has taught yet, is not born dead behind its ReLUs.
+    tiny = TINY.model_copy(update={"network": NetworkConfig(width=32, pretrained=False, fixed=0)})
+    start, _ = train(tiny, read_split(frames, tiny.split, 7), 7, lambda _: None)
+    base = Manifest.load(export(start, tiny, labels, tmp_path / "base"))
     network = load_exported(base)
     metres = np.array([np.inf, 30.0, 150.0, 900.0, 5000.0], np.float32)  # each class at a distance of its own
     views = [_frame(seed) for seed in range(4)]
@@ -257,13 +261,43 @@ def test_the_terrain_teaches_depth_and_leaves_the_labels_alone(frames: Path, tmp
     assert near > 1.1 * far
 
 
+def test_a_training_goes_on_from_an_exported_network(frames: Path, tmp_path: Path) -> None:
+    """At its first step it gives the exported network's own labels; a checkpoint of it can be resumed."""
+    torch = pytest.importorskip("torch", reason="training needs the extra `train`")
+    from ltm_core.vision.manifest import Manifest
+    from ltm_core.vision.train.export import export
+    from ltm_core.vision.train.exported import blended, load_exported
+    from ltm_core.vision.train.loop import Run, score, train
+
+    split, labels = read_split(frames, TINY.split, 7), LabelSet.load()
+    first, _ = train(_steps(TINY, 8), split, 7, lambda _: None)
+    base = Manifest.load(export(first, TINY, labels, tmp_path / "base"))
+    weights = load_exported(base, fixed=1).state_dict()
+    config = _steps(TINY, 4)
+    run = Run.start(config, 7, weights)
+    before, after = (score(network, split.test, TINY, 7) for network in (first, run.network))
+    assert np.abs(before.confusion - after.confusion).sum() < 0.01 * before.confusion.sum()
+    network, run = train(config, split, 7, lambda _: None, run, tmp_path / "checkpoint.pt", until=2)
+    assert run.losses[0] > 0
+    resumed = Run.resume(tmp_path / "checkpoint.pt", config, 7)
+    same = (torch.equal(a, b) for a, b in zip(resumed.network.parameters(), run.network.parameters(), strict=True))
+    assert all(same)
+    second = load_exported(Manifest.load(export(network, TINY, labels, tmp_path / "next")))
+    mean = blended(load_exported(base), second, 0.25).classes.bias
+    torch.testing.assert_close(mean, 0.75 * weights["classes.bias"] + 0.25 * second.classes.bias)
+    assert not torch.equal(mean, second.classes.bias)
+    wider = config.model_copy(update={"network": NetworkConfig(width=32, pretrained=False)})
+    with pytest.raises(ConfigError, match=r"another network than configured.*width 32"):
+        Run.start(wider, 7, weights)
+
+
 def test_only_a_network_of_ours_can_be_adapted(tmp_path: Path) -> None:
     pytest.importorskip("torch", reason="training needs the extra `train`")
     from networks import write_classifier
 
     from ltm_core.errors import ModelError
     from ltm_core.vision.manifest import Manifest
-    from ltm_core.vision.train.adapt import load_exported
+    from ltm_core.vision.train.exported import load_exported
 
     with pytest.raises(ModelError, match=r"is not a network of `ltm train`"):
         load_exported(Manifest.load(write_classifier(tmp_path)))

@@ -12,23 +12,19 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
-import onnx
 import torch
-from onnx import numpy_helper
 from pydantic import Field
 from torch.nn import functional
 
 from ltm_core.errors import ModelError
-from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.strict import StrictModel
 from ltm_core.vision.train.augment import augmented
-from ltm_core.vision.train.config import AugmentConfig, NetworkConfig
+from ltm_core.vision.train.config import AugmentConfig
 from ltm_core.vision.train.frames import UNKNOWN, Frame
-from ltm_core.vision.train.landscape import LandscapeNetwork, for_inference
+from ltm_core.vision.train.landscape import LandscapeNetwork
 from ltm_core.vision.train.loop import device, normalised
 from ltm_core.vision.train.losses import Batch, depth_loss
 
-_PREFIX = "network."  # of the weights' names in an exported file: see landscape.Deployed
 _HEAD = ("depth.", "inverse.")
 
 
@@ -42,30 +38,6 @@ class AdaptConfig(StrictModel):
     width: int = Field(default=512, ge=64, multiple_of=32)
     height: int = Field(default=288, ge=64, multiple_of=32)
     augment: AugmentConfig = AugmentConfig(new_sky=0, ground_tint=0, snow=0, haze=0)  # these need labels
-
-
-def load_exported(manifest: Manifest) -> LandscapeNetwork:
-    """The network of a file that `ltm train` wrote, with its batch normalisations folded in.
-
-    Raises ModelError for a file of another architecture.
-    """
-    path = manifest.model_file()
-    model = onnx.load(path)
-    constants = {t.name: numpy_helper.to_array(t) for t in model.graph.initializer}
-    weights = {
-        name.removesuffix("_half").removeprefix(_PREFIX): torch.from_numpy(values.astype(np.float32))
-        for name, values in constants.items()
-        if name.startswith(_PREFIX)
-    }
-    try:
-        bias, width = weights["classes.bias"], weights["reduce.0.weight"].shape[0]
-        network = for_inference(LandscapeNetwork(len(bias), NetworkConfig(width=width, pretrained=False)))
-        network.load_state_dict(weights)
-    except (KeyError, RuntimeError) as reason:
-        raise ModelError(
-            f"{path}: is not a network of `ltm train` ({str(reason).splitlines()[0]}); only such a one can be adapted"
-        ) from reason
-    return network
 
 
 def adapted(

@@ -4,15 +4,17 @@ All work on float32 RGB (H, W, 3) in 0..1 and labels (H, W) uint8; each draws fr
 """
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.train.borrow import land_of, photo_skies, photo_sky, with_lake
 from ltm_core.vision.train.config import AugmentConfig
 from ltm_core.vision.train.frames import UNKNOWN, Frame
+from ltm_core.vision.train.noise import fractal_noise, soft_mask
 
 Image = npt.NDArray[np.float32]
 Labels = npt.NDArray[np.uint8]
@@ -23,13 +25,25 @@ Looks = npt.NDArray[np.float32]
 _LAND_LEAST = 0.1  # of a picture: with less land than this there is no look of it
 
 
+class Lent(NamedTuple):
+    """What the real photos among the training frames lend to all: looks of land, and skies."""
+
+    looks: Looks
+    skies: list[npt.NDArray[np.uint8]]
+
+    @classmethod
+    def by(cls, frames: Iterable[Frame]) -> "Lent":
+        frames = list(frames)
+        return cls(photo_looks(frames), photo_skies(frames))
+
+
 def augmented(
-    frame: Frame, size: tuple[int, int], chances: AugmentConfig, rng: Rng, looks: Looks | None = None
+    frame: Frame, size: tuple[int, int], chances: AugmentConfig, rng: Rng, lent: Lent | None = None
 ) -> tuple[npt.NDArray[np.uint8], Labels, Image]:
     """A changed copy of a frame at `size` (height, width): photo, labels, inverse depth (NaN where unknown).
 
-    Pixels that a window has from outside its frame are UNKNOWN. `looks`: of photos (see `photo_looks`), which rendered
-    land may take on.
+    Pixels that a window has from outside its frame are UNKNOWN. `lent`: by photos; rendered land may take on their
+    looks, and any frame their skies.
     """
     matrix = _window(frame.labels.shape, size, rng, rescale=rng.random() < chances.rescale)
     if rng.random() < chances.flip:
@@ -46,14 +60,20 @@ def augmented(
         borderMode=cv2.BORDER_REFLECT_101,
     )
     photo = np.asarray(image, np.float32) / 255.0
-    if looks is not None and len(looks) and not frame.ordinal and rng.random() < chances.photo_look:
-        photo = _photo_look(photo, labels, looks[int(rng.integers(len(looks)))], rng)
+    if lent is not None and len(lent.looks) and not frame.ordinal and rng.random() < chances.photo_look:
+        photo = _photo_look(photo, labels, lent.looks[int(rng.integers(len(lent.looks)))], rng)
     if rng.random() < chances.ground_tint:
         photo = _ground_tint(photo, labels, rng)
     if rng.random() < chances.snow:
         photo = _snow(photo, labels, rng)
-    if rng.random() < chances.new_sky:
+    if chances.photo_sky > 0 and lent is not None and lent.skies and rng.random() < chances.photo_sky:
+        sky = lent.skies[int(rng.integers(len(lent.skies)))]
+        photo = _under_sky(photo, labels, photo_sky(size, _skyline(labels), sky, rng))
+    elif rng.random() < chances.new_sky:
         photo = _new_sky(photo, labels, rng)
+    if chances.lake > 0 and rng.random() < chances.lake:  # draws nothing where it is not asked for: old recipes repeat
+        photo, labels = with_lake(photo, labels, rng)
+        inverse[labels == Label.WATER] = np.nan
     if rng.random() < chances.haze:
         photo = _haze(photo, labels, rng)
     if rng.random() < chances.light:
@@ -103,28 +123,8 @@ def _warped(values: npt.NDArray[Any], matrix: npt.NDArray[np.float64], size: tup
     return cv2.warpAffine(values, matrix, size[::-1], flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=outside)
 
 
-def fractal_noise(size: tuple[int, int], rng: Rng, coarsest: int = 4, octaves: int = 5, fall: float = 0.55) -> Image:
-    """Smooth noise (H, W) in 0..1: `octaves` grids of random values, each twice as fine and `fall` times as strong."""
-    height, width = size
-    total = np.zeros(size, np.float32)
-    for octave in range(octaves):
-        cells = coarsest * 2**octave
-        grid = rng.random((max(2, cells * height // width), cells), dtype=np.float32)
-        total += np.float32(fall**octave) * np.asarray(cv2.resize(grid, (width, height), interpolation=cv2.INTER_CUBIC))
-    low, high = total.min(), total.max()
-    return np.asarray((total - low) / max(float(high - low), 1e-6), np.float32)
-
-
-def _soft_mask(mask: npt.NDArray[np.bool_]) -> Image:
-    """A mask with its edge softened over about two pixels, as a lens would; (H, W, 1)."""
-    return np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 0.7), np.float32)[..., None]
-
-
 def _new_sky(photo: Image, labels: Labels, rng: Rng) -> Image:
     """Another sky: a vertical gradient between two sky colours under fractal clouds, from clear to overcast."""
-    sky = labels == Label.SKY
-    if not sky.any():
-        return photo
     height, width = labels.shape
     blue = np.array([rng.uniform(0.15, 0.55), rng.uniform(0.35, 0.7), rng.uniform(0.6, 1.0)])
     warm = np.array([rng.uniform(0.7, 1.0), rng.uniform(0.5, 0.8), rng.uniform(0.3, 0.75)])
@@ -140,13 +140,27 @@ def _new_sky(photo: Image, labels: Labels, rng: Rng) -> Image:
         shade = fractal_noise((height, width), rng, coarsest=3)[..., None]
         white = rng.uniform(0.75, 1.05) - rng.uniform(0.0, 0.5) * shade
         new = new * (1.0 - density) + white * density
+    return _under_sky(photo, labels, np.asarray(new, np.float32))
+
+
+def _skyline(labels: Labels) -> int:
+    """Row below the lowest sky."""
+    rows = np.flatnonzero((labels == Label.SKY).any(axis=1))
+    return int(rows[-1]) + 1 if rows.size else 0
+
+
+def _under_sky(photo: Image, labels: Labels, new: Image) -> Image:
+    """The picture with the pixels of `new` (H, W, 3) for its sky."""
+    sky = labels == Label.SKY
+    if not sky.any():
+        return photo
     # Far ranges wear the horizon's colour: they change with it, else their old haze would give the skyline away.
     rows = np.flatnonzero(sky.any(axis=1))
     horizon = sky.copy()
     horizon[: rows[0] + (rows[-1] - rows[0]) * 3 // 4] = False
     shift = (new[horizon].mean(axis=0) + 0.02) / (photo[horizon].mean(axis=0) + 0.02)
     photo = np.where((labels == UNLABELLED)[..., None], photo * shift.astype(np.float32), photo)
-    weight = _soft_mask(sky)
+    weight = soft_mask(sky)
     return np.asarray(np.clip(photo * (1.0 - weight) + new * weight, 0.0, 1.0), np.float32)
 
 
@@ -154,7 +168,7 @@ def photo_looks(frames: Iterable[Frame]) -> Looks:
     """The looks of the real photos among frames: those whose depth is a teacher's order."""
     looks = []
     for frame in frames:
-        land = _land(frame.labels)
+        land = land_of(frame.labels)
         if frame.ordinal and land.mean() > _LAND_LEAST:
             colours = _lab(np.asarray(frame.image, np.float32) / 255.0)[land]
             looks.append((colours.mean(axis=0), colours.std(axis=0)))
@@ -164,7 +178,7 @@ def photo_looks(frames: Iterable[Frame]) -> Looks:
 def _photo_look(photo: Image, labels: Labels, look: Looks, rng: Rng) -> Image:
     """Rendered land with a part of the mean colour and contrast of a real photo's land (Reinhard et al. 2001): film,
     season and light of the world, while what grows there differs among itself as before."""
-    land = _land(labels)
+    land = land_of(labels)
     if land.mean() < _LAND_LEAST:
         return photo
     colours = _lab(photo)
@@ -173,12 +187,8 @@ def _photo_look(photo: Image, labels: Labels, look: Looks, rng: Rng) -> Image:
     gain = np.clip(look[1] / np.maximum(spread, 1.0), 0.5, 2.0) ** part
     changed = (colours - mean) * gain + mean + part * (look[0] - mean)
     new = np.clip(np.asarray(cv2.cvtColor(changed.astype(np.float32), cv2.COLOR_LAB2RGB), np.float32), 0.0, 1.0)
-    weight = _soft_mask(land)
+    weight = soft_mask(land)
     return np.asarray(photo * (1.0 - weight) + new * weight, np.float32)
-
-
-def _land(labels: Labels) -> npt.NDArray[np.bool_]:
-    return np.asarray((labels != Label.SKY) & (labels != UNKNOWN))
 
 
 def _lab(photo: Image) -> Image:
@@ -210,7 +220,7 @@ def _snow(photo: Image, labels: Labels, rng: Rng) -> Image:
     """Patches of snow on bare ground (still `bare`: it is not sky, and nothing burns on it)."""
     bare = labels == Label.BARE
     cover = fractal_noise((labels.shape[0], labels.shape[1]), rng, coarsest=5) < rng.uniform(0.3, 0.9)
-    weight = _soft_mask(bare & cover) * np.float32(rng.uniform(0.6, 1.0))
+    weight = soft_mask(bare & cover) * np.float32(rng.uniform(0.6, 1.0))
     shade = photo.mean(axis=2, keepdims=True)
     white = np.clip(0.62 + 0.9 * (shade - shade.mean()) + np.array([0.0, 0.01, 0.04]), 0.0, 1.0)
     return np.asarray(photo * (1.0 - weight) + white * weight, np.float32)

@@ -61,6 +61,9 @@ class AugmentConfig(StrictModel):
     rescale: float = 0.7
     new_sky: float = 0.3
     photo_look: float = 0.3  # of rendered frames, where photos train too
+    photo_sky: float = 0.0  # of any frame, where photos train too: the sky of one of them
+    lent_ground: float = 0.0  # of photos: a patch of a rendered frame's ground
+    lake: float = 0.0
     ground_tint: float = 0.2
     snow: float = 0.08
     haze: float = 0.25

@@ -18,10 +18,11 @@ from torch.nn import functional
 
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.metrics.segmentation import SegmentationScore
-from ltm_core.vision.train.augment import augmented, photo_looks
+from ltm_core.vision.train.augment import Lent, augmented
+from ltm_core.vision.train.borrow import with_ground
 from ltm_core.vision.train.config import OptimiserConfig, TrainingConfig
 from ltm_core.vision.train.frames import Frame, Split
-from ltm_core.vision.train.landscape import LandscapeNetwork
+from ltm_core.vision.train.landscape import LandscapeNetwork, for_inference
 from ltm_core.vision.train.losses import Batch, total_loss
 
 # ImageNet's, as the encoder's weights expect; the exported manifest states the same.
@@ -53,11 +54,23 @@ class Run:
 
     @classmethod
     def start(cls, config: TrainingConfig, classes: int, weights: dict[str, Any] | None = None) -> Run:
-        """From ImageNet's encoder, or from `weights` of an earlier training."""
+        """From ImageNet's encoder, or from `weights` of an earlier training: of a checkpoint or of an exported file.
+
+        Weights of an exported file have their batch normalisations folded in, and so has the network that goes on from
+        them. Raises ConfigError for weights of another architecture.
+        """
         torch.manual_seed(config.seed)
         network = LandscapeNetwork(classes, config.network)
         if weights is not None:
-            network.load_state_dict(weights)
+            if not any(name.endswith("running_mean") for name in weights):
+                network = for_inference(network)
+            try:
+                network.load_state_dict(weights)
+            except RuntimeError as reason:
+                raise ConfigError(
+                    f"the weights to start from are those of another network than configured for {classes} classes and "
+                    f"width {config.network.width}: {str(reason).splitlines()[1].strip()}"
+                ) from reason
         elif config.network.pretrained:
             network.encoder.load_imagenet()
         network = network.to(device(), memory_format=torch.channels_last)
@@ -202,13 +215,23 @@ def _batches(config: TrainingConfig, frames: list[Frame], done: int, last: int) 
     """Augmented batches after the first `done` up to the `last`, made one ahead; what is in a batch depends on seed and
     step alone."""
     count, small_steps = config.optimiser.batch, round(config.optimiser.small * config.optimiser.steps)
-    deck, looks = Deck(frames, config.shares, config.seed), photo_looks(frames)
+    deck, lent = Deck(frames, config.shares, config.seed), Lent.by(frames)
+    rendered = [frame for frame in frames if not frame.ordinal]
 
     def batch(step: int) -> Batch:
         size = _two_thirds(config) if step < small_steps else (config.height, config.width)
         chosen = [frames[deck.card(step * count + index)] for index in range(count)]
         rng = np.random.default_rng([config.seed, 1, step])
-        windows = [augmented(frame, size, config.augment, rng, looks) for frame in chosen]
+        windows = [augmented(frame, size, config.augment, rng, lent) for frame in chosen]
+        for index, frame in enumerate(chosen):
+            if (
+                config.augment.lent_ground > 0
+                and frame.ordinal
+                and rendered
+                and rng.random() < config.augment.lent_ground
+            ):
+                donor = augmented(rendered[int(rng.integers(len(rendered)))], size, config.augment, rng, lent)
+                windows[index] = with_ground(windows[index], donor, rng)
         return Batch(
             normalised([photo for photo, _, _ in windows]).to(device()),
             torch.from_numpy(np.stack([labels for _, labels, _ in windows])).to(device()),
