@@ -37,7 +37,8 @@ class Cells(NamedTuple):
     """State of the tiles in memory, (slots, cells of a tile) each.
 
     Of the estimate: `dz` metres above the reference; `looks`, the sum of its observations' shares of a look, and
-    `weight`, that of share / variance; `pose_variance`, its mean; `first`, `last` seen (s), `cameras` (a bit each),
+    `weight`, that of share / variance; `sheet_variance`, the mean of what they know of a shift of the whole stand,
+    and `pose_variance`, that of the poses' part; `first`, `last` seen (s), `cameras` (a bit each),
     `frames`, `label` last seen. `base`: the canopy that the first consistent observations found (0 where the
     surface raster is known, NaN before). Of the candidate: the same, with c_. Of an accepted change: its kind, the
     smoothed `shift` from the reference and base, since when, and the cameras that agreed then.
@@ -46,6 +47,7 @@ class Cells(NamedTuple):
     dz: Pool
     looks: Pool
     weight: Pool
+    sheet_variance: Pool
     pose_variance: Pool
     first: Seconds
     last: Seconds
@@ -73,6 +75,7 @@ class Scratch(NamedTuple):
     number: Pool
     weight: Pool
     moment: Pool
+    sheet: Pool
     pose: Pool
     off_count: Pool
     off_weight: Pool
@@ -120,6 +123,7 @@ def scatter(seen: Seen, carved: int, labels: Bytes, width: int, tile: int, slots
             scratch.number[slot, k] += 1
             scratch.weight[slot, k] += w
             scratch.moment[slot, k] += w * seen.dz[i]
+            scratch.sheet[slot, k] += seen.sheet_variance[i]
             scratch.pose[slot, k] += seen.pose_variance[i]
         else:
             scratch.off_count[slot, k] += 1
@@ -192,14 +196,15 @@ def merge(cells: Cells, scratch: Scratch, slots: Indices, seconds: int, bit: int
                 else:
                     weight, moment, pose = scratch.weight[slot, k], scratch.moment[slot, k], scratch.pose[slot, k]
                 dz, variance, pose = moment / weight, n / weight, pose / n
+                sheet = min(scratch.sheet[slot, k] / n + pose, variance) if off <= scratch.number[slot, k] else variance
             else:
                 dz, variance, pose = lowest, rules.carve_variance, np.float32(0.0)
-                bounded = True
-            take(cells, slot, k, dz, variance, pose, bounded, seconds, bit, rules)
+                sheet, bounded = variance, True
+            take(cells, slot, k, dz, variance, sheet, pose, bounded, seconds, bit, rules)
             if scratch.label[slot, k] != NO_LABEL:
                 cells.label[slot, k] = scratch.label[slot, k]
             scratch.number[slot, k] = scratch.weight[slot, k] = scratch.moment[slot, k] = scratch.pose[slot, k] = 0
-            scratch.off_count[slot, k] = scratch.off_weight[slot, k] = 0
+            scratch.sheet[slot, k] = scratch.off_count[slot, k] = scratch.off_weight[slot, k] = 0
             scratch.off_moment[slot, k] = scratch.off_pose[slot, k] = 0
             scratch.lowest[slot, k] = np.inf
             scratch.label[slot, k] = NO_LABEL
@@ -213,6 +218,7 @@ def take(
     k: int,
     dz: float,
     variance: float,
+    sheet: float,
     pose: float,
     bounded: bool,
     seconds: int,
@@ -250,6 +256,7 @@ def take(
         looks = cells.looks[slot, k] + share
         weight = cells.weight[slot, k] + share / variance
         cells.dz[slot, k] = here + share / variance / weight * miss if known else dz
+        cells.sheet_variance[slot, k] += share / looks * (sheet - cells.sheet_variance[slot, k])
         cells.pose_variance[slot, k] += share / looks * (pose - cells.pose_variance[slot, k])
         if looks > rules.memory:
             weight *= rules.memory / looks
@@ -295,6 +302,8 @@ def take(
         cells.dz[slot, k] = cells.c_dz[slot, k]
         cells.looks[slot, k] = min(cells.c_looks[slot, k], rules.memory)
         cells.weight[slot, k] = cells.c_weight[slot, k] * cells.looks[slot, k] / cells.c_looks[slot, k]
+        # What was off its stand tells of its own cell only.
+        cells.sheet_variance[slot, k] = cells.looks[slot, k] / cells.weight[slot, k]
         cells.pose_variance[slot, k] = cells.c_pose_variance[slot, k]
         cells.first[slot, k], cells.last[slot, k] = cells.c_first[slot, k], cells.c_last[slot, k]
         cells.cameras[slot, k], cells.frames[slot, k] = cells.c_cameras[slot, k], cells.c_frames[slot, k]

@@ -135,10 +135,22 @@ def _apply(cells: Cells, standing: Standing, seconds: int, bit: int, rules: Rule
         if standing.candidate[i]:
             cells.c_looks[slot, k] = 0
         elif cells.looks[slot, k] < FIRM_LOOKS:
-            cells.looks[slot, k] = 0
+            cells.looks[slot, k] = cells.weight[slot, k] = 0
             cells.cameras[slot, k] = 0
             cells.frames[slot, k] = 0
         else:
             limit = np.float32(standing.dz[i] * INSIDE)
-            take(cells, slot, k, limit, rules.carve_variance, np.float32(0.0), True, seconds, bit, rules)
+            take(
+                cells,
+                slot,
+                k,
+                limit,
+                rules.carve_variance,
+                rules.carve_variance,
+                np.float32(0.0),
+                True,
+                seconds,
+                bit,
+                rules,
+            )
     return len(standing.slot)

@@ -14,8 +14,8 @@ from ltm_core.terrain.reference import Reference
 from ltm_core.terrain.tile_pool import TilePool
 
 _FIELDS = (
-    "dz", "looks", "weight", "pose_variance", "first", "last", "cameras", "frames", "label", "base", "kind", "shift",
-    "since", "by",
+    "dz", "looks", "weight", "sheet_variance", "pose_variance", "first", "last", "cameras", "frames", "label", "base",
+    "kind", "shift", "since", "by",
 )  # fmt: skip
 _NO_LABEL = 255
 
@@ -64,7 +64,7 @@ def layers_of(pool: TilePool, reference: Reference, window: Window | None, rules
             np.zeros(shape, np.uint8), np.zeros(shape, np.bool_), np.zeros(shape, np.uint16), np.zeros(shape, np.uint8),
             seconds, seconds.copy(), seconds.copy(), np.full(shape, _NO_LABEL, np.uint8),
         )  # fmt: skip
-    variance, sure = estimate_variance(parts, rules)
+    variance, _, sure = estimate_variance(parts, rules)
     base = np.nan_to_num(parts["base"])
     seen = parts["looks"] > 0
     return SurfaceLayers(

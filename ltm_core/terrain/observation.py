@@ -121,9 +121,9 @@ class Observer:
 
     def _arrays(self, count: int) -> Seen:
         if self._seen is None or len(self._seen.kind) != count:
-            dz, variance, pose = (np.empty(count, np.float32) for _ in range(3))
+            heights = (np.empty(count, np.float32) for _ in range(4))
             carved = np.empty(2 * count, np.int32), np.empty(2 * count, np.float32)
-            self._seen = Seen(np.empty(count, np.uint8), np.empty(count, np.int32), dz, variance, pose, *carved)
+            self._seen = Seen(np.empty(count, np.uint8), np.empty(count, np.int32), *heights, *carved)
         return self._seen
 
 

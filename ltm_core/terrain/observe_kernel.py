@@ -11,7 +11,8 @@ A pixel is compared with the range at which its ray would meet the reference sur
 The incidence factor |n.d| / n_z (n: normal of the surface, d: the ray's direction) turns metres along the ray into
 metres of height; it is taken over blocks of cells, since a crown's own slopes say nothing of how the canopy is met.
 What it cannot tell, it does not claim to know: on the steep side of a crown a small error along the ray is a large one
-of height, so the variance takes the slope of the cell itself where that is the steeper one.
+of height, so the variance takes the slope of the cell itself where that is the steeper one. Whether the stand is as it
+was, such a pixel tells far better than how high its cell is: its *sheet variance* is that of the slope of the block.
 """
 
 from __future__ import annotations
@@ -102,14 +103,16 @@ class Pixels(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """Observations by pixel, (H * W,): kind, cell (row * width + col), height above the reference, its variance, and
-    the part that the pose is to blame for; and what was carved: cells with the height of the ray above the reference.
+    """Observations by pixel, (H * W,): kind, cell (row * width + col), height above the reference, its variance, that
+    of a shift of the whole stand (where it agrees), and the part that the pose is to blame for; and what was carved:
+    cells with the height of the ray above the reference.
     """
 
     kind: Kinds
     cell: Indices
     dz: Image
     variance: Image
+    sheet_variance: Image
     pose_variance: Image
     carved_cell: Indices
     carved_dz: Image
@@ -263,7 +266,9 @@ def observe(ground: Ground, view: View, pixels: Pixels, limits: Limits, seen: Se
                 seen.cell[i] = cell
                 seen.dz[i] = -off
                 steep = max(incidence, _steepness(ground, cell, dx, dy, dz))
-                seen.variance[i] = (sigma * steep) ** 2 + (spread * incidence) ** 2 + own
+                aside = (spread * incidence) ** 2 + own
+                seen.variance[i] = (sigma * steep) ** 2 + aside
+                seen.sheet_variance[i] = (sigma * incidence) ** 2 + aside
                 z = dz * expected + view.bend * flat2 * expected * expected
                 seen.pose_variance[i] = _pose_variance(view.covariance, east, north, x - x0, y - y0, z)
                 continue

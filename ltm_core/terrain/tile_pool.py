@@ -15,7 +15,7 @@ from ltm_core.tile_store import CellChanges, Field, FrameRecord, Key, StoreSchem
 
 TILE = 64
 """Cells a side."""
-KIND, VERSION = "terrain", 1
+KIND, VERSION = "terrain", 2
 
 _DTYPES: dict[str, Any] = {
     "first": np.uint32,
@@ -33,7 +33,7 @@ _DTYPES: dict[str, Any] = {
 }
 FIELDS = {name: Field(_DTYPES.get(name, np.float32)) for name in Cells._fields}
 _CELL_BYTES = sum(np.dtype(f.dtype).itemsize for f in FIELDS.values())
-_SCRATCH_BYTES = 9 * 4 + 1
+_SCRATCH_BYTES = 10 * 4 + 1
 
 
 def schema_of(geometry: GridGeometry) -> StoreSchema:
@@ -157,7 +157,7 @@ class TilePool:
         if stored is None:
             self.cells.base[slot] = self._fresh_base
             self.cells.label[slot] = NO_LABEL
-        for sums in self.scratch[:8]:
+        for sums in self.scratch[:9]:
             sums[slot] = 0
         self.scratch.lowest[slot] = np.inf
         self.scratch.label[slot] = NO_LABEL

@@ -34,7 +34,8 @@ def seen_by(looks: Sequence[Look], canopy_known: bool = True) -> TilePool:
     for name, values in one.cells._asdict().items():
         values[0, 0] = (0.0 if canopy_known else np.nan) if name == "base" else 0
     for seconds, bit, dz, variance, bounded in looks:
-        take(one.cells, 0, 0, np.float32(dz), np.float32(variance), np.float32(0.0), bounded, seconds, bit, RULES)
+        own, pose = np.float32(variance), np.float32(0.0)
+        take(one.cells, 0, 0, np.float32(dz), own, own, pose, bounded, seconds, bit, RULES)
     return one
 
 
