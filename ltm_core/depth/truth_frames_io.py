@@ -55,6 +55,11 @@ def site_frame(folder: Path) -> SiteFrame:
     return _frame(_index(folder))
 
 
+def scenario_name(folder: Path) -> str:
+    """Of what a folder shows. Raises RecordingError."""
+    return str(_index(folder)["scenario"])
+
+
 def is_curved(folder: Path) -> bool:
     """Whether the earth's curvature is in the scene of a folder. Raises RecordingError."""
     return bool(_index(folder)["curvature"])

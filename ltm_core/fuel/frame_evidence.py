@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_softmax
+from scipy.special import log_softmax, softmax
 
 from ltm_core.errors import ImageError
+from ltm_core.fuel.cell_look import what_is_seen
 from ltm_core.fuel.evidence_kernel import spread, with_neighbours
-from ltm_core.fuel.label_errors import LabelErrors
-from ltm_core.fuel.life_form import FORMS
+from ltm_core.fuel.label_errors import FLOOR, LabelErrors
+from ltm_core.fuel.life_form import form_counts
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
 
@@ -45,9 +46,11 @@ def frame_evidence(
 ) -> FrameEvidence:
     """Evidence w n p(l) of each cell.
 
-    p is the probability of each life form given the cell's labels and what the network calls each form, averaged over
-    the cells that may really have been seen instead. n counts pixels up to the cap. w is less than 1 for labels of
-    low confidence, pixels that are coarser than the cell, and cells whose surroundings the frame does not show.
+    p is the probability of each life form given what the cell looks like, averaged over the cells that may really have
+    been seen instead. n counts pixels up to the cap. w is less than 1 for pixels that are coarser than the cell, and
+    cells whose surroundings the frame does not show. Of a network of whose cells' looks nothing is known, p is that of
+    the labels' shares given what the network calls each form, and w is also less than 1 for labels of low confidence
+    and those that two forms explain.
 
     Args:
         forms: (K,) index of each label's life form, -1 for none (`life_form.label_forms`).
@@ -57,10 +60,7 @@ def frame_evidence(
     """
     if votes.counts.shape[1] != len(forms):
         raise ImageError(f"votes of {votes.source} count {votes.counts.shape[1]} classes, this map {len(forms)}")
-    counts = np.zeros((len(votes), FORMS))
-    for label, form in enumerate(forms):
-        if form >= 0:
-            counts[:, form] += votes.counts[:, label]
+    counts = form_counts(votes.counts, forms)
     pixels = counts.sum(axis=1)
     useful = pixels > 0
     if votes.sighting is not None:
@@ -68,16 +68,19 @@ def frame_evidence(
     votes, counts, pixels = votes.only(useful), counts[useful], pixels[useful]
     rows, cols = votes.rows.astype(np.int64), votes.cols.astype(np.int64)
     stand = np.zeros(len(rows), np.uint8) if stands is None else stands[rows, cols]
-    probability = _probability(rows, cols, counts / pixels[:, None], pixels, stand, errors, rules)
+    probability = _probability(votes, rows, cols, counts / pixels[:, None], pixels, stand, errors, rules)
     amount = np.minimum(pixels, rules.frame_cap)
     bearing = None
-    if votes.confidence is not None:
+    # What a cell looks like tells of the labels' confidence and of how plants stand before the ground behind them.
+    by_look = errors.look is not None and votes.sighting is not None
+    if votes.confidence is not None and not by_look:
         amount *= np.minimum(votes.confidence / rules.sure, 1.0)
     if votes.sighting is not None:
         cell = votes.geometry.resolution
         amount *= cell / np.hypot(cell, votes.sighting.footprint)
         cosine = np.maximum(votes.sighting.cos_incidence.astype(np.float64), 0.02)
-        parallax = rules.relief * np.sqrt(1 - np.minimum(cosine, 1.0) ** 2) / cosine
+        relief = 0.0 if by_look else rules.relief
+        parallax = relief * np.sqrt(1 - np.minimum(cosine, 1.0) ** 2) / cosine
         bearing = votes.sighting.bearing.astype(np.float64)
         probability, coverage = spread(
             rows,
@@ -89,15 +92,18 @@ def frame_evidence(
             bearing,
         )
         amount *= coverage
-    # Shafer's discount: labels that two forms explain as well say nothing of either.
-    first, second = (np.partition(probability, -k, axis=1)[:, -k] for k in (1, 2))
-    amounts = (amount * (first - second))[:, None] * probability
+    amounts = amount[:, None] * probability
+    if not by_look:
+        # Shafer's discount: labels that two forms explain as well say nothing of either.
+        first, second = (np.partition(probability, -k, axis=1)[:, -k] for k in (1, 2))
+        amounts *= (first - second)[:, None]
     shown = amounts.argmax(axis=1)
     sure = amounts.max(axis=1, initial=0.0) >= np.maximum(_SUPPORTS, 0.5 * amount)
     return FrameEvidence(rows, cols, amounts, np.where(sure, shown, -1), bearing)
 
 
 def _probability(
+    votes: CellVotes,
     rows: NDArray[np.int64],
     cols: NDArray[np.int64],
     shares: NDArray[np.float64],
@@ -106,17 +112,32 @@ def _probability(
     errors: LabelErrors,
     rules: FusionRules,
 ) -> NDArray[np.float64]:
-    """(N, FORMS) of each life form given the shares of labels: a softmax of the labels' log likelihoods.
+    """(N, FORMS) of each life form given the shares of labels: a softmax of their log likelihoods.
 
     Plants grow in stands larger than a cell, so that what the cells about it look like speaks for a cell too.
     """
+    correlation = errors.correlation
+    own = (pixels / (1 + (pixels - 1) * correlation.cell))[:, None] * _log_shares(shares, errors)
+    if errors.look is not None and votes.sighting is not None:
+        seen = what_is_seen(rows, cols, shares, votes.sighting.bearing, votes.confidence)
+        looks = errors.look.log_likelihood(seen, votes.sighting.cos_incidence.astype(np.float64))
+        # Of cells that are mostly called what the looks were not learnt of, such as water, the labels are all there is.
+        usual = shares[:, errors.look.known].sum(axis=1) >= 0.5
+        own[usual] = np.maximum(log_softmax(looks[usual], axis=1), np.log(FLOOR))
+    known = np.isfinite(own).all(axis=0)
+    pooled, cells = with_neighbours(
+        rows, cols, log_softmax(own[:, known], axis=1), stand, rules.context, rules.context_cells
+    )
+    pooled /= (1 + (cells - 1) * correlation.between_cells)[:, None]
+    probability = np.zeros(shares.shape)
+    probability[:, known] = softmax(pooled, axis=1)
+    return probability
+
+
+def _log_shares(shares: NDArray[np.float64], errors: LabelErrors) -> NDArray[np.float64]:
+    """(N, FORMS) log likelihood of one pixel's label in the mean of a cell's label shares (N, FORMS)."""
     table = errors.log_likelihood()
     known = np.isfinite(table).all(axis=1)
-    correlation = errors.correlation
-    independent = pixels / (1 + (pixels - 1) * correlation.cell)
-    own = independent[:, None] * (shares @ table[known].T)
-    pooled, cells = with_neighbours(rows, cols, own, stand, rules.context, rules.context_cells)
-    pooled /= (1 + (cells - 1) * correlation.between_cells)[:, None]
-    likelihood = np.full((len(shares), FORMS), -np.inf)
-    likelihood[:, known] = pooled
-    return np.asarray(np.exp(log_softmax(likelihood, axis=1)), np.float64)
+    result = np.full(shares.shape, -np.inf)
+    result[:, known] = shares @ table[known].T
+    return result

@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 
 from ltm_core.config_io import load_yaml
 from ltm_core.errors import ConfigError, ModelError
+from ltm_core.fuel.cell_look import CellLook, CellLookFile
 from ltm_core.fuel.life_form import FORMS, LifeForm
 from ltm_core.resources import config_path
 from ltm_core.vision.calibration_io import Calibration, load_calibration
@@ -68,6 +69,7 @@ class _ErrorsFile(StrictModel):
     source: str = Field(min_length=1)
     shares: dict[str, dict[str, float]] | None = None
     correlation: LabelCorrelation | None = None
+    look: CellLookFile | None = None
 
     @model_validator(mode="after")
     def _names_are_life_forms(self) -> _ErrorsFile:
@@ -82,12 +84,15 @@ class _ErrorsFile(StrictModel):
 @dataclass(frozen=True, eq=False)
 class LabelErrors:
     """`shares`: (FORMS, FORMS), by [the cell's life form, label]: rows sum to 1, NaN for a form that the network was
-    never tried on, which its labels then are no evidence of. `source`: where the figures are from.
+    never tried on, which its labels then are no evidence of. `source`: where the figures are from. `look`: what whole
+    cells look like, where that was learnt; it stands in place of the shares, and the correlations are of what it
+    cannot tell.
     """
 
     shares: NDArray[np.float64]
     correlation: LabelCorrelation
     source: str = ""
+    look: CellLook | None = None
 
     def __post_init__(self) -> None:
         known = ~np.isnan(self.shares).any(axis=1)
@@ -101,11 +106,12 @@ class LabelErrors:
         out is that of the assumed network. Raises ConfigError on wrong names and values.
         """
         content = load_yaml(path, _ErrorsFile)
+        look = None if content.look is None else CellLook.of_file(content.look)
         if content.shares is not None and content.correlation is not None:
-            return cls(_shares(content.shares), content.correlation, content.source)
+            return cls(_shares(content.shares), content.correlation, content.source, look)
         assumed = cls.assumed()
         shares = assumed.shares if content.shares is None else _shares(content.shares)
-        return cls(shares, content.correlation or assumed.correlation, content.source)
+        return cls(shares, content.correlation or assumed.correlation, content.source, look)
 
     @classmethod
     def assumed(cls) -> LabelErrors:
@@ -127,12 +133,13 @@ class LabelErrors:
         given = load_yaml(own, _ErrorsFile) if own.is_file() else _ErrorsFile(source=assumed.source)
         calibration = _calibration(model)
         correlation = given.correlation or assumed.correlation
+        look = None if given.look is None else CellLook.of_file(given.look)
         if given.shares is not None:
-            return cls(_shares(given.shares), correlation, given.source)
+            return cls(_shares(given.shares), correlation, given.source, look)
         if calibration is None:
-            return cls(assumed.shares, correlation, given.source)
-        about = f"its calibration on {calibration.measured_on}; correlation: {given.source}"
-        return cls(_calibrated(calibration, assumed.shares), correlation, about)
+            return cls(assumed.shares, correlation, given.source, look)
+        about = f"its calibration on {calibration.measured_on}; of cells: {given.source}"
+        return cls(_calibrated(calibration, assumed.shares), correlation, about, look)
 
     def scaled(self, level: float) -> LabelErrors:
         """A network with `level` times the share of wrong labels, at most all but a tenth of a form's."""

@@ -74,6 +74,15 @@ def label_forms(labels: LabelSet) -> NDArray[np.int64]:
     return np.array([indices.get(name, -1) if cover else -1 for name, cover in covers], np.int64)
 
 
+def form_counts(counts: NDArray[np.uint32], forms: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(N, FORMS) pixels of each life form, of (N, K) pixels of each label; `forms` as of `label_forms`."""
+    result = np.zeros((len(counts), FORMS))
+    for label, form in enumerate(forms):
+        if form >= 0:
+            result[:, form] += counts[:, label]
+    return result
+
+
 def life_form_labels(labels: LabelSet) -> LabelSet:
     """Names and colours of the map's classes: life forms have the ids of the labels of their names; burned has none."""
     shown = LifeForm.BURNED

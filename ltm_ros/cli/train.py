@@ -1,4 +1,5 @@
-"""`ltm train`: train the default network, adapt it to a site's own cameras, label photos to train on.
+"""`ltm train`: train the default network, adapt it to a site's own cameras, label photos to train on, learn what fuel
+cells look like to it.
 
 `ltm train CONFIG` is short for `ltm train run CONFIG`.
 """
@@ -13,6 +14,7 @@ from typer.core import TyperGroup
 
 from ltm_ros.cli.train_adapt import adapt
 from ltm_ros.cli.train_blend import blend
+from ltm_ros.cli.train_look import look
 from ltm_ros.cli.train_photos import photos
 
 if TYPE_CHECKING:
@@ -84,4 +86,5 @@ train = typer.Typer(cls=TrainGroup, no_args_is_help=True, help="Train the networ
 train.command(WHOLE)(run)
 train.command()(adapt)
 train.command()(photos)
+train.command()(look)
 train.command()(blend)
