@@ -184,7 +184,8 @@ def truth_and_labels(simulated: Sequence[View], labels: LabelSet) -> Rgb | None:
         if view.labels is None or view.truth_labels is None:
             continue
         cells.append((view.name, view.photo))
-        for name, ids in (("true classes", view.truth_labels), ("labels of the network", view.labels)):
+        beyond = ", dark: beyond the map" if np.any(view.truth_labels == UNSEEN) else ""
+        for name, ids in ((f"true classes{beyond}", view.truth_labels), ("labels of the network", view.labels)):
             shown.update(np.unique(ids[ids != UNSEEN]).tolist())
             cells.append((name, label_colors(ids, labels)))
     if not cells:
@@ -202,7 +203,8 @@ def depth_panels(view: View) -> Rgb:
     if truth is not None:
         cells.append(("true depth of the visible surface", depth_colors(truth, scale)))
     for name, depth in view.depths.items():
-        cells.append((f"{name} depth", depth_colors(depth, scale)))
+        none = ", dark: none" if np.isnan(depth).any() else ""
+        cells.append((f"{name} depth{none}", depth_colors(depth, scale)))
         if truth is not None:
             both = np.isfinite(depth) & np.isfinite(truth)
             middle = np.median(np.abs(depth[both] - truth[both])) if both.any() else np.nan

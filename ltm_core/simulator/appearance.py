@@ -121,6 +121,10 @@ def _strip_texture(cover: LandCover, geometry: GridGeometry, colors: Palette, se
     # Ground that is bare without being rocky: what fire, felling and digging have left
     raw = (classes == BARE) & (cover.sample(cover.stand.rock, x, y) < 0.5)
     out = np.where(raw[..., None], (0.55 * colors.soil + 0.45 * colors.litter) * (1 + 0.2 * patchy), out)
+    fallen = cover.sample(cover.stand.rubble, x, y) > 0.5
+    if np.any(fallen):
+        debris = (0.75 * colors.soil + 0.25 * colors.rock) * (0.9 + 0.3 * rills + 0.25 * patchy + 0.2 * fine)
+        out = np.where((fallen & (classes == BARE))[..., None], debris, out)
     char = cover.sample(cover.stand.char, x, y)[..., None]
     ashes = np.clip(2.2 * fine + 0.9 * patchy - 0.35, 0, 1)
     burnt = (1 - ashes) * 1.5 * colors.char + ashes * (0.5 * colors.ash + 0.5 * colors.soil)

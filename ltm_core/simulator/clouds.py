@@ -28,7 +28,7 @@ _BILLOWS = {"cumulus": 0.66, "stratus": 0.5}  # how much of a body billows bite 
 _FADE = 30_000.0  # m over which far clouds fade into the air
 _REACH = 14_000.0  # m of a ray inside the slab beyond which nothing shows
 _LEVEL = 0.004  # upward slope of a ray under which it counts as level: haze is all that it sees
-_STEPS, _SUN_STEPS, _SHADE_STEPS = 40, 5, 7
+_STEPS, _SUN_STEPS, _SHADE_STEPS = 40, 8, 7
 _FIELD_OCTAVES, _OCTAVES = 4, 5  # of the map of where clouds are, and of the billows on them
 _WINDOW, _CELLS = 20_000.0, 26  # m about the eye, and cells a wavelength, of the raster that the strength is read from
 _COARSE = 540  # rows above which clouds are drawn on every second pixel: they have no edges that this could blunt
@@ -261,14 +261,14 @@ def _depth_to_sun(
     draw: float,
 ) -> float:
     """Optical depth from a point inside a cloud to the sun, by strides that grow; `draw`: where in them it looks."""
-    total, at, stride = 0.0, 0.0, 0.06 * slab[1]
+    total, at, stride = 0.0, 0.0, 0.03 * slab[1]
     for _ in range(_SUN_STEPS):
         t = at + draw * stride
         total += stride * _density(
             x + t * sun[0], y + t * sun[1], z + t * sun[2], slab, shape, raster, frame, seed, 0.12 * shape[0]
         )
         at += stride
-        stride *= 1.8
+        stride *= 1.5
     return total * shape[3]
 
 

@@ -28,7 +28,8 @@ class Stand:
 
     `shrub_height`, `tree_height`: relative to mature ones. `density`: plants relative to closed cover. `conifer`:
     which trees stand where trees stand. `char` 0..1: black ground. `scorch` 0..1: tree crowns killed by heat. `dead`:
-    class id of what fire has left standing dead (SHRUB, TREE), else 0. `rock`: bare ground is of stone.
+    class id of what fire has left standing dead (SHRUB, TREE), else 0. `rock`: bare ground is of stone; `rubble`: of
+    what a slide has left. `touched`: which change was the last here, 0 none.
     """
 
     shrub_height: Field
@@ -39,6 +40,8 @@ class Stand:
     scorch: Field
     dead: NDArray[np.uint8]
     rock: NDArray[np.bool_]
+    rubble: NDArray[np.bool_]
+    touched: NDArray[np.uint8]
 
     @staticmethod
     def undisturbed(shape: tuple[int, int], conifer: NDArray[np.bool_] | None = None, density: float = 1.0) -> Stand:
@@ -46,8 +49,8 @@ class Stand:
         zeros, ones = np.zeros(shape, np.float32), np.ones(shape, np.float32)
         if conifer is None:
             conifer = np.zeros(shape, bool)
-        dead, rock = np.zeros(shape, np.uint8), np.ones(shape, bool)
-        return Stand(ones, ones, density * ones, conifer, zeros, zeros, dead, rock)
+        none, rock = np.zeros(shape, np.uint8), np.ones(shape, bool)
+        return Stand(ones, ones, density * ones, conifer, zeros, zeros, none, rock, np.zeros(shape, bool), none)
 
 
 @dataclass(frozen=True)

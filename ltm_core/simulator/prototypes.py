@@ -142,22 +142,42 @@ def _tuft_patch(rng: Rng, colors: Palette, spacing: float, blades: int, width: f
     )
 
 
+def _stone(rng: Rng, color: Array, size: float, rings: int = 3, sides: int = 5) -> Soup:
+    """A stone of `size` metres, a third of it sunk into the ground."""
+    return meshes.lump(rng, (size, size * rng.uniform(0.6, 1.0), 0.6 * size), 0.2 * size, color, rings, sides)
+
+
 def _stone_patch(rng: Rng, colors: Palette, side: float, pebbles: int, boulders: int) -> Soup:
-    """Stones and boulders, a third of each sunk into the ground."""
+    """Stones and boulders."""
     parts = []
     for k in range(pebbles + boulders):
         size = rng.uniform(0.12, 0.4) if k < pebbles else 0.35 * rng.uniform(0.3, 1.0) ** -1.3
-        stone = meshes.lump(
-            rng,
-            (size, size * rng.uniform(0.6, 1.0), 0.6 * size),
-            0.2 * size,
-            colors.rock * rng.uniform(0.6, 1.15),
-            3,
-            5,
-        )
+        stone = _stone(rng, colors.rock * rng.uniform(0.6, 1.15), size)
         x, y = rng.uniform(-side / 2, side / 2, 2)
         parts.append(stone.moved(x, y, 1.0, rng.uniform(0, 2 * np.pi)))
     return Soup.joined(parts)
+
+
+def _dusty(rng: Rng, colors: Palette) -> Array:
+    """The colour of a stone that lies in the soil it came down with."""
+    return np.asarray((0.6 * colors.soil + 0.4 * colors.rock) * rng.uniform(0.65, 1.1), np.float64)
+
+
+def _rubble_patch(rng: Rng, colors: Palette, side: float, stones: int) -> Soup:
+    """What a slide leaves: many small stones in heaps, fewer towards the patch's rim, so that patches overlap
+    unseen."""
+    heaps = rng.uniform(-0.35, 0.35, (5, 2)) * side
+    parts = []
+    for _ in range(stones):
+        x, y = heaps[rng.integers(len(heaps))] + rng.normal(0, 0.16 * side, 2)
+        size = min(0.1 * rng.uniform(0.02, 1.0) ** -0.6, 0.8)
+        parts.append(_stone(rng, _dusty(rng, colors), size).moved(x, y, 1.0, rng.uniform(0, 2 * np.pi)))
+    return Soup.joined(parts)
+
+
+def _shrub_one(rng: Rng, colors: Palette, stage: float, scrub: bool, leaves: int) -> Soup:
+    """One shrub, as it stands in a patch."""
+    return _shrub_patch(rng, colors, stage, scrub, 0.4, 1.0, leaves)
 
 
 class Prototypes:
@@ -235,4 +255,11 @@ def _kinds() -> dict[str, tuple[int, int, Maker]]:
             kinds[f"far_{name}{suffix}"] = (SHRUB, 3, far)
             close = partial(_shrub_patch, scrub=scrub, side=NEAR_PATCH, cover=cover, leaves=1400)
             kinds[f"close_{name}{suffix}"] = (SHRUB, 3, close)
+    # Kinds draw by their number in this list: new ones come last
+    for name, scrub in (("chaparral", False), ("scrub", True)):
+        for prefix, leaves in (("", 80), ("far_", 0), ("close_", 1400)):
+            kinds[f"{prefix}{name}_one"] = (SHRUB, 7, partial(_shrub_one, scrub=scrub, leaves=leaves))
+    kinds["rubble"] = (BARE, 6, lambda r, c, s: _rubble_patch(r, c, NEAR_PATCH, 260))
+    kinds["far_rubble"] = (BARE, 4, lambda r, c, s: _rubble_patch(r, c, FAR_PATCH, 120))
+    kinds["boulder"] = (BARE, 8, lambda r, c, s: _stone(r, _dusty(r, c), 1.0, 5, 8))
     return kinds

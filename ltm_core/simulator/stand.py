@@ -121,14 +121,19 @@ def stand_at(
     plants age with the dates. Places that no change touches keep their class and their plants.
     """
     shape = cover.geometry.shape
-    old = np.full(shape, age + growing * years, np.float32)
-    names = ("density", "conifer", "char", "scorch", "dead", "rock")
+    grown = np.full(shape, age + growing * years, np.float32)
+    names = ("density", "conifer", "char", "scorch", "dead", "rock", "rubble", "touched")
     state = _State(
-        cover.classes.copy(), old, old + _TREE_LEAD, {name: getattr(cover.stand, name).copy() for name in names}
+        cover.classes.copy(), grown, grown + _TREE_LEAD, {name: getattr(cover.stand, name).copy() for name in names}
     )
     for number, change in enumerate(_past(changes, years)):
         inside = mask_weights(change.mask, cover.geometry, seed)
+        old = [a.copy() for a in (state.classes, state.shrub_age, state.fields["density"])]
         _APPLY[type(change)](state, change, inside, years - change.years, cover.geometry, seed + 13 * number)
+        new = (state.classes, state.shrub_age, state.fields["density"])
+        if not isinstance(change, Growth | Conversion):  # which leave no edge between plants and open ground
+            acted = np.any([a != b for a, b in zip(old, new, strict=True)], axis=0)
+            state.fields["touched"][acted] = number + 1
     sparse = (state.fields["density"] < _GONE) & np.isin(state.classes, (SHRUB, TREE))
     state.classes[sparse] = GRASS
     shrub = _height(state.shrub_age, _SHRUB_TIME, _SHRUB_AGE)
@@ -185,6 +190,7 @@ def _earthwork(
     s.fields["dead"][inside] = 0
     s.fields["char"][inside] = 0.0
     s.fields["rock"][inside] = isinstance(change, Landslide)
+    s.fields["rubble"][inside] = isinstance(change, Landslide)
 
 
 def _burn(s: _State, change: Burn, inside: Mask, since: float, geometry: GridGeometry, seed: int) -> None:

@@ -51,6 +51,8 @@ class _Cells:
     dead_tree: Mask
     rock: Array
     conifer: Mask
+    rubble: Mask
+    edge: Mask  # a change has ended inside the cell
 
 
 def _keys(x: Array, y: Array) -> NDArray[np.int64]:
@@ -128,14 +130,21 @@ class Planting:
         cover, stand = self._cover, self._cover.stand
         steps = (np.arange(samples) - (samples - 1) / 2) * side / samples
         shares = np.zeros((len(x), 5))
+        touched = cover.sample(stand.touched, x, y)
+        edge = np.zeros(len(x), bool)
         for dx in steps:
             for dy in steps:
                 shares[np.arange(len(x)), np.minimum(cover.at(x + dx, y + dy), 4)] += 1 / samples**2
+                edge |= cover.sample(stand.touched, x + dx, y + dy) != touched
         names = ("density", "shrub_height", "tree_height", "char", "scorch", "rock")
         here = {n: np.asarray(cover.sample(getattr(stand, n), x, y), np.float64) for n in names}
         dead = cover.sample(stand.dead, x, y)
         conifer = cover.sample(stand.conifer, x, y) >= 0.5
-        return _Cells(x, y, side, shares, dead_shrub=dead == SHRUB, dead_tree=dead == TREE, conifer=conifer, **here)
+        rubble = cover.sample(stand.rubble, x, y) >= 0.5
+        return _Cells(
+            x, y, side, shares, dead_shrub=dead == SHRUB, dead_tree=dead == TREE, conifer=conifer,
+            rubble=rubble, edge=edge, **here,
+        )  # fmt: skip
 
     def _noise(self, x: Array, y: Array, wavelength: float, salt: int) -> Array:
         """Noise in [-1, 1] at scattered points."""
@@ -145,11 +154,13 @@ class Planting:
         """A uniform draw in [0, 1) that belongs to each place, not to the order of asking."""
         return noise.uniform_at(x, y, self._seed + salt)
 
+    def _dry(self, x: Array, y: Array) -> Mask:
+        """Where low scrub stands in place of tall chaparral."""
+        exposure = self._cover.sample(self._cover.exposure, x, y) * 0.6
+        return np.asarray(exposure + self._noise(x, y, 320.0, 401) > 0.62 - self._config.scrub, np.bool_)
+
     def _patches(self, c: _Cells, prefix: str) -> list[Placement]:
-        dry = (
-            self._cover.sample(self._cover.exposure, c.x, c.y) * 0.6 + self._noise(c.x, c.y, 320.0, 401)
-            > 0.62 - self._config.scrub
-        )
+        dry = self._dry(c.x, c.y)
         grass, bare, tree = c.shares[:, GRASS], c.shares[:, BARE], c.shares[:, TREE] * np.minimum(c.density, 1.0)
         shrubby = (c.shares[:, SHRUB] + 0.35 * c.shares[:, TREE]) * c.density
         grown = c.shrub_height > _SEEDLING
@@ -159,7 +170,8 @@ class Planting:
             & (self._noise(c.x, c.y, 150.0, 405) > -0.2)
             & (c.char < 0.3)
         )
-        out = []
+        out = self._singly(c, prefix)
+        grown &= ~c.edge
         for kind, chosen in (("chaparral", ~dry & grown), ("scrub", dry & grown)):
             for suffix, where in (
                 ("", shrubby > 0.65),
@@ -168,8 +180,9 @@ class Planting:
             ):
                 out += self._put_by_stage(prefix + kind + suffix, c, chosen & where)
         rocky = self._noise(c.x, c.y, 90.0, 423) + self._draw(c.x, c.y, 425) > 0.1
-        rocky &= (bare * c.rock > 0.5) & ~self._cover.on_road(c.x, c.y, c.side)
+        rocky &= (bare * c.rock > 0.5) & ~self._cover.on_road(c.x, c.y, c.side) & ~c.rubble
         coarse = prefix.removeprefix("close_")
+        out += self._rubble(c, coarse)
         out += self._put(coarse + "stones", c.x, c.y, c.side, rocky)
         out += self._put(coarse + "sticks", c.x, c.y, c.side, c.dead_shrub & (c.char > 0.1))
         if coarse:
@@ -182,6 +195,49 @@ class Planting:
                     out += self._put_by_stage(kind + suffix + "_scorched", c, kin & where & burnt, trees=True)
             out += self._put("lone_oak", c.x, c.y, c.side, alive & (tree <= 0.2) & self._lone(c))
         return out
+
+    def _inside(self, c: _Cells, chosen: Mask, spacing: float, salt: int) -> tuple[Array, Array]:
+        """Points (N,) of a jittered grid of about `spacing` over the chosen cells."""
+        n = max(1, round(c.side / spacing))
+        steps = ((np.arange(n) + 0.5) / n - 0.5) * c.side
+        dx, dy = (a.ravel() for a in np.meshgrid(steps, steps))
+        x, y = (c.x[chosen, None] + dx).ravel(), (c.y[chosen, None] + dy).ravel()
+        stride = 0.9 * c.side / n
+        return x + stride * (self._draw(x, y, salt) - 0.5), y + stride * (self._draw(x, y, salt + 1) - 0.5)
+
+    def _singly(self, c: _Cells, prefix: str) -> list[Placement]:
+        """Shrubs one by one over cells in which a change has ended: whole patches would draw its edge straight."""
+        if not np.any(c.edge):
+            return []
+        x, y = self._inside(c, c.edge, 2.0 if prefix == "far_" else 1.5, 431)
+        x, y = np.rint(x / LATTICE) * LATTICE, np.rint(y / LATTICE) * LATTICE
+        # Edges of the land cover's cells, too, are wound
+        wound = [5.0 * self._noise(x, y, 17.0, salt) for salt in (435, 437)]
+        at = self._describe(x + wound[0], y + wound[1], c.side, samples=1)
+        rate = 0.94 * (at.shares[:, SHRUB] + 0.35 * at.shares[:, TREE]) * np.minimum(at.density, 1.0)
+        stands = (self._draw(x, y, 439) < rate) & (at.shrub_height > _SEEDLING)
+        dry = self._dry(x, y)
+        stage = np.abs(at.shrub_height[:, None] - np.array(STAGES)).argmin(axis=1)
+        out = []
+        for kind, chosen in (("chaparral", stands & ~dry), ("scrub", stands & dry)):
+            for i in np.unique(stage[chosen]):
+                name = f"{prefix}{kind}_one@{round(100 * STAGES[i])}"
+                out += self._put(name, x, y, 0.0, chosen & (stage == i), np.ones(len(x)))
+        return out
+
+    def _rubble(self, c: _Cells, prefix: str) -> list[Placement]:
+        """The stones of slides: heaps that lie where chance left them, and boulders by a power law of sizes."""
+        slid = c.rubble & (c.shares[:, BARE] > 0.3)
+        if not np.any(slid):
+            return []
+        x, y = self._inside(c, slid, c.side, 441)
+        heaped = self._draw(x, y, 445) < 0.55 + 0.5 * self._noise(x, y, 55.0, 447)
+        out = self._put(prefix + "rubble", x, y, 0.8 * c.side, heaped, turns=16)
+        x, y = self._inside(c, slid, 4.0, 451)
+        there = self._cover.sample(self._cover.stand.rubble, x, y) >= 0.5
+        some = self._draw(x, y, 455) < np.clip(0.14 + 0.3 * self._noise(x, y, 38.0, 457), 0.02, 0.5)
+        size = np.minimum(0.22 * np.maximum(self._draw(x, y, 459), 1e-3) ** -0.55, 2.2)
+        return out + self._put("boulder", x, y, 0.0, there & some, size)
 
     def _houses(self) -> list[Placement]:
         houses = self._cover.houses
@@ -253,16 +309,16 @@ class Planting:
         return out
 
     def _put(
-        self, name: str, x: Array, y: Array, side: float, chosen: Mask, size: Array | None = None
+        self, name: str, x: Array, y: Array, side: float, chosen: Mask, size: Array | None = None, turns: int = 0
     ) -> list[Placement]:
         """Instances of `name` at the chosen points: sheared onto the slope (side > 0), or upright and scaled by
-        `size`."""
+        `size`. `turns`: the directions that they are turned to, by default as many as cells or lone plants have."""
         if not np.any(chosen):
             return []
         x, y = x[chosen], y[chosen]
         variants = self._prototypes[name]
         which = (self._draw(x, y, 419) * len(variants)).astype(int)
-        turns = 4 if side > 0 else _TURNS
+        turns = turns or (4 if side > 0 else _TURNS)
         turn = np.floor(self._draw(x, y, 421) * turns) * (2 * np.pi / turns)
         scale = np.ones(len(x)) if size is None else np.maximum(np.rint(size[chosen] * 20) / 20, 0.05)
         slope_x, slope_y = np.zeros(len(x)), np.zeros(len(x))

@@ -125,6 +125,20 @@ def test_a_wildfire_blackens_then_heals() -> None:
     assert np.all(shrubs.stand.shrub_height[burnt] < 0.6)
 
 
+def test_changes_that_end_in_an_edge_say_where() -> None:
+    """There shrubs are planted one by one: a whole patch of them would draw the edge straight."""
+    fire = after(Burn(kind="burn", severity=1.0, mask=BOX), 0.0)
+    np.testing.assert_array_equal(fire.stand.touched > 0, fire.classes == BARE)
+    thinned = after(Thinning(kind="thinning", keep=0.4, of=["tree"], mask=BOX), 0.0)
+    assert not thinned.stand.touched.any(), "there were no trees"
+    planted = after(Conversion(kind="conversion", to="conifer", mask=BOX), 0.0)
+    assert not planted.stand.touched.any(), "trees stand singly anyway"
+    slide = after(Landslide(kind="landslide", mask=BOX), 0.0)
+    np.testing.assert_array_equal(slide.stand.rubble, inside_box())
+    np.testing.assert_array_equal(slide.stand.touched > 0, inside_box())
+    assert not after(Cut(kind="cut", depth=2.0, mask=BOX), 0.0).stand.rubble.any()
+
+
 def test_trees_die_by_severity_and_a_prescribed_burn_spares_them() -> None:
     wild = after(Burn(kind="burn", severity=1.0, mask=BOX), 0.0, TREE)
     light = after(Burn(kind="burn", severity=0.35, mask=BOX), 0.0, TREE)
