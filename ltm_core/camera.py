@@ -87,6 +87,11 @@ class Camera:
         """
         return _rays(self)
 
+    def cosines(self) -> NDArray[np.float32]:
+        """The third component of `rays()`, (H, W) float32, read-only: the depth along the optical axis (REP-118) of a
+        point one metre away."""
+        return _cosines(self)
+
     def project(self, points: Array) -> Array:
         """Pixels (..., 2) of optical-frame points (..., 3); NaN behind the camera or beyond the distortion's fold."""
         points = np.asarray(points, np.float64)
@@ -133,6 +138,13 @@ def _rays(camera: Camera) -> Array:
         rays /= np.sqrt(np.einsum("hwc,hwc->hw", rays, rays))[..., None]
     rays.flags.writeable = False
     return rays
+
+
+@lru_cache(maxsize=4)
+def _cosines(camera: Camera) -> NDArray[np.float32]:
+    cosines = np.ascontiguousarray(_rays(camera)[..., 2], np.float32)
+    cosines.flags.writeable = False
+    return cosines
 
 
 @numba.njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]

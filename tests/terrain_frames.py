@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 from networks import write_depth_network
 from numpy.typing import NDArray
-from small_site import BUILT, MAST, PAINT, SmallSite, write_small_site
+from small_site import MAST, PAINT, SKY, SmallSite, write_small_site
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -72,14 +72,12 @@ def mast_pose(small: SmallSite) -> Pose:
 
 
 def photo_of_depth(surface: Dem, camera: Camera, pose: Pose) -> NDArray[np.uint8]:
-    """(H, W, 3): inverse depth in green; the sky is red, which the label network does not know for sky: its labels of
-    48 x 32 cells draw the skyline too coarsely to tell a pose by.
-    """
+    """(H, W, 3): inverse depth in green, sky blue."""
     depth = TerrainTracer(surface).trace(camera, pose).depth()
     land = np.isfinite(depth)
     photo = np.zeros((*depth.shape, 3), np.uint8)
     photo[..., 1] = np.where(land, np.round(255 * NEAR / np.where(land, depth, 1e9)).clip(1, 255), 0)
-    photo[~land] = PAINT[BUILT]
+    photo[~land] = PAINT[SKY]
     return photo
 
 

@@ -14,12 +14,14 @@ from ltm_core.bench.measure import Cost, least_cost
 from ltm_core.bench.terrain import ridged_terrain
 from ltm_core.camera import Camera
 from ltm_core.depth.classes import DepthClasses
+from ltm_core.depth.combine import combine
 from ltm_core.depth.fusion import FusionSettings, fuse
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_fit import fit_network
 from ltm_core.depth.pose_check import check_pose
 from ltm_core.depth.range_image import RangeImage
 from ltm_core.depth.sampling import ground_samples
+from ltm_core.depth.seen import SeenDepth
 from ltm_core.depth.silhouettes import raise_silhouettes
 from ltm_core.depth.surface import expected_surface
 from ltm_core.pose import Pose
@@ -53,17 +55,32 @@ def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionC
         ground, frame.labels, classes.cover, camera, frame.traced.pose, settings.angle_sigma, settings.dem_sigma
     )
     samples = ground_samples(surface, sigma, frame.labels, classes.ground, camera.fy)
+    fit = fit_network(frame.network, samples, (height, width))
+    seen = SeenDepth.of(fit, frame.photo)
+
+    def crests() -> None:
+        raise_silhouettes(frame.photo, ground, work[0], work[1], frame.labels, classes.crest, classes.sky, camera, seen)
+
+    def decide() -> None:
+        # From the same state each time: a copy's cost is in the figure.
+        np.copyto(work[0], surface)
+        np.copyto(work[1], sigma)
+        combine(work[0], work[1], None, seen, frame.labels, classes, source)
+
+    work, source = np.stack([surface, sigma]), np.empty(surface.shape, np.uint8)
     parts: dict[str, Callable[[], Any]] = {
         "range to depth": frame.traced.depth,
-        "check of the pose": lambda: check_pose(frame.photo, ground, camera, settings.angle_sigma, settings.dem_sigma),
+        "check of the pose": lambda: check_pose(
+            frame.photo, ground, camera, settings.angle_sigma, settings.dem_sigma, frame.labels, classes
+        ),
         "expected surface": lambda: expected_surface(
             ground, frame.labels, classes.cover, camera, frame.traced.pose, settings.angle_sigma, settings.dem_sigma
         ),
         "sampling": lambda: ground_samples(surface, sigma, frame.labels, classes.ground, camera.fy),
         "RANSAC and regions": lambda: fit_network(frame.network, samples, (height, width)),
-        "silhouettes": lambda: raise_silhouettes(
-            frame.photo, ground, surface.copy(), sigma.copy(), frame.labels, classes.crest, classes.sky, camera
-        ),
+        "photo's edges for the network": lambda: SeenDepth.of(fit, frame.photo),
+        "silhouettes": crests,
+        "terrain or network": decide,
         "whole": lambda: fuse(frame.traced, frame.network, frame.photo, frame.labels, classes, settings),
     }
     for call in parts.values():
@@ -72,14 +89,14 @@ def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionC
 
 
 def _frame(width: int, height: int) -> _Frame:
-    dem = ridged_terrain(1500)
+    dem = ridged_terrain(2500)
     camera = Camera.from_fov(width, height, 55.0)
-    # A tower at the edge that looks into the site: four fifths of the photo are terrain.
-    south = dem.elevation[-150:-50]
+    # A tower near the edge that looks along the site: three quarters of the photo are terrain, a tenth is land beyond
+    # the raster, the rest sky.
+    south = dem.elevation[-400:-50]
     row, col = np.unravel_index(int(np.argmax(south)), south.shape)
-    x, y = dem.geometry.to_map(row + dem.geometry.height - 150, col)
-    heading = float(np.degrees(np.arctan2(dem.geometry.width / 2 - col, dem.geometry.height)))
-    pose = Pose.from_angles((float(x), float(y), float(south[row, col]) + 25.0), heading, -14.0)
+    x, y = dem.geometry.to_map(row + dem.geometry.height - 400, col)
+    pose = Pose.from_angles((float(x), float(y), float(south[row, col]) + 10.0), 30.0, -12.0)
     traced = TerrainTracer(dem).trace(camera, pose)
     depth = traced.depth()
     rng = np.random.default_rng(2)

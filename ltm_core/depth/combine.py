@@ -12,29 +12,73 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.depth.answers import meant, said
+from ltm_core.depth.answers import meant, pairs, said, said_at
+from ltm_core.depth.classes import DepthClasses
+from ltm_core.depth.seen import SeenDepth, see_row
 
 Image = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
+Row = NDArray[np.float32]
 
 VANISHED = 0.01
 """Chance that the ground of a pixel is gone, so that something farther shows."""
 FOOTLESS, FOOTLESS_CHANCE = 1.5, 0.02
 """What the network sees nearer than all ground below it in the photo by this factor has no foot that it stands on, and
 so much less chance."""
-_SOFT = 0.25  # of the range of a network's depth among neighbours: how far a pixel between them may be off
+_SOFT = 0.15  # of the range of a network's depth among neighbours: how far a pixel between them may be off
+_OWN = 1.1  # of a network's own variance: below it, `_least` is no more than `_alone`
 _RANGES = 3.0  # e-foldings of depth over which something that stands before the terrain may be, each as likely
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
 def combine(
+    depth: Image,
+    sigma: Image,
+    over: Image | None,
+    network: SeenDepth | None,
+    labels: Bytes | None,
+    classes: DepthClasses,
+    source: Bytes,
+) -> None:
+    """Fuse in place: `depth` and `sigma` (H, W) come in as the terrain's and go out as the fused ones, `source` as
+    `fusion.Source`.
+
+    `over`: (H, W) depth of a canopy raster, `network`: what it sees, `labels`: (H, W) class ids; None where there is
+    none.
+    """
+    nothing = np.zeros((1, 1), np.float32)
+    seen = SeenDepth.none() if network is None else network
+    _combine(
+        depth,
+        sigma,
+        nothing if over is None else over,
+        over is not None,
+        seen.cells,
+        seen.grey,
+        seen.columns,
+        seen.parts,
+        seen.answers.shift,
+        seen.answers.factor,
+        np.float32(seen.gross),
+        network is not None,
+        np.zeros((1, 1), np.uint8) if labels is None else labels,
+        labels is not None,
+        classes.sky,
+        classes.standing,
+        classes.surface,
+        source,
+    )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
+def _combine(
     depth: Image,
     sigma: Image,
     over: Image,
     has_over: bool,
-    inverse: Image,
-    nearest: Image,
-    farthest: Image,
+    cells: Image,
+    grey: Bytes,
+    columns: NDArray[np.int32],
+    parts: Row,
     shift: Image,
     factor: Image,
     gross: np.float32,
@@ -46,93 +90,161 @@ def combine(
     prefers_over: NDArray[np.float32],
     source: Bytes,
 ) -> None:
-    """Fuse in place: `depth` and `sigma` (H, W) come in as the terrain's and go out as the fused ones, `source` as
-    `fusion.Source`.
+    """What is absent, as `has_over`, `usable` and `labelled` say, is of size 1 or 2.
 
-    `over`: depth of a canopy raster. `inverse`, `nearest`, `farthest`: see `seen.SeenDepth`; `shift`, `factor`: see
-    `answers.Answers`; `gross`: see `NetworkFit`. `standing`, `prefers_over`: (256,) `DepthClasses.standing`,
-    `.surface`.
-    What is absent, as `has_over`, `usable` and `labelled` say, is of size (1, 1).
+    Row by row: what nearly all pixels need is computed in short loops without branches, which compilers turn into
+    vector code; only the pixels where terrain and network disagree are then looked at one by one.
     """
-    far = np.float32(1e9)
-    one, half = np.float32(1.0), np.float32(0.5)
+    far, none, one = np.float32(1e9), np.float32(np.nan), np.float32(1.0)
     height, width = depth.shape
-    rows, cols = shift.shape[0], shift.shape[1]
+    cols = shift.shape[1]
+    tables = pairs(shift, factor)
+    table = (np.arange(width) * cols // width).astype(np.int32)
     foot = np.full(width, np.float32(np.inf))
+    between, seen = np.empty((4, cells.shape[2]), np.float32), np.empty((3, width), np.float32)
+    y, near, back = seen[0], seen[1], seen[2]
+    work = np.empty((7, width), np.float32)
+    true, own, less, spread, off, joint, weight = work[0], work[1], work[2], work[3], work[4], work[5], work[6]
+    place = np.empty(width, np.int32)
+    unlabelled = np.full(width, np.uint8(255))
+    asked = np.zeros(width, np.bool_)
+    gone = np.float32(_least(VANISHED))
+    least = np.array([_least(np.float64(chance)) for chance in standing]).astype(np.float32)
     for v in range(height - 1, -1, -1):
-        i = v * rows // height
+        i = v * shift.shape[0] // height
+        d, s, kind = depth[v], sigma[v], source[v]
+        label = labels[v] if labelled else unlabelled
+        if usable:
+            see_row(cells, grey, columns, parts, v, between, seen)
+        if has_over:
+            _choose(d, s, over[v], y, usable, i, table, shift, factor, label, prefers_over)
         for u in range(width):
-            j = u * cols // width
-            d, s = depth[v, u], sigma[v, u]
-            label = labels[v, u] if labelled else np.uint8(255)
-            y, near, back = np.float32(np.nan), one, one
-            if usable:
-                y, near, back = inverse[v, u], nearest[v, u], farthest[v, u]
-            if has_over:
-                c = over[v, u]
-                if c < far and (not d < far or abs(c - d) > s):
-                    # Bare ground or canopy: the label's odds, and which of the two the network is nearer to.
-                    odds = prefers_over[label]
-                    if y == y:
-                        a = np.float32(0.0)
-                        if d < far:
-                            a = one / d
-                        m, t = said(i, j, a, shift, factor)
-                        to_ground = (y - a + m) / t
-                        odds += half * to_ground * to_ground + np.log(t)
-                        m, t = said(i, j, one / c, shift, factor)
-                        to_over = (y - one / c + m) / t
-                        odds -= half * to_over * to_over + np.log(t)
-                        odds = min(
-                            max(odds, prefers_over[label] - np.float32(4.0)), prefers_over[label] + np.float32(4.0)
-                        )
-                    if odds > 0:
-                        s = np.float32(0.03) * c if np.isnan(s) else max(s, np.float32(0.01) * c)
-                        d = c
-            ground = d < far
-            if d < foot[u]:
-                foot[u] = d
-            # The terrain's inverse depth and variance: 0 for sky.
-            a, b = np.float32(0.0), np.float32(0.0)
-            source[v, u] = 4 if d > far else 0
-            if ground:
-                a, b = one / d, s / (d * d)
-                source[v, u] = 1
-            else:
-                s = np.float32(np.nan)
-            if y == y and (ground or label != sky):
-                m, t = said(i, j, a, shift, factor)
-                # At an edge the network's depth is the other side's in part.
-                soft = np.float32(_SOFT) * (near - back)
-                joint = t * t + b * b + soft * soft
-                off = y - a + m
-                alone = False
-                other = y
-                if np.isnan(d):
-                    alone = label != sky
-                elif off * off > np.float32(2.0) * joint and label != sky and (off > 0 or ground):
-                    # Something stands there? At a soft edge only where the network is nearer to the near side. Or is
-                    # something gone? That is not asked at edges, where the far side, or sky, may have leaked in.
-                    other = near if off > 0 else y
-                    edge = near - y if off > 0 else near - back
-                    if edge < abs(off):
-                        fits = np.exp(-half * off * off / joint) / np.sqrt(np.float32(2 * np.pi) * joint)
-                        chance = standing[label] if off > 0 else np.float32(VANISHED)
-                        if off > 0 and other * foot[u] > np.float32(FOOTLESS):
+            foot[u] = d[u] if d[u] < foot[u] else foot[u]
+            kind[u] = 1 if d[u] < far else (4 if d[u] > far else 0)
+            s[u] = s[u] if d[u] < far else none
+        if not usable:
+            continue
+        # Compilers give up on loops that write into several of many arrays: one result a loop.
+        for u in range(width):
+            # The terrain's inverse depth: 0 for sky and unknown ground.
+            true[u] = one / d[u] if d[u] < far else np.float32(0.0)
+        for u in range(width):
+            b = s[u] * true[u] * true[u]
+            own[u] = b if d[u] < far else np.float32(0.0)
+        said_at(true, tables[i], table, place, weight, less, spread)
+        for u in range(width):
+            off[u] = y[u] - true[u] + less[u]
+        for u in range(width):
+            # At an edge the network's depth is the other side's in part.
+            soft = np.float32(_SOFT) * (near[u] - back[u])
+            joint[u] = spread[u] * spread[u] + own[u] * own[u] + soft * soft
+        count = 0
+        for u in range(width):
+            odd = (off[u] * off[u] > np.float32(2.0) * joint[u]) & ((off[u] > 0) | (d[u] < far))
+            ask = (label[u] != sky) & (odd | ((d[u] != d[u]) & (y[u] == y[u])))
+            asked[u] = ask
+            count += ask
+        for u in range(width):
+            w = own[u] * own[u] / joint[u]
+            fits = (off[u] * off[u] <= np.float32(9.0) * joint[u]) & (true[u] + w * off[u] > np.float32(0.5) * true[u])
+            weight[u] = w if fits & (own[u] > 0) else np.float32(-1.0)
+        for u in range(width):
+            d[u] = one / (true[u] + weight[u] * off[u]) if weight[u] >= 0 else d[u]
+        for u in range(width):
+            s[u] = own[u] * np.sqrt(one - weight[u]) * d[u] * d[u] if weight[u] >= 0 else s[u]
+        for u in range(width):
+            kind[u] = 3 if weight[u] > np.float32(0.1) else kind[u]
+        if count:
+            for u in range(width):
+                if asked[u]:
+                    other = y[u]
+                    if kind[u]:
+                        chance = standing[label[u]] if off[u] > 0 else np.float32(VANISHED)
+                        if off[u] > 0 and near[u] * foot[u] > np.float32(FOOTLESS):
                             chance *= np.float32(FOOTLESS_CHANCE)
-                        spread = one / (np.float32(_RANGES) * max(other, t))
-                        alone = chance * spread > (one - chance) * ((one - gross) * fits + gross * spread)
-                if alone:
-                    other, w = meant(i, j, other, shift, factor)
-                    alone = w < other and (np.isnan(d) or (other > a) == (off > 0))
-                    if alone:
-                        d, s = one / other, w / (other * other)
-                        source[v, u] = 2
-                if ground and not alone:
-                    w = b * b / joint
-                    if off * off <= np.float32(9.0) * joint and a + w * off > half * a:
-                        d = one / (a + w * off)
-                        s = b * np.sqrt(one - w) * d * d
-                        if w > np.float32(0.1):
-                            source[v, u] = 3
-            depth[v, u], sigma[v, u] = d, s
+                        square = off[u] * off[u]
+                        if joint[u] < np.float32(_OWN) * spread[u] * spread[u] and square < joint[u] * (
+                            least[label[u]] if off[u] > 0 else gone
+                        ):
+                            continue
+                        other = _alone(other, near[u], back[u], off[u], joint[u], spread[u], gross, chance)
+                    if other > 0:
+                        other, t = meant(i, table[u], other, shift, factor)
+                        if t < other and (kind[u] == 0 or (other > true[u]) == (off[u] > 0)):
+                            d[u], s[u], kind[u] = one / other, t / (other * other), 2
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _least(chance: float) -> float:
+    """Squared sigmas below which a thing of such a chance is never believed where the variance is the network's own:
+    `_alone`'s odds at their best, without the exponential."""
+    if chance <= 0:
+        return np.inf
+    return float(2.0 * np.log((1.0 - chance) / chance * _RANGES / np.sqrt(2.0 * np.pi * _OWN)))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _alone(
+    y: np.float32,
+    near: np.float32,
+    back: np.float32,
+    off: np.float32,
+    joint: np.float32,
+    spread: np.float32,
+    gross: np.float32,
+    chance: np.float32,
+) -> np.float32:
+    """The inverse depth, 1/m, that is the network's alone, 0 where the terrain's word counts.
+
+    `y`: what the network sees, `near` and `back` its neighbours. `off`: by how much it is nearer than it would say of
+    the terrain, with variance `joint`, of its own `spread`. `chance`: of something that stands there, or is gone.
+    """
+    half, one = np.float32(0.5), np.float32(1.0)
+    # Something stands there? At a soft edge only where the network is nearer to the near side. Or is something gone?
+    # That is not asked at edges, where the far side, or sky, may have leaked in.
+    other = near if off > 0 else y
+    edge = near - y if off > 0 else near - back
+    if not edge < abs(off):
+        return np.float32(0.0)
+    fits = np.exp(-half * off * off / joint) / np.sqrt(np.float32(2 * np.pi) * joint)
+    density = one / (np.float32(_RANGES) * max(other, spread))
+    if chance * density > (one - chance) * ((one - gross) * fits + gross * density):
+        return other
+    return np.float32(0.0)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _choose(
+    depth: Row,
+    sigma: Row,
+    over: Row,
+    seen: Row,
+    usable: bool,
+    i: int,
+    table: NDArray[np.int32],
+    shift: Image,
+    factor: Image,
+    labels: NDArray[np.uint8],
+    prefers_over: NDArray[np.float32],
+) -> None:
+    """Bare ground or canopy, in one row: the label's odds, and which of the two the network is nearer to."""
+    far, one, half, most = np.float32(1e9), np.float32(1.0), np.float32(0.5), np.float32(4.0)
+    for u in range(len(depth)):
+        c, d, s = over[u], depth[u], sigma[u]
+        if c < far and (not d < far or abs(c - d) > s):
+            usual = prefers_over[labels[u]]
+            odds = usual
+            if usable and seen[u] == seen[u]:
+                y, a = seen[u], np.float32(0.0)
+                if d < far:
+                    a = one / d
+                m, t = said(i, table[u], a, shift, factor)
+                to_ground = (y - a + m) / t
+                odds += half * to_ground * to_ground + np.log(t)
+                m, t = said(i, table[u], one / c, shift, factor)
+                to_over = (y - one / c + m) / t
+                odds -= half * to_over * to_over + np.log(t)
+                odds = min(max(odds, usual - most), usual + most)
+            if odds > 0:
+                sigma[u] = np.float32(0.03) * c if np.isnan(s) else max(s, np.float32(0.01) * c)
+                depth[u] = c

@@ -120,10 +120,12 @@ class ConditionScore:
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """What a frame is evaluated with: a network's depth of the photo as seen, labels of every pixel or None."""
+    """What a frame is evaluated with: a network's depth of the photo as seen, labels of every pixel or None, and in how
+    many columns these were made (0: one for each of the photo)."""
 
     network: NetworkDepth
     labels: NDArray[np.uint8] | None
+    label_columns: int = 0
 
 
 class DepthEvaluation:
@@ -151,7 +153,7 @@ class DepthEvaluation:
         rng = np.random.default_rng(frame.stamp_ns % 2**32 + 1)
         pose = self.condition.pose(frame.pose, rng)
         traced = self._tracer.trace(frame.camera, pose)
-        settings = FusionSettings()
+        settings = FusionSettings(label_columns=given.label_columns)
         fused = fuse(traced, given.network, photo, given.labels, self._classes, settings)
         size, shape = (frame.camera.height, frame.camera.width), frame.surface.shape
         sources = {

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ltm_core.depth.beyond import clear_beyond
 from ltm_core.depth.classes import DepthClasses
 from ltm_core.depth.combine import combine
 from ltm_core.depth.monocular import NetworkDepth
@@ -57,10 +58,12 @@ class Verdict(StrEnum):
 @dataclass(frozen=True)
 class FusionSettings:
     """angle_sigma: of a camera's direction, radians, beside what its pose's covariance says. dem_sigma: of the
-    terrain's heights, metres."""
+    terrain's heights, metres. label_columns: of the network that made the labels, whose edges are no finer; 0: they
+    are the photo's own."""
 
     angle_sigma: float = float(np.radians(0.03))
     dem_sigma: float = 1.0
+    label_columns: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +89,9 @@ class FusedDepth:
     def info(self) -> dict[str, Any]:
         """JSON-ready: what `fused/info` carries."""
         line = self.fit.line if self.fit is not None else None
-        shares = np.bincount(self.source.ravel(), minlength=len(Source)) / max(1, self.source.size)
+        shares = cv2.calcHist([self.source], [0], None, [len(Source)], [0, len(Source)]).ravel() / max(
+            1, self.source.size
+        )
         return {
             "verdict": self.verdict.value,
             "reason": self.reason,
@@ -132,7 +137,8 @@ def fuse(
             raise ImageError(f"{what} of {shape} does not fit the traced depth of {size} (rows, columns)")
     settings = FusionSettings() if settings is None else settings
     camera = traced.camera
-    check = check_pose(rgb, ground, camera, settings.angle_sigma, settings.dem_sigma, labels, classes)
+    cell = max(1.0, size[1] / settings.label_columns) if settings.label_columns else 1.0
+    check = check_pose(rgb, ground, camera, settings.angle_sigma, settings.dem_sigma, labels, classes, cell)
     # A sample first: where it has ground, as it nearly always does, that is all.
     if not (np.isfinite(ground[::4, ::4]).any() or np.isfinite(ground).any()):
         return _traced_alone(ground, Verdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM", check)
@@ -146,31 +152,10 @@ def fuse(
     source = np.empty(size, np.uint8)
     beside = SeenDepth.of(fit, rgb) if fit is not None and not fit.trouble else None
     raise_silhouettes(rgb, ground, expected, sigma, labels, classes.crest, classes.sky, camera, beside)
-    nothing = np.zeros((1, 1), np.float32)
-    seen = SeenDepth.none() if beside is None else beside
-    combine(
-        expected,
-        sigma,
-        surface.depth() if surface is not None else nothing,
-        surface is not None,
-        seen.inverse,
-        seen.nearest,
-        seen.farthest,
-        seen.answers.shift,
-        seen.answers.factor,
-        np.float32(seen.gross),
-        beside is not None,
-        np.zeros((1, 1), np.uint8) if labels is None else labels,
-        labels is not None,
-        classes.sky,
-        classes.standing,
-        classes.surface,
-        source,
-    )
-    beyond = _beyond_the_dem(ground)
-    if beyond is not None:
-        expected[beyond] = sigma[beyond] = np.nan
-        source[beyond] = Source.UNKNOWN
+    combine(expected, sigma, None if surface is None else surface.depth(), beside, labels, classes, source)
+    # A sample first, for most photos see no unknown ground at all.
+    if np.isnan(ground[::4, ::4]).any() or np.isnan(ground).any():
+        clear_beyond(ground, expected, sigma, source)
     verdict, reason = Verdict.OK, ""
     if fit is not None and fit.trouble:
         verdict, reason = Verdict.NETWORK_UNUSABLE, fit.trouble
@@ -183,21 +168,3 @@ def _traced_alone(ground: Image, verdict: Verdict, reason: str, check: PoseCheck
     source = np.where(np.isfinite(ground), Source.TERRAIN, np.where(np.isnan(ground), Source.UNKNOWN, Source.SKY))
     sigma = np.full(ground.shape, np.nan, np.float32)
     return FusedDepth(ground, sigma, source.astype(np.uint8), ground, 0.0, verdict, reason, check)
-
-
-def _beyond_the_dem(ground: Image) -> NDArray[np.bool_] | None:
-    """Unknown pixels (H, W) that known ground does not enclose, None where there are none.
-
-    A hole in the DEM has ground all about it, to which the network's scale holds. Land beyond the raster reaches up to
-    the sky or the image's edge, at any distance, and a network that was fitted to the near ground knows nothing of it.
-    """
-    unknown = np.isnan(ground)
-    if not unknown.any():
-        return None
-    _, regions = cv2.connectedComponents(unknown.astype(np.uint8), connectivity=8)
-    edge = cv2.dilate(np.isposinf(ground).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_)
-    edge[[0, -1]] = edge[:, [0, -1]] = True
-    open_ended = np.zeros(int(regions.max()) + 1, np.bool_)
-    open_ended[regions[edge & unknown]] = True
-    found = open_ended[regions]
-    return np.asarray(found, np.bool_) if found.any() else None

@@ -64,10 +64,12 @@ def check_pose(
     dem_sigma: float,
     labels: NDArray[np.uint8] | None = None,
     classes: DepthClasses | None = None,
+    label_cell: float = 1.0,
 ) -> PoseCheck:
     """Check one photo (H, W, 3) and its labels (H, W), where there are any, against its traced depth (H, W).
 
-    `angle_sigma`, `dem_sigma`: radians and metres that are no surprise. `classes`: what the labels mean.
+    `angle_sigma`, `dem_sigma`: radians and metres that are no surprise. `classes`: what the labels mean. `label_cell`:
+    pixels of the photo that one of the labels' network spans.
     """
     allowed = _ALLOWED_DEG + 3 * math.degrees(angle_sigma)
     nearest = (_COVER + dem_sigma) / math.radians(_NEAR_DEG)
@@ -78,10 +80,12 @@ def check_pose(
     if labels is not None and classes is not None:
         reach = math.radians(REACH_DEG)
         skyline = check_skyline(
-            labels, classes.sky, ground, camera, angle_sigma, dem_sigma, classes.crest, nearest, reach
+            labels, classes.sky, ground, camera, angle_sigma, dem_sigma, classes.crest, nearest, reach, label_cell
         )
         columns = 0 if skyline is None else skyline.columns
-        if skyline is not None and skyline.least_deg > allowed and (found is None or not found[3]):
+        # All of a coarse network's edges may lie off by the same half of a cell.
+        coarse = math.degrees(0.5 * (label_cell - 1.0) / camera.fy)
+        if skyline is not None and skyline.least_deg > allowed + coarse and (found is None or not found[3]):
             found = skyline.pitch_deg, skyline.azimuth_deg, skyline.gain, True
             reason = "the labels' skyline fits the terrain's"
     if found is None:
@@ -118,25 +122,59 @@ def _silhouettes(ground: NDArray[np.float32], nearest: float) -> tuple[NDArray[n
     """Pixels (rows, cols) above which is sky or ground farther by twice a jump, every other column, of ground beyond
     `nearest` metres; where known ground merely ends there is no edge to be seen.
     """
-    near, above = ground[1::2, ::2], ground[:-1:2, ::2]
-    with np.errstate(invalid="ignore"):
-        edge = np.isfinite(near) & (near > nearest) & (above > JUMP * JUMP * near)
-    rows, cols = np.nonzero(edge)
+    rows, cols = _found(ground, np.float32(nearest), np.float32(JUMP * JUMP))
     if len(rows) > _MOST_EDGES:
         kept = np.linspace(0, len(rows) - 1, _MOST_EDGES).round().astype(np.intp)
         rows, cols = rows[kept], cols[kept]
-    return 2 * rows + 1, 2 * cols
+    return rows, cols
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _found(
+    ground: NDArray[np.float32], nearest: np.float32, jump: np.float32
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    height, width = ground.shape
+    rows, cols = np.empty(height * width // 4 + 1, np.int64), np.empty(height * width // 4 + 1, np.int64)
+    count = 0
+    for v in range(1, height, 2):
+        here, above = ground[v], ground[v - 1]
+        for u in range(0, width, 2):
+            d = here[u]
+            if d > nearest and d < np.float32(1e9) and above[u] > jump * d:
+                rows[count], cols[count] = v, u
+                count += 1
+    return rows[:count].copy(), cols[:count].copy()
 
 
 def _contrast(rgb: NDArray[np.uint8], shrink: int) -> NDArray[np.float32]:
     """How much the colour changes from above to below each place, relative to its surroundings' texture."""
     size = (rgb.shape[1] // shrink, rgb.shape[0] // shrink)
-    small = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.float32)
-    wide = cv2.blur(small, (5, 1))
-    change = np.zeros(small.shape[:2], np.float32)
-    change[2:-1] = np.abs(wide[2:-1] + wide[3:] - wide[1:-2] - wide[:-3]).sum(axis=2)
+    change = _changes(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
     texture = cv2.blur(change, (25, 25))
     return np.asarray(np.minimum(change / (texture + 6.0), 4.0), np.float32)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _changes(small: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Summed over the colours: two rows and the next two, as means over five columns; 0 where there are none."""
+    height, width = small.shape[0], small.shape[1]
+    change = np.zeros((height, width), np.float32)
+    step = np.empty((3, width + 4), np.float32)
+    for v in range(2, height - 1):
+        for j in range(3):
+            for u in range(width):
+                step[j, u + 2] = (
+                    np.float32(small[v, u, j])
+                    + np.float32(small[v + 1, u, j])
+                    - (np.float32(small[v - 1, u, j]) + np.float32(small[v - 2, u, j]))
+                )
+            # The border as cv2.blur has it: mirrored about the outermost column.
+            step[j, 1], step[j, 0] = step[j, 3], step[j, 4]
+            step[j, width + 2], step[j, width + 3] = step[j, width], step[j, width - 1]
+            for u in range(width):
+                five = step[j, u] + step[j, u + 1] + step[j, u + 2] + step[j, u + 3] + step[j, u + 4]
+                change[v, u] += abs(five) * np.float32(0.2)
+    return change
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -145,14 +183,17 @@ def _scores(
 ) -> NDArray[np.float32]:
     """Mean contrast under the edges, shifted by -reach..reach rows and columns."""
     height, width = contrast.shape
-    scores = np.zeros((2 * reach + 1, 2 * reach + 1), np.float32)
-    for i in range(2 * reach + 1):
-        for j in range(2 * reach + 1):
-            total = np.float32(0.0)
-            for k in range(len(rows)):
-                r, c = rows[k] + i - reach, cols[k] + j - reach
-                if 0 <= r < height and 0 <= c < width:
-                    total += contrast[r, c]
-            # Edges that leave the image count as no contrast: the rest must not look the better for it.
-            scores[i, j] = total / len(rows)
-    return scores
+    side = 2 * reach + 1
+    # Edges that leave the image count as no contrast: the rest must not look the better for it.
+    wide = np.zeros((height + 2 * reach, width + 2 * reach), np.float32)
+    wide[reach : reach + height, reach : reach + width] = contrast
+    scores = np.zeros((side, side), np.float32)
+    for i in range(side):
+        line = scores[i]
+        for k in range(len(rows)):
+            r, c = rows[k] + i, cols[k]
+            if 0 <= r < height + 2 * reach and 0 <= c < width:
+                under = wide[r, c : c + side]
+                for j in range(side):
+                    line[j] += under[j]
+    return scores / np.float32(len(rows))

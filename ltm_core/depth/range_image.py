@@ -50,12 +50,12 @@ class RangeImage:
             raise ImageError(
                 f"depth image of shape {depth.shape} does not fit a camera of {camera.height} x {camera.width}"
             )
-        slant = (depth / camera.rays()[..., 2]).astype(np.float32)
+        slant = (depth / camera.cosines()).astype(np.float32, copy=False)
         return cls(slant, camera, pose, bend, geometry)
 
     def depth(self) -> NDArray[np.float32]:
         """Distance along the optical axis, (H, W) metres (REP-118)."""
-        depth: NDArray[np.float32] = (self.range * self.camera.rays()[..., 2]).astype(np.float32)
+        depth: NDArray[np.float32] = self.range * self.camera.cosines()
         return depth
 
     def horizontal(self) -> NDArray[np.float32]:

@@ -56,7 +56,10 @@ def robust_line(x: Floats, y: Floats, weight: Floats | None = None, floor: float
     scales = (y[second] - y[first]) / run
     shifts = y[first] - scales * x[first]
     scored = slice(None, None, max(1, len(x) // SCORED))
-    residuals = np.abs(scales[:, None] * x[scored] + shifts[:, None] - y[scored]) * weights[scored]
+    # Single precision will do to tell the best trial: it is refined below.
+    trial = (scales[:, None].astype(np.float32), shifts[:, None].astype(np.float32))
+    points = (x[scored].astype(np.float32), y[scored].astype(np.float32), weights[scored].astype(np.float32))
+    residuals = np.abs(trial[0] * points[0] + trial[1] - points[1]) * points[2]
     half = residuals.shape[1] // 2
     medians = np.partition(residuals, half, axis=1)[:, half]
     best = int(np.argmin(medians))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,26 +52,55 @@ def ground_samples(
 
     `ground`: (256,) which classes are. `focal`: pixels. Sigmas above UNSURE of the depth are left out as well.
     """
-    height, width = surface.shape
-    rows, cols = np.arange(_CLEAR, height - _CLEAR, _STEP), np.arange(_CLEAR, width - _CLEAR, _STEP)
-    at = np.ix_(rows, cols)
-    here = surface[at]
-    with np.errstate(invalid="ignore"):
-        good = np.isfinite(here) & (here > 0) & (sigma[at] < UNSURE * here)
-        for down, right in ((-_CLEAR, 0), (_CLEAR, 0), (0, -_CLEAR), (0, _CLEAR)):
-            beside = surface[np.ix_(rows + down, cols + right)]
-            good &= (beside < JUMP * here) & (here < JUMP * beside)
-        # The rise of the depth in a pixel's angle is the cotangent of the angle between ray and ground.
-        steep = np.abs(surface[np.ix_(rows - 1, cols)] - surface[np.ix_(rows + 1, cols)]) * (focal / 2)
-        good &= steep < here / np.tan(np.radians(GRAZING_DEG))
-    if labels is not None:
-        good &= ground[labels[at]]
-    row, col = np.nonzero(good)
-    kept = _even(here[row, col])
-    row, col = row[kept], col[kept]
-    return GroundSamples(
-        rows[row], cols[col], here[row, col].astype(np.float64), sigma[at][row, col].astype(np.float64)
+    rows, cols, kept = _candidates(
+        surface,
+        sigma,
+        np.zeros((1, 1), np.uint8) if labels is None else labels,
+        labels is not None,
+        ground,
+        np.float32(2.0 / (focal * np.tan(np.radians(GRAZING_DEG)))),
     )
+    rows, cols = rows[kept], cols[kept]
+    depth = surface[rows, cols]
+    chosen = _even(depth)
+    rows, cols = rows[chosen], cols[chosen]
+    return GroundSamples(rows, cols, depth[chosen].astype(np.float64), sigma[rows, cols].astype(np.float64))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _candidates(
+    surface: NDArray[np.float32],
+    sigma: NDArray[np.float32],
+    labels: NDArray[np.uint8],
+    labelled: bool,
+    ground: NDArray[np.bool_],
+    steep: np.float32,
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
+    """Rows, columns and fitness of pixels on a grid. `steep`: relative change of depth over two rows that is grazed."""
+    height, width = surface.shape
+    down, across = (height - 2 * _CLEAR + _STEP - 1) // _STEP, (width - 2 * _CLEAR + _STEP - 1) // _STEP
+    count = max(down, 0) * max(across, 0)
+    rows, cols, kept = np.empty(count, np.intp), np.empty(count, np.intp), np.zeros(count, np.bool_)
+    far, jump, unsure = np.float32(1e9), np.float32(JUMP), np.float32(UNSURE)
+    i = 0
+    for v in range(_CLEAR, height - _CLEAR, _STEP):
+        for u in range(_CLEAR, width - _CLEAR, _STEP):
+            d = surface[v, u]
+            rows[i], cols[i] = v, u
+            good = d < far and d > 0 and sigma[v, u] < unsure * d and (not labelled or ground[labels[v, u]])
+            if good:
+                for beside in (
+                    surface[v + _CLEAR, u],
+                    surface[v - _CLEAR, u],
+                    surface[v, u - _CLEAR],
+                    surface[v, u + _CLEAR],
+                ):
+                    good &= beside < jump * d and d < jump * beside
+                # The rise of the depth in a pixel's angle is the cotangent of the angle between ray and ground.
+                good &= abs(surface[v - 1, u] - surface[v + 1, u]) < steep * d
+            kept[i] = good
+            i += 1
+    return rows, cols, kept
 
 
 def _even(depth: NDArray[np.float32]) -> NDArray[np.intp]:
@@ -78,7 +108,7 @@ def _even(depth: NDArray[np.float32]) -> NDArray[np.intp]:
     ranges gets more than CROWD times the places of a middling one."""
     if not len(depth):
         return np.empty(0, np.intp)
-    octave = np.floor(2.0 * np.log2(depth)).astype(np.int64)
+    octave = np.floor(2.0 * np.log2(depth)).astype(np.int16)  # which NumPy sorts by digits
     _, index, counts = np.unique(octave, return_inverse=True, return_counts=True)
     most = CROWD * np.median(counts)
     while np.minimum(counts, most).sum() > MOST:

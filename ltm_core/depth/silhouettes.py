@@ -20,19 +20,19 @@ from numpy.typing import NDArray
 from ltm_core.camera import Camera
 from ltm_core.depth.answers import said
 from ltm_core.depth.crests import smoothed
-from ltm_core.depth.seen import SeenDepth
+from ltm_core.depth.seen import SeenDepth, see
 from ltm_core.depth.surface import JUMP
 
 Image = NDArray[np.float32]
 
-USUAL_CREST = 1.0
+USUAL_CREST = 0.25
 """Metres by which crests are usually raised: the prior of a cut falls by e for each."""
 STRIP_PX = 60
 """Most pixels that a silhouette is raised: a near crest's cover is not a strip but an object."""
 _SAMPLE, _HALF = 8, 4  # rows of a side's colour sample, and columns to each side of the middle one
 _COLOR_NOISE = 16.0  # least variance of a colour, squared 8-bit steps
-_TEMPER = 0.3  # of a pixel's colour likelihood: neighbours share texture, so they are not independent
-_MOST = 2.0  # log likelihood that one pixel's colour may carry
+_TEMPER = 0.6  # of a pixel's colour likelihood: neighbours share texture, so they are not independent
+_MOST = 8.0  # log likelihood that one pixel's colour may carry
 _NETWORK_MOST = 3.0  # the same of its network depth
 _NETWORK_SURE = 1.0  # log likelihood from which on the network may raise an edge beyond the usual cover
 _NEED = 1.0  # log odds by which a cut must be better than none
@@ -69,8 +69,8 @@ def raise_silhouettes(
     `crest`: (256,) metres to which a pixel of each class may belong to cover on the crest below it. `network`: what it
     sees at the photo's size, where there is one.
     """
-    color = np.asarray(cv2.blur(rgb, _BLUR), np.uint8)
     rows, cols = _edges(ground, np.float32(JUMP))
+    color = np.asarray(cv2.blur(rgb, _BLUR), np.uint8) if len(rows) else rgb
     raised = np.zeros(len(rows), np.int32)
     seen = SeenDepth.none() if network is None else network
     _cut(
@@ -81,7 +81,10 @@ def raise_silhouettes(
         crest,
         sky,
         np.float32(camera.fy),
-        seen.inverse,
+        seen.cells,
+        seen.grey,
+        seen.columns,
+        seen.parts,
         seen.answers.shift,
         seen.answers.factor,
         network is not None,
@@ -99,20 +102,23 @@ def raise_silhouettes(
 def _edges(ground: Image, jump: np.float32) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Pixels with ground above which the next one is farther by `jump`, or sky, or unknown."""
     height, width = ground.shape
-    count = 0
-    for v in range(height - 1, 0, -1):
+    counts = np.zeros(height, np.int64)
+    for v in range(1, height):
+        here, above = ground[v], ground[v - 1]
+        count = 0
         for u in range(width):
-            d = ground[v, u]
-            if d < 1e9 and not ground[v - 1, u] < jump * d:
-                count += 1
-    rows, cols = np.empty(count, np.int32), np.empty(count, np.int32)
+            count += (here[u] < np.float32(1e9)) & (not above[u] < jump * here[u])
+        counts[v] = count
+    total = counts.sum()
+    rows, cols = np.empty(total, np.int32), np.empty(total, np.int32)
     i = 0
     for v in range(height - 1, 0, -1):
-        for u in range(width):
-            d = ground[v, u]
-            if d < 1e9 and not ground[v - 1, u] < jump * d:
-                rows[i], cols[i] = v, u
-                i += 1
+        if counts[v]:
+            here, above = ground[v], ground[v - 1]
+            for u in range(width):
+                if here[u] < np.float32(1e9) and not above[u] < jump * here[u]:
+                    rows[i], cols[i] = v, u
+                    i += 1
     return rows, cols
 
 
@@ -135,11 +141,10 @@ def _sample(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _step(inverse: Image, v: int, u: int, above: int, near: np.float32, far: np.float32) -> np.float32:
-    """How far the network sees the terrain's step at an edge, 0 to 1: between what it gives surely below and surely
-    above. One whose edges are soft, or elsewhere, has little to say here.
+def _step(low: np.float32, high: np.float32, near: np.float32, far: np.float32) -> np.float32:
+    """How far the network sees the terrain's step at an edge, 0 to 1: between what it gives surely below (`low`) and
+    surely above (`high`), 1/m. One whose edges are soft, or elsewhere, has little to say here.
     """
-    low, high = inverse[min(v + _SAMPLE, inverse.shape[0] - 1), u], inverse[max(above - _SAMPLE, 0), u]
     share = (low - high) / (1 / near - (1 / far if far < 1e9 else np.float32(0.0)))
     return min(share, 1 / share) if share > 0 else np.float32(0.0)
 
@@ -176,7 +181,10 @@ def _cut(
     crest: NDArray[np.float32],
     sky: int,
     focal: np.float32,
-    inverse: Image,
+    cells: Image,
+    grey: NDArray[np.uint8],
+    columns: NDArray[np.int32],
+    parts: NDArray[np.float32],
     shift: Image,
     factor: Image,
     networked: bool,
@@ -200,11 +208,15 @@ def _cut(
         strip = usual
         share = np.float32(0.0)
         if networked:
-            share = _step(inverse, v, u, v - tall, d, ground[v - 1, u])
+            low = see(cells, grey, columns, parts, min(v + _SAMPLE, height - 1), u)
+            high = see(cells, grey, columns, parts, max(v - tall - _SAMPLE, 0), u)
+            share = _step(low, high, d, ground[v - 1, u])
         for s in range(1, min(tall, v) + 1):
             taller = labelled and crest[labels[v - s, u]] > crest[255]
             if not taller and share > 0:
-                side = _farther(inverse[v - s, u], row, col, shift, factor, d, ground[v - s, u])
+                side = _farther(
+                    see(cells, grey, columns, parts, v - s, u), row, col, shift, factor, d, ground[v - s, u]
+                )
                 taller = share * side < -_NETWORK_SURE
             if not taller:
                 break
@@ -240,7 +252,7 @@ def _cut(
             evidence = min(max(np.float32(_TEMPER) * evidence, np.float32(-_MOST)), np.float32(_MOST))
             further = np.float32(0.0)
             if share > 0:
-                side = _farther(inverse[r, u], row, col, shift, factor, d, ground[r, u])
+                side = _farther(see(cells, grey, columns, parts, r, u), row, col, shift, factor, d, ground[r, u])
                 further = share * side
             if labelled:
                 label = labels[r, u]

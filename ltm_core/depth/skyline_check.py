@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from ltm_core.camera import Camera
 
@@ -22,7 +23,7 @@ COLUMNS = 480
 """Of a photo, about, that are looked at."""
 LEAST_SHARE = 0.3
 """Of the columns that must have a known skyline beyond near crests: a short piece fits at many places."""
-_EDGE = 0.75  # sigma of the labels' edge, in steps between columns
+_EDGE = 0.75  # sigma of the labels' edge, in steps between columns or, where these are wider, cells of their network
 _USUALLY = 2 / 3  # of the height that a class may rise to
 _RUN = 3  # rows of land that end the sky
 _MOST = 4.0  # sigmas beyond which a column counts no more: labels err, clouds hide
@@ -54,32 +55,31 @@ def check_skyline(
     crest: Floats,
     nearest: float,
     reach: float,
+    cell: float = 1.0,
 ) -> SkylineCheck | None:
     """Compare the traced depth's (H, W) skyline with that of the labels (H, W); None where too little is known.
 
     `crest`: (256,) metres to which each class may rise over a crest. `nearest`: metres; crests that are nearer say
-    nothing. `reach`: radians of the largest turn that is tried.
+    nothing. `reach`: radians of the largest turn that is tried. `cell`: pixels of the photo that one of the labels'
+    network spans; it draws the skyline no finer, and what rises and falls within one is drawn at some height of it.
     """
     width = ground.shape[1]
     step = max(1, round(width / COLUMNS))
     cols = np.arange(step // 2, width, step)
-    observed = _sky_ends(labels[:, cols] == sky)
-    traced = ground[:, cols]
-    known = np.isfinite(traced)
-    top = np.where(known.any(axis=0), known.argmax(axis=0), 0)
-    index = np.arange(len(cols))
+    observed, top = _tops(labels, sky, ground, cols)
     edge = top > 0
-    depth = np.where(edge, traced[top, index], 1.0).astype(np.float64)
+    depth = np.where(edge, ground[top, cols], 1.0).astype(np.float64)
     pixels = camera.fy / depth  # that a metre spans
     far = edge & (depth > nearest)
     # What stands on the crest is of the class that the sky ends at.
     border = np.minimum(observed.astype(np.intp) + 1, len(labels) - 1)
     cover = np.empty(len(cols))
     cover[:] = _USUALLY * crest[labels[border, cols]]
-    open_above = far & np.isposinf(traced[np.maximum(top - 1, 0), index])
+    open_above = far & np.isposinf(ground[np.maximum(top - 1, 0), cols])
     if open_above.mean() < LEAST_SHARE or not (observed > 0).any():
         return None
-    sigma = np.sqrt((_EDGE * step) ** 2 + (angle_sigma * camera.fy) ** 2 + (dem_sigma * pixels) ** 2)
+    drawn = (_EDGE * max(step, cell)) ** 2 + _within(top.astype(np.float64), max(1, round(cell / step))) ** 2
+    sigma = np.sqrt(drawn + (angle_sigma * camera.fy) ** 2 + (dem_sigma * pixels) ** 2)
     cells = int(reach * camera.fy / step)
     costs = _costs(observed, top.astype(np.float64), far, open_above, cover * pixels, sigma, cells, step)
     down, right = np.mgrid[-cells : cells + 1, -cells : cells + 1] * step
@@ -98,13 +98,39 @@ def check_skyline(
     )
 
 
-def _sky_ends(sky: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """The first row (C,) of `sky` (H, C) from which on some rows are land; 0 without sky, H without land."""
-    land = ~sky
-    run = land[: 1 - _RUN].copy()
-    for i in range(1, _RUN):
-        run &= land[i : i + len(run)]
-    return np.where(run.any(axis=0), run.argmax(axis=0), len(sky)).astype(np.float64)
+def _within(top: NDArray[np.float64], columns: int) -> NDArray[np.float64]:
+    """Standard deviation of the skyline (C,) over so many columns about each."""
+    size = columns | 1
+    mean = uniform_filter1d(top, size, mode="nearest")
+    return np.asarray(np.sqrt(np.maximum(uniform_filter1d(top * top, size, mode="nearest") - mean * mean, 0.0)))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _tops(
+    labels: NDArray[np.uint8], sky: int, ground: Floats, cols: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Of columns (C,): the first row from which on some rows are no sky, 0 without sky and H without land; and the
+    first row of known ground, 0 without."""
+    height, count = labels.shape[0], len(cols)
+    observed, top = np.full(count, float(height)), np.zeros(count, np.int64)
+    run, found = np.zeros(count, np.int64), np.zeros(count, np.bool_)
+    left = 2 * count
+    for v in range(height):
+        for k in range(count):
+            if run[k] < _RUN:
+                run[k] = 0 if labels[v, cols[k]] == sky else run[k] + 1
+                if run[k] == _RUN:
+                    observed[k] = v - _RUN + 1
+                    left -= 1
+            if not found[k]:
+                d = ground[v, cols[k]]
+                if d < np.float32(1e9):
+                    found[k] = True
+                    top[k] = v
+                    left -= 1
+        if left == 0:
+            break
+    return observed, top
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -119,28 +145,32 @@ def _costs(
     step: int,
 ) -> NDArray[np.float64]:
     """Mean square of sigmas, capped, for every shift by -cells..cells steps down and right."""
-    count = len(observed)
+    count, side = len(observed), 2 * cells + 1
     usable = 0
     for k in range(count):
         usable += open_above[k]
-    costs = np.empty((2 * cells + 1, 2 * cells + 1))
-    for i in range(2 * cells + 1):
-        for j in range(2 * cells + 1):
-            total, seen = 0.0, 0
-            for k in range(count):
-                q = k - (j - cells)
-                if q < 0 or q >= count or not far[q]:
-                    continue
-                place = max(top[q] + (i - cells) * step, 0.0)
-                off = place - observed[k]
-                if off > 0:
-                    if not open_above[q]:
-                        continue
-                    off = max(0.0, off - cover[q])
-                z = off / sigma[q]
-                total += min(z * z, _MOST * _MOST)
-                seen += open_above[q]
-            lost = max(0.0, _SHARE * usable - seen)
+    total, seen = np.zeros((side, side)), np.zeros(side)
+    weight = 1.0 / sigma
+    allowed = np.empty(side)
+    for q in range(count):
+        if not far[q]:
+            continue
+        for i in range(side):
+            allowed[i] = max(top[q] + (i - cells) * step, 0.0)
+        first, last = max(cells - q, 0), min(cells + count - q, side)
+        for j in range(first, last):
+            seen[j] += open_above[q]
+            end = observed[q + j - cells]
+            for i in range(side):
+                # Sky that is seen as land: nothing where unknown land may stand behind, and less by cover.
+                off = allowed[i] - end
+                over = max(0.0, off - cover[q]) if open_above[q] else 0.0
+                z = (over if off > 0 else off) * weight[q]
+                total[j, i] += min(z * z, _MOST * _MOST)
+    costs = np.empty((side, side))
+    for j in range(side):
+        lost = max(0.0, _SHARE * usable - seen[j])
+        for i in range(side):
             # Columns that leave the photo count as misfits: the rest must not look the better for it.
-            costs[i, j] = (total + lost * _MOST * _MOST) / max(seen + lost, 1.0)
+            costs[i, j] = (total[j, i] + lost * _MOST * _MOST) / max(seen[j] + lost, 1.0)
     return costs

@@ -81,45 +81,73 @@ def _expect(
     surface: Image,
     sigma: Image,
 ) -> None:
+    """Row by row in short loops without branches, which compilers turn into vector code."""
     height, width = ground.shape
-    far = np.float32(1e9)
-    jump = np.float32(JUMP)
+    far, none = np.float32(1e9), np.float32(np.nan)
+    across = np.float32(_PIXEL_DOUBT) / focal
+    angle = focal * focal * (angle_sigma * angle_sigma + across * across)
+    lift = focal * focal * dem_sigma * dem_sigma
+    least = np.float32(_LEAST) * np.float32(_LEAST)
+    slope = np.empty(width, np.float32)
     for v in range(height):
-        up, down = max(v - 1, 0), min(v + 1, height - 1)
+        here, above, below = ground[v], ground[max(v - 1, 0)], ground[min(v + 1, height - 1)]
+        square = sigma[v]
+        # One-sided differences, the lesser of two: a silhouette beside the pixel is no slope.
+        for u in range(1, width - 1):
+            a, b = abs(here[u - 1] - here[u]), abs(here[u + 1] - here[u])
+            slope[u] = a if a < b else b
+        slope[0], slope[width - 1] = abs(here[1] - here[0]), abs(here[width - 2] - here[width - 1])
         for u in range(width):
-            d = ground[v, u]
-            surface[v, u] = d
-            if not d < far:
-                sigma[v, u] = np.float32(np.nan)
-                continue
-            c = d
-            if labelled:
-                h = cover[labels[v, u]]
-                if h > 0:
-                    reach = h * focal
-                    place = v + reach / d
-                    # Twice: the ground further down is nearer, so that the same height spans more pixels there.
-                    for _ in range(2):
-                        k = min(int(place), height - 2)
-                        below = ground[k, u] + min(place - k, np.float32(1.0)) * (ground[k + 1, u] - ground[k, u])
-                        if not below * jump > d:
-                            break
-                        c = below
-                        place = v + reach / below
-            # One-sided differences, the lesser of two: a silhouette beside the pixel is no slope.
-            a, b = abs(ground[up, u] - d), abs(ground[down, u] - d)
-            slope_v = min(a, b) if a > 0 and b > 0 else max(a, b)
-            a, b = abs(ground[v, max(u - 1, 0)] - d), abs(ground[v, min(u + 1, width - 1)] - d)
-            slope_u = min(a, b)
-            if not slope_v < far:
-                slope_v = np.float32(0.1) * d
-            if not slope_u < far:
-                slope_u = np.float32(0.0)
-            across = np.float32(_PIXEL_DOUBT) / focal
-            angle = angle_sigma * angle_sigma + across * across
-            lift = dem_sigma / d
-            least = np.float32(_LEAST) * d
-            doubt = np.float32(COVER_DOUBT) * (d - c)
-            square = slope_v * slope_v * (angle + lift * lift) + slope_u * slope_u * angle
-            sigma[v, u] = np.sqrt(focal * focal * square + least * least + doubt * doubt)
-            surface[v, u] = c
+            d = here[u]
+            a, b = abs(above[u] - d), abs(below[u] - d)
+            low, high = (a, b) if a < b else (b, a)
+            steep = low if low > 0 else high
+            steep = steep if steep < far else np.float32(0.1) * d
+            flat = slope[u] if slope[u] < far else np.float32(0.0)
+            steep, flat = steep * steep, flat * flat
+            total = (steep + flat) * angle + steep * (lift / (d * d)) + least * d * d
+            square[u] = total if d < far else none
+        if labelled:
+            _cover(ground, v, labels[v], cover, focal, surface, square)
+        else:
+            surface[v] = here
+        for u in range(width):
+            square[u] = np.sqrt(square[u])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
+def _cover(
+    ground: Image,
+    v: int,
+    labels: NDArray[np.uint8],
+    cover: NDArray[np.float32],
+    focal: np.float32,
+    surface: Image,
+    square: NDArray[np.float32],
+) -> None:
+    """Bring row `v` of the ground to the top of its cover, into `surface`, and add its doubt to the variance `square`.
+
+    How many pixels the cover's height spans depends on the depth that is sought; the row above, which is done, is as
+    good as known.
+    """
+    height, width = ground.shape
+    here, above, top = ground[v], surface[max(v - 1, 0)], surface[v]
+    flat = ground.reshape(-1)
+    far, least, jump = np.float32(1e9), np.float32(0.01), np.float32(JUMP)
+    row, last, lowest = np.float32(v), np.float32(height - 1), np.int32(height - 2)
+    for u in range(width):
+        d = here[u]
+        top[u] = d
+        reach = cover[labels[u]] * focal
+        if reach > 0 and d < far and d > least:
+            guess = above[u] if v > 0 else d
+            if not (guess < jump * d and d < jump * guess):
+                guess = d
+            place = min(row + reach / guess, last)
+            k = min(np.int32(place), lowest)
+            i = np.uint32(k) * np.uint32(width) + np.uint32(u)
+            below = flat[i] + (place - np.float32(k)) * (flat[i + np.uint32(width)] - flat[i])
+            if below * jump > d:
+                top[u] = below
+                doubt = np.float32(COVER_DOUBT) * (d - below)
+                square[u] += doubt * doubt

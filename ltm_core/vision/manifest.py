@@ -180,6 +180,12 @@ class Manifest(StrictModel):
         """Folder of the manifest file: where its relative paths start."""
         return self._folder
 
+    @property
+    def label_columns(self) -> int:
+        """How many columns of labels a photo gets at least: such networks answer for every second pixel of their input,
+        and what fills the photo between them is interpolated."""
+        return max(1, self.input.width // 2)
+
     def model_file(self) -> Path:
         """Path of the network: beside the manifest, else in a folder of `LTM_MODEL_PATH`, by path or bare name.
 

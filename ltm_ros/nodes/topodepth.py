@@ -23,6 +23,7 @@ from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.manifest import Manifest
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose
@@ -48,6 +49,9 @@ from ltm_ros.topics import (
 class TopoDepthConfig(NodeConfig):
     model: str = ""
     """Manifest name or path of a depth network; empty: the site's `depth_model`."""
+    label_model: str = ""
+    """Manifest name or path of the network that makes the labels, which says how fine they are; empty: the site's
+    `model`."""
     threads: int = Field(1, ge=1)
     """Cores that the network may use."""
     label_wait: float = Field(1.5, ge=0)
@@ -81,6 +85,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
         if not model:
             raise ConfigError(f"{config.site}: no depth network; give `depth_model` a manifest's name or path")
         self._classes = DepthClasses.of(LabelSet.load(config_path(site.labels)))
+        self._label_columns = _label_columns(config.label_model or site.model)
         self._network = DepthNetwork.open(model, config.threads)
         self._bend = site.bend
         # Depth is traced to a surface raster where the site has one; bare ground is then traced here besides.
@@ -167,7 +172,9 @@ class TopoDepth(Handler[TopoDepthConfig]):
         """With the camera's direction as sure as its pose's covariance says, where that is given."""
         known = float(max(pose.pose.covariance[i] for i in (21, 28, 35)))
         angle = np.radians(self.config.angle_sigma_deg)
-        return FusionSettings(float(np.sqrt(angle**2 + max(known, 0.0))), self.config.dem_sigma)
+        return FusionSettings(
+            float(np.sqrt(angle**2 + max(known, 0.0))), self.config.dem_sigma, label_columns=self._label_columns
+        )
 
     def _publish(self, fused: FusedDepth, stamp: int) -> None:
         frame = self._frame_id
@@ -197,6 +204,14 @@ class TopoDepth(Handler[TopoDepthConfig]):
         inverse = (1 / np.minimum(depth, 1e4)).astype(np.float32)
         for given in (labels, None):
             fuse(traced, NetworkDepth(inverse, "relative_inverse"), rgb, given, self._classes)
+
+
+def _label_columns(model: str) -> int:
+    """0 where the labels' network is not known here: another computer may run it."""
+    try:
+        return Manifest.find(model).label_columns
+    except ModelError:
+        return 0
 
 
 NODE = NodeType("topodepth", TopoDepthConfig, TopoDepth)

@@ -57,7 +57,9 @@ def test_where_nothing_changed_the_terrain_stays_and_beats_the_network() -> None
     assert rmse(result.depth, scene.truth, far) < 0.1 * rmse(network, scene.truth, far)
     error = np.abs(result.depth[far] - scene.truth[far]) / scene.truth[far]
     assert np.median(error) < 0.002
-    assert np.quantile(error, 0.99) < 0.06  # the height that grass is taken to have, under a grazing view
+    # The height that grass is taken to have, under a grazing view, and what of outlines a soft network blurs.
+    assert np.quantile(error, 0.98) < 0.06
+    assert (error > 0.1).mean() < 0.004
 
 
 def test_sigma_says_how_wrong_the_depth_is() -> None:

@@ -44,6 +44,26 @@ def test_an_exact_pose_is_not_suspected_even_with_rough_labels() -> None:
     assert not checked(0.0, rough).suspected
 
 
+@pytest.mark.parametrize("cells", [24, 48, 160])
+def test_labels_of_a_coarse_network_are_no_wrong_pose(cells: int) -> None:
+    """Each cell's label is drawn as a block; which of two the sky's edge falls in is the network's own matter."""
+    scene = depth_scene()
+    grey = np.full((CAMERA.height, CAMERA.width, 3), 120, np.uint8)
+    cell = CAMERA.width / cells
+    rows = np.arange(CAMERA.height)
+    cols = ((np.arange(CAMERA.width) // cell + 0.5) * cell).astype(int)
+    for part in (0.05, 0.5, 0.95):
+        at = np.minimum((rows // cell + part) * cell, CAMERA.height - 1).astype(int)
+        coarse = np.ascontiguousarray(scene.labels[np.ix_(at, cols)])
+        given = (coarse, CLASSES, cell)
+        exact = check_pose(grey, scene.traced.depth(), CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, *given)
+        assert not exact.suspected
+        # What is wrong by clearly more than half a cell is still told.
+        wrong = scene.turned(-2.0).depth()
+        told = check_pose(grey, wrong, CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, *given)
+        assert told.suspected or cell > 20
+
+
 def test_trees_on_a_far_crest_are_no_wrong_pose() -> None:
     labels = depth_scene().labels.copy()
     for _ in range(4):  # 5 m and more at 1200 m

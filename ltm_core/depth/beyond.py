@@ -1,0 +1,97 @@
+"""Unknown pixels that known ground does not enclose stay unknown.
+
+A hole in the DEM has ground all about it, to which the network's scale holds. Land beyond the raster reaches up to the
+sky or the image's edge, at any distance, and a network that was fitted to the near ground knows nothing of it.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.float32]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def clear_beyond(ground: Image, depth: Image, sigma: Image, source: NDArray[np.uint8]) -> None:
+    """Make unknown in `depth`, `sigma` (H, W) and `source` what regions of NaN in the traced `ground` (H, W) cover that
+    touch sky or the image's edge, by a corner or more.
+
+    Regions are made of runs of pixels in rows: there are few of them, so that each pixel is looked at once.
+    """
+    height, width = ground.shape
+    rows, starts, ends = _runs(ground)
+    count = len(rows)
+    parent = np.arange(count)
+    open_ended = np.zeros(count, np.bool_)
+    previous, first = 0, 0  # the runs of the row above are those from `previous` to `first`
+    for k in range(count):
+        v, start, end = rows[k], starts[k], ends[k]
+        if k == 0 or rows[k - 1] != v:
+            previous = first if k and rows[k - 1] == v - 1 else k
+            first = k
+        open_ended[k] = v == 0 or v == height - 1 or start == 0 or end == width or _sky_beside(ground, v, start, end)
+        while previous < first and ends[previous] < start:
+            previous += 1
+        j = previous
+        while j < first and starts[j] <= end:
+            a, b = _root(parent, j), _root(parent, k)
+            if a != b:
+                parent[b] = a
+                open_ended[a] |= open_ended[b]
+            j += 1
+        open_ended[_root(parent, k)] |= open_ended[k]
+    for k in range(count):
+        if open_ended[_root(parent, k)]:
+            v, start, end = rows[k], starts[k], ends[k]
+            depth[v, start:end] = np.float32(np.nan)
+            sigma[v, start:end] = np.float32(np.nan)
+            source[v, start:end] = 0
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _runs(ground: Image) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+    """Row, first column and the column behind the last of every run of NaN, row by row."""
+    height, width = ground.shape
+    total = 0
+    for v in range(height):
+        line = ground[v]
+        total += line[0] != line[0]
+        for u in range(1, width):
+            total += (line[u] != line[u]) & (line[u - 1] == line[u - 1])
+    rows, starts, ends = np.empty(total, np.int32), np.empty(total, np.int32), np.empty(total, np.int32)
+    k = 0
+    for v in range(height):
+        line = ground[v]
+        u = 0
+        while u < width:
+            if line[u] == line[u]:
+                u += 1
+                continue
+            rows[k], starts[k] = v, u
+            while u < width and line[u] != line[u]:
+                u += 1
+            ends[k] = u
+            k += 1
+    return rows, starts, ends
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _sky_beside(ground: Image, v: int, start: int, end: int) -> bool:
+    """Whether a run that does not touch the image's edge has sky next to it."""
+    sky = np.float32(np.inf)
+    if ground[v, start - 1] == sky or ground[v, end] == sky:
+        return True
+    found = False
+    for u in range(start - 1, end + 1):
+        found |= ground[v - 1, u] == sky or ground[v + 1, u] == sky
+    return found
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _root(parent: NDArray[np.int64], k: int) -> int:
+    while parent[k] != k:
+        parent[k] = parent[parent[k]]
+        k = parent[k]
+    return k
