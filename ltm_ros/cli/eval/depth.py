@@ -101,10 +101,13 @@ def depth(
                     if values is None or folder is None:
                         raise RecordingError(f"{depth_maps} has no depth map {frame.camera_name}/{frame.stamp_ns}")
                     estimate = NetworkDepth(values, folder.config.kind)
-                given = None if segmenter is None else segmenter.segment(photo).labels
-                if labels is Labels.truth:
-                    given = upsampled_labels(frame.labels, (frame.camera.height, frame.camera.width))
-                fused, sources = run.add(frame, photo, hidden, Given(estimate, given))
+                given = Given(estimate, None)
+                if segmenter is not None:
+                    given = Given(estimate, segmenter.segment(photo).labels, segmenter.manifest.label_columns)
+                elif labels is Labels.truth:
+                    true = upsampled_labels(frame.labels, (frame.camera.height, frame.camera.width))
+                    given = Given(estimate, true, frame.labels.shape[1])
+                fused, sources = run.add(frame, photo, hidden, given)
                 if pictures is not None:
                     pictures.mkdir(parents=True, exist_ok=True)
                     title = f"{frame.camera_name} {frame.date} {run.condition.name}".replace("  ", " ")
