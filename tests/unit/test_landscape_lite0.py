@@ -29,10 +29,10 @@ def _photo(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
     return np.ascontiguousarray(cv2.resize(cv2.imread(str(path)), size, interpolation=cv2.INTER_AREA)[..., ::-1])
 
 
-def test_the_file_is_small_and_says_how_it_errs() -> None:
+def test_the_files_are_small_and_say_how_they_err() -> None:
     manifest = Manifest.find(DEFAULT_MODEL)
-    assert manifest.model_file().stat().st_size < 16e6
-    assert Manifest.find(f"{DEFAULT_MODEL}_depth").sha256 == manifest.sha256
+    files = {m.model_file() for m in (manifest, Manifest.find(f"{DEFAULT_MODEL}_depth"))}
+    assert sum(file.stat().st_size for file in files) < 16e6
     calibration = load_calibration(manifest)
     assert calibration is not None
     matrix = calibration.matrix(LabelSet.load())
