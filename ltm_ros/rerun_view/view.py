@@ -114,7 +114,9 @@ class RerunView:
             self._recording.log(f"{entity}/fused", frames.depth_picture(fused, self._scale))
             self._recording.log(f"{entity}/difference", frames.difference_picture(fused, traced))
             if network is not None:
-                self._recording.log(f"{entity}/network", frames.depth_picture(network, self._scale))
+                # At the size of the others, so that all lie side by side.
+                grown = np.asarray(cv2.resize(network, fused.shape[::-1], interpolation=cv2.INTER_NEAREST), np.float32)
+                self._recording.log(f"{entity}/network", frames.depth_picture(grown, self._scale))
 
     def log_labels(self, camera: str, stamp_ns: int, labels: Labels) -> None:
         """Class ids (H, W) uint8, 255 unlabelled, of the size of the image."""

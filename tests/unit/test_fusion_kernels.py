@@ -1,0 +1,89 @@
+"""The kernels of fusion against plain statements of what they compute."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ltm_core.depth.answers import OCTAVES, Answers, pairs, said, said_at
+from ltm_core.depth.beyond import clear_beyond
+from ltm_core.depth.guided import guided_coefficients
+from ltm_core.depth.network_fit import NetworkFit
+from ltm_core.depth.seen import SeenDepth, see, see_row
+
+
+def beyond_by_components(ground: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """(H, W) of unknown regions that touch sky or the image's edge, by OpenCV's components."""
+    unknown = np.isnan(ground)
+    _, regions = cv2.connectedComponents(unknown.astype(np.uint8), connectivity=8)
+    edge = cv2.dilate(np.isposinf(ground).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_)
+    edge[[0, -1]] = edge[:, [0, -1]] = True
+    return unknown & np.isin(regions, np.unique(regions[edge & unknown]))
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.45, 0.7, 1.0])
+def test_land_beyond_is_what_components_say(share: float) -> None:
+    rng = np.random.default_rng(int(share * 100))
+    for _ in range(10):
+        ground = rng.uniform(10, 900, (37, 53)).astype(np.float32)
+        ground[rng.random(ground.shape) < share] = np.nan
+        ground[rng.random(ground.shape) < 0.01] = np.inf
+        depth, sigma, source = np.ones_like(ground), np.ones_like(ground), np.ones(ground.shape, np.uint8)
+        clear_beyond(ground, depth, sigma, source)
+        expected = beyond_by_components(ground)
+        np.testing.assert_array_equal(np.isnan(depth), expected)
+        np.testing.assert_array_equal(np.isnan(sigma), expected)
+        np.testing.assert_array_equal(source == 0, expected)
+
+
+def test_a_row_of_pixels_is_told_what_each_would_be() -> None:
+    rng = np.random.default_rng(3)
+    shift = rng.normal(0, 0.1, (2, 5, OCTAVES)).astype(np.float32).cumsum(axis=2)
+    factor = rng.uniform(0.05, 0.2, (2, 5, OCTAVES)).astype(np.float32).cumsum(axis=2)
+    depth = np.exp(rng.uniform(np.log(3.0), np.log(60_000.0), 400)).astype(np.float32)
+    inverse = np.concatenate([1 / depth, [0.0]]).astype(np.float32)
+    col = rng.integers(0, 5, len(inverse)).astype(np.int32)
+    less, sigma, part = (np.empty_like(inverse) for _ in range(3))
+    said_at(inverse, pairs(shift, factor)[1], col, np.empty(len(inverse), np.int32), part, less, sigma)
+    for u in range(len(inverse)):
+        one = said(1, int(col[u]), inverse[u], shift, factor)
+        # Both logarithms are near ones: a fiftieth of a half octave.
+        assert less[u] == pytest.approx(one[0], abs=0.02 * float(inverse[u]) + 1e-7)
+        assert sigma[u] == pytest.approx(one[1], rel=0.03)
+
+
+@pytest.mark.parametrize("size", [(36, 64), (17, 29), (150, 260)])
+def test_a_network_is_enlarged_as_opencv_enlarges(size: tuple[int, int]) -> None:
+    """Smaller and larger than the photo, with a hole."""
+    rng = np.random.default_rng(size[0])
+    rgb = rng.integers(0, 255, (120, 200, 3)).astype(np.uint8)
+    inverse = np.exp(cv2.GaussianBlur(rng.normal(-5, 3, size), (0, 0), 3.0)).astype(np.float32)
+    near, back = inverse * np.float32(1.2), inverse * np.float32(0.8)
+    inverse[3:6, 4:9] = np.nan
+    seen = SeenDepth.of(NetworkFit(inverse, near, back, Answers.none(), 0.01, None, ""), rgb)
+    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+    gain, offset, near, back = (
+        cv2.resize(a, (200, 120), interpolation=cv2.INTER_LINEAR)
+        for a in (*guided_coefficients(inverse, grey), near, back)
+    )
+    expected = offset + gain * grey
+    expected = np.where(expected > near, near, expected)
+    expected = np.where(expected < back, back, expected)
+    row, out = np.empty((4, size[1]), np.float32), np.empty((3, 200), np.float32)
+    found = np.empty((120, 200), np.float32)
+    for v in range(120):
+        see_row(seen.cells, seen.grey, seen.columns, seen.parts, v, row, out)
+        found[v] = out[0]
+        np.testing.assert_allclose(out[1], near[v], rtol=1e-4)
+        np.testing.assert_allclose(out[2], back[v], rtol=1e-4)
+    known = ~np.isnan(expected)
+    assert 0.5 < known.mean() < 1.0
+    # A pixel whose weight of a neighbour is 0 may still see that it is none.
+    assert (np.isnan(found) == np.isnan(expected)).mean() > 0.98
+    both = known & ~np.isnan(found)
+    np.testing.assert_allclose(found[both], expected[both], rtol=2e-3)
+    for v, u in ((0, 0), (119, 199), (57, 101), (20, 150)):
+        one = see(seen.cells, seen.grey, seen.columns, seen.parts, v, u)
+        assert one == pytest.approx(found[v, u], rel=1e-5, nan_ok=True)
