@@ -79,6 +79,8 @@ class OutputSpec(StrictModel):
     layout: Literal["NCHW", "NHWC"] = "NCHW"
     name: str | None = None  # of the graph's output; the first where absent
     temperature: float = Field(default=1.0, gt=0)  # logits are divided by it: fitted so that probabilities hold
+    # Class -> what is added to its logits: gives a class that training weighed up its true rarity (Menon et al. 2021).
+    offsets: dict[str, float] = Field(default_factory=dict)
     inverse: bool = False
     canonical_focal_px: float | None = Field(default=None, gt=0)
 
@@ -91,6 +93,8 @@ class OutputSpec(StrictModel):
     def _metric_alone_has_units(self) -> "OutputSpec":
         if self.kind != "metric" and (self.inverse or self.canonical_focal_px is not None):
             raise ValueError(f"inverse and canonical_focal_px belong to kind metric; remove them for {self.kind}")
+        if self.kind != "logits" and self.offsets:
+            raise ValueError(f"offsets belong to kind logits; remove them for {self.kind}")
         return self
 
 
@@ -130,6 +134,9 @@ class Manifest(StrictModel):
 
     @model_validator(mode="after")
     def _classes_are_known(self) -> "Manifest":
+        strangers = sorted(set(self.output.offsets) - set(self.classes))
+        if strangers:
+            raise ValueError(f"output.offsets names {', '.join(strangers)}, none of classes")
         if (self.text is not None) != (self.output.kind == "embeddings"):
             raise ValueError("text belongs to output kind embeddings, and such a network needs it")
         if self.text is not None:

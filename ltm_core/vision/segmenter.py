@@ -111,7 +111,8 @@ class Segmenter:
         return Segmentation(labels, np.where(labels == UNLABELLED, 0, 255).astype(np.uint8))
 
     def logits(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
-        """The network's own scores (K, h, w) of its classes, before any temperature, at its own resolution.
+        """The network's scores (K, h, w) of its classes, with the manifest's offsets and before any temperature, at its
+        own resolution.
 
         Raises ImageError and ModelError as `segment` does, and ModelError for a network that gives ids.
         """
@@ -134,6 +135,8 @@ class Segmenter:
             raise ModelError(
                 f"model {self.manifest.name!r}: its {spec.kind} hold NaN or infinity; the network is broken"
             )
+        for name, offset in spec.offsets.items():
+            scores[self.classes.index(name)] += np.float32(offset)
         return scores if self._text is None else self._text.scores(scores)
 
     def _probabilities(self, scores: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

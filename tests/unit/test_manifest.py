@@ -37,6 +37,8 @@ def manifest_path(tmp_path: Path) -> Path:
         ({"output": {"kind": "relative_inverse"}}, r"classes and mapping belong to labels"),
         ({"output": {"inverse": True}}, r"output: .*inverse and canonical_focal_px belong to kind metric"),
         ({"output": {"canonical_focal_px": 700.0}}, r"output: .*belong to kind metric; remove them for logits"),
+        ({"output": {"kind": "ids", "offsets": {"red": 1.0}}}, r"output: .*offsets belong to kind logits"),
+        ({"output": {"offsets": {"mauve": 1.0}}}, r"output\.offsets names mauve, none of classes"),
     ],
 )
 def test_a_wrong_manifest_is_refused_by_the_key_at_fault(

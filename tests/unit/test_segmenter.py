@@ -91,6 +91,24 @@ def test_confidence_is_the_probability_of_the_label(tmp_path: Path) -> None:
     np.testing.assert_allclose(result.confidence, 255 * grass, atol=0.6)
 
 
+def test_an_offset_is_added_to_its_classes_logits_alone(tmp_path: Path) -> None:
+    """Its scores move by it and no others; a label whose classes are held down gives way."""
+    photo = np.full((40, 60, 3), (140, 120, 60), np.uint8)
+    path = write_classifier(tmp_path, gain=3.0)
+    plain = Segmenter.open(path)
+    scores = plain.logits(photo)
+    order = np.argsort(scores[:, 5, 5])
+    best = plain.classes[order[-1]]
+    assert best in ("lime", "olive")
+    moved = Segmenter.open(changed(path, output={"offsets": {best: -0.75}})).logits(photo)
+    expected = scores.copy()
+    expected[order[-1]] -= 0.75
+    np.testing.assert_allclose(moved, expected, atol=1e-6)
+    others = changed(path, output={"offsets": {"lime": -9.0, "olive": -9.0}})
+    assert np.all(plain.segment(photo).labels == Label.GRASS)
+    assert not np.any(Segmenter.open(others).segment(photo).labels == Label.GRASS)
+
+
 def test_split_classes_of_one_label_beat_a_single_rival(tmp_path: Path) -> None:
     """lime and olive halve the vote between them; red is the most probable single class, grass the better label."""
     gain = 2.0

@@ -89,6 +89,7 @@ class TrainingConfig(StrictModel):
     network: NetworkConfig = NetworkConfig()
     optimiser: OptimiserConfig = OptimiserConfig()
     augment: AugmentConfig = AugmentConfig()
+    offsets: dict[str, float] = Field(default_factory=dict)  # of the exported network's logits: see manifest.OutputSpec
     licence: str = "Apache-2.0"
 
     @model_validator(mode="after")
