@@ -7,6 +7,7 @@ them so everywhere but at one spot does.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -44,6 +45,8 @@ _NEAR, _MIDDLE, _FAR = (
 _LEAST_SAID = 0.25  # of the true inverse depth that a network is taken to say
 _FEWEST = 10  # samples of which a spread is taken
 _BELIEF = 1.0  # regions' worth of it in that of all
+_DENSEST = 0.4  # of the samples, that lie closest together
+_DENSEST_SIGMAS = 0.5 / 0.5244  # over their width: a normal distribution's 40 % lie within 0.5244 to each side
 _LEAST_SPREAD = 0.5  # of that of all
 _BEYOND = 1.5  # growth of the spread with each half octave beyond all samples
 
@@ -185,7 +188,7 @@ def meant(row: int, col: int, read: np.float32, shift: Image, factor: Image) -> 
 def _by_depth(
     octave: NDArray[np.intp], less: Floats, terrain: Floats, region: NDArray[np.intp]
 ) -> tuple[Floats, Floats]:
-    """Median of `less` (N,), a part of the true inverse depth, by half octave, and its spread without the terrain's.
+    """Middle of `less` (N,), a part of the true inverse depth, by half octave, and its spread without the terrain's.
 
     Both are drawn towards those of all samples by a region's worth of belief. Samples side by side are no evidence
     of an error that goes with depth: they may all lie on one hill, or on one thing that stands there since.
@@ -212,8 +215,14 @@ def _by_depth(
 
 
 def _spread(less: Floats, terrain: Floats) -> tuple[float, float]:
-    middle = float(np.median(less))
-    wide = 1.4826 * float(np.median(np.abs(less - middle)))
+    """Middle and spread of the densest part of `less` (N,): what stands before the ground in most of the places where
+    its range is seen draws a median along, and its own spread into that of the network."""
+    ordered = np.sort(less)
+    count = max(2, math.ceil(_DENSEST * len(ordered)))
+    widths = ordered[count - 1 :] - ordered[: len(ordered) - count + 1]
+    start = int(np.argmin(widths))
+    middle = float(np.median(ordered[start : start + count]))
+    wide = _DENSEST_SIGMAS * float(widths[start])
     return middle, max(wide**2 - float(np.median(terrain)) ** 2, RELATIVE_FLOOR**2) ** 0.5
 
 
