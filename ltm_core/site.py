@@ -106,6 +106,8 @@ class TerrainConfig(Config):
     """Two cameras must agree over at least that long: what moves is gone by then."""
     memory: float = Field(8.0, ge=1)
     """Looks that a cell's mean remembers."""
+    lasting: float = Field(365.0 * 86400.0, gt=0)
+    """Time in which a look loses all but 1/e of its weight: over years, plants grow and rivers move their banks."""
     tallest: float = Field(60.0, gt=0)
     """Nothing on the ground is higher: smoke, birds and aircraft are."""
     pose_sigma_deg: float = Field(0.1, gt=0)
@@ -114,7 +116,7 @@ class TerrainConfig(Config):
     """Of the position of a pose that comes without a covariance."""
     register_frames: bool = True
     """Turn each frame, within its pose's uncertainty, so that it agrees best with the reference."""
-    cache_mb: float = Field(160.0, ge=32)
+    cache_mb: float = Field(144.0, ge=32)
     """Memory for cells; the others wait in the store."""
 
 

@@ -6,7 +6,7 @@ then it becomes the estimate. So a lone view, or whatever moves, changes nothing
 
 Observations of one camera shortly after each other repeat its errors. A camera's weight in a cell therefore grows with
 time: a look an hour, however many frames there are. The variance of a mean falls with the number of looks, and the
-part of it that poses are to blame for only with the number of cameras.
+part of it that poses are to blame for only with the number of cameras. Looks of years ago tell little of today.
 """
 
 from __future__ import annotations
@@ -91,6 +91,7 @@ class Rules(NamedTuple):
     independent_after: float
     settle: float
     memory: float
+    lasting: float
     threshold: float
     carve_variance: float
 
@@ -173,6 +174,13 @@ def _share(seconds: int, last: int, cameras: int, bit: int, independent_after: f
     return min(max((float(seconds) - float(last)) / independent_after, 1e-3), 1.0)
 
 
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _remembered(seconds: int, last: int, lasting: float) -> float:
+    """What is left of the weight of looks that ended with `last`."""
+    passed = float(seconds) - float(last)
+    return math.exp(-passed / lasting) if passed > 0 else 1.0
+
+
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def merge(cells: Cells, scratch: Scratch, slots: Indices, seconds: int, bit: int, rules: Rules) -> int:
     """Take the sums of a frame into the cells of `slots`, and clear them; how many cells it has seen."""
@@ -211,7 +219,7 @@ def merge(cells: Cells, scratch: Scratch, slots: Indices, seconds: int, bit: int
     return observed
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def take(
     cells: Cells,
     slot: int,
@@ -253,8 +261,9 @@ def take(
             cells.first[slot, k] = seconds
             cells.last[slot, k] = seconds
         share = _share(seconds, cells.last[slot, k], cells.cameras[slot, k], bit, rules.independent_after)
-        looks = cells.looks[slot, k] + share
-        weight = cells.weight[slot, k] + share / variance
+        kept = _remembered(seconds, cells.last[slot, k], rules.lasting)
+        looks = kept * cells.looks[slot, k] + share
+        weight = kept * cells.weight[slot, k] + share / variance
         cells.dz[slot, k] = here + share / variance / weight * miss if known else dz
         cells.sheet_variance[slot, k] += share / looks * (sheet - cells.sheet_variance[slot, k])
         cells.pose_variance[slot, k] += share / looks * (pose - cells.pose_variance[slot, k])

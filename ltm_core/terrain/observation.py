@@ -93,9 +93,8 @@ class Observer:
         step = self._step
         camera = frame.camera.scaled(step)
         rays = camera.rays()
-        forward = rays[..., 2]
-        slant = (frame.depth[::step, ::step] / forward).astype(np.float32)
-        sigma = (frame.sigma[::step, ::step] / forward).astype(np.float32)
+        along = (1 / rays[..., 2]).astype(np.float32)
+        slant, sigma = frame.depth[::step, ::step] * along, frame.sigma[::step, ::step] * along
         measured = np.ascontiguousarray(frame.measured[::step, ::step]).view(np.uint8)
         turn = math.sqrt(float(np.linalg.eigvalsh(covariance[3:, 3:])[-1]))
         window = min(1 + math.ceil(self._limits.gate * turn * camera.fx), _WIDEST_WINDOW)
@@ -121,9 +120,9 @@ class Observer:
 
     def _arrays(self, count: int) -> Seen:
         if self._seen is None or len(self._seen.kind) != count:
-            heights = (np.empty(count, np.float32) for _ in range(4))
+            dz, variance, sheet, pose = (np.empty(count, np.float32) for _ in range(4))
             carved = np.empty(2 * count, np.int32), np.empty(2 * count, np.float32)
-            self._seen = Seen(np.empty(count, np.uint8), np.empty(count, np.int32), *heights, *carved)
+            self._seen = Seen(np.empty(count, np.uint8), np.empty(count, np.int32), dz, variance, sheet, pose, *carved)
         return self._seen
 
 

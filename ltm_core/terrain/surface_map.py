@@ -92,6 +92,7 @@ class SurfaceMap:
             config.independent_after,
             config.settle,
             config.memory,
+            config.lasting,
             config.threshold,
             _CARVE_SIGMA**2,
         )

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,7 +16,7 @@ from ltm_core.terrain.cell_kernel import Rules, independent, take
 from ltm_core.terrain.tile_pool import TilePool, schema_of
 from ltm_core.tile_store import TileStore
 
-RULES = Rules(3.0, 0.09, 3600.0, 600.0, 8.0, 1.5, 0.25)
+RULES = Rules(3.0, 0.09, 3600.0, 600.0, 8.0, 3.2e7, 1.5, 0.25)
 BEGIN = 1_700_000_000
 Look = tuple[int, int, float, float, bool]
 """Seconds, bit of the camera, height above the reference, variance, whether it is a bound only."""
@@ -93,3 +95,19 @@ def test_what_stays_is_believed(height: float, first: int, second: int) -> None:
     one = seen_by([(BEGIN + t, bit, height, 0.05, False) for t, bit in zip(times, (1, 2, 1), strict=True)])
     assert believed(one)
     assert abs(float(one.cells.dz[0, 0]) - height) < 1e-3
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(np.float32(0.1).item(), 3.0, width=32), st.integers(1, 40))
+def test_looks_of_years_ago_lose_weight_by_the_time_that_passed(rise: float, quarters: int) -> None:
+    """Exactly so: the mean of two looks weighs the older by exp(-age / lasting)."""
+    begin, age = 1_000_000_000, quarters * 8_000_000
+    one = seen_by([(begin, 1, 0.0, 4.0, False), (begin + age, 1, rise, 4.0, False)])
+    kept = math.exp(-age / RULES.lasting)
+    assert one.cells.dz[0, 0] == pytest.approx(rise / (1 + kept), rel=1e-4)
+    assert one.cells.looks[0, 0] == pytest.approx(1 + kept, rel=1e-5)
+
+
+def test_looks_of_one_day_all_count() -> None:
+    one = seen_by([(1_000_000_000 + 7200 * i, 1, 1.0 + 0.1 * i, 4.0, False) for i in range(4)])
+    assert one.cells.dz[0, 0] == pytest.approx(1.15, rel=1e-3)
