@@ -60,6 +60,7 @@ class SurfaceListener:
         self._shift = np.zeros(grid.shape, np.float32)  # 0: not known; untouched pages take no memory
         self._newest = 0
         self._waiting: _Heard | None = None
+        self._last: _Heard | None = None
 
     def on_update(self, message: Any) -> None:
         """How far the surface has moved, of cells whose change is new. Raises MessageError and takes nothing of it."""
@@ -115,7 +116,7 @@ class SurfaceListener:
             row, col = np.argwhere(strange)[0]
             raise MessageError(f"terrain change: kind {kinds[row, col]} at row {row}, col {col}; there are 0 to 3")
         self._newest = stamp
-        self._waiting = _Heard(stamp, kinds, window)
+        self._waiting = self._last = _Heard(stamp, kinds, window)
         return self.retry()
 
     def retry(self) -> int:
@@ -131,6 +132,25 @@ class SurfaceListener:
         if len(news):
             self._tell(news, heard.stamp_ns)
         return len(news)
+
+    def forget(self, cells: NDArray[np.bool_]) -> None:
+        """The evidence of these fuel cells, (H, W), is gone. A change that it had shown before the terrain told of it
+        is told again: now, or with the terrain's next message. Any other stands in the code that its cell starts from.
+        """
+        evidence = self._keeper.map
+        again = cells & evidence.told_nothing_new
+        if not again.any():
+            return
+        before, whole = evidence.told[again], evidence.told.copy()
+        whole[again] = 0
+        rows, cols = np.nonzero(again)
+        stamp = max(self._newest, evidence.newest_ns)
+        evidence.recall(whole)
+        self._keeper.replace_tiles(
+            {}, changes=[CellChanges(SURFACE_LAYER, stamp, rows, cols, before, np.zeros_like(before))]
+        )
+        self._waiting = self._last
+        self.retry()
 
     def _tell(self, news: SurfaceNews, stamp_ns: int) -> None:
         evidence = self._keeper.map

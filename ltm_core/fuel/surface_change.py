@@ -54,6 +54,11 @@ class LivingFuelMap(EvidenceMap):
         """(H, W) ChangeKind."""
         return (self.told // _CODES).astype(np.uint8)
 
+    @property
+    def told_nothing_new(self) -> NDArray[np.bool_]:
+        """(H, W): told of a change that the cell's evidence showed already, so that its prior stayed as it was."""
+        return np.asarray((self.told > 0) & (self.told % _CODES == 0), np.bool_)
+
     def recall(self, told: NDArray[np.integer]) -> None:
         """Put back what `told` was, (H, W)."""
         self.told = told.astype(np.int32)

@@ -217,6 +217,8 @@ class FuelMap(Handler[FuelMapConfig]):
         """Forget all evidence in the region that came last on `fuel_map/region`; it serves once."""
         cells = self._take_region().cells
         self._keeper.replace_tiles(forgotten(self._keeper.map, cells))
+        if self._surface is not None:
+            self._surface.forget(cells)
         self._settle(write_tiles=True)
         self._publisher.send_map()
         return f"evidence of {int(cells.sum())} cells forgotten"
