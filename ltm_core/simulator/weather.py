@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.pose import Pose
+from ltm_core.simulator import noise
 from ltm_core.simulator.scenario import SmokeConfig
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
+
+_TILE = 256  # pixels a side of the pattern of billows in puffs of smoke
 
 
 def smoke(
@@ -30,6 +33,8 @@ def smoke(
     `feet`: ground height at each column; `ranges` (H, W) to the surface; `sunlight`: radiance of sunlit white. Puffs
     rise by buoyancy (height grows with the 2/3 power of time), drift with the wind and widen as they rise.
     """
+    steps = np.arange(float(_TILE))
+    billows = noise.fractal(steps, steps, 0.5 * _TILE, seed + 811, octaves=6, gain=0.62)
     alpha = np.zeros(ranges.shape, np.float32)
     light = np.zeros((*ranges.shape, 3), np.float32)
     puffs = []
@@ -46,9 +51,10 @@ def smoke(
         at[:, 1] += drift * np.cos(heading)
         at[:, 2] += rise
         for p, r, a in zip(at, wide * rng.uniform(0.6, 1.3, column.puffs), age, strict=True):
-            puffs.append((p, float(r), float(column.thickness * (1 - 0.75 * a)), float(a), float(rng.uniform(0.75, 1))))
+            look = float(rng.uniform(0.8, 1)), rng.integers(_TILE, size=2)
+            puffs.append((p, float(r), float(column.thickness * (1 - 0.75 * a)), float(a), look))
     seen = [(np.linalg.norm(p - pose.position), p, *rest) for p, *rest in puffs]
-    for distance, p, radius, opacity, age, bright in sorted(seen, key=lambda s: -s[0]):
+    for distance, p, radius, opacity, age, (bright, first) in sorted(seen, key=lambda s: -s[0]):
         local = pose.rotation.T @ (p - pose.position)
         if local[2] < 2.0:
             continue
@@ -60,9 +66,16 @@ def smoke(
         if u0 >= u1 or v0 >= v1:
             continue
         du, dv = np.meshgrid((np.arange(u0, u1) - u) / size, (np.arange(v0, v1) - v) / size)
-        body = opacity * np.exp(-0.5 * (du**2 + dv**2)) * (ranges[v0:v1, u0:u1] > distance)
-        shade = 0.62 + 0.38 * np.clip(0.5 - 0.4 * dv, 0, 1)
-        tone = np.array([0.8, 0.77, 0.74]) * (0.55 + 0.45 * min(1.0, 2.5 * age)) * bright * sunlight
+        # Billows eat into the puff's rim; what of it stands out towards the light is bright
+        rows, cols = (
+            np.abs((0.2 * _TILE * d + f).astype(int) % (2 * _TILE) - _TILE) % _TILE
+            for d, f in ((dv, first[0]), (du, first[1]))
+        )
+        puff = np.exp(-0.5 * (du**2 + dv**2))
+        body = opacity * np.clip(1.6 * puff - 0.35 + 1.1 * billows[rows, cols] * puff, 0, 1)
+        body *= ranges[v0:v1, u0:u1] > distance
+        shade = np.clip(0.72 - 0.2 * dv + 0.55 * billows[rows, cols], 0.35, 1)
+        tone = np.array([0.8, 0.79, 0.78]) * (0.55 + 0.45 * min(1.0, 2.5 * age)) * bright * sunlight
         a = body.astype(np.float32)
         window = (slice(v0, v1), slice(u0, u1))
         light[window] = light[window] * (1 - a[..., None]) + (a * shade)[..., None] * tone

@@ -121,8 +121,8 @@ def test_clouds_belong_to_the_seed_and_the_map_not_to_the_eye() -> None:
 
 
 def test_smoke_rises_with_the_wind_and_hides_only_what_is_behind_it() -> None:
-    config = scenario(smoke=[{"x": 0.0, "y": 500.0, "wind_deg": 90.0, "height": 120.0, "drift": 150.0}])
-    camera, pose = config.camera_model(60.0), Pose.from_angles((0.0, 0.0, 40.0), 0.0, 4.0)
+    config = scenario(smoke=[{"x": 60.0, "y": 390.0, "wind_deg": 90.0, "height": 120.0, "drift": 150.0}])
+    camera, pose = config.camera_model(60.0), Pose.from_angles((60.0, 0.0, 40.0), 0.0, 4.0)
     far, near = (np.full((80, 120), r, np.float32) for r in (5000.0, 200.0))
     light, alpha = smoke(config.smoke, [0.0], camera, pose, far, 1.0, 3)
     assert alpha.max() > 0.6
