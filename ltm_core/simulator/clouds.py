@@ -244,7 +244,7 @@ def _density(
     if t <= 0.0:
         return 0.0
     t = min(t, 1.0)
-    return t * t * (3.0 - 2.0 * t) * (0.55 + 0.45 * up)
+    return float(t * t * (3.0 - 2.0 * t) * (0.55 + 0.45 * up))
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
