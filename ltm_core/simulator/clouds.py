@@ -269,7 +269,7 @@ def _depth_to_sun(
         )
         at += stride
         stride *= 1.5
-    return total * shape[3]
+    return float(total * shape[3])
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
