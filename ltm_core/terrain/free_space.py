@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -25,7 +24,6 @@ INSIDE = 0.6
 """Of a thing's height above the reference: a point that is well within it."""
 FIRM_LOOKS = 2.5
 """Looks from which on it takes independent views to take growth back; before, one that sees through it is enough."""
-_NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
 class Standing(NamedTuple):
@@ -83,13 +81,31 @@ def see_through(
             & (away > reach[0])
             & (away < reach[1])
         )
-    u, v = (np.where(inside, pixels[:, i], 1).round().astype(np.int64) for i in (0, 1))
-    with np.errstate(invalid="ignore"):
-        passed = np.where(measured & (sigma > 0), slant - rules.gate * sigma, np.float32(0))
-        passed = np.where(measured & np.isinf(slant), slant, np.nan_to_num(passed)).astype(np.float32)
-    least = cv2.erode(passed, _NEIGHBOURS)
-    through = inside & (least[v, u] > away)
+    u, v = (np.where(inside, pixels[:, i], 1).round().astype(np.int32) for i in (0, 1))
+    through = inside & _passed(u, v, away, slant, sigma, measured, rules.gate)
     return int(_apply(cells, Standing(*(a[through] for a in standing)), seconds, bit, rules))
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _passed(
+    u: Indices,
+    v: Indices,
+    away: NDArray[np.float64],
+    slant: Image,
+    sigma: Image,
+    measured: NDArray[np.bool_],
+    gate: float,
+) -> NDArray[np.bool_]:
+    """Whether all nine pixels about (u, v), (N,) each and none at the image's edge, surely see farther than `away`."""
+    found = np.ones(len(u), np.bool_)
+    for i in range(len(u)):
+        for row in range(v[i] - 1, v[i] + 2):
+            for col in range(u[i] - 1, u[i] + 2):
+                reached, doubt = slant[row, col], sigma[row, col]
+                surely = reached == np.inf or (doubt > 0 and reached - gate * doubt > away[i])
+                if not (measured[row, col] and surely):
+                    found[i] = False
+    return found
 
 
 def _standing(
