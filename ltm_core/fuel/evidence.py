@@ -173,13 +173,6 @@ class EvidenceMap:
         self._state["burned_at"][fresh] = second
         self.newest_ns = max(self.newest_ns, second * 10**9)
 
-    def clear(self, window: Window) -> None:
-        """Forget all evidence in a part of the grid: there, the map is the prior again."""
-        mask = np.zeros(self.geometry.shape, np.bool_)
-        mask[self._slices(window)] = True
-        self._forget(mask)
-        self._state["burned_at"][mask] = 0
-
     def layers(self, window: Window | None = None, at_ns: int | None = None) -> FuelLayers:
         """The map, or a part of it, as of a time; by default that of the latest frame."""
         part = self._slices(window or (0, 0, *self.geometry.shape))

@@ -344,14 +344,9 @@ def test_a_map_without_burned_labels_never_takes_others_for_them() -> None:
     assert (layers.code[0, 0], layers.life_form[0, 0]) == (99, LifeForm.BARE)
 
 
-def test_cleared_cells_are_the_priors_again() -> None:
-    grid_map = fuel_map(votes(Label.TREE), votes(Label.TREE, NOW + HOUR))
-    grid_map.clear((0, 0, 2, 1))
-    layers = grid_map.layers()
-    np.testing.assert_array_equal(layers.changed, [[False, True, False], [False, False, False]])
-    assert not layers.evidence[:, 0].any()
+def test_a_part_outside_the_grid() -> None:
     with pytest.raises(RasterError, match=r"window \(0, 2, 1, 2\)"):
-        grid_map.clear((0, 2, 1, 2))
+        fuel_map(votes(Label.TREE)).layers((0, 2, 1, 2))
 
 
 def test_state_in_tiles_comes_back() -> None:
