@@ -48,7 +48,9 @@ _BELIEF = 1.0  # regions' worth of it in that of all
 _DENSEST = 0.4  # of the samples, that lie closest together
 _DENSEST_SIGMAS = 0.5 / 0.5244  # over their width: a normal distribution's 40 % lie within 0.5244 to each side
 _LEAST_SPREAD = 0.5  # of that of all
+_NEARER = 12.0  # times nearer than the ground: no error of a network, but something right before the camera
 _BEYOND = 1.5  # growth of the spread with each half octave beyond all samples
+_BEFORE = 1.1  # the same before all samples: nearness scales, so that a network knows it by what is farther
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +68,7 @@ class Answers:
     @classmethod
     def of(cls, read: Floats, samples: GroundSamples, size: tuple[int, int]) -> Answers:
         """From what the network said (N,), 1/m, at ground samples of a photo of `size` (height, width)."""
-        usable = np.isfinite(read)
+        usable = read * samples.depth < _NEARER
         samples, read = samples.part(usable), read[usable]
         terrain = samples.sigma / samples.depth
         octave = octaves(samples.depth)
@@ -209,9 +211,9 @@ def _by_depth(
     if not known:
         return np.full(OCTAVES, middle), np.full(OCTAVES, wide)
     every = np.arange(OCTAVES)
-    beyond = np.maximum(np.maximum(known[0] - every, every - known[-1]), 0)
+    growth = _BEYOND ** np.maximum(every - known[-1], 0) * _BEFORE ** np.maximum(known[0] - every, 0)
     spread = np.sqrt(np.maximum(np.interp(every, known, square), (_LEAST_SPREAD * wide) ** 2))
-    return np.interp(every, known, usual), spread * _BEYOND**beyond
+    return np.interp(every, known, usual), spread * growth
 
 
 def _spread(less: Floats, terrain: Floats) -> tuple[float, float]:

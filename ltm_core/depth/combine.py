@@ -24,9 +24,13 @@ VANISHED = 0.01
 """Chance that the ground of a pixel is gone, so that something farther shows."""
 FOOTLESS, FOOTLESS_CHANCE = 1.5, 0.02
 """What the network sees nearer than all ground below it in the photo by this factor has no foot that it stands on, and
-so much less chance."""
+so much less chance; unless it reaches down to the photo's edge, which then cuts the foot off."""
+_CUT = 0.5  # of its inverse depth that all below a thing is seen at which reaches down to the edge
 _SOFT = 0.15  # of the range of a network's depth among neighbours: how far a pixel between them may be off
-_OWN = 1.1  # of a network's own variance: below it, `_least` is no more than `_alone`
+_ELSEWHERE = 4.0  # times a network's variance on ground: its variance on what stands before it
+_BETWEEN = 0.3  # of the range of a network's depth among neighbours: sigma of which of them a pixel shows
+_BLURRED = 0.3  # of a disagreement: what lies between two sides by more is an edge
+_OWN = 4.0  # of a network's own variance: below it, `_least` is no more than `_alone`
 _RANGES = 3.0  # e-foldings of depth over which something that stands before the terrain may be, each as likely
 
 
@@ -95,12 +99,12 @@ def _combine(
     Row by row: what nearly all pixels need is computed in short loops without branches, which compilers turn into
     vector code; only the pixels where terrain and network disagree are then looked at one by one.
     """
-    far, none, one = np.float32(1e9), np.float32(np.nan), np.float32(1.0)
+    one = np.float32(1.0)
     height, width = depth.shape
     cols = shift.shape[1]
     tables = pairs(shift, factor)
     table = (np.arange(width) * cols // width).astype(np.int32)
-    foot = np.full(width, np.float32(np.inf))
+    foot, cut = np.full(width, np.float32(np.inf)), np.full(width, np.float32(np.inf))
     between, seen = np.empty((4, cells.shape[2]), np.float32), np.empty((3, width), np.float32)
     y, near, back = seen[0], seen[1], seen[2]
     work = np.empty((7, width), np.float32)
@@ -118,49 +122,24 @@ def _combine(
             see_row(cells, grey, columns, parts, v, between, seen)
         if has_over:
             _choose(d, s, over[v], y, usable, i, table, shift, factor, label, prefers_over)
-        for u in range(width):
-            foot[u] = d[u] if d[u] < foot[u] else foot[u]
-            kind[u] = 1 if d[u] < far else (4 if d[u] > far else 0)
-            s[u] = s[u] if d[u] < far else none
+        _begin(d, s, kind, foot)
         if not usable:
             continue
-        # Compilers give up on loops that write into several of many arrays: one result a loop.
         for u in range(width):
-            # The terrain's inverse depth: 0 for sky and unknown ground.
-            true[u] = one / d[u] if d[u] < far else np.float32(0.0)
-        for u in range(width):
-            b = s[u] * true[u] * true[u]
-            own[u] = b if d[u] < far else np.float32(0.0)
-        said_at(true, tables[i], table, place, weight, less, spread)
-        for u in range(width):
-            off[u] = y[u] - true[u] + less[u]
-        for u in range(width):
-            # At an edge the network's depth is the other side's in part.
-            soft = np.float32(_SOFT) * (near[u] - back[u])
-            joint[u] = spread[u] * spread[u] + own[u] * own[u] + soft * soft
-        count = 0
-        for u in range(width):
-            odd = (off[u] * off[u] > np.float32(2.0) * joint[u]) & ((off[u] > 0) | (d[u] < far))
-            ask = (label[u] != sky) & (odd | ((d[u] != d[u]) & (y[u] == y[u])))
-            asked[u] = ask
-            count += ask
-        for u in range(width):
-            w = own[u] * own[u] / joint[u]
-            fits = (off[u] * off[u] <= np.float32(9.0) * joint[u]) & (true[u] + w * off[u] > np.float32(0.5) * true[u])
-            weight[u] = w if fits & (own[u] > 0) else np.float32(-1.0)
-        for u in range(width):
-            d[u] = one / (true[u] + weight[u] * off[u]) if weight[u] >= 0 else d[u]
-        for u in range(width):
-            s[u] = own[u] * np.sqrt(one - weight[u]) * d[u] * d[u] if weight[u] >= 0 else s[u]
-        for u in range(width):
-            kind[u] = 3 if weight[u] > np.float32(0.1) else kind[u]
+            # The farthest that the network sees from here down to the photo's edge.
+            cut[u] = y[u] if y[u] < cut[u] else cut[u]
+        count = _compare(
+            d, s, y, near, back, tables[i], table, place, label, sky, true, own, less, spread, off, joint, weight, asked
+        )
+        _average(d, s, kind, true, own, off, joint, weight)
         if count:
             for u in range(width):
                 if asked[u]:
                     other = y[u]
                     if kind[u]:
                         chance = standing[label[u]] if off[u] > 0 else np.float32(VANISHED)
-                        if off[u] > 0 and near[u] * foot[u] > np.float32(FOOTLESS):
+                        floats = near[u] * foot[u] > np.float32(FOOTLESS) and cut[u] < np.float32(_CUT) * near[u]
+                        if off[u] > 0 and floats:
                             chance *= np.float32(FOOTLESS_CHANCE)
                         square = off[u] * off[u]
                         if joint[u] < np.float32(_OWN) * spread[u] * spread[u] and square < joint[u] * (
@@ -171,7 +150,88 @@ def _combine(
                     if other > 0:
                         other, t = meant(i, table[u], other, shift, factor)
                         if t < other and (kind[u] == 0 or (other > true[u]) == (off[u] > 0)):
+                            # Which of its neighbours' depths it is stays unsure.
+                            between_both = np.float32(_BETWEEN) * (near[u] - back[u])
+                            t = np.sqrt(np.float32(_ELSEWHERE) * t * t + between_both * between_both)
                             d[u], s[u], kind[u] = one / other, t / (other * other), 2
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
+def _compare(
+    d: Row,
+    s: Row,
+    y: Row,
+    near: Row,
+    back: Row,
+    tables: Image,
+    table: NDArray[np.int32],
+    place: NDArray[np.int32],
+    label: NDArray[np.uint8],
+    sky: int,
+    true: Row,
+    own: Row,
+    less: Row,
+    spread: Row,
+    off: Row,
+    joint: Row,
+    part: Row,
+    asked: NDArray[np.bool_],
+) -> int:
+    """One row of terrain, depth `d` and sigma `s`, beside what the network sees, `y`, `near` and `back`.
+
+    Fills `true`, the terrain's inverse depth, 0 for sky and unknown ground, and `own`, its sigma; `spread`, the
+    network's; `off`, by how much that is nearer than it would say of the terrain, with the variance `joint`; and
+    `asked`, whether the two disagree or the terrain is unknown; how many. Compilers give up on loops that write into
+    several of many arrays: one result a loop.
+    """
+    width, far, one, none = len(d), np.float32(1e9), np.float32(1.0), np.float32(0.0)
+    for u in range(width):
+        true[u] = one / d[u] if d[u] < far else none
+    for u in range(width):
+        b = s[u] * true[u] * true[u]
+        own[u] = b if d[u] < far else none
+    said_at(true, tables, table, place, part, less, spread)
+    for u in range(width):
+        off[u] = y[u] - true[u] + less[u]
+    for u in range(width):
+        # At an edge the network's depth is the other side's in part.
+        soft = np.float32(_SOFT) * (near[u] - back[u])
+        joint[u] = spread[u] * spread[u] + own[u] * own[u] + soft * soft
+    count = 0
+    for u in range(width):
+        odd = (off[u] * off[u] > np.float32(2.0) * joint[u]) & ((off[u] > 0) | (d[u] < far))
+        ask = (label[u] != sky) & (odd | ((d[u] != d[u]) & (y[u] == y[u])))
+        asked[u] = ask
+        count += ask
+    return count
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
+def _average(d: Row, s: Row, kind: NDArray[np.uint8], true: Row, own: Row, off: Row, joint: Row, weight: Row) -> None:
+    """Mean by inverse variance, in inverse depth, where both agree within three sigmas; see `_compare`."""
+    width, one = len(d), np.float32(1.0)
+    for u in range(width):
+        w = own[u] * own[u] / joint[u]
+        fits = (off[u] * off[u] <= np.float32(9.0) * joint[u]) & (true[u] + w * off[u] > np.float32(0.5) * true[u])
+        weight[u] = w if fits & (own[u] > 0) else np.float32(-1.0)
+    for u in range(width):
+        d[u] = one / (true[u] + weight[u] * off[u]) if weight[u] >= 0 else d[u]
+    for u in range(width):
+        s[u] = own[u] * np.sqrt(one - weight[u]) * d[u] * d[u] if weight[u] >= 0 else s[u]
+    for u in range(width):
+        kind[u] = 3 if weight[u] > np.float32(0.1) else kind[u]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
+def _begin(d: Row, s: Row, kind: NDArray[np.uint8], foot: Row) -> None:
+    """What a row is without a network, and the nearest ground from here down."""
+    far, none = np.float32(1e9), np.float32(np.nan)
+    for u in range(len(d)):
+        foot[u] = d[u] if d[u] < foot[u] else foot[u]
+    for u in range(len(d)):
+        kind[u] = 1 if d[u] < far else (4 if d[u] > far else 0)
+    for u in range(len(d)):
+        s[u] = s[u] if d[u] < far else none
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -209,7 +269,8 @@ def _alone(
     fits = np.exp(-half * off * off / joint) / np.sqrt(np.float32(2 * np.pi) * joint)
     density = one / (np.float32(_RANGES) * max(other, spread))
     if chance * density > (one - chance) * ((one - gross) * fits + gross * density):
-        return other
+        # Away from edges what neighbours see is but their own place.
+        return y if edge < np.float32(_BLURRED) * abs(off) else other
     return np.float32(0.0)
 
 

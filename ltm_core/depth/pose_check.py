@@ -32,6 +32,7 @@ _ALLOWED_DEG = 0.13  # beside three sigmas of the direction
 _COVER = 1.0  # metres that cover raises a crest by
 _AS_WELL = 0.8  # of the best contrast over the usual: about as good
 _CLEARLY = 0.6  # of the best contrast that the given pose must miss to be suspected
+_SKYLINE_GAIN = 4.0  # times that the skyline must fit better: labels that err fit a little better somewhere
 _CONTRAST, _OUTSTANDING = 1.8, 4.0  # least contrast at the best place, and how many spreads it is above the usual one
 
 
@@ -85,7 +86,8 @@ def check_pose(
         columns = 0 if skyline is None else skyline.columns
         # All of a coarse network's edges may lie off by the same half of a cell.
         coarse = math.degrees(0.5 * (label_cell - 1.0) / camera.fy)
-        if skyline is not None and skyline.least_deg > allowed + coarse and (found is None or not found[3]):
+        clear = skyline is not None and skyline.gain >= _SKYLINE_GAIN
+        if skyline is not None and clear and skyline.least_deg > allowed + coarse and (found is None or not found[3]):
             found = skyline.pitch_deg, skyline.azimuth_deg, skyline.gain, True
             reason = "the labels' skyline fits the terrain's"
     if found is None:
