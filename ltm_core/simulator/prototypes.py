@@ -142,9 +142,9 @@ def _tuft_patch(rng: Rng, colors: Palette, spacing: float, blades: int, width: f
     )
 
 
-def _stone(rng: Rng, color: Array, size: float, rings: int = 3, sides: int = 5) -> Soup:
-    """A stone of `size` metres, a third of it sunk into the ground."""
-    return meshes.lump(rng, (size, size * rng.uniform(0.6, 1.0), 0.6 * size), 0.2 * size, color, rings, sides)
+def _stone(rng: Rng, size: float, narrow: float, color: Array, rings: int = 3, sides: int = 5) -> Soup:
+    """A stone `size` metres long and `narrow` times as wide, a third of it sunk into the ground."""
+    return meshes.lump(rng, (size, size * narrow, 0.6 * size), 0.2 * size, color, rings, sides)
 
 
 def _stone_patch(rng: Rng, colors: Palette, side: float, pebbles: int, boulders: int) -> Soup:
@@ -152,7 +152,7 @@ def _stone_patch(rng: Rng, colors: Palette, side: float, pebbles: int, boulders:
     parts = []
     for k in range(pebbles + boulders):
         size = rng.uniform(0.12, 0.4) if k < pebbles else 0.35 * rng.uniform(0.3, 1.0) ** -1.3
-        stone = _stone(rng, colors.rock * rng.uniform(0.6, 1.15), size)
+        stone = _stone(rng, size, rng.uniform(0.6, 1.0), colors.rock * rng.uniform(0.6, 1.15))
         x, y = rng.uniform(-side / 2, side / 2, 2)
         parts.append(stone.moved(x, y, 1.0, rng.uniform(0, 2 * np.pi)))
     return Soup.joined(parts)
@@ -171,7 +171,8 @@ def _rubble_patch(rng: Rng, colors: Palette, side: float, stones: int) -> Soup:
     for _ in range(stones):
         x, y = heaps[rng.integers(len(heaps))] + rng.normal(0, 0.16 * side, 2)
         size = min(0.1 * rng.uniform(0.02, 1.0) ** -0.6, 0.8)
-        parts.append(_stone(rng, _dusty(rng, colors), size).moved(x, y, 1.0, rng.uniform(0, 2 * np.pi)))
+        stone = _stone(rng, size, rng.uniform(0.6, 1.0), _dusty(rng, colors))
+        parts.append(stone.moved(x, y, 1.0, rng.uniform(0, 2 * np.pi)))
     return Soup.joined(parts)
 
 
@@ -261,5 +262,5 @@ def _kinds() -> dict[str, tuple[int, int, Maker]]:
             kinds[f"{prefix}{name}_one"] = (SHRUB, 7, partial(_shrub_one, scrub=scrub, leaves=leaves))
     kinds["rubble"] = (BARE, 6, lambda r, c, s: _rubble_patch(r, c, NEAR_PATCH, 260))
     kinds["far_rubble"] = (BARE, 4, lambda r, c, s: _rubble_patch(r, c, FAR_PATCH, 120))
-    kinds["boulder"] = (BARE, 8, lambda r, c, s: _stone(r, _dusty(r, c), 1.0, 5, 8))
+    kinds["boulder"] = (BARE, 8, lambda r, c, s: _stone(r, 1.0, r.uniform(0.6, 1.0), _dusty(r, c), 5, 8))
     return kinds
