@@ -38,7 +38,6 @@ _FINER = 3.0  # rays a pixel's width when truth is looked up through a lens
 _LEAST_MAST = 0.2  # m over the ground
 _WATER_SKIN = 0.4  # m about a lake's level within which a point is its surface
 _OPAQUE = 0.5  # opacity of smoke above which nobody can tell what is behind it
-_YEAR_NS = 365.2425 * 86_400 * 1e9
 
 
 @dataclass(frozen=True)
@@ -121,7 +120,7 @@ def plan_shots(scenario: Scenario, site: SimulatedSite, date: DateConfig | None 
     """
     if date is None:
         date = scenario.dates[0]
-    start = scenario.start_ns + round(date.years * _YEAR_NS)
+    start = scenario.start_of(date)
     shots: list[Shot] = []
     for i, setup in enumerate(scenario.cameras):
         ground = float(site.terrain.site.at(setup.x, setup.y))

@@ -13,6 +13,10 @@ from pyproj.exceptions import CRSError
 from ltm_core.camera import Camera
 from ltm_core.simulator.changes import Change, Strict
 
+LAST_NS = 2**31 * 10**9 - 1
+"""The last nanosecond that the stamp of a recorded frame holds, whose seconds are int32."""
+_YEAR_NS = 365.2425 * 86_400 * 1e9
+
 
 class TerrainConfig(Strict):
     """The ground. Lengths in metres; the site is the square [0, size]^2 of the map frame.
@@ -284,6 +288,13 @@ class Scenario(Strict):
             raise ValueError(f"names of dates must differ, got {dates}")
         if sorted(d.years for d in self.dates) != [d.years for d in self.dates]:
             raise ValueError(f"dates must be in order of years, got {[d.years for d in self.dates]}")
+        for i, date in enumerate(self.dates):
+            if self.start_of(date) > LAST_NS:
+                raise ValueError(
+                    f"dates.{i} ({date.name}): {date.years:g} years after start_ns {self.start_ns} is past 19 January "
+                    f"2038, the last day that a stamp can hold; give a start_ns of {LAST_NS - self._after(date)} or "
+                    "less"
+                )
         self._all_inside_the_site()
         for i, change in enumerate(self.changes):
             if change.years > self.dates[-1].years:
@@ -315,6 +326,14 @@ class Scenario(Strict):
         for what, x, y in points:
             if not (0 < x < size and 0 < y < size):
                 raise ValueError(f"{what} at ({x:g}, {y:g}) is outside the site {within}; place it inside")
+
+    def start_of(self, date: DateConfig) -> int:
+        """When the visit of `date` begins, nanoseconds since the epoch."""
+        return self.start_ns + self._after(date)
+
+    @staticmethod
+    def _after(date: DateConfig) -> int:
+        return round(date.years * _YEAR_NS)
 
     def at(self, date: DateConfig) -> Scenario:
         """This scenario with the season, sun, air and clouds of `date` as its own."""

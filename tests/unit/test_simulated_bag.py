@@ -14,11 +14,12 @@ from ltm_core.camera import Camera
 from ltm_core.depth.range_image import RangeImage
 from ltm_core.errors import RecordingError
 from ltm_core.pose import Pose
+from ltm_core.simulator.scenario import LAST_NS
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_pose
-from ltm_msgs_py.stamp import stamp_of
+from ltm_msgs_py.stamp import LATEST_NS, stamp_of
 from ltm_ros.simulated_bag import write_simulated_bag
 
 CAMERA = Camera(30, 18, 25.0, 26.0, 14.0, 9.0, (-0.1, 0.02, 0.0, 0.001, 0.0))
@@ -109,3 +110,7 @@ def test_what_stands_there_already_is_kept(simulated: Path, tmp_path: Path) -> N
     with pytest.raises(RecordingError, match="exists already"):
         write_simulated_bag(simulated, tmp_path / "bag", "ridge")
     assert (tmp_path / "bag" / "precious.txt").read_text() == "keep"
+
+
+def test_the_simulator_refuses_dates_that_no_stamp_holds() -> None:
+    assert LAST_NS == LATEST_NS

@@ -296,6 +296,12 @@ cameras:
         ("x: 100", "x: 1200", 9, "outside the site"),
         ("{circle: [500, 500, 100]}", "{ragged: 3}", 7, "give one of polygon, circle, box"),
         ("seed: 1", "seed: 1\ndates: [{name: b, years: 3}, {name: a}]", 1, "in order of years"),
+        (
+            "seed: 1",
+            "seed: 1\ndates: [{name: a}, {name: b, years: 15}]",
+            1,
+            r"dates\.1 \(b\): 15 years .*past 19 .*2038",
+        ),
         ("seed: 1", "seed: 1\ncrs: EPSG:4326", 3, "WGS 84, which is not in metres; give a projected CRS"),
         ("seed: 1", "seed: 1\ncrs: EPSG:2230", 3, "not in metres"),
         ("seed: 1", "seed: 1\ncrs: UTM eleven", 3, "no CRS that PROJ knows; give one such as EPSG:32611"),
