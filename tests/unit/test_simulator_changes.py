@@ -299,7 +299,7 @@ cameras:
         (
             "seed: 1",
             "seed: 1\ndates: [{name: a}, {name: b, years: 15}]",
-            1,
+            3,
             r"dates\.1 \(b\): 15 years .*past 19 .*2038",
         ),
         ("seed: 1", "seed: 1\ncrs: EPSG:4326", 3, "WGS 84, which is not in metres; give a projected CRS"),
