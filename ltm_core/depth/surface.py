@@ -143,11 +143,15 @@ def _cover(
             guess = above[u] if v > 0 else d
             if not (guess < jump * d and d < jump * guess):
                 guess = d
-            place = min(row + reach / guess, last)
-            k = min(np.int32(place), lowest)
-            i = np.uint32(k) * np.uint32(width) + np.uint32(u)
-            below = flat[i] + (place - np.float32(k)) * (flat[i + np.uint32(width)] - flat[i])
-            if below * jump > d:
-                top[u] = below
-                doubt = np.float32(COVER_DOUBT) * (d - below)
-                square[u] += doubt * doubt
+            # Where the row above makes it leap, the ground's own depth may not: rows must not take turns.
+            for _ in range(2):
+                place = min(row + reach / guess, last)
+                k = min(np.int32(place), lowest)
+                i = np.uint32(k) * np.uint32(width) + np.uint32(u)
+                below = flat[i] + (place - np.float32(k)) * (flat[i + np.uint32(width)] - flat[i])
+                if below * jump > d:
+                    top[u] = below
+                    doubt = np.float32(COVER_DOUBT) * (d - below)
+                    square[u] += doubt * doubt
+                    break
+                guess = d
