@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import cv2
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ltm_core.dem import Dem
+from ltm_core.fuel.codes import FuelSystem, fuel_models
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.grid import GridGeometry
@@ -109,6 +111,7 @@ class FuelCanvas:
             bounds = interesting_bounds(np.ones(geometry.shape, np.bool_), geometry, (), dem.geometry)
         self.view = view_of(bounds, width)
         self._places, self._offset, self._cell = places, offset, geometry.resolution
+        self._shape = geometry.shape
         self._relief = relief(dem, self.view)
         x, y = (self.view.to_map(0, np.arange(self.view.width))[0], self.view.to_map(np.arange(self.view.height), 0)[1])
         row, col = geometry.cell_of(x[None, :], y[:, None])
@@ -147,6 +150,12 @@ class FuelCanvas:
         colors = faded(layers, palette)
         picture = self.map(colors, layers.life_form != UNLABELLED, layers.changed)
         return self.finished(picture, label_legend(picture.shape[1], palette, np.unique(layers.life_form).tolist()))
+
+    @cached_property
+    def tallest(self) -> int:
+        """Pixels that no finished map exceeds in height: one with the name of every fuel model."""
+        every = np.array(sorted(fuel_models().codes(FuelSystem.FBFM40)), np.int16)
+        return len(self.codes(np.resize(every, self._shape)))
 
     def finished(self, picture: Rgb, legend: Rgb) -> Rgb:
         """A map with its scale bar and legend under it."""

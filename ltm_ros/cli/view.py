@@ -23,6 +23,9 @@ def view(
     screenshot: Annotated[
         Path | None, typer.Option("--screenshot", help="With --rrd: write a PNG of the view, show nothing.")
     ] = None,
+    tab: Annotated[
+        str | None, typer.Option("--tab", help="With --screenshot: the tab to draw, by its name. Default: the first.")
+    ] = None,
     open_browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page of --web.")] = True,
     web_port: Annotated[int, typer.Option(min=1, max=65535)] = 9090,
     grpc_port: Annotated[int, typer.Option(min=1, max=65535)] = 9876,
@@ -32,6 +35,8 @@ def view(
 
     if (site is None) == (rrd is None):
         raise ConfigError("give either --site (a running graph) or --rrd (a recording), not both and not neither")
+    if tab is not None and screenshot is None:
+        raise ConfigError("--tab says what --screenshot draws: give --screenshot too")
     in_browser = web if web is not None else not _has_screen()
     if rrd is not None:
         if not rrd.is_file():
@@ -39,7 +44,7 @@ def view(
         if screenshot is not None:
             from ltm_ros.rerun_view.screenshot import screenshot as draw
 
-            draw(rrd, screenshot)
+            draw(rrd, screenshot, tab=tab)
             typer.echo(f"wrote {screenshot}")
             return
         _show_file(rrd, in_browser, open_browser, web_port, grpc_port)

@@ -45,16 +45,16 @@ def site_blueprint(
     if tabs.fusion:
         extra.append(rrb.Vertical(*(_depth_row(camera) for camera in cameras), name="Depth"))
     if tabs.terrain:
-        surface = rrb.Spatial2DView(origin="/terrain/change", name="Changes of the surface")
-        extra.append(rrb.Horizontal(_terrain(cameras, eye), surface, name="Surface"))
+        extra.append(rrb.Horizontal(_terrain(cameras, eye), _changes(window), name="Surface"))
     health = rrb.Vertical(
         rrb.Horizontal(
-            _plot("Latency p95 (ms)", "/health/latency_p95_ms"),
-            _plot("Work p95 (ms)", "/health/work_p95_ms"),
-            _plot("Rate (Hz)", "/health/rate_hz"),
+            _plot("Latency p95 (ms)", "/health/latency_p95_ms", named=False),
+            _plot("Work p95 (ms)", "/health/work_p95_ms", named=False),
+            _plot("Rate (Hz)", "/health/rate_hz", named=False),
         ),
         rrb.Horizontal(
-            _plot("Waiting messages", "/health/queue"),
+            _plot("Waiting messages", "/health/queue", named=False),
+            # A node has one colour in all plots, so names in one do; this is the one whose lines seldom leave zero.
             _plot("Dropped messages", "/health/dropped"),
             rrb.TextLogView(origin="/log", name="Log"),
         ),
@@ -88,7 +88,21 @@ def _fuel_grid(window: MapWindow) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(
         origin="/fuel_map",
         name="Fuel map",
-        visual_bounds=rrb.VisualBounds2D(x_range=window.columns, y_range=window.rows),
+        visual_bounds=_bounds(window),
+    )
+
+
+def _bounds(window: MapWindow) -> rrb.VisualBounds2D:
+    return rrb.VisualBounds2D(x_range=window.columns, y_range=window.rows)
+
+
+def _changes(window: MapWindow) -> rrb.Spatial2DView:
+    """Over the relief and beside the cameras of the fuel map, in its cells, so that nothing moves as it grows."""
+    return rrb.Spatial2DView(
+        origin="/terrain",
+        contents=["+ $origin/**", "+ /fuel_map/relief", "+ /fuel_map/cameras/**"],
+        name="Surface: red removed, green grown, violet lowered, yellow as it was",
+        visual_bounds=_bounds(window),
     )
 
 
@@ -118,5 +132,6 @@ def _depth_row(camera: str) -> rrb.Horizontal:
     return rrb.Horizontal(*views, name=camera)
 
 
-def _plot(name: str, origin: str) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop))
+def _plot(name: str, origin: str, named: bool = True) -> rrb.TimeSeriesView:
+    legend = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=named)
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=legend)

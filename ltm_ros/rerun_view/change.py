@@ -1,4 +1,4 @@
-"""What the terrain node found changed, drawn: the window over relief, and the changed cells as points."""
+"""What the terrain node found changed, drawn: a window over the map, and the changed cells as points."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
-from ltm_core.pictures import labelled_shade, to_jpeg
 from ltm_core.pictures.types import UNLABELLED, Labels
 from ltm_core.terrain.change import ChangeKind
 from ltm_core.terrain.terrain_io import CHANGE_COLORS
@@ -19,14 +17,7 @@ PICTURE_PIXELS = 1600
 """Longer side of the picture of changes."""
 MAX_POINTS = 60_000
 """Changed cells in the 3D view."""
-
-
-@dataclass(frozen=True)
-class ChangePalette:
-    """The kinds of change as classes."""
-
-    names: tuple[str, ...] = tuple(kind.name.lower() for kind in ChangeKind)
-    colors: tuple[tuple[int, int, int], ...] = tuple(CHANGE_COLORS[kind] for kind in ChangeKind)
+_COLORS = np.array([CHANGE_COLORS[kind] for kind in ChangeKind], np.uint8)
 
 
 @dataclass(eq=False)
@@ -46,33 +37,48 @@ class ChangeLayer:
         drawn = drawn[:: 1 + len(drawn) // MAX_POINTS]
         return rr.Points3D(
             drawn[:, :3].astype(np.float32),
-            colors=np.array(ChangePalette().colors, np.uint8)[drawn[:, 3].astype(np.int64)],
+            colors=_COLORS[drawn[:, 3].astype(np.int64)],
             radii=rr.Radius.ui_points(2.5),
         )
 
 
-def change_picture(kinds: Labels, geometry: GridGeometry, dem: Dem) -> rr.EncodedImage:
-    """Kinds of change (H, W), 255 where independent views have not looked, over relief."""
-    step = max(1, -(-max(geometry.shape) // PICTURE_PIXELS))
-    view = GridGeometry(
-        geometry.x_min,
-        geometry.y_max,
-        geometry.resolution * step,
-        -(-geometry.width // step),
-        -(-geometry.height // step),
-        geometry.crs,
-    )
-    picture = labelled_shade(_thickened(kinds, step), geometry, ChangePalette(), dem, view, opacity=0.75)
-    return rr.EncodedImage(contents=to_jpeg(picture, 88), media_type="image/jpeg")
+@dataclass(frozen=True, eq=False)
+class ChangePicture:
+    """Kinds of change, thinned for the screen, and where they lie on the grid under them."""
+
+    kinds: Labels
+    """(h, w) ChangeKind, 255 where independent views have not looked."""
+    corner: tuple[float, float]
+    """x, y of its north-west corner, in cells of the grid under it."""
+    pixel: float
+    """Side of a pixel in such cells."""
+
+    @classmethod
+    def over(cls, kinds: Labels, geometry: GridGeometry, under: GridGeometry) -> ChangePicture:
+        """`kinds` (H, W) of a window of the terrain's grid."""
+        step = max(1, -(-max(geometry.shape) // PICTURE_PIXELS))
+        corner = (geometry.x_min - under.x_min) / under.resolution, (under.y_max - geometry.y_max) / under.resolution
+        return cls(_thinned(kinds, step), corner, geometry.resolution * step / under.resolution)
+
+    def archetypes(self) -> tuple[rr.Transform3D, rr.SegmentationImage]:
+        """Class ids, not a JPEG: the viewer takes a row of JPEGs for a video, and a video cannot grow."""
+        place = rr.Transform3D(translation=(*self.corner, 0.0), scale=(self.pixel, self.pixel, 1.0))
+        return place, rr.SegmentationImage(self.kinds, opacity=1.0, draw_order=1.0)
 
 
-def _thickened(kinds: Labels, step: int) -> Labels:
-    """Where pixels skip cells, a change in any cell of a pixel's block stands for the block."""
-    if step == 1:
-        return kinds
+def change_classes() -> rr.AnnotationContext:
+    """Colours of the kinds of change; ground that was looked at and has not changed is veiled."""
+    classes = [(kind, kind.name.lower(), (*CHANGE_COLORS[kind], 230)) for kind in ChangeKind]
+    classes[ChangeKind.NONE] = (ChangeKind.NONE, "looked at", (255, 215, 100, 100))
+    return rr.AnnotationContext([*classes, (UNLABELLED, "not looked at", (0, 0, 0, 0))])
+
+
+def _thinned(kinds: Labels, step: int) -> Labels:
+    """Every pixel a block of `step` x `step` cells; a change in any cell of a block stands for the block."""
     height, width = kinds.shape
     padded = np.full((-(-height // step) * step, -(-width // step) * step), UNLABELLED, np.uint8)
     padded[:height, :width] = kinds
     blocks = padded.reshape(padded.shape[0] // step, step, padded.shape[1] // step, step)
-    changed = np.where(blocks == UNLABELLED, 0, blocks).max(axis=(1, 3), keepdims=True)
-    return np.where(changed > 0, changed, blocks).reshape(padded.shape)[:height, :width].astype(np.uint8)
+    changed = np.where(blocks == UNLABELLED, 0, blocks).max(axis=(1, 3))
+    looked = (blocks != UNLABELLED).any(axis=(1, 3))
+    return np.where(looked, changed, UNLABELLED).astype(np.uint8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import colorsys
 from typing import Any
 
 import cv2
@@ -63,13 +64,13 @@ def pinhole(camera: Camera, image_plane: float) -> rr.Pinhole:
         camera_xyz=rr.ViewCoordinates.RDF,
         image_plane_distance=image_plane,
         color=(255, 90, 60),
-        line_width=1.5,
+        line_width=rr.Radius.ui_points(0.6),
     )
 
 
-def transform(pose: Pose) -> rr.Transform3D:
-    """Optical frame to map."""
-    return rr.Transform3D(translation=pose.position, mat3x3=pose.rotation)
+def stand(pose: Pose) -> tuple[rr.Transform3D, rr.TransformAxes3D]:
+    """Optical frame to map; without the arrows of its axes, which the viewer draws unless told not to."""
+    return rr.Transform3D(translation=pose.position, mat3x3=pose.rotation), rr.TransformAxes3D(0.0)
 
 
 def mesh(textured: TexturedMesh) -> rr.Mesh3D:
@@ -89,6 +90,13 @@ def annotation_context(palette: Palette) -> rr.AnnotationContext:
         for label, name in enumerate(palette.names)
     ]
     return rr.AnnotationContext([*classes, (UNLABELLED, "unlabelled", (0, 0, 0, 0))])
+
+
+def distinct_color(index: int) -> tuple[int, int, int]:
+    """The index-th of a row of bright colours: each hue lies where the row so far leaves the widest gap."""
+    golden = (5**0.5 - 1) / 2
+    red, green, blue = colorsys.hsv_to_rgb(index * golden % 1.0, 0.75 if index % 2 else 0.45, 0.95)
+    return round(red * 255), round(green * 255), round(blue * 255)
 
 
 def _shrunk(values: NDArray[Any], method: int) -> NDArray[Any]:

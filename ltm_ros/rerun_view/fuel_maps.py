@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
@@ -12,7 +13,8 @@ from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
 from ltm_core.pictures import to_jpeg
 from ltm_core.pictures.fuel import CAMERAS, DOUBT, FuelCanvas, Place
-from ltm_core.pictures.types import Palette
+from ltm_core.pictures.legend import PAPER
+from ltm_core.pictures.types import Palette, Rgb
 
 TITLES = {
     "life_form": "Life form, no longer the prior's outlined",
@@ -43,6 +45,12 @@ class FuelMaps:
             "seen_by": canvas.scaled(rasters["seen_by"], rasters["seen_by"] > 0, CAMERAS),
         }
         return {
-            name: rr.EncodedImage(contents=to_jpeg(picture, 88), media_type="image/jpeg")
+            name: rr.EncodedImage(contents=to_jpeg(_framed(picture, canvas.tallest), 88), media_type="image/jpeg")
             for name, picture in pictures.items()
         }
+
+
+def _framed(picture: Rgb, height: int) -> Rgb:
+    """Paper below, up to `height`: the viewer takes a row of JPEGs for a video, which may not change its size."""
+    below = np.full((max(height - len(picture), 0), picture.shape[1], 3), PAPER, np.uint8)
+    return np.concatenate([picture, below])

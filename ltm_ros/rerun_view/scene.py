@@ -141,14 +141,15 @@ class Eye:
 def overview_eye(dem: Dem, positions: NDArray[np.float64], azimuths_deg: NDArray[np.float64], reach: float) -> Eye:
     """An eye that sees all cameras and the ground before them, from behind the cameras and above.
 
-    `positions` (N, 3) and `azimuths_deg` (N,) of the cameras, `reach` metres ahead of each; with no camera, the whole
-    DEM from the south.
+    `positions` (N, 3) and `azimuths_deg` (N,) of the cameras, `reach` metres ahead of each as far as the DEM goes; with
+    no camera, the whole DEM from the south.
     """
     g = dem.geometry
     if len(positions):
         angles = np.deg2rad(azimuths_deg)
         headings = np.column_stack([np.sin(angles), np.cos(angles)])
-        spots = np.vstack([positions[:, :2], positions[:, :2] + headings * reach])
+        ahead = (positions[:, :2] + headings * reach).clip((g.x_min, g.y_min), (g.x_max, g.y_max))
+        spots = np.vstack([positions[:, :2], ahead])
         behind = -headings.mean(axis=0)
     else:
         spots = np.array([[g.x_min, g.y_min], [g.x_max, g.y_max]])
@@ -161,10 +162,10 @@ def overview_eye(dem: Dem, positions: NDArray[np.float64], azimuths_deg: NDArray
     ground = float(dem.elevation_at(*centre))
     if not math.isfinite(ground):
         ground = float(np.nanmean(dem.elevation))
-    x, y = centre + behind * radius * 1.1
+    x, y = centre + behind * radius * 1.4
     # Over a mountain behind the cameras the eye must not start inside it.
     under = float(dem.elevation_at(x, y))
-    height = max(ground + radius * 0.8, under + radius * 0.2 if math.isfinite(under) else -math.inf)
+    height = max(ground + radius * 0.9, under + radius * 0.2 if math.isfinite(under) else -math.inf)
     return Eye((float(x), float(y), height), (float(centre[0]), float(centre[1]), ground))
 
 

@@ -7,21 +7,30 @@ import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import cv2
 
 from ltm_core.errors import RecordingError
 from ltm_ros.rerun_view.server import LOOPBACK, RerunProcess, grpc_url
+from ltm_ros.rerun_view.tabs import with_tab
 
+T = TypeVar("T")
 SETTLE_S = 3.0
 """Between opening and the picture: the viewer loads meshes and images while it draws."""
 
 
-def screenshot(recording: Path, picture: Path, size: tuple[int, int] = (1600, 900), timeout: float = 60.0) -> None:
-    """Write `picture` (PNG, `size` pixels) of the last moment of `recording`.
+def screenshot(
+    recording: Path,
+    picture: Path,
+    size: tuple[int, int] = (1600, 900),
+    tab: str | None = None,
+    timeout: float = 60.0,
+) -> None:
+    """Write `picture` (PNG, `size` pixels) of the last moment of `recording`; of `tab`, or of the first one.
 
     Needs a Vulkan driver, which may be Mesa's software one (Debian: mesa-vulkan-drivers). Raises RecordingError where
-    the file cannot be opened or nothing can be drawn.
+    the file cannot be opened or nothing can be drawn, ConfigError on a tab that it lacks.
     """
     if not recording.is_file():
         raise RecordingError(f"{recording}: no such recording")
@@ -39,6 +48,10 @@ def screenshot(recording: Path, picture: Path, size: tuple[int, int] = (1600, 90
         deadline = time.monotonic() + timeout
         _retry(lambda: client.open(str(recording.resolve())), viewer, deadline, recording)
         _retry(lambda: _shown(client), viewer, deadline, recording)
+        if tab is not None:
+            told = _retry(client.get_blueprint, viewer, deadline, recording)
+            chosen = with_tab(told.blueprint, tab)
+            _retry(lambda: client.set_blueprint(chosen, of="recording"), viewer, deadline, recording)
         client.set_time(play_state="following")
         time.sleep(SETTLE_S)
         _retry(lambda: client.save_screenshot(str(picture.resolve())), viewer, deadline, recording)
@@ -53,12 +66,11 @@ def _shown(client: object) -> None:
         raise RuntimeError("no recording is shown yet")
 
 
-def _retry(action: Callable[[], object], viewer: RerunProcess, deadline: float, recording: Path) -> None:
+def _retry(action: Callable[[], T], viewer: RerunProcess, deadline: float, recording: Path) -> T:
     """The viewer refuses requests until it has drawn its first frame, and slow machines need a while for that."""
     while True:
         try:
-            action()
-            return
+            return action()
         except Exception as error:
             if not viewer.running() or time.monotonic() > deadline:
                 raise RecordingError(

@@ -24,7 +24,7 @@ from ltm_core.pose import Pose
 from ltm_core.site import Site
 from ltm_ros.rerun_view import frames, scene
 from ltm_ros.rerun_view.blueprint import TIMELINE, MapWindow, Tabs, site_blueprint
-from ltm_ros.rerun_view.change import ChangeLayer, change_picture
+from ltm_ros.rerun_view.change import ChangeLayer, ChangePicture, change_classes
 from ltm_ros.rerun_view.fuel_maps import FuelMaps
 from ltm_ros.rerun_view.server import RerunProcess, grpc_url, web_url
 
@@ -32,6 +32,9 @@ MAX_POINTS = 15_000
 """Points of one depth image in the 3D view."""
 RELIEF_PIXELS = 2048
 """Longer side of the relief under the fuel grid."""
+CAMERA_COLOR = (235, 40, 135)
+NAME_COLOR = (255, 225, 240)
+"""The viewer writes a label in its point's colour on dark grey: camera colours would hardly be read."""
 
 
 class RerunView:
@@ -56,10 +59,13 @@ class RerunView:
         self._site, self._dem, self._palette = site, dem, label_set
         self._lock = Lock()
         self._scale = RangeScale()
-        self._reach = site.fuel.max_range
+        g = dem.geometry
+        self._reach = min(site.fuel.max_range, max(g.shape) * g.resolution)
         self._cameras: dict[str, MapCamera] = {}
         self._poses: dict[str, Pose] = {}
         self._shown: set[str] = set()
+        self._node_colors: dict[str, tuple[int, int, int]] = {}
+        self._plotted: set[str] = set()
         self._live = serve
         self._server = RerunProcess.serve(web_port, grpc_port) if serve else None
         self.url = web_url(web_port, grpc_port) if serve else None
@@ -127,7 +133,7 @@ class RerunView:
         """Where the camera stands. Where the site file does not say it, the first pose moves the view there."""
         with self._at(stamp_ns):
             entity = f"map/cameras/{camera}"
-            self._recording.log(entity, frames.transform(pose), frames.pinhole(model, self._reach * 0.15))
+            self._recording.log(entity, *frames.stand(pose), frames.pinhole(model, self._reach * 0.15))
             expected = self._poses.get(camera)
             if camera not in self._shown or expected != pose:
                 self._shown.add(camera)
@@ -180,7 +186,8 @@ class RerunView:
     def log_change(self, stamp_ns: int, kinds: Labels, geometry: GridGeometry) -> None:
         """Kinds of change (H, W) of a window of the terrain's grid, 255 not looked at, map frame."""
         with self._at(stamp_ns):
-            self._recording.log("terrain/change", change_picture(kinds, geometry, self._dem))
+            picture = ChangePicture.over(kinds, geometry, self._fuel_geometry)
+            self._recording.log("terrain/change", *picture.archetypes())
 
     def log_changed_cells(
         self, stamp_ns: int, cells: NDArray[np.int32], points: NDArray[np.float32], kinds: Labels
@@ -192,8 +199,14 @@ class RerunView:
     def log_diagnostics(self, stamp_ns: int, node_name: str, values: Mapping[str, float]) -> None:
         """A node's measures by name, as `/diagnostics` carries them: rate_hz, latency_p95_ms, dropped, ..."""
         with self._at(stamp_ns):
+            node = node_name.strip("/")
+            color = self._node_colors.setdefault(node, frames.distinct_color(len(self._node_colors)))
             for key, value in values.items():
-                self._recording.log(f"health/{key}/{node_name.strip('/')}", rr.Scalars(value))
+                entity = f"health/{key}/{node}"
+                if entity not in self._plotted:
+                    self._plotted.add(entity)
+                    self._recording.log(entity, rr.SeriesLines(colors=[color]), static=True)
+                self._recording.log(entity, rr.Scalars(value))
 
     def log_text(self, level: str, text: str) -> None:
         """A line for the log, at the time of what was logged before."""
@@ -247,6 +260,8 @@ class RerunView:
             log.log("map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
             log.log("map/terrain", frames.mesh(scene.terrain_mesh(self._dem)), static=True)
             self._log_relief()
+            if self._site.terrain is not None:
+                log.log("terrain", change_classes(), static=True)
 
     def _log_relief(self) -> None:
         """The relief under the fuel grid, finer than the cells, in units of cells."""
@@ -274,17 +289,19 @@ class RerunView:
         row, col = self._fuel_geometry.to_grid(placed.sector()[:, 0], placed.sector()[:, 1])
         outline = np.column_stack([col, row]) + 0.5
         entity = f"fuel_map/cameras/{camera}"
-        color = (235, 40, 135)
-        self._recording.log(f"{entity}/sector", rr.LineStrips2D([outline], colors=[color], draw_order=2.0))
-        self._recording.log(
-            entity,
-            rr.Points2D(outline[:1], labels=[camera], colors=[color], radii=rr.Radius.ui_points(5.0), draw_order=3.0),
+        sector = rr.LineStrips2D([outline], colors=[CAMERA_COLOR], radii=rr.Radius.ui_points(1.0), draw_order=2.0)
+        self._recording.log(f"{entity}/sector", sector)
+        place = rr.Points2D(outline[:1], colors=[CAMERA_COLOR], radii=rr.Radius.ui_points(6.0), draw_order=3.0)
+        self._recording.log(entity, place)
+        name = rr.Points2D(
+            outline[:1], labels=[camera], colors=[NAME_COLOR], radii=rr.Radius.ui_points(2.5), draw_order=4.0
         )
+        self._recording.log(f"{entity}/name", name)
 
     def _log_name(self, camera: str) -> None:
         """The camera's name in the 3D view, where its own entity shows nothing but the frustum."""
         here = rr.Points3D(
-            [self._poses[camera].position], labels=[camera], colors=[(235, 40, 135)], radii=rr.Radius.ui_points(4.0)
+            [self._poses[camera].position], labels=[camera], colors=[NAME_COLOR], radii=rr.Radius.ui_points(4.0)
         )
         self._recording.log(f"map/names/{camera}", here)
 

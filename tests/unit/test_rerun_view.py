@@ -19,6 +19,7 @@ import pytest
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, ImageError, RasterError, RecordingError
+from ltm_core.fuel.codes import FuelSystem, fuel_models
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.site import Site
@@ -28,9 +29,10 @@ pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 
 from ltm_ros.cli.view import view as view_command
 from ltm_ros.rerun_view import RerunView, frames, scene
-from ltm_ros.rerun_view.change import change_picture
+from ltm_ros.rerun_view.change import ChangePicture
 from ltm_ros.rerun_view.screenshot import screenshot
 from ltm_ros.rerun_view.server import RerunProcess, grpc_url, listens, web_url
+from ltm_ros.rerun_view.tabs import with_tab
 
 LABELS = LabelSet.load()
 STAMP = 1_700_000_000_123_456_789
@@ -245,32 +247,68 @@ def test_recording_holds_scene_pictures_and_health(recording: Path) -> None:
     assert names[255] == "unlabelled"
 
 
+def test_pictures_of_the_fuel_layers_keep_their_size(tmp_path: Path) -> None:
+    """A row of JPEGs is a video to the viewer, and it refuses one whose frames differ in size."""
+    where, dem = site(north={}), hills()
+    view = RerunView("ltm ridge", where, dem, LABELS, save=tmp_path / "a.rrd")
+    shape = where.fuel_geometry(dem).shape
+    every = np.array(sorted(fuel_models().codes(FuelSystem.FBFM40)), np.int16)
+    for moment, codes in enumerate((every[:1], every[10:30], every)):
+        rasters = {name: np.ones(shape, np.uint8) for name in ("life_form", "entropy", "changed", "seen_by")}
+        view.log_fuel_layers(STAMP + moment, {**rasters, "code": np.resize(codes, shape)})
+    view.close()
+    rows = chunks(tmp_path / "a.rrd")
+    sizes = {
+        cv2.imdecode(np.array(row["EncodedImage:blob"][0], np.uint8), cv2.IMREAD_COLOR).shape[0]
+        for name in ("code", "life_form", "entropy", "seen_by")
+        for row in rows[f"/fuel_layers/{name}"]
+    }
+    assert len(sizes) == 1
+
+
+def test_a_node_has_one_colour_in_all_plots(recording: Path) -> None:
+    rows = chunks(recording)
+    colors = {
+        tuple(row["SeriesLines:colors"])
+        for name in ("rate_hz", "latency_p95_ms", "dropped")
+        for row in rows[f"/health/{name}/ridge/north/depth"]
+        if row.get("SeriesLines:colors")
+    }
+    assert len(colors) == 1
+    assert len({frames.distinct_color(k) for k in range(40)}) == 40
+
+
 def test_recording_holds_what_changed_and_forgets_what_changed_back(recording: Path) -> None:
     rows = chunks(recording)
     first, second = sorted(rows["/map/change"], key=lambda row: row["stamp"])
     assert len(first["Points3D:positions"]) == 3
     np.testing.assert_allclose(second["Points3D:positions"], [[100.5, 219.5, 480.0], [3.5, 292.5, 470.0]])
-    picture = cv2.imdecode(np.array(rows["/terrain/change"][0]["EncodedImage:blob"][0], np.uint8), cv2.IMREAD_COLOR)
-    assert picture.shape == (300, 450, 3)
-    removed = picture[85, 120].astype(int)
-    assert removed[2] > removed[1] + 40, "what is gone is red"
+
+
+def test_changes_lie_in_the_map_and_stay_there_as_their_window_grows() -> None:
+    under = GridGeometry(-100.0, 500.0, 20.0, 90, 70)
+    kinds = np.full((30, 45), 255, np.uint8)
+    kinds[8, 10] = 2
+    for rows, cols in ((0, 0), (13, 7)):  # further cells to the north and west
+        grown = np.pad(kinds, ((rows, 0), (cols, 0)), constant_values=255)
+        window = GridGeometry(60.0 - 2.0 * cols, 300.0 + 2.0 * rows, 2.0, 45 + cols, 30 + rows)
+        picture = ChangePicture.over(grown, window, under)
+        (row, col) = np.argwhere(picture.kinds == 2)[0]
+        place = np.array(picture.corner) + picture.pixel * (np.array([col, row]) + 0.5)
+        np.testing.assert_allclose(place, [(60 + 21 + 100) / 20, (500 - 300 + 17) / 20])
 
 
 def test_a_small_change_is_seen_in_a_picture_that_skips_cells() -> None:
     kinds = np.full((1700, 3300), 255, np.uint8)
     kinds[100:1600, 100:3200] = 0
     kinds[799:810, 1995:2006] = 2  # 30 square metres
-    picture = cv2.imdecode(
-        np.array(
-            change_picture(kinds, GridGeometry(0.0, 900.0, 0.5, 3300, 1700), hills()).blob.as_arrow_array()[0].as_py(),
-            np.uint8,
-        ),
-        cv2.IMREAD_COLOR,
-    )
-    assert max(picture.shape) <= 1600
-    _, green, red = picture[803 // 3, 2000 // 3].astype(int)
-    assert green > red + 15, "what has grown is green"
-    assert np.ptp(picture[20, 600]) < 10, "the rest is grey"
+    geometry = GridGeometry(0.0, 900.0, 0.5, 3300, 1700)
+    picture = ChangePicture.over(kinds, geometry, geometry)
+    assert max(picture.kinds.shape) <= 1600
+    assert picture.kinds[803 // 3, 2000 // 3] == 2
+    assert picture.kinds[803 // 3, 2000 // 3 + 3] == 0
+    assert picture.kinds[20, 600] == 255
+    assert picture.pixel == 3.0
 
 
 def test_recording_is_small(recording: Path) -> None:
@@ -383,9 +421,10 @@ def test_an_unchanged_fuel_map_is_not_written_again(tmp_path: Path) -> None:
         ({"site": Path("a.yaml"), "rrd": Path("b.rrd")}, ConfigError, "not both"),
         ({"rrd": Path("no/such.rrd")}, RecordingError, r"no/such\.rrd: no such recording"),
         ({"site": Path("a.yaml"), "screenshot": Path("a.png")}, ConfigError, "give --rrd"),
+        ({"rrd": Path("a.rrd"), "tab": "Fuel"}, ConfigError, "--screenshot"),
     ],
 )
-def test_view_command_refuses_what_it_cannot_show(given: dict[str, Path], error: type[Exception], remedy: str) -> None:
+def test_view_command_refuses_what_it_cannot_show(given: dict[str, Any], error: type[Exception], remedy: str) -> None:
     with pytest.raises(error, match=remedy):
         view_command(**given)
 
@@ -402,12 +441,44 @@ def test_screenshot_refuses_what_it_cannot_draw(tmp_path: Path, recording: Path)
         screenshot(recording, tmp_path / "a.jpg")
 
 
+def test_a_tab_is_chosen_by_its_name() -> None:
+    told = {
+        "/viewport": {"ViewportBlueprint": {"root_container": "a"}},
+        "/container/a": {
+            "ContainerBlueprint": {
+                "active_tab": "container/b",
+                "container_kind": "Tabs",
+                "contents": ["container/b", "container/c", "view/d"],
+            }
+        },
+        "/container/b": {"ContainerBlueprint": {"container_kind": "Vertical", "display_name": "Site"}},
+        "/container/c": {"ContainerBlueprint": {"container_kind": "Grid", "display_name": "Fuel"}},
+        "/view/d": {"ViewBlueprint": {"display_name": "Log"}},
+    }
+    for name, part in (("fuel", "container/c"), ("Log", "view/d"), ("Site", "container/b")):
+        chosen = with_tab(told, name)
+        assert chosen["/container/a"]["ContainerBlueprint"].pop("active_tab") == part
+        chosen["/container/a"]["ContainerBlueprint"]["active_tab"] = "container/b"
+        assert chosen == told, "nothing else changes"
+    with pytest.raises(ConfigError, match="no tab 'Depth'; the recording has: Site, Fuel, Log"):
+        with_tab(told, "Depth")
+    with pytest.raises(ConfigError, match="no tabs"):
+        with_tab({}, "Site")
+
+
 @pytest.mark.slow
 def test_screenshot_shows_the_recording(tmp_path: Path, recording: Path) -> None:
     if not list(Path("/usr/share/vulkan/icd.d").glob("*.json")):
         pytest.skip("needs a Vulkan driver: apt-get install mesa-vulkan-drivers libgl1-mesa-dri")
-    screenshot(recording, tmp_path / "deep/a.png", (1200, 700))
-    picture = cv2.imread(str(tmp_path / "deep/a.png"))[..., ::-1].astype(int)
-    assert picture.shape[1] >= 1200
-    photo = np.abs(picture - (200, 100, 30)).max(axis=-1) < 12
-    assert photo.mean() > 0.01, "the camera's image is on the screen"
+    shares = {}
+    for tab in (None, "cameras", "Health"):
+        path = tmp_path / f"deep/{tab}.png"
+        screenshot(recording, path, (1200, 700), tab)
+        picture = cv2.imread(str(path))[..., ::-1].astype(int)
+        assert picture.shape[1] >= 1200
+        shares[tab] = (np.abs(picture - (200, 100, 30)).max(axis=-1) < 12).mean()
+    assert shares[None] > 0.01, "the camera's image is on the screen"
+    assert shares["cameras"] > 2 * shares[None], "the images of both cameras, larger"
+    assert shares["Health"] < 0.001
+    with pytest.raises(ConfigError, match="Site, Cameras, Fuel, Health"):
+        screenshot(recording, tmp_path / "none.png", tab="Depth")
