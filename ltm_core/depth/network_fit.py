@@ -80,7 +80,9 @@ def fit_network(network: NetworkDepth, samples: GroundSamples, size: tuple[int, 
     read = sampled(inverse, samples, size)
     explained = _explained(1.0 / samples.depth, read)
     if explained < LEAST_EXPLAINED:
-        return _unusable(network, line, f"the network's depth explains only {explained:.0%} of the terrain's")
+        # Below 0 it is worse than one depth for all.
+        share = f"only {explained:.0%}" if explained > 0 else "nothing"
+        return _unusable(network, line, f"the network's depth explains {share} of the terrain's")
     answers = Answers.of(read, samples, size)
     # Ground seldom vanishes, so what is farther than the terrain is an error; what is nearer may be plants as well.
     joint = answers.joint(read, samples, size)

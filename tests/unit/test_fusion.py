@@ -87,6 +87,17 @@ def test_networks_of_the_other_kinds_are_fitted_too(kind: str) -> None:
     assert rmse(result.depth, scene.truth, scene.stand) < 0.6 * rmse(scene.traced.depth(), scene.truth, scene.stand)
 
 
+@pytest.mark.parametrize("kind", ["relative_inverse", "affine_invariant", "metric"])
+def test_noise_is_no_depth(kind: str) -> None:
+    """Numbers that have nothing to do with the terrain, over decades: named, and the terrain's depth stays."""
+    scene = depth_scene()
+    noise = (1e4 * np.random.default_rng(4).random((32, 48)) ** 6).astype(np.float32)
+    result = fused(scene, NetworkDepth(noise, kind), scene.labels)  # type: ignore[arg-type]
+    assert result.verdict is Verdict.NETWORK_UNUSABLE
+    assert "explains nothing" in result.reason or "fit one scale" in result.reason or "against" in result.reason
+    assert rmse(result.depth, scene.traced.depth(), ~scene.stand & np.isfinite(scene.traced.range)) < 20.0
+
+
 def test_a_fit_holds_while_forty_percent_of_the_ground_is_something_else() -> None:
     scene = depth_scene()
     network = scene.network(noise=0.005)
