@@ -62,7 +62,10 @@ def errors(cell: float, view: float) -> LabelErrors:
     return LabelErrors(ASSUMED.shares, correlation)
 
 
-networks = st.sampled_from([ASSUMED, errors(0.0, 0.0), errors(0.3, 0.1), errors(1.0, 1.0)])
+LOOKING = LabelErrors.of_model("landscape_lite0")
+"""A network that knows what cells look like: cells are judged by their neighbours in the frame too."""
+assert LOOKING.look is not None
+networks = st.sampled_from([ASSUMED, errors(0.0, 0.0), errors(0.3, 0.1), errors(1.0, 1.0), LOOKING])
 
 
 def counted(*of: CellVotes, network: LabelErrors = ASSUMED, prior: FuelPrior | None = PRIOR) -> EvidenceMap:
@@ -87,6 +90,16 @@ def test_the_order_of_frames_changes_no_bit(of: list[CellVotes], random: object,
     shuffled = list(of)
     random.shuffle(shuffled)  # type: ignore[attr-defined]
     assert_same(counted(*shuffled, network=network), counted(*of, network=network))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(frames(), min_size=2, max_size=8), st.randoms(use_true_random=False))
+def test_the_order_of_frames_changes_no_bit_where_cells_are_judged_by_their_look(
+    of: list[CellVotes], random: object
+) -> None:
+    shuffled = list(of)
+    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    assert_same(counted(*shuffled, network=LOOKING), counted(*of, network=LOOKING))
 
 
 @settings(max_examples=40, deadline=None)
