@@ -167,7 +167,7 @@ class FuelCanvas:
 
     def _furnished(self, picture: Rgb) -> Rgb:
         size = max(12, round(self.view.width / 55))
-        texts: list[tuple[str, float, float, Anchor]] = [draw_north(picture, size)]
+        texts: list[tuple[str, float, float, Anchor]] = []
         for place in self._places:
             row, col = (float(v) for v in self.view.to_grid(place.x, place.y))
             if not (0 <= row < self.view.height and 0 <= col < self.view.width):
@@ -177,6 +177,7 @@ class FuelCanvas:
             cv2.circle(picture, centre, round(size * 0.28), INK, -1, cv2.LINE_AA)
             right = col < 0.75 * self.view.width
             texts.append((place.name, col + (0.7 if right else -0.7) * size, row, "lm" if right else "rm"))
+        texts.append(draw_north(picture, size, texts))
         return draw_texts(picture, texts, size, INK, halo=PAPER)
 
     def _outline(self, picture: Rgb, mask: NDArray[np.bool_]) -> None:

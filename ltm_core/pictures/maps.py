@@ -204,7 +204,7 @@ def furnished(picture: Rgb, view: GridGeometry, cameras: Sequence[MapCamera], ti
     labels: list[tuple[str, float, float, Anchor]] = []
     for camera in cameras:
         labels.append(_draw_camera(picture, view, camera, size))
-    labels.append(draw_north(picture, size))
+    labels.append(draw_north(picture, size, labels))
     if title:
         labels.append((title, size, size * 0.9, "lt"))
     return draw_texts(picture, labels, size, INK, halo=PAPER)
@@ -242,8 +242,13 @@ def _draw_camera(picture: Rgb, view: GridGeometry, camera: MapCamera, size: int)
     return camera.name, x, min(max(y, size), view.height - size), "mm"
 
 
-def draw_north(picture: Rgb, size: int) -> tuple[str, float, float, Anchor]:
+def draw_north(
+    picture: Rgb, size: int, texts: Sequence[tuple[str, float, float, Anchor]] = ()
+) -> tuple[str, float, float, Anchor]:
+    """The arrow in the upper right corner, or the lower one where one of the texts is in its way; gives its N."""
     x, y = picture.shape[1] - 2 * size, size
+    if any(place[1] + text_width(place[0], size) > x - size and place[2] < 5 * size for place in texts):
+        y = picture.shape[0] - 5 * size
     tip, half, height = (x, y), round(size * 0.7), round(size * 2.2)
     left = np.array([tip, (x - half, y + height), (x, y + round(height * 0.72))], np.int32)
     right = np.array([tip, (x + half, y + height), (x, y + round(height * 0.72))], np.int32)

@@ -163,7 +163,7 @@ def _padded(picture: Rgb, height: int) -> Rgb:
 def conditions(site: Site, seconds: float, frames: int) -> list[tuple[str, str]]:
     """What a reader must know to judge the figures."""
     return [
-        ("site", f"{site.name}: {len(site.cameras)} cameras, {site.crs}"),
+        ("site", f"{site.name}: {len(site.cameras)} camera{'s' * (len(site.cameras) != 1)}, {site.crs}"),
         ("frames", str(frames)),
         ("network", site.model),
         ("graph", "one process a node, Fast DDS over shared memory"),

@@ -23,10 +23,12 @@ class MapWindow:
 
 @dataclass(frozen=True)
 class Tabs:
-    """Tabs that a site has only with a depth network (`fusion`) and with a living surface (`terrain`)."""
+    """What differs from site to site: tabs only with a depth network (`fusion`), a living surface (`terrain`)."""
 
     fusion: bool = False
     terrain: bool = False
+    tall: bool = False
+    """The fuel grid is about as high as wide, or higher: its maps fit a wide screen best in one row."""
 
 
 def site_blueprint(
@@ -41,7 +43,7 @@ def site_blueprint(
         name="Site",
     )
     gallery = rrb.Vertical(*(_camera_row(site, camera, timed=False) for camera in cameras), name="Cameras")
-    extra: list[rrb.Container] = [_fuel_layers()]
+    extra: list[rrb.Container] = [_fuel_layers(4 if tabs.tall else 2)]
     if tabs.fusion:
         extra.append(rrb.Vertical(*(_depth_row(camera) for camera in cameras), name="Depth"))
     if tabs.terrain:
@@ -106,10 +108,10 @@ def _changes(window: MapWindow) -> rrb.Spatial2DView:
     )
 
 
-def _fuel_layers() -> rrb.Grid:
+def _fuel_layers(columns: int) -> rrb.Grid:
     """What the fuel map knows of each cell besides what covers it."""
     views = [rrb.Spatial2DView(origin=f"/fuel_layers/{name}", name=title) for name, title in TITLES.items()]
-    return rrb.Grid(*views, grid_columns=2, name="Fuel")
+    return rrb.Grid(*views, grid_columns=columns, name="Fuel")
 
 
 def _camera_row(site: str, camera: str, timed: bool) -> rrb.Horizontal:

@@ -95,7 +95,7 @@ def annotation_context(palette: Palette) -> rr.AnnotationContext:
 def distinct_color(index: int) -> tuple[int, int, int]:
     """The index-th of a row of bright colours: each hue lies where the row so far leaves the widest gap."""
     golden = (5**0.5 - 1) / 2
-    red, green, blue = colorsys.hsv_to_rgb(index * golden % 1.0, 0.75 if index % 2 else 0.45, 0.95)
+    red, green, blue = colorsys.hsv_to_rgb(index * golden % 1.0, (0.35, 0.65, 1.0)[index % 3], 0.95)
     return round(red * 255), round(green * 255), round(blue * 255)
 
 

@@ -238,7 +238,9 @@ class RerunView:
         positions = np.array([pose.position for pose in poses]).reshape(-1, 3)
         azimuths = np.array([pose.angles_deg[0] for pose in poses])
         eye = scene.overview_eye(self._dem, positions, azimuths, self._reach * 0.6)
-        tabs = Tabs(fusion=bool(self._site.depth_model), terrain=self._site.terrain is not None)
+        height, width = self._fuel_geometry.shape
+        fusion, terrain = bool(self._site.depth_model), self._site.terrain is not None
+        tabs = Tabs(fusion=fusion, terrain=terrain, tall=1.2 * height > width)
         return site_blueprint(self._site.name, names, eye, self._window(), self._live, tabs)
 
     def _window(self) -> MapWindow:

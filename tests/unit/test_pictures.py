@@ -33,6 +33,7 @@ from ltm_core.pictures import (
     to_png,
     with_legend,
 )
+from ltm_core.pictures.maps import draw_north
 from ltm_core.pictures.ranges import SKY_COLOR, UNKNOWN_COLOR, scale_colors
 from ltm_core.vision.labels import LabelSet
 
@@ -239,6 +240,17 @@ def test_whole_maps_have_their_width_and_a_legend(width: int) -> None:
     seen[10:30, 20:60] = True
     assert terrain_map_picture(dem, seen, [camera], width=width).shape[1] == width
     assert fuel_map_picture(np.full((8, 12), 255, np.uint8), geometry, LABELS, dem, width=width).shape[1] == width
+
+
+def test_the_north_arrow_makes_way_for_a_name() -> None:
+    blank = np.full((300, 400, 3), 200, np.uint8)
+    upper, moved = blank.copy(), blank.copy()
+    draw_north(upper, 14, [("far off", 60.0, 20.0, "mm"), ("below", 380.0, 200.0, "mm")])
+    draw_north(moved, 14, [("beside it", 360.0, 20.0, "mm")])
+    for picture, rows in ((upper, slice(0, 100)), (moved, slice(200, 300))):
+        drawn = (picture != blank).any(axis=-1)
+        assert drawn[rows].any()
+        assert drawn[rows].sum() == drawn.sum()
 
 
 def test_panel_places_pictures_row_by_row() -> None:
