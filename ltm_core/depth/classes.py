@@ -20,10 +20,20 @@ CREST = 3.0
 """Metres that unlabelled or low cover may rise over a crest."""
 TREE_CREST = 12.0
 """Metres that a tree may rise over a crest."""
-STANDING: Mapping[str, float] = {"grass": 0.03, "shrub": 0.1, "tree": 0.3, "bare": 0.03, "water": 0.01, "built": 0.3}
-"""Chance that a pixel of a class shows something which stands clearly before the bare ground behind it: of label images
-that are often wrong about crowns. Of unlabelled pixels UNLABELLED_STANDING."""
-UNLABELLED_STANDING = 0.1
+STANDING: Mapping[str, tuple[float, float]] = {
+    "grass": (-3.1, 0.99),
+    "shrub": (-1.95, 1.1),
+    "tree": (-2.45, 2.45),
+    "bare": (-2.6, 0.0),
+    "water": (-2.6, 0.0),
+    "built": (-2.45, 2.45),
+}
+"""Log odds that a pixel which a network sees nearer than the ground shows something that stands before it, by class: of
+one that it sees hardly nearer, and what is added for each e-folding of depth between the two. The nearer a thing the
+more ground it hides, and a network's errors seldom are so large. From a logistic regression, see `combine`; buildings
+are taken for trees, water for bare ground."""
+UNLABELLED_STANDING = (-2.0, 1.42)
+"""The same of unlabelled pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +42,8 @@ class DepthClasses:
 
     `cover`: float32 metres of cover above bare ground. `ground`: bool, the terrain shows there. `crest`: float32 metres
     to which a silhouette may be raised there. `surface`: float32 log odds that a canopy raster and not bare ground is
-    what shows. `standing`: float32, the chance that something stands before the ground. `sky`: the id of sky.
+    what shows. `standing`: (256, 2) float32, log odds that something stands before the ground where a network sees it
+    so, and their growth, see STANDING. `sky`: the id of sky.
     """
 
     cover: NDArray[np.float32]
@@ -57,10 +68,11 @@ class DepthClasses:
         surface[[Label.GRASS, Label.BARE, Label.WATER]] = -3.0
         surface[[Label.SHRUB, Label.TREE]] = 0.5, 2.0
         crest[Label.SKY] = 0.0
-        standing = np.full(256, UNLABELLED_STANDING, np.float32)
-        standing[Label.SKY] = 0.0
-        for name, chance in STANDING.items():
-            standing[labels.id_of(name)] = chance
+        standing = np.empty((256, 2), np.float32)
+        standing[:] = UNLABELLED_STANDING
+        standing[Label.SKY] = -np.inf, 0.0
+        for name, odds in STANDING.items():
+            standing[labels.id_of(name)] = odds
         cover[UNLABELLED] = 0.0
         ground[UNLABELLED] = True
         return cls(cover, ground, crest, surface, standing)

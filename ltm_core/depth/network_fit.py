@@ -24,8 +24,10 @@ LEAST_INLIERS = 0.3
 """Share of samples below which nothing holds together."""
 LEAST_EXPLAINED = 0.1
 """Part of the ground's robust spread in inverse depth that a network must take away to be of use."""
+LIKE_TERRAIN = 0.2
+"""Relative noise below which a network is of use even over ground of one depth, where there is nothing to explain."""
 _SHIFT_GAIN = (
-    0.8  # of the residual: a shift that does not bring it there is left out, for it would rule all that is far
+    0.6  # of the residual: a shift that does not bring it there is left out, for it would rule all that is far
 )
 _TYPICAL = 0.1  # relative sigma of the terrain from which on a sample counts for less
 GROSS_SIGMAS = 3.0
@@ -79,10 +81,8 @@ def fit_network(network: NetworkDepth, samples: GroundSamples, size: tuple[int, 
     inverse = _in_metres(network, line)
     read = sampled(inverse, samples, size)
     explained = _explained(1.0 / samples.depth, read)
-    if explained < LEAST_EXPLAINED:
-        # Below 0 it is worse than one depth for all.
-        share = f"only {explained:.0%}" if explained > 0 else "nothing"
-        return _unusable(network, line, f"the network's depth explains {share} of the terrain's")
+    if explained < LEAST_EXPLAINED and line.sigma > LIKE_TERRAIN:
+        return _unusable(network, line, f"the network's depth explains only {explained:.0%} of the terrain's")
     answers = Answers.of(read, samples, size)
     # Ground seldom vanishes, so what is farther than the terrain is an error; what is nearer may be plants as well.
     joint = answers.joint(read, samples, size)
@@ -128,10 +128,9 @@ def _line(kind: str, values: Floats, samples: GroundSamples) -> Line | None:
     inverse = 1.0 / samples.depth
     relative = samples.sigma / samples.depth
     if kind == "relative_inverse":
-        typical = np.hypot(inverse, np.median(inverse))
-        weight = 1.0 / (typical * np.hypot(1.0, relative / _TYPICAL))
-        line = robust_line(values, inverse, weight, floor=RELATIVE_FLOOR)
-        return _without_shift(line, values, inverse, weight)
+        weight = 1.0 / (np.hypot(inverse, np.median(inverse)) * np.hypot(1.0, relative / _TYPICAL))
+        plain = _through_zero(values, inverse, weight)
+        return _with_shift(plain, values, inverse, weight)
     if kind == "affine_invariant":
         return robust_line(values, samples.depth, inverse / np.hypot(1.0, relative / _TYPICAL), floor=RELATIVE_FLOOR)
     known = values > 0
@@ -139,23 +138,51 @@ def _line(kind: str, values: Floats, samples: GroundSamples) -> Line | None:
     return None if line is None else replace(line, inliers=_spread_out(line.inliers, known))
 
 
-def _without_shift(line: Line | None, values: Floats, inverse: Floats, weight: Floats) -> Line | None:
-    """The line through 0 unless the shift earns its place: one that hardly shows on the ground that was sampled would
-    yet decide how far all else is."""
+def _through_zero(values: Floats, inverse: Floats, weight: Floats) -> Line | None:
+    """The line without a shift; None for a network that seldom gives more than 0."""
     positive = values > 0
-    if line is None or positive.mean() < 0.9:
-        return line
+    if positive.mean() < 0.9:
+        return None
     ratio = robust_offset(np.log(inverse[positive]) - np.log(values[positive]), floor=RELATIVE_FLOOR)
-    if ratio is None:
+    return None if ratio is None else _line_of(float(np.exp(ratio.shift)), 0.0, values, inverse, weight)
+
+
+def _with_shift(plain: Line | None, *given: Floats) -> Line | None:
+    """The line with a shift where that earns its place: one that hardly shows on the ground that was sampled would yet
+    decide how near or far all else is.
+
+    It is the network that is noisy and not the terrain, so the network's values are regressed on the terrain's. The
+    other way round noise flattens the line: over ground of about one depth to a constant.
+    """
+    values, inverse, weight = given
+    reach = np.subtract(*np.quantile(inverse, (0.9, 0.1)))
+    spread = np.subtract(*np.quantile(values, (0.9, 0.1)))
+    back = robust_line(inverse, values, weight, floor=RELATIVE_FLOOR * float(spread / max(reach, 1e-12)))
+    if back is None or (back.scale <= 0 and plain is not None):
+        return plain
+    if back.scale == 0:
+        return None
+    line = _line_of(1.0 / back.scale, -back.shift / back.scale, values, inverse, weight)
+    if plain is None:
         return line
-    scale = float(np.exp(ratio.shift))
-    off = np.abs(scale * values - inverse) * weight
-    shifted = float(np.median(np.abs(line.scale * values + line.shift - inverse) * weight))
-    plain = float(np.median(off))
-    if shifted < _SHIFT_GAIN * plain:
-        return line
-    sigma = max(1.4826 * plain, RELATIVE_FLOOR)
-    return Line(scale, 0.0, sigma, off <= WIDTH * sigma)
+    fewer = all(off(line, *given) < _SHIFT_GAIN * off(plain, *given) for off in (_off, _off_values))
+    return line if fewer else plain
+
+
+def _line_of(scale: float, shift: float, values: Floats, inverse: Floats, weight: Floats) -> Line:
+    off = np.abs(scale * values + shift - inverse) * weight
+    sigma = max(1.4826 * float(np.median(off)), RELATIVE_FLOOR)
+    return Line(scale, shift, sigma, off <= WIDTH * sigma)
+
+
+def _off(line: Line, values: Floats, inverse: Floats, weight: Floats) -> float:
+    """Median residual of a line, in inverse depth."""
+    return float(np.median(np.abs(line.scale * values + line.shift - inverse) * weight))
+
+
+def _off_values(line: Line, values: Floats, inverse: Floats, weight: Floats) -> float:
+    """The same in the network's values."""
+    return _off(line, values, inverse, weight) / abs(line.scale)
 
 
 def _spread_out(inliers: NDArray[np.bool_], known: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -165,13 +192,14 @@ def _spread_out(inliers: NDArray[np.bool_], known: NDArray[np.bool_]) -> NDArray
 
 
 def _explained(inverse: Floats, fitted: Floats) -> float:
-    """The part of the ground's robust spread in inverse depth, in proportion to it, that `fitted` takes away."""
+    """The part of the ground's spread in inverse depth, in proportion to it, that `fitted` takes away: a mean of what
+    is cut off at 1, since few samples may be all that lie at another depth."""
     usable = np.isfinite(fitted)
     inverse, fitted = inverse[usable], fitted[usable]
     middle = np.median(inverse)
     typical = np.hypot(inverse, middle)
-    before = np.median(np.abs(inverse - middle) / typical)
-    return 1.0 - float(np.median(np.abs(inverse - fitted) / typical) / max(before, 1e-12))
+    before, after = (np.mean(np.minimum(np.abs(inverse - to) / typical, 1.0)) for to in (middle, fitted))
+    return 1.0 - float(after / max(before, 1e-12))
 
 
 def _in_metres(network: NetworkDepth, line: Line) -> Image:

@@ -29,6 +29,8 @@ USUAL_CREST = 0.25
 """Metres by which crests are usually raised: the prior of a cut falls by e for each."""
 STRIP_PX = 60
 """Most pixels that a silhouette is raised: a near crest's cover is not a strip but an object."""
+STRIP_CELLS = 6.0
+"""The same in rows of a network's depth, where there is one: it sees by itself what stands higher."""
 _SAMPLE, _HALF = 8, 4  # rows of a side's colour sample, and columns to each side of the middle one
 _COLOR_NOISE = 16.0  # least variance of a colour, squared 8-bit steps
 _TEMPER = 0.6  # of a pixel's colour likelihood: neighbours share texture, so they are not independent
@@ -197,14 +199,17 @@ def _cut(
     near, near_var = np.empty(3, np.float32), np.empty(3, np.float32)
     far, far_var = np.empty(3, np.float32), np.empty(3, np.float32)
     highest = crest.max() if labelled or networked else crest[255]
+    most = STRIP_PX
+    if networked:
+        most = min(most, int(np.ceil(STRIP_CELLS * np.float32(height) / cells.shape[1])))
     for i in range(len(rows)):
         v, u = rows[i], cols[i]
         d = ground[v, u]
         row, col = v * shift.shape[0] // height, u * shift.shape[1] // color.shape[1]
         # The widest strip that any class allows decides where the far side's colour is taken; for most columns
         # no pixel is of a tall class and the usual crest's strip will do.
-        usual = min(STRIP_PX, int(crest[255] * focal / d))
-        tall = min(STRIP_PX, int(highest * focal / d))
+        usual = min(most, int(crest[255] * focal / d))
+        tall = min(most, int(highest * focal / d))
         strip = usual
         share = np.float32(0.0)
         if networked:
