@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
-from ltm_core.errors import LtmError, RecordingError
+from ltm_core.errors import LtmError
 from ltm_core.metrics.depth import DepthScore
 from ltm_core.metrics.depth_fit import DepthKind, at_pixels_of, fit_to_truth
 from ltm_core.metrics.depth_maps_io import DepthMapFolder
@@ -96,6 +97,8 @@ def score_bag(recorded: Recorded, folders: Sequence[DepthMapFolder] = ()) -> Bag
     expected = [name for name in names if name not in DEPTH_SOURCES or stream.has(name)]
     tallies = {(name, against): DepthTally() for name in names for against in (*TRUTHS, SHARED)}
     lines = {name: SkylineTally() for name in ("traced", "labels")}
+    maps: Counter[str] = Counter()
+    example = ""
     labels = SegmentationScore.empty(len(label_set))
     fuel = FuelTally(recorded)
     for frame in stream.frames():
@@ -103,12 +106,14 @@ def score_bag(recorded: Recorded, folders: Sequence[DepthMapFolder] = ()) -> Bag
         if "truth_depth" not in frame:
             continue
         score.frames += 1
+        example = example or f"{frame.camera_name}/{frame.stamp_ns}.npy"
         image = image_shape(frame, site)
-        estimates = _estimates(frame, folders)
+        found = estimates(frame, folders, image)
+        maps.update(name for name, _ in found)
         for against, part in TRUTHS.items():
             truth = frame.take(part)
             if truth is not None:
-                depths = {name: in_metres(depth, kind_of(name, folders), truth, image) for name, depth in estimates}
+                depths = {name: in_metres(depth, kind_of(name, folders), truth, image) for name, depth in found}
                 for name, metres in depths.items():
                     tallies[name, against].add(metres, truth)
                 if part == "truth_depth" and len(depths) == len(expected) > 1:
@@ -118,17 +123,19 @@ def score_bag(recorded: Recorded, folders: Sequence[DepthMapFolder] = ()) -> Bag
         if truth_labels is not None and given is not None:
             labels = labels.plus(truth_labels, at_pixels_of(given, image, truth_labels.shape))
     for (name, against), tally in tallies.items():
-        if tally.frames:
+        if tally.coverage > 0:
             score.depth.append(DepthRow(name, against, tally.frames, tally.coverage, tally.scores()))
     score.skylines = [(name, line.score()) for name, line in lines.items() if line.score().columns]
     score.labels = labels if labels.pixels else None
     score.latency = _latencies(stream)
-    found = fuel.scores()
-    score.fuel, score.fuel_vote, score.fuel_prior = found.fuel, found.vote, found.prior
+    fuels = fuel.scores()
+    score.fuel, score.fuel_vote, score.fuel_prior = fuels.fuel, fuels.vote, fuels.prior
     if fuel.lacking is not None:
         score.lacking.append(fuel.lacking)
     _score_terrain(score, recorded)
-    score.lacking[:0] = _lacking(score, stream, recorded, folders)
+    if score.frames:
+        score.lacking[:0] = [f"depth, {f.name}: {why}" for f in folders if (why := _missed(score, f, maps, example))]
+    score.lacking[:0] = _lacking(score, stream)
     return score
 
 
@@ -154,24 +161,14 @@ def in_metres(
     return fit_to_truth(at_pixels_of(depth, image, truth.shape), truth, kind)
 
 
-def _estimates(frame: StreamedFrame, folders: Sequence[DepthMapFolder]) -> list[tuple[str, NDArray[np.float32]]]:
+def estimates(
+    frame: StreamedFrame, folders: Sequence[DepthMapFolder], image: tuple[int, int]
+) -> list[tuple[str, NDArray[np.float32]]]:
+    """The depths that there are of a frame, by the name of their source, each in its own kind and size."""
     found = [(name, frame.take(name)) for name in DEPTH_SOURCES if name in frame]
-    for folder in folders:
-        depth = folder.read(frame.camera_name, frame.stamp_ns)
-        if depth is not None:
-            if folder.config.along == "ray":
-                depth = _along_axis(depth, frame.take("camera"), folder)
-            found.append((folder.name, depth))
-    return found
-
-
-def _along_axis(depth: NDArray[np.float32], camera: Camera | None, folder: DepthMapFolder) -> NDArray[np.float32]:
-    if camera is None:
-        raise RecordingError(f"{folder.path} gives ranges along rays, but the bag has no camera_info to turn them by")
-    cosine = camera.rays()[..., 2].astype(np.float32)
-    rows = ((np.arange(depth.shape[0]) + 0.5) * camera.height / depth.shape[0]).astype(np.int64)
-    cols = ((np.arange(depth.shape[1]) + 0.5) * camera.width / depth.shape[1]).astype(np.int64)
-    return np.asarray(depth * cosine[rows[:, None], cols], np.float32)
+    camera: Camera | None = frame.take("camera") or frame.take("depth_camera")
+    given = [(f.name, f.of_frame(frame.camera_name, frame.stamp_ns, image, camera)) for f in folders]
+    return found + [(name, depth) for name, depth in given if depth is not None]
 
 
 def _add_skylines(lines: dict[str, SkylineTally], frame: StreamedFrame, image: tuple[int, int]) -> None:
@@ -212,7 +209,17 @@ def _score_terrain(score: BagScore, recorded: Recorded) -> None:
         score.lacking.append("change: no true surface of an earlier date, or no threshold in terrain/info")
 
 
-def _lacking(score: BagScore, stream: FrameStream, recorded: Recorded, folders: Sequence[DepthMapFolder]) -> list[str]:
+def _missed(score: BagScore, folder: DepthMapFolder, maps: Mapping[str, int], example: str) -> str:
+    """What a folder of depth maps lacks; empty where it has a map with numbers of every frame with truth."""
+    count = maps[folder.name]
+    if count == 0:
+        return f"{folder.path} has no map of any frame with truth; the first would be {example}"
+    if not any(row.source == folder.name for row in score.depth):
+        return f"its {count} maps have no number where a true depth is known"
+    return "" if count == score.frames else f"{folder.path} has maps of {count} of the {score.frames} frames with truth"
+
+
+def _lacking(score: BagScore, stream: FrameStream) -> list[str]:
     have = {part for _, part in stream.counts}
     lacking = []
     if score.frames == 0:
@@ -220,12 +227,8 @@ def _lacking(score: BagScore, stream: FrameStream, recorded: Recorded, folders: 
     for name, topic in DEPTH_SOURCES.items():
         if name not in have:
             lacking.append(f"depth, {name}: the bag has no {topic.name}")
-    scored = {row.source for row in score.depth}
-    lacking += [
-        f"depth, {folder.name}: {folder.path} has no map of any frame with truth"
-        for folder in folders
-        if folder.name not in scored
-    ]
+    if len({row.source for row in score.depth}) > 1 and not any(row.against == SHARED for row in score.depth):
+        lacking.append("depth, shared: no pixel of a frame has a depth of every source")
     if score.labels is None:
         absent = [t.name for p, t in (("labels", LABELS_IMAGE), ("truth_labels", TRUTH_LABELS)) if p not in have]
         lacking.append(f"labels: the bag has no {' and no '.join(absent) or 'frame with both labels and truth'}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -40,7 +39,7 @@ from ltm_core.pose import Pose
 from ltm_core.site import Site
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmenter
-from ltm_ros.bag_score import DEPTH_SOURCES, in_metres, kind_of
+from ltm_ros.bag_score import estimates, in_metres, kind_of
 from ltm_ros.frame_stream import FrameStream, StreamedFrame
 from ltm_ros.recorded import Recorded, image_shape, recorded_votes
 
@@ -87,14 +86,11 @@ def views(stream: FrameStream, site: Site, folders: Sequence[DepthMapFolder] = (
 
 def _view(frame: StreamedFrame, site: Site, folders: Sequence[DepthMapFolder]) -> View:
     truth = frame.take("truth_depth")
-    depths = {}
-    given: list[tuple[str, Any]] = [(name, frame.take(name)) for name in DEPTH_SOURCES]
-    given += [(folder.name, folder.read(frame.camera_name, frame.stamp_ns)) for folder in folders]
-    for name, depth in given:
-        if depth is not None:
-            depths[name] = (
-                depth if truth is None else in_metres(depth, kind_of(name, folders), truth, image_shape(frame, site))
-            )
+    image = image_shape(frame, site)
+    depths = {
+        name: depth if truth is None else in_metres(depth, kind_of(name, folders), truth, image)
+        for name, depth in estimates(frame, folders, image)
+    }
     return View(
         frame.camera_name,
         frame.take("camera"),

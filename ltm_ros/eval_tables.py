@@ -282,4 +282,7 @@ def shown(value: object) -> str:
         return str(value)
     if not math.isfinite(value):
         return NOTHING
-    return f"{value:,}" if isinstance(value, int | np.integer) else f"{value:,.2f}"
+    if isinstance(value, int | np.integer):
+        return f"{value:,}"
+    number = float(value)
+    return f"{number:,.2f}" if abs(number) < 1000 else f"{number:,.0f}"

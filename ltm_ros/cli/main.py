@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 import typer
@@ -51,6 +52,8 @@ cli.add_typer(evaluate, name="eval")
 
 def app() -> None:
     """Entry point: bad input ends with a message and status 1, not with a traceback."""
+    if not sys.stdout.isatty():
+        os.environ.setdefault("COLUMNS", "120")  # a log is no 80 characters wide: tables would lose figures
     try:
         cli()
     except LtmError as error:

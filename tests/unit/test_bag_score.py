@@ -147,7 +147,26 @@ def test_depth_maps_of_others(recorded: Recorded, tmp_path: Path) -> None:
     assert (rows["maps"].frames, rows["maps"].scores[-1].bias) == (2, pytest.approx(7, abs=1e-4))
     assert rows["ranges"].scores[-1].rmse == pytest.approx(0, abs=1e-3)
     assert rows["relative"].scores[-1].rmse == pytest.approx(0, abs=0.05)
-    assert any("foreign: " in reason and "no map of any frame" in reason for reason in score.lacking)
+    assert f"depth, ranges: {ranges} has maps of 1 of the {score.frames} frames with truth" in score.lacking
+    missed = next(reason for reason in score.lacking if reason.startswith("depth, foreign: "))
+    assert f"no map of any frame with truth; the first would be north/{5 * SECOND}.npy" in missed
+
+
+def test_depth_maps_without_numbers_are_named_and_tell_nothing(recorded: Recorded, tmp_path: Path) -> None:
+    np.save(tmp_path / f"north_{5 * SECOND}.npy", np.full((10, 18), np.nan))
+    score = score_bag(recorded, [DepthMapFolder.open("hollow", tmp_path)])
+    assert "depth, hollow: its 1 maps have no number where a true depth is known" in score.lacking
+    assert not [row for row in score.depth if row.source == "hollow"]
+    assert not [row for row in score.depth if row.against == SHARED], "nothing is shared with no number"
+    assert any(reason.startswith("depth, shared: no pixel") for reason in score.lacking)
+
+
+@pytest.mark.parametrize("name", ["traced", "mine"])
+def test_two_sources_of_one_name_are_refused(recorded: Recorded, tmp_path: Path, name: str) -> None:
+    np.save(tmp_path / f"north_{5 * SECOND}.npy", depth_image())
+    given = [part for other in (name, "mine") for part in ("--depth-maps", f"{other}={tmp_path}")]
+    result = CliRunner().invoke(cli, ["eval", "bag", str(recorded.bag), *given])
+    assert "another source is called" in str(result.exception)
 
 
 def test_tables_and_json(recorded: Recorded) -> None:

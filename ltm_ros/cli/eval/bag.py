@@ -47,17 +47,19 @@ def bag(
 
     from ltm_core.errors import ConfigError, RecordingError
     from ltm_core.metrics.depth_maps_io import DepthMapFolder
-    from ltm_ros.bag_score import score_bag
+    from ltm_ros.bag_score import DEPTH_SOURCES, score_bag
     from ltm_ros.eval_tables import as_json, rich_table, tables
     from ltm_ros.figures_io import write_figures
     from ltm_ros.recorded import Recorded
 
     console = Console()
-    folders = []
+    folders: list[DepthMapFolder] = []
     for given in depth_maps or []:
         name, equals, folder = given.partition("=")
         if not (name and equals and folder):
             raise ConfigError(f"--depth-maps {given!r}: give NAME=FOLDER, such as --depth-maps depth_pro=out/depth_pro")
+        if name in DEPTH_SOURCES or any(name == other.name for other in folders):
+            raise ConfigError(f"--depth-maps {given!r}: another source is called {name!r}; give this one its own name")
         folders.append(DepthMapFolder.open(name, Path(folder)))
     recorded = Recorded.find(bag, site, truth, date)
     with console.status("scoring"):

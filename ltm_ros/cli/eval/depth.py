@@ -97,9 +97,10 @@ def depth(
                 if network is not None:
                     estimate = network.predict(photo, frame.camera)
                 else:
-                    values = folder.read(frame.camera_name, frame.stamp_ns) if folder is not None else None
+                    of = (frame.camera_name, frame.stamp_ns, photo.shape[:2], frame.camera)
+                    values = folder.of_frame(*of) if folder is not None else None
                     if values is None or folder is None:
-                        raise RecordingError(f"{depth_maps} has no depth map {frame.camera_name}/{frame.stamp_ns}")
+                        raise RecordingError(f"{depth_maps} has no depth map {frame.camera_name}/{frame.stamp_ns}.npy")
                     estimate = NetworkDepth(values, folder.config.kind)
                 given = Given(estimate, None)
                 if segmenter is not None:
