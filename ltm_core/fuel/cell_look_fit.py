@@ -18,7 +18,7 @@ from ltm_core.fuel.votes import CellVotes
 Floats = NDArray[np.float64]
 INCIDENCE = (0.05, 0.5)
 """Cosines: from 3 degrees over the ground to 30."""
-LEAST_PIXELS = 3
+LEAST_PIXELS_LEARNT = 3
 """Of a cell in a frame that is learnt from."""
 LEAST_CELLS = 150
 """Of a form, over all frames, before it counts as known."""
@@ -40,7 +40,7 @@ class SeenCells:
 
 
 def seen_cells(
-    frames: Iterable[CellVotes], truth: NDArray[np.uint8], forms: NDArray[np.int64], least: int = LEAST_PIXELS
+    frames: Iterable[CellVotes], truth: NDArray[np.uint8], forms: NDArray[np.int64], least: int = LEAST_PIXELS_LEARNT
 ) -> SeenCells:
     """The cells of one site's frames that have `least` pixels. `truth`: (H, W) life forms on the votes' grid. `forms`:
     of the labels (`life_form.label_forms`). Raises ImageError for votes without a sighting.

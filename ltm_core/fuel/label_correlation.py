@@ -23,7 +23,7 @@ from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import FORMS, form_counts
 from ltm_core.fuel.votes import CellVotes
 
-LEAST_PIXELS = 10
+LEAST_PIXELS_MEASURED = 10
 """Of a cell in a frame that is measured."""
 _LEAST_PAIRS = 100
 _KINDS = ("cell", "stand", "view", "network")
@@ -65,7 +65,7 @@ def label_correlation(
         counts = form_counts(votes.counts, forms)
         pixels = counts.sum(axis=1)
         true = truth[votes.rows, votes.cols].astype(np.int64) - 1
-        good = (pixels >= LEAST_PIXELS) & (true >= 0) & (true < FORMS)
+        good = (pixels >= LEAST_PIXELS_MEASURED) & (true >= 0) & (true < FORMS)
         rows, cols, counts, pixels, true = (a[good] for a in (votes.rows, votes.cols, counts, pixels, true))
         np.add.at(cells, (true, counts.argmax(axis=1)), 1)
         share, expected = counts / pixels[:, None], table[true]
@@ -88,7 +88,7 @@ def looks(
     result = []
     known = look.known
     for votes in frames:
-        cells = seen_cells([votes], truth, forms, LEAST_PIXELS)
+        cells = seen_cells([votes], truth, forms, LEAST_PIXELS_MEASURED)
         used = known[cells.true]
         shown = np.zeros((int(used.sum()), FORMS))
         likelihood = look.log_likelihood(cells.seen[used], cells.cosine[used])[:, known]
