@@ -9,12 +9,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.pose import Pose
-from ltm_core.simulator.noise import gradient_noise, gradient_noise_3d, lattice_uniform
+from ltm_core.simulator.cloud_kernels import FADE, LEVEL, field_points, march, shade
 from ltm_core.simulator.scenario import CloudConfig, SunConfig
 from ltm_core.simulator.sky import sun_direction
 
@@ -25,11 +24,6 @@ Color = NDArray[np.float32]
 _EXTINCTION = {"cumulus": 0.045, "stratus": 0.02}  # 1/m where density is 1: a few hundred droplets a cubic centimetre
 _SOFT = {"cumulus": 0.26, "stratus": 0.6}  # of the strength's range over which an edge thins out
 _BILLOWS = {"cumulus": 0.66, "stratus": 0.5}  # how much of a body billows bite out of it
-_FADE = 30_000.0  # m over which far clouds fade into the air
-_REACH = 14_000.0  # m of a ray inside the slab beyond which nothing shows
-_LEVEL = 0.004  # upward slope of a ray under which it counts as level: haze is all that it sees
-_STEPS, _SUN_STEPS, _SHADE_STEPS = 40, 8, 7
-_FIELD_OCTAVES, _OCTAVES = 4, 5  # of the map of where clouds are, and of the billows on them
 _WINDOW, _CELLS = 20_000.0, 26  # m about the eye, and cells a wavelength, of the raster that the strength is read from
 _COARSE = 540  # rows above which clouds are drawn on every second pixel: they have no edges that this could blunt
 _VEIL_HEIGHT = 6500.0  # m over the site
@@ -105,7 +99,7 @@ class Clouds:
         """The share of the sun's light that reaches map points (..., 3)."""
         flat = np.ascontiguousarray(points.reshape(-1, 3), np.float64)
         out = np.empty(len(flat), np.float32)
-        _shade(flat, self._sun, self._slab, self._shape, self._raster, self._frame, self._seed, out)
+        shade(flat, self._sun, self._slab, self._shape, self._raster, self._frame, self._seed, out)
         return np.asarray(1 - _HELD * (1 - out.reshape(points.shape[:-1])), np.float32)
 
     def seen(self, camera: Camera, pose: Pose) -> CloudLayer:
@@ -135,7 +129,7 @@ class Clouds:
         rows, cols = rays.shape[:2]
         out = np.zeros((rows * cols, 3), np.float32)
         flat = np.ascontiguousarray(rays.reshape(-1, 3))
-        _march(flat, self._eye, self._sun, self._slab, self._shape, self._raster, self._frame, self._seed, out)
+        march(flat, self._eye, self._sun, self._slab, self._shape, self._raster, self._frame, self._seed, out)
         layer = out.reshape(rows, cols, 3)
         if self._config.veil > 0:
             layer = self._before_veil(layer, rays)
@@ -144,7 +138,7 @@ class Clouds:
 
     def _before_veil(self, layer: Image, rays: Array) -> Image:
         """The layer of low clouds before ice clouds drawn out by the wind up there."""
-        up = np.maximum(rays[..., 2], _LEVEL)
+        up = np.maximum(rays[..., 2], LEVEL)
         t = (self._veil_height - self._eye[2]) / up
         # Streaks run with the wind, here towards east by south, and are bent by its eddies
         x, y = self._eye[0] + t * rays[..., 0], self._eye[1] + t * rays[..., 1]
@@ -154,7 +148,7 @@ class Clouds:
         streaks = self._veil_field(along / 4.5, across + 2500 * eddy, 1500.0, 41)
         amount = np.clip(0.45 + 1.3 * broad, 0, 1) * np.clip(0.55 + 0.8 * streaks, 0, 1.4)
         thick = self._config.veil * amount * np.minimum(1 / (2 * up), 2.0)  # a slanted path is longer
-        opacity = (1 - np.exp(-thick)) * np.exp(-t / (2 * _FADE)) * (rays[..., 2] > _LEVEL)
+        opacity = (1 - np.exp(-thick)) * np.exp(-t / (2 * FADE)) * (rays[..., 2] > LEVEL)
         forward = _phase(rays @ self._sun, 0.5)
         behind = np.stack([opacity, opacity * np.minimum(0.35 + 0.25 * forward, 1.2), 0.6 * opacity], axis=-1)
         return np.asarray(layer + (1 - layer[..., :1]) * behind, np.float32)
@@ -176,163 +170,5 @@ def _phase(cosine: Array, g: float) -> Array:
 
 def _field(x: Array, y: Array, size: float, seed: int) -> Array:
     out = np.empty(x.size)
-    _field_points(np.ascontiguousarray(x), np.ascontiguousarray(y), float(size), seed, out)
+    field_points(np.ascontiguousarray(x), np.ascontiguousarray(y), float(size), seed, out)
     return out
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _field_at(x: float, y: float, size: float, seed: int) -> float:
-    total, gain, scale = 0.0, 1.0, 1.0 / size
-    for o in range(_FIELD_OCTAVES):
-        total += gain * gradient_noise(x * scale + 5.5 * o, y * scale - 3.1 * o, seed + 101 * o)
-        gain *= 0.5
-        scale *= 2.0
-    return total
-
-
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _field_points(x: Array, y: Array, size: float, seed: int, out: Array) -> None:
-    for i in range(x.size):
-        out[i] = _field_at(x[i], y[i], size, seed)
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _strength(x: float, y: float, shape: Array, raster: Image, frame: Array, seed: int) -> float:
-    """The strength, bilinear between the raster's points; outside it out of the noise itself."""
-    col, row = (x - frame[0]) / frame[2], (y - frame[1]) / frame[2]
-    c, r = int(np.floor(col)), int(np.floor(row))
-    if c < 0 or r < 0 or c >= raster.shape[1] - 1 or r >= raster.shape[0] - 1:
-        return float((_field_at(x, y, shape[0], seed) - shape[1]) / shape[2])
-    fx, fy = col - c, row - r
-    low = raster[r, c] * (1 - fx) + raster[r, c + 1] * fx
-    high = raster[r + 1, c] * (1 - fx) + raster[r + 1, c + 1] * fx
-    return float(low * (1 - fy) + high * fy)
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _density(
-    x: float, y: float, z: float, slab: Array, shape: Array, raster: Image, frame: Array, seed: int, detail: float
-) -> float:
-    """Density 0 .. 1 at a point: domes on level bases, or lenses, over the field's hills; billows bitten out of them.
-
-    `detail`: the shortest wavelength that counts.
-    """
-    up = (z - slab[0]) / slab[1]
-    if up <= 0.0 or up >= 1.0:
-        return 0.0
-    s = _strength(x, y, shape, raster, frame, seed)
-    if s <= 0.0:
-        return 0.0
-    s = min(s, 1.3)
-    lens, dome = 1.4 * s - 0.9 * (2.0 * up - 1.0) ** 2, s * min(1.0, up / 0.1) - 0.75 * up**1.4
-    body = lens if shape[6] > 0.5 else dome
-    if body <= 0.0:
-        return 0.0
-    bite, norm, gain, wavelength = 0.0, 0.0, 1.0, shape[0] / 3.2
-    for o in range(_OCTAVES):
-        part = gain * min(1.0, wavelength / detail - 1.0)  # the last octave comes in by and by
-        if part <= 0.0:
-            break
-        n = gradient_noise_3d(x / wavelength + 7.7 * o, y / wavelength, 1.25 * z / wavelength - 2.9 * o, seed + 211 + o)
-        bite += part * (1.0 - 1.6 * abs(n))
-        norm += part
-        gain *= 0.55
-        wavelength /= 2.1
-    if norm > 0.0:
-        body -= shape[5] * max(bite / norm, 0.0) * (0.5 + 0.5 * up)
-    t = body / shape[4]
-    if t <= 0.0:
-        return 0.0
-    t = min(t, 1.0)
-    return float(t * t * (3.0 - 2.0 * t) * (0.55 + 0.45 * up))
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _depth_to_sun(
-    x: float,
-    y: float,
-    z: float,
-    sun: Array,
-    slab: Array,
-    shape: Array,
-    raster: Image,
-    frame: Array,
-    seed: int,
-    draw: float,
-) -> float:
-    """Optical depth from a point inside a cloud to the sun, by strides that grow; `draw`: where in them it looks."""
-    total, at, stride = 0.0, 0.0, 0.03 * slab[1]
-    for _ in range(_SUN_STEPS):
-        t = at + draw * stride
-        total += stride * _density(
-            x + t * sun[0], y + t * sun[1], z + t * sun[2], slab, shape, raster, frame, seed, 0.12 * shape[0]
-        )
-        at += stride
-        stride *= 1.5
-    return float(total * shape[3])
-
-
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _march(
-    rays: Array,
-    eye: Array,
-    sun: Array,
-    slab: Array,
-    shape: Array,
-    raster: Image,
-    frame: Array,
-    seed: int,
-    out: Image,
-) -> None:
-    """Opacity, sunlight and skylight of the slab along each ray: single scattering forward and, as two streams give it,
-    what many scatterings leave."""
-    low, high = (slab[0] - eye[2]), (slab[0] + slab[1] - eye[2])
-    for i in range(rays.shape[0]):
-        rise = rays[i, 2]
-        if rise <= _LEVEL or high <= 0.0:
-            continue
-        start = max(low, 0.0) / rise
-        if start > 3.0 * _FADE:
-            continue
-        ds = min(high / rise - start, _REACH) / _STEPS
-        cosine = rays[i, 0] * sun[0] + rays[i, 1] * sun[1] + rays[i, 2] * sun[2]
-        forward = (1 - 0.36) / (1 + 0.36 - 1.2 * cosine) ** 1.5
-        clear, lit, ambient, mean_t = 1.0, 0.0, 0.0, 0.0
-        # A seeded start within the first step, else steps show as rings
-        draw = lattice_uniform(i, 0, 5)
-        t = start + ds * draw
-        for _ in range(_STEPS):
-            x, y, z = eye[0] + t * rays[i, 0], eye[1] + t * rays[i, 1], eye[2] + t * rise
-            d = _density(x, y, z, slab, shape, raster, frame, seed, max(0.7 * ds, 0.002 * t))
-            if d > 0.0:
-                to_sun = _depth_to_sun(x, y, z, sun, slab, shape, raster, frame, seed, 0.4 + 0.2 * draw)
-                up = (z - slab[0]) / slab[1]
-                part = clear * (1.0 - np.exp(-shape[3] * d * ds))
-                lit += part * (0.09 * forward * np.exp(-to_sun) + 0.72 / (1.0 + 0.16 * to_sun))
-                ambient += part * (0.25 + 0.6 * up)
-                mean_t += part * t
-                clear -= part
-                if clear < 0.01:
-                    break
-            t += ds
-        opacity = 1.0 - clear
-        if opacity > 0.0:
-            fade = np.exp(-mean_t / opacity / _FADE)
-            out[i, 0], out[i, 1], out[i, 2] = opacity * fade, lit * fade, ambient * fade
-
-
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _shade(
-    points: Array, sun: Array, slab: Array, shape: Array, raster: Image, frame: Array, seed: int, out: Image
-) -> None:
-    """The share of sunlight that the slab lets through to each point: what is scattered forward arrives too."""
-    detail = 0.12 * shape[0]
-    for i in range(points.shape[0]):
-        enter = (slab[0] - points[i, 2]) / sun[2]
-        ds = slab[1] / sun[2] / _SHADE_STEPS
-        depth = 0.0
-        for k in range(_SHADE_STEPS):
-            t = enter + (k + 0.5) * ds
-            x, y, z = points[i, 0] + t * sun[0], points[i, 1] + t * sun[1], points[i, 2] + t * sun[2]
-            depth += ds * _density(x, y, z, slab, shape, raster, frame, seed, detail)
-        out[i] = np.exp(-0.5 * shape[3] * depth)

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
-from ltm_core.simulator.scenario import AtmosphereConfig, ImagingConfig
+from ltm_core.simulator.camera_setup import ImagingConfig
+from ltm_core.simulator.scenario import AtmosphereConfig
 
 Image = NDArray[np.float32]
 

@@ -11,6 +11,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from ltm_core.camera import Camera
+from ltm_core.simulator.camera_setup import CameraSetup, ImagingConfig, ViewsConfig
 from ltm_core.simulator.changes import Change, Strict
 
 LAST_NS = 2**31 * 10**9 - 1
@@ -114,103 +115,6 @@ class SmokeConfig(Strict):
     wind_deg: float = 90.0
     thickness: float = Field(0.5, gt=0, le=1)  # opacity of a puff's middle
     puffs: int = Field(260, ge=1)
-
-
-class ImagingConfig(Strict):
-    samples: int = Field(24, ge=1)  # light paths a pixel
-    exposure: float = Field(1.0, gt=0)  # relative to the automatic one
-    vignetting: float = Field(0.25, ge=0, le=1)  # part of cos^4 fall-off applied
-    noise: float = Field(1.0, ge=0)  # sensor noise relative to a small daylight camera
-    denoise: bool = True
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)  # k1, k2, p1, p2, k3
-    jpeg_quality: int = Field(78, ge=1, le=100)  # of the recording's images
-
-
-class PatrolConfig(Strict):
-    """A moving head's round: every azimuth in turn, `rounds` times, one frame each `interval_s`."""
-
-    azimuth_deg: Annotated[list[float], Field(min_length=1)]
-    pitch_deg: list[float] = Field([-6.0])  # one for all azimuths or one each
-    hfov_deg: list[float] = Field([])  # of a zoom, one each; none: the camera's own
-    roll_deg: float = 0.0
-    rounds: int = Field(1, ge=1)
-    interval_s: float = Field(2.0, gt=0)
-    start_s: float = 0.0
-
-    @model_validator(mode="after")
-    def _one_pitch_each(self) -> PatrolConfig:
-        if len(self.hfov_deg) not in (0, len(self.azimuth_deg)):
-            raise ValueError(f"{len(self.hfov_deg)} fields of view for {len(self.azimuth_deg)} azimuths: one each")
-        if len(self.pitch_deg) not in (1, len(self.azimuth_deg)):
-            raise ValueError(
-                f"{len(self.pitch_deg)} pitches for {len(self.azimuth_deg)} azimuths: give one, or one each"
-            )
-        return self
-
-
-class SensorConfig(Strict):
-    """What a camera's sensors get wrong. A `bias` is the standard deviation of an error that stays over the recording,
-    a `sigma` of one that is new with every frame; all zero is a surveyed tower."""
-
-    compass_bias_deg: float = Field(0.0, ge=0)
-    compass_sigma_deg: float = Field(0.0, ge=0)
-    tilt_sigma_deg: float = Field(0.0, ge=0)  # pitch and roll
-    gps_bias: float = Field(0.0, ge=0)  # m
-    gps_sigma: float = Field(0.0, ge=0)
-    barometer_bias: float = Field(0.0, ge=0)  # m
-    barometer_sigma: float = Field(0.0, ge=0)
-    clock_offset_s: float = 0.0  # its clock is so much ahead
-    lost: float = Field(0.0, ge=0, lt=1)  # share of frames that never arrive
-    late: float = Field(0.0, ge=0, le=1)  # share of frames that arrive late, by up to
-    late_s: float = Field(1.5, ge=0)
-
-
-PHONE = SensorConfig(
-    compass_bias_deg=6.0,
-    compass_sigma_deg=1.5,
-    tilt_sigma_deg=0.7,
-    gps_bias=5.0,
-    gps_sigma=1.0,
-    barometer_bias=4.0,
-    barometer_sigma=0.5,
-    clock_offset_s=0.25,
-    lost=0.03,
-    late=0.1,
-)
-"""A smartphone held by hand: compass within 5-10 degrees, pitch and roll 0.5-1 degree, GPS 5 m, height 3-10 m."""
-
-
-class CameraSetup(Strict):
-    """A camera on a mast at map (x, y), `mast` metres above the true ground of the first date.
-
-    `sensor`: `tower` (exact), `phone` (PHONE), or its errors one by one.
-    """
-
-    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
-    x: float
-    y: float
-    mast: float = Field(15.0, gt=0)
-    z: float | None = None  # metres, a surveyed height instead of the mast's
-    hfov_deg: float = Field(55.0, gt=0, lt=170)
-    sensor: Literal["tower", "phone"] | SensorConfig = "tower"
-    patrol: PatrolConfig
-
-    def sensors(self) -> SensorConfig:
-        """The camera's errors, its kind spelt out."""
-        if isinstance(self.sensor, SensorConfig):
-            return self.sensor
-        return PHONE if self.sensor == "phone" else SensorConfig()
-
-
-class ViewsConfig(Strict):
-    """Seeded viewpoints for training: knolls and slopes, with heights, headings and fields of view drawn at random."""
-
-    positions: int = Field(8, ge=1)
-    views: int = Field(8, ge=1)  # frames a position
-    mast: tuple[float, float] = (2.0, 25.0)
-    pitch_deg: tuple[float, float] = (-14.0, 1.0)
-    roll_deg: tuple[float, float] = (-3.0, 3.0)
-    hfov_deg: tuple[float, float] = (35.0, 68.0)
 
 
 class DemConfig(Strict):

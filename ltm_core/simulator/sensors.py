@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.pose import Pose
-from ltm_core.simulator.scenario import SensorConfig
+from ltm_core.simulator.camera_setup import SensorConfig
 
 
 @dataclass(frozen=True)

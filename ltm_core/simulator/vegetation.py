@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ltm_core.simulator import noise
 from ltm_core.simulator.appearance import Palette
+from ltm_core.simulator.cells import Cells, describe
 from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, LandCover
 from ltm_core.simulator.prototypes import FAR_PATCH, NEAR_PATCH, STAGES, TUFT_PATCH, Prototype, Prototypes
 from ltm_core.simulator.scenario import VegetationConfig
@@ -32,27 +33,6 @@ class Placement:
 
     prototype: Prototype
     transforms: Array
-
-
-@dataclass(frozen=True)
-class _Cells:
-    """Square cells of the ground, (N,) each, and what the land cover says of them: `shares` (N, 5) by class."""
-
-    x: Array
-    y: Array
-    side: float
-    shares: Array
-    density: Array
-    shrub_height: Array
-    tree_height: Array
-    char: Array
-    scorch: Array
-    dead_shrub: Mask
-    dead_tree: Mask
-    rock: Array
-    conifer: Mask
-    rubble: Mask
-    edge: Mask  # a change has ended inside the cell
 
 
 def _keys(x: Array, y: Array) -> NDArray[np.int64]:
@@ -87,7 +67,7 @@ class Planting:
         sight = line_of_sight(self._terrain.surroundings, eye, FAR_PATCH, bend).at(x, y)
         x, y = x[sight], y[sight]
         near = np.hypot(x - eye[0], y - eye[1]) < self._config.detail_radius
-        out = self._patches(self._describe(x[~near], y[~near], FAR_PATCH), "far_")
+        out = self._patches(describe(self._cover, x[~near], y[~near], FAR_PATCH), "far_")
         out += self._detailed(x[near], y[near], eye) + self._houses()
         if self._config.grass_radius > 0:
             out += self._tufts(eye)
@@ -113,9 +93,9 @@ class Planting:
             # A person stands in a gap, not inside a shrub
             open_to_eye = reach > _GAP
             close = open_to_eye & (reach < _CLOSE)
-            out += self._patches(self._describe(x_near[close], y_near[close], NEAR_PATCH), "close_")
+            out += self._patches(describe(self._cover, x_near[close], y_near[close], NEAR_PATCH), "close_")
             x_near, y_near = x_near[open_to_eye & ~close], y_near[open_to_eye & ~close]
-        return out + self._patches(self._describe(x_near, y_near, NEAR_PATCH), "")
+        return out + self._patches(describe(self._cover, x_near, y_near, NEAR_PATCH), "")
 
     def _centers(self, side: float) -> tuple[Array, Array]:
         """Centres of the square cells of `side` over the surroundings, less a margin."""
@@ -124,27 +104,6 @@ class Planting:
         ys = np.arange(g.y_min + 2 * side, g.y_max - 2 * side, side)
         x, y = np.meshgrid(xs, ys)
         return x.ravel(), y.ravel()
-
-    def _describe(self, x: Array, y: Array, side: float, samples: int = 3) -> _Cells:
-        """Shares of each class over square cells, from samples x samples points, and the stand at their centres."""
-        cover, stand = self._cover, self._cover.stand
-        steps = (np.arange(samples) - (samples - 1) / 2) * side / samples
-        shares = np.zeros((len(x), 5))
-        touched = cover.sample(stand.touched, x, y)
-        edge = np.zeros(len(x), bool)
-        for dx in steps:
-            for dy in steps:
-                shares[np.arange(len(x)), np.minimum(cover.at(x + dx, y + dy), 4)] += 1 / samples**2
-                edge |= cover.sample(stand.touched, x + dx, y + dy) != touched
-        names = ("density", "shrub_height", "tree_height", "char", "scorch", "rock")
-        here = {n: np.asarray(cover.sample(getattr(stand, n), x, y), np.float64) for n in names}
-        dead = cover.sample(stand.dead, x, y)
-        conifer = cover.sample(stand.conifer, x, y) >= 0.5
-        rubble = cover.sample(stand.rubble, x, y) >= 0.5
-        return _Cells(
-            x, y, side, shares, dead_shrub=dead == SHRUB, dead_tree=dead == TREE, conifer=conifer,
-            rubble=rubble, edge=edge, **here,
-        )  # fmt: skip
 
     def _noise(self, x: Array, y: Array, wavelength: float, salt: int) -> Array:
         """Noise in [-1, 1] at scattered points."""
@@ -159,7 +118,7 @@ class Planting:
         exposure = self._cover.sample(self._cover.exposure, x, y) * 0.6
         return np.asarray(exposure + self._noise(x, y, 320.0, 401) > 0.62 - self._config.scrub, np.bool_)
 
-    def _patches(self, c: _Cells, prefix: str) -> list[Placement]:
+    def _patches(self, c: Cells, prefix: str) -> list[Placement]:
         dry = self._dry(c.x, c.y)
         grass, bare, tree = c.shares[:, GRASS], c.shares[:, BARE], c.shares[:, TREE] * np.minimum(c.density, 1.0)
         shrubby = (c.shares[:, SHRUB] + 0.35 * c.shares[:, TREE]) * c.density
@@ -196,7 +155,7 @@ class Planting:
             out += self._put("lone_oak", c.x, c.y, c.side, alive & (tree <= 0.2) & self._lone(c))
         return out
 
-    def _inside(self, c: _Cells, chosen: Mask, spacing: float, salt: int) -> tuple[Array, Array]:
+    def _inside(self, c: Cells, chosen: Mask, spacing: float, salt: int) -> tuple[Array, Array]:
         """Points (N,) of a jittered grid of about `spacing` over the chosen cells."""
         n = max(1, round(c.side / spacing))
         steps = ((np.arange(n) + 0.5) / n - 0.5) * c.side
@@ -205,7 +164,7 @@ class Planting:
         stride = 0.9 * c.side / n
         return x + stride * (self._draw(x, y, salt) - 0.5), y + stride * (self._draw(x, y, salt + 1) - 0.5)
 
-    def _singly(self, c: _Cells, prefix: str) -> list[Placement]:
+    def _singly(self, c: Cells, prefix: str) -> list[Placement]:
         """Shrubs one by one over cells in which a change has ended: whole patches would draw its edge straight."""
         if not np.any(c.edge):
             return []
@@ -213,7 +172,7 @@ class Planting:
         x, y = np.rint(x / LATTICE) * LATTICE, np.rint(y / LATTICE) * LATTICE
         # Edges of the land cover's cells, too, are wound
         wound = [5.0 * self._noise(x, y, 17.0, salt) for salt in (435, 437)]
-        at = self._describe(x + wound[0], y + wound[1], c.side, samples=1)
+        at = describe(self._cover, x + wound[0], y + wound[1], c.side, samples=1)
         rate = 0.94 * (at.shares[:, SHRUB] + 0.35 * at.shares[:, TREE]) * np.minimum(at.density, 1.0)
         stands = (self._draw(x, y, 439) < rate) & (at.shrub_height > _SEEDLING)
         dry = self._dry(x, y)
@@ -225,7 +184,7 @@ class Planting:
                 out += self._put(name, x, y, 0.0, chosen & (stage == i), np.ones(len(x)))
         return out
 
-    def _rubble(self, c: _Cells, prefix: str) -> list[Placement]:
+    def _rubble(self, c: Cells, prefix: str) -> list[Placement]:
         """The stones of slides: heaps that lie where chance left them, and boulders by a power law of sizes."""
         slid = c.rubble & (c.shares[:, BARE] > 0.3)
         if not np.any(slid):
@@ -245,7 +204,7 @@ class Planting:
         standing = self._cover.at(x, y) == BUILT
         return self._put("house", x, y, 0.0, standing, np.ones(len(x)))
 
-    def _lone(self, c: _Cells) -> Mask:
+    def _lone(self, c: Cells) -> Mask:
         """Single oaks in grass and scrub, fewer in scrub."""
         open_land = c.shares[:, GRASS] + c.shares[:, BARE] * (c.char > 0.1)
         rate = (c.side / FAR_PATCH) ** 2 * (0.16 * open_land + 0.05 * c.shares[:, SHRUB]) * np.minimum(c.density, 1)
@@ -266,7 +225,7 @@ class Planting:
         cx = g.x_min + np.round((x - g.x_min) / FAR_PATCH) * FAR_PATCH
         cy = g.y_min + np.round((y - g.y_min) / FAR_PATCH) * FAR_PATCH
         near = np.isin(_keys(cx, cy), wanted)
-        c = self._describe(x[near], y[near], _TREE_SPACING, samples=1)
+        c = describe(self._cover, x[near], y[near], _TREE_SPACING, samples=1)
         closed = self._draw(c.x, c.y, 415) < 0.72 * c.density
         dense = (c.shares[:, TREE] > 0) & closed
         stands = (dense | self._lone(c)) & (c.tree_height > _SEEDLING)
@@ -299,7 +258,7 @@ class Planting:
         some = grass | ((self._draw(x, y, 427) < 0.4) & (self._cover.sample(self._cover.stand.char, x, y) < 0.1))
         return out + self._put("close_tuft", x, y, TUFT_PATCH, some & close_by)
 
-    def _put_by_stage(self, name: str, c: _Cells, chosen: Mask, trees: bool = False) -> list[Placement]:
+    def _put_by_stage(self, name: str, c: Cells, chosen: Mask, trees: bool = False) -> list[Placement]:
         """Patches of `name`, each at the stage of growth nearest to its cell's."""
         height = c.tree_height if trees else c.shrub_height
         stage = np.abs(height[:, None] - np.array(STAGES)).argmin(axis=1)

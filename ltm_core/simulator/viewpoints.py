@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ltm_core.simulator.scenario import ViewsConfig
+from ltm_core.simulator.camera_setup import ViewsConfig
 from ltm_core.simulator.terrain import HeightField
 
 

@@ -17,7 +17,7 @@ from ltm_core.dem import Dem
 from ltm_core.errors import LtmError
 from ltm_core.grid import GridGeometry
 from ltm_core.raster_io import write_geotiff
-from ltm_core.simulator.scenario import PHONE
+from ltm_core.simulator.camera_setup import PHONE
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_ros.cli.main import cli

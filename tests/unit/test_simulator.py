@@ -11,17 +11,12 @@ from ltm_core.camera import Camera
 from ltm_core.errors import ConfigError
 from ltm_core.grid import GridGeometry
 from ltm_core.simulator import noise
+from ltm_core.simulator.camera_setup import ImagingConfig, ViewsConfig
 from ltm_core.simulator.erosion import drainage_area
 from ltm_core.simulator.imaging import add_haze, develop
 from ltm_core.simulator.landcover import BARE, GRASS, SHRUB, TREE, LandCover, Stand, make_landcover
 from ltm_core.simulator.outdated import outdated_dem
-from ltm_core.simulator.scenario import (
-    AtmosphereConfig,
-    DemConfig,
-    ImagingConfig,
-    TerrainConfig,
-    ViewsConfig,
-)
+from ltm_core.simulator.scenario import AtmosphereConfig, DemConfig, TerrainConfig
 from ltm_core.simulator.scenario import VegetationConfig as Vegetation
 from ltm_core.simulator.scenario_io import load_scenario
 from ltm_core.simulator.terrain import HeightField, Terrain, make_terrain

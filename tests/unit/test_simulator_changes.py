@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ltm_core.errors import ConfigError, RasterError
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
+from ltm_core.simulator.camera_setup import PHONE, SensorConfig
 from ltm_core.simulator.changes import (
     Burn,
     Change,
@@ -32,7 +33,7 @@ from ltm_core.simulator.rasters import (
     fuel_codes,
     site_change,
 )
-from ltm_core.simulator.scenario import PHONE, LakeConfig, SensorConfig
+from ltm_core.simulator.scenario import LakeConfig
 from ltm_core.simulator.scenario_io import load_scenario
 from ltm_core.simulator.sensors import SensorModel
 from ltm_core.simulator.stand import changed_terrain, mask_weights, stand_at
