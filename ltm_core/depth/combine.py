@@ -25,13 +25,13 @@ VANISHED = 0.01
 FOOTLESS = 1.5
 """What the network sees nearer than all ground below it in the photo by this factor has no foot that it stands on;
 unless it reaches down to the photo's edge, which then cuts the foot off."""
-_FOOTLESS_ODDS = -0.8
+_FOOTLESS_ODDS = -1.0
 """Log odds of what stands (see `classes.STANDING`) for what has no foot; for an edge as high as the disagreement, and
 less by its square; for each e-folding of the disagreement's square, in variances. With those of the classes from a
 logistic regression of which of the two is nearer to the truth, in logarithms: over pixels of the demo's photos, those
 of `training_a` and of another rendered site, as they are and with a fifth hidden, with this project's network and
 TCMonoDepth."""
-_EDGE_ODDS, _SIGMA_ODDS = -1.3, 0.41
+_EDGE_ODDS, _SIGMA_ODDS = -0.8, 0.44
 _MOST_RATIO = 3.0  # e-foldings of depth from which on odds grow no more
 _MEAN_RATIO, _MEAN_CHANCE = 0.7, 0.25  # e-foldings within which, and chance from which on, the mean of both is taken
 _CUT = 0.5  # of its inverse depth that all below a thing is seen at which reaches down to the edge
@@ -39,6 +39,7 @@ _SOFT = 0.15  # of the range of a network's depth among neighbours: how far a pi
 _ELSEWHERE = 4.0  # times a network's variance on ground: its variance on what stands before it
 _BETWEEN = 0.3  # of the range of a network's depth among neighbours: sigma of which of them a pixel shows
 _BLURRED = 0.3  # of a disagreement: what lies between two sides by more is an edge
+_GONE = 8.0  # variances of a disagreement below which ground is never gone
 _RANGES = 3.0  # e-foldings of depth over which what shows where ground is gone may be, each as likely
 
 
@@ -120,6 +121,7 @@ def _combine(
     place = np.empty(width, np.int32)
     unlabelled = np.full(width, np.uint8(255))
     asked = np.zeros(width, np.bool_)
+    least = np.array([_least(odds) for odds in standing]).astype(np.float32)
     for v in range(height - 1, -1, -1):
         i = v * shift.shape[0] // height
         d, s, kind = depth[v], sigma[v], source[v]
@@ -145,6 +147,8 @@ def _combine(
                 at = i, table[u]
                 if kind[u] == 0:
                     _take(d, s, kind, u, *_meant(y[u], near[u], back[u], at, shift, factor))
+                elif off[u] * off[u] < joint[u] * (least[label[u]] if off[u] > 0 else np.float32(_GONE)):
+                    continue
                 elif off[u] < 0:
                     gone = _gone(y[u], near[u], back[u], off[u], joint[u], spread[u], gross)
                     if gone:
@@ -240,6 +244,14 @@ def _begin(d: Row, s: Row, kind: NDArray[np.uint8], foot: Row) -> None:
         kind[u] = 1 if d[u] < far else (4 if d[u] > far else 0)
     for u in range(len(d)):
         s[u] = s[u] if d[u] < far else none
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _least(odds: Row) -> float:
+    """Variances of a disagreement below which `_weigh` never departs from the terrain where a class has such `odds`."""
+    alone = -odds[0] - max(_MOST_RATIO * odds[1], 0.0)
+    mean = np.log(_MEAN_CHANCE / (1 - _MEAN_CHANCE)) - odds[0] - max(_MEAN_RATIO * odds[1], 0.0)
+    return float(np.exp(min(alone, mean) / _SIGMA_ODDS))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

@@ -151,7 +151,7 @@ def fuse(
     fit = None if network is None else fit_network(network, samples, (size[0], size[1]))
     source = np.empty(size, np.uint8)
     beside = SeenDepth.of(fit, rgb) if fit is not None and not fit.trouble else None
-    raise_silhouettes(rgb, ground, expected, sigma, labels, classes.crest, classes.sky, camera, beside)
+    raise_silhouettes(rgb, ground, expected, sigma, labels, classes, camera, beside)
     combine(expected, sigma, None if surface is None else surface.depth(), beside, labels, classes, source)
     # A sample first, for most photos see no unknown ground at all.
     if np.isnan(ground[::4, ::4]).any() or np.isnan(ground).any():

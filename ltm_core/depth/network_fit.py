@@ -198,8 +198,8 @@ def _explained(inverse: Floats, fitted: Floats) -> float:
     inverse, fitted = inverse[usable], fitted[usable]
     middle = np.median(inverse)
     typical = np.hypot(inverse, middle)
-    before, after = (np.mean(np.minimum(np.abs(inverse - to) / typical, 1.0)) for to in (middle, fitted))
-    return 1.0 - float(after / max(before, 1e-12))
+    before, after = (float(np.mean(np.minimum(np.abs(inverse - to) / typical, 1.0))) for to in (middle, fitted))
+    return 1.0 - after / max(before, 1e-12)
 
 
 def _in_metres(network: NetworkDepth, line: Line) -> Image:
