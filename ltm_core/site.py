@@ -116,8 +116,10 @@ class TerrainConfig(Config):
     """Of the position of a pose that comes without a covariance."""
     register_frames: bool = True
     """Turn each frame, within its pose's uncertainty, so that it agrees best with the reference."""
-    cache_mb: float = Field(144.0, ge=32)
+    cache_mb: float = Field(100.0, ge=32)
     """Memory for cells; the others wait in the store."""
+    views_mb: float = Field(34.0, ge=0)
+    """Memory for what the reference shows in the pixels of cameras that stand still: 17 MB each at 1080p."""
 
 
 class CalibrationConfig(Config):

@@ -40,6 +40,29 @@ class SurfaceCost:
     cells: tuple[int, int]
 
 
+class _Tower:
+    """On a summit of a ridged terrain; `tall`: a metre higher, which is what a map is given."""
+
+    def __init__(self, size: int, camera: Camera) -> None:
+        self.bare = bare = ridged_terrain(size)
+        self.tall = Dem(bare.elevation + np.float32(1.0), bare.geometry)
+        self._camera, self._tracer, self._rng = camera, TerrainTracer(bare), np.random.default_rng(3)
+        middle = size // 2
+        part = bare.elevation[middle - 200 : middle + 200, middle - 200 : middle + 200]
+        row, col = (int(v) + middle - 200 for v in np.unravel_index(int(np.argmax(part)), part.shape))
+        x, y = (float(v) for v in bare.geometry.to_map(row, col))
+        self._place = x, y, float(bare.elevation[row, col]) + 12.0
+
+    def frame(self, azimuth: float, look: int) -> DepthFrame:
+        """What it sees, minutes after the last look."""
+        pose = Pose.from_angles(self._place, azimuth, -12.0, 1.0)
+        depth = self._tracer.trace(self._camera, pose).depth()
+        sigma = (0.3 + 0.01 * np.where(np.isfinite(depth), depth, 0)).astype(np.float32)
+        noisy = depth + sigma * self._rng.standard_normal(depth.shape, np.float32)
+        stamp = 1_700_000_000_000_000_000 + look * _HOUR_NS // 60
+        return DepthFrame(noisy, sigma, np.ones(depth.shape, np.bool_), self._camera, pose, stamp, "tower")
+
+
 def measure_surface(
     folder: Path, size: int = 4000, repeats: int = 5, views: int = 12, config: TerrainConfig | None = None
 ) -> SurfaceCost:
@@ -48,30 +71,17 @@ def measure_surface(
     """
     config = config or TerrainConfig()
     camera = Camera.from_fov(1920, 1080, 54.0)
-    bare = ridged_terrain(size)
-    tall = Dem(bare.elevation + np.float32(1.0), bare.geometry)
-    tracer = TerrainTracer(bare)
-    rng = np.random.default_rng(3)
-    middle = size // 2
-    part = bare.elevation[middle - 200 : middle + 200, middle - 200 : middle + 200]
-    row, col = (int(v) + middle - 200 for v in np.unravel_index(int(np.argmax(part)), part.shape))
-    x, y = (float(v) for v in bare.geometry.to_map(row, col))
-    z = float(bare.elevation[row, col]) + 12.0
-
-    def frame(azimuth: float, look: int) -> DepthFrame:
-        pose = Pose.from_angles((x, y, z), azimuth, -12.0, 1.0)
-        depth = tracer.trace(camera, pose).depth()
-        sigma = (0.3 + 0.01 * np.where(np.isfinite(depth), depth, 0)).astype(np.float32)
-        noisy = depth + sigma * rng.standard_normal(depth.shape, np.float32)
-        known = np.ones(depth.shape, np.bool_)
-        return DepthFrame(noisy, sigma, known, camera, pose, 1_700_000_000_000_000_000 + look * _HOUR_NS // 60, "tower")
-
-    warm = frame(0.0, 0)
-    first = SurfaceMap(Reference.of(bare, tall), config, ("tower",))
-    first.add(warm), first.add(frame(0.0, 1)), first.decide()
-    del first
+    # Kernels are compiled on a small site: a large map that is gone again would leave holes in the process's memory.
+    tiny = _Tower(500, camera)
+    first = SurfaceMap(Reference.of(tiny.bare, tiny.tall), config, ("tower",))
+    first.add(tiny.frame(0.0, 0)), first.add(tiny.frame(0.0, 1)), first.decide()
+    del first, tiny
+    tower = _Tower(size, camera)
+    bare, frame = tower.bare, tower.frame
+    for i in range(views):
+        frame(i * 360.0 / views, 0)
     before = resident_mb()
-    reference = Reference.of(bare, tall)
+    reference = Reference.of(bare, tower.tall)
     store = TileStore.open(folder / "terrain.sqlite", schema_of(reference.geometry))
     surface = SurfaceMap(reference, config, ("tower",), store)
     look = 0

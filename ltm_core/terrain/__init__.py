@@ -1,6 +1,6 @@
 """The living terrain: what fused depth says of the surface, and where views agree that it has changed.
 
-`observation` turns a depth image into observations of cells, `cells` keeps a robust recursive estimate of each,
+`observation` turns a depth image into observations of cells, `cell_kernel` keeps a robust recursive estimate of each,
 `change` decides by consensus, `surface_map` holds it together.
 """
 

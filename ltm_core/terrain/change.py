@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from ltm_core.site import TerrainConfig
 from ltm_core.terrain.cell_kernel import Rules, independent, mean_variance
+from ltm_core.terrain.cells import TILE
 from ltm_core.terrain.neighbours import REACH, WIDE, Estimates, mean_of_neighbours, own_shift, regions
 from ltm_core.terrain.reference import Reference
-from ltm_core.terrain.tile_pool import TILE
 from ltm_core.tile_store import Key, Tile
 
 _OWN_SHARE = 0.4

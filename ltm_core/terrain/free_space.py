@@ -15,42 +15,70 @@ from numpy.typing import NDArray
 from ltm_core.camera import Camera
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
-from ltm_core.terrain.cell_kernel import Cells, Rules, take
+from ltm_core.terrain.cell_kernel import Rules, take
+from ltm_core.terrain.cells import CELLS, TILE, Cells
+from ltm_core.terrain.observe_kernel import Pixels
+from ltm_core.tracing.prefetch import prefetch
 
 Image = NDArray[np.float32]
 Indices = NDArray[np.int32]
+Floats = NDArray[np.float64]
 
 INSIDE = 0.6
-"""Of a thing's height above the reference: a point that is well within it."""
+"""Of a thing's height above the reference: a point that is well within it. What is lower than the threshold there is
+not looked for."""
 FIRM_LOOKS = 2.5
 """Looks from which on it takes independent views to take growth back; before, one that sees through it is enough."""
+_AT_ONCE = 4 * CELLS
+_WIDER = 1.05
+"""Times what a camera sees, in which things are looked up whose pixels are then computed."""
 
 
 class Standing(NamedTuple):
     """Cells in memory where something is held to stand above the reference, (N,) each: slot, cell of the tile, map
-    coordinates of a point well inside the thing, its height above the reference, and whether it is a candidate.
+    coordinates of a point well inside the thing, how far that is, its height above the reference, and whether it is a
+    candidate.
     """
 
     slot: Indices
     cell: Indices
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    z: NDArray[np.float64]
+    point: Floats
+    away: Floats
     dz: Image
     candidate: NDArray[np.bool_]
+
+    @classmethod
+    def empty(cls, count: int) -> Standing:
+        """With room for so many."""
+        point, away = np.empty((count, 3)), np.empty(count)
+        dz, candidate = np.empty(count, np.float32), np.empty(count, np.bool_)
+        return cls(np.empty(count, np.int32), np.empty(count, np.int32), point, away, dz, candidate)
+
+    def where(self, part: slice | NDArray[np.bool_]) -> Standing:
+        return Standing(*(array[part] for array in self))  # type: ignore[arg-type]
+
+
+class Place(NamedTuple):
+    """Where a camera is and what it sees at most: position, rotation to the map, |x / z| and |y / z| of its rays, and
+    the least and greatest distance at which things are looked for.
+    """
+
+    position: Floats
+    rotation: Floats
+    aside: float
+    upwards: float
+    nearest: float
+    farthest: float
 
 
 def see_through(
     cells: Cells,
-    places: NDArray[np.int32],
-    tile: int,
+    places: Indices,
     surface: Image,
     geometry: GridGeometry,
     camera: Camera,
     pose: Pose,
-    slant: Image,
-    sigma: Image,
-    measured: NDArray[np.bool_],
+    pixels: Pixels,
     seconds: int,
     bit: int,
     rules: Rules,
@@ -63,110 +91,130 @@ def see_through(
 
     Args:
         cells, places: the state in memory, and (N, 3) slot, tile row and tile column of the tiles in it.
-        slant, sigma, measured: (H, W) of `camera`; a cell is seen through where all pixels about it see farther.
+        camera: of the pixels in use; a cell is seen through where all of these about it see farther.
         reach: metres, between which things are looked for.
     """
-    standing = _standing(cells, places, tile, surface, rules.threshold / INSIDE, geometry)
-    if len(standing.slot) == 0:
-        return 0
-    points = np.column_stack([standing.x, standing.y, standing.z])
-    away = np.linalg.norm(points - pose.position, axis=1)
-    pixels = camera.project(pose.to_optical(points))
+    rows, cols = (np.append(np.arange(0, n - 1, 16), n - 1) for n in (camera.height, camera.width))
+    rays = camera.rays()[np.ix_(rows, cols)]
+    aside, upwards = (_WIDER * float(np.abs(rays[..., i] / rays[..., 2]).max()) for i in (0, 1))
+    place = Place(
+        np.ascontiguousarray(pose.position), np.ascontiguousarray(pose.rotation), aside, upwards, *map(float, reach)
+    )
+    corner = geometry.x_min, geometry.y_max, geometry.resolution
+    # A few thousand at a time: what is computed of them stays in the processor's caches.
+    room, begin, seen = Standing.empty(_AT_ONCE), 0, 0
+    while begin < len(places):
+        count, begin = _find(cells, places, begin, surface, corner, rules.looked_for, place, room)
+        some = room.where(slice(0, count))
+        through = _seen_through(some, camera, pose, pixels, rules.gate)
+        if through.any():
+            seen += _apply(cells, some.where(through), seconds, bit, rules)
+    return seen
+
+
+def _seen_through(standing: Standing, camera: Camera, pose: Pose, pixels: Pixels, gate: float) -> NDArray[np.bool_]:
+    at = camera.project(pose.to_optical(standing.point))
     with np.errstate(invalid="ignore"):
         inside = (
-            (pixels[:, 0] > 0.5)
-            & (pixels[:, 1] > 0.5)
-            & (pixels[:, 0] < camera.width - 1.5)
-            & (pixels[:, 1] < camera.height - 1.5)
-            & (away > reach[0])
-            & (away < reach[1])
+            (at[:, 0] > 0.5) & (at[:, 1] > 0.5) & (at[:, 0] < camera.width - 1.5) & (at[:, 1] < camera.height - 1.5)
         )
-    u, v = (np.where(inside, pixels[:, i], 1).round().astype(np.int32) for i in (0, 1))
-    through = inside & _passed(u, v, away, slant, sigma, measured, rules.gate)
-    return int(_apply(cells, Standing(*(a[through] for a in standing)), seconds, bit, rules))
+    u, v = (np.where(inside, at[:, i], 1).round().astype(np.int32) for i in (0, 1))
+    return np.asarray(inside & _passed(u, v, standing.away, pixels, gate), np.bool_)
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _passed(
-    u: Indices,
-    v: Indices,
-    away: NDArray[np.float64],
-    slant: Image,
-    sigma: Image,
-    measured: NDArray[np.bool_],
-    gate: float,
-) -> NDArray[np.bool_]:
+def _passed(u: Indices, v: Indices, away: Floats, pixels: Pixels, gate: float) -> NDArray[np.bool_]:
     """Whether all nine pixels about (u, v), (N,) each and none at the image's edge, surely see farther than `away`."""
     found = np.ones(len(u), np.bool_)
+    step = pixels.step
     for i in range(len(u)):
         for row in range(v[i] - 1, v[i] + 2):
             for col in range(u[i] - 1, u[i] + 2):
-                reached, doubt = slant[row, col], sigma[row, col]
+                along = pixels.cosines[row, col]
+                reached, doubt = (
+                    pixels.depth[row * step, col * step] / along,
+                    pixels.sigma[row * step, col * step] / along,
+                )
                 surely = reached == np.inf or (doubt > 0 and reached - gate * doubt > away[i])
-                if not (measured[row, col] and surely):
+                if not (pixels.informs[row * step, col * step] and surely):
                     found[i] = False
+                    break
+            if not found[i]:
+                break
     return found
 
 
-def _standing(
-    cells: Cells, places: NDArray[np.int32], tile: int, surface: Image, least: float, geometry: GridGeometry
-) -> Standing:
-    slot, cell, dz, candidate = _find(cells, places[:, 0], np.float32(least))
-    tiles = places[np.searchsorted(places[:, 0], slot), 1:]
-    row, col = tiles[:, 0] * tile + cell // tile, tiles[:, 1] * tile + cell % tile
-    height, width = surface.shape
-    row, col = np.minimum(row, height - 1), np.minimum(col, width - 1)
-    x, y = geometry.to_map(row, col)
-    return Standing(slot, cell, x, y, surface[row, col] + INSIDE * dz.astype(np.float64), dz, candidate)
-
-
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _find(cells: Cells, slots: Indices, least: float) -> tuple[Indices, Indices, Image, NDArray[np.bool_]]:
-    """Slot, cell, height and whether it is a candidate; a cell with both is listed twice."""
-    found = 0
-    for turn in range(2):
-        if turn == 1:
-            slot_of, cell_of = np.empty(found, np.int32), np.empty(found, np.int32)
-            dz, candidate = np.empty(found, np.float32), np.empty(found, np.bool_)
-            found = 0
-        for slot in slots:
-            for k in range(cells.dz.shape[1]):
-                if cells.c_looks[slot, k] > 0 and cells.c_dz[slot, k] > least:
-                    if turn == 1:
-                        slot_of[found], cell_of[found] = slot, k
-                        dz[found], candidate[found] = cells.c_dz[slot, k], True
-                    found += 1
-                if cells.looks[slot, k] > 0 and cells.dz[slot, k] > least:
-                    if turn == 1:
-                        slot_of[found], cell_of[found] = slot, k
-                        dz[found], candidate[found] = cells.dz[slot, k], False
-                    found += 1
-    return slot_of, cell_of, dz, candidate
+def _find(
+    cells: Cells,
+    places: Indices,
+    begin: int,
+    surface: Image,
+    corner: tuple[float, float, float],
+    least: float,
+    place: Place,
+    found: Standing,
+) -> tuple[int, int]:
+    """Fill `found` with what stands higher than `least` where the camera may see it, from the tile `begin` of
+    `places` on: how many, and where to go on. A cell that has both is listed as both; what is no longer high is not
+    asked again. `corner`: x and y of the grid's north-west corner, and its cell size.
+    """
+    count = 0
+    height, width = surface.shape
+    m = place.rotation
+    high = np.empty(CELLS, np.int32)
+    for number in range(begin, len(places)):
+        if count + 2 * CELLS > len(found.slot):
+            return count, number
+        slot, top, left = places[number, 0], places[number, 1] * TILE, places[number, 2] * TILE
+        listed = 0
+        for k in range(CELLS):
+            if cells.high[slot, k]:
+                high[listed] = k
+                listed += 1
+                prefetch(cells.estimate, slot * CELLS + k)
+                prefetch(surface, (top + k // TILE) * width + left + k % TILE)
+        for k in high[:listed]:
+            e = cells.estimate[slot, k]
+            cells.high[slot, k] = 0
+            for candidate in (True, False):
+                dz = e.c_dz if candidate else e.dz
+                if not ((e.c_looks if candidate else e.looks) > 0 and dz > least):
+                    continue
+                cells.high[slot, k] = 1
+                row = min(top + k // TILE, height - 1)
+                col = min(left + k % TILE, width - 1)
+                x = corner[0] + (col + 0.5) * corner[2]
+                y = corner[1] - (row + 0.5) * corner[2]
+                z = surface[row, col] + INSIDE * np.float64(dz)
+                px, py, pz = x - place.position[0], y - place.position[1], z - place.position[2]
+                away = np.sqrt(px * px + py * py + pz * pz)
+                ahead = m[0, 2] * px + m[1, 2] * py + m[2, 2] * pz
+                if (
+                    not place.nearest < away < place.farthest
+                    or abs(m[0, 0] * px + m[1, 0] * py + m[2, 0] * pz) > place.aside * ahead
+                    or abs(m[0, 1] * px + m[1, 1] * py + m[2, 1] * pz) > place.upwards * ahead
+                ):
+                    continue
+                found.slot[count], found.cell[count] = slot, k
+                found.point[count, 0], found.point[count, 1], found.point[count, 2] = x, y, z
+                found.away[count], found.dz[count], found.candidate[count] = away, dz, candidate
+                count += 1
+    return count, len(places)
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _apply(cells: Cells, standing: Standing, seconds: int, bit: int, rules: Rules) -> int:
     for i in range(len(standing.slot)):
         slot, k = standing.slot[i], standing.cell[i]
+        e = cells.estimate[slot, k]
         if standing.candidate[i]:
-            cells.c_looks[slot, k] = 0
-        elif cells.looks[slot, k] < FIRM_LOOKS:
-            cells.looks[slot, k] = cells.weight[slot, k] = 0
-            cells.cameras[slot, k] = 0
-            cells.frames[slot, k] = 0
+            e.c_looks = 0
+        elif e.looks < FIRM_LOOKS:
+            e.looks = e.weight = 0
+            e.cameras = 0
+            e.frames = 0
         else:
-            limit = np.float32(standing.dz[i] * INSIDE)
-            take(
-                cells,
-                slot,
-                k,
-                limit,
-                rules.carve_variance,
-                rules.carve_variance,
-                np.float32(0.0),
-                True,
-                seconds,
-                bit,
-                rules,
-            )
+            limit, own = np.float32(standing.dz[i] * INSIDE), np.float32(rules.carve_variance)
+            take(cells, slot, k, limit, own, own, np.float32(0.0), True, seconds, bit, rules)
     return len(standing.slot)

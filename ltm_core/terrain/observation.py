@@ -12,8 +12,12 @@ from numpy.typing import NDArray
 from ltm_core.camera import Camera
 from ltm_core.errors import ImageError, PoseError
 from ltm_core.pose import Pose
-from ltm_core.terrain.observe_kernel import Ground, Limits, Pixels, Seen, View, observe
+from ltm_core.terrain.cells import TILE, Records
+from ltm_core.terrain.frame_sums import FrameSums, clear
+from ltm_core.terrain.ground import Ground
+from ltm_core.terrain.observe_kernel import Limits, Pixels, observe
 from ltm_core.terrain.reference import BLOCK, Reference
+from ltm_core.terrain.sight import Extremes, Sights, View, foresee
 from ltm_core.tracing import TerrainTracer
 
 Image = NDArray[np.float32]
@@ -66,64 +70,89 @@ def assumed_covariance(angle_sigma_deg: float, position_sigma: float) -> Covaria
 
 
 class Observer:
-    """Turns depth images into observations of a reference surface. Keeps its arrays from frame to frame."""
+    """Turns depth images into observations of a reference surface.
 
-    def __init__(self, reference: Reference, tracer: TerrainTracer, limits: Limits, step: int) -> None:
+    `views_mb`: memory for what the reference has for the pixels of fixed views, the least recently used of which go.
+    """
+
+    def __init__(
+        self, reference: Reference, tracer: TerrainTracer, limits: Limits, step: int, views_mb: float = 0.0
+    ) -> None:
         geometry = reference.geometry
+        tiles = [-(-n // TILE) for n in geometry.shape]
         self._ground = Ground(
             reference.surface,
             reference.slopes.east,
             reference.slopes.north,
+            _block_maxima(reference.surface),
             BLOCK,
             geometry.x_min,
             geometry.y_max,
             geometry.resolution,
+            tiles[1],
         )
         self._tracer, self._limits, self._step = tracer, limits, step
-        self._seen: Seen | None = None
-        self.pixels: Pixels
-        """Those of the last frame."""
+        self._tiles = tiles[0] * tiles[1]
+        self._sums = FrameSums.empty(0, self._tiles)
+        self._views = Sights(int(views_mb * 2**20))
 
-    def predict(self, frame: DepthFrame) -> Image:
-        """The slant ranges that the reference has for the pixels in use. Raises PoseError as the tracer does."""
-        return self._tracer.trace(frame.camera.scaled(self._step), frame.pose).range
-
-    def observe(self, frame: DepthFrame, expected: Image, covariance: Covariance) -> tuple[Seen, int]:
-        """The observations, valid until the next call, and how many cells were carved."""
-        step = self._step
-        camera = frame.camera.scaled(step)
-        rays = camera.rays()
-        along = (1 / rays[..., 2]).astype(np.float32)
-        slant, sigma = frame.depth[::step, ::step] * along, frame.sigma[::step, ::step] * along
-        measured = np.ascontiguousarray(frame.measured[::step, ::step]).view(np.uint8)
-        turn = math.sqrt(float(np.linalg.eigvalsh(covariance[3:, 3:])[-1]))
-        window = min(1 + math.ceil(self._limits.gate * turn * camera.fx), _WIDEST_WINDOW)
-        known = np.where(np.isnan(expected), np.float32(np.inf), expected)
-        near, far = _extremes(known, 1)
-        nearest, farthest = (near, far) if window == 1 else _extremes(known, window)
-        self.pixels = pixels = Pixels(slant, sigma, measured, np.asarray(expected), nearest, farthest, near, far)
+    def observe(self, frame: DepthFrame, covariance: Covariance) -> FrameSums:
+        """What a frame says of each cell, valid until the next call. Raises PoseError as the tracer does."""
+        camera = frame.camera.scaled(self._step)
         view = View(
-            rays,
+            camera.rays(),
             np.ascontiguousarray(frame.pose.rotation),
             np.ascontiguousarray(frame.pose.position),
             np.ascontiguousarray(covariance),
             self._tracer.bend,
         )
-        seen = self._arrays(slant.size)
-        return seen, int(observe(self._ground, view, pixels, self._limits, seen))
+        sights = self._sights(camera, frame, view)
+        if len(self._sums.cells) < 2 * sights.size:
+            self._sums = FrameSums.empty(2 * sights.size, self._tiles)
+        clear(self._sums)
+        observe(self._ground, view, sights, self.pixels(frame), self._limits, self._sums)
+        return self._sums
 
-    def labels(self, frame: DepthFrame) -> NDArray[np.uint8]:
-        """Of the pixels in use, flat; empty where the frame has none."""
-        if frame.labels is None:
-            return np.empty(0, np.uint8)
-        return np.ascontiguousarray(frame.labels[:: self._step, :: self._step]).ravel()
+    def pixels(self, frame: DepthFrame) -> Pixels:
+        """A frame as the kernels take it."""
+        labels = frame.labels if frame.labels is not None else np.empty((0, 0), np.uint8)
+        return Pixels(
+            np.ascontiguousarray(frame.depth, np.float32),
+            np.ascontiguousarray(frame.sigma, np.float32),
+            np.ascontiguousarray(frame.measured).view(np.uint8),
+            np.ascontiguousarray(labels, np.uint8),
+            self._step,
+            frame.camera.scaled(self._step).cosines(),
+        )
 
-    def _arrays(self, count: int) -> Seen:
-        if self._seen is None or len(self._seen.kind) != count:
-            dz, variance, sheet, pose = (np.empty(count, np.float32) for _ in range(4))
-            carved = np.empty(2 * count, np.int32), np.empty(2 * count, np.float32)
-            self._seen = Seen(np.empty(count, np.uint8), np.empty(count, np.int32), dz, variance, sheet, pose, *carved)
-        return self._seen
+    def _sights(self, camera: Camera, frame: DepthFrame, view: View) -> Records:
+        """What the reference has for the pixels in use (H, W), which it need not be asked twice."""
+        key = (camera, view.rotation.tobytes(), view.position.tobytes(), view.covariance.tobytes())
+        sights = self._views.get(key)
+        if sights is None:
+            expected = self._tracer.trace(camera, frame.pose).range
+            turn = math.sqrt(float(np.linalg.eigvalsh(view.covariance[3:, 3:])[-1]))
+            window = min(1 + math.ceil(self._limits.gate * turn * camera.fx), _WIDEST_WINDOW)
+            known = np.where(np.isnan(expected), np.float32(np.inf), expected)
+            near, far = _extremes(known, 1)
+            widest = (near, far) if window == 1 else _extremes(known, window)
+            sights = self._views.put(key, expected.shape)
+            foresee(self._ground, view, expected, Extremes(*widest, near, far), sights)
+        return sights
+
+
+def _block_maxima(surface: Image) -> Image:
+    """Of BLOCK x BLOCK cells and those around them; -inf where nothing is known."""
+    height, width = surface.shape
+    starts = np.arange(0, width, BLOCK)
+    edges = np.stack([np.maximum(starts - 1, 0), np.minimum(starts + BLOCK, width - 1) + 1], axis=-1).ravel()
+    found = np.empty((-(-height // BLOCK), len(starts)), np.float32)
+    padded = np.empty(width + 1, np.float32)
+    for row in range(len(found)):
+        strip = surface[max(row * BLOCK - 1, 0) : (row + 1) * BLOCK + 1]
+        padded[:-1], padded[-1] = np.fmax.reduce(strip, axis=0), np.nan
+        found[row] = np.fmax.reduceat(padded, edges)[::2]
+    return np.where(np.isnan(found), np.float32(-np.inf), found)
 
 
 def _extremes(ranges: Image, radius: int) -> tuple[Image, Image]:

@@ -24,15 +24,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Image = NDArray[np.float32]
-Indices = NDArray[np.int32]
+from ltm_core.terrain.cells import NO_LABEL, Records, place_of
+from ltm_core.terrain.frame_sums import FrameSums, sum_of
+from ltm_core.terrain.ground import LEAST_INCIDENCE, Ground, Image, cell_at, height_at, pose_variance, slopes_at
+from ltm_core.terrain.sight import View, direction
+
 Kinds = NDArray[np.uint8]
 
-NOTHING, AGREES, NEARER, FARTHER = 0, 1, 2, 3
-
-LEAST_INCIDENCE = 0.1
-"""Of the incidence factor: a grazing ray's height does not depend on its range, but it is not exact either."""
 SKY_SEEN_THROUGH = 40.0
 """Metres behind a vanished skyline that a ray into the sky has certainly passed."""
 _LONGEST_CARVE = 400
@@ -41,28 +39,6 @@ LIKELY_CHANGE = 4.0
 """Metres: the mean of the exponential prior on how much higher a cell has become."""
 _SEARCH = 1.5
 """Sigmas of range within which the likeliest place is looked for."""
-
-
-class Ground(NamedTuple):
-    """The reference, as the kernel takes it."""
-
-    surface: Image
-    east: Image
-    north: Image
-    block: int
-    x_min: float
-    y_max: float
-    resolution: float
-
-
-class View(NamedTuple):
-    """One frame's camera: rays (H, W, 3) in the optical frame, rotation to the map, position, pose covariance."""
-
-    rays: Floats
-    rotation: Floats
-    position: Floats
-    covariance: Floats
-    bend: float
 
 
 class Ray(NamedTuple):
@@ -88,105 +64,23 @@ class Limits(NamedTuple):
 
 
 class Pixels(NamedTuple):
-    """(H, W): measured slant range and its sigma, whether it is a measurement at all; the range that the reference
-    predicts, its extremes within the pose's uncertainty, and within one pixel.
+    """Of a whole image (H, W), of which every `step`-th row and column is used: depth along the optical axis, its
+    sigma, whether it is a measurement at all, and labels ((0, 0): there are none). `cosines`: of the pixels in use,
+    depth / slant range.
     """
 
-    range: Image
+    depth: Image
     sigma: Image
     informs: Kinds
-    expected: Image
-    nearest: Image
-    farthest: Image
-    near: Image
-    far: Image
-
-
-class Seen(NamedTuple):
-    """Observations by pixel, (H * W,): kind, cell (row * width + col), height above the reference, its variance, that
-    of a shift of the whole stand (where it agrees), and the part that the pose is to blame for; and what was carved:
-    cells with the height of the ray above the reference.
-    """
-
-    kind: Kinds
-    cell: Indices
-    dz: Image
-    variance: Image
-    sheet_variance: Image
-    pose_variance: Image
-    carved_cell: Indices
-    carved_dz: Image
-
-
-@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
-def _height_at(ground: Ground, x: float, y: float) -> float:
-    """Bilinear; NaN outside the outermost cell centres."""
-    col = (x - ground.x_min) / ground.resolution - 0.5
-    row = (ground.y_max - y) / ground.resolution - 0.5
-    height, width = ground.surface.shape
-    if not (row >= 0.0 and col >= 0.0 and row <= height - 1.0 and col <= width - 1.0):
-        return math.nan
-    r = min(int(row), height - 2)
-    c = min(int(col), width - 2)
-    fr, fc = row - r, col - c
-    z = ground.surface
-    north = z[r, c] + fc * (z[r, c + 1] - z[r, c])
-    south = z[r + 1, c] + fc * (z[r + 1, c + 1] - z[r + 1, c])
-    height_here: float = north + fr * (south - north)
-    return height_here
-
-
-@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
-def _cell_at(ground: Ground, x: float, y: float) -> int:
-    """Flat index; -1 outside."""
-    col = math.floor((x - ground.x_min) / ground.resolution)
-    row = math.floor((ground.y_max - y) / ground.resolution)
-    height, width = ground.surface.shape
-    if not (row >= 0 and col >= 0 and row < height and col < width):
-        return -1
-    cell: int = int(row) * width + int(col)
-    return cell
-
-
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _slopes_at(ground: Ground, cell: int) -> tuple[float, float]:
-    width = ground.surface.shape[1]
-    r, c = (cell // width) // ground.block, (cell % width) // ground.block
-    return np.float64(ground.east[r, c]), np.float64(ground.north[r, c])
-
-
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _steepness(ground: Ground, cell: int, dx: float, dy: float, dz: float) -> float:
-    """The incidence factor on the cell's own slope; 0 where that is not known."""
-    height, width = ground.surface.shape
-    r, c = cell // width, cell % width
-    z, step = ground.surface, 2 * ground.resolution
-    east = (z[r, min(c + 1, width - 1)] - z[r, max(c - 1, 0)]) / step
-    north = (z[max(r - 1, 0), c] - z[min(r + 1, height - 1), c]) / step
-    steepness: float = abs(dz - east * dx - north * dy)
-    return steepness if steepness < math.inf else 0.0
-
-
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _pose_variance(covariance: Floats, east: float, north: float, px: float, py: float, pz: float) -> float:
-    """Variance of the height of a surface with these slopes, seen at (px, py, pz) from the camera: the row of the
-    camera's shift o and turn w in n.(o + w x p) / n_z is [n, p x n] / n_z, with n / n_z = (-east, -north, 1).
-    """
-    nx, ny = -east, -north
-    row = (nx, ny, 1.0, py - pz * ny, pz * nx - px, px * ny - py * nx)
-    total = 0.0
-    for i in range(6):
-        part = 0.0
-        for j in range(6):
-            part += covariance[i, j] * row[j]
-        total += row[i] * part
-    return max(total, 0.0)
+    labels: Kinds
+    step: int
+    cosines: Image
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
 def _above(ground: Ground, ray: Ray, t: float) -> float:
     """Height of a ray over the reference surface after `t` metres."""
-    z: float = ray.z + ray.dz * t + ray.bend * t * t - _height_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)
+    z: float = ray.z + ray.dz * t + ray.bend * t * t - height_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)
     return z
 
 
@@ -197,120 +91,170 @@ def _likeliest(ground: Ground, ray: Ray, r: float, sigma: float, first: float, l
     height, and what stood behind a felled stand is seen where it stands.
     """
     step = max(ground.resolution, sigma / 8)
-    best, least = r, math.inf
-    t = max(r - _SEARCH * sigma, first)
+    begin = max(r - _SEARCH * sigma, first)
     end = min(r + _SEARCH * sigma, last)
-    while t < end:
-        cost = 0.5 * ((t - r) / sigma) ** 2 + abs(_above(ground, ray, t)) / LIKELY_CHANGE
-        if cost < least:
-            best, least = t, cost
-        t += step
+    # From the measured range outwards: when going farther costs more than the least so far, that is the least.
+    middle = int(max(r - begin, 0.0) / step)
+    best, least = r, math.inf
+    for way in (-1, 1):
+        i = middle + (way > 0)
+        while i >= 0:
+            t = begin + i * step
+            unlikely = 0.5 * ((t - r) / sigma) ** 2
+            if t >= end:
+                if way > 0:
+                    break
+            elif unlikely >= least:
+                break
+            else:
+                cost = unlikely + abs(_above(ground, ray, t)) / LIKELY_CHANGE
+                if cost < least:
+                    best, least = t, cost
+            i += way
     return best
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def observe(ground: Ground, view: View, pixels: Pixels, limits: Limits, seen: Seen) -> int:
-    """Fill `seen`; the number of carved cells. Carving ends silently where its arrays are full.
+def _carve(ground: Ground, ray: Ray, begin: float, end: float, below: float, sums: FrameSums) -> None:
+    """Cap the cells over which a ray is `below` metres above the reference, or lower, from one range to another; cell
+    by cell, but for blocks of cells that it passes above all of.
+    """
+    stride = ground.resolution / max(math.sqrt(ray.dx * ray.dx + ray.dy * ray.dy), 0.1)
+    t, left = begin + 0.5 * stride, _LONGEST_CARVE
+    while t < end and left > 0:
+        row, col = cell_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)
+        if row < 0:
+            t, left = t + stride, left - 1
+            continue
+        steps = min(_steps_within(ground, ray, t, row, col, stride), left, int((end - t) / stride) + 1)
+        highest = ground.highest[row // ground.block, col // ground.block]
+        if _lowest(ray, t, t + steps * stride) - highest < below:
+            for i in range(steps):
+                _cap(ground, ray, t + i * stride, below, sums)
+        t, left = t + steps * stride, left - steps
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _steps_within(ground: Ground, ray: Ray, t: float, row: int, col: int, stride: float) -> int:
+    """Steps of a ray from range t, in a cell, until it leaves the cell's block; at least one."""
+    side = ground.block * ground.resolution
+    left = math.inf
+    if ray.dx != 0:
+        left = (ground.x_min + (col // ground.block + (ray.dx > 0)) * side - ray.x) / ray.dx
+    if ray.dy != 0:
+        left = min(left, (ground.y_max - (row // ground.block + (ray.dy < 0)) * side - ray.y) / ray.dy)
+    return max(int(min((left - t) / stride, 1e6)), 1)
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _lowest(ray: Ray, begin: float, end: float) -> float:
+    """A bound on the height of a ray between two ranges."""
+    ends = min(ray.dz * begin + ray.bend * begin * begin, ray.dz * end + ray.bend * end * end)
+    bound: float = ray.z + ends - abs(ray.bend) * (end - begin) ** 2
+    return bound
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _cap(ground: Ground, ray: Ray, t: float, below: float, sums: FrameSums) -> None:
+    above = _above(ground, ray, t)
+    if above < below:
+        row, col = cell_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)
+        number = sum_of(sums, place_of(row, col, ground.across)) if row >= 0 else -1
+        if number >= 0:
+            sums.cells[number].lowest = min(sums.cells[number].lowest, np.float32(above))
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def observe(ground: Ground, view: View, sights: Records, pixels: Pixels, limits: Limits, sums: FrameSums) -> None:
+    """Add a frame's observations up by cell. What finds no room in `sums` is left out.
 
     Rows are taken from the bottom up: where a ray has carved, the one above it in its column passes higher, and goes on
     where that ended. So an image carves a cell a few times, and not once for each ray over it.
     """
-    rows, cols = pixels.range.shape
-    carved = 0
+    rows, cols = sights.shape
+    step = pixels.step
+    labelled = pixels.labels.size > 0
     reached = np.zeros(cols, np.float64)
     own = limits.own_sigma**2
-    m = view.rotation
     x0, y0, z0 = view.position[0], view.position[1], view.position[2]
     for v in range(rows - 1, -1, -1):
-        for u in range(cols):
-            i = v * cols + u
-            seen.kind[i] = NOTHING
+        for u in range(cols - 1, -1, -1):
             before, reached[u] = reached[u], 0.0
-            r, sigma, expected = float(pixels.range[v, u]), float(pixels.sigma[v, u]), float(pixels.expected[v, u])
-            # Unknown depth, sigma or reference; depth that was copied from the reference.
-            if pixels.informs[v, u] == 0 or not r > limits.min_range or not sigma > 0.0 or math.isnan(expected):
+            sight = sights[v, u]
+            expected = float(sight.expected)
+            # Depth that was copied from the reference, or no reference.
+            if math.isnan(expected) or pixels.informs[v * step, u * step] == 0:
                 continue
-            if r > limits.max_range and expected > limits.max_range:
+            along = pixels.cosines[v, u]
+            r = float(pixels.depth[v * step, u * step] / along)
+            if not r > limits.min_range or (r > limits.max_range and expected > limits.max_range):
                 continue
-            a, b, c = view.rays[v, u, 0], view.rays[v, u, 1], view.rays[v, u, 2]
-            dx = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c
-            dy = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c
-            dz = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c
-            flat2 = dx * dx + dy * dy
-            nearest, farthest = float(pixels.nearest[v, u]), float(pixels.farthest[v, u])
+            sigma = float(pixels.sigma[v * step, u * step] / along)
+            if not sigma > 0.0:
+                continue
+            nearest, farthest = float(sight.nearest), float(sight.farthest)
             slack = limits.gate * sigma
             if math.isinf(r):
                 slack = 0.0
             elif math.isinf(sigma):
                 continue
+            label = pixels.labels[v * step, u * step] if labelled else NO_LABEL
             if not math.isinf(r) and nearest - slack <= r <= farthest + slack:
-                if math.isinf(expected):
-                    continue
-                x, y = x0 + dx * expected, y0 + dy * expected
-                cell = _cell_at(ground, x, y)
-                if cell < 0:
-                    continue
-                east, north = _slopes_at(ground, cell)
-                incidence = max(abs(dz - east * dx - north * dy), LEAST_INCIDENCE)
-                # Where neighbouring pixels see other ranges, a pixel's own direction is not exact enough.
-                spread = 0.0
-                if not math.isinf(pixels.far[v, u]):
-                    spread = 0.5 * (pixels.far[v, u] - pixels.near[v, u])
-                elif not math.isinf(pixels.near[v, u]):
-                    spread = expected - pixels.near[v, u]
+                spread = float(sight.spread)
                 # What only pixels beside it would see, a silhouette a little off its place, tells nothing.
-                if not abs(r - expected) <= slack + min(spread, slack):
+                if sight.place < 0 or not abs(r - expected) <= slack + min(spread, slack):
                     continue
-                off = (r - expected) * incidence
-                seen.kind[i] = AGREES
-                seen.cell[i] = cell
-                seen.dz[i] = -off
-                steep = max(incidence, _steepness(ground, cell, dx, dy, dz))
+                number = sum_of(sums, sight.place)
+                if number < 0:
+                    continue
+                incidence = float(sight.incidence)
                 aside = (spread * incidence) ** 2 + own
-                seen.variance[i] = (sigma * steep) ** 2 + aside
-                seen.sheet_variance[i] = (sigma * incidence) ** 2 + aside
-                z = dz * expected + view.bend * flat2 * expected * expected
-                seen.pose_variance[i] = _pose_variance(view.covariance, east, north, x - x0, y - y0, z)
+                variance = (sigma * sight.steep) ** 2 + aside
+                w = 1.0 / (variance + sight.pose_variance)
+                one = sums.cells[number]
+                one.number += 1.0
+                one.weight += w
+                one.moment += w * ((expected - r) * incidence)
+                one.sheet += (sigma * incidence) ** 2 + aside
+                one.pose += sight.pose_variance
+                if one.label == NO_LABEL:
+                    one.label = label
                 continue
+            dx, dy, dz = direction(view, v, u)
+            flat2 = dx * dx + dy * dy
+            ray = Ray(x0, y0, z0, dx, dy, dz, view.bend * flat2)
             farther = r > farthest + slack
             if farther and not math.isinf(expected):
                 end = min(expected + SKY_SEEN_THROUGH, limits.max_range) if math.isinf(r) else r - slack
-                step = ground.resolution / max(math.sqrt(flat2), 0.1)
-                t = max(expected, before) + 0.5 * step
                 reached[u] = max(end, before)
-                for _ in range(_LONGEST_CARVE):
-                    if t >= end or carved >= len(seen.carved_cell):
-                        break
-                    x, y = x0 + dx * t, y0 + dy * t
-                    above = z0 + dz * t + view.bend * flat2 * t * t - _height_at(ground, x, y)
-                    if above < -limits.carve_below:
-                        cell = _cell_at(ground, x, y)
-                        if cell >= 0:
-                            seen.carved_cell[carved] = cell
-                            seen.carved_dz[carved] = above
-                            carved += 1
-                    t += step
+                _carve(ground, ray, max(expected, before), end, -limits.carve_below, sums)
             if math.isinf(r) or r > limits.max_range:
                 continue
-            ray = Ray(x0, y0, z0, dx, dy, dz, view.bend * flat2)
             first, last = (expected, math.inf) if farther else (0.0, expected)
             r = _likeliest(ground, ray, r, sigma, first, last)
             x, y = x0 + dx * r, y0 + dy * r
-            cell = _cell_at(ground, x, y)
-            if cell < 0:
+            row, col = cell_at(ground, x, y)
+            if row < 0:
                 continue
             above = _above(ground, ray, r)
             if not abs(above) <= limits.tallest:
                 continue
-            east, north = _slopes_at(ground, cell)
+            number = sum_of(sums, place_of(row, col, ground.across))
+            if number < 0:
+                continue
+            east, north = slopes_at(ground, row, col)
             incidence = max(abs(dz - east * dx - north * dy), LEAST_INCIDENCE)
-            seen.kind[i] = FARTHER if farther else NEARER
-            seen.cell[i] = cell
-            seen.dz[i] = above
             # Among crowns, a little nearer or farther is a lot higher or lower.
             rough = abs(_above(ground, ray, r + 0.5 * sigma) - _above(ground, ray, r - 0.5 * sigma))
             known = rough if rough < math.inf else 0.0
-            seen.variance[i] = max(sigma * incidence, known) ** 2 + own
+            variance = max(sigma * incidence, known) ** 2 + own
             z = dz * r + view.bend * flat2 * r * r
-            seen.pose_variance[i] = _pose_variance(view.covariance, east, north, x - x0, y - y0, z)
-    return carved
+            pose = pose_variance(view.covariance, east, north, x - x0, y - y0, z)
+            w = 1.0 / (variance + pose)
+            one = sums.cells[number]
+            one.off_count += 1.0
+            one.off_weight += w
+            one.off_moment += w * above
+            one.off_pose += pose
+            if one.label == NO_LABEL:
+                one.label = label

@@ -11,15 +11,16 @@ from numpy.typing import NDArray
 from ltm_core.errors import ConfigError
 from ltm_core.pose import Pose
 from ltm_core.site import TerrainConfig
-from ltm_core.terrain.cell_kernel import Rules, mark_tiles, merge, scatter
+from ltm_core.terrain.cell_kernel import Rules, merge
+from ltm_core.terrain.cells import TILE
 from ltm_core.terrain.change import Changed, decide, margin_of
-from ltm_core.terrain.free_space import see_through
+from ltm_core.terrain.free_space import INSIDE, see_through
 from ltm_core.terrain.layers import SurfaceLayers, layers_of
 from ltm_core.terrain.observation import DepthFrame, Observer, assumed_covariance
 from ltm_core.terrain.observe_kernel import Limits
 from ltm_core.terrain.reference import Reference
 from ltm_core.terrain.registration import Registration, register
-from ltm_core.terrain.tile_pool import TILE, TilePool, schema_of
+from ltm_core.terrain.tile_pool import TilePool, schema_of
 from ltm_core.tile_store import CellChanges, FrameRecord, Key, TileStore
 from ltm_core.tracing import TerrainTracer
 
@@ -85,7 +86,7 @@ class SurfaceMap:
         self._limits = Limits(
             config.min_range, config.max_range, config.confidence, config.threshold / 2, config.tallest, _OWN_SIGMA
         )
-        self._observer = Observer(reference, self._tracer, self._limits, config.pixel_step)
+        self._observer = Observer(reference, self._tracer, self._limits, config.pixel_step, config.views_mb)
         self._rules = Rules(
             config.confidence,
             config.reference_sigma**2,
@@ -95,6 +96,7 @@ class SurfaceMap:
             config.lasting,
             config.threshold,
             _CARVE_SIGMA**2,
+            config.threshold / INSIDE,
         )
         self._pool = TilePool(
             store if store is not None else TileStore.in_memory(schema_of(reference.geometry)),
@@ -131,16 +133,11 @@ class SurfaceMap:
             turned = self._registered(frame, covariance)
             if turned is not None:
                 frame, covariance = turned.frame(frame), turned.covariance
-        expected = self._observer.predict(frame)
-        seen, carved = self._observer.observe(frame, expected, covariance)
-        width = self.reference.geometry.width
-        marked = np.zeros(self._pool.slots.shape, np.uint8)
-        mark_tiles(seen, carved, width, TILE, marked)
-        keys, left_out = self._nearest(marked, frame)
-        slots = self._pool.require(keys)
-        scatter(seen, carved, self._observer.labels(frame), width, TILE, self._pool.slots, self._pool.scratch)
+        sums = self._observer.observe(frame, covariance)
+        keys, left_out = self._nearest(sums.seen_tiles, frame)
+        self._pool.require(keys)
         bit, seconds = 1 << self.cameras.index(frame.source), frame.stamp_ns // 1_000_000_000
-        cells = merge(self._pool.cells, self._pool.scratch, slots, seconds, bit, self._rules)
+        cells = merge(self._pool.cells, sums, self._pool.slots.ravel(), seconds, bit, self._rules)
         self._see_through(frame, seconds, bit)
         self._pool.touched(keys)
         self._pool.record(FrameRecord(frame.source, frame.stamp_ns, keys))
@@ -198,18 +195,14 @@ class SurfaceMap:
         return np.asarray(surface + np.nan_to_num(base) + changed.shift, np.float32)
 
     def _see_through(self, frame: DepthFrame, seconds: int, bit: int) -> None:
-        pixels = self._observer.pixels
         see_through(
             self._pool.cells,
             self._pool.places(),
-            TILE,
             self.reference.surface,
             self.reference.geometry,
             frame.camera.scaled(self.config.pixel_step),
             frame.pose,
-            pixels.range,
-            pixels.sigma,
-            pixels.informs.view(np.bool_),
+            self._observer.pixels(frame),
             seconds,
             bit,
             self._rules,
@@ -233,9 +226,9 @@ class SurfaceMap:
         self._turns[frame.source] = _Turn(frame.pose, covariance, frame.stamp_ns, turn)
         return turn
 
-    def _nearest(self, marked: NDArray[np.uint8], frame: DepthFrame) -> tuple[list[Key], int]:
-        """The marked tiles, nearest first where there are more than fit into memory."""
-        rows, cols = np.nonzero(marked)
+    def _nearest(self, tiles: NDArray[np.int32], frame: DepthFrame) -> tuple[list[Key], int]:
+        """These tiles, the nearest of them where there are more than fit into memory."""
+        rows, cols = np.divmod(tiles, self._pool.slots.shape[1])
         most = self._pool.capacity
         if len(rows) > most:
             row, col = self.reference.geometry.to_grid(frame.pose.position[0], frame.pose.position[1])
@@ -268,7 +261,7 @@ class SurfaceMap:
             inside[part] = True
             h, w = inside[part].shape
             for name, values in fields.items():
-                getattr(self._pool.cells, name)[slot].reshape(TILE, TILE)[:h, :w] = values[part]
+                self._pool.cells.field(name)[slot].reshape(TILE, TILE)[:h, :w] = values[part]
         self._pool.touched(keys)
         changed = changed.within(inside, window)
         if len(changed.rows):

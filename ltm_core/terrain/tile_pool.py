@@ -4,36 +4,15 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.grid import GridGeometry
-from ltm_core.terrain.cell_kernel import NO_LABEL, Cells, Scratch
-from ltm_core.tile_store import CellChanges, Field, FrameRecord, Key, StoreSchema, Tile, TileStore
+from ltm_core.terrain.cells import CELL_BYTES, FIELDS, NO_LABEL, TILE, Cells
+from ltm_core.tile_store import CellChanges, FrameRecord, Key, StoreSchema, Tile, TileStore
 
-TILE = 64
-"""Cells a side."""
 KIND, VERSION = "terrain", 2
-
-_DTYPES: dict[str, Any] = {
-    "first": np.uint32,
-    "last": np.uint32,
-    "cameras": np.uint32,
-    "frames": np.uint16,
-    "label": np.uint8,
-    "c_first": np.uint32,
-    "c_last": np.uint32,
-    "c_cameras": np.uint32,
-    "c_frames": np.uint16,
-    "kind": np.uint8,
-    "since": np.uint32,
-    "by": np.uint32,
-}
-FIELDS = {name: Field(_DTYPES.get(name, np.float32)) for name in Cells._fields}
-_CELL_BYTES = sum(np.dtype(f.dtype).itemsize for f in FIELDS.values())
-_SCRATCH_BYTES = 10 * 4 + 1
 
 
 def schema_of(geometry: GridGeometry) -> StoreSchema:
@@ -52,11 +31,7 @@ class TilePool:
         self.capacity = capacity
         rows, cols = store.schema.tiles
         self.slots = np.full((rows, cols), -1, np.int32)
-        side = TILE * TILE
-        self.cells = Cells(*(np.empty((capacity, side), f.dtype) for f in FIELDS.values()))
-        self.scratch = Scratch(
-            *(np.empty((capacity, side), np.uint8 if name == "label" else np.float32) for name in Scratch._fields)
-        )
+        self.cells = Cells.empty(capacity)
         self._fresh_base = np.float32(0.0 if canopy_known else np.nan)
         self._used: OrderedDict[Key, int] = OrderedDict()
         self._free = list(range(capacity - 1, -1, -1))
@@ -68,7 +43,7 @@ class TilePool:
     @staticmethod
     def capacity_of(megabytes: float) -> int:
         """Tiles that fit; at least those of which changes are decided at once."""
-        return max(64, int(megabytes * 2**20 / ((_CELL_BYTES + _SCRATCH_BYTES) * TILE * TILE)))
+        return max(64, int(megabytes * 2**20 / (CELL_BYTES * TILE * TILE)))
 
     @property
     def known_keys(self) -> list[Key]:
@@ -111,7 +86,7 @@ class TilePool:
         """A tile's arrays (TILE, TILE), wherever it is; None for one that nobody has seen. Not to be written to."""
         slot = self._used.get(key)
         if slot is not None:
-            return {name: pool[slot].reshape(TILE, TILE) for name, pool in self.cells._asdict().items()}
+            return {name: self.cells.field(name)[slot].reshape(TILE, TILE) for name in FIELDS}
         return self.store.read(key) if key in self._stored else None
 
     def touched(self, keys: Iterable[Key]) -> None:
@@ -152,12 +127,9 @@ class TilePool:
 
     def _fill(self, key: Key, slot: int) -> None:
         stored = self.store.read(key) if key in self._stored else None
-        for name, pool in self.cells._asdict().items():
-            pool[slot] = stored[name].reshape(-1) if stored is not None else 0
+        for name in FIELDS:
+            self.cells.field(name)[slot] = stored[name].reshape(-1) if stored is not None else 0
+        self.cells.high[slot] = stored is not None
         if stored is None:
-            self.cells.base[slot] = self._fresh_base
-            self.cells.label[slot] = NO_LABEL
-        for sums in self.scratch[:9]:
-            sums[slot] = 0
-        self.scratch.lowest[slot] = np.inf
-        self.scratch.label[slot] = NO_LABEL
+            self.cells.field("base")[slot] = self._fresh_base
+            self.cells.field("label")[slot] = NO_LABEL

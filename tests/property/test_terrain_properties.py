@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 
 from ltm_core.grid import GridGeometry
 from ltm_core.terrain.cell_kernel import Rules, independent, take
+from ltm_core.terrain.cells import FIELDS
 from ltm_core.terrain.tile_pool import TilePool, schema_of
 from ltm_core.tile_store import TileStore
 
-RULES = Rules(3.0, 0.09, 3600.0, 600.0, 8.0, 3.2e7, 1.5, 0.25)
+RULES = Rules(3.0, 0.09, 3600.0, 600.0, 8.0, 3.2e7, 1.5, 0.25, 2.5)
 BEGIN = 1_700_000_000
 Look = tuple[int, int, float, float, bool]
 """Seconds, bit of the camera, height above the reference, variance, whether it is a bound only."""
@@ -33,8 +34,8 @@ def pool(canopy_known: bool) -> TilePool:
 def seen_by(looks: Sequence[Look], canopy_known: bool = True) -> TilePool:
     """A fresh cell, the first of the first tile, after these looks."""
     one = pool(canopy_known)
-    for name, values in one.cells._asdict().items():
-        values[0, 0] = (0.0 if canopy_known else np.nan) if name == "base" else 0
+    for name in FIELDS:
+        one.cells.field(name)[0, 0] = (0.0 if canopy_known else np.nan) if name == "base" else 0
     for seconds, bit, dz, variance, bounded in looks:
         own, pose = np.float32(variance), np.float32(0.0)
         take(one.cells, 0, 0, np.float32(dz), own, own, pose, bounded, seconds, bit, RULES)
@@ -43,9 +44,9 @@ def seen_by(looks: Sequence[Look], canopy_known: bool = True) -> TilePool:
 
 def believed(one: TilePool) -> bool:
     """Whether independent views stand behind the cell's estimate."""
-    c = one.cells
-    return bool(c.looks[0, 0] > 0) and bool(
-        independent(c.cameras[0, 0], c.first[0, 0], c.last[0, 0], RULES.independent_after, RULES.settle)
+    c = one.cells.estimate[0, 0]
+    return bool(c["looks"] > 0) and bool(
+        independent(c["cameras"], c["first"], c["last"], RULES.independent_after, RULES.settle)
     )
 
 
@@ -83,8 +84,8 @@ def test_what_is_elsewhere_each_time_never_becomes_the_estimate(levels: list[int
         if data.draw(st.booleans()):
             looks.append((seconds + 7200, data.draw(st.sampled_from([1, 2, 4])), 0.0, 0.05, False))
     one = seen_by(looks)
-    assert abs(float(one.cells.dz[0, 0])) < 1e-6
-    assert one.cells.looks[0, 0] <= sum(1 for look in looks if look[2] == 0.0)
+    assert abs(float(one.cells.estimate[0, 0]["dz"])) < 1e-6
+    assert one.cells.estimate[0, 0]["looks"] <= sum(1 for look in looks if look[2] == 0.0)
 
 
 @settings(max_examples=100, deadline=None)
@@ -94,7 +95,7 @@ def test_what_stays_is_believed(height: float, first: int, second: int) -> None:
     times = (0, 3600 * first, 3600 * (first + second))
     one = seen_by([(BEGIN + t, bit, height, 0.05, False) for t, bit in zip(times, (1, 2, 1), strict=True)])
     assert believed(one)
-    assert abs(float(one.cells.dz[0, 0]) - height) < 1e-3
+    assert abs(float(one.cells.estimate[0, 0]["dz"]) - height) < 1e-3
 
 
 @settings(max_examples=40, deadline=None)
@@ -104,10 +105,10 @@ def test_looks_of_years_ago_lose_weight_by_the_time_that_passed(rise: float, qua
     begin, age = 1_000_000_000, quarters * 8_000_000
     one = seen_by([(begin, 1, 0.0, 4.0, False), (begin + age, 1, rise, 4.0, False)])
     kept = math.exp(-age / RULES.lasting)
-    assert one.cells.dz[0, 0] == pytest.approx(rise / (1 + kept), rel=1e-4)
-    assert one.cells.looks[0, 0] == pytest.approx(1 + kept, rel=1e-5)
+    assert one.cells.estimate[0, 0]["dz"] == pytest.approx(rise / (1 + kept), rel=1e-4)
+    assert one.cells.estimate[0, 0]["looks"] == pytest.approx(1 + kept, rel=1e-5)
 
 
 def test_looks_of_one_day_all_count() -> None:
     one = seen_by([(1_000_000_000 + 7200 * i, 1, 1.0 + 0.1 * i, 4.0, False) for i in range(4)])
-    assert one.cells.dz[0, 0] == pytest.approx(1.15, rel=1e-3)
+    assert one.cells.estimate[0, 0]["dz"] == pytest.approx(1.15, rel=1e-3)

@@ -1,0 +1,87 @@
+"""What one frame says of each cell that it sees: sums over its pixels, kept for those cells only."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ltm_core.terrain.cells import CELLS, NO_LABEL, PLACE_BITS, Records
+
+SUM = np.dtype(
+    [("place", "i4"), ("number", "f4"), ("weight", "f4"), ("moment", "f4"), ("sheet", "f4"), ("pose", "f4"),
+     ("off_count", "f4"), ("off_weight", "f4"), ("off_moment", "f4"), ("off_pose", "f4"), ("lowest", "f4"),
+     ("label", "u1"), ("_", "u1", 3)]
+)  # fmt: skip
+"""Of one cell: sums over pixels that agree with the reference, over those that do not (off_), and the least height
+above the reference at which a ray passed it (infinite: none did).
+"""
+
+
+class FrameSums(NamedTuple):
+    """`used`: how many cells and tiles are in use. `cells`: their sums. `tiles`: the tiles by their number in this
+    frame, and `number_of` the inverse by tile, -1 where it is not seen. `at`: by number of the tile and cell in it,
+    1 + where its sums are, 0 where it is not seen.
+    """
+
+    used: NDArray[np.int64]
+    cells: Records
+    tiles: NDArray[np.int32]
+    number_of: NDArray[np.int32]
+    at: NDArray[np.int32]
+
+    @classmethod
+    def empty(cls, most: int, tiles: int) -> FrameSums:
+        """For at most `most` cells of a grid of `tiles` tiles; memory is claimed as it is used."""
+        return cls(
+            np.zeros(2, np.int64),
+            np.empty(most, SUM),
+            np.empty(tiles, np.int32),
+            np.full(tiles, -1, np.int32),
+            np.zeros((tiles, CELLS), np.int32),
+        )
+
+    @property
+    def seen_tiles(self) -> NDArray[np.int32]:
+        """Tiles that the frame touches, in row-major order."""
+        return np.sort(self.tiles[: self.used[1]])
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def clear(sums: FrameSums) -> None:
+    """Forget the last frame."""
+    for i in range(sums.used[0]):
+        place = sums.cells[i].place
+        sums.at[sums.number_of[place >> PLACE_BITS], place & (CELLS - 1)] = 0
+    for i in range(sums.used[1]):
+        sums.number_of[sums.tiles[i]] = -1
+    sums.used[:] = 0
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def sum_of(sums: FrameSums, place: int) -> int:
+    """Where the sums of a cell are, cleared where it is new; -1 where there is no room for another one."""
+    tile, k = place >> PLACE_BITS, place & (CELLS - 1)
+    number = sums.number_of[tile]
+    if number < 0:
+        number = sums.used[1]
+        sums.used[1] += 1
+        sums.number_of[tile] = number
+        sums.tiles[number] = tile
+    found = sums.at[number, k]
+    if found == 0:
+        if sums.used[0] >= len(sums.cells):
+            return -1
+        one = sums.cells[sums.used[0]]
+        sums.used[0] += 1
+        found = sums.used[0]
+        sums.at[number, k] = found
+        one.place = place
+        one.number = one.weight = one.moment = one.sheet = one.pose = 0.0
+        one.off_count = one.off_weight = one.off_moment = one.off_pose = 0.0
+        one.lowest = math.inf
+        one.label = NO_LABEL
+    return int(found) - 1
