@@ -112,7 +112,7 @@ class FuelKeeper:
         window = self.map.add(votes)
         tiles = [self._keys.setdefault(key, key) for key in self.map.tiles_of(window)] if window is not None else []
         record = FrameRecord(votes.source, votes.stamp_ns, tiles, model, payload if window is not None else b"")
-        self._take(Counted(record, window))
+        self._take(Counted(record, None if window is None else self.map.reached_from(window)))
         return Counting.EMPTY if window is None else Counting.COUNTED
 
     def replace_tiles(
@@ -138,7 +138,8 @@ class FuelKeeper:
         while (before := self.seen(source, stamp_ns)) is Counting.DUPLICATE:
             stamp_ns += 1
         if before is None:
-            self._take(Counted(FrameRecord(source, stamp_ns, sorted(tiles)), window))
+            reached = None if window is None else self.map.reached_from(window)
+            self._take(Counted(FrameRecord(source, stamp_ns, sorted(tiles)), reached))
 
     def wait(self, seconds: float) -> None:
         """Time has passed: where the store was away, try it again now and then."""

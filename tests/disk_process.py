@@ -76,6 +76,7 @@ def full_from_the_start(site: Path, disk: Path) -> list[dict[str, object]]:
     ballast.write_bytes(bytes(os.statvfs(disk).f_bavail * os.statvfs(disk).f_bsize))
     node = Node(site, disk)
     node.feed(0, 3)
+    node.handler.tick(fuel_keeper.RETRY_S)  # still full: said again, however long the frames took
     states = [node.state()]
     ballast.unlink()
     node.handler.tick(fuel_keeper.RETRY_S)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.special import betainc, entr
 
 from ltm_core.fuel.codes import FuelSystem, Region
@@ -54,6 +55,31 @@ class FuelLayers:
     changed: NDArray[np.bool_]
     seen_by: NDArray[np.uint8]
 
+    def part(self, row: int, col: int, height: int, width: int) -> FuelLayers:
+        """A rectangle of them: views."""
+        cut = slice(row, row + height), slice(col, col + width)
+        return FuelLayers(**{field.name: getattr(self, field.name)[cut] for field in fields(self)})
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """(N, ...) what evidence and prior say of each cell on its own.
+
+    `base`: the prior's code, or that of what has grown since a burn. `agreeing` (N, FORMS): the forms that it stands
+    for. `challenger`: index of the strongest other form. `wants`: to change into it.
+    """
+
+    codes: NDArray[np.int16]
+    base: NDArray[np.int16]
+    agreeing: NDArray[np.bool_]
+    has_prior: NDArray[np.bool_]
+    fresh: NDArray[np.bool_]
+    regrown: NDArray[np.bool_]
+    alpha: NDArray[np.float64]
+    challenger: NDArray[np.int64]
+    p_max: NDArray[np.float64]
+    wants: NDArray[np.bool_]
+
 
 @dataclass(frozen=True, eq=False)
 class _Decided:
@@ -76,15 +102,27 @@ class Decider:
         every = np.arange(256, dtype=np.int16)
         none = np.zeros((256, FORMS), np.uint32)
         nothing = CellEvidence(none.astype(float), none, none, none.astype(np.int64), none[:, 0])
-        self._untouched = self._decide_cells(every, nothing, 0.0)
+        self._untouched = self._settle(self._judge(every, nothing, 0.0), nothing, 0.0)
         self._known = np.asarray(forms_of(every).any(axis=1))
 
-    def decide(
-        self, codes: NDArray[np.int16], touched: NDArray[np.bool_], cells: CellEvidence, now_s: float
-    ) -> FuelLayers:
-        """The layers of a part of the grid, all but `last_seen` and `seen_by`, which are zero.
+    @property
+    def reach(self) -> int:
+        """Cells out to which a cell's neighbours have a say in what it is."""
+        return self._rules.min_cells - 1
 
-        `codes`: (H, W) of the prior. `cells`: evidence of the `touched` (H, W) cells, in row-major order.
+    def decide(
+        self,
+        codes: NDArray[np.int16],
+        touched: NDArray[np.bool_],
+        cells: CellEvidence,
+        now_s: float,
+        company: NDArray[np.uint8] | None = None,
+    ) -> FuelLayers:
+        """The layers of a part of the grid, all but `last_seen` and `seen_by`, which are zero; within `reach` of an
+        edge that is not the grid's they may be those of a map that ends there.
+
+        `codes`: (H, W) of the prior. `cells`: evidence of the `touched` (H, W) cells, in row-major order. `company`:
+        (H, W) life forms of cells that have changed for other reasons than evidence, 0 none.
         """
         index = np.where((codes >= 0) & (codes < 256), codes, 0)
         known = self._known[index]
@@ -101,7 +139,11 @@ class Decider:
             seen_by=np.zeros(codes.shape, np.uint8),
         )
         if touched.any():
-            decided = self._decide_cells(codes[touched], cells, now_s)
+            judged = self._judge(codes[touched], cells, now_s)
+            wanted = np.zeros(codes.shape, np.uint8) if company is None else company.copy()
+            wanted[touched] = np.where(judged.wants, judged.challenger + 1, wanted[touched])
+            judged.wants[...] &= _in_regions(wanted, self._rules.min_cells)[touched]
+            decided = self._settle(judged, cells, now_s)
             layers.code[touched] = decided.code
             layers.life_form[touched] = decided.form + 1
             layers.p_max[touched] = decided.p_max
@@ -110,7 +152,7 @@ class Decider:
             layers.changed[touched] = decided.changed
         return layers
 
-    def _decide_cells(self, codes: NDArray[np.int16], cells: CellEvidence, now_s: float) -> _Decided:
+    def _judge(self, codes: NDArray[np.int16], cells: CellEvidence, now_s: float) -> _Judged:
         rules = self._rules
         original = forms_of(codes)
         masked = np.isin(codes, rules.mask)
@@ -121,28 +163,34 @@ class Decider:
         has_prior = np.asarray(agreeing.any(axis=1))
         alpha = cells.evidence + self._prior_evidence(agreeing, has_prior)
         challenger, better, p_max = _contest(alpha, agreeing, has_prior)
-
         here = np.arange(len(codes)), challenger
         enough = cells.evidence[here] >= rules.min_evidence
         apart = cells.last[here].astype(np.int64) - cells.first[here] >= rules.min_interval_s
-        changes = has_prior & ~masked & (better >= rules.posterior) & enough & (apart | (cells.cameras[here] > 1))
-        favoured = _favoured(alpha, agreeing | ~has_prior[:, None], has_prior, rules.posterior)
-        form = np.where(changes, challenger, favoured)
+        wants = has_prior & ~masked & (better >= rules.posterior) & enough & (apart | (cells.cameras[here] > 1))
+        fresh = burned & ~regrown
+        return _Judged(codes, base, agreeing, has_prior, fresh, regrown, alpha, challenger, p_max, wants)
+
+    def _settle(self, judged: _Judged, cells: CellEvidence, now_s: float) -> _Decided:
+        """What cells become, of which those that still want to change do."""
+        rules, codes, changes = self._rules, judged.codes, judged.wants
+        original = forms_of(codes)
+        possible = judged.agreeing | ~judged.has_prior[:, None]
+        favoured = _favoured(judged.alpha, possible, judged.has_prior, rules.posterior)
+        form = np.where(changes, judged.challenger, favoured)
 
         faded = changes & (form == _BURNED) & (now_s - cells.last[:, _BURNED] >= rules.burned_days * 86400)
-        code = np.where(changes | ~has_prior, self._new_codes(form, original, cells.evidence), base)
-        fresh = burned & ~regrown
-        code = np.where(fresh, self._codes.burned, np.where(faded, self._codes.regrowth, code))
-        form = np.where(fresh, _BURNED, form)
+        code = np.where(changes | ~judged.has_prior, self._new_codes(form, original, cells.evidence), judged.base)
+        code = np.where(judged.fresh, self._codes.burned, np.where(faded, self._codes.regrowth, code))
+        form = np.where(judged.fresh, _BURNED, form)
         grown = forms_of(np.array([self._codes.regrowth], np.int16))[0]
-        form = np.where(faded, np.where(grown, alpha, -1.0).argmax(axis=1), form)
+        form = np.where(faded, np.where(grown, judged.alpha, -1.0).argmax(axis=1), form)
         # What the prior said before it burned, and cameras now say again, is the prior's code and no other.
-        back = changes & ~fresh & ~faded & original[np.arange(len(codes)), form]
+        back = changes & ~judged.fresh & ~faded & original[np.arange(len(codes)), form]
         code = np.where(back, codes, code)
-        shares = alpha / alpha.sum(axis=1, keepdims=True)
+        shares = judged.alpha / judged.alpha.sum(axis=1, keepdims=True)
         entropy = entr(shares).sum(axis=1) / np.log(FORMS)
-        changed = (changes | burned) & ~back
-        return _Decided(code.astype(np.int16), form, changed, p_max, entropy)
+        changed = (changes | judged.fresh | judged.regrown) & ~back
+        return _Decided(code.astype(np.int16), form, changed, judged.p_max, entropy)
 
     def _prior_evidence(self, agreeing: NDArray[np.bool_], has_prior: NDArray[np.bool_]) -> NDArray[np.float64]:
         """(N, FORMS): kappa pi."""
@@ -164,6 +212,19 @@ class Decider:
         mixed = both & ((form == _GRASS) | (form == _SHRUB))
         code = np.where((form == _TREE) & original[:, _SHRUB], c.shrubs_to_tree, table[form])
         return np.where(mixed, c.grass_shrub, code)
+
+
+def _in_regions(forms: NDArray[np.uint8], least: int) -> NDArray[np.bool_]:
+    """(H, W): cells of connected regions (by sides and corners) of one form, not 0, of `least` cells or more."""
+    if least == 1:
+        return forms > 0
+    kept = np.zeros(forms.shape, np.bool_)
+    for form in np.unique(forms[forms > 0]):
+        regions, _ = ndimage.label(forms == form, np.ones((3, 3)))
+        large = np.bincount(regions.ravel()) >= least
+        large[0] = False
+        kept |= large[regions]
+    return kept
 
 
 def _favoured(
@@ -204,7 +265,7 @@ def layers_of_classes(classes: NDArray[np.uint8], prior: FuelPrior | None, regio
     For maps without evidence, such as a majority vote: a cell whose class agrees with the prior keeps its code.
     """
     codes = np.full(classes.shape, NODATA, np.int16) if prior is None else prior.codes
-    rules = FusionRules(min_interval_s=0.0, min_evidence=0.0)
+    rules = FusionRules(min_interval_s=0.0, min_evidence=0.0, min_cells=1)
     seen = (classes >= 1) & (classes <= FORMS)
     certain = np.zeros((int(seen.sum()), FORMS))
     certain[np.arange(len(certain)), classes[seen].astype(np.int64) - 1] = 1000.0

@@ -173,9 +173,30 @@ class EvidenceMap:
         self._state["burned_at"][fresh] = second
         self.newest_ns = max(self.newest_ns, second * 10**9)
 
+    def reached_from(self, window: Window) -> Window:
+        """The part of the grid whose layers the evidence in a window has a say in."""
+        row, col, height, width = window
+        reach = self._decider.reach
+        top, left = max(row - reach, 0), max(col - reach, 0)
+        bottom, right = (
+            min(end + reach, n) for end, n in zip((row + height, col + width), self.geometry.shape, strict=True)
+        )
+        return top, left, bottom - top, right - left
+
     def layers(self, window: Window | None = None, at_ns: int | None = None) -> FuelLayers:
         """The map, or a part of it, as of a time; by default that of the latest frame."""
-        part = self._slices(window or (0, 0, *self.geometry.shape))
+        wanted = window or (0, 0, *self.geometry.shape)
+        self._slices(wanted)
+        around = self.reached_from(wanted)
+        row, col = wanted[0] - around[0], wanted[1] - around[1]
+        return self._layers(around, at_ns).part(row, col, wanted[2], wanted[3])
+
+    def changed_otherwise(self, window: Window) -> NDArray[np.uint8] | None:
+        """(h, w) life forms of cells that have changed for other reasons than evidence, 0 none; None: none has."""
+        return None
+
+    def _layers(self, window: Window, at_ns: int | None) -> FuelLayers:
+        part = self._slices(window)
         state = {name: array[part] for name, array in self._state.items()}
         shape = state["last_seen"].shape
         codes = np.full(shape, NODATA, np.int16) if self.prior is None else self.prior.codes[part]
@@ -197,7 +218,7 @@ class EvidenceMap:
             cameras=(state["witnesses"][touched] > 0).sum(axis=-1),
             burned_at=state["burned_at"][touched],
         )
-        layers = self._decider.decide(codes, touched, cells, now)
+        layers = self._decider.decide(codes, touched, cells, now, self.changed_otherwise(window))
         layers.last_seen[...] = state["last_seen"].astype(np.int64) * 10**9
         layers.seen_by[...] = (state["seen_by"] > 0).sum(axis=-1)
         return layers

@@ -25,7 +25,7 @@ class DecayYears(StrictModel):
 class FusionRules(StrictModel):
     prior_share: float = Field(0.8, gt=0.5, lt=1)
     """Probability that the prior map is right about a cell's life form."""
-    prior_evidence: float = Field(6.0, gt=0)
+    prior_evidence: float = Field(2.5, gt=0)
     """What the prior map weighs, in the unit of evidence: one unit is a pixel that sees a cell perfectly."""
     frame_cap: float = Field(FRAME_CAP, gt=0, le=255)
     """Evidence that one frame can give for one cell at most."""
@@ -48,6 +48,9 @@ class FusionRules(StrictModel):
     """Between the first and the last frame that show the new life form; or two cameras show it."""
     min_evidence: float = Field(4.0, ge=0)
     """For the new life form."""
+    min_cells: int = Field(8, ge=1, le=100)
+    """Minimum mapping unit: a connected region that changes into one life form counts from so many cells on (of 30 m:
+    0.7 ha). Stands change in larger pieces, and what a network mislabels along their edges lies in smaller ones."""
     mixture: float = Field(0.3, gt=0, le=0.5)
     """Share of the evidence above which both grass and shrub make a grass-shrub cell."""
     burned_days: float = Field(180.0, gt=0)

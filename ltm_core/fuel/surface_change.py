@@ -70,6 +70,13 @@ class LivingFuelMap(EvidenceMap):
         else:
             self.prior = FuelPrior(codes, self.geometry) if (starts > 0).any() else None
 
+    def changed_otherwise(self, window: Window) -> NDArray[np.uint8] | None:
+        row, col, height, width = window
+        told = self.told[row : row + height, col : col + width] % _CODES
+        if not told.any():
+            return None
+        return np.where(told > 0, forms_of(told.astype(np.int16)).argmax(axis=-1) + 1, 0).astype(np.uint8)
+
     def layers(self, window: Window | None = None, at_ns: int | None = None) -> FuelLayers:
         """As of `EvidenceMap`; `prior` is the map that the site started from, and `changed` means: not its code."""
         found = super().layers(window, at_ns)

@@ -41,9 +41,10 @@ def votes(
     cells: list[tuple[int, int]] | None = None,
     confidence: float | None = None,
     sighting: CellSighting | None = None,
+    grid: GridGeometry = GRID,
 ) -> CellVotes:
     """`pixels` of one label, or of each label the given number, in some cells; in all by default."""
-    cells = list(np.ndindex(GRID.shape)) if cells is None else cells
+    cells = list(np.ndindex(grid.shape)) if cells is None else cells
     rows, cols = (np.array(index, np.int32) for index in zip(*cells, strict=True))
     counts = np.zeros((len(cells), len(LABELS)), np.uint32)
     if isinstance(label, Label):
@@ -52,13 +53,13 @@ def votes(
         counts[:] = label
     shown = None if confidence is None else np.full(len(cells), confidence, np.float32)
     z = np.zeros(len(cells), np.float32)
-    return CellVotes(GRID, rows, cols, counts, z, int(second * 10**9), source, shown, sighting)
+    return CellVotes(grid, rows, cols, counts, z, int(second * 10**9), source, shown, sighting)
 
 
 def fuel_map(
     *frames: CellVotes, prior: FuelPrior | None = PRIOR, errors: LabelErrors = TRUSTED, **rules: float
 ) -> EvidenceMap:
-    result = EvidenceMap(GRID, prior, LABELS, FusionRules(**rules), errors)
+    result = EvidenceMap(GRID, prior, LABELS, FusionRules(**{"min_cells": 1} | rules), errors)
     for frame in frames:
         result.add(frame)
     return result
@@ -97,6 +98,27 @@ def test_two_cameras_need_no_hour() -> None:
     layers = fuel_map(votes(Label.TREE), votes(Label.TREE, NOW + 1, "south")).layers()
     assert layers.changed[0, 0]
     np.testing.assert_array_equal(layers.seen_by, 2)
+
+
+def test_a_change_of_few_cells_is_not_mapped() -> None:
+    """Regions of one new form count, joined by sides and corners: the minimum mapping unit."""
+    wide = GridGeometry(15.0, 255.0, 30.0, 11, 8)
+    prior = FuelPrior(np.full(wide.shape, 145, np.int16), wide)
+    four = [(0, 0), (1, 1), (2, 2), (3, 3)]
+    five = [(0, 5), (1, 6), (2, 7), (3, 8), (4, 8)]
+    mixed = [(7, 0), (7, 1), (7, 2)], [(7, 3), (7, 4), (7, 5)]
+    grid_map = EvidenceMap(wide, prior, LABELS, FusionRules(context=0.0, min_cells=5), TRUSTED)
+    for source in ("north", "south"):
+        for label, cells in ((Label.TREE, four + five + mixed[0]), (Label.GRASS, mixed[1])):
+            for second in (NOW, NOW + HOUR):
+                grid_map.add(votes(label, second, f"{source} {label}", cells=cells, grid=wide))
+    whole = grid_map.layers()
+    assert {(int(row), int(col)) for row, col in np.argwhere(whole.changed)} == set(five)
+    assert whole.life_form[1, 1] == LifeForm.SHRUB
+    for row, col in np.ndindex(wide.height - 1, wide.width - 2):  # seen through any window, it is the same map
+        part = grid_map.layers((row, col, 2, 3))
+        np.testing.assert_array_equal(part.code, whole.code[row : row + 2, col : col + 3])
+    assert grid_map.reached_from((2, 9, 1, 1)) == (0, 5, 7, 6)
 
 
 def test_older_frames_of_another_form_are_no_witnesses() -> None:
@@ -159,7 +181,7 @@ def test_labels_are_corrected_by_the_networks_errors() -> None:
     shares[1] = 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
     shares[2] = 0.0, 0.6, 0.4, 0.0, 0.0, 0.0, 0.0
     for errors, code in ((TRUSTED, 145), (LabelErrors(shares, INDEPENDENT), 165)):
-        grid_map = EvidenceMap(GRID, PRIOR, LABELS, errors=errors)
+        grid_map = EvidenceMap(GRID, PRIOR, LABELS, FusionRules(min_cells=1), errors)
         for frame in frames:
             grid_map.add(frame)
         assert grid_map.layers().code[0, 0] == code
@@ -220,7 +242,8 @@ def test_each_form_has_its_own_time_constant(label: Label) -> None:
 
 def test_burned_labels_live_for_a_time() -> None:
     labels = LabelSet((*LABELS.names, "burned"), (*LABELS.colors, (0, 0, 0)), (*LABELS.ground_cover, True))
-    grid_map = EvidenceMap(GRID, PRIOR, labels, errors=LabelErrors(np.eye(7), INDEPENDENT))
+    rules, errors = FusionRules(min_cells=1), LabelErrors(np.eye(7), INDEPENDENT)
+    grid_map = EvidenceMap(GRID, PRIOR, labels, rules, errors)
     frame = votes(Label.TREE, cells=[(0, 0)])
     counts = np.zeros((1, 8), np.uint32)
     counts[0, 7] = 40

@@ -172,7 +172,7 @@ def test_without_a_prior_the_told_cells_alone_are_known() -> None:
 
 
 def test_what_cameras_saw_before_is_void_and_what_they_see_after_counts() -> None:
-    evidence = map_of(np.full(FUEL.shape, 102, np.int16))
+    evidence = map_of(np.full(FUEL.shape, 102, np.int16), min_cells=1)
     for day in range(6):
         for camera in ("north", "east", "south"):
             evidence.add(frame(LifeForm.TREE, NOW - 10**7 + day * 20 * 86400, camera))
@@ -187,6 +187,22 @@ def test_what_cameras_saw_before_is_void_and_what_they_see_after_counts() -> Non
         for camera in ("north", "east", "south"):
             evidence.add(frame(LifeForm.SHRUB, NOW + day * 20 * 86400, camera))
     assert evidence.layers().life_form[2, 5] == LifeForm.SHRUB
+
+
+def test_cells_that_the_surface_has_changed_count_in_a_region_of_change() -> None:
+    """Two cells that cameras see as trees are too few for a change, and enough beside one that has grown."""
+    for grown in (False, True):
+        evidence = map_of(np.full(FUEL.shape, 102, np.int16), min_cells=3)
+        for second in (NOW, NOW + 7200):
+            for camera in ("north", "east"):
+                votes = frame(LifeForm.TREE, second, camera)
+                votes.rows[:2], votes.cols[:2] = 3, (6, 7)
+                evidence.add(votes)
+        if grown:
+            told(evidence, GROWN, 9.0)
+        layers = evidence.layers()
+        assert layers.life_form[3, 6:8].tolist() == [LifeForm.TREE if grown else LifeForm.GRASS] * 2
+        assert (layers.life_form[2, 5] == LifeForm.TREE) == grown
 
 
 def test_burned_cells_and_masked_ones_stay() -> None:
