@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ltm_core.site import TerrainConfig
 from ltm_core.terrain.cell_kernel import Rules, independent, mean_variance
 from ltm_core.terrain.cells import TILE
-from ltm_core.terrain.neighbours import REACH, WIDE, Estimates, mean_of_neighbours, own_shift, regions
+from ltm_core.terrain.neighbours import REACH, WIDE, Estimates, mean_of_neighbours, own_shift, regions, stand_rise
 from ltm_core.terrain.reference import Reference
 from ltm_core.tile_store import Key, Tile
 
@@ -143,6 +143,11 @@ def decide(
     since = np.where(begun, parts["last"], np.where(kind > 0, parts["since"], 0)).astype(np.uint32)
     by = np.where(begun, parts["cameras"], np.where(kind > 0, parts["by"], 0)).astype(np.uint32)
     own = own_shift(cells, variance, shift, reference.geometry.resolution)
+    stands = standing & (kind == ChangeKind.GROWN)
+    if stands.any():
+        with np.errstate(divide="ignore", invalid="ignore"):
+            level = np.where(usable, np.clip(parts["sheet_variance"] * parts["weight"] / parts["looks"], 0, 1), 0)
+        own = np.where(stands, stand_rise(off, level, stands & usable, own, reference.geometry.resolution), own)
     shift = np.where(kind > 0, own, np.float32(0)).astype(np.float32)
     rows, cols = np.nonzero(new)
     changed = Changed(

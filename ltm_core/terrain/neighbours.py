@@ -97,6 +97,21 @@ def own_shift(cells: Estimates, variance: Floats, mean: Floats, resolution: floa
     return np.asarray(mean + gain * (bounded - mean), np.float32)
 
 
+def stand_rise(off: Floats, level: Floats, grown: Mask, shift: Floats, resolution: float) -> Floats:
+    """By how much stands have grown: the mean of what their level cells show, over WIDE; `shift` where none is near.
+
+    Where a crown grows, its face comes nearer by a fraction of that: such cells tell that it has grown and not by how
+    much. `level`: of each cell, (0, 1], the variance on the block's slope as a share of that on its own, so about the
+    square of one slope over the other. Cells count by the square of that, and not by their variance, which is greater
+    for those that were found off their crowns, since a small step among crowns is a great one of height.
+    """
+    weight = np.where(grown, level**2, 0).astype(np.float32)
+    sigma = WIDE / resolution
+    total = blurred(weight, sigma)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(total > 1e-6, blurred(weight * off, sigma) / total, shift).astype(np.float32)
+
+
 def blurred(values: Floats, sigma: float) -> Floats:
     """By a Gaussian of `sigma` cells; what is outside counts as 0."""
     if sigma < 0.3:

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ltm_core.terrain.neighbours import SMOOTHING, Estimates, blurred, mean_of_neighbours, own_shift, regions
+from ltm_core.terrain.neighbours import (
+    SMOOTHING,
+    WIDE,
+    Estimates,
+    blurred,
+    mean_of_neighbours,
+    own_shift,
+    regions,
+    stand_rise,
+)
 
 SHAPE = (50, 70)
 
@@ -91,3 +100,20 @@ def test_a_region_without_a_sure_cell_or_too_small_is_left_out() -> None:
     strong[31, 51] = True
     assert not regions(strong, weak, np.zeros(SHAPE, np.bool_), 25.0).any()
     assert regions(strong, weak, np.zeros(SHAPE, np.bool_), 12.0).sum() == 12
+
+
+def test_a_stand_has_grown_by_what_its_level_cells_show(stand: NDArray[np.bool_]) -> None:
+    """Faces, a slope four times the block's, show a quarter of it; what is not grown takes no part."""
+    top = stand & (np.add.outer(np.arange(SHAPE[0]), 2 * np.arange(SHAPE[1])) % 3 == 0)
+    off = np.where(top, 4.0, np.where(stand, 1.0, -9.0)).astype(np.float32)
+    level = np.where(top, 1.0, 1 / 16).astype(np.float32)
+    before = np.full(SHAPE, 2.0, np.float32)
+    rise = stand_rise(off, level, stand, before, 1.0)
+    inner = np.zeros(SHAPE, np.bool_)
+    inner[18:30, 32:50] = True
+    # Two faces to a top, each with a weight of 1 / 256.
+    np.testing.assert_allclose(rise[inner], (4.0 + 2 / 256) / (1 + 2 / 256), atol=1e-2)
+    alone = np.zeros(SHAPE, np.bool_)
+    alone[4, 60] = True
+    far = np.hypot(*(np.indices(SHAPE) - np.array([4, 60])[:, None, None])) > 6 * WIDE
+    np.testing.assert_array_equal(stand_rise(off, level, alone, before, 1.0)[far], 2.0)

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-HELD_OUT = "14,15,16"
-"""Seeds that no constant of the map was chosen on: those were chosen on seeds 1, 2, 11, 12 and 13."""
+HELD_OUT = "17,18,19"
+"""Seeds that no constant of the map was chosen on: those were chosen on seeds 1, 2, 11, 12 and 13; 14, 15 and 16 were
+looked at before the last of them was."""
 
 
 def terrain(
