@@ -20,7 +20,7 @@ class ImagingConfig(Strict):
 
 
 class PatrolConfig(Strict):
-    """A moving head's round: every azimuth in turn, `rounds` times, one frame each `interval_s`."""
+    """A moving head's round: every azimuth in turn, one frame each `interval_s`; `rounds` times, each `every_s`."""
 
     azimuth_deg: Annotated[list[float], Field(min_length=1)]
     pitch_deg: list[float] = Field([-6.0])  # one for all azimuths or one each
@@ -28,7 +28,24 @@ class PatrolConfig(Strict):
     roll_deg: float = 0.0
     rounds: int = Field(1, ge=1)
     interval_s: float = Field(2.0, gt=0)
+    every_s: float | None = Field(None, gt=0)  # from the begin of a round to the next one's; none: without a pause
     start_s: float = 0.0
+
+    def begins(self) -> list[float]:
+        """Seconds at which the frames of all rounds are taken."""
+        stops = len(self.azimuth_deg)
+        every = stops * self.interval_s if self.every_s is None else self.every_s
+        return [self.start_s + r * every + k * self.interval_s for r in range(self.rounds) for k in range(stops)]
+
+    @model_validator(mode="after")
+    def _rounds_end_before_the_next(self) -> PatrolConfig:
+        shortest = (len(self.azimuth_deg) - 1) * self.interval_s
+        if self.every_s is not None and self.every_s <= shortest:
+            raise ValueError(
+                f"a round each {self.every_s:g} s, but its {len(self.azimuth_deg)} frames take {shortest:g} s: "
+                "give every_s more, or interval_s less"
+            )
+        return self
 
     @model_validator(mode="after")
     def _one_pitch_each(self) -> PatrolConfig:

@@ -136,9 +136,9 @@ def plan_shots(scenario: Scenario, site: SimulatedSite, date: DateConfig | None 
         sensors = SensorModel(setup.sensors(), f"{setup.name} {date.name}", scenario.seed)
         fields = patrol.hfov_deg or [setup.hfov_deg] * len(patrol.azimuth_deg)
         stops = list(zip(patrol.azimuth_deg, pitches, fields, strict=True))
-        for k, (azimuth, pitch, hfov) in enumerate(stops * patrol.rounds):
+        for seconds, (azimuth, pitch, hfov) in zip(patrol.begins(), stops * patrol.rounds, strict=True):
             camera = scenario.camera_model(hfov)
-            stamp = start + round((patrol.start_s + k * patrol.interval_s) * 1e9)
+            stamp = start + round(seconds * 1e9)
             pose = Pose.from_angles(eye, azimuth, pitch, patrol.roll_deg)
             report = sensors.report(pose, stamp)
             if report is not None:

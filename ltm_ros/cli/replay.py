@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.replay import LONGEST_PAUSE
+
 
 def replay(
     bag: Annotated[Path, typer.Argument(help="Bag folder or .mcap file.")],
@@ -16,6 +18,10 @@ def replay(
         bool, typer.Option("--offline", help="One process, no DDS, as fast as it goes, bit-repeatable.")
     ] = False,
     rate: Annotated[float, typer.Option(help="Live: 2 plays twice as fast.")] = 1.0,
+    longest_pause: Annotated[
+        float,
+        typer.Option(help="Live: seconds after which a longer pause of the recording is stepped over; inf: never."),
+    ] = LONGEST_PAUSE,
     loop: Annotated[bool, typer.Option("--loop", help="Live: start again at the end, until Ctrl-C.")] = False,
     start: Annotated[float, typer.Option(min=0, help="Seconds into the recording.")] = 0.0,
     duration: Annotated[float | None, typer.Option(min=0, help="Seconds to play.")] = None,
@@ -40,7 +46,7 @@ def replay(
         raise ConfigError("--offline knows no time: leave --rate, --loop, --rrd and --publish-only away")
     console = Console()
     if publish_only:
-        _publish(bag, site, rate, loop, start, duration, domain)
+        _publish(bag, site, rate, longest_pause, loop, start, duration, domain)
         return
     out.mkdir(parents=True, exist_ok=True)
     options = ReplayOptions(
@@ -50,6 +56,7 @@ def replay(
         record=out / "bag" if record else None,
         rrd=out / "replay.rrd" if rrd else None,
         rate=rate,
+        longest_pause=longest_pause,
         loop=loop,
         domain_id=domain,
     )
@@ -65,7 +72,14 @@ def replay(
 
 
 def _publish(
-    bag: Path, site: Path, rate: float, loop: bool, start: float, duration: float | None, domain: int | None
+    bag: Path,
+    site: Path,
+    rate: float,
+    longest_pause: float,
+    loop: bool,
+    start: float,
+    duration: float | None,
+    domain: int | None,
 ) -> None:
     import threading
 
@@ -82,7 +96,7 @@ def _publish(
     stopping = threading.Event()
     with (
         stop_on_signals(stopping),
-        LivePlayer(selection, rate) as player,
+        LivePlayer(selection, rate, longest_pause) as player,
         message_bar(Console(), "replay") as progress,
     ):
         player.wait_for_listeners()

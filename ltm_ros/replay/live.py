@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from types import TracebackType
 from typing import Any, Self
 
@@ -32,11 +33,18 @@ QUIET = 2.5
 class LivePlayer:
     """Publishes a selection and watches the diagnostics of the graph that works on it. A context manager."""
 
-    def __init__(self, selection: Selection, rate: float = 1.0) -> None:
-        """`rate`: of playing, 2 = twice as fast. Raises RecordingError unless it is positive."""
+    def __init__(self, selection: Selection, rate: float = 1.0, longest_pause: float = math.inf) -> None:
+        """`rate`: of playing, 2 = twice as fast. `longest_pause`: seconds of real time; where a recording pauses for
+        longer, its clock goes on so long and until the graph has done its work, and steps over the rest. Raises
+        RecordingError unless both are positive.
+        """
         if not 0 < rate < 1e4:
             raise RecordingError(f"replay rate must be a positive number such as 1 or 0.5, got {rate}")
-        self._selection, self._rate = selection, rate
+        if not longest_pause > 0:
+            raise RecordingError(
+                f"the longest pause of a replay must be more than 0 s, such as 10, got {longest_pause}"
+            )
+        self._selection, self._rate, self._longest_pause = selection, rate, longest_pause
         self._context = Context()
         rclpy.init(context=self._context)
         self._node = Node("player", context=self._context, enable_rosout=False)
@@ -128,9 +136,7 @@ class LivePlayer:
         deadline = time.monotonic() + timeout
         self._changed = time.monotonic()
         while time.monotonic() < deadline:
-            known = [self.summaries.get(name) for name in nodes]
-            idle = all(s is not None and s.get("queue", "0") == "0" for s in known)
-            if idle and time.monotonic() - self._changed > QUIET:
+            if self._idle(self.summaries.get(name) for name in nodes):
                 return True
             time.sleep(0.1)
         return False
@@ -141,8 +147,18 @@ class LivePlayer:
         return bag_ns + round((time.monotonic() - real) * self._rate * 1e9)
 
     def _sleep_until(self, bag_ns: int, stopped: Callable[[], bool]) -> None:
+        steps_at = time.monotonic() + self._longest_pause
         while (wait := (bag_ns - self.now_ns()) / 1e9 / self._rate) > 0 and not stopped():
+            now = time.monotonic()
+            if now >= steps_at and self._idle(self.summaries.values()):
+                self._epoch = (now, bag_ns)
+                return
             time.sleep(min(wait, 0.1))
+
+    def _idle(self, summaries: Iterable[dict[str, str] | None]) -> bool:
+        """Nothing has moved for a while, and nothing waits."""
+        empty = all(s is not None and s.get("queue", "0") == "0" for s in list(summaries))
+        return empty and time.monotonic() - self._changed > QUIET
 
     def _tick(self) -> None:
         while not self._stopping.wait(CLOCK_PERIOD):

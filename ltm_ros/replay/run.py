@@ -9,6 +9,7 @@ from pathlib import Path
 from ltm_core.errors import LtmError
 from ltm_core.site_io import load_site
 from ltm_ros.graph import Graph, ParameterValue, describe
+from ltm_ros.replay import LONGEST_PAUSE
 from ltm_ros.replay.live import LivePlayer
 from ltm_ros.replay.offline import replay_offline
 from ltm_ros.replay.selection import Selection
@@ -23,7 +24,7 @@ class ReplayOptions:
     """`start`, `duration`: seconds of the recording. `export`: GeoTIFF of the fuel map. `record`: bag of the results.
 
     `state`: an existing folder in which the fuel map and the terrain keep what they know; None: it ends with the
-    replay. `rrd`: Rerun recording. `rate`, `loop`, `domain_id`: of live replay only.
+    replay. `rrd`: Rerun recording. `rate`, `loop`, `longest_pause` (`LivePlayer`), `domain_id`: of live replay only.
     """
 
     start: float = 0.0
@@ -34,6 +35,7 @@ class ReplayOptions:
     rrd: Path | None = None
     rate: float = 1.0
     loop: bool = False
+    longest_pause: float = LONGEST_PAUSE
     domain_id: int | None = None
 
 
@@ -87,7 +89,7 @@ def run_live(
     total = selection.message_count
     with Runner(graph, domain_id=options.domain_id, log_folder=log_folder, console=console) as runner:
         runner.wait_until_ready(timeout_s=180.0)
-        with LivePlayer(selection, options.rate) as player:
+        with LivePlayer(selection, options.rate, options.longest_pause) as player:
             player.wait_for_listeners(len(graph))
             player.play(options.loop, lambda done: progress(done, total), stopped)
             if not player.drain(names):

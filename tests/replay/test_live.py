@@ -56,3 +56,9 @@ def test_rounds_of_a_loop_neither_touch_nor_flood(small_site: SmallSite) -> None
 def test_rate_must_be_positive(small_site: SmallSite, rate: float) -> None:
     with pytest.raises(RecordingError, match="replay rate must be a positive number"):
         LivePlayer(Selection.open(small_site.bag, small_site.site), rate)
+
+
+@pytest.mark.parametrize("pause", [0.0, -1.0, float("nan")])
+def test_longest_pause_must_be_positive(small_site: SmallSite, pause: float) -> None:
+    with pytest.raises(RecordingError, match="longest pause of a replay must be more than 0 s"):
+        LivePlayer(Selection.open(small_site.bag, small_site.site), 1.0, pause)

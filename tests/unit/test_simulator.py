@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from ltm_core.camera import Camera
 from ltm_core.errors import ConfigError
 from ltm_core.grid import GridGeometry
 from ltm_core.simulator import noise
-from ltm_core.simulator.camera_setup import ImagingConfig, ViewsConfig
+from ltm_core.simulator.camera_setup import ImagingConfig, PatrolConfig, ViewsConfig
 from ltm_core.simulator.erosion import drainage_area
 from ltm_core.simulator.imaging import add_haze, develop
 from ltm_core.simulator.landcover import BARE, GRASS, SHRUB, TREE, LandCover, Stand, make_landcover
@@ -56,6 +57,7 @@ def test_scenario_takes_defaults(tmp_path: Path) -> None:
         (("seed: 3", "seed: 3\nsede: 4"), "sede"),
         (("mast", "mast"), "outside"),
         (("[10, 20]", "[10, 20], pitch_deg: [1, 2, 3]"), "3 pitches for 2 azimuths"),
+        (("[10, 20]", "[10, 20], interval_s: 5, every_s: 4"), "a round each 4 s, but its 2 frames take 5 s"),
         (("seed: 3", "seed: 3\nvegetation: {tree: 0.7, grass: 0.5}"), "at most 1"),
         (("seed: 3", "seed: 3\nsun: {elevation_deg: -4}"), "sun.elevation_deg"),
     ],
@@ -64,6 +66,12 @@ def test_scenario_refuses(tmp_path: Path, change: tuple[str, str], says: str) ->
     text = MINIMAL.replace(*change) if change[0] != "mast" else MINIMAL.replace("x: 100", "x: 5000")
     with pytest.raises(ConfigError, match=says):
         load_scenario(scenario_file(tmp_path, text))
+
+
+def test_rounds_follow_each_other_or_come_each_hour() -> None:
+    rounds: dict[str, Any] = {"azimuth_deg": [10.0, 20.0, 30.0], "rounds": 2, "interval_s": 2.0, "start_s": 1.0}
+    assert PatrolConfig(**rounds).begins() == [1.0, 3.0, 5.0, 7.0, 9.0, 11.0]
+    assert PatrolConfig(**rounds, every_s=3600.0).begins() == [1.0, 3.0, 5.0, 3601.0, 3603.0, 3605.0]
 
 
 def test_scenario_without_eyes_is_refused(tmp_path: Path) -> None:
