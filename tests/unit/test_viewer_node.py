@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +16,12 @@ from ltm_core.errors import MessageError
 from ltm_core.fuel.codes import Region
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.life_form import LifeForm
+from ltm_core.grid import GridGeometry
+from ltm_core.terrain.change import Changed, ChangeKind
 from ltm_msgs_py.fuel_cells import fuel_cells_to_msg
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import depth_to_msg
+from ltm_msgs_py.terrain import changed_to_msg
 from ltm_ros.health import Health
 from ltm_ros.topics import (
     DEPTH_IMAGE,
@@ -25,6 +29,8 @@ from ltm_ros.topics import (
     FUEL_MAP_CELLS,
     FUSED_DEPTH,
     NETWORK_DEPTH,
+    TERRAIN_CHANGE,
+    TERRAIN_UPDATE,
     camera_topic,
     site_topic,
 )
@@ -73,6 +79,35 @@ def test_without_a_depth_network_nobody_is_asked_for_fused_depth(tmp_path: Path)
     node = viewer(write_small_site(tmp_path).path, tmp_path / "view.rrd")
     assert not [topic.name for topic in node.subscriptions if "fused" in topic.name or "network" in topic.name]
     node.finish()
+
+
+def test_changes_of_the_surface_lie_where_they_are_on_the_fuel_grid(tmp_path: Path) -> None:
+    small = write_small_site(tmp_path)
+    path = small.path
+    path.write_text(path.read_text() + yaml.safe_dump({"depth_model": "depth.yaml", "terrain": {}}))
+    node = viewer(path, tmp_path / "view.rrd")
+    take = {topic.name: callback for topic, callback in node.subscriptions.items()}
+    under = small.site.fuel_geometry(small.dem)
+    window = GridGeometry(under.x_min + 90.0, under.y_max - 60.0, 10.0, 7, 4)
+    kinds = np.full(window.shape, 255, np.uint8)
+    kinds[2, 3] = ChangeKind.GROWN
+    take[site_topic(small.site.name, TERRAIN_CHANGE)](classes_to_msg(kinds, window, STAMP))
+    one = np.array([1])
+    changed = Changed(one, one, 0 * one.astype(np.uint8), one.astype(np.uint8), np.array([-4.0], np.float32))
+    take[site_topic(small.site.name, TERRAIN_UPDATE)](changed_to_msg(changed, np.array([300.0]), window, STAMP))
+    node.finish()
+    found: dict[str, list[dict[str, Any]]] = {}
+    for chunk in RrdReader(str(tmp_path / "view.rrd")).stream():
+        batch = chunk.to_record_batch()
+        parts = {name: batch.column(name).to_pylist() for name in batch.schema.names if ":" in name}
+        found.setdefault(str(chunk.entity_path), []).append(parts)
+    (picture,) = found["/terrain/change"]
+    assert picture["Transform3D:translation"][0][0] == pytest.approx([90 / under.resolution, 60 / under.resolution, 0])
+    assert picture["Transform3D:scale"][0][0] == pytest.approx([10 / under.resolution, 10 / under.resolution, 1])
+    assert "grown" in str(found["/terrain"])
+    (points,) = found["/map/change"]
+    x, y = window.to_map(1, 1)
+    assert points["Points3D:positions"][0][0] == pytest.approx([float(x), float(y), 300.0])
 
 
 def test_the_layers_of_the_fuel_map_are_shown_with_burned_cells(tmp_path: Path) -> None:
