@@ -14,9 +14,10 @@ Image = NDArray[np.float32]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def clear_beyond(ground: Image, depth: Image, sigma: Image, source: NDArray[np.uint8]) -> None:
+def clear_beyond(ground: Image, depth: Image, sigma: Image, source: NDArray[np.uint8]) -> NDArray[np.int32]:
     """Make unknown in `depth`, `sigma` (H, W) and `source` what regions of NaN in the traced `ground` (H, W) cover that
-    touch sky or the image's edge, by a corner or more.
+    touch sky or the image's edge, by a corner or more; the runs of the others, (N, 3): row, first column, and the one
+    behind the last.
 
     Regions are made of runs of pixels in rows: there are few of them, so that each pixel is looked at once.
     """
@@ -42,12 +43,18 @@ def clear_beyond(ground: Image, depth: Image, sigma: Image, source: NDArray[np.u
                 open_ended[a] |= open_ended[b]
             j += 1
         open_ended[_root(parent, k)] |= open_ended[k]
+    holes = np.empty((count, 3), np.int32)
+    kept = 0
     for k in range(count):
         if open_ended[_root(parent, k)]:
-            v, start, end = rows[k], starts[k], ends[k]
-            depth[v, start:end] = np.float32(np.nan)
-            sigma[v, start:end] = np.float32(np.nan)
-            source[v, start:end] = 0
+            v = rows[k]
+            for u in range(starts[k], ends[k]):
+                if source[v, u] != 0:
+                    depth[v, u], sigma[v, u], source[v, u] = np.float32(np.nan), np.float32(np.nan), 0
+        else:
+            holes[kept] = rows[k], starts[k], ends[k]
+            kept += 1
+    return holes[:kept]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

@@ -82,6 +82,64 @@ def combine(
     )
 
 
+def fill_holes(
+    holes: NDArray[np.int32],
+    depth: Image,
+    sigma: Image,
+    network: SeenDepth,
+    labels: Bytes | None,
+    classes: DepthClasses,
+    source: Bytes,
+) -> None:
+    """Give the network's depth to what is unknown of `holes`, runs of pixels as `clear_beyond` gives them, and not
+    labelled sky."""
+    _fill(
+        holes,
+        depth,
+        sigma,
+        network.cells,
+        network.grey,
+        network.columns,
+        network.parts,
+        network.answers.shift,
+        network.answers.factor,
+        np.zeros((1, 1), np.uint8) if labels is None else labels,
+        labels is not None,
+        classes.sky,
+        source,
+    )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _fill(
+    holes: NDArray[np.int32],
+    depth: Image,
+    sigma: Image,
+    cells: Image,
+    grey: Bytes,
+    columns: NDArray[np.int32],
+    parts: Row,
+    shift: Image,
+    factor: Image,
+    labels: Bytes,
+    labelled: bool,
+    sky: int,
+    source: Bytes,
+) -> None:
+    height, width = depth.shape
+    between, seen = np.empty((4, cells.shape[2]), np.float32), np.empty((3, width), np.float32)
+    last = -1
+    for v, start, end in holes:
+        if v != last:
+            see_row(cells, grey, columns, parts, v, between, seen)
+            last = v
+        for u in range(start, end):
+            if source[v, u] == 0 and not (labelled and labels[v, u] == sky):
+                at = v * shift.shape[0] // height, u * shift.shape[1] // width
+                inverse, t = _meant(seen[0, u], seen[1, u], seen[2, u], at, shift, factor)
+                _take(depth[v], sigma[v], source[v], u, inverse, t)
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
 def _combine(
     depth: Image,
@@ -145,11 +203,9 @@ def _combine(
                 if not asked[u]:
                     continue
                 at = i, table[u]
-                if kind[u] == 0:
-                    _take(d, s, kind, u, *_meant(y[u], near[u], back[u], at, shift, factor))
-                elif off[u] * off[u] < joint[u] * (least[label[u]] if off[u] > 0 else np.float32(_GONE)):
+                if off[u] * off[u] < joint[u] * (least[label[u]] if off[u] > 0 else np.float32(_GONE)):
                     continue
-                elif off[u] < 0:
+                if off[u] < 0:
                     gone = _gone(y[u], near[u], back[u], off[u], joint[u], spread[u], gross)
                     if gone:
                         inverse, t = _meant(y[u], near[u], back[u], at, shift, factor)
@@ -193,7 +249,7 @@ def _compare(
 
     Fills `true`, the terrain's inverse depth, 0 for sky and unknown ground, and `own`, its sigma; `spread`, the
     network's; `off`, by how much that is nearer than it would say of the terrain, with the variance `joint`; and
-    `asked`, whether the two disagree or the terrain is unknown; how many. Compilers give up on loops that write into
+    `asked`, whether the two disagree; how many. Compilers give up on loops that write into
     several of many arrays: one result a loop.
     """
     width, far, one, none = len(d), np.float32(1e9), np.float32(1.0), np.float32(0.0)
@@ -212,7 +268,7 @@ def _compare(
     count = 0
     for u in range(width):
         odd = (off[u] * off[u] > np.float32(2.0) * joint[u]) & ((off[u] > 0) | (d[u] < far))
-        ask = (label[u] != sky) & (odd | ((d[u] != d[u]) & (y[u] == y[u])))
+        ask = (label[u] != sky) & odd & (d[u] == d[u])
         asked[u] = ask
         count += ask
     return count

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ltm_core.depth.beyond import clear_beyond
 from ltm_core.depth.classes import DepthClasses
-from ltm_core.depth.combine import combine
+from ltm_core.depth.combine import combine, fill_holes
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_fit import NetworkFit, fit_network
 from ltm_core.depth.pose_check import PoseCheck, check_pose
@@ -155,7 +155,9 @@ def fuse(
     combine(expected, sigma, None if surface is None else surface.depth(), beside, labels, classes, source)
     # A sample first, for most photos see no unknown ground at all.
     if np.isnan(ground[::4, ::4]).any() or np.isnan(ground).any():
-        clear_beyond(ground, expected, sigma, source)
+        holes = clear_beyond(ground, expected, sigma, source)
+        if beside is not None and len(holes):
+            fill_holes(holes, expected, sigma, beside, labels, classes, source)
     verdict, reason = Verdict.OK, ""
     if fit is not None and fit.trouble:
         verdict, reason = Verdict.NETWORK_UNUSABLE, fit.trouble

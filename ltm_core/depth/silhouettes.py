@@ -72,7 +72,7 @@ def raise_silhouettes(
     `labels`: (H, W) ids of `classes`, or None. `network`: what it sees at the photo's size, where there is one.
     """
     rows, cols = _edges(ground, np.float32(JUMP))
-    color = np.asarray(cv2.blur(rgb, _BLUR), np.uint8) if len(rows) else rgb
+    color = _blurred(rgb, rows)
     raised = np.zeros(len(rows), np.int32)
     seen = SeenDepth.none() if network is None else network
     ids = np.zeros((1, 1), np.uint8) if labels is None else labels
@@ -115,6 +115,16 @@ def raise_silhouettes(
         sigma,
     )
     return Silhouettes(rows, cols, ground[rows, cols], raised)
+
+
+def _blurred(rgb: NDArray[np.uint8], rows: NDArray[np.int32]) -> NDArray[np.uint8]:
+    """The photo without its grain in all rows that edges in `rows`, the lowest first, ask for; else undefined."""
+    if not len(rows):
+        return rgb
+    color = np.empty_like(rgb)
+    top, bottom = max(int(rows[-1]) - STRIP_PX - 2 * _SAMPLE, 0), int(rows[0]) + 2 * _SAMPLE
+    color[top:bottom] = cv2.blur(rgb[top:bottom], _BLUR)
+    return color
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
