@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.errors import LtmError, RecordingError
+from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.majority import UNSEEN, MajorityFuelMap
+from ltm_core.fuel.map_score import MapScore, score_map
 from ltm_core.fuel.site_map import site_evidence_map
-from ltm_core.metrics.fuel import FuelScore, score_fuel
+from ltm_core.metrics.fuel import FuelScore, on_grid, score_fuel
 from ltm_msgs_py.votes import msg_to_votes
 from ltm_ros.frame_stream import StreamedFrame
 from ltm_ros.recorded import FUEL_TRUTH, Recorded
@@ -20,12 +22,13 @@ from ltm_ros.recorded_map import last_fuel_map
 
 @dataclass(frozen=True)
 class FuelScores:
-    """Of the cells that a recorded frame voted in: the map, the majority vote of the same votes, and the map that the
-    system started from; None where the bag or the site lacks it."""
+    """Of the cells that a recorded frame voted in: the map, the majority vote of the same votes, the map that the
+    system started from, and what of it the map has changed; None where the bag or the site lacks it."""
 
     fuel: FuelScore | None = None
     vote: FuelScore | None = None
     prior: FuelScore | None = None
+    changes: MapScore | None = None
 
 
 class FuelTally:
@@ -67,7 +70,7 @@ class FuelTally:
             return FuelScores()
         try:
             truth, grid = read_fuel_map(file)
-            classes, vote, prior = self._classes, None, None
+            classes, vote, prior, changes = self._classes, None, None, None
 
             def scored(values: NDArray[np.uint8]) -> FuelScore:
                 return score_fuel(values, self._geometry, truth, grid, len(self._labels))
@@ -77,13 +80,16 @@ class FuelTally:
                 unseen = majority == UNSEEN
                 classes = np.where(unseen, UNSEEN, classes).astype(np.uint8)
                 vote = scored(majority)
-                if self._recorded.site.fuel.prior is not None:
-                    prior = scored(np.where(unseen, UNSEEN, self._untouched()).astype(np.uint8))
-            return FuelScores(scored(classes), vote, prior)
+                empty = self._untouched()
+                if empty.prior is not None:
+                    prior = scored(np.where(unseen, UNSEEN, empty.layers().life_form).astype(np.uint8))
+                    true = on_grid(truth, grid, self._geometry)
+                    changes = score_map("fuel map", self._classes, true, empty.prior.codes, ~unseen)
+            return FuelScores(scored(classes), vote, prior, changes)
         except LtmError as error:
             self.lacking = f"fuel cells: {error}"
             return FuelScores()
 
-    def _untouched(self) -> NDArray[np.uint8]:
+    def _untouched(self) -> EvidenceMap:
         site = self._recorded.site
-        return site_evidence_map(site, site.in_map(self._geometry), self._labels).layers().life_form
+        return site_evidence_map(site, site.in_map(self._geometry), self._labels)

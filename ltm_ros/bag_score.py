@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.errors import LtmError
+from ltm_core.fuel.map_score import MapScore
 from ltm_core.metrics.depth import DepthScore
 from ltm_core.metrics.depth_fit import DepthKind, at_pixels_of, fit_to_truth
 from ltm_core.metrics.depth_maps_io import DepthMapFolder
@@ -82,6 +83,8 @@ class BagScore:
     """The paper's majority vote of the same frames' votes, on the same cells."""
     fuel_prior: FuelScore | None = None
     """The map that the system started from, on the same cells."""
+    fuel_changes: MapScore | None = None
+    """What of that map has changed, on the same cells."""
     terrain: TerrainScore | None = None
     latency: list[LatencyRow] = field(default_factory=list)
     lacking: list[str] = field(default_factory=list)
@@ -130,6 +133,7 @@ def score_bag(recorded: Recorded, folders: Sequence[DepthMapFolder] = ()) -> Bag
     score.latency = _latencies(stream)
     fuels = fuel.scores()
     score.fuel, score.fuel_vote, score.fuel_prior = fuels.fuel, fuels.vote, fuels.prior
+    score.fuel_changes = fuels.changes
     if fuel.lacking is not None:
         score.lacking.append(fuel.lacking)
     _score_terrain(score, recorded)

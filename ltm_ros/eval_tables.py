@@ -96,6 +96,12 @@ def as_json(score: BagScore) -> dict[str, Any]:
             "confusion": score.fuel.confusion.tolist(),
             "right_by_majority_vote": None if score.fuel_vote is None else score.fuel_vote.right,
             "right_by_prior": None if score.fuel_prior is None else score.fuel_prior.right,
+            "changes": None
+            if score.fuel_changes is None
+            else {
+                "found": dataclasses.asdict(score.fuel_changes.found),
+                "false_flips": dataclasses.asdict(score.fuel_changes.false_flips),
+            },
         },
         "terrain": None if score.terrain is None else dataclasses.asdict(score.terrain),
         "latency": [dataclasses.asdict(row) for row in score.latency],
@@ -223,6 +229,12 @@ def _fuel_maps(score: BagScore) -> Table | None:
     if len(rows) < 2:
         return None
     note = "Cells that a recorded frame voted in; life form against the true one."
+    if (changes := score.fuel_changes) is not None:
+        found, false = changes.found, changes.false_flips
+        note += (
+            f" Of {found.of:,} cells that are no more what the prior says the map has found {found.count:,}, of "
+            f"{false.of:,} that are it has changed {false.count:,}."
+        )
     return Table("fuel maps", ("map", "cells seen", "right", "share"), rows, note)
 
 

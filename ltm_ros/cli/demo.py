@@ -67,6 +67,9 @@ def _simulated(out: Path, domain: int, console: Console) -> None:
             if one is not None:
                 share = 100 * one.right / max(1, one.seen)
                 table.add_row(f"fuel cells right{name}", f"{one.right} ({share:.1f} %)")
+    if (changes := result.score.fuel_changes) is not None:
+        for name, part in (("changed, found", changes.found), ("unchanged, changed by the map", changes.false_flips)):
+            table.add_row(f"fuel cells {name}", f"{part.count} of {part.of} ({100 * part.value:.1f} %)")
     console.print(table)
     console.print(f"report: {out / 'report.html'}   Rerun: ltm view --rrd {out / 'demo.rrd'}")
     drops = sum(row.dropped for row in result.nodes)
