@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import cv2
 import numpy as np
 
-from ltm_core.pictures.ranges import SKY_COLOR, RangeScale, scale_colors
+from ltm_core.pictures.ranges import SKY_COLOR, UNKNOWN_COLOR, RangeScale, scale_colors
 from ltm_core.pictures.text import draw_texts, metres, text_width
 from ltm_core.pictures.types import Palette, Rgb
 
@@ -16,13 +16,14 @@ INK = (38, 40, 44)
 
 
 def range_legend(width: int, scale: RangeScale | None = None, sky: bool = True) -> Rgb:
-    """The colour scale with its round ranges, (h, `width`, 3)."""
+    """The colour scale with its round ranges, (h, `width`, 3); with `sky` also the colours of what has no range."""
     scale = scale or RangeScale()
     size = _text_size(width)
     height, bar = round(size * 3.4), round(size * 1.1)
     strip = _paper(height, width)
-    sky_width = round(size * 3) if sky else 0
-    left, right = round(size * 1.8), width - round(size * 1.8) - (sky_width + size if sky else 0)
+    others = (("unknown", UNKNOWN_COLOR), ("sky", SKY_COLOR)) if sky else ()
+    widths = [max(round(size * 3), text_width(name, size)) for name, _ in others]
+    left, right = round(size * 1.8), width - round(size * 1.8) - sum(other + size for other in widths)
     top = round(size * 0.5)
     ramp = scale_colors()[np.linspace(0, 255, max(right - left, 2)).round().astype(int)]
     strip[top : top + bar, left : left + len(ramp)] = ramp
@@ -32,14 +33,15 @@ def range_legend(width: int, scale: RangeScale | None = None, sky: bool = True) 
         x = left + float(scale.fraction(tick)) * (right - left)
         cv2.line(strip, (round(x), top + bar), (round(x), top + bar + size // 3), INK, 1)
         half = text_width(metres(tick), size) / 2
-        if x - half > end + size * 0.5 and x + half < width:
+        if x - half > end + size * 0.5 and x + half < right + size:
             texts.append((metres(tick), x, top + bar + size * 0.5))
             end = x + half
-    if sky:
-        x = width - round(size * 0.9) - sky_width
-        strip[top : top + bar, x : x + sky_width] = SKY_COLOR
-        cv2.rectangle(strip, (x, top), (x + sky_width, top + bar - 1), INK, 1)
-        texts.append(("sky", x + sky_width / 2, top + bar + size * 0.5))
+    x = right + size
+    for (name, color), other in zip(others, widths, strict=True):
+        strip[top : top + bar, x : x + other] = color
+        cv2.rectangle(strip, (x, top), (x + other, top + bar - 1), INK, 1)
+        texts.append((name, x + other / 2, top + bar + size * 0.5))
+        x += other + size
     return draw_texts(strip, [(text, x, y, "mt") for text, x, y in texts], size, INK)
 
 

@@ -99,6 +99,11 @@ def test_range_legend_shows_the_colours_of_its_ranges() -> None:
     row = strip[10].astype(int)
     middle = np.abs(row - depth_colors(1000.0, scale).astype(int)).sum(axis=1)
     assert abs(int(middle.argmin()) - 350) <= 2
+    for width in (320, 900):
+        whole = range_legend(width, scale)
+        assert whole.shape[1] == width
+        for color in (SKY_COLOR, UNKNOWN_COLOR):
+            assert (whole == color).all(axis=-1).sum() > 100
 
 
 def test_label_colours_follow_the_palette() -> None:
