@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -166,3 +166,16 @@ def test_weather_changes_no_more_than_a_clear_sky(eyes: Eyes, weather: object) -
     assert np.mean(np.array(shares) > 0.02) >= 0.5, "the weather is seen"
     assert looked > 1000
     assert len(under - clear) < 0.005 * looked
+
+
+def test_what_stands_there_since_is_found_on_the_same_slope(slope: Slope, eyes: Eyes) -> None:
+    """So that no change above is no blindness: the map is told of a slope that is 6 m lower in one place."""
+    geometry = slope.surface.geometry
+    x, y = geometry.to_map(*np.mgrid[: geometry.height, : geometry.width])
+    place = np.hypot(x - 200.0, y - 140.0) < 20.0
+    told = [Dem((dem.elevation - 6.0 * place).astype(np.float32), geometry) for dem in (slope.bare, slope.surface)]
+    lower = replace(eyes, slope=Slope(*told, slope.looks), tracer=TerrainTracer(told[1]))
+    changed, _ = lower.changed((look, photo(look.radiance)) for _ in range(LOOKS) for look in slope.looks)
+    inside = [place[cell] for cell in changed]
+    assert sum(inside) > 40
+    assert np.mean(inside) > 0.6
