@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ltm_core.pictures.legend import INK, PAPER
+from ltm_core.pictures.legend import ramp_legend
 from ltm_core.pictures.ranges import SKY_COLOR
-from ltm_core.pictures.text import Anchor, draw_texts, metres
 from ltm_core.pictures.types import Rgb
 
 SMALLEST, LARGEST = 0.3, 300.0
@@ -32,18 +31,9 @@ def error_colors(estimate: ArrayLike, truth: ArrayLike) -> Rgb:
 
 
 def error_legend(width: int) -> Rgb:
-    """The colour scale with its ticks, (h, `width`, 3)."""
-    size = max(11, min(22, round(width / 60)))
-    strip = np.full((round(size * 3.2), width, 3), PAPER, np.uint8)
-    left, right, top, bar = size * 2, width - size * 2, size // 2, size
-    ramp = _ramp()[np.linspace(0, 255, right - left).round().astype(int)]
-    strip[top : top + bar, left:right] = ramp
-    texts: list[tuple[str, float, float, Anchor]] = []
-    for tick in _TICKS:
-        x = left + float(_place(np.float32(tick))) * (right - left - 1)
-        cv2.line(strip, (round(x), top + bar), (round(x), top + bar + size // 3), INK, 1)
-        texts.append((metres(tick), x, top + bar + size * 0.5, "mt"))
-    return draw_texts(strip, texts, size, INK)
+    """The colour scale with its ticks and what is not on it, (h, `width`, 3): as high as that of ranges."""
+    ticks = [(tick, float(_place(np.float32(tick)))) for tick in _TICKS]
+    return ramp_legend(width, _ramp(), ticks, [("in one only", _UNKNOWN), ("sky", SKY_COLOR)])
 
 
 def _place(size: ArrayLike) -> NDArray[np.float64]:

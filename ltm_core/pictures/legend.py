@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import cv2
 import numpy as np
@@ -11,6 +11,7 @@ from ltm_core.pictures.ranges import SKY_COLOR, UNKNOWN_COLOR, RangeScale, scale
 from ltm_core.pictures.text import draw_texts, metres, text_width
 from ltm_core.pictures.types import Palette, Rgb
 
+Color = tuple[int, int, int]
 PAPER = (250, 250, 249)
 INK = (38, 40, 44)
 
@@ -18,25 +19,36 @@ INK = (38, 40, 44)
 def range_legend(width: int, scale: RangeScale | None = None, sky: bool = True) -> Rgb:
     """The colour scale with its round ranges, (h, `width`, 3); with `sky` also the colours of what has no range."""
     scale = scale or RangeScale()
+    ticks = [(tick, float(scale.fraction(tick))) for tick in scale.ticks()]
+    others = [("unknown", UNKNOWN_COLOR), ("sky", SKY_COLOR)] if sky else []
+    return ramp_legend(width, scale_colors(), ticks, others)
+
+
+def ramp_legend(
+    width: int, ramp: Rgb, ticks: Sequence[tuple[float, float]], others: Sequence[tuple[str, Color]] = ()
+) -> Rgb:
+    """A strip (h, `width`, 3) with the colours `ramp` (256, 3), its `ticks` (metres, where between 0 and 1), and the
+    colours of what is not on the scale.
+    """
     size = _text_size(width)
     height, bar = round(size * 3.4), round(size * 1.1)
     strip = _paper(height, width)
-    others = (("unknown", UNKNOWN_COLOR), ("sky", SKY_COLOR)) if sky else ()
     widths = [max(round(size * 3), text_width(name, size)) for name, _ in others]
     left, right = round(size * 1.8), width - round(size * 1.8) - sum(other + size for other in widths)
+    right -= size if others else 0
     top = round(size * 0.5)
-    ramp = scale_colors()[np.linspace(0, 255, max(right - left, 2)).round().astype(int)]
-    strip[top : top + bar, left : left + len(ramp)] = ramp
+    shown = ramp[np.linspace(0, 255, max(right - left, 2)).round().astype(int)]
+    strip[top : top + bar, left : left + len(shown)] = shown
     texts: list[tuple[str, float, float]] = []
     end = -float("inf")
-    for tick in scale.ticks():
-        x = left + float(scale.fraction(tick)) * (right - left)
+    for tick, place in ticks:
+        x = left + place * (right - left)
         cv2.line(strip, (round(x), top + bar), (round(x), top + bar + size // 3), INK, 1)
         half = text_width(metres(tick), size) / 2
-        if x - half > end + size * 0.5 and x + half < right + size:
+        if x - half > end + size * 0.5 and x + half < right + size * 1.7:
             texts.append((metres(tick), x, top + bar + size * 0.5))
             end = x + half
-    x = right + size
+    x = right + 2 * size
     for (name, color), other in zip(others, widths, strict=True):
         strip[top : top + bar, x : x + other] = color
         cv2.rectangle(strip, (x, top), (x + other, top + bar - 1), INK, 1)
