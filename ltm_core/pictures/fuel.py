@@ -24,13 +24,12 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pictures.axes import with_axes
 from ltm_core.pictures.fuel_colors import code_colors, code_names
 from ltm_core.pictures.legend import INK, PAPER, label_legend, with_legend
-from ltm_core.pictures.maps import draw_north, interesting_bounds, relief, scale_bar, view_of
+from ltm_core.pictures.maps import draw_north, draw_outline, interesting_bounds, relief, scale_bar, view_of
 from ltm_core.pictures.overlay import label_colors
 from ltm_core.pictures.text import Anchor, draw_texts
 from ltm_core.pictures.types import UNLABELLED, Labels, Palette, Rgb
 
 _UNKNOWN: Final = (235, 235, 232)
-_CHANGED: Final = (230, 0, 140)
 _OPACITY: Final = 0.82
 _SURE: Final = 0.25
 _NO_MORE: Final = 0.85
@@ -125,7 +124,7 @@ class FuelCanvas:
         mixed = (self._relief * (1 - _OPACITY) + tinted * _OPACITY).round().astype(np.uint8)
         picture = np.where(shown[..., None], mixed, self._relief)
         if outlined is not None:
-            self._outline(picture, self._inside & outlined[self._row, self._col])
+            draw_outline(picture, self._inside & outlined[self._row, self._col], self._cell / self.view.resolution)
         return with_axes(self._furnished(picture), self.view, self._offset)
 
     def classes(self, classes: Labels, palette: Palette, outlined: NDArray[np.bool_] | None = None) -> Rgb:
@@ -179,14 +178,6 @@ class FuelCanvas:
             texts.append((place.name, col + (0.7 if right else -0.7) * size, row, "lm" if right else "rm"))
         texts.append(draw_north(picture, size, texts))
         return draw_texts(picture, texts, size, INK, halo=PAPER)
-
-    def _outline(self, picture: Rgb, mask: NDArray[np.bool_]) -> None:
-        """The inner edge of the marked cells in pink, with a white line outside."""
-        line = max(1, round(self._cell / self.view.resolution / 3.5))
-        around = ndimage.binary_dilation(mask) & ~mask
-        edge = mask & ~ndimage.binary_erosion(mask, iterations=line, border_value=1)
-        picture[around] = (255, 255, 255)
-        picture[edge] = _CHANGED
 
 
 def faded(layers: FuelLayers, palette: Palette) -> Rgb:

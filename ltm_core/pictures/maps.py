@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -20,6 +21,7 @@ from ltm_core.pictures.terrain import hillshade, terrain_colors
 from ltm_core.pictures.text import Anchor, draw_texts, metres, text_width
 from ltm_core.pictures.types import UNLABELLED, Labels, Palette, Rgb
 
+_CHANGED = (230, 0, 140)
 _SEEN = (225, 87, 20)
 _SHIFT = 4  # OpenCV draws at 1/16 pixel
 
@@ -73,18 +75,32 @@ def fuel_map_picture(
     bounds: tuple[float, float, float, float] | None = None,
     width: int = 1200,
     title: str | None = None,
+    outlined: NDArray[np.bool_] | None = None,
 ) -> Rgb:
     """The fuel map (H, W) uint8 class ids, 255 unseen, over relief, with the cameras and a legend below.
 
-    `bounds` (x_min, y_min, x_max, y_max): the part shown; default: around all seen cells and cameras.
+    `bounds` (x_min, y_min, x_max, y_max): the part shown; default: around all seen cells and cameras. `outlined`:
+    (H, W) cells to mark.
     """
     if bounds is None:
         bounds = interesting_bounds(classes != UNLABELLED, geometry, cameras, dem.geometry)
     view = view_of(bounds, width)
     picture = labelled_shade(classes, geometry, label_set, dem, view)
+    if outlined is not None:
+        marked = nearest(outlined.astype(np.uint8), geometry, view, 0) > 0
+        draw_outline(picture, marked, geometry.resolution / view.resolution)
     picture = furnished(picture, view, cameras, title)
     names = label_legend(width, label_set, np.unique(classes[classes != UNLABELLED]).tolist())
     return with_legend(picture, scale_bar(view), names)
+
+
+def draw_outline(picture: Rgb, mask: NDArray[np.bool_], cell: float) -> None:
+    """The inner edge of the marked pixels in pink, with a white line outside; `cell`: pixels of a grid cell."""
+    line = max(1, round(cell / 3.5))
+    around = ndimage.binary_dilation(mask) & ~mask
+    edge = mask & ~ndimage.binary_erosion(mask, iterations=line, border_value=1)
+    picture[around] = (255, 255, 255)
+    picture[edge] = _CHANGED
 
 
 def terrain_map_picture(

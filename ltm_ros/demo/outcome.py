@@ -71,8 +71,9 @@ def map_picture(
     dem: Dem,
     frames: Sequence[RecordedFrame],
     labels: LabelSet,
+    changed: NDArray[np.bool_] | None = None,
 ) -> Rgb:
-    """The fuel map over relief with the cameras and the sectors that they looked into."""
+    """The fuel map over relief with the cameras and the sectors that they looked into, changed cells outlined."""
     named: set[str] = set()
     cameras = []
     for frame in frames:
@@ -80,7 +81,7 @@ def map_picture(
         named.add(frame.camera_name)
         place = (float(frame.pose.position[0]), float(frame.pose.position[1]))
         cameras.append(MapCamera(name, frame.camera, place, frame.pose.angles_deg[0]))
-    return fuel_map_picture(classes, site.in_map(geometry), labels, dem, cameras)
+    return fuel_map_picture(classes, site.in_map(geometry), labels, dem, cameras, outlined=changed)
 
 
 def fuel_sheets(
@@ -118,7 +119,12 @@ def fuel_sheets(
 
 
 def write_pictures(
-    folder: Path, frames: Sequence[RecordedFrame], fuel_map: Rgb, labels: LabelSet, scale: RangeScale
+    folder: Path,
+    frames: Sequence[RecordedFrame],
+    fuel_map: Rgb,
+    labels: LabelSet,
+    scale: RangeScale,
+    title: str = "fuel map of all frames and cameras",
 ) -> None:
     """PNG files: an overview of the frame that looks deepest into the land, the map, and every frame's sheet."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -134,7 +140,7 @@ def write_pictures(
         name = f"{frame.camera_name}_{frame.pose.angles_deg[0]:03.0f}.png"
         (folder / name).write_bytes(to_png(panel(sheet, columns=2 if len(sheet) == 4 else 3, width=800)))
         if frame is deepest:
-            (folder / "overview.png").write_bytes(to_png(_overview(sheet, fuel_map)))
+            (folder / "overview.png").write_bytes(to_png(_overview(sheet, fuel_map, title)))
 
 
 def _depth_span(frame: RecordedFrame) -> float:
@@ -144,13 +150,13 @@ def _depth_span(frame: RecordedFrame) -> float:
     return float(np.log2(high / low))
 
 
-def _overview(sheet: Sequence[tuple[str, Rgb]], fuel_map: Rgb, width: int = 640) -> Rgb:
+def _overview(sheet: Sequence[tuple[str, Rgb]], fuel_map: Rgb, title: str, width: int = 640) -> Rgb:
     """The sheet's pictures in a column, and beside them the map at the same height."""
     left = panel(sheet, columns=1, width=width)
-    title = panel([("fuel map of all frames and cameras", fuel_map)], columns=1, width=width)
-    margin = title.shape[0] - round(fuel_map.shape[0] * width / fuel_map.shape[1])
+    titled = panel([(title, fuel_map)], columns=1, width=width)
+    margin = titled.shape[0] - round(fuel_map.shape[0] * width / fuel_map.shape[1])
     fitting = round((left.shape[0] - margin) * fuel_map.shape[1] / fuel_map.shape[0])
-    right = panel([("fuel map of all frames and cameras", fuel_map)], columns=1, width=fitting)
+    right = panel([(title, fuel_map)], columns=1, width=fitting)
     height = max(left.shape[0], right.shape[0])
     return np.hstack([_padded(left, height), _padded(right, height)])
 

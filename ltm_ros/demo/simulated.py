@@ -87,11 +87,13 @@ def run_demo(
     result = DemoResult(node_rows(summaries), score, seconds)
     classes, geometry = read_fuel_map(out / "fuel_map.tif")
     shown = headings(recorded_frames(out / "recording", site))
-    fuel_map = map_picture(classes, geometry, site, dem, shown, life_form_labels(labels))
+    after = evidence.layers()
+    fuel_map = map_picture(classes, geometry, site, dem, shown, life_form_labels(labels), after.changed)
     scale = range_scale(shown)
-    write_pictures(out / "pictures", shown, fuel_map, labels, scale)
+    outlined = "fuel map of all frames and cameras; outlined: no longer the prior map's"
+    write_pictures(out / "pictures", shown, fuel_map, labels, scale, outlined)
     coverage = coverage_of(recorded_votes(recorded, evidence.geometry, labels), evidence.geometry)
-    sheets = fuel_sheets(site, dem, before, evidence.layers(), coverage, shown, life_form_labels(labels))
+    sheets = fuel_sheets(site, dem, before, after, coverage, shown, life_form_labels(labels))
     for name, sheet in sheets.items():
         (out / "pictures" / f"{name}.png").write_bytes(to_png(sheet.picture))
     data = ReportData(

@@ -247,6 +247,22 @@ def test_whole_maps_have_their_width_and_a_legend(width: int) -> None:
     assert fuel_map_picture(np.full((8, 12), 255, np.uint8), geometry, LABELS, dem, width=width).shape[1] == width
 
 
+def test_marked_cells_are_outlined_and_nothing_else() -> None:
+    dem = plane(60, 90, 0.05, 0.02)
+    geometry = GridGeometry(220.0, 800.0, 30.0, 12, 8)
+    classes, marked = np.full((8, 12), 2, np.uint8), np.zeros((8, 12), bool)
+    marked[2:5, 3:9] = True
+    bounds = geometry.bounds
+    plain, outlined = (
+        fuel_map_picture(classes, geometry, LABELS, dem, (), bounds, 720, outlined=cells) for cells in (None, marked)
+    )
+    differs = (plain != outlined).any(axis=-1)  # 60 pixels a cell
+    assert differs[121:299, 181:185].all()
+    assert not differs[150:270, 220:500].any(), "only the edge is drawn"
+    differs[118:302, 178:542] = False
+    assert not differs.any()
+
+
 def test_the_north_arrow_makes_way_for_a_name() -> None:
     blank = np.full((300, 400, 3), 200, np.uint8)
     upper, moved = blank.copy(), blank.copy()
