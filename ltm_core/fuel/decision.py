@@ -66,7 +66,8 @@ class _Judged:
     """(N, ...) what evidence and prior say of each cell on its own.
 
     `base`: the prior's code, or that of what has grown since a burn. `agreeing` (N, FORMS): the forms that it stands
-    for. `challenger`: index of the strongest other form. `wants`: to change into it.
+    for. `fresh`, `regrown`: burned, and not or already grown over. `alpha` (N, FORMS): the Dirichlet's. `challenger`:
+    index of the strongest other form. `wants`: to change into it.
     """
 
     codes: NDArray[np.int16]
@@ -102,7 +103,8 @@ class Decider:
         every = np.arange(256, dtype=np.int16)
         none = np.zeros((256, FORMS), np.uint32)
         nothing = CellEvidence(none.astype(float), none, none, none.astype(np.int64), none[:, 0])
-        self._untouched = self._settle(self._judge(every, nothing, 0.0), nothing, 0.0)
+        judged = self._judge(every, nothing, 0.0)
+        self._untouched = self._settle(judged, judged.wants, nothing, 0.0)
         self._known = np.asarray(forms_of(every).any(axis=1))
 
     @property
@@ -142,8 +144,8 @@ class Decider:
             judged = self._judge(codes[touched], cells, now_s)
             wanted = np.zeros(codes.shape, np.uint8) if company is None else company.copy()
             wanted[touched] = np.where(judged.wants, judged.challenger + 1, wanted[touched])
-            judged.wants[...] &= _in_regions(wanted, self._rules.min_cells)[touched]
-            decided = self._settle(judged, cells, now_s)
+            changes = judged.wants & _in_regions(wanted, self._rules.min_cells)[touched]
+            decided = self._settle(judged, changes, cells, now_s)
             layers.code[touched] = decided.code
             layers.life_form[touched] = decided.form + 1
             layers.p_max[touched] = decided.p_max
@@ -170,9 +172,9 @@ class Decider:
         fresh = burned & ~regrown
         return _Judged(codes, base, agreeing, has_prior, fresh, regrown, alpha, challenger, p_max, wants)
 
-    def _settle(self, judged: _Judged, cells: CellEvidence, now_s: float) -> _Decided:
-        """What cells become, of which those that still want to change do."""
-        rules, codes, changes = self._rules, judged.codes, judged.wants
+    def _settle(self, judged: _Judged, changes: NDArray[np.bool_], cells: CellEvidence, now_s: float) -> _Decided:
+        """What cells become, those of `changes` (N,) their challenger."""
+        rules, codes = self._rules, judged.codes
         original = forms_of(codes)
         possible = judged.agreeing | ~judged.has_prior[:, None]
         favoured = _favoured(judged.alpha, possible, judged.has_prior, rules.posterior)
