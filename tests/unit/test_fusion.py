@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from depth_scene import CAMERA, STAND_HEIGHT, DepthScene, depth_scene
@@ -68,6 +69,25 @@ def test_sigma_says_how_wrong_the_depth_is() -> None:
     known = np.isfinite(result.depth) & np.isfinite(scene.truth)
     assert (np.abs(result.depth[known] - scene.truth[known]) < 3 * result.sigma[known]).mean() > 0.97
     assert np.isnan(result.sigma[~np.isfinite(result.depth)]).all()
+
+
+def test_sigma_holds_for_what_stands_before_the_ground() -> None:
+    """Crowns at 60 m before ground at five times that: of them networks are more than twice as unsure as of ground."""
+    scene = depth_scene()
+    network, rng = scene.network(noise=0.05), np.random.default_rng(7)
+    ground = scene.traced.depth()
+    small = ground[2::4, 2::4]
+    crowns = np.zeros(small.shape, np.bool_)
+    crowns[:, 40:60] = np.isfinite(small[:, 40:60]) & (small[:, 40:60] > 300)
+    values, labels = network.values.copy(), scene.labels.copy()
+    noisy = 1 + 0.13 * rng.standard_normal(int(crowns.sum()))
+    values[crowns] = 40.0 / 60.0 * noisy + 0.2
+    labels[crowns.repeat(4, 0).repeat(4, 1)] = 3
+    result = fused(scene, NetworkDepth(values, "relative_inverse"), labels)
+    inside = cv2.erode(crowns.astype(np.uint8), np.ones((5, 5), np.uint8)).repeat(4, 0).repeat(4, 1) > 0
+    inside &= result.source == Source.NETWORK
+    assert inside.sum() > 2000
+    assert (np.abs(result.depth[inside] - 60.0) < result.sigma[inside]).mean() > 0.68
 
 
 @pytest.mark.parametrize("kind", ["affine_invariant", "metric"])
