@@ -115,6 +115,17 @@ def _likeliest(ground: Ground, ray: Ray, r: float, sigma: float, first: float, l
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _leaves_known(ground: Ground, ray: Ray, begin: float, end: float) -> bool:
+    """Whether the terrain is not known all along under a ray between two ranges."""
+    steps = max(int((end - begin) / (ground.block * ground.resolution)), 1)
+    for i in range(steps + 1):
+        t = begin + (end - begin) * i / steps
+        if math.isnan(height_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)):
+            return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _carve(ground: Ground, ray: Ray, begin: float, end: float, below: float, sums: FrameSums) -> None:
     """Cap the cells over which a ray is `below` metres above the reference, or lower, from one range to another; cell
     by cell, but for blocks of cells that it passes above all of.
@@ -229,6 +240,9 @@ def observe(ground: Ground, view: View, sights: Records, pixels: Pixels, limits:
                 reached[u] = max(end, before)
                 _carve(ground, ray, max(expected, before), end, -limits.carve_below, sums)
             if math.isinf(r) or r > limits.max_range:
+                continue
+            # What is seen where the terrain ends may stand beyond, on ground that nobody has told of.
+            if math.isinf(expected) and _leaves_known(ground, ray, r, r + sigma):
                 continue
             first, last = (expected, math.inf) if farther else (0.0, expected)
             r = _likeliest(ground, ray, r, sigma, first, last)

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from terrain_hillside import BARE, LOWERED, PLACES, RAISED, RULES, frame, surface_map
+from terrain_hillside import BARE, BEGIN, HOUR, LOWERED, PLACES, RAISED, RULES, SURE, frame, surface_map
 
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
 from ltm_core.site import TerrainConfig
+from ltm_core.terrain import DepthFrame, Reference, SurfaceMap
+from ltm_core.terrain.change import ChangeKind
 from ltm_core.terrain.sight import SIGHT, Sights
+from ltm_core.tracing import TerrainTracer
 
 
 def layers(rules: TerrainConfig) -> dict[str, np.ndarray]:
@@ -54,3 +61,20 @@ def test_the_views_that_are_kept_are_bounded_and_the_oldest_goes() -> None:
     assert room.put("large", (60, 50)).shape == (60, 50)
     assert room.get("large") is not None
     assert room.get("a") is None
+
+
+@pytest.mark.parametrize(("away", "sigma", "grown"), [(60.0, 1.0, True), (93.0, 10.0, False)], ids=["within", "rim"])
+def test_what_may_stand_beyond_the_terrain_is_no_growth_on_its_rim(away: float, sigma: float, grown: bool) -> None:
+    """A wall across the view of a camera over a plain that ends after 98 m: on the plain, or maybe behind it."""
+    plain = Dem(np.zeros((100, 80), np.float32), GridGeometry(0.0, 100.0, 1.0, 80, 100))
+    camera, pose = Camera.from_fov(160, 100, 50.0), Pose.from_angles((40.0, 2.0, 10.0), 0.0, 0.0)
+    depth = np.fmin(TerrainTracer(plain).trace(camera, pose).depth(), np.float32(away))
+    surface = SurfaceMap(Reference.of(plain, Dem(plain.elevation.copy(), plain.geometry)), RULES, ("only",))
+    for look in range(3):
+        stamp = BEGIN + 2 * look * HOUR
+        sure, seen = np.full(depth.shape, sigma, np.float32), np.ones(depth.shape, bool)
+        surface.add(DepthFrame(depth, sure, seen, camera, pose, stamp, "only", SURE))
+    surface.decide()
+    layers = surface.layers()
+    assert layers.observed.sum() > 1000
+    assert ((layers.change == ChangeKind.GROWN).sum() > 20) == grown
