@@ -30,7 +30,7 @@ STANDING: Mapping[str, tuple[float, float]] = {
 }
 """Log odds that a pixel which a network sees nearer than the ground shows something that stands before it, by class: of
 one that it sees hardly nearer, and what is added for each e-folding of depth between the two. The nearer a thing the
-more ground it hides, and a network's errors seldom are so large. From a logistic regression, see `combine`; buildings
+more ground it hides, and a network's errors seldom are so large. From a logistic regression, see `odds`; buildings
 are taken for trees, water for bare ground."""
 UNLABELLED_STANDING = (-2.5, 0.66)
 """The same of unlabelled pixels."""

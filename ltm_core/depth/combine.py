@@ -12,35 +12,22 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.depth.answers import meant, pairs, said, said_at
+from ltm_core.depth.answers import pairs, said, said_at
 from ltm_core.depth.classes import DepthClasses
+from ltm_core.depth.odds import FOOTLESS_ODDS, gone, least, of_network, stands, take, weigh
 from ltm_core.depth.seen import SeenDepth, see_row
 
 Image = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 Row = NDArray[np.float32]
 
-VANISHED = 0.01
-"""Chance that the ground of a pixel is gone, so that something farther shows."""
 FOOTLESS = 1.5
 """What the network sees nearer than all ground below it in the photo by this factor has no foot that it stands on;
 unless it reaches down to the photo's edge, which then cuts the foot off."""
-_FOOTLESS_ODDS = -1.0
-"""Log odds of what stands (see `classes.STANDING`) for what has no foot; for an edge as high as the disagreement, and
-less by its square; for each e-folding of the disagreement's square, in variances. With those of the classes from a
-logistic regression of which of the two is nearer to the truth, in logarithms: over pixels of the demo's photos, those
-of `training_a` and of another rendered site, as they are and with a fifth hidden, with this project's network and
-TCMonoDepth."""
-_EDGE_ODDS, _SIGMA_ODDS = -0.8, 0.44
-_MOST_RATIO = 3.0  # e-foldings of depth from which on odds grow no more
-_MEAN_RATIO, _MEAN_CHANCE = 0.7, 0.25  # e-foldings within which, and chance from which on, the mean of both is taken
 _CUT = 0.5  # of its inverse depth that all below a thing is seen at which reaches down to the edge
 _SOFT = 0.15  # of the range of a network's depth among neighbours: how far a pixel between them may be off
-_ELSEWHERE = 8.0  # times a network's variance on ground: its variance on what stands before it, measured on trees
-_BETWEEN = 0.3  # of the range of a network's depth among neighbours: sigma of which of them a pixel shows
 _BLURRED = 0.3  # of a disagreement: what lies between two sides by more is an edge
 _GONE = 8.0  # variances of a disagreement below which ground is never gone
-_RANGES = 3.0  # e-foldings of depth over which what shows where ground is gone may be, each as likely
 
 
 def combine(
@@ -136,8 +123,8 @@ def _fill(
         for u in range(start, end):
             if source[v, u] == 0 and not (labelled and labels[v, u] == sky):
                 at = v * shift.shape[0] // height, u * shift.shape[1] // width
-                inverse, t = _meant(seen[0, u], seen[1, u], seen[2, u], at, shift, factor)
-                _take(depth[v], sigma[v], source[v], u, inverse, t)
+                inverse, t = of_network(seen[0, u], seen[1, u], seen[2, u], at, shift, factor)
+                take(depth[v], sigma[v], source[v], u, inverse, t)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
@@ -179,7 +166,7 @@ def _combine(
     place = np.empty(width, np.int32)
     unlabelled = np.full(width, np.uint8(255))
     asked = np.zeros(width, np.bool_)
-    least = np.array([_least(odds) for odds in standing]).astype(np.float32)
+    passed = np.array([least(odds) for odds in standing]).astype(np.float32)
     for v in range(height - 1, -1, -1):
         i = v * shift.shape[0] // height
         d, s, kind = depth[v], sigma[v], source[v]
@@ -203,25 +190,24 @@ def _combine(
                 if not asked[u]:
                     continue
                 at = i, table[u]
-                if off[u] * off[u] < joint[u] * (least[label[u]] if off[u] > 0 else np.float32(_GONE)):
+                if off[u] * off[u] < joint[u] * (passed[label[u]] if off[u] > 0 else np.float32(_GONE)):
                     continue
                 if off[u] < 0:
-                    gone = _gone(y[u], near[u], back[u], off[u], joint[u], spread[u], gross)
-                    if gone:
-                        inverse, t = _meant(y[u], near[u], back[u], at, shift, factor)
+                    if gone(y[u], near[u], back[u], off[u], joint[u], spread[u], gross):
+                        inverse, t = of_network(y[u], near[u], back[u], at, shift, factor)
                         if inverse < true[u]:
-                            _take(d, s, kind, u, inverse, t)
+                            take(d, s, kind, u, inverse, t)
                 else:
                     edge = (near[u] - y[u]) / off[u]
                     if edge < one:
                         # At a soft edge the near side's depth counts; away from edges a pixel's own.
                         read = y[u] if edge < np.float32(_BLURRED) else near[u]
-                        inverse, t = _meant(read, near[u], back[u], at, shift, factor)
+                        inverse, t = of_network(read, near[u], back[u], at, shift, factor)
                         if inverse > true[u]:
-                            odds = _stands(inverse, true[u], edge, off[u] * off[u] / joint[u], standing[label[u]])
+                            odds = stands(inverse, true[u], edge, off[u] * off[u] / joint[u], standing[label[u]])
                             if near[u] * foot[u] > np.float32(FOOTLESS) and cut[u] < np.float32(_CUT) * near[u]:
-                                odds += np.float32(_FOOTLESS_ODDS)
-                            _weigh(d, s, kind, u, inverse, t, odds)
+                                odds += np.float32(FOOTLESS_ODDS)
+                            weigh(d, s, kind, u, inverse, t, odds)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
@@ -300,91 +286,6 @@ def _begin(d: Row, s: Row, kind: NDArray[np.uint8], foot: Row) -> None:
         kind[u] = 1 if d[u] < far else (4 if d[u] > far else 0)
     for u in range(len(d)):
         s[u] = s[u] if d[u] < far else none
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _least(odds: Row) -> float:
-    """Variances of a disagreement below which `_weigh` never departs from the terrain where a class has such `odds`."""
-    alone = -odds[0] - max(_MOST_RATIO * odds[1], 0.0)
-    mean = np.log(_MEAN_CHANCE / (1 - _MEAN_CHANCE)) - odds[0] - max(_MEAN_RATIO * odds[1], 0.0)
-    return float(np.exp(min(alone, mean) / _SIGMA_ODDS))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _gone(
-    y: np.float32,
-    near: np.float32,
-    back: np.float32,
-    off: np.float32,
-    joint: np.float32,
-    spread: np.float32,
-    gross: np.float32,
-) -> bool:
-    """Whether the ground of a pixel is gone; not asked at edges, where the far side, or sky, may have leaked in.
-
-    `y`: what the network sees, `near` and `back` its neighbours. `off`: by how much it is nearer than it would say of
-    the terrain, with variance `joint`, of its own `spread`.
-    """
-    if not near - back < -off:
-        return False
-    half, one, chance = np.float32(0.5), np.float32(1.0), np.float32(VANISHED)
-    fits = np.exp(-half * off * off / joint) / np.sqrt(np.float32(2 * np.pi) * joint)
-    density = one / (np.float32(_RANGES) * max(y, spread))
-    return bool(chance * density > (one - chance) * ((one - gross) * fits + gross * density))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _meant(
-    read: np.float32, near: np.float32, back: np.float32, at: tuple[int, int], shift: Image, factor: Image
-) -> tuple[np.float32, np.float32]:
-    """The inverse depth that the network means where it says `read`, and its sigma, 1/m; 0 where that says nothing."""
-    if not read > 0:
-        return np.float32(0.0), np.float32(0.0)
-    inverse, t = meant(at[0], at[1], read, shift, factor)
-    if not t < inverse:
-        return np.float32(0.0), np.float32(0.0)
-    # Which of its neighbours' depths it is stays unsure.
-    between = np.float32(_BETWEEN) * (near - back)
-    return inverse, np.sqrt(np.float32(_ELSEWHERE) * t * t + between * between)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _stands(inverse: np.float32, true: np.float32, edge: np.float32, square: np.float32, odds: Row) -> np.float32:
-    """Log odds that something stands at `inverse` depth before a terrain at `true`, which the network contradicts by
-    `square` variances."""
-    ratio = np.float32(_MOST_RATIO)
-    if true * np.float32(np.exp(_MOST_RATIO)) > inverse:
-        ratio = np.log(inverse / true)
-    return np.float32(
-        odds[0] + odds[1] * ratio + np.float32(_EDGE_ODDS) * edge * edge + np.float32(_SIGMA_ODDS) * np.log(square)
-    )
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _weigh(
-    d: Row, s: Row, kind: NDArray[np.uint8], u: int, inverse: np.float32, t: np.float32, odds: np.float32
-) -> None:
-    """Terrain or what stands before it, in pixel `u` of a row: between two that are apart lies nothing but air, but of
-    two that are near each other the mean by their chances is least wrong."""
-    one = np.float32(1.0)
-    z, sure = one / inverse, odds > 0
-    if d[u] < np.float32(np.exp(_MEAN_RATIO)) * z:
-        chance = one / (one + np.exp(-odds))
-        if chance > np.float32(_MEAN_CHANCE):
-            apart, own = d[u] - z, t * z * z
-            d[u] -= chance * apart
-            s[u] = np.sqrt(chance * own * own + (one - chance) * (s[u] * s[u] + chance * apart * apart))
-            kind[u] = 2 if sure else 3
-    elif sure:
-        _take(d, s, kind, u, inverse, t)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _take(d: Row, s: Row, kind: NDArray[np.uint8], u: int, inverse: np.float32, t: np.float32) -> None:
-    """The network's depth in pixel `u` of a row, if it has one."""
-    if inverse > 0:
-        d[u] = np.float32(1.0) / inverse
-        s[u], kind[u] = t * d[u] * d[u], 2
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

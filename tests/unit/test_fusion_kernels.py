@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from ltm_core.depth.answers import OCTAVES, Answers, pairs, said, said_at
 from ltm_core.depth.beyond import clear_beyond
 from ltm_core.depth.classes import DepthClasses
-from ltm_core.depth.combine import _MEAN_RATIO, _least, _stands, _weigh
 from ltm_core.depth.guided import guided_coefficients
 from ltm_core.depth.network_fit import NetworkFit
+from ltm_core.depth.odds import MEAN_RATIO, least, stands, weigh
 from ltm_core.depth.seen import SeenDepth, see, see_row
 from ltm_core.vision.labels import LabelSet
 
@@ -93,9 +93,9 @@ def test_a_network_is_enlarged_as_opencv_enlarges(size: tuple[int, int]) -> None
 
 
 def weighed(depth: float, sigma: float, near: float, near_sigma: float, odds: float) -> tuple[float, float, int]:
-    """What `_weigh` makes of terrain at `depth` and a thing at `near`, metres."""
+    """What `weigh` makes of terrain at `depth` and a thing at `near`, metres."""
     d, s, kind = np.array([depth], np.float32), np.array([sigma], np.float32), np.ones(1, np.uint8)
-    _weigh(d, s, kind, 0, np.float32(1 / near), np.float32(near_sigma / near**2), np.float32(odds))
+    weigh(d, s, kind, 0, np.float32(1 / near), np.float32(near_sigma / near**2), np.float32(odds))
     return float(d[0]), float(s[0]), int(kind[0])
 
 
@@ -110,18 +110,18 @@ def test_of_two_depths_near_each_other_the_mean_is_taken_with_its_variance(chanc
 
 
 def test_between_two_depths_apart_lies_nothing() -> None:
-    apart = 100.0 * float(np.exp(_MEAN_RATIO)) * 1.01
+    apart = 100.0 * float(np.exp(MEAN_RATIO)) * 1.01
     assert weighed(apart, 3.0, 100.0, 20.0, -0.1) == (pytest.approx(apart), 3.0, 1)
     assert weighed(apart, 3.0, 100.0, 20.0, 0.1) == (pytest.approx(100.0), pytest.approx(20.0, rel=1e-4), 2)
 
 
 def test_what_is_passed_over_would_not_have_been_taken() -> None:
-    """`_least` is a short cut: of a disagreement below it no ratio and no edge makes `_weigh` depart."""
+    """`least` is a short cut: of a disagreement below it no ratio and no edge makes `weigh` depart."""
     rng = np.random.default_rng(1)
     standing = DepthClasses.of(LabelSet.load()).standing
     for odds in standing[1:7]:
-        least = min(_least(odds), 1e30)
+        most = min(least(odds), 1e30)
         for ratio in (*np.exp(rng.uniform(0.01, 5.0, 40)), 1.99, 19.9, 20.1):
             true, inverse = np.float32(1 / (30.0 * ratio)), np.float32(1 / 30.0)
-            told = _stands(inverse, true, np.float32(rng.random()), np.float32(0.98 * least), odds)
+            told = stands(inverse, true, np.float32(rng.random()), np.float32(0.98 * most), odds)
             assert weighed(30.0 * ratio, 3.0, 30.0, 9.0, float(told))[2] == 1
