@@ -59,7 +59,7 @@ def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionC
     seen = SeenDepth.of(fit, frame.photo)
 
     def crests() -> None:
-        raise_silhouettes(frame.photo, ground, work[0], work[1], frame.labels, classes, camera, seen)
+        raise_silhouettes(frame.photo, ground, work[0], work[1], frame.labels, classes.crest, classes.sky, camera, seen)
 
     def decide() -> None:
         # From the same state each time: a copy's cost is in the figure.

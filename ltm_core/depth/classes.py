@@ -20,25 +20,10 @@ CREST = 3.0
 """Metres that unlabelled or low cover may rise over a crest."""
 TREE_CREST = 12.0
 """Metres that a tree may rise over a crest."""
-STANDING: Mapping[str, tuple[float, float]] = {
-    "grass": (-2.6, 0.5),
-    "shrub": (-1.9, 0.8),
-    "tree": (-2.2, 2.2),
-    "bare": (-2.9, -1.0),
-    "water": (-2.9, -1.0),
-    "built": (-2.2, 2.2),
-}
-"""Log odds that a pixel which a network sees nearer than the ground shows something that stands before it, by class: of
-one that it sees hardly nearer, and what is added for each e-folding of depth between the two. The nearer a thing the
-more ground it hides, and a network's errors seldom are so large. From a logistic regression, see `odds`; buildings
-are taken for trees, water for bare ground."""
-UNLABELLED_STANDING = (-2.5, 0.66)
-"""The same of unlabelled pixels."""
-
-OUTLINE: Mapping[str, float] = {"grass": -0.4, "shrub": 1.1, "tree": 1.8, "bare": -1.2, "water": -1.2, "built": 1.8}
-"""Log odds that a pixel a metre above a crest, which the photo's colours give to the crest, belongs to it, by class."""
-UNLABELLED_OUTLINE = 0.9
-"""The same of unlabelled pixels."""
+STANDING: Mapping[str, float] = {"grass": 0.03, "shrub": 0.1, "tree": 0.3, "bare": 0.03, "water": 0.01, "built": 0.3}
+"""Chance that a pixel of a class shows something which stands clearly before the bare ground behind it: of label images
+that are often wrong about crowns. Of unlabelled pixels UNLABELLED_STANDING."""
+UNLABELLED_STANDING = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +32,7 @@ class DepthClasses:
 
     `cover`: float32 metres of cover above bare ground. `ground`: bool, the terrain shows there. `crest`: float32 metres
     to which a silhouette may be raised there. `surface`: float32 log odds that a canopy raster and not bare ground is
-    what shows. `standing`: (256, 2) float32, log odds that something stands before the ground where a network sees it
-    so, and their growth, see STANDING. `outline`: float32, log odds that a pixel belongs to a crest, see OUTLINE.
-    `sky`: the id of sky.
+    what shows. `standing`: float32, the chance that something stands before the ground. `sky`: the id of sky.
     """
 
     cover: NDArray[np.float32]
@@ -57,7 +40,6 @@ class DepthClasses:
     crest: NDArray[np.float32]
     surface: NDArray[np.float32]
     standing: NDArray[np.float32]
-    outline: NDArray[np.float32]
     sky: int = int(Label.SKY)
 
     @classmethod
@@ -75,15 +57,10 @@ class DepthClasses:
         surface[[Label.GRASS, Label.BARE, Label.WATER]] = -3.0
         surface[[Label.SHRUB, Label.TREE]] = 0.5, 2.0
         crest[Label.SKY] = 0.0
-        standing = np.empty((256, 2), np.float32)
-        standing[:] = UNLABELLED_STANDING
-        standing[Label.SKY] = -np.inf, 0.0
-        for name, odds in STANDING.items():
-            standing[labels.id_of(name)] = odds
-        outline = np.full(256, UNLABELLED_OUTLINE, np.float32)
-        outline[Label.SKY] = 0.0
-        for name, log_odds in OUTLINE.items():
-            outline[labels.id_of(name)] = log_odds
+        standing = np.full(256, UNLABELLED_STANDING, np.float32)
+        standing[Label.SKY] = 0.0
+        for name, chance in STANDING.items():
+            standing[labels.id_of(name)] = chance
         cover[UNLABELLED] = 0.0
         ground[UNLABELLED] = True
-        return cls(cover, ground, crest, surface, standing, outline)
+        return cls(cover, ground, crest, surface, standing)

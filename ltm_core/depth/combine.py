@@ -12,22 +12,26 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.depth.answers import pairs, said, said_at
+from ltm_core.depth.answers import meant, pairs, said, said_at
 from ltm_core.depth.classes import DepthClasses
-from ltm_core.depth.odds import FOOTLESS_ODDS, gone, least, of_network, stands, take, weigh
 from ltm_core.depth.seen import SeenDepth, see_row
 
 Image = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 Row = NDArray[np.float32]
 
-FOOTLESS = 1.5
-"""What the network sees nearer than all ground below it in the photo by this factor has no foot that it stands on;
-unless it reaches down to the photo's edge, which then cuts the foot off."""
+VANISHED = 0.01
+"""Chance that the ground of a pixel is gone, so that something farther shows."""
+FOOTLESS, FOOTLESS_CHANCE = 1.5, 0.02
+"""What the network sees nearer than all ground below it in the photo by this factor has no foot that it stands on, and
+so much less chance; unless it reaches down to the photo's edge, which then cuts the foot off."""
 _CUT = 0.5  # of its inverse depth that all below a thing is seen at which reaches down to the edge
 _SOFT = 0.15  # of the range of a network's depth among neighbours: how far a pixel between them may be off
+_ELSEWHERE = 4.0  # times a network's variance on ground: its variance on what stands before it
+_BETWEEN = 0.3  # of the range of a network's depth among neighbours: sigma of which of them a pixel shows
 _BLURRED = 0.3  # of a disagreement: what lies between two sides by more is an edge
-_GONE = 8.0  # variances of a disagreement below which ground is never gone
+_OWN = 4.0  # of a network's own variance: below it, `_least` is no more than `_alone`
+_RANGES = 3.0  # e-foldings of depth over which something that stands before the terrain may be, each as likely
 
 
 def combine(
@@ -69,64 +73,6 @@ def combine(
     )
 
 
-def fill_holes(
-    holes: NDArray[np.int32],
-    depth: Image,
-    sigma: Image,
-    network: SeenDepth,
-    labels: Bytes | None,
-    classes: DepthClasses,
-    source: Bytes,
-) -> None:
-    """Give the network's depth to what is unknown of `holes`, runs of pixels as `clear_beyond` gives them, and not
-    labelled sky."""
-    _fill(
-        holes,
-        depth,
-        sigma,
-        network.cells,
-        network.grey,
-        network.columns,
-        network.parts,
-        network.answers.shift,
-        network.answers.factor,
-        np.zeros((1, 1), np.uint8) if labels is None else labels,
-        labels is not None,
-        classes.sky,
-        source,
-    )
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _fill(
-    holes: NDArray[np.int32],
-    depth: Image,
-    sigma: Image,
-    cells: Image,
-    grey: Bytes,
-    columns: NDArray[np.int32],
-    parts: Row,
-    shift: Image,
-    factor: Image,
-    labels: Bytes,
-    labelled: bool,
-    sky: int,
-    source: Bytes,
-) -> None:
-    height, width = depth.shape
-    between, seen = np.empty((4, cells.shape[2]), np.float32), np.empty((3, width), np.float32)
-    last = -1
-    for v, start, end in holes:
-        if v != last:
-            see_row(cells, grey, columns, parts, v, between, seen)
-            last = v
-        for u in range(start, end):
-            if source[v, u] == 0 and not (labelled and labels[v, u] == sky):
-                at = v * shift.shape[0] // height, u * shift.shape[1] // width
-                inverse, t = of_network(seen[0, u], seen[1, u], seen[2, u], at, shift, factor)
-                take(depth[v], sigma[v], source[v], u, inverse, t)
-
-
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
 def _combine(
     depth: Image,
@@ -166,7 +112,8 @@ def _combine(
     place = np.empty(width, np.int32)
     unlabelled = np.full(width, np.uint8(255))
     asked = np.zeros(width, np.bool_)
-    passed = np.array([least(odds) for odds in standing]).astype(np.float32)
+    gone = np.float32(_least(VANISHED))
+    least = np.array([_least(np.float64(chance)) for chance in standing]).astype(np.float32)
     for v in range(height - 1, -1, -1):
         i = v * shift.shape[0] // height
         d, s, kind = depth[v], sigma[v], source[v]
@@ -187,27 +134,26 @@ def _combine(
         _average(d, s, kind, true, own, off, joint, weight)
         if count:
             for u in range(width):
-                if not asked[u]:
-                    continue
-                at = i, table[u]
-                if off[u] * off[u] < joint[u] * (passed[label[u]] if off[u] > 0 else np.float32(_GONE)):
-                    continue
-                if off[u] < 0:
-                    if gone(y[u], near[u], back[u], off[u], joint[u], spread[u], gross):
-                        inverse, t = of_network(y[u], near[u], back[u], at, shift, factor)
-                        if inverse < true[u]:
-                            take(d, s, kind, u, inverse, t)
-                else:
-                    edge = (near[u] - y[u]) / off[u]
-                    if edge < one:
-                        # At a soft edge the near side's depth counts; away from edges a pixel's own.
-                        read = y[u] if edge < np.float32(_BLURRED) else near[u]
-                        inverse, t = of_network(read, near[u], back[u], at, shift, factor)
-                        if inverse > true[u]:
-                            odds = stands(inverse, true[u], edge, off[u] * off[u] / joint[u], standing[label[u]])
-                            if near[u] * foot[u] > np.float32(FOOTLESS) and cut[u] < np.float32(_CUT) * near[u]:
-                                odds += np.float32(FOOTLESS_ODDS)
-                            weigh(d, s, kind, u, inverse, t, odds)
+                if asked[u]:
+                    other = y[u]
+                    if kind[u]:
+                        chance = standing[label[u]] if off[u] > 0 else np.float32(VANISHED)
+                        floats = near[u] * foot[u] > np.float32(FOOTLESS) and cut[u] < np.float32(_CUT) * near[u]
+                        if off[u] > 0 and floats:
+                            chance *= np.float32(FOOTLESS_CHANCE)
+                        square = off[u] * off[u]
+                        if joint[u] < np.float32(_OWN) * spread[u] * spread[u] and square < joint[u] * (
+                            least[label[u]] if off[u] > 0 else gone
+                        ):
+                            continue
+                        other = _alone(other, near[u], back[u], off[u], joint[u], spread[u], gross, chance)
+                    if other > 0:
+                        other, t = meant(i, table[u], other, shift, factor)
+                        if t < other and (kind[u] == 0 or (other > true[u]) == (off[u] > 0)):
+                            # Which of its neighbours' depths it is stays unsure.
+                            between_both = np.float32(_BETWEEN) * (near[u] - back[u])
+                            t = np.sqrt(np.float32(_ELSEWHERE) * t * t + between_both * between_both)
+                            d[u], s[u], kind[u] = one / other, t / (other * other), 2
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
@@ -235,7 +181,7 @@ def _compare(
 
     Fills `true`, the terrain's inverse depth, 0 for sky and unknown ground, and `own`, its sigma; `spread`, the
     network's; `off`, by how much that is nearer than it would say of the terrain, with the variance `joint`; and
-    `asked`, whether the two disagree; how many. Compilers give up on loops that write into
+    `asked`, whether the two disagree or the terrain is unknown; how many. Compilers give up on loops that write into
     several of many arrays: one result a loop.
     """
     width, far, one, none = len(d), np.float32(1e9), np.float32(1.0), np.float32(0.0)
@@ -254,7 +200,7 @@ def _compare(
     count = 0
     for u in range(width):
         odd = (off[u] * off[u] > np.float32(2.0) * joint[u]) & ((off[u] > 0) | (d[u] < far))
-        ask = (label[u] != sky) & odd & (d[u] == d[u])
+        ask = (label[u] != sky) & (odd | ((d[u] != d[u]) & (y[u] == y[u])))
         asked[u] = ask
         count += ask
     return count
@@ -286,6 +232,46 @@ def _begin(d: Row, s: Row, kind: NDArray[np.uint8], foot: Row) -> None:
         kind[u] = 1 if d[u] < far else (4 if d[u] > far else 0)
     for u in range(len(d)):
         s[u] = s[u] if d[u] < far else none
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _least(chance: float) -> float:
+    """Squared sigmas below which a thing of such a chance is never believed where the variance is the network's own:
+    `_alone`'s odds at their best, without the exponential."""
+    if chance <= 0:
+        return np.inf
+    return float(2.0 * np.log((1.0 - chance) / chance * _RANGES / np.sqrt(2.0 * np.pi * _OWN)))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _alone(
+    y: np.float32,
+    near: np.float32,
+    back: np.float32,
+    off: np.float32,
+    joint: np.float32,
+    spread: np.float32,
+    gross: np.float32,
+    chance: np.float32,
+) -> np.float32:
+    """The inverse depth, 1/m, that is the network's alone, 0 where the terrain's word counts.
+
+    `y`: what the network sees, `near` and `back` its neighbours. `off`: by how much it is nearer than it would say of
+    the terrain, with variance `joint`, of its own `spread`. `chance`: of something that stands there, or is gone.
+    """
+    half, one = np.float32(0.5), np.float32(1.0)
+    # Something stands there? At a soft edge only where the network is nearer to the near side. Or is something gone?
+    # That is not asked at edges, where the far side, or sky, may have leaked in.
+    other = near if off > 0 else y
+    edge = near - y if off > 0 else near - back
+    if not edge < abs(off):
+        return np.float32(0.0)
+    fits = np.exp(-half * off * off / joint) / np.sqrt(np.float32(2 * np.pi) * joint)
+    density = one / (np.float32(_RANGES) * max(other, spread))
+    if chance * density > (one - chance) * ((one - gross) * fits + gross * density):
+        # Away from edges what neighbours see is but their own place.
+        return y if edge < np.float32(_BLURRED) * abs(off) else other
+    return np.float32(0.0)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

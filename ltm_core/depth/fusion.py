@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ltm_core.depth.beyond import clear_beyond
 from ltm_core.depth.classes import DepthClasses
-from ltm_core.depth.combine import combine, fill_holes
+from ltm_core.depth.combine import combine
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_fit import NetworkFit, fit_network
 from ltm_core.depth.pose_check import PoseCheck, check_pose
@@ -151,13 +151,11 @@ def fuse(
     fit = None if network is None else fit_network(network, samples, (size[0], size[1]))
     source = np.empty(size, np.uint8)
     beside = SeenDepth.of(fit, rgb) if fit is not None and not fit.trouble else None
-    raise_silhouettes(rgb, ground, expected, sigma, labels, classes, camera, beside)
+    raise_silhouettes(rgb, ground, expected, sigma, labels, classes.crest, classes.sky, camera, beside)
     combine(expected, sigma, None if surface is None else surface.depth(), beside, labels, classes, source)
     # A sample first, for most photos see no unknown ground at all.
     if np.isnan(ground[::4, ::4]).any() or np.isnan(ground).any():
-        holes = clear_beyond(ground, expected, sigma, source)
-        if beside is not None and len(holes):
-            fill_holes(holes, expected, sigma, beside, labels, classes, source)
+        clear_beyond(ground, expected, sigma, source)
     verdict, reason = Verdict.OK, ""
     if fit is not None and fit.trouble:
         verdict, reason = Verdict.NETWORK_UNUSABLE, fit.trouble

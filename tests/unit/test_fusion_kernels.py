@@ -9,12 +9,9 @@ from numpy.typing import NDArray
 
 from ltm_core.depth.answers import OCTAVES, Answers, pairs, said, said_at
 from ltm_core.depth.beyond import clear_beyond
-from ltm_core.depth.classes import DepthClasses
 from ltm_core.depth.guided import guided_coefficients
 from ltm_core.depth.network_fit import NetworkFit
-from ltm_core.depth.odds import MEAN_RATIO, least, stands, weigh
 from ltm_core.depth.seen import SeenDepth, see, see_row
-from ltm_core.vision.labels import LabelSet
 
 
 def beyond_by_components(ground: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -90,38 +87,3 @@ def test_a_network_is_enlarged_as_opencv_enlarges(size: tuple[int, int]) -> None
     for v, u in ((0, 0), (119, 199), (57, 101), (20, 150)):
         one = see(seen.cells, seen.grey, seen.columns, seen.parts, v, u)
         assert one == pytest.approx(found[v, u], rel=1e-5, nan_ok=True)
-
-
-def weighed(depth: float, sigma: float, near: float, near_sigma: float, odds: float) -> tuple[float, float, int]:
-    """What `weigh` makes of terrain at `depth` and a thing at `near`, metres."""
-    d, s, kind = np.array([depth], np.float32), np.array([sigma], np.float32), np.ones(1, np.uint8)
-    weigh(d, s, kind, 0, np.float32(1 / near), np.float32(near_sigma / near**2), np.float32(odds))
-    return float(d[0]), float(s[0]), int(kind[0])
-
-
-@pytest.mark.parametrize("chance", [0.3, 0.5, 0.9])
-def test_of_two_depths_near_each_other_the_mean_is_taken_with_its_variance(chance: float) -> None:
-    odds = float(np.log(chance / (1 - chance)))
-    depth, sigma, kind = weighed(150.0, 3.0, 100.0, 20.0, odds)
-    assert depth == pytest.approx(chance * 100 + (1 - chance) * 150, rel=1e-4)
-    variance = chance * 20**2 + (1 - chance) * 3**2 + chance * (1 - chance) * 50**2
-    assert sigma == pytest.approx(variance**0.5, rel=1e-3)
-    assert kind == (2 if chance > 0.5 else 3)
-
-
-def test_between_two_depths_apart_lies_nothing() -> None:
-    apart = 100.0 * float(np.exp(MEAN_RATIO)) * 1.01
-    assert weighed(apart, 3.0, 100.0, 20.0, -0.1) == (pytest.approx(apart), 3.0, 1)
-    assert weighed(apart, 3.0, 100.0, 20.0, 0.1) == (pytest.approx(100.0), pytest.approx(20.0, rel=1e-4), 2)
-
-
-def test_what_is_passed_over_would_not_have_been_taken() -> None:
-    """`least` is a short cut: of a disagreement below it no ratio and no edge makes `weigh` depart."""
-    rng = np.random.default_rng(1)
-    standing = DepthClasses.of(LabelSet.load()).standing
-    for odds in standing[1:7]:
-        most = min(least(odds), 1e30)
-        for ratio in (*np.exp(rng.uniform(0.01, 5.0, 40)), 1.99, 19.9, 20.1):
-            true, inverse = np.float32(1 / (30.0 * ratio)), np.float32(1 / 30.0)
-            told = stands(inverse, true, np.float32(rng.random()), np.float32(0.98 * most), odds)
-            assert weighed(30.0 * ratio, 3.0, 30.0, 9.0, float(told))[2] == 1
