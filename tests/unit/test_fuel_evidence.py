@@ -7,62 +7,31 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from evidence_scene import (
+    ASSUMED,
+    CODES,
+    GRID,
+    HOUR,
+    INDEPENDENT,
+    LABELS,
+    NOW,
+    PRIOR,
+    TRUSTED,
+    YEAR,
+    fuel_map,
+    sighting,
+    votes,
+)
 
 from ltm_core.errors import ImageError, RasterError
 from ltm_core.fuel.evidence import EPOCH_S, EVIDENCE_FIELDS, TILE, EvidenceMap, camera_hash
-from ltm_core.fuel.frame_evidence import frame_evidence
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
-from ltm_core.fuel.life_form import NODATA, LifeForm, label_forms
+from ltm_core.fuel.life_form import NODATA, LifeForm
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.rules import FusionRules
-from ltm_core.fuel.sighting import CellSighting
 from ltm_core.fuel.votes import FRAME_CAP, CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.vision.labels import Label, LabelSet
-
-GRID = GridGeometry(15.0, 75.0, 30.0, 3, 2)
-LABELS = LabelSet.load()
-CODES = np.array([[145, 147, 165], [121, 91, NODATA]], np.int16)
-PRIOR = FuelPrior(CODES, GRID)
-NOW = 1_700_000_000
-HOUR = 3600
-YEAR = 365.25 * 86400
-INDEPENDENT = LabelCorrelation(cell=0.2, stand=0.02, view=0.02, network=0.01)
-ASSUMED = LabelErrors.assumed()
-TRUSTED = LabelErrors(ASSUMED.shares, INDEPENDENT)
-"""A network whose errors are hardly the same from frame to frame, so that two frames say twice as much as one."""
-
-
-def votes(
-    label: Label | list[int],
-    second: float = NOW,
-    source: str = "north",
-    pixels: int = 40,
-    cells: list[tuple[int, int]] | None = None,
-    confidence: float | None = None,
-    sighting: CellSighting | None = None,
-    grid: GridGeometry = GRID,
-) -> CellVotes:
-    """`pixels` of one label, or of each label the given number, in some cells; in all by default."""
-    cells = list(np.ndindex(grid.shape)) if cells is None else cells
-    rows, cols = (np.array(index, np.int32) for index in zip(*cells, strict=True))
-    counts = np.zeros((len(cells), len(LABELS)), np.uint32)
-    if isinstance(label, Label):
-        counts[:, label] = pixels
-    else:
-        counts[:] = label
-    shown = None if confidence is None else np.full(len(cells), confidence, np.float32)
-    z = np.zeros(len(cells), np.float32)
-    return CellVotes(grid, rows, cols, counts, z, int(second * 10**9), source, shown, sighting)
-
-
-def fuel_map(
-    *frames: CellVotes, prior: FuelPrior | None = PRIOR, errors: LabelErrors = TRUSTED, **rules: float
-) -> EvidenceMap:
-    result = EvidenceMap(GRID, prior, LABELS, FusionRules(**{"min_cells": 1} | rules), errors)
-    for frame in frames:
-        result.add(frame)
-    return result
 
 
 def test_the_prior_alone() -> None:
@@ -128,15 +97,6 @@ def test_older_frames_of_another_form_are_no_witnesses() -> None:
     assert fuel_map(*shrubs, *trees, votes(Label.TREE, NOW + HOUR)).layers().changed[0, 0]
 
 
-def test_one_frame_says_at_most_its_cap() -> None:
-    layers = fuel_map(votes(Label.TREE, pixels=100_000)).layers()
-    np.testing.assert_allclose(layers.evidence, FRAME_CAP, rtol=1e-3)
-    assert not layers.changed.any()
-    few = fuel_map(votes(Label.TREE, pixels=2)).layers().evidence
-    assert (few < 2).all()  # discounted by how well another form explains two labels
-    assert (few > 1.8).all()
-
-
 def test_the_life_form_that_holds_keeps_its_code() -> None:
     frames = [votes(Label.SHRUB, NOW + k * HOUR, camera) for k in range(5) for camera in ("north", "south")]
     layers = fuel_map(*frames).layers()
@@ -165,60 +125,6 @@ def test_without_a_prior_nothing_is_known_until_it_is_seen() -> None:
     np.testing.assert_array_equal(layers.code, [[NODATA] * 3, [NODATA, 145, NODATA]])
     np.testing.assert_array_equal(layers.life_form, [[255] * 3, [255, 2, 255]])
     assert not layers.changed.any()
-
-
-def evidence_of(votes: CellVotes, row: int, col: int) -> np.ndarray:
-    """What a frame says of one cell for each life form."""
-    frame = frame_evidence(votes, label_forms(LABELS), TRUSTED, FusionRules())
-    return np.asarray(frame.amounts[(frame.rows == row) & (frame.cols == col)][0])
-
-
-def test_labels_are_corrected_by_the_networks_errors() -> None:
-    frames = [votes([0, 0, 28, 12, 0, 0, 0], NOW + k * HOUR) for k in range(3)]
-    # A network that calls a tenth of shrubs tree has seen shrubs and something else; one that calls three trees of
-    # five shrub, and never a shrub tree, has seen trees.
-    shares = np.full((7, 7), np.nan)
-    shares[1] = 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    shares[2] = 0.0, 0.6, 0.4, 0.0, 0.0, 0.0, 0.0
-    for errors, code in ((TRUSTED, 145), (LabelErrors(shares, INDEPENDENT), 165)):
-        grid_map = EvidenceMap(GRID, PRIOR, LABELS, FusionRules(min_cells=1), errors)
-        for frame in frames:
-            grid_map.add(frame)
-        assert grid_map.layers().code[0, 0] == code
-
-
-def test_low_confidence_weighs_less() -> None:
-    sure, unsure = (fuel_map(votes(Label.TREE, confidence=c)).layers().evidence[0, 0] for c in (0.9, 0.35))
-    assert (sure, unsure) == (pytest.approx(FRAME_CAP), pytest.approx(FRAME_CAP / 2))
-
-
-def sighting(n: int, **columns: float) -> CellSighting:
-    values = {"cos_incidence": 1.0, "footprint": 0.0, "sigma_along": 0.0, "sigma_across": 0.0, "bearing": 0.0} | columns
-    return CellSighting(*(np.full(n, value, np.float32) for value in values.values()))
-
-
-def test_coarse_pixels_weigh_less() -> None:
-    coarse = fuel_map(votes(Label.TREE, sighting=sighting(6, footprint=30.0))).layers()
-    np.testing.assert_allclose(coarse.evidence, FRAME_CAP / np.sqrt(2), rtol=1e-3)
-
-
-def test_a_cell_that_may_be_another_one_is_evidence_of_both() -> None:
-    cells = [(0, 0), (0, 1), (0, 2)]
-    frame = votes(Label.SHRUB, cells=cells)
-    frame.counts[2] = [0, 0, 0, 40, 0, 0, 0]
-    exact = evidence_of(frame, 0, 1)
-    # 30 m sideways (the camera looks north), nothing along: the middle cell may be either neighbour.
-    placed = CellVotes(
-        GRID, frame.rows, frame.cols, frame.counts, frame.z, frame.stamp_ns, "north", None, sighting(3, sigma_across=30)
-    )
-    spread = evidence_of(placed, 0, 1)
-    assert exact[LifeForm.TREE - 1] < 0.1 * exact.sum()
-    assert spread[LifeForm.TREE - 1] > 0.15 * spread.sum()
-    assert spread.sum() < 0.9 * exact.sum()  # part of where it may lie is not in the frame
-    lost = CellVotes(
-        GRID, frame.rows, frame.cols, frame.counts, frame.z, frame.stamp_ns, "north", None, sighting(3, sigma_along=900)
-    )
-    assert EvidenceMap(GRID, PRIOR, LABELS).add(lost) is None
 
 
 def test_evidence_decays_with_the_time_constant_of_its_form() -> None:
@@ -290,7 +196,7 @@ def test_frames_of_a_view_say_less_the_more_its_errors_are_the_same() -> None:
 
 
 def test_systematic_errors_of_one_view_never_change_a_cell() -> None:
-    """The errors that were measured of landscape_lite0: however long one tower says so, the prior stands."""
+    """However long one tower says so, the prior stands, where errors correlate as they are assumed to."""
     errors = LabelErrors(ASSUMED.shares, LabelCorrelation(cell=0.78, stand=0.33, view=0.78, network=0.34))
     shrub_or_tree = [0, 0, 12, 28, 0, 0, 0]
     frames = [votes(shrub_or_tree, NOW + k * HOUR, sighting=sighting(6)) for k in range(30)]
@@ -308,18 +214,6 @@ def test_a_view_says_what_it_shows_of_late() -> None:
     late = fuel_map(*grass, *shrubs[::-1])
     for name in ("shown", "best", "span", "epochs"):
         np.testing.assert_array_equal(late.tile_state((0, 0))[name], gone.tile_state((0, 0))[name])
-
-
-def test_context_is_of_the_same_stand_only() -> None:
-    """What grows beside a cell in another stand of the prior says nothing of it."""
-    frame = votes(Label.SHRUB)
-    frame.counts[[0, 1], Label.SHRUB] = 20
-    frame.counts[[0, 1], Label.TREE] = 20  # the two shrub stands of the prior, of which the labels are unsure
-    of = {}
-    for stands in (None, np.array([[1, 1, 2], [3, 4, 5]], np.uint8)):
-        evidence = frame_evidence(frame, label_forms(LABELS), TRUSTED, FusionRules(), stands)
-        of[stands is None] = evidence.amounts[0] / evidence.amounts[0].sum()
-    assert of[True][LifeForm.SHRUB - 1] > of[False][LifeForm.SHRUB - 1] + 0.02
 
 
 def test_the_order_of_frames_does_not_matter() -> None:
