@@ -79,7 +79,7 @@ def measure_surface(
     tower = _Tower(size, camera)
     bare, frame = tower.bare, tower.frame
     for i in range(views):
-        frame(i * 360.0 / views, 0)
+        frame(i * 360.0 / views, 0)  # what the tower's own tracer keeps of each pose is not the map's memory
     before = resident_mb()
     reference = Reference.of(bare, tower.tall)
     store = TileStore.open(folder / "terrain.sqlite", schema_of(reference.geometry))
