@@ -32,9 +32,9 @@ def group_alive(group: int) -> bool:
 
 
 def end_groups(groups: Iterable[int], grace_s: float = GRACE_S) -> None:
-    """SIGINT, then SIGTERM, then SIGKILL to each group, `grace_s` and 1 s apart; returns when all are gone."""
+    """SIGTERM, after `grace_s` SIGKILL to each group; returns when all are gone, or 1 s after that."""
     left = set(groups)
-    for number, patience_s in ((signal.SIGINT, grace_s), (signal.SIGTERM, 1.0), (signal.SIGKILL, 1.0)):
+    for number, patience_s in ((signal.SIGTERM, grace_s), (signal.SIGKILL, 1.0)):
         for group in left:
             try:
                 os.killpg(group, number)

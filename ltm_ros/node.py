@@ -5,23 +5,19 @@ from __future__ import annotations
 import contextlib
 import os
 import queue
-import signal
 import sys
 import threading
 import time
 from collections.abc import Callable
 from fnmatch import fnmatchcase
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
-import rclpy
 from pydantic_core import PydanticUndefined
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from ltm_core.config_io import checked
@@ -31,6 +27,7 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.diagnostics import DiagnosticsPublisher
 from ltm_ros.handler import ConfigT, NodeType, Topic
 from ltm_ros.health import Health, cause_of
+from ltm_ros.node_process import run_until_stopped
 from ltm_ros.wiring import LISTENERS
 
 QUEUE = 30
@@ -41,8 +38,6 @@ QUEUE_BYTES = 512 << 20
 """Bytes of image data that wait at most: the viewer of twenty towers shall not fill the memory."""
 DISCOVERED = 10_000
 """Topics found by pattern that a node listens to at most: nobody shall fill its memory with names."""
-EX_CONFIG = 78
-"""Exit status of a node whose configuration cannot work (sysexits.h): restarting it does not help."""
 
 
 def stream_qos(latched: bool = False, depth: int = 10) -> QoSProfile:
@@ -54,14 +49,6 @@ def stream_qos(latched: bool = False, depth: int = 10) -> QoSProfile:
 
 def _qos(topic: Topic) -> QoSProfile:
     return stream_qos(topic.latched, topic.depth)
-
-
-class ClosableNode(Protocol):
-    """A node that has something to finish before it goes."""
-
-    def close(self) -> None: ...
-
-    def destroy_node(self) -> None: ...
 
 
 _Item = tuple[Callable[[Any], None], Any]
@@ -272,26 +259,3 @@ def run_node(node_type: NodeType[ConfigT]) -> None:
     Exits with EX_CONFIG where the configuration cannot work, so that the graph does not start it for ever.
     """
     run_until_stopped(node_type.name, lambda: HandlerNode(node_type))
-
-
-def run_until_stopped(name: str, make: Callable[[], ClosableNode]) -> None:
-    """Spin the node that `make` makes until SIGINT or SIGTERM, then `close` it while it can still publish."""
-    stopping = threading.Event()
-    # rclpy's own handlers would shut the context down before the node has finished and published.
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stopping.set())
-    try:
-        node = make()
-    except LtmError as error:
-        print(f"{name}: cannot start: {error}", file=sys.stderr)
-        rclpy.try_shutdown()
-        sys.exit(EX_CONFIG)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    while rclpy.ok() and not stopping.is_set():
-        executor.spin_once(timeout_sec=0.1)
-    node.close()
-    executor.shutdown()
-    node.destroy_node()
-    rclpy.try_shutdown()

@@ -18,6 +18,8 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from ltm_ros.farewell import begin_farewell
+
 NOT_READY = 1
 
 
@@ -45,6 +47,7 @@ class ReadinessWatch:
         return not self.missing
 
     def close(self) -> None:
+        begin_farewell()
         self._executor.shutdown()
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)

@@ -51,7 +51,7 @@ class Runner:
 
     `domain_id`: ROS domain (None: as the environment says). `log_folder`: where each node's output goes, as
     `<camera>.<node>.log`. `console` gets every line of output with the node's label in front. `stop_s`: how long a node
-    may take to finish after SIGINT before it is made to. `environment`: more variables for every node.
+    may take to finish after SIGTERM before it is made to. `environment`: more variables for every node.
 
     Used as a context manager it stops on leaving. `start` and `stop` may be called from any thread.
     """
@@ -143,7 +143,7 @@ class Runner:
         reader.start()
         try:
             deadline = time.monotonic() + timeout_s + 5.0
-            while watch.poll() is None and time.monotonic() < deadline:
+            while missing and watch.poll() is None and time.monotonic() < deadline:
                 if self.given_up or self._stopping.is_set():
                     break
                 self._changed.wait(0.05)
@@ -168,17 +168,20 @@ class Runner:
         return self.processes[label].signal(number)
 
     def stop(self) -> None:
-        """End every node (SIGINT, after `stop_s` SIGTERM, 2 s later SIGKILL) and remove what is left. Idempotent."""
+        """End every node (SIGTERM, after `stop_s` SIGKILL) and remove what is left. Idempotent.
+
+        Not SIGINT: a Python process that is still importing turns that into an exception, which may get lost there.
+        """
         self._stopping.set()
         with self._lock:
             processes = list(self.processes.values())
             for process in processes:
                 process.request_stop()
-            for number, patience_s in ((signal.SIGINT, self._stop_s), (signal.SIGTERM, 2.0), (signal.SIGKILL, 5.0)):
+            for number, patience_s in ((signal.SIGTERM, self._stop_s), (signal.SIGKILL, 5.0)):
                 alive = [process for process in processes if not process.wait_stopped(0)]
                 if not alive:
                     break
-                if number != signal.SIGINT:
+                if number != signal.SIGTERM:
                     self._say(f"-- {signal.Signals(number).name} to {', '.join(p.label for p in alive)}, still running")
                 self._signal_until_stopped(alive, number, patience_s)
             for process in processes:

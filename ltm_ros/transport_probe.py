@@ -6,11 +6,13 @@ Asking a real participant is the only sure answer: Fast DDS passes over a profil
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import rclpy
 
 from ltm_ros import shm
+from ltm_ros.farewell import begin_farewell
 
 
 def own_segment_bytes() -> list[int]:
@@ -31,6 +33,8 @@ def main() -> None:
     rclpy.init()
     node = rclpy.create_node("ltm_transport_probe", enable_rosout=False)
     print(json.dumps({"rmw": rclpy.get_rmw_implementation_identifier(), "segment_bytes": own_segment_bytes()}))
+    sys.stdout.flush()
+    begin_farewell()
     node.destroy_node()
     rclpy.try_shutdown()
 

@@ -30,6 +30,7 @@ from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.bench.network_site import NAME, Traffic, write_region
+from ltm_ros.farewell import wait_for_quiet
 from ltm_ros.graph import Graph, describe
 from ltm_ros.node import stream_qos
 from ltm_ros.ros_environment import apply_to_process, ros_environment
@@ -94,6 +95,7 @@ class Listener:
         self._stopping.set()
         self._thread.join()
         self._executor.shutdown()
+        wait_for_quiet(self._node)
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 

@@ -16,6 +16,7 @@ import rclpy
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
+from ltm_ros.farewell import begin_farewell
 from ltm_ros.node import stream_qos
 from ltm_ros.topics import FUEL_VOTES, camera_topic
 
@@ -58,6 +59,7 @@ def main() -> None:
             sent.append(stamp)
     print(json.dumps({"sent": sent, "late": late}), flush=True)
     sys.stdin.readline()  # stay until all has arrived: a writer that goes takes its history with it
+    begin_farewell()
     for node in nodes:
         node.destroy_node()
     rclpy.try_shutdown()

@@ -21,6 +21,7 @@ from sensor_msgs.msg import Image
 from ltm_core.errors import LtmError
 from ltm_core.site_io import load_site
 from ltm_msgs_py.image import image_to_msg
+from ltm_ros.farewell import wait_for_quiet
 from ltm_ros.graph import Graph, describe
 from ltm_ros.node import stream_qos
 from ltm_ros.ros_environment import apply_to_process
@@ -90,6 +91,7 @@ class _Exchange:
 
     def __exit__(self, *_: object) -> None:
         self._executor.shutdown()
+        wait_for_quiet(self._node)
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 

@@ -24,7 +24,8 @@ from ltm_ros.diagnostics import DiagnosticsPublisher
 from ltm_ros.free_path import free_path
 from ltm_ros.handler import NodeConfig
 from ltm_ros.health import Health, cause_of
-from ltm_ros.node import read_parameters, run_until_stopped
+from ltm_ros.node import read_parameters
+from ltm_ros.node_process import run_until_stopped
 from ltm_ros.topics import RECORDED, camera_topic, site_topic
 
 QUEUE_BYTES = 512 << 20

@@ -21,6 +21,7 @@ from rosgraph_msgs.msg import Clock
 from ltm_core.errors import RecordingError
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_msgs_py.stamp import ns_to_time
+from ltm_ros.farewell import wait_for_quiet
 from ltm_ros.replay.selection import Selection
 from ltm_ros.wiring import unmatched
 
@@ -76,6 +77,7 @@ class LivePlayer:
         for thread in self._threads:
             thread.join()
         self._executor.shutdown()
+        wait_for_quiet(self._node)
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 

@@ -17,6 +17,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.farewell import wait_for_quiet
 from ltm_ros.node import stream_qos
 from ltm_ros.wiring import unmatched
 
@@ -51,6 +52,7 @@ class Bystander:
         self._stopping.set()
         self._thread.join()
         self._executor.shutdown()
+        wait_for_quiet(self.node)
         self.node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 

@@ -14,6 +14,8 @@ import rclpy
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 
+from ltm_ros.farewell import wait_for_quiet
+
 HEIGHT, WIDTH = 1080, 1920
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 SUBSCRIBERS = 3
@@ -70,6 +72,7 @@ def main() -> None:
         publish(node, topic, frames, float(sys.argv[4]))
     else:
         subscribe(node, topic, frames)
+    wait_for_quiet(node)
     node.destroy_node()
     rclpy.try_shutdown()
 

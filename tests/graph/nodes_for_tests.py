@@ -1,4 +1,4 @@
-"""A real rclpy node whose parameter `behaviour` says how it lives and dies: `python -m nodes_for_tests`."""
+"""A real node whose parameter `behaviour` says how it lives and dies: `python -m nodes_for_tests`."""
 
 from __future__ import annotations
 
@@ -8,45 +8,42 @@ import subprocess
 import sys
 import time
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
 
-EX_CONFIG = 78
+from ltm_core.errors import ConfigError
+from ltm_ros.node_process import run_until_stopped
 
 
-def main() -> None:
-    rclpy.init()
-    node = rclpy.create_node("unnamed", automatically_declare_parameters_from_overrides=True)
-    behaviour = node.get_parameter("behaviour").value
-    print(f"hello from {node.get_fully_qualified_name()} pid {os.getpid()}", flush=True)
-    if behaviour == "config_error":
-        print("the DEM moon.tif does not exist", file=sys.stderr)
-        sys.exit(EX_CONFIG)
-    if behaviour == "stubborn":
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    if behaviour == "with_child":
-        child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
-        print(f"child {child.pid}", flush=True)
-    publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-    status = DiagnosticStatus(name=node.get_fully_qualified_name())
+class Actor(Node):
+    """Says hello and goodbye, and sends a diagnostic now and then unless it is silent."""
 
-    def diagnose() -> None:
-        if behaviour != "silent":
-            publisher.publish(DiagnosticArray(status=[status]))
-
-    node.create_timer(0.2, diagnose)
-    try:
-        while behaviour == "stubborn":
-            diagnose()
+    def __init__(self) -> None:
+        super().__init__("unnamed", automatically_declare_parameters_from_overrides=True)
+        behaviour = self.get_parameter("behaviour").value
+        print(f"hello from {self.get_fully_qualified_name()} pid {os.getpid()}", flush=True)
+        if behaviour == "config_error":
+            raise ConfigError("the DEM moon.tif does not exist")
+        if behaviour == "with_child":
+            child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+            print(f"child {child.pid}", flush=True)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        if behaviour == "stubborn":
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        while behaviour in ("stubborn", "slow_to_start"):
+            if behaviour == "stubborn":
+                self._diagnose()
             time.sleep(0.2)
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
+        if behaviour != "silent":
+            self.create_timer(0.2, self._diagnose)
+
+    def close(self) -> None:
         print("goodbye", flush=True)
-    node.destroy_node()
-    rclpy.try_shutdown()
+
+    def _diagnose(self) -> None:
+        self._diagnostics.publish(DiagnosticArray(status=[DiagnosticStatus(name=self.get_fully_qualified_name())]))
 
 
 if __name__ == "__main__":
-    main()
+    run_until_stopped("actor", Actor)
