@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from ltm_core.bench.measure import Cost, least_cost
 from ltm_core.bench.terrain import ridged_terrain
 from ltm_core.camera import Camera
+from ltm_core.depth.beyond import clear_beyond
 from ltm_core.depth.classes import DepthClasses
 from ltm_core.depth.combine import combine
+from ltm_core.depth.edges import Edges
 from ltm_core.depth.fusion import FusionSettings, fuse
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_fit import fit_network
@@ -56,10 +58,12 @@ def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionC
     )
     samples = ground_samples(surface, sigma, frame.labels, classes.ground, camera.fy)
     fit = fit_network(frame.network, samples, (height, width))
-    seen = SeenDepth.of(fit, frame.photo)
+    seen, edges = SeenDepth.of(fit, frame.photo), Edges.of(ground)
 
     def crests() -> None:
-        raise_silhouettes(frame.photo, ground, work[0], work[1], frame.labels, classes.crest, classes.sky, camera, seen)
+        surface, sigma = work
+        of = classes.crest, classes.sky, camera, seen, edges
+        raise_silhouettes(frame.photo, ground, surface, sigma, frame.labels, *of)
 
     def decide() -> None:
         # From the same state each time: a copy's cost is in the figure.
@@ -70,8 +74,9 @@ def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionC
     work, source = np.stack([surface, sigma]), np.empty(surface.shape, np.uint8)
     parts: dict[str, Callable[[], Any]] = {
         "range to depth": frame.traced.depth,
+        "traced edges": lambda: Edges.of(ground),
         "check of the pose": lambda: check_pose(
-            frame.photo, ground, camera, settings.angle_sigma, settings.dem_sigma, frame.labels, classes
+            frame.photo, ground, camera, settings.angle_sigma, settings.dem_sigma, frame.labels, classes, edges=edges
         ),
         "expected surface": lambda: expected_surface(
             ground, frame.labels, classes.cover, camera, frame.traced.pose, settings.angle_sigma, settings.dem_sigma
@@ -81,6 +86,7 @@ def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionC
         "photo's edges for the network": lambda: SeenDepth.of(fit, frame.photo),
         "silhouettes": crests,
         "terrain or network": decide,
+        "land beyond the raster": lambda: clear_beyond(ground, work[0], work[1], source),
         "whole": lambda: fuse(frame.traced, frame.network, frame.photo, frame.labels, classes, settings),
     }
     for call in parts.values():

@@ -61,21 +61,21 @@ def clear_beyond(ground: Image, depth: Image, sigma: Image, source: NDArray[np.u
 def _runs(ground: Image) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
     """Row, first column and the column behind the last of every run of NaN, row by row."""
     height, width = ground.shape
-    total = 0
+    counts = np.zeros(height, np.int32)
     for v in range(height):
-        line = ground[v]
-        total += line[0] != line[0]
-        for u in range(1, width):
-            total += (line[u] != line[u]) & (line[u - 1] == line[u - 1])
+        line, before = ground[v, 1:], ground[v, :-1]
+        count = np.int32(ground[v, 0] != ground[v, 0])
+        for u in range(len(line)):
+            count += np.int32((line[u] != line[u]) & (before[u] == before[u]))
+        counts[v] = count
+    total = counts.sum()
     rows, starts, ends = np.empty(total, np.int32), np.empty(total, np.int32), np.empty(total, np.int32)
     k = 0
     for v in range(height):
-        line = ground[v]
-        u = 0
-        while u < width:
-            if line[u] == line[u]:
+        line, u = ground[v], 0
+        for _ in range(counts[v]):
+            while line[u] == line[u]:
                 u += 1
-                continue
             rows[k], starts[k] = v, u
             while u < width and line[u] != line[u]:
                 u += 1

@@ -43,9 +43,13 @@ def smoothed(
             for _ in range(_BESIDE):
                 if j < 0:
                     break
-                near[n] = raised[j]
+                # Sorted as they come.
+                k = n
+                while k > 0 and near[k - 1] > raised[j]:
+                    near[k] = near[k - 1]
+                    k -= 1
+                near[k] = raised[j]
                 n += 1
                 j = way[j]
-        near[:n].sort()
         smooth[i] = near[n // 2]
     return smooth

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ltm_core.depth.beyond import clear_beyond
 from ltm_core.depth.classes import DepthClasses
 from ltm_core.depth.combine import combine
+from ltm_core.depth.edges import Edges
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_fit import NetworkFit, fit_network
 from ltm_core.depth.pose_check import PoseCheck, check_pose
@@ -138,9 +139,10 @@ def fuse(
     settings = FusionSettings() if settings is None else settings
     camera = traced.camera
     cell = max(1.0, size[1] / settings.label_columns) if settings.label_columns else 1.0
-    check = check_pose(rgb, ground, camera, settings.angle_sigma, settings.dem_sigma, labels, classes, cell)
+    edges = Edges.of(ground)
+    check = check_pose(rgb, ground, camera, settings.angle_sigma, settings.dem_sigma, labels, classes, cell, edges)
     # A sample first: where it has ground, as it nearly always does, that is all.
-    if not (np.isfinite(ground[::4, ::4]).any() or np.isfinite(ground).any()):
+    if not (np.isfinite(ground[::16, ::16]).any() or np.isfinite(ground).any()):
         return _traced_alone(ground, Verdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM", check)
     if check.suspected:
         return _traced_alone(ground, Verdict.POSE_SUSPECTED, check.reason, check)
@@ -151,11 +153,9 @@ def fuse(
     fit = None if network is None else fit_network(network, samples, (size[0], size[1]))
     source = np.empty(size, np.uint8)
     beside = SeenDepth.of(fit, rgb) if fit is not None and not fit.trouble else None
-    raise_silhouettes(rgb, ground, expected, sigma, labels, classes.crest, classes.sky, camera, beside)
+    raise_silhouettes(rgb, ground, expected, sigma, labels, classes.crest, classes.sky, camera, beside, edges)
     combine(expected, sigma, None if surface is None else surface.depth(), beside, labels, classes, source)
-    # A sample first, for most photos see no unknown ground at all.
-    if np.isnan(ground[::4, ::4]).any() or np.isnan(ground).any():
-        clear_beyond(ground, expected, sigma, source)
+    clear_beyond(ground, expected, sigma, source)
     verdict, reason = Verdict.OK, ""
     if fit is not None and fit.trouble:
         verdict, reason = Verdict.NETWORK_UNUSABLE, fit.trouble

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.depth.classes import DepthClasses
+from ltm_core.depth.edges import Edges
 from ltm_core.depth.skyline_check import check_skyline
 from ltm_core.depth.surface import JUMP
 
@@ -66,17 +67,18 @@ def check_pose(
     labels: NDArray[np.uint8] | None = None,
     classes: DepthClasses | None = None,
     label_cell: float = 1.0,
+    edges: Edges | None = None,
 ) -> PoseCheck:
     """Check one photo (H, W, 3) and its labels (H, W), where there are any, against its traced depth (H, W).
 
     `angle_sigma`, `dem_sigma`: radians and metres that are no surprise. `classes`: what the labels mean. `label_cell`:
-    pixels of the photo that one of the labels' network spans.
+    pixels of the photo that one of the labels' network spans. `edges`: of `ground`, where they are known.
     """
     allowed = _ALLOWED_DEG + 3 * math.degrees(angle_sigma)
     nearest = (_COVER + dem_sigma) / math.radians(_NEAR_DEG)
-    rows, cols = _silhouettes(ground, nearest)
-    edges, columns = len(rows), 0
-    found = _check_edges(rgb, rows, cols, camera, allowed) if edges >= _LEAST_EDGES else None
+    rows, cols = _silhouettes(ground, Edges.of(ground) if edges is None else edges, nearest)
+    columns = 0
+    found = _check_edges(rgb, rows, cols, camera, allowed) if len(rows) >= _LEAST_EDGES else None
     reason = "the photo's edges fit the terrain's silhouettes"
     if labels is not None and classes is not None:
         reach = math.radians(REACH_DEG)
@@ -91,16 +93,16 @@ def check_pose(
             found = skyline.pitch_deg, skyline.azimuth_deg, skyline.gain, True
             reason = "the labels' skyline fits the terrain's"
     if found is None:
-        return PoseCheck(edges, columns, 0.0, 0.0, 1.0, False, "")
+        return PoseCheck(len(rows), columns, 0.0, 0.0, 1.0, False, "")
     pitch, azimuth, gain, suspected = found
     if suspected:
         reason += f" {gain:.1f} times better with the camera turned by {pitch:+.2f} deg of pitch and "
         reason += f"{azimuth:+.2f} deg of azimuth"
-    return PoseCheck(edges, columns, pitch, azimuth, gain, suspected, reason if suspected else "")
+    return PoseCheck(len(rows), columns, pitch, azimuth, gain, suspected, reason if suspected else "")
 
 
 def _check_edges(
-    rgb: NDArray[np.uint8], rows: NDArray[np.int64], cols: NDArray[np.int64], camera: Camera, allowed_deg: float
+    rgb: NDArray[np.uint8], rows: NDArray[np.int32], cols: NDArray[np.int32], camera: Camera, allowed_deg: float
 ) -> tuple[float, float, float, bool]:
     """Pitch and azimuth of the best turn, degrees, its gain, and whether the pose is suspected."""
     shrink = max(1, round(rgb.shape[1] / _CELLS))  # photo pixels a cell
@@ -120,40 +122,50 @@ def _check_edges(
     return pitch, azimuth, best / max(here, 1e-3), bool(clear and least > allowed_deg)
 
 
-def _silhouettes(ground: NDArray[np.float32], nearest: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _silhouettes(
+    ground: NDArray[np.float32], edges: Edges, nearest: float
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Pixels (rows, cols) above which is sky or ground farther by twice a jump, every other column, of ground beyond
     `nearest` metres; where known ground merely ends there is no edge to be seen.
     """
-    rows, cols = _found(ground, np.float32(nearest), np.float32(JUMP * JUMP))
+    rows, cols = edges.rows, edges.cols
+    here, above = ground[rows, cols], ground[rows - 1, cols]
+    kept = (rows % 2 == 1) & (cols % 2 == 0) & (here > nearest) & (above > np.float32(JUMP * JUMP) * here)
+    order = np.argsort(rows[kept], kind="stable")  # from the topmost down
+    rows, cols = rows[kept][order], cols[kept][order]
     if len(rows) > _MOST_EDGES:
-        kept = np.linspace(0, len(rows) - 1, _MOST_EDGES).round().astype(np.intp)
-        rows, cols = rows[kept], cols[kept]
+        some = np.linspace(0, len(rows) - 1, _MOST_EDGES).round().astype(np.intp)
+        rows, cols = rows[some], cols[some]
     return rows, cols
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _found(
-    ground: NDArray[np.float32], nearest: np.float32, jump: np.float32
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    height, width = ground.shape
-    rows, cols = np.empty(height * width // 4 + 1, np.int64), np.empty(height * width // 4 + 1, np.int64)
-    count = 0
-    for v in range(1, height, 2):
-        here, above = ground[v], ground[v - 1]
-        for u in range(0, width, 2):
-            d = here[u]
-            if d > nearest and d < np.float32(1e9) and above[u] > jump * d:
-                rows[count], cols[count] = v, u
-                count += 1
-    return rows[:count].copy(), cols[:count].copy()
 
 
 def _contrast(rgb: NDArray[np.uint8], shrink: int) -> NDArray[np.float32]:
     """How much the colour changes from above to below each place, relative to its surroundings' texture."""
     size = (rgb.shape[1] // shrink, rgb.shape[0] // shrink)
-    change = _changes(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
+    # A full HD photo is quartered, at which OpenCV is slow.
+    quarter = (4 * size[1], 4 * size[0]) == rgb.shape[:2]
+    change = _changes(quartered(rgb) if quarter else cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
     texture = cv2.blur(change, (25, 25))
     return np.asarray(np.minimum(change / (texture + 6.0), 4.0), np.float32)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def quartered(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The mean of every 4 x 4 pixels of a photo (4 h, 4 w, 3), rounded as by cv2.resize: halves to the even."""
+    height, width = rgb.shape[0] // 4, rgb.shape[1] // 4
+    small, total = np.empty((height, width, 3), np.uint8), np.empty(12 * width, np.uint16)
+    for v in range(height):
+        a, b = rgb[4 * v].reshape(-1), rgb[4 * v + 1].reshape(-1)
+        c, d = rgb[4 * v + 2].reshape(-1), rgb[4 * v + 3].reshape(-1)
+        for i in range(len(total)):
+            total[i] = np.uint16(np.uint16(a[i]) + np.uint16(b[i])) + np.uint16(np.uint16(c[i]) + np.uint16(d[i]))
+        line = small[v]
+        for u in range(width):
+            for j in range(3):
+                k = 12 * u + j
+                sixteen = np.int32(total[k]) + np.int32(total[k + 3]) + np.int32(total[k + 6]) + np.int32(total[k + 9])
+                line[u, j] = (sixteen + 7 + ((sixteen >> 4) & 1)) >> 4
+    return small
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -181,7 +193,7 @@ def _changes(small: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _scores(
-    contrast: NDArray[np.float32], rows: NDArray[np.int64], cols: NDArray[np.int64], reach: int
+    contrast: NDArray[np.float32], rows: NDArray[np.int32], cols: NDArray[np.int32], reach: int
 ) -> NDArray[np.float32]:
     """Mean contrast under the edges, shifted by -reach..reach rows and columns."""
     height, width = contrast.shape

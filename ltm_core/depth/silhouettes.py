@@ -12,18 +12,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.depth.answers import said
+from ltm_core.depth.blur import TILE, blurred
 from ltm_core.depth.crests import smoothed
+from ltm_core.depth.edges import Edges
 from ltm_core.depth.seen import SeenDepth, see
 from ltm_core.depth.surface import JUMP
 
 Image = NDArray[np.float32]
+_Answer = tuple[np.float32, np.float32, np.float32, np.float32]
+"""True inverse depth, by how much less the network says there, the sigma of that, all 1/m, and its logarithm."""
 
 USUAL_CREST = 0.25
 """Metres by which crests are usually raised: the prior of a cut falls by e for each."""
@@ -36,7 +39,6 @@ _MOST = 8.0  # log likelihood that one pixel's colour may carry
 _NETWORK_MOST = 3.0  # the same of its network depth
 _NETWORK_SURE = 1.0  # log likelihood from which on the network may raise an edge beyond the usual cover
 _NEED = 1.0  # log odds by which a cut must be better than none
-_BLUR = (5, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,14 +65,17 @@ def raise_silhouettes(
     sky: int,
     camera: Camera,
     network: SeenDepth | None = None,
+    edges: Edges | None = None,
 ) -> Silhouettes:
     """Move the edges of `surface` and `sigma` (H, W), in place, to where the photo has them; the edges found.
 
     `crest`: (256,) metres to which a pixel of each class may belong to cover on the crest below it. `network`: what it
-    sees at the photo's size, where there is one.
+    sees at the photo's size, where there is one. `edges`: of `ground`, where they are known.
     """
-    rows, cols = _edges(ground, np.float32(JUMP))
-    color = np.asarray(cv2.blur(rgb, _BLUR), np.uint8) if len(rows) else rgb
+    edges = Edges.of(ground) if edges is None else edges
+    rows, cols = edges.rows, edges.cols
+    highest = np.float32(crest[255] if labels is None and network is None else crest.max())
+    color = blurred(rgb, _asked(ground, rows, cols, highest * np.float32(camera.fy)))
     raised = np.zeros(len(rows), np.int32)
     seen = SeenDepth.none() if network is None else network
     _cut(
@@ -79,6 +84,7 @@ def raise_silhouettes(
         np.zeros((1, 1), np.uint8) if labels is None else labels,
         labels is not None,
         crest,
+        highest,
         sky,
         np.float32(camera.fy),
         seen.cells,
@@ -99,27 +105,17 @@ def raise_silhouettes(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _edges(ground: Image, jump: np.float32) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Pixels with ground above which the next one is farther by `jump`, or sky, or unknown."""
+def _asked(ground: Image, rows: NDArray[np.int32], cols: NDArray[np.int32], highest: np.float32) -> NDArray[np.bool_]:
+    """Tiles of the photo whose colours are asked for, where strips are at most `highest` pixels times metres high."""
     height, width = ground.shape
-    counts = np.zeros(height, np.int64)
-    for v in range(1, height):
-        here, above = ground[v], ground[v - 1]
-        count = 0
-        for u in range(width):
-            count += (here[u] < np.float32(1e9)) & (not above[u] < jump * here[u])
-        counts[v] = count
-    total = counts.sum()
-    rows, cols = np.empty(total, np.int32), np.empty(total, np.int32)
-    i = 0
-    for v in range(height - 1, 0, -1):
-        if counts[v]:
-            here, above = ground[v], ground[v - 1]
-            for u in range(width):
-                if here[u] < np.float32(1e9) and not above[u] < jump * here[u]:
-                    rows[i], cols[i] = v, u
-                    i += 1
-    return rows, cols
+    tiles = np.zeros(((height - 1) // TILE[0] + 1, (width - 1) // TILE[1] + 1), np.bool_)
+    for i in range(len(rows)):
+        v, u = rows[i], cols[i]
+        top = max(v - min(STRIP_PX, int(highest / ground[v, u])) - _SAMPLE, 0)
+        left, right = max(u - _HALF, 0), min(u + _HALF, width - 1)
+        for y in range(top // TILE[0], min(v + _SAMPLE - 1, height - 1) // TILE[0] + 1):
+            tiles[y, left // TILE[1]] = tiles[y, right // TILE[1]] = True
+    return tiles
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -129,15 +125,20 @@ def _sample(
     """Mean and variance (3,) of the colours in rows [top, bottom) about column u."""
     left, right = max(u - _HALF, 0), min(u + _HALF + 1, color.shape[1])
     count = np.float32((bottom - top) * (right - left))
+    # In short whole numbers, for speed: floats would have to be added one after the other.
+    red = green = blue = red_square = green_square = blue_square = np.int32(0)
+    for v in range(top, bottom):
+        line = color[v, left:right]
+        for x in range(len(line)):
+            r, g, b = np.int32(line[x, 0]), np.int32(line[x, 1]), np.int32(line[x, 2])
+            red, red_square = np.int32(red + r), np.int32(red_square + r * r)
+            green, green_square = np.int32(green + g), np.int32(green_square + g * g)
+            blue, blue_square = np.int32(blue + b), np.int32(blue_square + b * b)
+    mean[0], mean[1], mean[2] = np.float32(red), np.float32(green), np.float32(blue)
+    var[0], var[1], var[2] = np.float32(red_square), np.float32(green_square), np.float32(blue_square)
     for j in range(3):
-        total, square = np.float32(0.0), np.float32(0.0)
-        for v in range(top, bottom):
-            for x in range(left, right):
-                value = np.float32(color[v, x, j])
-                total += value
-                square += value * value
-        mean[j] = total / count
-        var[j] = max(square / count - mean[j] * mean[j], np.float32(0.0)) + np.float32(_COLOR_NOISE)
+        mean[j] /= count
+        var[j] = max(var[j] / count - mean[j] * mean[j], np.float32(0.0)) + np.float32(_COLOR_NOISE)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -150,25 +151,29 @@ def _step(low: np.float32, high: np.float32, near: np.float32, far: np.float32) 
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _answer(depth: np.float32, row: int, col: int, shift: Image, factor: Image) -> _Answer:
+    """What the network says of a surface of known `depth`, which may be inf. `row`, `col`: of the tables."""
+    true = np.float32(1.0) / depth
+    less, spread = said(row, col, true, shift, factor)
+    return true, less, spread, np.log(spread)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _against(inverse: np.float32, answer: _Answer) -> np.float32:
+    """Log likelihood by which what the network sees, 1/m, speaks against a surface."""
+    true, less, spread, log = answer
+    off = (inverse - true + less) / spread
+    return np.float32(0.5) * off * off + log
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _farther(
-    inverse: np.float32,
-    row: int,
-    col: int,
-    shift: Image,
-    factor: Image,
-    near: np.float32,
-    far: np.float32,
+    inverse: np.float32, near: _Answer, far: np.float32, row: int, col: int, shift: Image, factor: Image
 ) -> np.float32:
-    """Log likelihood that the network speaks for the far side and not for the near one. `row`, `col`: of the tables."""
+    """Log likelihood that the network speaks for the far side, of depth `far`, and not for the near one."""
     if np.isnan(inverse) or np.isnan(far):
         return np.float32(0.0)
-    gain = np.float32(0.0)
-    for side in range(2):
-        true = np.float32(1.0) / (far if side else near)
-        less, spread = said(row, col, true, shift, factor)
-        off = (inverse - true + less) / spread
-        cost = np.float32(0.5) * off * off + np.log(spread)
-        gain += -cost if side else cost
+    gain = _against(inverse, near) - _against(inverse, _answer(far, row, col, shift, factor))
     return min(max(gain, np.float32(-_NETWORK_MOST)), np.float32(_NETWORK_MOST))
 
 
@@ -179,6 +184,7 @@ def _cut(
     labels: NDArray[np.uint8],
     labelled: bool,
     crest: NDArray[np.float32],
+    highest: np.float32,
     sky: int,
     focal: np.float32,
     cells: Image,
@@ -196,7 +202,6 @@ def _cut(
     height = color.shape[0]
     near, near_var = np.empty(3, np.float32), np.empty(3, np.float32)
     far, far_var = np.empty(3, np.float32), np.empty(3, np.float32)
-    highest = crest.max() if labelled or networked else crest[255]
     for i in range(len(rows)):
         v, u = rows[i], cols[i]
         d = ground[v, u]
@@ -207,6 +212,7 @@ def _cut(
         tall = min(STRIP_PX, int(highest * focal / d))
         strip = usual
         share = np.float32(0.0)
+        below = _answer(d, row, col, shift, factor)
         if networked:
             low = see(cells, grey, columns, parts, min(v + _SAMPLE, height - 1), u)
             high = see(cells, grey, columns, parts, max(v - tall - _SAMPLE, 0), u)
@@ -214,9 +220,8 @@ def _cut(
         for s in range(1, min(tall, v) + 1):
             taller = labelled and crest[labels[v - s, u]] > crest[255]
             if not taller and share > 0:
-                side = _farther(
-                    see(cells, grey, columns, parts, v - s, u), row, col, shift, factor, d, ground[v - s, u]
-                )
+                inverse = see(cells, grey, columns, parts, v - s, u)
+                side = _farther(inverse, below, ground[v - s, u], row, col, shift, factor)
                 taller = share * side < -_NETWORK_SURE
             if not taller:
                 break
@@ -252,8 +257,8 @@ def _cut(
             evidence = min(max(np.float32(_TEMPER) * evidence, np.float32(-_MOST)), np.float32(_MOST))
             further = np.float32(0.0)
             if share > 0:
-                side = _farther(see(cells, grey, columns, parts, r, u), row, col, shift, factor, d, ground[r, u])
-                further = share * side
+                inverse = see(cells, grey, columns, parts, r, u)
+                further = share * _farther(inverse, below, ground[r, u], row, col, shift, factor)
             if labelled:
                 label = labels[r, u]
                 if s * d > crest[label] * focal and further > -_NETWORK_SURE:
