@@ -17,7 +17,7 @@ from ltm_core.pictures.legend import PAPER
 from ltm_core.pictures.types import Palette, Rgb
 
 TITLES = {
-    "life_form": "Life form, no longer the prior's outlined",
+    "life_form": "Life form; outlined: no longer the prior map's",
     "code": "Fuel model",
     "entropy": "Doubt: entropy",
     "seen_by": "Cameras that see a cell",

@@ -1,0 +1,29 @@
+"""`ltm view`: what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ltm_core.errors import ConfigError, RecordingError
+
+pytest.importorskip("rerun", reason="the viewer's extra is not installed")
+
+from ltm_ros.cli.view import view as view_command
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "remedy"),
+    [
+        ({}, ConfigError, "either --site"),
+        ({"site": Path("a.yaml"), "rrd": Path("b.rrd")}, ConfigError, "not both"),
+        ({"rrd": Path("no/such.rrd")}, RecordingError, r"no/such\.rrd: no such recording"),
+        ({"site": Path("a.yaml"), "screenshot": Path("a.png")}, ConfigError, "give --rrd"),
+        ({"rrd": Path("a.rrd"), "tab": "Fuel"}, ConfigError, "--screenshot"),
+    ],
+)
+def test_view_command_refuses_what_it_cannot_show(given: dict[str, Any], error: type[Exception], remedy: str) -> None:
+    with pytest.raises(error, match=remedy):
+        view_command(**given)
