@@ -21,7 +21,7 @@ from ltm_core.depth.fusion import FusionSettings, fuse
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_fit import fit_network
 from ltm_core.depth.pose_check import check_pose
-from ltm_core.depth.range_image import RangeImage
+from ltm_core.depth.range_image import DepthImage
 from ltm_core.depth.sampling import ground_samples
 from ltm_core.depth.seen import SeenDepth
 from ltm_core.depth.silhouettes import raise_silhouettes
@@ -43,7 +43,7 @@ class FusionCost:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    traced: RangeImage
+    traced: DepthImage
     photo: NDArray[np.uint8]
     labels: NDArray[np.uint8]
     network: NetworkDepth
@@ -73,7 +73,6 @@ def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionC
 
     work, source = np.stack([surface, sigma]), np.empty(surface.shape, np.uint8)
     parts: dict[str, Callable[[], Any]] = {
-        "range to depth": frame.traced.depth,
         "traced edges": lambda: Edges.of(ground),
         "check of the pose": lambda: check_pose(
             frame.photo, ground, camera, settings.angle_sigma, settings.dem_sigma, frame.labels, classes, edges=edges
@@ -103,8 +102,7 @@ def _frame(width: int, height: int) -> _Frame:
     row, col = np.unravel_index(int(np.argmax(south)), south.shape)
     x, y = dem.geometry.to_map(row + dem.geometry.height - 400, col)
     pose = Pose.from_angles((float(x), float(y), float(south[row, col]) + 10.0), 30.0, -12.0)
-    traced = TerrainTracer(dem).trace(camera, pose)
-    depth = traced.depth()
+    depth = TerrainTracer(dem).trace(camera, pose).depth()
     rng = np.random.default_rng(2)
     cover = cv2.resize(rng.integers(1, 5, (9, 16)).astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
     labels = np.where(np.isinf(depth), 0, cover).astype(np.uint8)
@@ -114,4 +112,9 @@ def _frame(width: int, height: int) -> _Frame:
     inverse = np.where(np.isfinite(depth) & (depth > 0), 1 / np.maximum(depth, 1.0), 0.0).astype(np.float32)
     small = cv2.resize(inverse, NETWORK_SIZE[::-1], interpolation=cv2.INTER_AREA)
     values = (30 * small * (1 + 0.02 * rng.standard_normal(small.shape)) + 0.1).astype(np.float32)
-    return _Frame(traced, np.clip(photo, 0, 255).astype(np.uint8), labels, NetworkDepth(values, "relative_inverse"))
+    return _Frame(
+        DepthImage(depth, camera, pose),
+        np.clip(photo, 0, 255).astype(np.uint8),
+        labels,
+        NetworkDepth(values, "relative_inverse"),
+    )

@@ -23,7 +23,7 @@ from ltm_core.depth.edges import Edges
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_fit import NetworkFit, fit_network
 from ltm_core.depth.pose_check import PoseCheck, check_pose
-from ltm_core.depth.range_image import RangeImage
+from ltm_core.depth.range_image import DepthImage, RangeImage
 from ltm_core.depth.sampling import ground_samples
 from ltm_core.depth.seen import SeenDepth
 from ltm_core.depth.silhouettes import raise_silhouettes
@@ -106,13 +106,13 @@ class FusedDepth:
 
 
 def fuse(
-    traced: RangeImage,
+    traced: RangeImage | DepthImage,
     network: NetworkDepth | None,
     rgb: Bytes,
     labels: Bytes | None,
     classes: DepthClasses,
     settings: FusionSettings | None = None,
-    surface: RangeImage | None = None,
+    surface: RangeImage | DepthImage | None = None,
 ) -> FusedDepth:
     """Fuse one photo's depths.
 
@@ -132,7 +132,7 @@ def fuse(
     for what, shape in (
         ("photo", rgb.shape[:2]),
         ("label image", size if labels is None else labels.shape),
-        ("surface's depth", size if surface is None else surface.range.shape),
+        ("surface's depth", size if surface is None else (surface.camera.height, surface.camera.width)),
     ):
         if shape != size:
             raise ImageError(f"{what} of {shape} does not fit the traced depth of {size} (rows, columns)")

@@ -1,4 +1,4 @@
-"""What a camera sees of the terrain: a range for every pixel, and all that follows from it."""
+"""What a camera sees of the terrain: a range for every pixel, and all that follows from it; or its depths alone."""
 
 from __future__ import annotations
 
@@ -87,3 +87,26 @@ class RangeImage:
         cells = np.stack([row, col], axis=-1).astype(np.int32)
         cells[~seen] = -1
         return cells
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImage:
+    """Depths of one image as they are sent from node to node: all that fusion needs of a `RangeImage`.
+
+    `along`: (H, W) float32 metres along the optical axis (REP-118); +inf sky, NaN unknown.
+    """
+
+    along: NDArray[np.float32]
+    camera: Camera
+    pose: Pose
+
+    def __post_init__(self) -> None:
+        if self.along.shape != (self.camera.height, self.camera.width):
+            raise ImageError(
+                f"depth image of shape {self.along.shape} does not fit a camera of "
+                f"{self.camera.height} x {self.camera.width} (rows x columns)"
+            )
+
+    def depth(self) -> NDArray[np.float32]:
+        """As `RangeImage.depth`: row after row, without a copy where they lie so."""
+        return np.ascontiguousarray(self.along)

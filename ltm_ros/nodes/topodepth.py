@@ -16,7 +16,7 @@ from ltm_core.camera import Camera
 from ltm_core.depth.classes import DepthClasses
 from ltm_core.depth.fusion import FusedDepth, FusionSettings, Verdict, fuse
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
-from ltm_core.depth.range_image import RangeImage
+from ltm_core.depth.range_image import DepthImage, RangeImage
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.pose import Pose
 from ltm_core.resources import config_path
@@ -87,7 +87,6 @@ class TopoDepth(Handler[TopoDepthConfig]):
         self._classes = DepthClasses.of(LabelSet.load(config_path(site.labels)))
         self._label_columns = _label_columns(config.label_model or site.model)
         self._network = DepthNetwork.open(model, config.threads)
-        self._bend = site.bend
         # Depth is traced to a surface raster where the site has one; bare ground is then traced here besides.
         self._ground = (
             TerrainTracer(site.open_dem(), site.curvature, site.refraction) if site.surface is not None else None
@@ -147,7 +146,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
     def _fuse(self, parts: dict[str, Any], labels: Any) -> None:
         camera, pose = msg_to_camera(parts["info"]), msg_to_pose(parts["pose"], "map")
         stamp, rgb = stamp_of(parts["image"]), msg_to_rgb(parts["image"])
-        traced = RangeImage.from_depth(msg_to_depth(parts["depth"]), camera, pose, self._bend)
+        traced: RangeImage | DepthImage = DepthImage(msg_to_depth(parts["depth"]), camera, pose)
         surface = None
         if self._ground is not None:
             traced, surface = self._ground.trace(camera, pose), traced
@@ -199,7 +198,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
         rows, cols = np.mgrid[0:64, 0:96]
         depth = (3000.0 / (4 + rows) + 0.1 * cols).astype(np.float32)
         depth[:10] = np.inf
-        traced = RangeImage.from_depth(depth, camera, Pose.from_angles((0.0, 0.0, 0.0), 0.0), self._bend)
+        traced = DepthImage(depth, camera, Pose.from_angles((0.0, 0.0, 0.0), 0.0))
         rgb, labels = np.zeros((64, 96, 3), np.uint8), np.ones((64, 96), np.uint8)
         inverse = (1 / np.minimum(depth, 1e4)).astype(np.float32)
         for given in (labels, None):

@@ -15,7 +15,7 @@ from ltm_core.depth.fusion import FusedDepth, FusionSettings, Source, Verdict, f
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_fit import fit_network
 from ltm_core.depth.pose_check import check_pose
-from ltm_core.depth.range_image import RangeImage
+from ltm_core.depth.range_image import DepthImage, RangeImage
 from ltm_core.depth.sampling import ground_samples
 from ltm_core.depth.silhouettes import raise_silhouettes
 from ltm_core.depth.surface import expected_surface
@@ -262,6 +262,15 @@ def test_an_edge_moves_to_where_the_photo_has_it() -> None:
     strip = grown & (rows < crest)
     assert (surface[strip] == 400.0).mean() > 0.85
     assert (surface[rows < crest - 9] == 1500.0).mean() > 0.99
+
+
+def test_depths_that_were_sent_fuse_as_the_ranges_that_they_come_from() -> None:
+    scene = depth_scene()
+    sent = DepthImage(scene.traced.depth(), scene.traced.camera, scene.traced.pose)
+    here = fuse(scene.traced, None, scene.photo, scene.labels, CLASSES, surface=scene.traced)
+    there = fuse(sent, None, scene.photo, scene.labels, CLASSES, surface=sent)
+    np.testing.assert_array_equal(there.depth, here.depth)
+    np.testing.assert_array_equal(there.sigma, here.sigma)
 
 
 def test_sizes_that_differ_and_heights_that_are_none_are_refused() -> None:

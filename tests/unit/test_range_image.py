@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltm_core.camera import Camera
-from ltm_core.depth.range_image import RangeImage
+from ltm_core.depth.range_image import DepthImage, RangeImage
 from ltm_core.errors import ImageError
 from ltm_core.geodesy import ray_bend
 from ltm_core.grid import GridGeometry
@@ -90,10 +90,19 @@ def test_cells() -> None:
     assert RangeImage(slant, camera, down, geometry=geometry.translated(50.0, 0.0)).cells().max() == -1
 
 
+def test_depths_alone_lie_row_after_row_whatever_padding_they_came_with() -> None:
+    depth = DepthImage(np.pad(RANGES, ((0, 0), (0, 2)))[:, :4], CAMERA, POSE).depth()
+    assert depth.flags.c_contiguous
+    np.testing.assert_array_equal(depth, RANGES)
+    assert DepthImage(RANGES, CAMERA, POSE).depth() is RANGES
+
+
 def test_refused() -> None:
     with pytest.raises(ImageError, match=r"\(4, 3\) does not fit a camera of 3 x 4"):
         RangeImage(RANGES.T, CAMERA, POSE)
     with pytest.raises(ImageError, match=r"depth image of shape \(4, 3\)"):
         RangeImage.from_depth(RANGES.T, CAMERA, POSE)
+    with pytest.raises(ImageError, match=r"depth image of shape \(4, 3\)"):
+        DepthImage(RANGES.T, CAMERA, POSE)
     with pytest.raises(ImageError, match="without a raster"):
         RangeImage(RANGES, CAMERA, POSE).cells()
