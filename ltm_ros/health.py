@@ -53,10 +53,10 @@ class Health:
         with self._lock:
             self._work.append(seconds)
 
-    def drop(self, cause: str, why: str) -> None:
-        """An input was given up; `why` holds the value and the remedy."""
+    def drop(self, cause: str, why: str, count: int = 1) -> None:
+        """Inputs were given up; `why` holds the value and the remedy."""
         with self._lock:
-            self._dropped[cause] += 1
+            self._dropped[cause] += count
             self._last_error = f"{cause}: {why}"
             self._last_trouble = time.monotonic()
 

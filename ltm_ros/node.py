@@ -27,6 +27,7 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.diagnostics import DiagnosticsPublisher
 from ltm_ros.handler import ConfigT, NodeType, Topic
 from ltm_ros.health import Health, cause_of
+from ltm_ros.losses import LossCounter, loss_report, writers_of
 from ltm_ros.node_process import run_until_stopped
 from ltm_ros.wiring import LISTENERS
 
@@ -140,7 +141,7 @@ class HandlerNode(Node):  # type: ignore[misc]
     def _listen(self, topic: Topic, name: str, callback: Callable[[Any], None]) -> None:
         self._taken.add(self.resolve_topic_name(name))
         self._inbox.maxsize = max(QUEUE, QUEUE_PER_TOPIC * len(self._taken))
-        self.create_subscription(topic.type, name, self._enqueue(name, callback), _qos(topic))
+        self.create_subscription(topic.type, name, self._enqueue(topic, name, callback), _qos(topic))
 
     def _discover(self) -> None:
         """Listen to topics that have appeared and fit a pattern of the handler's."""
@@ -153,9 +154,14 @@ class HandlerNode(Node):  # type: ignore[misc]
                         self._listen(topic, name, partial(callback, name))
                     break
 
-    def _enqueue(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        def take(message: Any) -> None:
-            self.health.received(topic)
+    def _enqueue(self, topic: Topic, name: str, callback: Callable[[Any], None]) -> Callable[[Any, Any], None]:
+        losses = LossCounter(writers_of(self, name))
+
+        def take(message: Any, info: Any) -> None:
+            self.health.received(name)
+            # Of a latched topic only the last message counts.
+            if not topic.latched and (lost := losses.lost(info)):
+                self.health.drop("lost", loss_report(lost, name), lost)
             self._offer(callback, message)
 
         return take

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from pydantic import Field
 from rclpy.node import Node
@@ -24,6 +25,7 @@ from ltm_ros.diagnostics import DiagnosticsPublisher
 from ltm_ros.free_path import free_path
 from ltm_ros.handler import NodeConfig
 from ltm_ros.health import Health, cause_of
+from ltm_ros.losses import LossCounter, loss_report, writers_of
 from ltm_ros.node import read_parameters
 from ltm_ros.node_process import run_until_stopped
 from ltm_ros.topics import RECORDED, camera_topic, site_topic
@@ -92,7 +94,16 @@ class Recorder(Node):  # type: ignore[misc]
                 reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
                 durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
             )
-            self.create_subscription(message_type, topic, partial(self._take, topic, types[0]), qos, raw=True)
+            losses = None if latched else LossCounter(writers_of(self, topic))
+            self.create_subscription(message_type, topic, self._taker(topic, types[0], losses), qos, raw=True)
+
+    def _taker(self, topic: str, type_name: str, losses: LossCounter | None) -> Callable[[bytes, Any], None]:
+        def take(cdr: bytes, info: Any) -> None:
+            if losses and (lost := losses.lost(info)):
+                self.health.drop("lost", loss_report(lost, topic), lost)
+            self._take(topic, type_name, cdr)
+
+        return take
 
     def _take(self, topic: str, type_name: str, cdr: bytes) -> None:
         self.health.received(topic)

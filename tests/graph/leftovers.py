@@ -41,6 +41,13 @@ def segments_of_process(pid: int) -> set[str]:
     return names
 
 
+def ports_of_process(pid: int) -> list[str]:
+    """Shared-memory ports that a process has mapped, those that are removed with `(deleted)` behind."""
+    lines = Path(f"/proc/{pid}/maps").read_text().splitlines()
+    names = {line.partition(f"{shm.SHM_FOLDER}/fastrtps_")[2] for line in lines if "/fastrtps_port" in line}
+    return sorted(names)
+
+
 def wait_gone(look: Callable[[], list[str]], patience_s: float = 5.0) -> list[str]:
     """What `look` still finds after `patience_s`; empty as soon as it finds nothing."""
     deadline = time.monotonic() + patience_s

@@ -349,10 +349,10 @@ def test_strangers_on_inner_topics(living: Living, survives: Callable[..., None]
 
 
 def test_bytes_that_are_no_message(living: Living, survives: Callable[..., None]) -> None:
-    """DDS itself refuses them, or what it makes of them is refused."""
+    """DDS itself refuses them; that they are missing is seen on topics that have one writer."""
     for topic in INPUTS:
         living.send(topic, b"\x00\x01\x00\x00\xff", b"\x00\x01\x00\x00" + b"\xff" * 60)
-    survives({})
+    survives({"tower/capture": {"dropped.lost": 6}, "mast/capture": {"dropped.lost": 2}})
 
 
 def test_names_that_are_no_text(living: Living, survives: Callable[..., None]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bystander import Bystander, wait_for
+from leftovers import ports_of_process
 from small_site import BEGIN_NS, FRAMES, NAME, SmallSite, paint_at
 
 from ltm_core.errors import RecordingError
@@ -207,7 +209,7 @@ def test_killed_nodes_come_back_and_the_others_run_on(replayed: Replayed, tmp_pa
                 wait_for(
                     lambda n=name, v=victim: max(bystander.stamps(n), default=0) > again[v],
                     f"work of {victim} after its restart",
-                    lambda: bystander.summaries,
+                    lambda p=process: (ports_of_process(p.pid), ports_of_process(os.getpid()), bystander.summaries),
                 )
             elif victim == "viewer":
                 # Its counters began anew, in a process that did not see the frames before.

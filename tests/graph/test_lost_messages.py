@@ -1,0 +1,51 @@
+"""A node that could not take messages in time says how many are gone."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import pytest
+from bystander import Bystander, wait_for
+from small_site import BEGIN_NS, NAME, SmallSite
+
+from ltm_msgs_py.image import image_to_msg
+from ltm_ros.graph import Graph, describe
+from ltm_ros.runner import Runner
+from ltm_ros.topics import IMAGE_RAW, camera_topic
+
+pytestmark = pytest.mark.graph
+
+CAPTURE = f"/{NAME}/mast/capture"
+IMAGES = camera_topic(NAME, "mast", IMAGE_RAW)
+SENT_MEANWHILE = 40
+
+
+def test_what_a_stopped_node_missed_is_counted(small_site: SmallSite, ros_domain: int, tmp_path: Path) -> None:
+    frame = next(f for f in small_site.frames(1) if f.camera_name == "mast")
+    photo = small_site.photo(frame)
+    node = describe(small_site.site, small_site.path).node("mast/capture")
+    with (
+        Runner(Graph(NAME, (node,)), domain_id=ros_domain, log_folder=tmp_path) as runner,
+        Bystander() as bystander,
+    ):
+        bystander.open(IMAGES, IMAGE_RAW.type)
+        sent = 0
+
+        def send(count: int) -> None:
+            nonlocal sent
+            for _ in range(count):
+                bystander.send(IMAGES, image_to_msg(photo, "rgb8", BEGIN_NS + sent * 10**9, "mast_optical"))
+                sent += 1
+
+        def taken_or_lost() -> int:
+            return bystander.count(CAPTURE, "received") + bystander.count(CAPTURE, "dropped.lost")
+
+        send(2)
+        wait_for(lambda: taken_or_lost() == sent, "the first images", lambda: bystander.summaries)
+        runner.kill("mast/capture", signal.SIGSTOP)
+        send(SENT_MEANWHILE)
+        runner.kill("mast/capture", signal.SIGCONT)
+        wait_for(lambda: taken_or_lost() == sent, "every image, taken or counted", lambda: bystander.summaries)
+        assert bystander.count(CAPTURE, "dropped.lost") > SENT_MEANWHILE // 2
+        assert IMAGES.rpartition("/")[2] in bystander.summaries[CAPTURE]["last_error"]
