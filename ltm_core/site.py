@@ -96,6 +96,9 @@ class TerrainConfig(Config):
     """Change of height that is worth reporting."""
     confidence: float = Field(3.0, gt=0)
     """Standard deviations by which a change must be sure; also the gate between agreement and contradiction."""
+    alone: float = Field(5.0, gt=0)
+    """Those by which a change must be sure that one camera alone has seen: a network is off by more than five of its
+    sigmas about as often as noise is by more than three, and two cameras seldom in the same place."""
     min_area: float = Field(25.0, ge=0)
     """Square metres of connected change; less is left out."""
     reference_sigma: float = Field(0.3, gt=0)
@@ -104,6 +107,9 @@ class TerrainConfig(Config):
     """Two looks of one camera are independent when they are that far apart."""
     settle: float = Field(600.0, ge=0)
     """Two cameras must agree over at least that long: what moves is gone by then."""
+    repeats: float = Field(0.95, ge=0, le=1)
+    """Of the variance of a depth, what each look of a camera has alike, which no number of them averages out. A network
+    sees the same scene alike in any light; 0: depth whose errors are new each time, as a range finder's."""
     memory: float = Field(8.0, ge=1)
     """Looks that a cell's mean remembers."""
     lasting: float = Field(365.0 * 86400.0, gt=0)

@@ -27,6 +27,8 @@ BEFORE, AFTER = "121004", "150924"
 STEP = 2
 """Of the photos."""
 RULES = TerrainConfig(threshold=0.5, pixel_step=2, max_range=600.0, min_area=10.0, register_frames=False)
+OF_SURVEYS = RULES.model_copy(update={"repeats": 0.0})
+"""Noise that is new each time."""
 _SECOND = 1_000_000_000
 
 
@@ -58,7 +60,7 @@ def score_canyon(canyon: Canyon, network: DepthNetwork | None, classes: DepthCla
     bar = canyon.surveys[BEFORE]
     # Sand carries no canopy: the survey is the surface.
     reference = Reference.of(bar, Dem(bar.elevation.copy(), bar.geometry))
-    surface = SurfaceMap(reference, RULES, ("canyon",))
+    surface = SurfaceMap(reference, OF_SURVEYS if network is None else RULES, ("canyon",))
     errors: list[float] = []
     verdicts: list[str] = []
     for frame, share, verdict in _frames(canyon, network, classes):

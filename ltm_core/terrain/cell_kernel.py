@@ -5,8 +5,9 @@ Each cell has an *estimate* of its height above the reference, which consistent 
 then it becomes the estimate. So a lone view, or whatever moves, changes nothing.
 
 Observations of one camera shortly after each other repeat its errors. A camera's weight in a cell therefore grows with
-time: a look an hour, however many frames there are. The variance of a mean falls with the number of looks, and the
-part of it that poses are to blame for only with the number of cameras. Looks of years ago tell little of today.
+time: a look an hour, however many frames there are. Of the variance of a mean, what is new in each look falls with the
+number of looks; what a camera repeats, and what poses are to blame for, only with the number of cameras. Looks of years
+ago tell little of today.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ class Rules(NamedTuple):
     threshold: float
     carve_variance: float
     looked_for: float
+    repeats: float
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -59,11 +61,12 @@ def independent(cameras: int, first: int, last: int, independent_after: float, s
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def mean_variance(looks: float, weight: float, pose_variance: float, cameras: int) -> float:
-    """Of an estimate: the observations' own part falls with looks, that of the poses with cameras."""
+def mean_variance(looks: float, weight: float, pose_variance: float, cameras: int, repeats: float) -> float:
+    """Of an estimate. `repeats`: of the observations' own variance, what is the same in each look of a camera."""
     total = looks / weight
     pose = min(pose_variance, total)
-    variance: float = (total - pose) / max(looks, 1.0) + pose / max(_bits(cameras), 1)
+    own = total - pose
+    variance: float = (1 - repeats) * own / max(looks, 1.0) + (repeats * own + pose) / max(_bits(cameras), 1)
     return variance
 
 
@@ -111,7 +114,8 @@ def merge(cells: Cells, sums: FrameSums, slots: NDArray[np.int32], seconds: int,
             sheet = min(one.sheet / n + pose, variance) if one.off_count <= one.number else variance
         else:
             dz, variance, pose = one.lowest, np.float32(rules.carve_variance), np.float32(0.0)
-            sheet, bounded = variance, True
+            # That something has gone is no surer than that the ray has passed; how low the cell is then, is.
+            sheet, bounded = max(variance, (dz / one.passed) ** 2), True
         take(cells, slot, k, dz, variance, sheet, pose, bounded, seconds, bit, rules)
         e = cells.estimate[slot, k]
         if one.label != NO_LABEL:
@@ -135,23 +139,25 @@ def take(
     bit: int,
     rules: Rules,
 ) -> None:
-    """One observation of one cell. `bounded`: the surface is at most `dz`; else it is `dz`."""
+    """One observation of one cell. `bounded`: the surface is at most `dz`; else it is `dz`. `sheet`: variance of what
+    it knows of whether the stand about the cell is as it was.
+    """
     e, c = cells.estimate[slot, k], cells.candidate[slot, k]
     known = e.looks > 0
     if known:
         here = e.dz
-        doubt = mean_variance(e.looks, e.weight, e.pose_variance, e.cameras)
+        doubt = mean_variance(e.looks, e.weight, e.pose_variance, e.cameras, rules.repeats)
     else:
         base = e.base
         here = np.float32(0.0) if math.isnan(base) else base
         doubt = rules.reference_variance
     miss = dz - here
-    agrees = abs(miss) <= rules.gate * math.sqrt(doubt + variance) or (bounded and miss > 0)
+    agrees = abs(miss) <= rules.gate * math.sqrt(doubt + max(variance, sheet)) or (bounded and miss > 0)
     pending = e.c_looks > 0
     c_miss, c_slack = 0.0, 0.0
     if pending:
         c_miss = dz - e.c_dz
-        c_doubt = mean_variance(e.c_looks, c.c_weight, c.c_pose_variance, c.c_cameras)
+        c_doubt = mean_variance(e.c_looks, c.c_weight, c.c_pose_variance, c.c_cameras, rules.repeats)
         c_slack = rules.gate * math.sqrt(c_doubt + variance)
     if agrees:
         if bounded:
@@ -183,6 +189,8 @@ def take(
         e.c_dz = dz
         e.c_looks = 1
         c.c_weight = 1 / variance
+        # What is off its stand tells of its own cell only.
+        c.c_sheet_variance = max(variance, sheet)
         c.c_pose_variance = pose
         c.c_first = c.c_last = seconds
         c.c_cameras = bit
@@ -193,6 +201,7 @@ def take(
         looks = e.c_looks + share
         weight = c.c_weight + share / variance
         e.c_dz += share / variance / weight * c_miss
+        c.c_sheet_variance += share / looks * (max(variance, sheet) - c.c_sheet_variance)
         c.c_pose_variance += share / looks * (pose - c.c_pose_variance)
         e.c_looks, c.c_weight = looks, weight
     c.c_first = min(c.c_first, seconds)
@@ -210,8 +219,7 @@ def take(
         e.dz = e.c_dz
         e.looks = min(e.c_looks, rules.memory)
         e.weight = c.c_weight * e.looks / e.c_looks
-        # What was off its stand tells of its own cell only.
-        e.sheet_variance = e.looks / e.weight
+        e.sheet_variance = c.c_sheet_variance
         e.pose_variance = c.c_pose_variance
         e.first, e.last = c.c_first, c.c_last
         e.cameras, e.frames = c.c_cameras, c.c_frames

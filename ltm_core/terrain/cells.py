@@ -29,8 +29,8 @@ ESTIMATE = np.dtype(
 )  # fmt: skip
 """What every observation of a cell reads: 48 bytes."""
 CANDIDATE = np.dtype(
-    [("c_weight", "f4"), ("c_pose_variance", "f4"), ("c_first", "u4"), ("c_last", "u4"), ("c_cameras", "u4"),
-     ("c_frames", "u2"), ("_", "u2")]
+    [("c_weight", "f4"), ("c_sheet_variance", "f4"), ("c_pose_variance", "f4"), ("c_first", "u4"), ("c_last", "u4"),
+     ("c_cameras", "u4"), ("c_frames", "u2"), ("_", "u2")]
 )  # fmt: skip
 """What only those that contradict the estimate do."""
 DECISION = np.dtype([("shift", "f4"), ("since", "u4"), ("by", "u4")])
@@ -38,8 +38,8 @@ DECISION = np.dtype([("shift", "f4"), ("since", "u4"), ("by", "u4")])
 
 _STORED = (
     "dz", "looks", "weight", "sheet_variance", "pose_variance", "first", "last", "cameras", "frames", "label", "base",
-    "c_dz", "c_looks", "c_weight", "c_pose_variance", "c_first", "c_last", "c_cameras", "c_frames", "kind", "shift",
-    "since", "by",
+    "c_dz", "c_looks", "c_weight", "c_sheet_variance", "c_pose_variance", "c_first", "c_last", "c_cameras", "c_frames",
+    "kind", "shift", "since", "by",
 )  # fmt: skip
 _BLOCK_OF = {name: i for i, block in enumerate((ESTIMATE, CANDIDATE, DECISION)) for name in block.names or ()}
 FIELDS = {name: Field((ESTIMATE, CANDIDATE, DECISION)[_BLOCK_OF[name]][name]) for name in _STORED}

@@ -104,8 +104,9 @@ def decide(
     """The changes in a window, and its new fields base, kind, shift, since and by, (h, w) each.
 
     The estimates of cells that independent views have seen are smoothed with their weights, what stands apart from what
-    is open. Change is where the result is beyond the threshold and sure enough, with the connected cells around it that
-    moved the same way and are less sure; regions smaller than `min_area` are left out.
+    is open. Change is where the result is beyond the threshold and sure enough, surer where one camera alone has seen
+    the cell, with the connected cells around it that moved the same way and are less sure; regions smaller than
+    `min_area` are left out.
     """
     parts = mosaic(peek, window, _NEEDED)
     row, col, height, width = window
@@ -127,7 +128,8 @@ def decide(
     stood = surface + known - ground
     standing = stood >= config.threshold
     shift, doubt = mean_of_neighbours(cells, standing, reference.geometry.resolution)
-    strong, weak = _levels(off, variance, shift, doubt, usable, parts["kind"] > 0, config)
+    alone = (parts["cameras"] & (parts["cameras"] - 1)) == 0
+    strong, weak = _levels(off, variance, shift, doubt, usable, parts["kind"] > 0, alone, config)
     # What never stood there cannot have been removed: such a cell is lowered, by its own account, or as it was.
     weak &= (shift > 0) | standing | _shows(off, shift, config.threshold)
     least, unseen = config.min_area / reference.geometry.resolution**2, standing & ~usable
@@ -163,6 +165,7 @@ def _levels(
     doubt: Floats,
     usable: NDArray[np.bool_],
     former: NDArray[np.bool_],
+    alone: NDArray[np.bool_],
     config: TerrainConfig,
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Cells that are surely changed, and those that are if they touch such. A smoothed shift that the cell's own
@@ -170,7 +173,8 @@ def _levels(
     """
     half = config.threshold / 2
     own = usable & _shows(off, shift, config.threshold)
-    strong = own & (np.abs(shift) >= config.threshold) & (np.abs(shift) >= config.confidence * doubt)
+    confidence = np.where(alone, np.float32(config.alone), np.float32(config.confidence))
+    strong = own & (np.abs(shift) >= config.threshold) & (np.abs(shift) >= confidence * doubt)
     strong |= own & former & (np.abs(shift) >= half)
     compatible = own | (usable & ((off - shift) ** 2 <= _COMPATIBLE**2 * variance))
     sure = np.abs(shift) >= _WEAKLY_SURE * config.confidence * doubt
@@ -209,7 +213,7 @@ def _summary(
         for c in range(looks.shape[1]):
             n, pose, mask = looks[r, c], pose_variance[r, c], cameras[r, c]
             if n > 0:
-                variance[r, c] = mean_variance(n, weight[r, c], pose, mask)
-                sheet[r, c] = min(mean_variance(n, n / sheet_variance[r, c], pose, mask), variance[r, c])
+                variance[r, c] = mean_variance(n, weight[r, c], pose, mask, rules.repeats)
+                sheet[r, c] = mean_variance(n, n / sheet_variance[r, c], pose, mask, rules.repeats)
                 sure[r, c] = independent(mask, first[r, c], last[r, c], rules.independent_after, rules.settle)
     return variance, sheet, sure

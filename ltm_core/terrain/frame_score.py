@@ -1,6 +1,7 @@
 """The surface map scored on frames of a simulated landscape: started from the surface of one date, looking at another.
 
-What cameras measure is the frames' true depth with noise, or what fusion makes of their photos.
+What cameras measure is the frames' true depth with noise, or what segmentation, a depth network and fusion make of
+their photos.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from ltm_core.terrain.reference import Reference
 from ltm_core.terrain.surface_map import SurfaceMap
 from ltm_core.terrain.trials import Noise
 from ltm_core.tracing import TerrainTracer
+from ltm_core.vision.segmenter import Segmenter
 
 HOUR_NS = 3_600_000_000_000
 _SURE = np.diag([1e-6] * 3 + [1e-12] * 3)
@@ -36,7 +38,8 @@ Measure = Callable[[TruthFrame], tuple[DepthFrame, str]]
 
 @dataclass(frozen=True, eq=False)
 class FrameScore:
-    """`change`: of the cells that independent views have seen; truly changed is what moved by the map's threshold.
+    """`frames`: that were looked at. `change`: of the cells that independent views have seen; truly changed is what
+    moved by the map's threshold.
     `before`, `after`: heights of the truly changed ones as given and as updated. `verdicts`: of the fusion.
     """
 
@@ -50,15 +53,22 @@ class FrameScore:
 
 
 def score_frames(
-    frames: Iterable[TruthFrame], ground: Dem, before: Dem, now: Dem, measure: Measure, config: TerrainConfig
+    frames: Iterable[TruthFrame],
+    ground: Dem,
+    before: Dem,
+    now: Dem,
+    measure: Measure,
+    config: TerrainConfig,
+    looks: int = 1,
 ) -> FrameScore:
     """Let the map look at frames, an hour apart whatever their stamps say, and compare with the true surface `now`.
 
-    `ground`, `before`: what the map starts from, in the map frame. Raises RasterError, PoseError and ImageError.
+    `ground`, `before`: what the map starts from, in the map frame. `looks`: how often each frame is looked at: photos
+    of a scene whose errors repeat. Raises RasterError, PoseError and ImageError.
     """
     reference = Reference.of(ground, before, config.resolution)
     truth = cell_means(now.elevation, now.geometry, reference.geometry)
-    kept = list(frames)
+    kept = list(frames) * looks
     surface = SurfaceMap(reference, config, sorted({frame.camera_name for frame in kept}))
     verdicts: Counter[str] = Counter()
     for number, frame in enumerate(kept):
@@ -95,17 +105,28 @@ def true_depth(noise: Noise, seed: int = 1) -> Measure:
     return measure
 
 
-def fused_depth(before: Dem, network: DepthNetwork, classes: DepthClasses) -> Measure:
-    """What fusion makes of the frame's photo and the terrain as it was; where it suspects the pose, nothing."""
-    tracer = TerrainTracer(before)
+def fused_depth(
+    ground: Dem, before: Dem, network: DepthNetwork, segmenter: Segmenter, classes: DepthClasses
+) -> Measure:
+    """What fusion makes of the frame's photo and the terrain as it was, bare and with what grew there, as the graph
+    does it; where it suspects the pose, nothing.
+    """
+    to_ground, to_surface = TerrainTracer(ground), TerrainTracer(before)
+    settings = FusionSettings(label_columns=segmenter.manifest.label_columns)
+    known: dict[tuple[str, int], tuple[DepthFrame, str]] = {}
 
     def measure(frame: TruthFrame) -> tuple[DepthFrame, str]:
-        traced = tracer.trace(frame.camera, frame.pose)
-        fused = fuse(traced, network.predict(frame.photo, frame.camera), frame.photo, None, classes, FusionSettings())
-        measured = (fused.source == Source.NETWORK) | (fused.source == Source.BOTH)
-        if fused.verdict is Verdict.POSE_SUSPECTED:
-            measured[:] = False
-        return _frame(frame, fused.depth, fused.sigma, measured, frame.camera), fused.verdict.value
+        key = frame.camera_name, frame.stamp_ns
+        if key not in known:
+            camera, photo, labels = frame.camera, frame.photo, segmenter.segment(frame.photo).labels
+            traced, canopy = (tracer.trace(camera, frame.pose) for tracer in (to_ground, to_surface))
+            fused = fuse(traced, network.predict(photo, camera), photo, labels, classes, settings, canopy)
+            measured = (fused.source == Source.NETWORK) | (fused.source == Source.BOTH)
+            if fused.verdict is Verdict.POSE_SUSPECTED:
+                measured[:] = False
+            seen = replace(_frame(frame, fused.depth, fused.sigma, measured, camera), labels=labels)
+            known[key] = seen, fused.verdict.value
+        return known[key]
 
     return measure
 

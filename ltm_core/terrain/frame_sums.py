@@ -14,10 +14,10 @@ from ltm_core.terrain.cells import CELLS, NO_LABEL, PLACE_BITS, Records
 SUM = np.dtype(
     [("place", "i4"), ("number", "f4"), ("weight", "f4"), ("moment", "f4"), ("sheet", "f4"), ("pose", "f4"),
      ("off_count", "f4"), ("off_weight", "f4"), ("off_moment", "f4"), ("off_pose", "f4"), ("lowest", "f4"),
-     ("label", "u1"), ("_", "u1", 3)]
+     ("passed", "f4"), ("label", "u1"), ("_", "u1", 3)]
 )  # fmt: skip
 """Of one cell: sums over pixels that agree with the reference, over those that do not (off_), and the least height
-above the reference at which a ray passed it (infinite: none did).
+above the reference at which a ray passed it (infinite: none did), and by how many sigmas of range it did.
 """
 
 

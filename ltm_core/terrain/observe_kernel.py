@@ -126,9 +126,12 @@ def _leaves_known(ground: Ground, ray: Ray, begin: float, end: float) -> bool:
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _carve(ground: Ground, ray: Ray, begin: float, end: float, below: float, sums: FrameSums) -> None:
+def _carve(
+    ground: Ground, ray: Ray, begin: float, end: float, below: float, r: float, sigma: float, sums: FrameSums
+) -> None:
     """Cap the cells over which a ray is `below` metres above the reference, or lower, from one range to another; cell
-    by cell, but for blocks of cells that it passes above all of.
+    by cell, but for blocks of cells that it passes above all of. `r`, `sigma`: what the ray has measured, so how surely
+    it passed each of them.
     """
     stride = ground.resolution / max(math.sqrt(ray.dx * ray.dx + ray.dy * ray.dy), 0.1)
     t, left = begin + 0.5 * stride, _LONGEST_CARVE
@@ -141,7 +144,8 @@ def _carve(ground: Ground, ray: Ray, begin: float, end: float, below: float, sum
         highest = ground.highest[row // ground.block, col // ground.block]
         if _lowest(ray, t, t + steps * stride) - highest < below:
             for i in range(steps):
-                _cap(ground, ray, t + i * stride, below, sums)
+                at = t + i * stride
+                _cap(ground, ray, at, below, math.inf if math.isinf(r) else (r - at) / sigma, sums)
         t, left = t + steps * stride, left - steps
 
 
@@ -166,13 +170,14 @@ def _lowest(ray: Ray, begin: float, end: float) -> float:
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
-def _cap(ground: Ground, ray: Ray, t: float, below: float, sums: FrameSums) -> None:
+def _cap(ground: Ground, ray: Ray, t: float, below: float, passed: float, sums: FrameSums) -> None:
     above = _above(ground, ray, t)
     if above < below:
         row, col = cell_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)
         number = sum_of(sums, place_of(row, col, ground.across)) if row >= 0 else -1
-        if number >= 0:
-            sums.cells[number].lowest = min(sums.cells[number].lowest, np.float32(above))
+        if number >= 0 and above < sums.cells[number].lowest:
+            sums.cells[number].lowest = above
+            sums.cells[number].passed = passed
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -238,7 +243,7 @@ def observe(ground: Ground, view: View, sights: Records, pixels: Pixels, limits:
             if farther and not math.isinf(expected):
                 end = min(expected + SKY_SEEN_THROUGH, limits.max_range) if math.isinf(r) else r - slack
                 reached[u] = max(end, before)
-                _carve(ground, ray, max(expected, before), end, -limits.carve_below, sums)
+                _carve(ground, ray, max(expected, before), end, -limits.carve_below, r, sigma, sums)
             if math.isinf(r) or r > limits.max_range:
                 continue
             # What is seen where the terrain ends may stand beyond, on ground that nobody has told of.

@@ -97,6 +97,7 @@ class SurfaceMap:
             config.threshold,
             _CARVE_SIGMA**2,
             config.threshold / INSIDE,
+            config.repeats,
         )
         self._pool = TilePool(
             store if store is not None else TileStore.in_memory(schema_of(reference.geometry)),

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from ltm_core.metrics.change import ChangeScore, score_change
 from ltm_core.metrics.surface import score_surface
@@ -17,11 +18,15 @@ from ltm_core.terrain.surface_map import SurfaceMap
 from ltm_core.terrain.trial_ground import TOWERS
 from ltm_core.terrain.trials import Conditions, Trial, frames, trial
 
+BESIDE = 3.0
+"""Cells of 1 m: what is found so near to a true change is that change, a little off or with its gaps closed."""
+
 
 @dataclass(frozen=True, eq=False)
 class TrialScore:
     """What a scene gave. `change`: by cell, of the cells that independent views have seen; true change is a
-    difference of at least the map's threshold between the surface as given and as it is. `covered`: share of truly
+    difference of at least the map's threshold between the surface as given and as it is. `away`: falsely changed cells
+    that are not beside a true change, but more than BESIDE from any. `covered`: share of truly
     changed cells that were seen. `rmse`: of the surface on those, before and after. `frame_ms`, `decide_ms`: median
     processor time.
     """
@@ -29,6 +34,7 @@ class TrialScore:
     scene: str
     conditions: Conditions
     change: ChangeScore
+    away: int
     covered: float
     rmse_before: float
     rmse_after: float
@@ -42,6 +48,11 @@ class TrialScore:
         """Falsely changed cells of all that were seen."""
         return self.change.false_alarms / max(self.change.cells, 1)
 
+    @property
+    def away_share(self) -> float:
+        """Those of them that are beside no true change."""
+        return self.away / max(self.change.cells, 1)
+
     def row(self) -> dict[str, Any]:
         """For JSON."""
         return {
@@ -53,6 +64,7 @@ class TrialScore:
             "precision": _number(self.change.precision),
             "recall": _number(self.change.recall),
             "false_share": self.false_share,
+            "false_away_share": self.away_share,
             "rmse_before_m": _number(self.rmse_before),
             "rmse_after_m": _number(self.rmse_after),
             "frame_cpu_ms": self.frame_ms,
@@ -63,7 +75,8 @@ class TrialScore:
 def score_trial(name: str, conditions: Conditions, config: TerrainConfig | None = None) -> TrialScore:
     """Let the towers look at a scene, and compare. Raises ConfigError for an unknown scene."""
     # Trials make those pixels only that the map would take of a whole image.
-    config = (config or TerrainConfig()).model_copy(update={"pixel_step": 1})
+    told = {"pixel_step": 1, "repeats": conditions.noise.repeats}
+    config = (config or TerrainConfig()).model_copy(update=told)
     scene = trial(name, conditions.seed)
     surface = SurfaceMap(Reference.of(scene.bare, scene.given), config, tuple(TOWERS))
     costs = []
@@ -77,10 +90,12 @@ def score_trial(name: str, conditions: Conditions, config: TerrainConfig | None 
     layers = surface.layers()
     truth = np.abs(scene.true_now.elevation - scene.given.elevation) >= config.threshold
     seen = truth & layers.observed
+    away = (layers.change > 0) & layers.observed & (distance_transform_edt(~truth) > BESIDE)
     return TrialScore(
         name,
         conditions,
         score_change(layers.change > 0, truth, layers.observed),
+        int(away.sum()) if truth.any() else int((layers.change > 0)[layers.observed].sum()),
         float(seen.sum() / truth.sum()) if truth.any() else float("nan"),
         score_surface(scene.given.elevation, scene.true_now.elevation, seen).rmse,
         score_surface(layers.height, scene.true_now.elevation, seen).rmse,

@@ -27,6 +27,7 @@ class TrialSummary:
     precision: Spread
     recall: Spread
     false_share: Spread
+    away_share: Spread
     rmse_before: float
     rmse_after: float
     ratio: Spread
@@ -41,6 +42,7 @@ class TrialSummary:
             _spread([score.change.precision for score in scores], min),
             _spread([score.change.recall for score in scores], min),
             _spread([score.false_share for score in scores], max),
+            _spread([score.away_share for score in scores], max),
             _mean([score.rmse_before for score in scores]),
             _mean([score.rmse_after for score in scores]),
             _spread([score.rmse_after / score.rmse_before for score in scores], max),

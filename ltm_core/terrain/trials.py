@@ -58,6 +58,11 @@ class Noise:
     correlation: float = 12.0
     lasting: float = 0.3
 
+    @property
+    def repeats(self) -> float:
+        """Of the variance, what all images of one camera have alike: a surface map is told of it, as of sigma."""
+        return 0.5 * self.lasting
+
 
 @dataclass(frozen=True)
 class Conditions:

@@ -46,7 +46,7 @@ def scenes(
     table = _table(
         "terrain update by consensus, by cell, of cells that independent views have seen",
         "scene", "pose error deg", "occluded", "changed cells", "seen of them", "precision", "recall", "false of seen",
-        "RMSE before m", "after m", "ratio",
+        "beside no change", "RMSE before m", "after m", "ratio",
     )  # fmt: skip
     rows: list[dict[str, Any]] = []
     with console.status("looking") as status:
@@ -73,6 +73,7 @@ def scenes(
                     _both(one.precision, ".2f"),
                     _both(one.recall, ".2f"),
                     _both(one.false_share, ".2%"),
+                    _both(one.away_share, ".2%"),
                     _shown(one.rmse_before, ".2f"),
                     _shown(one.rmse_after, ".2f"),
                     _both(one.ratio, ".2f"),
@@ -122,21 +123,21 @@ def real_site(folder: Path, networks: Sequence[str], pictures: Path | None, out:
 
 
 def simulated_frames(
-    folder: Path, date: str, share: float, networks: Sequence[str], pictures: Path | None, out: Path | None
+    folder: Path, date: str, share: float, looks: int, networks: Sequence[str], pictures: Path | None, out: Path | None
 ) -> None:
-    """Frames of `ltm simulate` at its last or the named date, the surface of its first date given."""
+    """Frames of `ltm simulate` at its last or the named date, the surface of its first date given: from true depth, and
+    from their photos through segmentation, each of `networks` and fusion.
+    """
     from ltm_core.dem import Dem
     from ltm_core.depth.truth_frames_io import dates, open_dem, read_truth_frames, site_frame
     from ltm_core.errors import ConfigError
     from ltm_core.terrain.frame_score import fused_depth, score_frames, true_depth
     from ltm_core.terrain.trials import Noise
+    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
 
     known = dates(folder)
-    if len(known) < 2 or (date or known[-1]) not in known[1:]:
-        raise ConfigError(
-            f"{folder}: --frames needs the surface of an earlier date; its dates are {', '.join(known) or 'none'}"
-            + (f", of which {date!r} is none but the first" if date else "")
-        )
+    if not known or (date or known[-1]) not in known:
+        raise ConfigError(f"{folder}: no frames of a date {date!r}; its dates are {', '.join(known) or 'none'}")
     date = date or known[-1]
     given = open_dem(folder)
     frame = site_frame(folder)
@@ -147,21 +148,26 @@ def simulated_frames(
     ground, before, now = raster(known[0], "bare_earth"), raster(known[0], "surface"), raster(date, "surface")
     rules = TerrainConfig(resolution=max(given.geometry.resolution / 5, before.geometry.resolution), pixel_step=1)
     noise, console = Noise(share=share), Console()
-    measures = [("true depth", true_depth(noise))]
-    measures += [(name, fused_depth(before, DepthNetwork.open(name), _classes())) for name in networks]
+    measures = [("true depth", true_depth(noise), rules.model_copy(update={"repeats": 0.0}))]
+    segmenter = Segmenter.open(DEFAULT_MODEL)
+    measures += [
+        (name, fused_depth(ground, before, DepthNetwork.open(name), segmenter, _classes()), rules) for name in networks
+    ]
     table = _table(
         f"terrain update from frames of {date!r} on the surface of {known[0]!r}",
-        "depth from", "frames", "seen cells", "changed", "precision", "recall", "RMSE before m", "after m",
+        "depth from", "looks", "seen cells", "changed", "precision", "recall", "false of seen", "RMSE before m",
+        "after m",
     )  # fmt: skip
     rows = []
-    for name, measure in measures:
+    for name, measure, told in measures:
         with console.status(name):
-            score = score_frames(read_truth_frames(folder, date), ground, before, now, measure, rules)
+            score = score_frames(read_truth_frames(folder, date), ground, before, now, measure, told, looks)
         said = ", ".join(f"{verdict} {count}" for verdict, count in score.verdicts.items())
         table.add_row(
             name if name == "true depth" else f"{name}: {said}",
             str(score.frames),
             *_change_columns(score.change),
+            _shown(score.change.false_alarms / max(score.change.cells, 1), ".2%"),
             _shown(score.before.rmse, ".2f"),
             _shown(score.after.rmse, ".2f"),
         )
@@ -171,9 +177,11 @@ def simulated_frames(
             _draw(pictures / f"frames_{Path(name).stem.replace(' ', '_')}.png", score.layers, score.truth)
     console.print(table)
     console.print(
-        f"{folder}; cells of {rules.resolution:g} m, change: {rules.threshold:g} m or more; frames taken as an hour "
-        f"apart; true depth with sigma {noise.constant:g} m + {share:.1%} of range; exact poses; RMSE on truly changed "
-        "cells that independent views have seen"
+        f"{folder}; cells of {rules.resolution:g} m, change: {rules.threshold:g} m or more; each photo looked at "
+        f"{looks} times, looks taken as an hour apart; true depth with sigma {noise.constant:g} m + {share:.1%} of "
+        f"range, new in each look; fused depth with labels of {segmenter.manifest.name}, {rules.repeats:.0%} of its "
+        "variance taken as alike in each look of a camera; exact poses; RMSE on truly changed cells that independent "
+        "views have seen"
     )
     _write(out, {"rows": rows})
 

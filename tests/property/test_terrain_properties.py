@@ -12,12 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ltm_core.grid import GridGeometry
-from ltm_core.terrain.cell_kernel import Rules, independent, take
+from ltm_core.terrain.cell_kernel import Rules, independent, mean_variance, take
 from ltm_core.terrain.cells import FIELDS
 from ltm_core.terrain.tile_pool import TilePool, schema_of
 from ltm_core.tile_store import TileStore
 
-RULES = Rules(3.0, 0.09, 3600.0, 600.0, 8.0, 3.2e7, 1.5, 0.25, 2.5)
+RULES = Rules(3.0, 0.09, 3600.0, 600.0, 8.0, 3.2e7, 1.5, 0.25, 2.5, 0.5)
 BEGIN = 1_700_000_000
 Look = tuple[int, int, float, float, bool]
 """Seconds, bit of the camera, height above the reference, variance, whether it is a bound only."""
@@ -112,3 +112,73 @@ def test_looks_of_years_ago_lose_weight_by_the_time_that_passed(rise: float, qua
 def test_looks_of_one_day_all_count() -> None:
     one = seen_by([(1_000_000_000 + 7200 * i, 1, 1.0 + 0.1 * i, 4.0, False) for i in range(4)])
     assert one.cells.estimate[0, 0]["dz"] == pytest.approx(1.15, rel=1e-3)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.floats(1.0, 8.0),
+    st.floats(0.01, 30.0),
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 1.0),
+    st.integers(1, 2**32 - 1),
+)
+def test_what_a_camera_repeats_falls_with_cameras_only(
+    looks: float, variance: float, part: float, repeats: float, cameras: int
+) -> None:
+    """Of one look's variance, the pose's part and what repeats of the rest are each camera's own, the rest is new in
+    each look: independent sums."""
+    pose = part * variance
+    common = pose + repeats * (variance - pose)
+    expected = common / cameras.bit_count() + (variance - common) / looks
+    assert mean_variance(looks, looks / variance, pose, cameras, repeats) == pytest.approx(expected, rel=1e-6)
+
+
+def test_something_is_gone_no_surer_than_the_ray_has_passed() -> None:
+    """Two cameras whose rays passed 8 m below the crowns, by 4 sigmas of range: how low the cell is, is known, and that
+    its stand has gone is known by 4 sigmas, less what two cameras and their looks make of them."""
+    one = pool(True)
+    for name in FIELDS:
+        one.cells.field(name)[0, 0] = 0
+    for number in range(4):
+        least, sheet = np.float32(0.25), np.float32(4.0)
+        take(
+            one.cells,
+            0,
+            0,
+            np.float32(-8.0),
+            least,
+            sheet,
+            np.float32(0),
+            True,
+            BEGIN + 3600 * number,
+            1 + number % 2,
+            RULES,
+        )
+    c = one.cells.estimate[0, 0]
+    assert believed(one)
+    assert c["dz"] == pytest.approx(-8.0)
+    assert c["looks"] / c["weight"] == pytest.approx(0.25)
+    assert c["sheet_variance"] == pytest.approx(4.0)
+
+
+def test_a_ray_that_may_not_have_passed_contradicts_nothing() -> None:
+    one = pool(True)
+    for name in FIELDS:
+        one.cells.field(name)[0, 0] = 0
+    for number in range(4):
+        least, sheet = np.float32(0.25), np.float32((8.0 / 2.9) ** 2)
+        take(
+            one.cells,
+            0,
+            0,
+            np.float32(-8.0),
+            least,
+            sheet,
+            np.float32(0),
+            True,
+            BEGIN + 3600 * number,
+            1 + number % 2,
+            RULES,
+        )
+    assert not believed(one)
+    assert one.cells.estimate[0, 0]["c_looks"] == 0

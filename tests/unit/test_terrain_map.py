@@ -90,6 +90,25 @@ def test_one_camera_an_hour_later_is_another_view() -> None:
     assert changed_share(surface) > 0.9
 
 
+def test_what_a_camera_errs_alike_in_each_look_is_never_believed_of_it_alone() -> None:
+    """It sees a place 6 m too near, under three of its sigmas, in eight looks over a day; a map that is told
+    that errors are new each time takes the same looks at their word."""
+    nearer = np.zeros((180, 320), np.float32)
+    nearer[60:110, 140:200] = 6.0
+    found = {}
+    for repeats in (RULES.repeats, 0.0):
+        surface = surface_map(BARE, RULES.model_copy(update={"repeats": repeats}))
+        for hour in range(8):
+            seen = frame(BARE, "west", 3.0 * hour, 0.01)
+            surface.add(replace(seen, depth=seen.depth - nearer, sigma=np.full_like(seen.depth, 2.2)))
+        surface.decide()
+        layers = surface.layers()
+        found[repeats] = (layers.change > 0).sum()
+        assert layers.observed.sum() > 5000
+    assert found[RULES.repeats] == 0
+    assert found[0.0] > 100
+
+
 def test_a_moving_object_changes_nothing() -> None:
     """A lorry of 4 m on a track, elsewhere in every frame, seen by both cameras at once."""
     surface = surface_map(BARE.copy())

@@ -20,7 +20,7 @@ from ltm_core.tracing import TerrainTracer
 
 
 def scored(change: ChangeScore, before: float, after: float) -> TrialScore:
-    return TrialScore("growth", Conditions(), change, 0.5, before, after, 1.0, 1.0, None, None)  # type: ignore[arg-type]
+    return TrialScore("growth", Conditions(), change, 3, 0.5, before, after, 1.0, 1.0, None, None)  # type: ignore[arg-type]
 
 
 def test_the_worst_seed_is_told_beside_the_mean() -> None:
@@ -36,6 +36,7 @@ def test_the_worst_seed_is_told_beside_the_mean() -> None:
     assert (summary.precision.mean, summary.precision.worst) == pytest.approx((0.9, 0.8))
     assert (summary.recall.mean, summary.recall.worst) == pytest.approx((0.7, 0.6))
     assert (summary.false_share.mean, summary.false_share.worst) == pytest.approx((0.02 / 3, 0.02))
+    assert (summary.away_share.mean, summary.away_share.worst) == pytest.approx((0.003, 0.003))
     assert (summary.ratio.mean, summary.ratio.worst) == pytest.approx((0.5, 0.75))
     assert (summary.rmse_before, summary.rmse_after) == pytest.approx((4.0, 2.0))
 
@@ -66,3 +67,6 @@ def test_frames_of_a_changed_landscape_are_scored_against_its_surface() -> None:
     assert score.change.precision > 0.8
     assert score.before.rmse == pytest.approx(4.0, abs=0.01)
     assert score.after.rmse < 2.0
+    twice = score_frames(frames, ground, Dem(ground.elevation.copy(), geometry), now, true_depth(noise), config, 2)
+    assert twice.frames == 8
+    assert twice.after.rmse < 2.0
