@@ -318,6 +318,7 @@ def test_hostile_frames_are_counted_and_change_nothing(living: Living) -> None:
     bystander.send(stranger, fused_messages(small, sunk(small), BEGIN_NS)[FUSED_DEPTH])
     for topic in PARTS:
         bystander.send(camera_topic(NAME, "mast", topic), b"\x00\x01\x00\x00\xff")
+    expected["dropped.lost"] = len(PARTS)
     # Stamps backwards and twice: good frames of an unchanged surface, newest first.
     for hours in (2000, 1990, 2000, 1980):
         living.send(fused_messages(small, small.dem, BEGIN_NS + hours * HOUR))
