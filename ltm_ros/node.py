@@ -29,7 +29,7 @@ from ltm_ros.handler import ConfigT, NodeType, Topic
 from ltm_ros.health import Health, cause_of
 from ltm_ros.losses import LossCounter, loss_report, writers_of
 from ltm_ros.node_process import run_until_stopped
-from ltm_ros.wiring import LISTENERS
+from ltm_ros.wiring import LISTENERS, unheard
 
 QUEUE = 30
 QUEUE_PER_TOPIC = 10
@@ -37,6 +37,7 @@ QUEUE_PER_TOPIC = 10
 frame brings a message on each topic."""
 QUEUE_BYTES = 512 << 20
 """Bytes of image data that wait at most: the viewer of twenty towers shall not fill the memory."""
+WIRING_S = 5.0
 DISCOVERED = 10_000
 """Topics found by pattern that a node listens to at most: nobody shall fill its memory with names."""
 
@@ -109,6 +110,8 @@ class HandlerNode(Node):  # type: ignore[misc]
             self.create_service(Trigger, service, self._serve(action))
         self._diagnostics = DiagnosticsPublisher(self, self.health, config.camera)
         self.create_timer(0.5, self._tick, clock=DiagnosticsPublisher.steady_clock())
+        self._unheard: dict[str, str] = {}
+        self.create_timer(WIRING_S, self._look_at_wiring, clock=DiagnosticsPublisher.steady_clock())
         self._worker = threading.Thread(target=self._work, name=f"{node_type.name} worker", daemon=True)
         self._worker.start()
 
@@ -185,6 +188,12 @@ class HandlerNode(Node):  # type: ignore[misc]
         now = time.monotonic()
         waited, self._last_tick = now - self._last_tick, now
         self._offer(lambda _: self.handler.tick(waited), None)
+
+    def _look_at_wiring(self) -> None:
+        """Tell of topics that somebody publishes and that do not reach this node, once that has lasted."""
+        former, self._unheard = self._unheard, unheard(self)
+        for topic in former.keys() & self._unheard.keys():
+            self.health.trouble("unmatched", self._unheard[topic])
 
     def _work(self) -> None:
         while (item := self._inbox.get()) is not None:

@@ -26,3 +26,20 @@ def unmatched(node: Node, summaries: Mapping[str, Mapping[str, str]]) -> list[st
                 if node.count_subscribers(topic) != int(value):
                     found.append(topic)
     return found
+
+
+def unheard(node: Node) -> dict[str, str]:
+    """Topics of a node's own subscriptions that more publish on than it is matched with: what is wrong, with a remedy.
+
+    For a moment after somebody comes or goes that is as it should be.
+    """
+    found = {}
+    for subscription in node.subscriptions:
+        topic = subscription.topic_name
+        known, matched = node.count_publishers(topic), subscription.get_publisher_count()
+        if matched < known:
+            found[topic] = (
+                f"{known} publish {topic}, {matched} reach this node; let them offer what it asks for (reliable, and "
+                "transient local where it is latched), or restart it"
+            )
+    return found

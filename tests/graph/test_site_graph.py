@@ -215,11 +215,16 @@ def test_killed_nodes_come_back_and_the_others_run_on(replayed: Replayed, tmp_pa
                 # Its counters began anew, in a process that did not see the frames before.
                 full = f"/{NAME}/{victim}"
                 bystander.summaries.pop(full, None)
-                wait_for(lambda f=full: bystander.count(f, "frames_in") > 10, f"frames at {victim} after its restart")
+                wait_for(
+                    lambda f=full: bystander.count(f, "frames_in") > 10,
+                    f"frames at {victim} after its restart",
+                    lambda: bystander.summaries,
+                )
             else:
                 wait_for(
                     lambda: sum(map(bool, recorded_depths(out / "recording_2").values())) == len(CAMERAS),
                     "depths in the next bag",
+                    lambda: bystander.summaries,
                 )
             assert {label: pid for label, pid in replayed.pids.items() if label != victim} == others, victim
         newest = player.now_ns()
