@@ -109,7 +109,8 @@ class TerrainConfig(Config):
     """Two cameras must agree over at least that long: what moves is gone by then."""
     repeats: float = Field(0.95, ge=0, le=1)
     """Of the variance of a depth, what each look of a camera has alike, which no number of them averages out. A network
-    sees the same scene alike in any light; 0: depth whose errors are new each time, as a range finder's."""
+    sees the same scene alike in any light; 0: depth whose errors are new each time, as a range finder's (then `alone`
+    need not be more than `confidence`)."""
     memory: float = Field(8.0, ge=1)
     """Looks that a cell's mean remembers."""
     lasting: float = Field(365.0 * 86400.0, gt=0)

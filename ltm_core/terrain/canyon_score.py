@@ -27,8 +27,8 @@ BEFORE, AFTER = "121004", "150924"
 STEP = 2
 """Of the photos."""
 RULES = TerrainConfig(threshold=0.5, pixel_step=2, max_range=600.0, min_area=10.0, register_frames=False)
-OF_SURVEYS = RULES.model_copy(update={"repeats": 0.0})
-"""Noise that is new each time."""
+OF_SURVEYS = RULES.model_copy(update={"repeats": 0.0, "alone": RULES.confidence})
+"""Noise that is new each time, and has no heavy tails."""
 _SECOND = 1_000_000_000
 
 

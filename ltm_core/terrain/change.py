@@ -121,8 +121,10 @@ def decide(
     usable = sure & np.isfinite(base) & np.isfinite(surface)
     known = np.nan_to_num(base)
     off = np.where(usable, parts["dz"] - known, np.float32(0)).astype(np.float32)
+    # Where it is less sure that a cell has changed than how high it is then, that is what its neighbours get of it.
     weight, sheet_weight = (
-        np.where(usable, 1 / (one + rules.reference_variance), 0).astype(np.float32) for one in (variance, sheet)
+        np.where(usable, 1 / (one + rules.reference_variance), 0).astype(np.float32)
+        for one in (np.maximum(variance, sheet), sheet)
     )
     cells = Estimates(off, weight, sheet_weight, usable)
     stood = surface + known - ground

@@ -7,8 +7,9 @@ their photos.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,13 +41,15 @@ Measure = Callable[[TruthFrame], tuple[DepthFrame, str]]
 class FrameScore:
     """`frames`: that were looked at. `change`: of the cells that independent views have seen; truly changed is what
     moved by the map's threshold.
-    `before`, `after`: heights of the truly changed ones as given and as updated. `verdicts`: of the fusion.
+    `before`, `after`: heights of the truly changed ones as given and as updated. `tails`: of the others, the share
+    whose estimate is off by more than 3 and 5 of its sigmas. `verdicts`: of the fusion.
     """
 
     frames: int
     change: ChangeScore
     before: SurfaceScore
     after: SurfaceScore
+    tails: tuple[float, float]
     verdicts: Counter[str]
     layers: SurfaceLayers
     truth: NDArray[np.bool_]
@@ -84,10 +87,43 @@ def score_frames(
         score_change(layers.change > 0, moved, known),
         score_surface(reference.surface, truth, known & moved),
         score_surface(layers.height, truth, known & moved),
+        _tails((layers.estimate - truth)[known & ~moved] / layers.sigma[known & ~moved]),
         verdicts,
         layers,
         moved,
     )
+
+
+def _tails(errors: NDArray[np.float32]) -> tuple[float, float]:
+    if not len(errors):
+        return float("nan"), float("nan")
+    return float((np.abs(errors) > 3).mean()), float((np.abs(errors) > 5).mean())
+
+
+def alike(photos: Mapping[str, Sequence[TruthFrame]], measure: Measure) -> float:
+    """How much of a depth's error, as a share of its mean square, is the same in photos of one scene, by camera and
+    view: 1 for errors that repeat, 0 for errors that are new each time. NaN where no view has two photos.
+
+    In units of sigma, at most 5 of them, at the pixels that are measured in each pair of successive photos.
+    """
+    differences, squares, count = 0.0, 0.0, 0
+    for views in photos.values():
+        errors = [_errors(frame, measure(frame)[0]) for frame in views]
+        for one, other in pairwise(errors):
+            both = np.isfinite(one) & np.isfinite(other)
+            differences += float(((one - other)[both] ** 2).sum()) / 2
+            squares += float((one[both] ** 2 + other[both] ** 2).sum()) / 2
+            count += int(both.sum())
+    return 1 - differences / squares if count and squares > 0 else float("nan")
+
+
+def _errors(frame: TruthFrame, seen: DepthFrame) -> NDArray[np.float32]:
+    """At the truth's pixels, in sigmas, NaN where nothing is measured."""
+    depth, sigma, measured = (part[:: frame.step, :: frame.step] for part in (seen.depth, seen.sigma, seen.measured))
+    with np.errstate(invalid="ignore"):
+        error = np.clip((depth - frame.surface) / sigma, -5, 5)
+    known = measured & np.isfinite(depth) & np.isfinite(frame.surface) & (sigma > 0)
+    return np.where(known, error, np.nan).astype(np.float32)
 
 
 def true_depth(noise: Noise, seed: int = 1) -> Measure:

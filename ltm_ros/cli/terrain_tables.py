@@ -148,7 +148,7 @@ def simulated_frames(
     ground, before, now = raster(known[0], "bare_earth"), raster(known[0], "surface"), raster(date, "surface")
     rules = TerrainConfig(resolution=max(given.geometry.resolution / 5, before.geometry.resolution), pixel_step=1)
     noise, console = Noise(share=share), Console()
-    measures = [("true depth", true_depth(noise), rules.model_copy(update={"repeats": 0.0}))]
+    measures = [("true depth", true_depth(noise), rules.model_copy(update={"repeats": 0.0, "alone": rules.confidence}))]
     segmenter = Segmenter.open(DEFAULT_MODEL)
     measures += [
         (name, fused_depth(ground, before, DepthNetwork.open(name), segmenter, _classes()), rules) for name in networks
@@ -156,7 +156,7 @@ def simulated_frames(
     table = _table(
         f"terrain update from frames of {date!r} on the surface of {known[0]!r}",
         "depth from", "looks", "seen cells", "changed", "precision", "recall", "false of seen", "RMSE before m",
-        "after m",
+        "after m", "off by > 3 sigma", "> 5",
     )  # fmt: skip
     rows = []
     for name, measure, told in measures:
@@ -170,8 +170,9 @@ def simulated_frames(
             _shown(score.change.false_alarms / max(score.change.cells, 1), ".2%"),
             _shown(score.before.rmse, ".2f"),
             _shown(score.after.rmse, ".2f"),
+            *(_shown(share, ".2%") for share in score.tails),
         )
-        rows.append({"depth_from": name, "verdicts": dict(score.verdicts), "frames": score.frames}
+        rows.append({"depth_from": name, "tails": score.tails, "verdicts": dict(score.verdicts), "frames": score.frames}
                     | _figures(score.change, score.before, score.after))  # fmt: skip
         if pictures is not None:
             _draw(pictures / f"frames_{Path(name).stem.replace(' ', '_')}.png", score.layers, score.truth)
@@ -181,9 +182,36 @@ def simulated_frames(
         f"{looks} times, looks taken as an hour apart; true depth with sigma {noise.constant:g} m + {share:.1%} of "
         f"range, new in each look; fused depth with labels of {segmenter.manifest.name}, {rules.repeats:.0%} of its "
         "variance taken as alike in each look of a camera; exact poses; RMSE on truly changed cells that independent "
-        "views have seen"
+        "views have seen; off: seen cells that have not changed, of their estimate's sigma"
     )
     _write(out, {"rows": rows})
+
+
+def repeated_errors(folder: Path, networks: Sequence[str]) -> None:
+    """How much of the error of a network's depth, fused, is alike on all dates of a folder on which nothing changes."""
+    from ltm_core.dem import Dem
+    from ltm_core.depth.truth_frames_io import TruthFrame, dates, read_truth_frames, site_frame
+    from ltm_core.errors import ConfigError
+    from ltm_core.terrain.frame_score import alike, fused_depth
+    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+
+    known, frame, console = dates(folder), site_frame(folder), Console()
+    surfaces = [Dem.open(folder / "truth" / date / "surface.tif").in_frame(frame) for date in known]
+    if len(known) < 2 or any(not np.array_equal(one.elevation, surfaces[0].elevation) for one in surfaces[1:]):
+        raise ConfigError(f"{folder}: --alike needs photos of several dates on which nothing has changed")
+    ground = Dem.open(folder / "truth" / known[0] / "bare_earth.tif").in_frame(frame)
+    views: dict[str, list[TruthFrame]] = {}
+    for one in read_truth_frames(folder):
+        views.setdefault(f"{one.camera_name} {one.pose.angles_deg}", []).append(one)
+    segmenter = Segmenter.open(DEFAULT_MODEL)
+    for name in networks:
+        measure = fused_depth(ground, surfaces[0], DepthNetwork.open(name), segmenter, _classes())
+        with console.status(name):
+            share = alike(views, measure)
+        console.print(
+            f"{name}, fused: {share:.1%} of the mean square of its error, in sigmas, is alike from date to date "
+            f"({folder}; {', '.join(known)}; {len(views)} views)"
+        )
 
 
 def recorded_run(bag: Path, site: Path | None, truth: Path | None, date: str, out: Path | None) -> None:

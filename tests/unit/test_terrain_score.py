@@ -12,7 +12,8 @@ from ltm_core.grid import GridGeometry
 from ltm_core.metrics.change import ChangeScore
 from ltm_core.pose import Pose
 from ltm_core.site import TerrainConfig
-from ltm_core.terrain.frame_score import score_frames, true_depth
+from ltm_core.terrain.frame_score import alike, score_frames, true_depth
+from ltm_core.terrain.observation import DepthFrame
 from ltm_core.terrain.trial_score import TrialScore
 from ltm_core.terrain.trial_summary import TrialSummary
 from ltm_core.terrain.trials import Conditions, Noise
@@ -61,6 +62,7 @@ def test_frames_of_a_changed_landscape_are_scored_against_its_surface() -> None:
     noise = Noise(constant=0.2, share=0.002)
     score = score_frames(frames, ground, Dem(ground.elevation.copy(), geometry), now, true_depth(noise), config)
     assert score.frames == 4
+    assert score.tails[1] <= score.tails[0] < 0.02
     assert score.verdicts == {"true depth": 4}
     assert score.change.hits + score.change.misses > 200
     assert score.change.recall > 0.8
@@ -70,3 +72,25 @@ def test_frames_of_a_changed_landscape_are_scored_against_its_surface() -> None:
     twice = score_frames(frames, ground, Dem(ground.elevation.copy(), geometry), now, true_depth(noise), config, 2)
     assert twice.frames == 8
     assert twice.after.rmse < 2.0
+
+
+def test_what_repeats_of_errors_is_their_covariance() -> None:
+    """Three photos of one view whose errors share 80 % of their variance, in sigmas that differ from pixel to pixel."""
+    camera = Camera.from_fov(120, 90, 60.0)
+    pose = Pose.from_angles((0.0, 0.0, 50.0), 10.0, -10.0)
+    rng = np.random.default_rng(5)
+    depth = rng.uniform(50, 300, (90, 120)).astype(np.float32)
+    sigma = (0.02 * depth).astype(np.float32)
+    lasting = rng.standard_normal(depth.shape)
+    nothing = np.zeros(depth.shape, np.uint8)
+    photo = np.zeros((90, 120, 3), np.uint8)
+    looks = [TruthFrame("a", 10**18 + i, camera, pose, photo, depth, depth, nothing, nothing > 0) for i in range(3)]
+
+    def measure(frame: TruthFrame) -> tuple[DepthFrame, str]:
+        error = np.sqrt(0.8) * lasting + np.sqrt(0.2) * rng.standard_normal(depth.shape)
+        measured = rng.random(depth.shape) > 0.3
+        seen = (depth + sigma * error).astype(np.float32)
+        return DepthFrame(seen, sigma, measured, camera, pose, frame.stamp_ns, "a"), ""
+
+    assert alike({"a": looks}, measure) == pytest.approx(0.8, abs=0.03)
+    assert np.isnan(alike({"a": looks[:1]}, measure))

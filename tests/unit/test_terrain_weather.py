@@ -124,9 +124,13 @@ class Eyes:
     network: DepthNetwork
     classes: DepthClasses
 
-    def changed(self, photos: Iterator[tuple[Look, NDArray[np.uint8]]]) -> tuple[set[tuple[int, int]], int]:
-        """Cells that the map takes for changed after photos two hours apart, and how many it has looked at."""
-        rules = TerrainConfig(pixel_step=1)
+    def changed(
+        self, photos: Iterator[tuple[Look, NDArray[np.uint8]]], rules: TerrainConfig | None = None
+    ) -> tuple[set[tuple[int, int]], int]:
+        """Cells that the map takes for changed after photos two hours apart, and how many it has looked at. `rules`:
+        by default of a map that takes each look's errors for new ones and one camera's word for as good as two's: the
+        network is not sure enough of anything here to move the map otherwise, whatever the weather."""
+        rules = rules or TerrainConfig(pixel_step=1, repeats=0.0, alone=3.0)
         names = sorted(look.name for look in self.slope.looks)
         surface = SurfaceMap(Reference.of(self.slope.bare, self.slope.surface, rules.resolution), rules, names)
         for number, (look, rgb) in enumerate(photos):
@@ -166,6 +170,16 @@ def test_weather_changes_no_more_than_a_clear_sky(eyes: Eyes, weather: object) -
     assert np.mean(np.array(shares) > 0.02) >= 0.5, "the weather is seen"
     assert looked > 1000
     assert len(under - clear) < 0.005 * looked
+
+
+def test_a_network_that_errs_alike_in_each_look_changes_nothing(eyes: Eyes) -> None:
+    """The same photos twelve times over, under the rules of a site: errors that repeat are no evidence."""
+    rules = TerrainConfig(pixel_step=1)
+    changed, looked = eyes.changed(
+        ((look, photo(look.radiance)) for _ in range(12) for look in eyes.slope.looks), rules
+    )
+    assert looked > 1000
+    assert not changed
 
 
 def test_what_stands_there_since_is_found_on_the_same_slope(slope: Slope, eyes: Eyes) -> None:

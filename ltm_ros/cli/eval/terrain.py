@@ -44,6 +44,9 @@ def terrain(
     network: Annotated[
         list[str] | None, typer.Option(help="With --canyon or --frames: also fuse with this depth network; repeatable.")
     ] = None,
+    alike: Annotated[
+        bool, typer.Option("--alike", help="With --frames and --network: how much of an error repeats on all dates.")
+    ] = False,
     site: Annotated[Path | None, typer.Option(help="With --bag: site file; default: beside the bag.")] = None,
     truth: Annotated[Path | None, typer.Option(help="With --bag: folder of truth rasters.")] = None,
     date: Annotated[str, typer.Option(help="With --bag or --frames: the date of the truth.")] = "",
@@ -62,6 +65,9 @@ def terrain(
         raise ConfigError("give one of --canyon, --frames and --bag")
     if canyon is not None:
         terrain_tables.real_site(canyon, network or [], pictures, json_path)
+        return
+    if frames is not None and alike:
+        terrain_tables.repeated_errors(frames, network or ["landscape_lite0_depth"])
         return
     if frames is not None:
         terrain_tables.simulated_frames(frames, date, share, looks or 1, network or [], pictures, json_path)
