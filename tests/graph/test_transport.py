@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from leftovers import segments_of_process
+from leftovers import segments_of_process, wait_gone
 
 from ltm_core.resources import config_path
 from ltm_ros import shm
@@ -90,17 +90,23 @@ def test_removes_the_memory_of_the_killed_and_only_that(ros_domain: int) -> None
     assert of_killed | of_living <= {*shm.survey().in_use}
     killed.kill()
     killed.communicate()
-    seen = shm.survey()
-    assert segments(of_killed) <= {*seen.stale}
-    assert of_living <= {*seen.in_use}
-    assert seen.stale_bytes > 64 << 20
-    shm.remove_stale()
     assert of_living <= {*shm.survey().in_use}
-    assert not any((shm.SHM_FOLDER / name).exists() for name in segments(of_killed))
+    assert removed(segments(of_killed)) == []
+    assert of_living <= {*shm.survey().in_use}
     living.terminate()
     living.communicate()
-    shm.remove_stale()
-    assert not any((shm.SHM_FOLDER / name).exists() for name in of_killed | of_living)
+    # The ports are looked at by `ros_domain`; some have numbers that processes of other domains take as soon as free.
+    assert removed(segments(of_killed | of_living)) == []
+
+
+def removed(names: set[str]) -> list[str]:
+    """What is left of these once the stale is removed; a runner elsewhere on this machine may be at it just now."""
+
+    def left() -> list[str]:
+        shm.remove_stale()
+        return [name for name in sorted(names) if (shm.SHM_FOLDER / name).exists()]
+
+    return wait_gone(left)
 
 
 def locked_by(pid: int) -> set[str]:
