@@ -62,7 +62,7 @@ def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionC
 
     def crests() -> None:
         surface, sigma = work
-        of = classes.crest, classes.sky, camera, seen, edges
+        of = classes, camera, seen, edges
         raise_silhouettes(frame.photo, ground, surface, sigma, frame.labels, *of)
 
     def decide() -> None:

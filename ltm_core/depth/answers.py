@@ -49,6 +49,8 @@ _DENSEST = 0.4  # of the samples, that lie closest together
 _DENSEST_SIGMAS = 0.5 / 0.5244  # over their width: a normal distribution's 40 % lie within 0.5244 to each side
 _LEAST_SPREAD = 0.5  # of that of all
 _NEARER = 12.0  # times nearer than the ground: no error of a network, but something right before the camera
+_NEARER_FAR = 3.0  # times nearer and more: far ground that a network knows no range of is seen at some middling one
+_BIASED = 0.3  # of a range's error, by which that differs within the half octave
 _BEYOND = 1.5  # growth of the spread with each half octave beyond all samples
 _BEFORE = 1.1  # the same before all samples: nearness scales, so that a network knows it by what is farther
 
@@ -212,8 +214,14 @@ def _by_depth(
         return np.full(OCTAVES, middle), np.full(OCTAVES, wide)
     every = np.arange(OCTAVES)
     growth = _BEYOND ** np.maximum(every - known[-1], 0) * _BEFORE ** np.maximum(known[0] - every, 0)
-    spread = np.sqrt(np.maximum(np.interp(every, known, square), (_LEAST_SPREAD * wide) ** 2))
-    return np.interp(every, known, usual), spread * growth
+    middles, spread = np.interp(every, known, usual), np.sqrt(np.interp(every, known, square))
+    # A network's noise is one of inverse depth: of farther ground it is no greater than of nearer. What is greater is
+    # not its own but that of things which stand before the ground, and so is a nearness beyond that.
+    depth = 2.0 ** ((every + _FIRST) / 2.0)
+    noise = np.minimum.accumulate(np.where(every < known[0], np.inf, spread / depth))
+    middles = np.maximum(middles, -np.maximum(2.0 * np.append(np.inf, noise[:-1]) * depth, _NEARER_FAR))
+    most = np.maximum(noise * depth, _BIASED * np.abs(middles))
+    return middles, np.maximum(np.minimum(spread, most), _LEAST_SPREAD * wide) * growth
 
 
 def _spread(less: Floats, terrain: Floats) -> tuple[float, float]:

@@ -20,10 +20,24 @@ CREST = 3.0
 """Metres that unlabelled or low cover may rise over a crest."""
 TREE_CREST = 12.0
 """Metres that a tree may rise over a crest."""
-STANDING: Mapping[str, float] = {"grass": 0.03, "shrub": 0.1, "tree": 0.3, "bare": 0.03, "water": 0.01, "built": 0.3}
-"""Chance that a pixel of a class shows something which stands clearly before the bare ground behind it: of label images
-that are often wrong about crowns. Of unlabelled pixels UNLABELLED_STANDING."""
-UNLABELLED_STANDING = 0.1
+STANDING: Mapping[str, tuple[float, float]] = {
+    "grass": (-3.8, 0.5),
+    "shrub": (-2.8, 0.8),
+    "tree": (-1.9, 1.5),
+    "bare": (-3.5, 0.0),
+    "water": (-4.6, 0.0),
+    "built": (-1.9, 1.5),
+}
+"""Log odds that a pixel of a class shows something which stands clearly before the bare ground behind it: of label
+images that are often wrong about crowns; and what is added for each e-folding of depth between the two, since the
+nearer a thing, the more ground it hides."""
+UNLABELLED_STANDING = (-2.6, 0.6)
+"""The same of unlabelled pixels."""
+
+OUTLINE: Mapping[str, float] = {"grass": -0.9, "shrub": 0.6, "tree": 1.3, "bare": -1.7, "water": -1.7, "built": 1.3}
+"""Log odds that a pixel a metre above a crest, which the photo's colours give to the crest, belongs to it, by class."""
+UNLABELLED_OUTLINE = 0.4
+"""The same of unlabelled pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +46,8 @@ class DepthClasses:
 
     `cover`: float32 metres of cover above bare ground. `ground`: bool, the terrain shows there. `crest`: float32 metres
     to which a silhouette may be raised there. `surface`: float32 log odds that a canopy raster and not bare ground is
-    what shows. `standing`: float32, the chance that something stands before the ground. `sky`: the id of sky.
+    what shows. `standing`: (256, 2) float32, log odds that something stands before the ground, and their growth, see
+    STANDING. `outline`: float32, log odds that a pixel belongs to a crest, see OUTLINE. `sky`: the id of sky.
     """
 
     cover: NDArray[np.float32]
@@ -40,6 +55,7 @@ class DepthClasses:
     crest: NDArray[np.float32]
     surface: NDArray[np.float32]
     standing: NDArray[np.float32]
+    outline: NDArray[np.float32]
     sky: int = int(Label.SKY)
 
     @classmethod
@@ -57,10 +73,15 @@ class DepthClasses:
         surface[[Label.GRASS, Label.BARE, Label.WATER]] = -3.0
         surface[[Label.SHRUB, Label.TREE]] = 0.5, 2.0
         crest[Label.SKY] = 0.0
-        standing = np.full(256, UNLABELLED_STANDING, np.float32)
-        standing[Label.SKY] = 0.0
-        for name, chance in STANDING.items():
-            standing[labels.id_of(name)] = chance
+        standing = np.empty((256, 2), np.float32)
+        standing[:] = UNLABELLED_STANDING
+        standing[Label.SKY] = -np.inf, 0.0
+        for name, odds in STANDING.items():
+            standing[labels.id_of(name)] = odds
+        outline = np.full(256, UNLABELLED_OUTLINE, np.float32)
+        outline[Label.SKY] = 0.0
+        for name, log_odds in OUTLINE.items():
+            outline[labels.id_of(name)] = log_odds
         cover[UNLABELLED] = 0.0
         ground[UNLABELLED] = True
-        return cls(cover, ground, crest, surface, standing)
+        return cls(cover, ground, crest, surface, standing, outline)

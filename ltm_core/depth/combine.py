@@ -22,10 +22,10 @@ Row = NDArray[np.float32]
 
 VANISHED = 0.01
 """Chance that the ground of a pixel is gone, so that something farther shows."""
-FOOTLESS, FOOTLESS_CHANCE = 1.5, 0.02
-"""What the network sees nearer than all ground below it in the photo by this factor has no foot that it stands on, and
-so much less chance; unless it reaches down to the photo's edge, which then cuts the foot off."""
-_CUT = 0.5  # of its inverse depth that all below a thing is seen at which reaches down to the edge
+MOST_RATIO = 3.0
+"""E-foldings of depth between ground and what stands before it from which on its chance grows no more."""
+EDGE = 0.5
+"""What log odds lose at an edge as high as the disagreement, and less by its square."""
 _SOFT = 0.15  # of the range of a network's depth among neighbours: how far a pixel between them may be off
 _ELSEWHERE = 4.0  # times a network's variance on ground: its variance on what stands before it
 _BETWEEN = 0.3  # of the range of a network's depth among neighbours: sigma of which of them a pixel shows
@@ -104,7 +104,6 @@ def _combine(
     cols = shift.shape[1]
     tables = pairs(shift, factor)
     table = (np.arange(width) * cols // width).astype(np.int32)
-    foot, cut = np.full(width, np.float32(np.inf)), np.full(width, np.float32(np.inf))
     between, seen = np.empty((4, cells.shape[2]), np.float32), np.empty((3, width), np.float32)
     y, near, back = seen[0], seen[1], seen[2]
     work = np.empty((7, width), np.float32)
@@ -113,7 +112,8 @@ def _combine(
     unlabelled = np.full(width, np.uint8(255))
     asked = np.zeros(width, np.bool_)
     gone = np.float32(_least(VANISHED))
-    least = np.array([_least(np.float64(chance)) for chance in standing]).astype(np.float32)
+    # Of what is so much nearer that its chance grows no more.
+    least = np.array([_least(_standing(one, np.float32(0.0), np.float32(0.0), k)) for k in standing]).astype(np.float32)
     for v in range(height - 1, -1, -1):
         i = v * shift.shape[0] // height
         d, s, kind = depth[v], sigma[v], source[v]
@@ -122,12 +122,9 @@ def _combine(
             see_row(cells, grey, columns, parts, v, between, seen)
         if has_over:
             _choose(d, s, over[v], y, usable, i, table, shift, factor, label, prefers_over)
-        _begin(d, s, kind, foot)
+        _begin(d, s, kind)
         if not usable:
             continue
-        for u in range(width):
-            # The farthest that the network sees from here down to the photo's edge.
-            cut[u] = y[u] if y[u] < cut[u] else cut[u]
         count = _compare(
             d, s, y, near, back, tables[i], table, place, label, sky, true, own, less, spread, off, joint, weight, asked
         )
@@ -137,10 +134,9 @@ def _combine(
                 if asked[u]:
                     other = y[u]
                     if kind[u]:
-                        chance = standing[label[u]] if off[u] > 0 else np.float32(VANISHED)
-                        floats = near[u] * foot[u] > np.float32(FOOTLESS) and cut[u] < np.float32(_CUT) * near[u]
-                        if off[u] > 0 and floats:
-                            chance *= np.float32(FOOTLESS_CHANCE)
+                        chance = np.float32(VANISHED)
+                        if off[u] > 0:
+                            chance = _standing(near[u], true[u], (near[u] - y[u]) / off[u], standing[label[u]])
                         square = off[u] * off[u]
                         if joint[u] < np.float32(_OWN) * spread[u] * spread[u] and square < joint[u] * (
                             least[label[u]] if off[u] > 0 else gone
@@ -148,12 +144,15 @@ def _combine(
                             continue
                         other = _alone(other, near[u], back[u], off[u], joint[u], spread[u], gross, chance)
                     if other > 0:
-                        other, t = meant(i, table[u], other, shift, factor)
-                        if t < other and (kind[u] == 0 or (other > true[u]) == (off[u] > 0)):
+                        inverse, t = meant(i, table[u], other, shift, factor)
+                        if kind[u] and off[u] > 0:
+                            # The shifts were learnt on ground; what stands before it is told by the line alone.
+                            t, inverse = t * other / inverse, other
+                        if t < inverse and (kind[u] == 0 or (inverse > true[u]) == (off[u] > 0)):
                             # Which of its neighbours' depths it is stays unsure.
                             between_both = np.float32(_BETWEEN) * (near[u] - back[u])
                             t = np.sqrt(np.float32(_ELSEWHERE) * t * t + between_both * between_both)
-                            d[u], s[u], kind[u] = one / other, t / (other * other), 2
+                            d[u], s[u], kind[u] = one / inverse, t / (inverse * inverse), 2
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
@@ -223,15 +222,24 @@ def _average(d: Row, s: Row, kind: NDArray[np.uint8], true: Row, own: Row, off: 
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
-def _begin(d: Row, s: Row, kind: NDArray[np.uint8], foot: Row) -> None:
-    """What a row is without a network, and the nearest ground from here down."""
+def _begin(d: Row, s: Row, kind: NDArray[np.uint8]) -> None:
+    """What a row is without a network."""
     far, none = np.float32(1e9), np.float32(np.nan)
-    for u in range(len(d)):
-        foot[u] = d[u] if d[u] < foot[u] else foot[u]
     for u in range(len(d)):
         kind[u] = 1 if d[u] < far else (4 if d[u] > far else 0)
     for u in range(len(d)):
         s[u] = s[u] if d[u] < far else none
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _standing(near: np.float32, true: np.float32, edge: np.float32, odds: Row) -> np.float32:
+    """Chance that something stands at inverse depth `near` before ground at `true`, where an edge is as high as `edge`
+    of the disagreement. `odds`: see `STANDING`."""
+    ratio = np.float32(MOST_RATIO)
+    if true * np.float32(np.exp(MOST_RATIO)) > near:
+        ratio = np.log(near / true)
+    log_odds = odds[0] + odds[1] * ratio - np.float32(EDGE) * edge * edge
+    return np.float32(1.0 / (1.0 + np.exp(-log_odds)))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

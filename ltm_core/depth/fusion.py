@@ -153,7 +153,7 @@ def fuse(
     fit = None if network is None else fit_network(network, samples, (size[0], size[1]))
     source = np.empty(size, np.uint8)
     beside = SeenDepth.of(fit, rgb) if fit is not None and not fit.trouble else None
-    raise_silhouettes(rgb, ground, expected, sigma, labels, classes.crest, classes.sky, camera, beside, edges)
+    raise_silhouettes(rgb, ground, expected, sigma, labels, classes, camera, beside, edges)
     combine(expected, sigma, None if surface is None else surface.depth(), beside, labels, classes, source)
     clear_beyond(ground, expected, sigma, source)
     verdict, reason = Verdict.OK, ""

@@ -34,7 +34,7 @@ GROSS_SIGMAS = 3.0
 """Joint sigmas beyond which a network's residual is no noise."""
 COVERED_GROSS = 0.5
 """Part of the ground that a network sees much too near which is its error, and no cover that the labels missed."""
-LEAST_GROSS = 0.003
+LEAST_GROSS = 0.05
 """Least share of gross errors that a network is believed to make."""
 
 

@@ -52,7 +52,7 @@ def ground_samples(
 
     `ground`: (256,) which classes are. `focal`: pixels. Sigmas above UNSURE of the depth are left out as well.
     """
-    rows, cols, kept = _candidates(
+    rows, cols, depth = _candidates(
         surface,
         sigma,
         np.zeros((1, 1), np.uint8) if labels is None else labels,
@@ -60,8 +60,6 @@ def ground_samples(
         ground,
         np.float32(2.0 / (focal * np.tan(np.radians(GRAZING_DEG)))),
     )
-    rows, cols = rows[kept], cols[kept]
-    depth = surface[rows, cols]
     chosen = _even(depth)
     rows, cols = rows[chosen], cols[chosen]
     return GroundSamples(rows, cols, depth[chosen].astype(np.float64), sigma[rows, cols].astype(np.float64))
@@ -75,18 +73,18 @@ def _candidates(
     labelled: bool,
     ground: NDArray[np.bool_],
     steep: np.float32,
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-    """Rows, columns and fitness of pixels on a grid. `steep`: relative change of depth over two rows that is grazed."""
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
+    """Rows, columns and depth of the pixels of a grid that are fit. `steep`: relative change of depth over two rows
+    that is grazed."""
     height, width = surface.shape
     down, across = (height - 2 * _CLEAR + _STEP - 1) // _STEP, (width - 2 * _CLEAR + _STEP - 1) // _STEP
     count = max(down, 0) * max(across, 0)
-    rows, cols, kept = np.empty(count, np.intp), np.empty(count, np.intp), np.zeros(count, np.bool_)
+    rows, cols, depth = np.empty(count, np.intp), np.empty(count, np.intp), np.empty(count, np.float32)
     far, jump, unsure = np.float32(1e9), np.float32(JUMP), np.float32(UNSURE)
     i = 0
     for v in range(_CLEAR, height - _CLEAR, _STEP):
         for u in range(_CLEAR, width - _CLEAR, _STEP):
             d = surface[v, u]
-            rows[i], cols[i] = v, u
             good = d < far and d > 0 and sigma[v, u] < unsure * d and (not labelled or ground[labels[v, u]])
             if good:
                 for beside in (
@@ -98,9 +96,10 @@ def _candidates(
                     good &= beside < jump * d and d < jump * beside
                 # The rise of the depth in a pixel's angle is the cotangent of the angle between ray and ground.
                 good &= abs(surface[v - 1, u] - surface[v + 1, u]) < steep * d
-            kept[i] = good
-            i += 1
-    return rows, cols, kept
+            if good:
+                rows[i], cols[i], depth[i] = v, u, d
+                i += 1
+    return rows[:i], cols[:i], depth[:i]
 
 
 def _even(depth: NDArray[np.float32]) -> NDArray[np.intp]:
@@ -108,14 +107,26 @@ def _even(depth: NDArray[np.float32]) -> NDArray[np.intp]:
     ranges gets more than CROWD times the places of a middling one."""
     if not len(depth):
         return np.empty(0, np.intp)
-    octave = np.floor(2.0 * np.log2(depth)).astype(np.int16)  # which NumPy sorts by digits
-    _, index, counts = np.unique(octave, return_inverse=True, return_counts=True)
-    most = CROWD * np.median(counts)
-    while np.minimum(counts, most).sum() > MOST:
+    octave = np.floor(2.0 * np.log2(depth)).astype(np.intp)
+    octave -= octave.min()
+    counts = np.bincount(octave)
+    filled = counts[counts > 0]
+    most = CROWD * np.median(filled)
+    while np.minimum(filled, most).sum() > MOST:
         most *= 0.9
-    # Evenly spread over the image, since candidates come row by row.
-    rank = np.empty(len(depth), np.int64)
-    order = np.argsort(index, kind="stable")
-    rank[order] = np.arange(len(depth)) - np.repeat(np.cumsum(counts) - counts, counts)
-    share = np.minimum(1.0, most / counts)[index]
-    return np.flatnonzero(np.floor((rank + 1) * share) > np.floor(rank * share))
+    return np.asarray(_evenly(octave, np.minimum(1.0, most / np.maximum(counts, 1))))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _evenly(kind: NDArray[np.intp], share: Floats) -> NDArray[np.intp]:
+    """Which to keep of things (N,) of several kinds, that `share` of each kind: evenly spread, since they come row by
+    row."""
+    chosen, rank, n = np.empty(len(kind), np.intp), np.zeros(len(share), np.intp), 0
+    for i in range(len(kind)):
+        k = kind[i]
+        before = np.floor(rank[k] * share[k])
+        rank[k] += 1
+        if np.floor(rank[k] * share[k]) > before:
+            chosen[n] = i
+            n += 1
+    return chosen[:n]

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ltm_core.camera import Camera
 from ltm_core.depth.answers import said
 from ltm_core.depth.blur import TILE, blurred
+from ltm_core.depth.classes import DepthClasses
 from ltm_core.depth.crests import smoothed
 from ltm_core.depth.edges import Edges
 from ltm_core.depth.seen import SeenDepth, see
@@ -32,12 +33,15 @@ USUAL_CREST = 0.25
 """Metres by which crests are usually raised: the prior of a cut falls by e for each."""
 STRIP_PX = 60
 """Most pixels that a silhouette is raised: a near crest's cover is not a strip but an object."""
+STRIP_CELLS = 6.0
+"""The same in rows of a network's depth, where there is one: it sees by itself what stands higher."""
 _SAMPLE, _HALF = 8, 4  # rows of a side's colour sample, and columns to each side of the middle one
 _COLOR_NOISE = 16.0  # least variance of a colour, squared 8-bit steps
 _TEMPER = 0.6  # of a pixel's colour likelihood: neighbours share texture, so they are not independent
 _MOST = 8.0  # log likelihood that one pixel's colour may carry
 _NETWORK_MOST = 3.0  # the same of its network depth
 _NETWORK_SURE = 1.0  # log likelihood from which on the network may raise an edge beyond the usual cover
+_TOWARD = 1.9  # log odds that a pixel is of a crest which the network sees as near as the crest; see `OUTLINE`
 _NEED = 1.0  # log odds by which a cut must be better than none
 
 
@@ -61,31 +65,32 @@ def raise_silhouettes(
     surface: Image,
     sigma: Image,
     labels: NDArray[np.uint8] | None,
-    crest: NDArray[np.float32],
-    sky: int,
+    classes: DepthClasses,
     camera: Camera,
     network: SeenDepth | None = None,
     edges: Edges | None = None,
 ) -> Silhouettes:
     """Move the edges of `surface` and `sigma` (H, W), in place, to where the photo has them; the edges found.
 
-    `crest`: (256,) metres to which a pixel of each class may belong to cover on the crest below it. `network`: what it
-    sees at the photo's size, where there is one. `edges`: of `ground`, where they are known.
+    `labels`: (H, W) ids of `classes`, or None. `network`: what it sees at the photo's size, where there is one.
+    `edges`: of `ground`, where they are known.
     """
     edges = Edges.of(ground) if edges is None else edges
     rows, cols = edges.rows, edges.cols
+    crest = classes.crest
     highest = np.float32(crest[255] if labels is None and network is None else crest.max())
     color = blurred(rgb, _asked(ground, rows, cols, highest * np.float32(camera.fy)))
     raised = np.zeros(len(rows), np.int32)
     seen = SeenDepth.none() if network is None else network
+    ids = np.zeros((1, 1), np.uint8) if labels is None else labels
     _cut(
         color,
         ground,
-        np.zeros((1, 1), np.uint8) if labels is None else labels,
+        ids,
         labels is not None,
         crest,
         highest,
-        sky,
+        classes.sky,
         np.float32(camera.fy),
         seen.cells,
         seen.grey,
@@ -100,7 +105,23 @@ def raise_silhouettes(
         raised,
     )
     raised = smoothed(rows, cols, raised, ground.shape[1])
-    _raise(rows, cols, raised, ground, surface, sigma)
+    _raise(
+        rows,
+        cols,
+        raised,
+        ground,
+        ids,
+        labels is not None,
+        classes.outline,
+        np.float32(camera.fy),
+        seen.cells,
+        seen.grey,
+        seen.columns,
+        seen.parts,
+        network is not None,
+        surface,
+        sigma,
+    )
     return Silhouettes(rows, cols, ground[rows, cols], raised)
 
 
@@ -202,14 +223,17 @@ def _cut(
     height = color.shape[0]
     near, near_var = np.empty(3, np.float32), np.empty(3, np.float32)
     far, far_var = np.empty(3, np.float32), np.empty(3, np.float32)
+    most = STRIP_PX
+    if networked:
+        most = min(most, int(np.ceil(STRIP_CELLS * np.float32(height) / cells.shape[1])))
     for i in range(len(rows)):
         v, u = rows[i], cols[i]
         d = ground[v, u]
         row, col = v * shift.shape[0] // height, u * shift.shape[1] // color.shape[1]
         # The widest strip that any class allows decides where the far side's colour is taken; for most columns
         # no pixel is of a tall class and the usual crest's strip will do.
-        usual = min(STRIP_PX, int(crest[255] * focal / d))
-        tall = min(STRIP_PX, int(highest * focal / d))
+        usual = min(most, int(crest[255] * focal / d))
+        tall = min(most, int(highest * focal / d))
         strip = usual
         share = np.float32(0.0)
         below = _answer(d, row, col, shift, factor)
@@ -284,14 +308,33 @@ def _raise(
     cols: NDArray[np.int32],
     raised: NDArray[np.int32],
     ground: Image,
+    labels: NDArray[np.uint8],
+    labelled: bool,
+    outline: NDArray[np.float32],
+    focal: np.float32,
+    cells: Image,
+    grey: NDArray[np.uint8],
+    columns: NDArray[np.int32],
+    parts: NDArray[np.float32],
+    networked: bool,
     surface: Image,
     sigma: Image,
 ) -> None:
-    """Write the near side's depth above each edge."""
+    """Write the near side's depth above each edge, but for pixels that are likelier the far side's by their class,
+    their height and which of the two the network sees them nearer to."""
+    one = np.float32(1.0)
     for i in range(len(rows)):
         v, u = rows[i], cols[i]
         d = ground[v, u]
         for s in range(1, raised[i] + 1):
-            if not surface[v - s, u] <= d:
-                surface[v - s, u] = d
-                sigma[v - s, u] = max(sigma[v, u], np.float32(0.02) * d)
+            if surface[v - s, u] <= d:
+                continue
+            if networked and ground[v - s, u] > d:
+                behind = one / ground[v - s, u]
+                toward = (see(cells, grey, columns, parts, v - s, u) - behind) / (one / d - behind)
+                odds = outline[labels[v - s, u] if labelled else 255] - np.log(np.float32(s) * d / focal)
+                # Not the other way round: where the network has no depth there is no doubt.
+                if odds + np.float32(_TOWARD) * min(max(toward, np.float32(-0.5)), np.float32(1.5)) < 0:
+                    continue
+            surface[v - s, u] = d
+            sigma[v - s, u] = max(sigma[v, u], np.float32(0.02) * d)

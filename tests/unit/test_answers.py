@@ -11,7 +11,7 @@ from ltm_core.depth.answers import Answers, meant, octaves, said
 from ltm_core.depth.classes import DepthClasses
 from ltm_core.depth.fusion import Source, Verdict, fuse
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.network_fit import fit_network
+from ltm_core.depth.network_fit import _line, fit_network
 from ltm_core.depth.sampling import CROWD, GroundSamples, ground_samples
 from ltm_core.vision.labels import LabelSet
 
@@ -53,6 +53,20 @@ def test_what_hides_most_of_the_far_ground_is_no_error_of_the_network() -> None:
         less, sigma = said(17, 30, np.float32(1 / depth), answers.shift, answers.factor)
         assert abs(less) * depth < 0.05
         assert sigma * depth < 0.1
+
+
+def test_far_ground_between_near_trees_does_not_make_the_network_a_bad_one() -> None:
+    """Nine tenths of what is known beyond 300 m lie among crowns at 45 m: noise of inverse depth does not grow so."""
+    samples = spread_samples()
+    rng = np.random.default_rng(3)
+    samples = samples.part((samples.depth < 100.0) | (samples.depth > 300.0))
+    among = (samples.depth > 300.0) & (rng.random(len(samples)) < 0.9)
+    crowns = 45.0 * np.exp(0.5 * rng.standard_normal(len(samples)))
+    read = np.where(among, 1.0 / crowns, 1.0 / samples.depth) * (1 + 0.1 * rng.standard_normal(len(samples)))
+    answers = Answers.of(read, samples, SIZE)
+    for depth in (600.0, 1500.0):
+        less, sigma = said(17, 30, np.float32(1 / depth), answers.shift, answers.factor)
+        assert (1 / 45.0 - 1 / depth + less) / sigma > 3.0
 
 
 def test_what_is_said_and_what_is_meant_are_inverse_to_each_other() -> None:
@@ -100,6 +114,23 @@ def test_a_shift_needs_evidence() -> None:
     assert fit.line is not None
     assert fit.line.shift == 0.0
     assert fit.line.scale == pytest.approx(1 / 7.0, rel=0.1)
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.2])
+def test_noise_over_ground_of_about_one_depth_makes_no_shift(noise: float) -> None:
+    """The network is noisy, not the terrain: a line fitted to depth by what the network says would be near flat."""
+    rng = np.random.default_rng(8)
+    samples = spread_samples()
+    samples = samples.part((samples.depth > 300) & (samples.depth < 420))
+    values = np.full((36, 64), np.nan, np.float32)
+    values[:] = 1 / 360.0 / 0.014
+    at = samples.rows * 36 // SIZE[0], samples.cols * 64 // SIZE[1]
+    values[at] = 1 / samples.depth / 0.014
+    values *= 1 + noise * rng.standard_normal(values.shape)
+    line = _line("relative_inverse", values[at].astype(np.float64), samples)
+    assert line is not None
+    assert line.shift == 0.0
+    assert line.scale == pytest.approx(0.014, rel=0.1)
 
 
 def test_no_range_crowds_out_the_others() -> None:

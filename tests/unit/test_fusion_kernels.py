@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 from ltm_core.depth.answers import OCTAVES, Answers, pairs, said, said_at
 from ltm_core.depth.beyond import clear_beyond
 from ltm_core.depth.blur import TILE, blurred
+from ltm_core.depth.classes import DepthClasses
+from ltm_core.depth.combine import _alone, _least, _standing
 from ltm_core.depth.edges import Edges
 from ltm_core.depth.guided import guided_coefficients
 from ltm_core.depth.network_fit import NetworkFit
 from ltm_core.depth.pose_check import quartered
 from ltm_core.depth.seen import SeenDepth, see, see_row
 from ltm_core.depth.surface import JUMP
+from ltm_core.vision.labels import Label, LabelSet
 
 
 def beyond_by_components(ground: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -125,3 +128,30 @@ def test_edges_are_where_depth_leaps_from_below_to_above(share: float) -> None:
     np.testing.assert_array_equal(edges.rows, len(leaps) - rows)
     np.testing.assert_array_equal(edges.cols, cols)
     assert (len(edges) > 0) == (share > 0)
+
+
+def test_the_nearer_a_thing_the_likelier_it_stands_before_the_ground() -> None:
+    standing = DepthClasses.of(LabelSet.load()).standing
+    far, none = np.float32(1 / 900), np.float32(0.0)
+    for odds in standing[[int(Label.GRASS), int(Label.SHRUB), int(Label.TREE), 255]]:
+        chances = [_standing(np.float32(1 / near), far, none, odds) for near in (890, 600, 300, 100, 40, 20)]
+        assert np.all(np.diff(chances[:-1]) > 0)
+        assert chances[-1] == pytest.approx(chances[-2], rel=1e-6)  # beyond twenty times nearer it grows no more
+        assert 0 < chances[0] < chances[-1] < 1
+        assert _standing(np.float32(1 / 300), far, np.float32(1.0), odds) < chances[2]
+    assert _standing(np.float32(1 / 40), far, none, standing[int(Label.SKY)]) == 0
+
+
+def test_what_is_passed_over_would_not_have_been_taken() -> None:
+    """`_least` is a short cut: of a disagreement below it nothing is taken for a thing before the ground, however far
+    behind that lies."""
+    rng = np.random.default_rng(1)
+    spread, gross = np.float32(1e-3), np.float32(1e-6)
+    for odds in DepthClasses.of(LabelSet.load()).standing[1:7]:
+        least = _least(_standing(np.float32(1.0), np.float32(0.0), np.float32(0.0), odds))
+        for _ in range(40):
+            joint = np.float32(spread**2 * rng.uniform(1.0, 4.0))
+            off = np.float32(np.sqrt(0.98 * max(least, 0.0) * joint))
+            y = np.float32(off + 1e-4)
+            chance = _standing(y, np.float32(1e-4), np.float32(0.0), odds)
+            assert _alone(y, y, y, off, joint, spread, gross, np.float32(chance)) == 0
