@@ -10,18 +10,20 @@ import pytest
 from depth_scene import CAMERA, STAND_HEIGHT, DepthScene, depth_scene
 from numpy.typing import NDArray
 
+from ltm_core.depth.answers import Answers
 from ltm_core.depth.classes import DepthClasses
 from ltm_core.depth.fusion import FusedDepth, FusionSettings, Source, Verdict, fuse
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.network_fit import fit_network
+from ltm_core.depth.network_fit import NetworkFit, fit_network
 from ltm_core.depth.pose_check import check_pose
 from ltm_core.depth.range_image import DepthImage, RangeImage
 from ltm_core.depth.sampling import ground_samples
+from ltm_core.depth.seen import SeenDepth
 from ltm_core.depth.silhouettes import raise_silhouettes
 from ltm_core.depth.surface import expected_surface
 from ltm_core.errors import ConfigError, ImageError
 from ltm_core.tracing import TerrainTracer
-from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.labels import Label, LabelSet
 
 CLASSES = DepthClasses.of(LabelSet.load())
 SETTINGS = FusionSettings()
@@ -260,6 +262,31 @@ def test_an_edge_moves_to_where_the_photo_has_it() -> None:
     strip = grown & (rows < crest)
     assert (surface[strip] == 400.0).mean() > 0.85
     assert (surface[rows < crest - 9] == 1500.0).mean() > 0.99
+
+
+def test_of_a_raised_strip_a_network_and_labels_take_back_what_is_not_the_crests() -> None:
+    height, width, crest = 200, 240, 110
+    rows = np.mgrid[0:height, 0:width][0]
+    ground = np.where(rows >= crest, 400.0, 1500.0).astype(np.float32)
+    grown = rows >= crest - 5
+    photo = np.where(grown[..., None], (90, 80, 40), (170, 180, 200)).astype(np.uint8)
+    photo = np.asarray(np.ascontiguousarray(np.broadcast_to(photo, (height, width, 3))))
+    camera = replace(CAMERA, width=width, height=height, fx=300.0, fy=300.0)
+    strip = grown & (rows < crest)
+
+    def raised(label: int, seen_at: float) -> float:
+        """Share of the strip given to the crest, where the network sees all of the photo at `seen_at` metres."""
+        inverse = np.full((25, 30), 1 / seen_at, np.float32)
+        inverse[14:] = 1 / 400
+        fit = NetworkFit(inverse, inverse, inverse, Answers.none(), 0.05, None, "")
+        surface, sigma = ground.copy(), np.full_like(ground, 2.0)
+        labels = np.full(ground.shape, label, np.uint8)
+        raise_silhouettes(photo, ground, surface, sigma, labels, CLASSES, camera, SeenDepth.of(fit, photo))
+        return float((surface[strip] == 400.0).mean())
+
+    assert raised(int(Label.TREE), 400.0) > 0.8
+    assert raised(int(Label.TREE), 1500.0) < raised(int(Label.TREE), 400.0)
+    assert raised(int(Label.GRASS), 1500.0) == 0.0
 
 
 def test_depths_that_were_sent_fuse_as_the_ranges_that_they_come_from() -> None:
