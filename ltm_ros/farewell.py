@@ -3,7 +3,7 @@
 The end of a Fast DDS participant waits for a discovery callback that is just running. In the ROS wheels (2.14.5, built
 with GCC's libstdc++ 9 or older) that wait spins with the very lock in its hand that the callback needs: for ever, and
 with the interpreter's own lock besides, so that no Python signal handler runs
-(https://github.com/eProsima/Fast-DDS/issues/6513). Callbacks run when others come or go, so it meets a graph that
+(Fast-DDS, issue 6513). Callbacks run when others come or go, so it meets a graph that
 stops: one process of 120 on two busy cores.
 """
 

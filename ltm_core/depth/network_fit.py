@@ -34,8 +34,9 @@ GROSS_SIGMAS = 3.0
 """Joint sigmas beyond which a network's residual is no noise."""
 COVERED_GROSS = 0.5
 """Part of the ground that a network sees much too near which is its error, and no cover that the labels missed."""
-LEAST_GROSS = 0.05
-"""Least share of gross errors that a network is believed to make."""
+LEAST_GROSS, NOISY_GROSS = 0.003, 0.05
+"""Least share of gross errors that a network is believed to make: as much as its relative noise, within these bounds.
+The share among samples is too little to go by: one place that a network mistakes is many samples, and few are places."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +89,7 @@ def fit_network(network: NetworkDepth, samples: GroundSamples, size: tuple[int, 
     joint = answers.joint(read, samples, size)
     joint = joint[np.isfinite(joint)]
     gross = float(np.mean(joint > GROSS_SIGMAS) + COVERED_GROSS * np.mean(joint < -GROSS_SIGMAS))
-    gross = max(LEAST_GROSS, gross)
+    gross = max(gross, LEAST_GROSS, min(line.sigma, NOISY_GROSS))
     return NetworkFit(inverse, *_neighbours(inverse), answers, gross, line, "")
 
 

@@ -74,9 +74,11 @@ class TrialScore:
 
 def score_trial(name: str, conditions: Conditions, config: TerrainConfig | None = None) -> TrialScore:
     """Let the towers look at a scene, and compare. Raises ConfigError for an unknown scene."""
-    # Trials make those pixels only that the map would take of a whole image.
-    told = {"pixel_step": 1, "repeats": conditions.noise.repeats}
-    config = (config or TerrainConfig()).model_copy(update=told)
+    config = config or TerrainConfig()
+    # Trials make those pixels only that the map would take of a whole image. The map is told, as it is of sigma, what
+    # of the noise each look repeats, and that it has a normal distribution's tails.
+    told = {"pixel_step": 1, "repeats": conditions.noise.repeats, "alone": config.confidence}
+    config = config.model_copy(update=told)
     scene = trial(name, conditions.seed)
     surface = SurfaceMap(Reference.of(scene.bare, scene.given), config, tuple(TOWERS))
     costs = []
