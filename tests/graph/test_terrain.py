@@ -159,7 +159,7 @@ class Living:
         self._sent += len(parts)
 
     def wait_taken(self) -> None:
-        """Until the node has taken all that was sent: a queue holds ten messages, a busy machine is slow to read."""
+        """Until the node has taken all that was sent: a queue holds ten, and a busy machine is slow to read."""
         wait_for(
             lambda: self.bystander.count(NODE, "received") >= self._sent,
             f"{self._sent} messages",
