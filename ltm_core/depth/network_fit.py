@@ -36,7 +36,7 @@ COVERED_GROSS = 0.5
 """Part of the ground that a network sees much too near which is its error, and no cover that the labels missed."""
 LEAST_GROSS, NOISY_GROSS = 0.003, 0.05
 """Least share of gross errors that a network is believed to make: as much as its relative noise, within these bounds.
-The share among samples is too little to go by: one place that a network mistakes is many samples, and few are places."""
+The share among samples is little to go by: one place that a network mistakes is many samples, and places are few."""
 
 
 @dataclass(frozen=True, eq=False)
