@@ -146,8 +146,9 @@ def _combine(
                     if other > 0:
                         inverse, t = meant(i, table[u], other, shift, factor)
                         if kind[u] and off[u] > 0:
-                            # The shifts were learnt on ground; what stands before it is told by the line alone.
-                            t, inverse = t * other / inverse, other
+                            # The shifts were learnt on ground; what stands before it is told by the line alone, and
+                            # that it is there is known even where its depth is as good as not.
+                            t, inverse = min(t * other / inverse, np.float32(0.99) * other), other
                         if t < inverse and (kind[u] == 0 or (inverse > true[u]) == (off[u] > 0)):
                             # Which of its neighbours' depths it is stays unsure.
                             between_both = np.float32(_BETWEEN) * (near[u] - back[u])
