@@ -3,8 +3,8 @@ against that of the labels.
 
 A camera turned by half a degree moves every silhouette by the same some pixels. The traced silhouettes are shifted over
 the photo's vertical gradient. The pose is suspected where only turns beyond what is no surprise meet about as much
-contrast as the best one: the best place alone is blind along a ridge. Cover on crests moves edges up by a few metres
-only, and near crests, where that is much, are left out.
+contrast as the best one: the best place alone is blind along a ridge. Cover on crests moves edges up by a few metres,
+trees by more, and crests that are so near that this is much are left out.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
-from ltm_core.depth.classes import DepthClasses
+from ltm_core.depth.classes import CREST, DepthClasses
 from ltm_core.depth.edges import Edges
 from ltm_core.depth.skyline_check import check_skyline
 from ltm_core.depth.surface import JUMP
@@ -31,6 +31,7 @@ _MOST_EDGES = 1500
 _NEAR_DEG = 0.25  # that cover and the DEM's error may move a silhouette by
 _ALLOWED_DEG = 0.13  # beside three sigmas of the direction
 _COVER = 1.0  # metres that cover raises a crest by
+_BESIDE = 2  # pixels above an edge where the label of what stands on it is read
 _AS_WELL = 0.8  # of the best contrast over the usual: about as good
 _CLEARLY = 0.6  # of the best contrast that the given pose must miss to be suspected
 _SKYLINE_GAIN = 4.0  # times that the skyline must fit better: labels that err fit a little better somewhere
@@ -77,6 +78,9 @@ def check_pose(
     allowed = _ALLOWED_DEG + 3 * math.degrees(angle_sigma)
     nearest = (_COVER + dem_sigma) / math.radians(_NEAR_DEG)
     rows, cols = _silhouettes(ground, Edges.of(ground) if edges is None else edges, nearest)
+    if labels is not None and classes is not None:
+        clear_of_trees = _clear_of_trees(rows, cols, ground, labels, classes.crest, dem_sigma)
+        rows, cols = rows[clear_of_trees], cols[clear_of_trees]
     columns = 0
     found = _check_edges(rgb, rows, cols, camera, allowed) if len(rows) >= _LEAST_EDGES else None
     reason = "the photo's edges fit the terrain's silhouettes"
@@ -99,6 +103,20 @@ def check_pose(
         reason += f" {gain:.1f} times better with the camera turned by {pitch:+.2f} deg of pitch and "
         reason += f"{azimuth:+.2f} deg of azimuth"
     return PoseCheck(len(rows), columns, pitch, azimuth, gain, suspected, reason if suspected else "")
+
+
+def _clear_of_trees(
+    rows: NDArray[np.int32],
+    cols: NDArray[np.int32],
+    ground: NDArray[np.float32],
+    labels: NDArray[np.uint8],
+    crest: NDArray[np.float32],
+    dem_sigma: float,
+) -> NDArray[np.bool_]:
+    """Which edges (N,) are no trees', by the labels right above and below them, or so far that trees are not much."""
+    height = np.maximum(crest[labels[np.maximum(rows - _BESIDE, 0), cols]], crest[labels[rows, cols]])
+    far = ground[rows, cols] > (height + dem_sigma) / math.radians(_NEAR_DEG)
+    return np.asarray(far | (height <= CREST))
 
 
 def _check_edges(
