@@ -160,30 +160,9 @@ def _silhouettes(
 def _contrast(rgb: NDArray[np.uint8], shrink: int) -> NDArray[np.float32]:
     """How much the colour changes from above to below each place, relative to its surroundings' texture."""
     size = (rgb.shape[1] // shrink, rgb.shape[0] // shrink)
-    # A full HD photo is quartered, at which OpenCV is slow.
-    quarter = (4 * size[1], 4 * size[0]) == rgb.shape[:2]
-    change = _changes(quartered(rgb) if quarter else cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
+    change = _changes(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
     texture = cv2.blur(change, (25, 25))
     return np.asarray(np.minimum(change / (texture + 6.0), 4.0), np.float32)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def quartered(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The mean of every 4 x 4 pixels of a photo (4 h, 4 w, 3), rounded as by cv2.resize: halves to the even."""
-    height, width = rgb.shape[0] // 4, rgb.shape[1] // 4
-    small, total = np.empty((height, width, 3), np.uint8), np.empty(12 * width, np.uint16)
-    for v in range(height):
-        a, b = rgb[4 * v].reshape(-1), rgb[4 * v + 1].reshape(-1)
-        c, d = rgb[4 * v + 2].reshape(-1), rgb[4 * v + 3].reshape(-1)
-        for i in range(len(total)):
-            total[i] = np.uint16(np.uint16(a[i]) + np.uint16(b[i])) + np.uint16(np.uint16(c[i]) + np.uint16(d[i]))
-        line = small[v]
-        for u in range(width):
-            for j in range(3):
-                k = 12 * u + j
-                sixteen = np.int32(total[k]) + np.int32(total[k + 3]) + np.int32(total[k + 6]) + np.int32(total[k + 9])
-                line[u, j] = (sixteen + 7 + ((sixteen >> 4) & 1)) >> 4
-    return small
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.depth.answers import said
-from ltm_core.depth.blur import TILE, blurred
 from ltm_core.depth.classes import DepthClasses
 from ltm_core.depth.crests import smoothed
 from ltm_core.depth.edges import Edges
@@ -43,6 +43,7 @@ _NETWORK_MOST = 3.0  # the same of its network depth
 _NETWORK_SURE = 1.0  # log likelihood from which on the network may raise an edge beyond the usual cover
 _TOWARD = 1.9  # log odds that a pixel is of a crest which the network sees as near as the crest; see `OUTLINE`
 _NEED = 1.0  # log odds by which a cut must be better than none
+_BLUR = (5, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +80,7 @@ def raise_silhouettes(
     rows, cols = edges.rows, edges.cols
     crest = classes.crest
     highest = np.float32(crest[255] if labels is None and network is None else crest.max())
-    color = blurred(rgb, _asked(ground, rows, cols, highest * np.float32(camera.fy)))
+    color = np.asarray(cv2.blur(rgb, _BLUR), np.uint8) if len(rows) else rgb
     raised = np.zeros(len(rows), np.int32)
     seen = SeenDepth.none() if network is None else network
     ids = np.zeros((1, 1), np.uint8) if labels is None else labels
@@ -123,20 +124,6 @@ def raise_silhouettes(
         sigma,
     )
     return Silhouettes(rows, cols, ground[rows, cols], raised)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _asked(ground: Image, rows: NDArray[np.int32], cols: NDArray[np.int32], highest: np.float32) -> NDArray[np.bool_]:
-    """Tiles of the photo whose colours are asked for, where strips are at most `highest` pixels times metres high."""
-    height, width = ground.shape
-    tiles = np.zeros(((height - 1) // TILE[0] + 1, (width - 1) // TILE[1] + 1), np.bool_)
-    for i in range(len(rows)):
-        v, u = rows[i], cols[i]
-        top = max(v - min(STRIP_PX, int(highest / ground[v, u])) - _SAMPLE, 0)
-        left, right = max(u - _HALF, 0), min(u + _HALF, width - 1)
-        for y in range(top // TILE[0], min(v + _SAMPLE - 1, height - 1) // TILE[0] + 1):
-            tiles[y, left // TILE[1]] = tiles[y, right // TILE[1]] = True
-    return tiles
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

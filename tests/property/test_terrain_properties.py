@@ -133,27 +133,22 @@ def test_what_a_camera_repeats_falls_with_cameras_only(
     assert mean_variance(looks, looks / variance, pose, cameras, repeats) == pytest.approx(expected, rel=1e-6)
 
 
-def test_something_is_gone_no_surer_than_the_ray_has_passed() -> None:
-    """Two cameras whose rays passed 8 m below the crowns, by 4 sigmas of range: how low the cell is, is known, and that
-    its stand has gone is known by 4 sigmas, less what two cameras and their looks make of them."""
+def passed_below(sheet: float) -> TilePool:
+    """A cell 8 m below whose surface the rays of two cameras have passed, four times; `sheet`: variance of that."""
     one = pool(True)
     for name in FIELDS:
         one.cells.field(name)[0, 0] = 0
+    dz, least, exact = np.float32(-8.0), np.float32(0.25), np.float32(0)
     for number in range(4):
-        least, sheet = np.float32(0.25), np.float32(4.0)
-        take(
-            one.cells,
-            0,
-            0,
-            np.float32(-8.0),
-            least,
-            sheet,
-            np.float32(0),
-            True,
-            BEGIN + 3600 * number,
-            1 + number % 2,
-            RULES,
-        )
+        when, camera = BEGIN + 3600 * number, 1 + number % 2
+        take(one.cells, 0, 0, dz, least, np.float32(sheet), exact, True, when, camera, RULES)
+    return one
+
+
+def test_something_is_gone_no_surer_than_the_ray_has_passed() -> None:
+    """Two cameras whose rays passed 8 m below the crowns, by 4 sigmas of range: how low the cell is, is known, and that
+    its stand has gone is known by 4 sigmas, less what two cameras and their looks make of them."""
+    one = passed_below(sheet=4.0)
     c = one.cells.estimate[0, 0]
     assert believed(one)
     assert c["dz"] == pytest.approx(-8.0)
@@ -162,23 +157,6 @@ def test_something_is_gone_no_surer_than_the_ray_has_passed() -> None:
 
 
 def test_a_ray_that_may_not_have_passed_contradicts_nothing() -> None:
-    one = pool(True)
-    for name in FIELDS:
-        one.cells.field(name)[0, 0] = 0
-    for number in range(4):
-        least, sheet = np.float32(0.25), np.float32((8.0 / 2.9) ** 2)
-        take(
-            one.cells,
-            0,
-            0,
-            np.float32(-8.0),
-            least,
-            sheet,
-            np.float32(0),
-            True,
-            BEGIN + 3600 * number,
-            1 + number % 2,
-            RULES,
-        )
+    one = passed_below(sheet=(8.0 / 2.9) ** 2)
     assert not believed(one)
     assert one.cells.estimate[0, 0]["c_looks"] == 0

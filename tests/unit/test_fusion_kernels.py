@@ -9,13 +9,11 @@ from numpy.typing import NDArray
 
 from ltm_core.depth.answers import OCTAVES, Answers, pairs, said, said_at
 from ltm_core.depth.beyond import clear_beyond
-from ltm_core.depth.blur import TILE, blurred
 from ltm_core.depth.classes import DepthClasses
 from ltm_core.depth.combine import _alone, _least, _standing
 from ltm_core.depth.edges import Edges
 from ltm_core.depth.guided import guided_coefficients
 from ltm_core.depth.network_fit import NetworkFit
-from ltm_core.depth.pose_check import quartered
 from ltm_core.depth.seen import SeenDepth, see, see_row
 from ltm_core.depth.surface import JUMP
 from ltm_core.vision.labels import Label, LabelSet
@@ -94,26 +92,6 @@ def test_a_network_is_enlarged_as_opencv_enlarges(size: tuple[int, int]) -> None
     for v, u in ((0, 0), (119, 199), (57, 101), (20, 150)):
         one = see(seen.cells, seen.grey, seen.columns, seen.parts, v, u)
         assert one == pytest.approx(found[v, u], rel=1e-5, nan_ok=True)
-
-
-@pytest.mark.parametrize("size", [(211, 333), (64, 128), (2, 3), (33, 65), (34, 66)])
-def test_wanted_tiles_are_blurred_as_opencv_blurs(size: tuple[int, int]) -> None:
-    rng = np.random.default_rng(size[0])
-    photo = rng.integers(0, 256, (*size, 3)).astype(np.uint8)
-    whole = cv2.blur(photo, (5, 3))
-    tiles = np.ones((-(-size[0] // TILE[0]), -(-size[1] // TILE[1])), np.bool_)
-    np.testing.assert_array_equal(blurred(photo, tiles), whole)
-    some = rng.random(tiles.shape) < 0.4
-    wanted = np.kron(some, np.ones(TILE, np.bool_))[: size[0], : size[1]]
-    np.testing.assert_array_equal(blurred(photo, some)[wanted], whole[wanted])
-
-
-def test_a_photo_is_quartered_as_opencv_resizes() -> None:
-    rng = np.random.default_rng(4)
-    photo = rng.integers(0, 256, (84, 132, 3)).astype(np.uint8)
-    photo[:40] //= 64  # sums of few kinds: every sixteenth of them ends in a half
-    expected = cv2.resize(photo, (33, 21), interpolation=cv2.INTER_AREA)
-    np.testing.assert_array_equal(quartered(photo), expected)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.03, 0.6])
