@@ -2,9 +2,8 @@
 
 The end of a Fast DDS participant waits for a discovery callback that is just running. In the ROS wheels (2.14.5, built
 with GCC's libstdc++ 9 or older) that wait spins with the very lock in its hand that the callback needs: for ever, and
-with the interpreter's own lock besides, so that no Python signal handler runs
-(Fast-DDS, issue 6513). Callbacks run when others come or go, so it meets a graph that
-stops.
+with the interpreter's own lock besides, so that no Python signal handler runs (Fast-DDS, issue 6513). Callbacks run
+when others come or go, so it meets a graph that stops.
 """
 
 from __future__ import annotations

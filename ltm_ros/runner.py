@@ -22,8 +22,6 @@ from ltm_ros.graph import Graph, NodeSpec, parameters_yaml
 from ltm_ros.ros_environment import ros_environment
 from ltm_ros.supervisor import Console, NodeProcess, RestartPolicy, State
 
-WATCH_LEAVES_S = 10.0
-"""Time to leave for the process that has seen all nodes come up: half a second, on a busy machine some."""
 KEPT_RUNS = 10
 """Log folders of former runs that `new_log_folder` leaves."""
 
@@ -145,16 +143,13 @@ class Runner:
         reader.start()
         try:
             deadline = time.monotonic() + timeout_s + 5.0
-            while missing and watch.poll() is None and time.monotonic() < deadline:
+            # Until it has gone by itself: told to hurry it would leave its peers' shared memory marked as in use.
+            while watch.poll() is None and time.monotonic() < deadline:
                 if self.given_up or self._stopping.is_set():
                     break
                 self._changed.wait(0.05)
                 self._changed.clear()
         finally:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                if not missing:
-                    # It is on its way out, and told to hurry it would leave its peers' shared memory marked as in use.
-                    watch.wait(WATCH_LEAVES_S)
             if watch.poll() is None:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     watch.terminate()
