@@ -4,6 +4,7 @@ If the terrain were right, what would the network say here, and how surely (`ans
 averaged by inverse variance, in inverse depth: far away the terrain decides, since a network's sigma grows with the
 square of the depth. Where it says something else, either something stands before the terrain, or it is gone, or the
 network is wrong; the chance of each, by the class that the label gives, decides whether the network alone is taken.
+Where that is nearly open, depth is the mean of both as likely as they are, and sigma owns up to it.
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.depth.answers import meant, pairs, said, said_at
+from ltm_core.depth.answers import meant, pairs, said
 from ltm_core.depth.classes import DepthClasses
+from ltm_core.depth.rows import average, begin, compare
 from ltm_core.depth.seen import SeenDepth, see_row
 
 Image = NDArray[np.float32]
@@ -26,10 +28,10 @@ MOST_RATIO = 3.0
 """E-foldings of depth between ground and what stands before it from which on its chance grows no more."""
 EDGE = 0.5
 """What log odds lose at an edge as high as the disagreement, and less by its square."""
-_SOFT = 0.15  # of the range of a network's depth among neighbours: how far a pixel between them may be off
 _ELSEWHERE = 4.0  # times a network's variance on ground: its variance on what stands before it
 _BETWEEN = 0.3  # of the range of a network's depth among neighbours: sigma of which of them a pixel shows
 _BLURRED = 0.3  # of a disagreement: what lies between two sides by more is an edge
+_OPEN = 0.2  # chance from which on a depth counts beside the likelier one
 _OWN = 4.0  # of a network's own variance: below it, `_least` is no more than `_alone`
 _RANGES = 3.0  # e-foldings of depth over which something that stands before the terrain may be, each as likely
 
@@ -96,10 +98,9 @@ def _combine(
 ) -> None:
     """What is absent, as `has_over`, `usable` and `labelled` say, is of size 1 or 2.
 
-    Row by row: what nearly all pixels need is computed in short loops without branches, which compilers turn into
-    vector code; only the pixels where terrain and network disagree are then looked at one by one.
+    Row by row (see `rows`): only the pixels where terrain and network disagree are looked at one by one.
     """
-    one = np.float32(1.0)
+    half, one, far = np.float32(0.5), np.float32(1.0), np.float32(1e9)
     height, width = depth.shape
     cols = shift.shape[1]
     tables = pairs(shift, factor)
@@ -122,114 +123,42 @@ def _combine(
             see_row(cells, grey, columns, parts, v, between, seen)
         if has_over:
             _choose(d, s, over[v], y, usable, i, table, shift, factor, label, prefers_over)
-        _begin(d, s, kind)
+        begin(d, s, kind)
         if not usable:
             continue
-        count = _compare(
+        count = compare(
             d, s, y, near, back, tables[i], table, place, label, sky, true, own, less, spread, off, joint, weight, asked
         )
-        _average(d, s, kind, true, own, off, joint, weight)
-        if count:
-            for u in range(width):
-                if asked[u]:
-                    other = y[u]
-                    if kind[u]:
-                        chance = np.float32(VANISHED)
-                        if off[u] > 0:
-                            chance = _standing(near[u], true[u], (near[u] - y[u]) / off[u], standing[label[u]])
-                        square = off[u] * off[u]
-                        if joint[u] < np.float32(_OWN) * spread[u] * spread[u] and square < joint[u] * (
-                            least[label[u]] if off[u] > 0 else gone
-                        ):
-                            continue
-                        other = _alone(other, near[u], back[u], off[u], joint[u], spread[u], gross, chance)
-                    if other > 0:
-                        inverse, t = meant(i, table[u], other, shift, factor)
-                        if kind[u] and off[u] > 0:
-                            # The shifts were learnt on ground; what stands before it is told by the line alone, and
-                            # that it is there is known even where its depth is as good as not.
-                            t, inverse = min(t * other / inverse, np.float32(0.99) * other), other
-                        if t < inverse and (kind[u] == 0 or (inverse > true[u]) == (off[u] > 0)):
-                            # Which of its neighbours' depths it is stays unsure.
-                            between_both = np.float32(_BETWEEN) * (near[u] - back[u])
-                            t = np.sqrt(np.float32(_ELSEWHERE) * t * t + between_both * between_both)
-                            d[u], s[u], kind[u] = one / inverse, t / (inverse * inverse), 2
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
-def _compare(
-    d: Row,
-    s: Row,
-    y: Row,
-    near: Row,
-    back: Row,
-    tables: Image,
-    table: NDArray[np.int32],
-    place: NDArray[np.int32],
-    label: NDArray[np.uint8],
-    sky: int,
-    true: Row,
-    own: Row,
-    less: Row,
-    spread: Row,
-    off: Row,
-    joint: Row,
-    part: Row,
-    asked: NDArray[np.bool_],
-) -> int:
-    """One row of terrain, depth `d` and sigma `s`, beside what the network sees, `y`, `near` and `back`.
-
-    Fills `true`, the terrain's inverse depth, 0 for sky and unknown ground, and `own`, its sigma; `spread`, the
-    network's; `off`, by how much that is nearer than it would say of the terrain, with the variance `joint`; and
-    `asked`, whether the two disagree or the terrain is unknown; how many. Compilers give up on loops that write into
-    several of many arrays: one result a loop.
-    """
-    width, far, one, none = len(d), np.float32(1e9), np.float32(1.0), np.float32(0.0)
-    for u in range(width):
-        true[u] = one / d[u] if d[u] < far else none
-    for u in range(width):
-        b = s[u] * true[u] * true[u]
-        own[u] = b if d[u] < far else none
-    said_at(true, tables, table, place, part, less, spread)
-    for u in range(width):
-        off[u] = y[u] - true[u] + less[u]
-    for u in range(width):
-        # At an edge the network's depth is the other side's in part.
-        soft = np.float32(_SOFT) * (near[u] - back[u])
-        joint[u] = spread[u] * spread[u] + own[u] * own[u] + soft * soft
-    count = 0
-    for u in range(width):
-        odd = (off[u] * off[u] > np.float32(2.0) * joint[u]) & ((off[u] > 0) | (d[u] < far))
-        ask = (label[u] != sky) & (odd | ((d[u] != d[u]) & (y[u] == y[u])))
-        asked[u] = ask
-        count += ask
-    return count
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
-def _average(d: Row, s: Row, kind: NDArray[np.uint8], true: Row, own: Row, off: Row, joint: Row, weight: Row) -> None:
-    """Mean by inverse variance, in inverse depth, where both agree within three sigmas; see `_compare`."""
-    width, one = len(d), np.float32(1.0)
-    for u in range(width):
-        w = own[u] * own[u] / joint[u]
-        fits = (off[u] * off[u] <= np.float32(9.0) * joint[u]) & (true[u] + w * off[u] > np.float32(0.5) * true[u])
-        weight[u] = w if fits & (own[u] > 0) else np.float32(-1.0)
-    for u in range(width):
-        d[u] = one / (true[u] + weight[u] * off[u]) if weight[u] >= 0 else d[u]
-    for u in range(width):
-        s[u] = own[u] * np.sqrt(one - weight[u]) * d[u] * d[u] if weight[u] >= 0 else s[u]
-    for u in range(width):
-        kind[u] = 3 if weight[u] > np.float32(0.1) else kind[u]
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
-def _begin(d: Row, s: Row, kind: NDArray[np.uint8]) -> None:
-    """What a row is without a network."""
-    far, none = np.float32(1e9), np.float32(np.nan)
-    for u in range(len(d)):
-        kind[u] = 1 if d[u] < far else (4 if d[u] > far else 0)
-    for u in range(len(d)):
-        s[u] = s[u] if d[u] < far else none
+        average(d, s, kind, true, own, off, joint, weight)
+        if not count:
+            continue
+        for u in np.flatnonzero(asked):
+            other, likely = y[u], one
+            if kind[u]:
+                chance = np.float32(VANISHED)
+                if off[u] > 0:
+                    chance = _standing(near[u], true[u], (near[u] - y[u]) / off[u], standing[label[u]])
+                surely = joint[u] * (least[label[u]] if off[u] > 0 else gone)
+                if joint[u] < np.float32(_OWN) * spread[u] * spread[u] and off[u] * off[u] < surely:
+                    continue
+                other, likely = _alone(other, near[u], back[u], off[u], joint[u], spread[u], gross, chance)
+            if not other > 0:
+                continue
+            inverse, t = meant(i, table[u], other, shift, factor)
+            if kind[u] and off[u] > 0:
+                # The shifts were learnt on ground; what stands before it is told by the line alone, and that it is
+                # there is known even where its depth is as good as not.
+                t, inverse = min(t * other / inverse, np.float32(0.99) * other), other
+            if not (t < inverse and (kind[u] == 0 or (inverse > true[u]) == (off[u] > 0))):
+                continue
+            # Which of its neighbours' depths it is stays unsure.
+            between_both = np.float32(_BETWEEN) * (near[u] - back[u])
+            t = np.sqrt(np.float32(_ELSEWHERE) * t * t + between_both * between_both) / (inverse * inverse)
+            if d[u] < far and likely < np.float32(1.0 - _OPEN):
+                d[u], s[u] = _either(d[u], s[u], one / inverse, t, likely)
+            elif likely > half:
+                d[u], s[u] = one / inverse, t
+            kind[u] = 2 if likely > half else kind[u]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -245,11 +174,12 @@ def _standing(near: np.float32, true: np.float32, edge: np.float32, odds: Row) -
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _least(chance: float) -> float:
-    """Squared sigmas below which a thing of such a chance is never believed where the variance is the network's own:
+    """Squared sigmas below which a thing of such a chance never counts where the variance is the network's own:
     `_alone`'s odds at their best, without the exponential."""
     if chance <= 0:
         return np.inf
-    return float(2.0 * np.log((1.0 - chance) / chance * _RANGES / np.sqrt(2.0 * np.pi * _OWN)))
+    odds = _OPEN / (1.0 - _OPEN) * (1.0 - chance) / chance
+    return float(2.0 * np.log(odds * _RANGES / np.sqrt(2.0 * np.pi * _OWN)))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -262,25 +192,37 @@ def _alone(
     spread: np.float32,
     gross: np.float32,
     chance: np.float32,
-) -> np.float32:
-    """The inverse depth, 1/m, that is the network's alone, 0 where the terrain's word counts.
+) -> tuple[np.float32, np.float32]:
+    """The inverse depth, 1/m, that is the network's alone, 0 where only the terrain's word counts, and its chance.
 
     `y`: what the network sees, `near` and `back` its neighbours. `off`: by how much it is nearer than it would say of
     the terrain, with variance `joint`, of its own `spread`. `chance`: of something that stands there, or is gone.
     """
-    half, one = np.float32(0.5), np.float32(1.0)
+    half, none, one = np.float32(0.5), np.float32(0.0), np.float32(1.0)
     # Something stands there? At a soft edge only where the network is nearer to the near side. Or is something gone?
     # That is not asked at edges, where the far side, or sky, may have leaked in.
     other = near if off > 0 else y
     edge = near - y if off > 0 else near - back
     if not edge < abs(off):
-        return np.float32(0.0)
+        return none, none
     fits = np.exp(-half * off * off / joint) / np.sqrt(np.float32(2 * np.pi) * joint)
     density = one / (np.float32(_RANGES) * max(other, spread))
-    if chance * density > (one - chance) * ((one - gross) * fits + gross * density):
-        # Away from edges what neighbours see is but their own place.
-        return y if edge < np.float32(_BLURRED) * abs(off) else other
-    return np.float32(0.0)
+    stands = chance * density
+    likely = stands / (stands + (one - chance) * ((one - gross) * fits + gross * density))
+    if likely < np.float32(_OPEN):
+        return none, likely
+    # Away from edges what neighbours see is but their own place.
+    return (y if edge < np.float32(_BLURRED) * abs(off) else other), likely
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _either(
+    d: np.float32, s: np.float32, other: np.float32, t: np.float32, likely: np.float32
+) -> tuple[np.float32, np.float32]:
+    """Mean and sigma, metres, of a depth that is `other`, of sigma `t`, as `likely` as that and else `d`, of `s`."""
+    rest = np.float32(1.0) - likely
+    apart = other - d
+    return d + likely * apart, np.sqrt(likely * t * t + rest * s * s + likely * rest * apart * apart)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ltm_core.depth.answers import OCTAVES, Answers, pairs, said, said_at
 from ltm_core.depth.beyond import clear_beyond
 from ltm_core.depth.classes import DepthClasses
-from ltm_core.depth.combine import _alone, _least, _standing
+from ltm_core.depth.combine import _alone, _either, _least, _standing
 from ltm_core.depth.edges import Edges
 from ltm_core.depth.guided import guided_coefficients
 from ltm_core.depth.network_fit import NetworkFit
@@ -132,4 +132,14 @@ def test_what_is_passed_over_would_not_have_been_taken() -> None:
             off = np.float32(np.sqrt(0.98 * max(least, 0.0) * joint))
             y = np.float32(off + 1e-4)
             chance = _standing(y, np.float32(1e-4), np.float32(0.0), odds)
-            assert _alone(y, y, y, off, joint, spread, gross, np.float32(chance)) == 0
+            assert _alone(y, y, y, off, joint, spread, gross, np.float32(chance))[0] == 0
+
+
+@pytest.mark.parametrize("likely", [0.25, 0.5, 0.7])
+def test_a_depth_that_may_be_either_of_two_has_their_mean_and_all_of_their_spread(likely: float) -> None:
+    """As many draws from both say."""
+    rng = np.random.default_rng(4)
+    draws = np.where(rng.random(400_000) < likely, rng.normal(90, 9, 400_000), rng.normal(700, 30, 400_000))
+    mean, sigma = _either(*np.array([700, 30, 90, 9, likely], np.float32))
+    assert mean == pytest.approx(draws.mean(), rel=0.01)
+    assert sigma == pytest.approx(draws.std(), rel=0.01)
