@@ -79,6 +79,19 @@ class Camera:
             self.distortion,
         )
 
+    def resized(self, width: int, height: int) -> Camera:
+        """The camera of an image of another size, in pixels, that shows the same, edge to edge."""
+        across, down = width / self.width, height / self.height
+        return Camera(
+            width,
+            height,
+            self.fx * across,
+            self.fy * down,
+            (self.cx + 0.5) * across - 0.5,
+            (self.cy + 0.5) * down - 0.5,
+            self.distortion,
+        )
+
     def rays(self) -> Array:
         """Unit viewing rays of all pixels in the optical frame, (H, W, 3), read-only.
 

@@ -28,6 +28,8 @@ FUSED_SIGMA = Topic("fused/sigma", Image)
 FUSED_SOURCE = Topic("fused/source", Image)
 FUSED_INFO = Topic("fused/info", String, latched=True)
 NETWORK_DEPTH = Topic("network/depth", Image)
+MEASURED_DEPTH = Topic("measured/depth", Image)
+MEASURED_SIGMA = Topic("measured/sigma", Image)
 
 LABELS_IMAGE = Topic("labels/image", Image)
 LABELS_CONFIDENCE = Topic("labels/confidence", Image)

@@ -28,8 +28,10 @@ MOST_RATIO = 3.0
 """E-foldings of depth between ground and what stands before it from which on its chance grows no more."""
 EDGE = 0.5
 """What log odds lose at an edge as high as the disagreement, and less by its square."""
-_ELSEWHERE = 4.0  # times a network's variance on ground: its variance on what stands before it
-_BETWEEN = 0.3  # of the range of a network's depth among neighbours: sigma of which of them a pixel shows
+ELSEWHERE = 4.0
+"""Times a network's variance on ground: its variance on what stands before it."""
+BETWEEN = 0.3
+"""Of the range of a network's depth among neighbours: sigma of which of them a pixel shows."""
 _BLURRED = 0.3  # of a disagreement: what lies between two sides by more is an edge
 _OPEN = 0.2  # chance from which on a depth counts beside the likelier one
 _OWN = 4.0  # of a network's own variance: below it, `_least` is no more than `_alone`
@@ -152,8 +154,8 @@ def _combine(
             if not (t < inverse and (kind[u] == 0 or (inverse > true[u]) == (off[u] > 0))):
                 continue
             # Which of its neighbours' depths it is stays unsure.
-            between_both = np.float32(_BETWEEN) * (near[u] - back[u])
-            t = np.sqrt(np.float32(_ELSEWHERE) * t * t + between_both * between_both) / (inverse * inverse)
+            between_both = np.float32(BETWEEN) * (near[u] - back[u])
+            t = np.sqrt(np.float32(ELSEWHERE) * t * t + between_both * between_both) / (inverse * inverse)
             if d[u] < far and likely < np.float32(1.0 - _OPEN):
                 d[u], s[u] = _either(d[u], s[u], one / inverse, t, likely)
             elif likely > half:

@@ -20,6 +20,7 @@ from ltm_core.depth.beyond import clear_beyond
 from ltm_core.depth.classes import DepthClasses
 from ltm_core.depth.combine import combine
 from ltm_core.depth.edges import Edges
+from ltm_core.depth.measured import MeasuredDepth
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_fit import NetworkFit, fit_network
 from ltm_core.depth.pose_check import PoseCheck, check_pose
@@ -86,6 +87,12 @@ class FusedDepth:
     reason: str
     pose: PoseCheck
     fit: NetworkFit | None = field(default=None, repr=False)
+
+    def measured(self) -> MeasuredDepth:
+        """What the network alone measures: nothing where it, or the pose, cannot be relied on."""
+        if self.fit is None or self.verdict is not Verdict.OK:
+            return MeasuredDepth.none()
+        return MeasuredDepth.of(self.fit)
 
     def info(self) -> dict[str, Any]:
         """JSON-ready: what `fused/info` carries."""

@@ -39,6 +39,8 @@ from ltm_ros.topics import (
     FUSED_SIGMA,
     FUSED_SOURCE,
     LABELS_IMAGE,
+    MEASURED_DEPTH,
+    MEASURED_SIGMA,
     NETWORK_DEPTH,
     POSED_CAMERA_INFO,
     POSED_IMAGE,
@@ -75,7 +77,9 @@ class _Frame:
 class TopoDepth(Handler[TopoDepthConfig]):
     """Joins photo, calibration, pose and traced depth; labels too, where they come in time."""
 
-    publications = (FUSED_DEPTH, FUSED_SIGMA, FUSED_SOURCE, FUSED_INFO, NETWORK_DEPTH)
+    publications = (
+        FUSED_DEPTH, FUSED_SIGMA, FUSED_SOURCE, FUSED_INFO, MEASURED_DEPTH, MEASURED_SIGMA, NETWORK_DEPTH,
+    )  # fmt: skip
 
     def __init__(self, config: TopoDepthConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -188,6 +192,9 @@ class TopoDepth(Handler[TopoDepthConfig]):
             with np.errstate(divide="ignore"):
                 metres = np.where(fused.fit.inverse > 0, 1.0 / fused.fit.inverse, np.inf).astype(np.float32)
             self.outlet.publish(NETWORK_DEPTH, depth_to_msg(metres, stamp, frame))
+        measured = fused.measured()
+        self.outlet.publish(MEASURED_SIGMA, depth_to_msg(measured.sigma, stamp, frame))
+        self.outlet.publish(MEASURED_DEPTH, depth_to_msg(measured.depth, stamp, frame))
         self.outlet.publish(FUSED_SIGMA, depth_to_msg(fused.sigma, stamp, frame))
         self.outlet.publish(FUSED_SOURCE, image_to_msg(fused.source, "mono8", stamp, frame))
         self.outlet.publish(FUSED_DEPTH, depth_to_msg(fused.depth, stamp, frame))
@@ -202,7 +209,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
         rgb, labels = np.zeros((64, 96, 3), np.uint8), np.ones((64, 96), np.uint8)
         inverse = (1 / np.minimum(depth, 1e4)).astype(np.float32)
         for given in (labels, None):
-            fuse(traced, NetworkDepth(inverse, "relative_inverse"), rgb, given, self._classes)
+            fuse(traced, NetworkDepth(inverse, "relative_inverse"), rgb, given, self._classes).measured()
 
 
 def _label_columns(model: str) -> int:

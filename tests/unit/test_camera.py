@@ -94,6 +94,17 @@ def test_scaled_keeps_pixel_centres(step: int) -> None:
     np.testing.assert_allclose(sampled.rays(), rays, atol=1e-12)
 
 
+def test_resized_shows_the_same_from_edge_to_edge() -> None:
+    small = BARREL.resized(31, 17)
+    rays = BARREL.rays()[::9, ::7].reshape(-1, 3)
+    u, v = np.meshgrid(np.arange(0, BARREL.width, 7), np.arange(0, BARREL.height, 9))
+    across, down = 31 / BARREL.width, 17 / BARREL.height
+    expected = np.stack([(u.ravel() + 0.5) * across - 0.5, (v.ravel() + 0.5) * down - 0.5], axis=-1)
+    seen = np.isfinite(rays).all(axis=-1)
+    assert seen.mean() > 0.5
+    np.testing.assert_allclose(small.project(rays[seen]), expected[seen], atol=1e-6)
+
+
 def test_scaled_needs_a_step() -> None:
     with pytest.raises(CameraError, match="got 0"):
         BARREL.scaled(0)

@@ -30,6 +30,8 @@ from ltm_ros.topics import (
     FUSED_SIGMA,
     FUSED_SOURCE,
     LABELS_IMAGE,
+    MEASURED_DEPTH,
+    MEASURED_SIGMA,
     NETWORK_DEPTH,
     POSED_CAMERA_INFO,
     POSED_IMAGE,
@@ -102,7 +104,7 @@ def test_a_frame_comes_out_fused_with_its_stamp(
 ) -> None:
     node = Node(tmp_path, monkeypatch)
     node.feed(*order)
-    for topic in (FUSED_DEPTH, FUSED_SIGMA, FUSED_SOURCE, NETWORK_DEPTH):
+    for topic in (FUSED_DEPTH, FUSED_SIGMA, FUSED_SOURCE, MEASURED_DEPTH, MEASURED_SIGMA, NETWORK_DEPTH):
         assert node.kept.stamps(topic) == [STAMP]
     depth = msg_to_depth(node.kept.on(FUSED_DEPTH)[0])
     source = msg_to_array(node.kept.on(FUSED_SOURCE)[0], ("mono8",))
@@ -111,6 +113,9 @@ def test_a_frame_comes_out_fused_with_its_stamp(
     stand = scene.stand
     assert np.abs(depth[stand] - scene.truth[stand]).mean() < 0.4 * np.abs(traced[stand] - scene.truth[stand]).mean()
     assert (source[~np.isfinite(scene.truth)] == Source.SKY).mean() > 0.98
+    measured, sigma = (msg_to_depth(node.kept.on(topic)[0]) for topic in (MEASURED_DEPTH, MEASURED_SIGMA))
+    np.testing.assert_array_equal(np.isfinite(measured), sigma > 0)
+    assert np.isfinite(measured[stand[2::4, 2::4]]).mean() > 0.5
     (info,) = node.infos
     assert (info["verdict"], info["camera"], info["stamp_ns"]) == ("ok", "mast", STAMP)
     assert info["inlier_ratio"] > 0.5
@@ -160,6 +165,7 @@ def test_a_broken_network_is_named_and_the_terrain_flows(
     assert reason in node.infos[0]["reason"]
     assert reason in node.health.summary()["last_verdict"]
     assert node.kept.on(NETWORK_DEPTH) == []
+    assert np.isnan(msg_to_depth(node.kept.on(MEASURED_DEPTH)[0])).all()
     depth, traced = msg_to_depth(node.kept.on(FUSED_DEPTH)[0]), depth_scene().traced.depth()
     unchanged = np.isfinite(traced) & ~depth_scene().stand
     assert (np.abs(depth[unchanged] - traced[unchanged]) < 0.03 * traced[unchanged]).mean() > 0.98
