@@ -90,8 +90,8 @@ class TerrainConfig(Config):
     """What is nearer stands before the lens."""
     max_range: float = Field(1500.0, gt=0)
     """Beyond it, depth is too coarse to move a cell."""
-    pixel_step: int = Field(2, ge=1)
-    """Every pixel_step-th row and column of an image is used."""
+    columns: int = Field(960, ge=1)
+    """Of an image, at most so many are used, evenly spaced, and rows as far apart."""
     threshold: float = Field(1.5, gt=0)
     """Change of height that is worth reporting."""
     confidence: float = Field(3.0, gt=0)

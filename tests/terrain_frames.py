@@ -13,13 +13,12 @@ from small_site import MAST, PAINT, SKY, SmallSite, write_small_site
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
-from ltm_core.depth.fusion import Source
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_ros.topics import FUSED_DEPTH, FUSED_SIGMA, FUSED_SOURCE, LABELS_IMAGE, POSED_CAMERA_INFO, POSED_POSE
+from ltm_ros.topics import LABELS_IMAGE, MEASURED_DEPTH, MEASURED_SIGMA, POSED_CAMERA_INFO, POSED_POSE
 
 HOUR = 3_600_000_000_000
 SURE = np.diag([1e-4] * 3 + [1e-10] * 3)
@@ -34,7 +33,7 @@ def write_terrain_site(folder: Path, **content: Any) -> SmallSite:
     """The small site with a section `terrain`; `content`: more of its file."""
     small = write_small_site(folder)
     whole = yaml.safe_load(small.path.read_text())
-    whole["terrain"] = {"pixel_step": 1, "threshold": 2.0, "register_frames": False}
+    whole["terrain"] = {"threshold": 2.0, "register_frames": False}
     small.path.write_text(yaml.safe_dump(whole | content))
     return SmallSite(small.folder)
 
@@ -81,10 +80,8 @@ def photo_of_depth(surface: Dem, camera: Camera, pose: Pose) -> NDArray[np.uint8
     return photo
 
 
-def fused_messages(
-    small: SmallSite, surface: Dem, stamp: int, source: Source = Source.NETWORK, raised: float = 15.0
-) -> dict[Any, Any]:
-    """What the mast's fusion would send of a surface if the mast stood `raised` metres higher, by topic."""
+def measured_messages(small: SmallSite, surface: Dem, stamp: int, raised: float = 15.0) -> dict[Any, Any]:
+    """What would be measured of a surface from the mast if it stood `raised` metres higher, by topic."""
     pose = mast_pose(small)
     pose = Pose(pose.position + np.array([0.0, 0.0, raised]), pose.rotation)
     depth = TerrainTracer(surface).trace(MAST, pose).depth()
@@ -94,7 +91,6 @@ def fused_messages(
         LABELS_IMAGE: image_to_msg(ids, "mono8", stamp, frame),
         POSED_CAMERA_INFO: camera_to_msg(MAST, stamp, frame),
         POSED_POSE: pose_to_msg(pose, stamp, covariance=SURE),
-        FUSED_SIGMA: depth_to_msg(np.full(depth.shape, 0.5, np.float32), stamp, frame),
-        FUSED_SOURCE: image_to_msg(np.full(depth.shape, source, np.uint8), "mono8", stamp, frame),
-        FUSED_DEPTH: depth_to_msg(depth, stamp, frame),
+        MEASURED_SIGMA: depth_to_msg(np.full(depth.shape, 0.5, np.float32), stamp, frame),
+        MEASURED_DEPTH: depth_to_msg(depth, stamp, frame),
     }

@@ -22,7 +22,7 @@ PLACES = {"west": (90.0, 20.0, 20.0), "east": (210.0, 20.0, -20.0)}
 """x, y, azimuth."""
 HOUR = 3_600_000_000_000
 BEGIN = 1_700_000_000_000_000_000
-RULES = TerrainConfig(pixel_step=1, register_frames=False, threshold=1.0)
+RULES = TerrainConfig(register_frames=False, threshold=1.0)
 SURE = np.diag([1e-6] * 3 + [1e-12] * 3)
 
 

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
 from ltm_core.depth.classes import DepthClasses
-from ltm_core.depth.fusion import FusionSettings, Source, Verdict, fuse
+from ltm_core.depth.fusion import FusionSettings, fuse
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.metrics.change import ChangeScore, score_change
+from ltm_core.metrics.depth_fit import at_pixels_of
 from ltm_core.metrics.surface import SurfaceScore, score_surface
 from ltm_core.site import TerrainConfig
 from ltm_core.terrain.canyon_io import PHOTOS, Canyon
@@ -26,7 +27,7 @@ from ltm_core.tracing import TerrainTracer
 BEFORE, AFTER = "121004", "150924"
 STEP = 2
 """Of the photos."""
-RULES = TerrainConfig(threshold=0.5, pixel_step=2, max_range=600.0, min_area=10.0, register_frames=False)
+RULES = TerrainConfig(threshold=0.5, columns=1000, max_range=600.0, min_area=10.0, register_frames=False)
 OF_SURVEYS = RULES.model_copy(update={"repeats": 0.0, "alone": RULES.confidence})
 """Noise that is new each time, and has no heavy tails."""
 _SECOND = 1_000_000_000
@@ -53,7 +54,7 @@ class CanyonScore:
 def score_canyon(canyon: Canyon, network: DepthNetwork | None, classes: DepthClasses) -> CanyonScore:
     """Start from the survey of BEFORE and look at the photos of three later dates.
 
-    `network`: its depth of the photos, fused with BEFORE's terrain, with the resected pose and its covariance; None:
+    `network`: its depth of the photos, fitted to BEFORE's terrain, with the resected pose and its covariance; None:
     depth that is traced on each date's own survey, 0.3 m + 0.5 % of noise, with the pose as if it were exact: what the
     geometry would allow.
     """
@@ -93,11 +94,11 @@ def _frames(
     tracer = TerrainTracer(canyon.surveys[BEFORE])
     for date in PHOTOS:
         stamp = int(datetime.strptime(date, "%y%m%d").replace(tzinfo=UTC).timestamp()) * _SECOND
-        true = TerrainTracer(canyon.surveys[date]).trace(camera, pose).depth()
+        own, true = camera, TerrainTracer(canyon.surveys[date]).trace(camera, pose).depth()
         if network is None:
             sigma = (0.3 + 0.005 * np.where(np.isfinite(true), true, 0)).astype(np.float32)
             depth = (true + sigma * rng.standard_normal(true.shape)).astype(np.float32)
-            measured, verdict, covariance = np.ones(true.shape, np.bool_), "", np.diag([1e-6] * 3 + [1e-12] * 3)
+            verdict, covariance = "", np.diag([1e-6] * 3 + [1e-12] * 3)
         else:
             rgb = canyon.photo(date, STEP)
             covariance = canyon.resection.pose_covariance
@@ -105,10 +106,9 @@ def _frames(
             fused = fuse(
                 tracer.trace(camera, pose), network.predict(rgb, camera), rgb, None, classes, FusionSettings(angle, 0.1)
             )
-            depth, sigma, verdict = fused.depth, fused.sigma, fused.verdict.value
-            measured = (fused.source == Source.NETWORK) | (fused.source == Source.BOTH)
-            if fused.verdict is Verdict.POSE_SUSPECTED:
-                measured[:] = False
-        both = measured & np.isfinite(depth) & np.isfinite(true)
-        share = float(np.median(np.abs(depth[both] / true[both] - 1))) if both.any() else float("nan")
-        yield DepthFrame(depth, sigma, measured, camera, pose, stamp, "canyon", covariance), share, verdict
+            seen = fused.measured()
+            depth, sigma, verdict = seen.depth, seen.sigma, fused.verdict.value
+            own = camera.resized(*depth.shape[::-1])
+        off = np.abs(at_pixels_of(depth, true.shape, true.shape) / true - 1)
+        share = float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else float("nan")
+        yield DepthFrame(depth, sigma, ~np.isnan(depth), own, pose, stamp, "canyon", covariance), share, verdict

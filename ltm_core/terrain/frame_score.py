@@ -1,7 +1,6 @@
 """The surface map scored on frames of a simulated landscape: started from the surface of one date, looking at another.
 
-What cameras measure is the frames' true depth with noise, or what segmentation, a depth network and fusion make of
-their photos.
+What cameras measure is the frames' true depth with noise, or what a depth network makes of their photos.
 """
 
 from __future__ import annotations
@@ -11,16 +10,18 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.depth.classes import DepthClasses
-from ltm_core.depth.fusion import FusionSettings, Source, Verdict, fuse
+from ltm_core.depth.fusion import FusionSettings, fuse
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.truth_frames_io import TruthFrame
 from ltm_core.metrics.change import ChangeScore, score_change
+from ltm_core.metrics.depth_fit import at_pixels_of
 from ltm_core.metrics.surface import SurfaceScore, cell_means, score_surface
 from ltm_core.site import TerrainConfig
 from ltm_core.terrain.layers import SurfaceLayers
@@ -119,7 +120,9 @@ def alike(photos: Mapping[str, Sequence[TruthFrame]], measure: Measure) -> float
 
 def _errors(frame: TruthFrame, seen: DepthFrame) -> NDArray[np.float32]:
     """At the truth's pixels, in sigmas, NaN where nothing is measured."""
-    depth, sigma, measured = (part[:: frame.step, :: frame.step] for part in (seen.depth, seen.sigma, seen.measured))
+    image = frame.camera.height, frame.camera.width
+    depth, sigma = (at_pixels_of(part, image, frame.surface.shape) for part in (seen.depth, seen.sigma))
+    measured = at_pixels_of(seen.measured, image, frame.surface.shape)
     with np.errstate(invalid="ignore"):
         error = np.clip((depth - frame.surface) / sigma, -5, 5)
     known = measured & np.isfinite(depth) & np.isfinite(frame.surface) & (sigma > 0)
@@ -141,11 +144,11 @@ def true_depth(noise: Noise, seed: int = 1) -> Measure:
     return measure
 
 
-def fused_depth(
+def network_depth(
     ground: Dem, before: Dem, network: DepthNetwork, segmenter: Segmenter, classes: DepthClasses
 ) -> Measure:
-    """What fusion makes of the frame's photo and the terrain as it was, bare and with what grew there, as the graph
-    does it; where it suspects the pose, nothing.
+    """What a network measures in the frame's photo, fitted to the terrain as it was, bare and with what grew there, as
+    the graph does it; where fusion suspects the pose, nothing.
     """
     to_ground, to_surface = TerrainTracer(ground), TerrainTracer(before)
     settings = FusionSettings(label_columns=segmenter.manifest.label_columns)
@@ -157,11 +160,11 @@ def fused_depth(
             camera, photo, labels = frame.camera, frame.photo, segmenter.segment(frame.photo).labels
             traced, canopy = (tracer.trace(camera, frame.pose) for tracer in (to_ground, to_surface))
             fused = fuse(traced, network.predict(photo, camera), photo, labels, classes, settings, canopy)
-            measured = (fused.source == Source.NETWORK) | (fused.source == Source.BOTH)
-            if fused.verdict is Verdict.POSE_SUSPECTED:
-                measured[:] = False
-            seen = replace(_frame(frame, fused.depth, fused.sigma, measured, camera), labels=labels)
-            known[key] = seen, fused.verdict.value
+            own = fused.measured()
+            small = own.depth.shape[::-1]
+            seen = _frame(frame, own.depth, own.sigma, ~np.isnan(own.depth), camera.resized(*small))
+            labels = cv2.resize(labels, small, interpolation=cv2.INTER_NEAREST)
+            known[key] = replace(seen, labels=labels), fused.verdict.value
         return known[key]
 
     return measure

@@ -72,11 +72,12 @@ def assumed_covariance(angle_sigma_deg: float, position_sigma: float) -> Covaria
 class Observer:
     """Turns depth images into observations of a reference surface.
 
-    `views_mb`: memory for what the reference has for the pixels of fixed views, the least recently used of which go.
+    `columns`: of a frame, that are used at most. `views_mb`: memory for what the reference has for the pixels of fixed
+    views, the least recently used of which go.
     """
 
     def __init__(
-        self, reference: Reference, tracer: TerrainTracer, limits: Limits, step: int, views_mb: float = 0.0
+        self, reference: Reference, tracer: TerrainTracer, limits: Limits, columns: int, views_mb: float = 0.0
     ) -> None:
         geometry = reference.geometry
         tiles = [-(-n // TILE) for n in geometry.shape]
@@ -91,14 +92,14 @@ class Observer:
             geometry.resolution,
             tiles[1],
         )
-        self._tracer, self._limits, self._step = tracer, limits, step
+        self._tracer, self._limits, self._columns = tracer, limits, columns
         self._tiles = tiles[0] * tiles[1]
         self._sums = FrameSums.empty(0, self._tiles)
         self._views = Sights(int(views_mb * 2**20))
 
     def observe(self, frame: DepthFrame, covariance: Covariance) -> FrameSums:
         """What a frame says of each cell, valid until the next call. Raises PoseError as the tracer does."""
-        camera = frame.camera.scaled(self._step)
+        camera = self.sampled(frame)
         view = View(
             camera.rays(),
             np.ascontiguousarray(frame.pose.rotation),
@@ -113,6 +114,13 @@ class Observer:
         observe(self._ground, view, sights, self.pixels(frame), self._limits, self._sums)
         return self._sums
 
+    def sampled(self, frame: DepthFrame) -> Camera:
+        """The camera of those of a frame's pixels that are used."""
+        return frame.camera.scaled(self._step(frame))
+
+    def _step(self, frame: DepthFrame) -> int:
+        return -(-frame.camera.width // self._columns)
+
     def pixels(self, frame: DepthFrame) -> Pixels:
         """A frame as the kernels take it."""
         labels = frame.labels if frame.labels is not None else np.empty((0, 0), np.uint8)
@@ -121,8 +129,8 @@ class Observer:
             np.ascontiguousarray(frame.sigma, np.float32),
             np.ascontiguousarray(frame.measured).view(np.uint8),
             np.ascontiguousarray(labels, np.uint8),
-            self._step,
-            frame.camera.scaled(self._step).cosines(),
+            self._step(frame),
+            self.sampled(frame).cosines(),
         )
 
     def _sights(self, camera: Camera, frame: DepthFrame, view: View) -> Records:

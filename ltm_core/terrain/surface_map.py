@@ -86,7 +86,7 @@ class SurfaceMap:
         self._limits = Limits(
             config.min_range, config.max_range, config.confidence, config.threshold / 2, config.tallest, _OWN_SIGMA
         )
-        self._observer = Observer(reference, self._tracer, self._limits, config.pixel_step, config.views_mb)
+        self._observer = Observer(reference, self._tracer, self._limits, config.columns, config.views_mb)
         self._rules = Rules(
             config.confidence,
             config.reference_sigma**2,
@@ -201,7 +201,7 @@ class SurfaceMap:
             self._pool.places(),
             self.reference.surface,
             self.reference.geometry,
-            frame.camera.scaled(self.config.pixel_step),
+            self._observer.sampled(frame),
             frame.pose,
             self._observer.pixels(frame),
             seconds,

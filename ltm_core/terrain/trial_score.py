@@ -77,7 +77,7 @@ def score_trial(name: str, conditions: Conditions, config: TerrainConfig | None 
     config = config or TerrainConfig()
     # Trials make those pixels only that the map would take of a whole image. The map is told, as it is of sigma, what
     # of the noise each look repeats, and that it has a normal distribution's tails.
-    told = {"pixel_step": 1, "repeats": conditions.noise.repeats, "alone": config.confidence}
+    told = {"repeats": conditions.noise.repeats, "alone": config.confidence}
     config = config.model_copy(update=told)
     scene = trial(name, conditions.seed)
     surface = SurfaceMap(Reference.of(scene.bare, scene.given), config, tuple(TOWERS))

@@ -126,12 +126,12 @@ def simulated_frames(
     folder: Path, date: str, share: float, looks: int, networks: Sequence[str], pictures: Path | None, out: Path | None
 ) -> None:
     """Frames of `ltm simulate` at its last or the named date, the surface of its first date given: from true depth, and
-    from their photos through segmentation, each of `networks` and fusion.
+    from what each of `networks` measures in their photos.
     """
     from ltm_core.dem import Dem
     from ltm_core.depth.truth_frames_io import dates, open_dem, read_truth_frames, site_frame
     from ltm_core.errors import ConfigError
-    from ltm_core.terrain.frame_score import fused_depth, score_frames, true_depth
+    from ltm_core.terrain.frame_score import network_depth, score_frames, true_depth
     from ltm_core.terrain.trials import Noise
     from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
 
@@ -146,12 +146,12 @@ def simulated_frames(
         return Dem.open(folder / "truth" / when / f"{name}.tif").in_frame(frame)
 
     ground, before, now = raster(known[0], "bare_earth"), raster(known[0], "surface"), raster(date, "surface")
-    rules = TerrainConfig(resolution=max(given.geometry.resolution / 5, before.geometry.resolution), pixel_step=1)
+    rules = TerrainConfig(resolution=max(given.geometry.resolution / 5, before.geometry.resolution))
     noise, console = Noise(share=share), Console()
     measures = [("true depth", true_depth(noise), rules.model_copy(update={"repeats": 0.0, "alone": rules.confidence}))]
-    segmenter = Segmenter.open(DEFAULT_MODEL)
+    segmenter, classes = Segmenter.open(DEFAULT_MODEL), _classes()
     measures += [
-        (name, fused_depth(ground, before, DepthNetwork.open(name), segmenter, _classes()), rules) for name in networks
+        (name, network_depth(ground, before, DepthNetwork.open(name), segmenter, classes), rules) for name in networks
     ]
     table = _table(
         f"terrain update from frames of {date!r} on the surface of {known[0]!r}",
@@ -180,7 +180,7 @@ def simulated_frames(
     console.print(
         f"{folder}; cells of {rules.resolution:g} m, change: {rules.threshold:g} m or more; each photo looked at "
         f"{looks} times, looks taken as an hour apart; true depth with sigma {noise.constant:g} m + {share:.1%} of "
-        f"range, new in each look; fused depth with labels of {segmenter.manifest.name}, {rules.repeats:.0%} of its "
+        f"range, new in each look; a network's depth fitted to the terrain, {rules.repeats:.0%} of its "
         "variance taken as alike in each look of a camera; exact poses; RMSE on truly changed cells that independent "
         "views have seen; off: seen cells that have not changed, of their estimate's sigma"
     )
@@ -188,11 +188,11 @@ def simulated_frames(
 
 
 def repeated_errors(folder: Path, networks: Sequence[str]) -> None:
-    """How much of the error of a network's depth, fused, is alike on all dates of a folder on which nothing changes."""
+    """How much of the error of what a network measures is alike on all dates of a folder on which nothing changes."""
     from ltm_core.dem import Dem
     from ltm_core.depth.truth_frames_io import TruthFrame, dates, read_truth_frames, site_frame
     from ltm_core.errors import ConfigError
-    from ltm_core.terrain.frame_score import alike, fused_depth
+    from ltm_core.terrain.frame_score import alike, network_depth
     from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
 
     known, frame, console = dates(folder), site_frame(folder), Console()
@@ -205,11 +205,11 @@ def repeated_errors(folder: Path, networks: Sequence[str]) -> None:
         views.setdefault(f"{one.camera_name} {one.pose.angles_deg}", []).append(one)
     segmenter = Segmenter.open(DEFAULT_MODEL)
     for name in networks:
-        measure = fused_depth(ground, surfaces[0], DepthNetwork.open(name), segmenter, _classes())
+        measure = network_depth(ground, surfaces[0], DepthNetwork.open(name), segmenter, _classes())
         with console.status(name):
             share = alike(views, measure)
         console.print(
-            f"{name}, fused: {share:.1%} of the mean square of its error, in sigmas, is alike from date to date "
+            f"{name}: {share:.1%} of the mean square of its error, in sigmas, is alike from date to date "
             f"({folder}; {', '.join(known)}; {len(views)} views)"
         )
 

@@ -1,4 +1,4 @@
-"""terrain: keeps a site's surface up to date from the fused depth of all its cameras, where they agree."""
+"""terrain: keeps a site's surface up to date from the depth that all its cameras measure, where they agree."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from pydantic import Field
 from std_msgs.msg import String
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
-from ltm_core.depth.fusion import Source
 from ltm_core.errors import ConfigError
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
@@ -40,10 +40,9 @@ from ltm_ros.health import Health
 from ltm_ros.join import StampJoin
 from ltm_ros.node import run_node
 from ltm_ros.topics import (
-    FUSED_DEPTH,
-    FUSED_SIGMA,
-    FUSED_SOURCE,
     LABELS_IMAGE,
+    MEASURED_DEPTH,
+    MEASURED_SIGMA,
     POSED_CAMERA_INFO,
     POSED_POSE,
     TERRAIN_CHANGE,
@@ -58,14 +57,13 @@ STABLE_CLASSES = ("grass", "bare", "built")
 GRID_CELLS_PER_S = 1_000_000
 """Of the latched grid of changes: a large one goes out less often."""
 _PARTS: Mapping[str, Topic] = {
-    "depth": FUSED_DEPTH,
-    "sigma": FUSED_SIGMA,
-    "source": FUSED_SOURCE,
+    "depth": MEASURED_DEPTH,
+    "sigma": MEASURED_SIGMA,
     "info": POSED_CAMERA_INFO,
     "pose": POSED_POSE,
 }
 _WAITING = 6
-"""Frames of one camera that wait for their parts: each holds some 20 MB."""
+"""Frames of one camera that wait for their parts."""
 _CLOCKS_SET_NS = 946_684_800_000_000_000
 """The year 2000: a stamp before it is of a clock that was never set, and would look like a view decades apart."""
 
@@ -79,7 +77,7 @@ class TerrainNodeConfig(NodeConfig):
     max_ahead: float = Field(600.0, gt=0)
     """Seconds by which a camera's clock may be ahead."""
     depth_from_elsewhere: bool = False
-    """`fused/depth`, `fused/sigma` and `fused/source` come from no node of this graph."""
+    """`measured/depth` and `measured/sigma` come from no node of this graph: a range finder's, say, at any size."""
 
 
 class Terrain(Handler[TerrainNodeConfig]):
@@ -200,7 +198,7 @@ class Terrain(Handler[TerrainNodeConfig]):
         if len(labels) > _WAITING:
             labels.popitem(last=False)
 
-    def _take(self, camera: str, depth: Any, sigma: Any, source: Any, info: Any, pose: Any) -> None:
+    def _take(self, camera: str, depth: Any, sigma: Any, info: Any, pose: Any) -> None:
         stamp = stamp_of(depth)
         if stamp < _CLOCKS_SET_NS:
             self.health.drop("unset_clock", f"a frame of {camera} of stamp {stamp} ns; set the camera's clock")
@@ -212,13 +210,14 @@ class Terrain(Handler[TerrainNodeConfig]):
         if self._map.counted(camera, stamp):
             self.health.drop("duplicate", f"a frame of {camera} of stamp {stamp} ns came twice; counted once")
             return
-        sources = msg_to_array(source, ("mono8",))
+        metres = msg_to_depth(depth)
+        height, width = metres.shape
         covariance = np.array(pose.pose.covariance, np.float64).reshape(6, 6)
         frame = DepthFrame(
-            msg_to_depth(depth),
+            metres,
             msg_to_depth(sigma),
-            (sources == Source.NETWORK) | (sources == Source.BOTH) | (sources == Source.SKY),
-            msg_to_camera(info),
+            ~np.isnan(metres),
+            msg_to_camera(info).resized(width, height),
             msg_to_pose(pose, "map"),
             stamp,
             camera,
@@ -226,9 +225,8 @@ class Terrain(Handler[TerrainNodeConfig]):
         )
         labels = self._labels[camera].pop(stamp, None)
         if labels is not None:
-            ids = msg_to_array(labels, ("mono8",))
-            if ids.shape == frame.depth.shape:
-                frame = replace(frame, labels=ids, stable=self._stable[ids])
+            ids = cv2.resize(msg_to_array(labels, ("mono8",)), (width, height), interpolation=cv2.INTER_NEAREST)
+            frame = replace(frame, labels=ids, stable=self._stable[ids])
         added = self._map.add(frame)
         self._undecided += 1
         self.health.gauge("frames", self._store.frame_count() + self._map.uncommitted)

@@ -17,8 +17,8 @@ from terrain_frames import (
     HOUR,
     block_cells,
     built_up,
-    fused_messages,
     mast_pose,
+    measured_messages,
     photo_of_depth,
     sunk,
     write_fusing_site,
@@ -34,11 +34,10 @@ from ltm_ros.nodes.terrain import STORE_FILE
 from ltm_ros.runner import Runner
 from ltm_ros.supervisor import RestartPolicy
 from ltm_ros.topics import (
-    FUSED_DEPTH,
-    FUSED_SIGMA,
-    FUSED_SOURCE,
     IMAGE_RAW,
     LABELS_IMAGE,
+    MEASURED_DEPTH,
+    MEASURED_SIGMA,
     POSED_CAMERA_INFO,
     POSED_POSE,
     TERRAIN_CHANGE,
@@ -52,7 +51,7 @@ pytestmark = pytest.mark.graph
 
 NODE = f"/{NAME}/terrain"
 UPDATE, CHANGE, INFO = (site_topic(NAME, topic) for topic in (TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO))
-PARTS = (LABELS_IMAGE, POSED_CAMERA_INFO, POSED_POSE, FUSED_SIGMA, FUSED_SOURCE, FUSED_DEPTH)
+PARTS = (LABELS_IMAGE, POSED_CAMERA_INFO, POSED_POSE, MEASURED_SIGMA, MEASURED_DEPTH)
 
 
 def running(small: SmallSite, labels: tuple[str, ...], domain: int, logs: Path, **parameters: Any) -> Runner:
@@ -193,18 +192,18 @@ def test_what_was_told_of_outlives_kills(living: Living, tmp_path: Path) -> None
     process = living.runner.processes["terrain"]
     truth = sunk(small)
     for look in (0, 2):
-        living.send(fused_messages(small, truth, BEGIN_NS + look * HOUR))
+        living.send(measured_messages(small, truth, BEGIN_NS + look * HOUR))
     wait_for(lambda: bystander.heard[UPDATE], "an update", lambda: bystander.summaries)
     for kill in range(2):
         starts = process.starts
-        living.send(fused_messages(small, truth, BEGIN_NS + (10 + kill) * HOUR))
+        living.send(measured_messages(small, truth, BEGIN_NS + (10 + kill) * HOUR))
         living.runner.kill("terrain")
         wait_for(lambda n=starts: process.starts == n + 1 and process.running, "the node again")
         bystander.summaries.clear()
         bystander.wait_for_wiring(1)
         # All frames come again: those that were told of are known, the others are counted now.
         for look in (0, 2, *range(10, 11 + kill)):
-            living.send(fused_messages(small, truth, BEGIN_NS + look * HOUR))
+            living.send(measured_messages(small, truth, BEGIN_NS + look * HOUR))
         living.wait_frames(3 + kill)
         assert living.counted()["dropped.duplicate"] >= 2
     told: dict[tuple[int, int], int] = {}
@@ -231,7 +230,7 @@ def test_hostile_frames_are_counted_and_change_nothing(living: Living) -> None:
     def hostile(cause: str, **changes: Callable[[Any], Any]) -> None:
         """A frame of the changed surface, each of the named parts spoiled; `cause`: what must count it."""
         stamp = BEGIN_NS + next(look) * HOUR
-        parts = fused_messages(small, sunk(small), stamp)
+        parts = measured_messages(small, sunk(small), stamp)
         for topic in PARTS:
             spoil = changes.get(topic.name.replace("/", "_"))
             if spoil is not None:
@@ -268,9 +267,6 @@ def test_hostile_frames_are_counted_and_change_nothing(living: Living) -> None:
     def uncalibrated(message: Any) -> None:
         message.k = np.zeros(9)
 
-    def other_camera(message: Any) -> None:
-        message.width += 1
-
     def position(**to: float) -> Callable[[Any], None]:
         def move(message: Any) -> None:
             for name, value in to.items():
@@ -291,18 +287,17 @@ def test_hostile_frames_are_counted_and_change_nothing(living: Living) -> None:
     def odom(message: Any) -> None:
         message.header.frame_id = "odom"
 
-    hostile("noted.nothing_seen", fused_depth=filled(np.nan))
-    hostile("noted.nothing_seen", fused_depth=filled(-3.0))
-    hostile("noted.nothing_seen", fused_sigma=filled(np.nan))
-    hostile("noted.nothing_seen", fused_sigma=filled(-1.0))
-    hostile("noted.nothing_seen", fused_sigma=filled(np.inf))
+    hostile("noted.nothing_seen", measured_depth=filled(np.nan))
+    hostile("noted.nothing_seen", measured_depth=filled(-3.0))
+    hostile("noted.nothing_seen", measured_sigma=filled(np.nan))
+    hostile("noted.nothing_seen", measured_sigma=filled(-1.0))
+    hostile("noted.nothing_seen", measured_sigma=filled(np.inf))
     hostile("noted.nothing_seen", posed_pose=position(x=1e9))
     hostile("noted.nothing_seen", posed_pose=position(x=-1e300, z=1e300))
-    for topic in ("fused_depth", "fused_sigma", "fused_source"):
+    for topic in ("measured_depth", "measured_sigma"):
         for spoil in (vast, short, other_size, other_encoding):
             hostile("dropped.image", **{topic: spoil})
-    hostile("dropped.image", posed_camera_info=other_camera)
-    hostile("dropped.image", posed_camera_info=huge_camera)
+    hostile("dropped.camera", posed_camera_info=huge_camera)
     hostile("dropped.camera", posed_camera_info=uncalibrated)
     hostile("dropped.pose", posed_pose=position(z=-500.0))
     hostile("dropped.pose", posed_pose=position(y=float("nan")))
@@ -313,27 +308,27 @@ def test_hostile_frames_are_counted_and_change_nothing(living: Living) -> None:
     living.wait_taken()
     frames = 7
     # Stamps: of a clock that was never set, and negative.
-    living.send(fused_messages(small, sunk(small), 7))
+    living.send(measured_messages(small, sunk(small), 7))
     expected["dropped.unset_clock"] = 1
-    negative = fused_messages(small, sunk(small), BEGIN_NS)
+    negative = measured_messages(small, sunk(small), BEGIN_NS)
     for message in negative.values():
         message.header.stamp.sec = -5
     living.send(negative)
     expected["dropped.message"] = len(negative)
     # Whoever forges a frame an hour ahead of everybody's clock.
     now = bystander.node.get_clock().now().nanoseconds
-    living.send(fused_messages(small, sunk(small), now + HOUR))
+    living.send(measured_messages(small, sunk(small), now + HOUR))
     expected["dropped.future"] = 1
     # A camera that the site does not have, and bytes that are no message.
-    stranger = camera_topic(NAME, "stranger", FUSED_DEPTH)
-    bystander.open(stranger, FUSED_DEPTH.type, listeners=0)
-    bystander.send(stranger, fused_messages(small, sunk(small), BEGIN_NS)[FUSED_DEPTH])
+    stranger = camera_topic(NAME, "stranger", MEASURED_DEPTH)
+    bystander.open(stranger, MEASURED_DEPTH.type, listeners=0)
+    bystander.send(stranger, measured_messages(small, sunk(small), BEGIN_NS)[MEASURED_DEPTH])
     for topic in PARTS:
         bystander.send(camera_topic(NAME, "mast", topic), b"\x00\x01\x00\x00\xff")
     expected["dropped.lost"] = len(PARTS)
     # Stamps backwards and twice: good frames of an unchanged surface, newest first.
     for hours in (2000, 1990, 2000, 1980):
-        living.send(fused_messages(small, small.dem, BEGIN_NS + hours * HOUR))
+        living.send(measured_messages(small, small.dem, BEGIN_NS + hours * HOUR))
     expected["dropped.duplicate"] = len(PARTS) - 1
     frames += 3
     living.wait_frames(frames)
@@ -343,5 +338,5 @@ def test_hostile_frames_are_counted_and_change_nothing(living: Living) -> None:
     assert living.runner.processes["terrain"].starts == 1
     # And it works as before.
     for hours in (3000, 3002, 3004):
-        living.send(fused_messages(small, sunk(small), BEGIN_NS + hours * HOUR))
+        living.send(measured_messages(small, sunk(small), BEGIN_NS + hours * HOUR))
     wait_for(lambda: bystander.heard[UPDATE], "an update", lambda: bystander.summaries)

@@ -19,7 +19,7 @@ NEAR = 150.0
 
 @pytest.fixture(scope="module")
 def seen() -> tuple[FusedDepth, NDArray[np.bool_]]:
-    """Fused, where a network sees ground at NEAR on a wide patch of far grass; and that patch, (h, w) of the network."""
+    """Fused, where a network sees ground at NEAR on a patch of far grass; and that patch, (h, w) of the network."""
     scene = depth_scene()
     values = scene.network(noise=0.05).values.copy()
     ground = scene.traced.depth()[2::4, 2::4]

@@ -1,4 +1,4 @@
-"""The terrain node, fed with fused depth as a graph would: what it sends, keeps and refuses."""
+"""The terrain node, fed with measured depth as a graph would: what it sends, keeps and refuses."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ import pytest
 import rasterio
 from outlets import Kept
 from small_site import BEGIN_NS, NAME, SmallSite
-from terrain_frames import HOUR, fused_messages, sunk, write_terrain_site
+from terrain_frames import HOUR, measured_messages, sunk, write_terrain_site
 
-from ltm_core.depth.fusion import Source
 from ltm_core.errors import ConfigError, LtmError, StoreError
 from ltm_core.tile_store import TileStore
 from ltm_msgs_py.grid import msg_to_classes
-from ltm_msgs_py.image import depth_to_msg
+from ltm_msgs_py.image import depth_to_msg, msg_to_depth
 from ltm_msgs_py.terrain import msg_to_changed
 from ltm_ros.graph import describe
 from ltm_ros.health import Health
 from ltm_ros.nodes.terrain import STORE_FILE, Terrain, TerrainNodeConfig
 from ltm_ros.topics import (
+    MEASURED_DEPTH,
+    MEASURED_SIGMA,
     TERRAIN_CHANGE,
     TERRAIN_INFO,
     TERRAIN_UPDATE,
@@ -54,9 +55,9 @@ def feed(terrain: Terrain, parts: dict[Any, Any]) -> None:
 def test_change_goes_out_once_views_agree(small: SmallSite) -> None:
     terrain, outlet, health = node(small)
     truth = sunk(small)
-    feed(terrain, fused_messages(small, truth, BEGIN_NS))
+    feed(terrain, measured_messages(small, truth, BEGIN_NS))
     assert outlet.on(TERRAIN_UPDATE) == []
-    feed(terrain, fused_messages(small, truth, BEGIN_NS + 2 * HOUR))
+    feed(terrain, measured_messages(small, truth, BEGIN_NS + 2 * HOUR))
     (update,) = outlet.on(TERRAIN_UPDATE)
     changed, z = msg_to_changed(update)
     was = small.dem.elevation[changed.rows, changed.cols]
@@ -73,12 +74,36 @@ def test_change_goes_out_once_views_agree(small: SmallSite) -> None:
     assert health.dropped == {}
 
 
-def test_what_was_traced_never_becomes_change(small: SmallSite) -> None:
+def test_what_no_network_measures_never_becomes_change(small: SmallSite) -> None:
+    """As where the network fails, or the pose is suspected: one pixel that is NaN."""
     terrain, outlet, health = node(small)
     for hours in (0, 2):
-        feed(terrain, fused_messages(small, sunk(small), BEGIN_NS + hours * HOUR, Source.TERRAIN))
+        stamp = BEGIN_NS + hours * HOUR
+        nothing = depth_to_msg(np.full((1, 1), np.nan, np.float32), stamp, "mast_optical")
+        sent = measured_messages(small, sunk(small), stamp)
+        feed(terrain, sent | {MEASURED_DEPTH: nothing, MEASURED_SIGMA: nothing})
     assert outlet.on(TERRAIN_UPDATE) == []
     assert health.summary()["noted.nothing_seen"] == "2"
+
+
+def test_depth_may_be_of_a_networks_size(small: SmallSite) -> None:
+    """Every second column of what was sent before: the same cells change, but for those between."""
+    found = []
+    for rows, cols in ((1, 1), (1, 2)):
+        terrain, outlet, _ = node(small)
+        for hours in (0, 2):
+            stamp = BEGIN_NS + hours * HOUR
+            sent = measured_messages(small, sunk(small), stamp)
+            for topic in (MEASURED_DEPTH, MEASURED_SIGMA):
+                image = msg_to_depth(sent[topic])
+                part = image[rows // 2 :: rows, cols // 2 :: cols][: image.shape[0] // rows, : image.shape[1] // cols]
+                sent[topic] = depth_to_msg(part.copy(), stamp, "mast_optical")
+            feed(terrain, sent)
+        changed, _ = msg_to_changed(outlet.on(TERRAIN_UPDATE)[-1])
+        found.append(set(zip(changed.rows.tolist(), changed.cols.tolist(), strict=True)))
+    whole, part = found
+    assert len(part & whole) > 0.9 * len(part)
+    assert 0.3 * len(whole) < len(part) < len(whole)
 
 
 def test_the_surface_is_kept_and_written(small: SmallSite, tmp_path: Path) -> None:
@@ -87,12 +112,12 @@ def test_the_surface_is_kept_and_written(small: SmallSite, tmp_path: Path) -> No
     terrain, _, _ = node(small, folder=str(folder))
     with pytest.raises(ConfigError, match="nothing to write"):
         terrain.save()
-    feed(terrain, fused_messages(small, truth, BEGIN_NS))
+    feed(terrain, measured_messages(small, truth, BEGIN_NS))
     terrain.finish()
     terrain, outlet, health = node(small, folder=str(folder))
-    feed(terrain, fused_messages(small, truth, BEGIN_NS))
+    feed(terrain, measured_messages(small, truth, BEGIN_NS))
     assert health.dropped == {"duplicate": 1}
-    feed(terrain, fused_messages(small, truth, BEGIN_NS + 2 * HOUR))
+    feed(terrain, measured_messages(small, truth, BEGIN_NS + 2 * HOUR))
     assert len(outlet.on(TERRAIN_UPDATE)) == 1
     assert "terrain_height.tif" in terrain.save()
     terrain.finish()
@@ -114,7 +139,7 @@ def test_what_was_told_of_is_kept_and_what_cannot_be_kept_is_told_of_later(
 ) -> None:
     folder = tmp_path / "kept"
     terrain, outlet, _ = node(small, folder=str(folder))
-    feed(terrain, fused_messages(small, sunk(small), BEGIN_NS))
+    feed(terrain, measured_messages(small, sunk(small), BEGIN_NS))
     with monkeypatch.context() as broken:
 
         def full(*_: Any) -> None:
@@ -122,7 +147,7 @@ def test_what_was_told_of_is_kept_and_what_cannot_be_kept_is_told_of_later(
 
         broken.setattr(TileStore, "commit", full)
         with pytest.raises(StoreError, match="no space left"):
-            feed(terrain, fused_messages(small, sunk(small), BEGIN_NS + 2 * HOUR))
+            feed(terrain, measured_messages(small, sunk(small), BEGIN_NS + 2 * HOUR))
         assert outlet.on(TERRAIN_UPDATE) == []
     terrain.idle()
     (update,) = outlet.on(TERRAIN_UPDATE)
@@ -136,7 +161,7 @@ def test_what_was_told_of_is_kept_and_what_cannot_be_kept_is_told_of_later(
 def test_a_clock_that_was_never_set_is_no_view_decades_ago(small: SmallSite) -> None:
     terrain, outlet, health = node(small)
     for stamp in (5_000_000_000, BEGIN_NS):
-        feed(terrain, fused_messages(small, sunk(small), stamp))
+        feed(terrain, measured_messages(small, sunk(small), stamp))
     assert health.dropped == {"unset_clock": 1}
     assert outlet.on(TERRAIN_UPDATE) == []
 
@@ -145,7 +170,7 @@ def test_bad_frames_are_dropped_by_their_cause(small: SmallSite) -> None:
     terrain, outlet, health = node(small)
 
     def fails(kind: str, **parts: Any) -> None:
-        message = fused_messages(small, small.dem, BEGIN_NS + fails.number * HOUR)  # type: ignore[attr-defined]
+        message = measured_messages(small, small.dem, BEGIN_NS + fails.number * HOUR)  # type: ignore[attr-defined]
         fails.number += 1  # type: ignore[attr-defined]
         given = {topic: parts.get(topic.name.replace("/", "_"), lambda m: m)(m) for topic, m in message.items()}
         with pytest.raises(LtmError) as caught:
@@ -171,9 +196,9 @@ def test_bad_frames_are_dropped_by_their_cause(small: SmallSite) -> None:
 
     fails("PoseError", posed_pose=nan_pose)
     fails("PoseError", posed_pose=wild_covariance)
-    fails("ImageError", fused_sigma=small_image)
+    fails("ImageError", measured_sigma=small_image)
     fails("PoseError", posed_pose=underground)
-    feed(terrain, fused_messages(small, small.dem, BEGIN_NS + 40 * HOUR))
+    feed(terrain, measured_messages(small, small.dem, BEGIN_NS + 40 * HOUR))
     assert outlet.on(TERRAIN_UPDATE) == []
     terrain.finish()
     assert health.dropped == {}

@@ -58,7 +58,7 @@ def test_frames_of_a_changed_landscape_are_scored_against_its_surface() -> None:
         frames.append(
             TruthFrame(name, 10**18 + number, camera, pose, photo, depth, depth, nothing, nothing.astype(bool))
         )
-    config = TerrainConfig(pixel_step=1, register_frames=False)
+    config = TerrainConfig(register_frames=False)
     noise = Noise(constant=0.2, share=0.002)
     score = score_frames(frames, ground, Dem(ground.elevation.copy(), geometry), now, true_depth(noise), config)
     assert score.frames == 4

@@ -8,7 +8,7 @@ import numpy as np
 import yaml
 from outlets import Kept
 from small_site import BEGIN_NS, NAME
-from terrain_frames import HOUR, fused_messages, sunk, write_terrain_site
+from terrain_frames import HOUR, measured_messages, sunk, write_terrain_site
 
 from ltm_core.raster_io import write_geotiff
 from ltm_core.terrain.change import ChangeKind
@@ -31,7 +31,7 @@ def test_ground_that_has_moved_is_bare_in_the_fuel_map_and_nothing_else_is(tmp_p
     terrain.start()
     listens = {topic.name: callback for topic, callback in terrain.subscriptions.items()}
     for hours in (0, 2):
-        for topic, message in fused_messages(small, sunk(small), BEGIN_NS + hours * HOUR).items():
+        for topic, message in measured_messages(small, sunk(small), BEGIN_NS + hours * HOUR).items():
             listens[camera_topic(NAME, "mast", topic)](message)
         terrain.idle()
     terrain.finish()
