@@ -25,6 +25,7 @@ FLOOR = 0.01
 """The least share that any label is taken to have: a matrix counted on a few scenes never rules anything out."""
 ASSUMED = "default"
 """Name of the file for networks of which nothing is known."""
+_OPEN, _STANDING = (LifeForm.GRASS, LifeForm.BARE), (LifeForm.SHRUB, LifeForm.TREE)
 _NAMES = tuple(form.name.lower() for form in LifeForm)
 
 
@@ -153,6 +154,18 @@ class LabelErrors:
         """(FORMS, FORMS): log share by [life form, label]; -inf rows for forms that are not known."""
         mixed = (1 - FORMS * FLOOR) * self.shares + FLOOR
         return np.where(np.isnan(mixed), -np.inf, np.log(mixed))
+
+    def open_odds(self) -> NDArray[np.float32]:
+        """(256,) by label id: log odds that a patch of that label is open, as likely grass as bare ground, and not as
+        likely shrubs as trees: of two cells that err together as those of one stand do. 0 for labels that are none of
+        these, and of a network that was not tried on all of them.
+        """
+        odds = np.zeros(256, np.float32)
+        kept = [form - 1 for form in (*_OPEN, *_STANDING)]
+        shares = np.maximum(self.shares[kept][:, kept], FLOOR)
+        log_odds = np.log(shares[: len(_OPEN)].mean(axis=0) / shares[len(_OPEN) :].mean(axis=0))
+        odds[[*_OPEN, *_STANDING]] = np.nan_to_num(log_odds) * 2 / (1 + self.correlation.between_cells)
+        return odds
 
 
 def _file_of(name: str) -> Path:

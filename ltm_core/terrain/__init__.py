@@ -4,8 +4,8 @@
 `change` decides by consensus, `surface_map` holds it together.
 """
 
-from ltm_core.terrain.observation import DepthFrame
+from ltm_core.terrain.observation import DepthFrame, LabelImage
 from ltm_core.terrain.reference import Reference
 from ltm_core.terrain.surface_map import SurfaceMap
 
-__all__ = ["DepthFrame", "Reference", "SurfaceMap"]
+__all__ = ["DepthFrame", "LabelImage", "Reference", "SurfaceMap"]

@@ -30,16 +30,16 @@ ESTIMATE = np.dtype(
 """What every observation of a cell reads: 48 bytes."""
 CANDIDATE = np.dtype(
     [("c_weight", "f4"), ("c_sheet_variance", "f4"), ("c_pose_variance", "f4"), ("c_first", "u4"), ("c_last", "u4"),
-     ("c_cameras", "u4"), ("c_frames", "u2"), ("_", "u2")]
+     ("c_cameras", "u4"), ("watched", "u4"), ("c_frames", "u2"), ("_", "u2")]
 )  # fmt: skip
-"""What only those that contradict the estimate do."""
+"""What only those do that contradict the estimate, or that are told by labels."""
 DECISION = np.dtype([("shift", "f4"), ("since", "u4"), ("by", "u4")])
 """What no observation does."""
 
 _STORED = (
     "dz", "looks", "weight", "sheet_variance", "pose_variance", "first", "last", "cameras", "frames", "label", "base",
     "c_dz", "c_looks", "c_weight", "c_sheet_variance", "c_pose_variance", "c_first", "c_last", "c_cameras", "c_frames",
-    "kind", "shift", "since", "by",
+    "kind", "shift", "since", "by", "watched",
 )  # fmt: skip
 _BLOCK_OF = {name: i for i, block in enumerate((ESTIMATE, CANDIDATE, DECISION)) for name in block.names or ()}
 FIELDS = {name: Field((ESTIMATE, CANDIDATE, DECISION)[_BLOCK_OF[name]][name]) for name in _STORED}
@@ -54,7 +54,8 @@ class Cells(NamedTuple):
     `weight`, that of share / variance; `sheet_variance`, the mean of what they know of a shift of the whole stand,
     and `pose_variance`, that of the poses' part; `first`, `last` seen (s), `cameras` (a bit each),
     `frames`, `label` last seen. `base`: the canopy that the first consistent observations found (0 where the
-    surface raster is known, NaN before). Of the candidate: the same, with c_. Of an accepted change: its kind, the
+    surface raster is known, NaN before). `watched`: the cameras whose labels have shown for an hour that what stood
+    there stands. Of the candidate: the same, with c_. Of an accepted change: its kind, the
     smoothed `shift` from the reference and base, since when, and the cameras that agreed then.
 
     `high`: 1 where an estimate or a candidate may hold that something stands high enough above the reference to be

@@ -95,7 +95,7 @@ def mosaic(peek: Callable[[Key], Tile | None], window: Window, names: tuple[str,
 
 
 _OF_ESTIMATE = ("looks", "weight", "sheet_variance", "pose_variance", "first", "last", "cameras")
-_NEEDED = ("dz", *_OF_ESTIMATE, "base", "kind", "shift", "since", "by")
+_NEEDED = ("dz", *_OF_ESTIMATE, "base", "kind", "shift", "since", "by", "watched")
 
 
 def decide(
@@ -130,7 +130,9 @@ def decide(
     stood = surface + known - ground
     standing = stood >= config.threshold
     shift, doubt = mean_of_neighbours(cells, standing, reference.geometry.resolution)
-    alone = (parts["cameras"] & (parts["cameras"] - 1)) == 0
+    # A camera that has watched what stood may tell alone that it is gone.
+    watched = ((parts["cameras"] & ~parts["watched"]) == 0) & (shift < 0)
+    alone = ((parts["cameras"] & (parts["cameras"] - 1)) == 0) & ~watched
     strong, weak = _levels(off, variance, shift, doubt, usable, parts["kind"] > 0, alone, config)
     # What never stood there cannot have been removed: such a cell is lowered, by its own account, or as it was.
     weak &= (shift > 0) | standing | _shows(off, shift, config.threshold)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.depth.classes import DepthClasses
-from ltm_core.depth.fusion import FusionSettings, fuse
+from ltm_core.depth.fusion import FusionSettings, Verdict, fuse
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.truth_frames_io import TruthFrame
 from ltm_core.metrics.change import ChangeScore, score_change
@@ -25,7 +25,7 @@ from ltm_core.metrics.depth_fit import at_pixels_of
 from ltm_core.metrics.surface import SurfaceScore, cell_means, score_surface
 from ltm_core.site import TerrainConfig
 from ltm_core.terrain.layers import SurfaceLayers
-from ltm_core.terrain.observation import DepthFrame
+from ltm_core.terrain.observation import DepthFrame, LabelImage
 from ltm_core.terrain.reference import Reference
 from ltm_core.terrain.surface_map import SurfaceMap
 from ltm_core.terrain.trials import Noise
@@ -64,16 +64,19 @@ def score_frames(
     measure: Measure,
     config: TerrainConfig,
     looks: int = 1,
+    gone: NDArray[np.float32] | None = None,
+    earlier: Iterable[TruthFrame] = (),
 ) -> FrameScore:
     """Let the map look at frames, an hour apart whatever their stamps say, and compare with the true surface `now`.
 
     `ground`, `before`: what the map starts from, in the map frame. `looks`: how often each frame is looked at: photos
-    of a scene whose errors repeat. Raises RasterError, PoseError and ImageError.
+    of a scene whose errors repeat. `gone`: what labels say, see `SurfaceMap`. `earlier`: frames that the map looks at
+    before, of the date it starts from. Raises RasterError, PoseError and ImageError.
     """
     reference = Reference.of(ground, before, config.resolution)
     truth = cell_means(now.elevation, now.geometry, reference.geometry)
-    kept = list(frames) * looks
-    surface = SurfaceMap(reference, config, sorted({frame.camera_name for frame in kept}))
+    kept = [*earlier, *list(frames) * looks]
+    surface = SurfaceMap(reference, config, sorted({frame.camera_name for frame in kept}), gone=gone)
     verdicts: Counter[str] = Counter()
     for number, frame in enumerate(kept):
         seen, verdict = measure(frame)
@@ -163,8 +166,9 @@ def network_depth(
             own = fused.measured()
             small = own.depth.shape[::-1]
             seen = _frame(frame, own.depth, own.sigma, ~np.isnan(own.depth), camera.resized(*small))
+            told = LabelImage(labels, camera) if fused.verdict is Verdict.OK else None
             labels = cv2.resize(labels, small, interpolation=cv2.INTER_NEAREST)
-            known[key] = replace(seen, labels=labels), fused.verdict.value
+            known[key] = replace(seen, labels=labels, told=told), fused.verdict.value
         return known[key]
 
     return measure

@@ -216,5 +216,5 @@ def _apply(cells: Cells, standing: Standing, seconds: int, bit: int, rules: Rule
             e.frames = 0
         else:
             limit, own = np.float32(standing.dz[i] * INSIDE), np.float32(rules.carve_variance)
-            take(cells, slot, k, limit, own, own, np.float32(0.0), True, seconds, bit, rules)
+            take(cells, slot, k, limit, own, own, np.float32(0.0), True, seconds, bit, rules.independent_after, rules)
     return len(standing.slot)

@@ -9,6 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ltm_core.terrain.cells import CELLS, PLACE_BITS, TILE, TILE_BITS
+
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
 
@@ -17,11 +19,13 @@ LEAST_INCIDENCE = 0.1
 
 
 class Ground(NamedTuple):
-    """`surface`: (H, W) metres; `east`, `north`: rise per metre of blocks of `block` cells a side, `highest`: of
-    what is known of each and the cells around it, -inf where nothing is; `across`: tiles.
+    """`surface`, `bare`: (H, W) metres, with what stands on the ground and without; `east`, `north`: rise per metre of
+    blocks of `block` cells a side, `highest`: of what is known of each and the cells around it, -inf where nothing is;
+    `across`: tiles.
     """
 
     surface: Image
+    bare: Image
     east: Image
     north: Image
     highest: Image
@@ -59,6 +63,16 @@ def cell_at(ground: Ground, x: float, y: float) -> tuple[int, int]:
     if not (row >= 0 and col >= 0 and row < height and col < width):
         return -1, -1
     return int(row), int(col)
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def stood_at(ground: Ground, place: int) -> float:
+    """Metres of what stands in a cell."""
+    tile, k = place >> PLACE_BITS, place & (CELLS - 1)
+    row = ((tile // ground.across) << TILE_BITS) + (k >> TILE_BITS)
+    col = ((tile % ground.across) << TILE_BITS) + (k & (TILE - 1))
+    height: float = ground.surface[row, col] - ground.bare[row, col]
+    return height
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]

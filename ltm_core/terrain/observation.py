@@ -15,6 +15,7 @@ from ltm_core.pose import Pose
 from ltm_core.terrain.cells import TILE, Records
 from ltm_core.terrain.frame_sums import FrameSums, clear
 from ltm_core.terrain.ground import Ground
+from ltm_core.terrain.label_kernel import hear
 from ltm_core.terrain.observe_kernel import Limits, Pixels, observe
 from ltm_core.terrain.reference import BLOCK, Reference
 from ltm_core.terrain.sight import Extremes, Sights, View, foresee
@@ -28,6 +29,19 @@ _WIDEST_WINDOW = 24
 
 
 @dataclass(frozen=True, eq=False)
+class LabelImage:
+    """`ids`: (H, W) uint8 class ids. `camera`: that of an image of their size."""
+
+    ids: NDArray[np.uint8]
+    camera: Camera
+
+    def __post_init__(self) -> None:
+        shape = (self.camera.height, self.camera.width)
+        if self.ids.shape != shape:
+            raise ImageError(f"label image of {self.ids.shape} does not fit a camera of {shape} (rows, columns)")
+
+
+@dataclass(frozen=True, eq=False)
 class DepthFrame:
     """One posed depth image.
 
@@ -35,7 +49,8 @@ class DepthFrame:
     bool, where depth is a measurement; False where it was copied from the terrain, which then says nothing of it.
     `labels`: (H, W) uint8 class ids or None. `covariance`: (6, 6) of the pose over x, y, z (m) and rotations about the
     map's axes (rad); None: not known. `stable`: (H, W) bool, open ground that does not grow, where the frame itself
-    tells it, or None. Raises ImageError where shapes differ, PoseError for a covariance that is none.
+    tells it, or None. `told`: labels at their own size, of which the map asks what still stands, or None. Raises
+    ImageError where shapes differ, PoseError for a covariance that is none.
     """
 
     depth: Image
@@ -48,6 +63,7 @@ class DepthFrame:
     covariance: Covariance | None = None
     labels: NDArray[np.uint8] | None = None
     stable: NDArray[np.bool_] | None = None
+    told: LabelImage | None = None
 
     def __post_init__(self) -> None:
         shape = (self.camera.height, self.camera.width)
@@ -73,16 +89,24 @@ class Observer:
     """Turns depth images into observations of a reference surface.
 
     `columns`: of a frame, that are used at most. `views_mb`: memory for what the reference has for the pixels of fixed
-    views, the least recently used of which go.
+    views, the least recently used of which go. `gone`: (256,) log odds by label id that what stood in a cell is gone;
+    None: labels say nothing of it.
     """
 
     def __init__(
-        self, reference: Reference, tracer: TerrainTracer, limits: Limits, columns: int, views_mb: float = 0.0
+        self,
+        reference: Reference,
+        tracer: TerrainTracer,
+        limits: Limits,
+        columns: int,
+        views_mb: float = 0.0,
+        gone: Image | None = None,
     ) -> None:
         geometry = reference.geometry
         tiles = [-(-n // TILE) for n in geometry.shape]
         self._ground = Ground(
             reference.surface,
+            reference.bare,
             reference.slopes.east,
             reference.slopes.north,
             _block_maxima(reference.surface),
@@ -93,26 +117,37 @@ class Observer:
             tiles[1],
         )
         self._tracer, self._limits, self._columns = tracer, limits, columns
+        self._gone = np.zeros(256, np.float32) if gone is None else gone
         self._tiles = tiles[0] * tiles[1]
         self._sums = FrameSums.empty(0, self._tiles)
         self._views = Sights(int(views_mb * 2**20))
 
     def observe(self, frame: DepthFrame, covariance: Covariance) -> FrameSums:
         """What a frame says of each cell, valid until the next call. Raises PoseError as the tracer does."""
-        camera = self.sampled(frame)
-        view = View(
+        camera, told = self.sampled(frame), frame.told if self._gone.any() else None
+        view = self._view(camera, frame, covariance)
+        sights = self._sights(camera, frame, view)
+        step = -(-told.camera.width // self._columns) if told is not None else 1
+        ids = np.ascontiguousarray(told.ids[::step, ::step]) if told is not None else np.empty((0, 0), np.uint8)
+        if len(self._sums.cells) < 2 * sights.size + ids.size:
+            self._sums = FrameSums.empty(2 * sights.size + ids.size, self._tiles)
+        clear(self._sums)
+        pixels = self.pixels(frame)
+        observe(self._ground, view, sights, pixels, self._limits, self._sums)
+        if told is not None:
+            camera = told.camera.scaled(step)
+            sights = self._sights(camera, frame, self._view(camera, frame, covariance))
+            hear(self._ground, sights, ids, camera.cosines(), self._gone, pixels, self._limits, self._sums)
+        return self._sums
+
+    def _view(self, camera: Camera, frame: DepthFrame, covariance: Covariance) -> View:
+        return View(
             camera.rays(),
             np.ascontiguousarray(frame.pose.rotation),
             np.ascontiguousarray(frame.pose.position),
             np.ascontiguousarray(covariance),
             self._tracer.bend,
         )
-        sights = self._sights(camera, frame, view)
-        if len(self._sums.cells) < 2 * sights.size:
-            self._sums = FrameSums.empty(2 * sights.size, self._tiles)
-        clear(self._sums)
-        observe(self._ground, view, sights, self.pixels(frame), self._limits, self._sums)
-        return self._sums
 
     def sampled(self, frame: DepthFrame) -> Camera:
         """The camera of those of a frame's pixels that are used."""

@@ -61,6 +61,8 @@ class Limits(NamedTuple):
     tallest: float
     own_sigma: float
     """Metres of height that no cell is known better than from one frame: the cell is not flat."""
+    stands: float
+    """Metres from which on a cell has something that stands."""
 
 
 class Pixels(NamedTuple):
@@ -198,7 +200,7 @@ def observe(ground: Ground, view: View, sights: Records, pixels: Pixels, limits:
             before, reached[u] = reached[u], 0.0
             sight = sights[v, u]
             expected = float(sight.expected)
-            # Depth that was copied from the reference, or no reference.
+            # Nothing was measured, or no reference.
             if math.isnan(expected) or pixels.informs[v * step, u * step] == 0:
                 continue
             along = pixels.cosines[v, u]

@@ -66,6 +66,7 @@ class SurfaceMap:
         store: of `tile_pool.schema_of` the grid in the site's CRS; None: what no longer fits the memory for cells is
             kept compressed.
         curvature, refraction: of rays, as the tracer takes them.
+        gone: (256,) log odds by label id that what stood in a cell is gone; None: labels say nothing of it.
 
     Raises ConfigError for more cameras than a cell can tell apart.
     """
@@ -78,15 +79,22 @@ class SurfaceMap:
         store: TileStore | None = None,
         curvature: bool = True,
         refraction: float = 0.13,
+        gone: NDArray[np.float32] | None = None,
     ) -> None:
         if len(cameras) > CAMERAS:
             raise ConfigError(f"a terrain tells {CAMERAS} cameras apart, this site has {len(cameras)}; split the site")
         self.reference, self.config, self.cameras = reference, config, tuple(cameras)
         self._tracer = TerrainTracer(reference.surface_dem, curvature, refraction)
         self._limits = Limits(
-            config.min_range, config.max_range, config.confidence, config.threshold / 2, config.tallest, _OWN_SIGMA
+            config.min_range,
+            config.max_range,
+            config.confidence,
+            config.threshold / 2,
+            config.tallest,
+            _OWN_SIGMA,
+            config.threshold,
         )
-        self._observer = Observer(reference, self._tracer, self._limits, config.columns, config.views_mb)
+        self._observer = Observer(reference, self._tracer, self._limits, config.columns, config.views_mb, gone)
         self._rules = Rules(
             config.confidence,
             config.reference_sigma**2,

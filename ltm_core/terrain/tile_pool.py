@@ -12,7 +12,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.terrain.cells import CELL_BYTES, FIELDS, NO_LABEL, TILE, Cells
 from ltm_core.tile_store import CellChanges, FrameRecord, Key, StoreSchema, Tile, TileStore
 
-KIND, VERSION = "terrain", 3
+KIND, VERSION = "terrain", 4
 
 
 def schema_of(geometry: GridGeometry) -> StoreSchema:

@@ -36,6 +36,7 @@ def terrain(
         table.add_column(name, justify="left" if not name else "right")
     for name, one in (
         ("a frame of a camera that stands still", cost.still),
+        ("the same with a network's depth, over a wood, and labels", cost.told),
         ("a frame of one that has turned: registered, reference traced", cost.turned),
         ("deciding on change, for all frames since the last time", cost.decide),
     ):

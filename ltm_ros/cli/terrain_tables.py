@@ -15,6 +15,7 @@ from rich.table import Table
 from ltm_core.bench.measure import conditions as machine
 from ltm_core.depth.classes import DepthClasses
 from ltm_core.depth.monocular import DepthNetwork
+from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.metrics.change import ChangeScore
 from ltm_core.metrics.surface import SurfaceScore
 from ltm_core.pictures import to_png
@@ -123,10 +124,18 @@ def real_site(folder: Path, networks: Sequence[str], pictures: Path | None, out:
 
 
 def simulated_frames(
-    folder: Path, date: str, share: float, looks: int, networks: Sequence[str], pictures: Path | None, out: Path | None
+    folder: Path,
+    date: str,
+    share: float,
+    looks: int,
+    watched: int,
+    networks: Sequence[str],
+    pictures: Path | None,
+    out: Path | None,
 ) -> None:
     """Frames of `ltm simulate` at its last or the named date, the surface of its first date given: from true depth, and
-    from what each of `networks` measures in their photos.
+    from what each of `networks` measures in their photos, and their labels. Before them the map has looked `watched`
+    times at those of the first date.
     """
     from ltm_core.dem import Dem
     from ltm_core.depth.truth_frames_io import dates, open_dem, read_truth_frames, site_frame
@@ -150,6 +159,7 @@ def simulated_frames(
     noise, console = Noise(share=share), Console()
     measures = [("true depth", true_depth(noise), rules.model_copy(update={"repeats": 0.0, "alone": rules.confidence}))]
     segmenter, classes = Segmenter.open(DEFAULT_MODEL), _classes()
+    gone = LabelErrors.of_model(DEFAULT_MODEL).open_odds()
     measures += [
         (name, network_depth(ground, before, DepthNetwork.open(name), segmenter, classes), rules) for name in networks
     ]
@@ -161,7 +171,9 @@ def simulated_frames(
     rows = []
     for name, measure, told in measures:
         with console.status(name):
-            score = score_frames(read_truth_frames(folder, date), ground, before, now, measure, told, looks)
+            earlier = list(read_truth_frames(folder, known[0])) * watched
+            frames = read_truth_frames(folder, date)
+            score = score_frames(frames, ground, before, now, measure, told, looks, gone, earlier)
         said = ", ".join(f"{verdict} {count}" for verdict, count in score.verdicts.items())
         table.add_row(
             name if name == "true depth" else f"{name}: {said}",
@@ -177,11 +189,13 @@ def simulated_frames(
         if pictures is not None:
             _draw(pictures / f"frames_{Path(name).stem.replace(' ', '_')}.png", score.layers, score.truth)
     console.print(table)
+    before_that = f", after {watched} at those of {known[0]!r}" if watched else ""
     console.print(
         f"{folder}; cells of {rules.resolution:g} m, change: {rules.threshold:g} m or more; each photo looked at "
-        f"{looks} times, looks taken as an hour apart; true depth with sigma {noise.constant:g} m + {share:.1%} of "
-        f"range, new in each look; a network's depth fitted to the terrain, {rules.repeats:.0%} of its "
-        "variance taken as alike in each look of a camera; exact poses; RMSE on truly changed cells that independent "
+        f"{looks} times{before_that}, looks taken as an hour apart; true depth with sigma {noise.constant:g} m + "
+        f"{share:.1%} of range, new in each look; a network's depth fitted to the terrain, {rules.repeats:.0%} of its "
+        f"variance taken as alike in each look of a camera, with labels of {segmenter.manifest.name}; "
+        "exact poses; RMSE on truly changed cells that independent "
         "views have seen; off: seen cells that have not changed, of their estimate's sigma"
     )
     _write(out, {"rows": rows})

@@ -18,12 +18,13 @@ from std_msgs.msg import String
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError
+from ltm_core.fuel.site_map import site_label_errors
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.resources import config_path
 from ltm_core.site import TerrainConfig
 from ltm_core.site_io import load_site
-from ltm_core.terrain import DepthFrame, Reference, SurfaceMap
+from ltm_core.terrain import DepthFrame, LabelImage, Reference, SurfaceMap
 from ltm_core.terrain.change import Changed, ChangeKind
 from ltm_core.terrain.terrain_io import write_surface
 from ltm_core.terrain.tile_pool import schema_of
@@ -105,7 +106,13 @@ class Terrain(Handler[TerrainNodeConfig]):
         self._folder = Path(config.site).parent / Path(config.folder).expanduser() if config.folder else None
         self._store = self._open_store(reference)
         self._map = SurfaceMap(
-            reference, site.terrain, tuple(site.cameras), self._store, site.curvature, site.refraction
+            reference,
+            site.terrain,
+            tuple(site.cameras),
+            self._store,
+            site.curvature,
+            site.refraction,
+            site_label_errors(site).open_odds(),
         )
         self._joins = {
             camera: StampJoin(tuple(_PARTS), partial(self._take, camera), health, _WAITING) for camera in site.cameras
@@ -225,8 +232,13 @@ class Terrain(Handler[TerrainNodeConfig]):
         )
         labels = self._labels[camera].pop(stamp, None)
         if labels is not None:
-            ids = cv2.resize(msg_to_array(labels, ("mono8",)), (width, height), interpolation=cv2.INTER_NEAREST)
+            whole = msg_to_array(labels, ("mono8",))
+            ids = cv2.resize(whole, (width, height), interpolation=cv2.INTER_NEAREST)
             frame = replace(frame, labels=ids, stable=self._stable[ids])
+            if frame.measured.any():
+                # Where nothing is measured, fusion may suspect the pose.
+                own = msg_to_camera(info).resized(whole.shape[1], whole.shape[0])
+                frame = replace(frame, told=LabelImage(whole, own))
         added = self._map.add(frame)
         self._undecided += 1
         self.health.gauge("frames", self._store.frame_count() + self._map.uncommitted)

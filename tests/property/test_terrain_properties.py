@@ -38,7 +38,7 @@ def seen_by(looks: Sequence[Look], canopy_known: bool = True) -> TilePool:
         one.cells.field(name)[0, 0] = (0.0 if canopy_known else np.nan) if name == "base" else 0
     for seconds, bit, dz, variance, bounded in looks:
         own, pose = np.float32(variance), np.float32(0.0)
-        take(one.cells, 0, 0, np.float32(dz), own, own, pose, bounded, seconds, bit, RULES)
+        take(one.cells, 0, 0, np.float32(dz), own, own, pose, bounded, seconds, bit, RULES.independent_after, RULES)
     return one
 
 
@@ -141,7 +141,7 @@ def passed_below(sheet: float) -> TilePool:
     dz, least, exact = np.float32(-8.0), np.float32(0.25), np.float32(0)
     for number in range(4):
         when, camera = BEGIN + 3600 * number, 1 + number % 2
-        take(one.cells, 0, 0, dz, least, np.float32(sheet), exact, True, when, camera, RULES)
+        take(one.cells, 0, 0, dz, least, np.float32(sheet), exact, True, when, camera, RULES.independent_after, RULES)
     return one
 
 

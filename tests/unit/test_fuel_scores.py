@@ -15,7 +15,7 @@ from ltm_core.errors import ConfigError, ImageError, RecordingError
 from ltm_core.fuel.fuel_map_io import write_fuel_map
 from ltm_core.fuel.label_correlation import label_correlation
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
-from ltm_core.fuel.life_form import NODATA, label_forms
+from ltm_core.fuel.life_form import NODATA, LifeForm, label_forms
 from ltm_core.fuel.map_score import score_map
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
@@ -128,6 +128,21 @@ def test_shares_are_those_of_the_models_calibration() -> None:
         np.testing.assert_allclose(shares[form, :6], expected / expected.sum(), atol=1e-9)
     for path in config_path("fuel/label_errors").glob("*.yaml"):
         assert path.stem == "default" or "shares" not in yaml.safe_load(path.read_text(encoding="utf-8"))
+
+
+def test_odds_that_a_label_shows_open_ground() -> None:
+    """Of a patch worth 2 / (1 + 0.5) cells, grass and bare ground as likely as shrubs and trees."""
+    shares = np.eye(len(LifeForm))
+    shares[:4, :4] = [[0.7, 0.1, 0.1, 0.1], [0.2, 0.6, 0.2, 0.0], [0.0, 0.2, 0.8, 0.0], [0.1, 0.2, 0.1, 0.6]]
+    correlation = LabelCorrelation(cell=0.8, stand=0.4, view=0.5, network=0.1)
+    odds = LabelErrors(shares, correlation).open_odds()
+    # A share of none counts as one in a hundred.
+    expected = np.log([0.4 / 0.105, 0.15 / 0.4, 0.1 / 0.5, 0.35 / 0.01]) * 2 / 1.5
+    np.testing.assert_allclose(odds[1:5], expected, atol=1e-6)
+    assert not odds[5:].any()
+    assert odds[0] == 0
+    shares[1] = np.nan
+    assert not LabelErrors(shares, correlation).open_odds().any()
 
 
 def test_label_errors_that_are_none(tmp_path: Path) -> None:

@@ -11,18 +11,22 @@ import numpy as np
 import pytest
 import rasterio
 from outlets import Kept
-from small_site import BEGIN_NS, NAME, SmallSite
+from small_site import BEGIN_NS, MAST, NAME, SmallSite
 from terrain_frames import HOUR, measured_messages, sunk, write_terrain_site
 
+from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, LtmError, StoreError
+from ltm_core.terrain.change import ChangeKind
 from ltm_core.tile_store import TileStore
+from ltm_core.vision.labels import Label
 from ltm_msgs_py.grid import msg_to_classes
-from ltm_msgs_py.image import depth_to_msg, msg_to_depth
+from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_depth
 from ltm_msgs_py.terrain import msg_to_changed
 from ltm_ros.graph import describe
 from ltm_ros.health import Health
 from ltm_ros.nodes.terrain import STORE_FILE, Terrain, TerrainNodeConfig
 from ltm_ros.topics import (
+    LABELS_IMAGE,
     MEASURED_DEPTH,
     MEASURED_SIGMA,
     TERRAIN_CHANGE,
@@ -84,6 +88,34 @@ def test_what_no_network_measures_never_becomes_change(small: SmallSite) -> None
         feed(terrain, sent | {MEASURED_DEPTH: nothing, MEASURED_SIGMA: nothing})
     assert outlet.on(TERRAIN_UPDATE) == []
     assert health.summary()["noted.nothing_seen"] == "2"
+
+
+def test_a_camera_tells_by_its_labels_that_a_wood_is_gone(tmp_path: Path) -> None:
+    """Every second square of 12 x 12 cells is wood in the surface raster, and the network hardly measures anything."""
+    wooded = write_terrain_site(tmp_path, surface={"path": "tops.tif"})
+    tops = Dem(2 * wooded.dem.elevation - sunk(wooded).elevation, wooded.dem.geometry)
+    with rasterio.open(tmp_path / "dem.tif") as bare, rasterio.open(tmp_path / "tops.tif", "w", **bare.profile) as file:
+        file.write(tops.elevation.astype(bare.dtypes[0]), 1)
+    terrain, outlet, health = node(wooded)
+
+    def look(hours: float, label: Label) -> None:
+        stamp = BEGIN_NS + round(hours * HOUR)
+        ids = image_to_msg(np.full((MAST.height, MAST.width), label, np.uint8), "mono8", stamp, "mast_optical")
+        parts = measured_messages(wooded, tops, stamp)
+        unsure = depth_to_msg(0.2 * msg_to_depth(parts[MEASURED_DEPTH]), stamp, "mast_optical")
+        feed(terrain, parts | {LABELS_IMAGE: ids, MEASURED_SIGMA: unsure})
+
+    for hours in (0.0, 1.1, 2.2):
+        look(hours, Label.TREE)
+    look(30.0, Label.GRASS)
+    assert outlet.on(TERRAIN_UPDATE) == []
+    look(51.0, Label.GRASS)
+    (update,) = outlet.on(TERRAIN_UPDATE)
+    changed, z = msg_to_changed(update)
+    assert len(z) > 50
+    assert set(np.unique(changed.kind)) == {ChangeKind.REMOVED}
+    assert np.median(np.abs(z - wooded.dem.elevation[changed.rows, changed.cols])) < 1.0
+    assert health.dropped == {}
 
 
 def test_depth_may_be_of_a_networks_size(small: SmallSite) -> None:

@@ -17,9 +17,10 @@ from ltm_core.dem import Dem
 from ltm_core.depth.classes import DepthClasses
 from ltm_core.depth.fusion import fuse
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
+from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.pose import Pose
 from ltm_core.site import TerrainConfig
-from ltm_core.terrain import DepthFrame, Reference, SurfaceMap
+from ltm_core.terrain import DepthFrame, LabelImage, Reference, SurfaceMap
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
@@ -160,7 +161,7 @@ class SharpEyes:
 @dataclass(frozen=True, eq=False)
 class Watch:
     """A map of a slope as it is given, bare and with what grows there, to which photos come by way of fusion, as in the
-    graph, under the rules of a site."""
+    graph, with their labels, under the rules of a site."""
 
     given: tuple[Dem, Dem]
     segmenter: Segmenter
@@ -172,7 +173,8 @@ class Watch:
         """Cells that the map takes for changed after photos two hours apart, and how many it has looked at."""
         bare, surface = (TerrainTracer(dem) for dem in self.given)
         rules = TerrainConfig()
-        living = SurfaceMap(Reference.of(*self.given, rules.resolution), rules, sorted(FIRES))
+        gone = LabelErrors.of_model(DEFAULT_MODEL).open_odds()
+        living = SurfaceMap(Reference.of(*self.given, rules.resolution), rules, sorted(FIRES), gone=gone)
         for number, (look, rgb) in enumerate(photos):
             ground, canopy = (tracer.trace(look.camera, look.pose) for tracer in (bare, surface))
             seen, labels = network.predict(rgb, look.camera), self.segmenter.segment(rgb).labels
@@ -180,7 +182,8 @@ class Watch:
             camera = look.camera.resized(*own.depth.shape[::-1])
             stamp = BEGIN + number // 2 * 2 * HOUR + number
             measured = ~np.isnan(own.depth)
-            living.add(DepthFrame(own.depth, own.sigma, measured, camera, look.pose, stamp, look.name, SURE))
+            frame = DepthFrame(own.depth, own.sigma, measured, camera, look.pose, stamp, look.name, SURE)
+            living.add(replace(frame, told=LabelImage(labels, look.camera)))
         changed = living.decide()
         looked = int(living.layers().observed.sum())
         return {(int(r), int(c)) for r, c in zip(changed.rows, changed.cols, strict=True)}, looked

@@ -47,6 +47,9 @@ def terrain(
     alike: Annotated[
         bool, typer.Option("--alike", help="With --frames and --network: how much of an error repeats on all dates.")
     ] = False,
+    watched: Annotated[
+        int, typer.Option(help="With --frames: looks at each photo of the first date before that.", min=0)
+    ] = 0,
     site: Annotated[Path | None, typer.Option(help="With --bag: site file; default: beside the bag.")] = None,
     truth: Annotated[Path | None, typer.Option(help="With --bag: folder of truth rasters.")] = None,
     date: Annotated[str, typer.Option(help="With --bag or --frames: the date of the truth.")] = "",
@@ -70,7 +73,7 @@ def terrain(
         terrain_tables.repeated_errors(frames, network or ["landscape_lite0_depth"])
         return
     if frames is not None:
-        terrain_tables.simulated_frames(frames, date, share, looks or 1, network or [], pictures, json_path)
+        terrain_tables.simulated_frames(frames, date, share, looks or 1, watched, network or [], pictures, json_path)
         return
     if bag is not None:
         terrain_tables.recorded_run(bag, site, truth, date, json_path)

@@ -1,0 +1,69 @@
+"""Each label of an image as a word on whether what stood still stands: compiled.
+
+Where the reference has something that stands, a pixel speaks by its label of the cell that it would see: that it is as
+high as it was, or as low as bare earth. What is surely seen before it hides it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ltm_core.terrain.cells import NO_LABEL, Records
+from ltm_core.terrain.frame_sums import FrameSums, sum_of
+from ltm_core.terrain.ground import Ground, Image, stood_at
+from ltm_core.terrain.observe_kernel import Limits, Pixels
+
+_EDGE = 0.5
+"""Of the height of what stood, by which a pixel's neighbours may see it differently."""
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def hear(
+    ground: Ground,
+    sights: Records,
+    ids: NDArray[np.uint8],
+    cosines: Image,
+    gone: Image,
+    depth: Pixels,
+    limits: Limits,
+    sums: FrameSums,
+) -> None:
+    """Add up what labels (H, W) say, by cell. What finds no room in `sums` is left out.
+
+    Args:
+        sights: what the reference has for these pixels (H, W); `cosines`: their depth / slant range.
+        gone: (256,) log odds by label that what stood is gone.
+        depth: what the same photo measures, edge to edge over it, at its own size.
+
+    At an edge, where ranges within a pixel differ by about as much as the height of what stood, the label may be that
+    of what is beside it: it is not heard.
+    """
+    rows, cols = ids.shape
+    height, width = depth.depth.shape
+    for v in range(rows):
+        below = v * height // rows
+        for u in range(cols):
+            odds, sight = gone[ids[v, u]], sights[v, u]
+            if odds == 0.0 or sight.place < 0 or not limits.min_range < sight.expected < limits.max_range:
+                continue
+            stood = stood_at(ground, sight.place)
+            if not stood >= limits.stands or sight.spread * sight.incidence > _EDGE * stood:
+                continue
+            across = u * width // cols
+            if depth.informs[below, across]:
+                farthest = depth.depth[below, across] + limits.gate * depth.sigma[below, across]
+                if farthest < sight.nearest * cosines[v, u]:
+                    continue
+            number = sum_of(sums, sight.place)
+            if number < 0:
+                continue
+            one = sums.cells[number]
+            one.stood = stood
+            one.heard += 1.0
+            one.gone += max(odds, np.float32(0.0))
+            one.stays += max(-odds, np.float32(0.0))
+            one.heard_pose += sight.pose_variance
+            if one.label == NO_LABEL:
+                one.label = ids[v, u]
