@@ -26,9 +26,7 @@ from ltm_core.tracing.prefetch import prefetch
 TALL = 10.0
 """Metres: what rises that high at once is a building or, more often, something that passes before the camera."""
 WATCHED = 12.5
-"""Log odds by which a camera's labels tell that what it has seen to stand is gone: five sigmas. Of unchanged cells on
-rendered landscapes, 0.0 to 0.7 % turned from standing to open between two photos of a view, of felled and burnt ones
-12 to 75 %."""
+"""Log odds by which a camera's labels tell that what it has seen to stand is gone: five sigmas."""
 TOLD_AFTER = 72_000.0
 """Seconds for which one camera's labels must contradict what it has watched: fog and dusk, in which they err more, are
 gone by the next day."""

@@ -166,6 +166,7 @@ class Observer:
             np.ascontiguousarray(labels, np.uint8),
             self._step(frame),
             self.sampled(frame).cosines(),
+            _least_around(frame.depth[:: self._step(frame), :: self._step(frame)]),
         )
 
     def _sights(self, camera: Camera, frame: DepthFrame, view: View) -> Records:
@@ -196,6 +197,12 @@ def _block_maxima(surface: Image) -> Image:
         padded[:-1], padded[-1] = np.fmax.reduce(strip, axis=0), np.nan
         found[row] = np.fmax.reduceat(padded, edges)[::2]
     return np.where(np.isnan(found), np.float32(-np.inf), found)
+
+
+def _least_around(depth: Image) -> Image:
+    """Of each pixel and its eight neighbours, as far as they are known."""
+    known = np.where(np.isnan(depth), np.float32(np.inf), depth)
+    return np.asarray(cv2.erode(known, np.ones((3, 3), np.uint8)), np.float32)
 
 
 def _extremes(ranges: Image, radius: int) -> tuple[Image, Image]:

@@ -5,8 +5,8 @@ A pixel is compared with the range at which its ray would meet the reference sur
 * **It agrees**: it speaks for the cell that the reference says it sees. What it is off by along the ray, times the
   incidence factor, is what the surface there is off by in height.
 * **It is nearer**: something stands where the reference has air. It speaks for the cell that it lies in.
-* **It is farther**: the ray went through what the reference has as solid. All cells that it passed below the
-  surface are capped at the ray's height, and it speaks for the cell that it lies in.
+* **It is farther**, and so are all around it: the ray went through what the reference has as solid. All cells that it
+  passed below the surface are capped at the ray's height, and it speaks for the cell that it lies in.
 
 The incidence factor |n.d| / n_z (n: normal of the surface, d: the ray's direction) turns metres along the ray into
 metres of height; it is taken over blocks of cells, since a crown's own slopes say nothing of how the canopy is met.
@@ -68,7 +68,7 @@ class Limits(NamedTuple):
 class Pixels(NamedTuple):
     """Of a whole image (H, W), of which every `step`-th row and column is used: depth along the optical axis, its
     sigma, whether it is a measurement at all, and labels ((0, 0): there are none). `cosines`: of the pixels in use,
-    depth / slant range.
+    depth / slant range. `beside`: the least depth among each of them and those around it.
     """
 
     depth: Image
@@ -77,6 +77,7 @@ class Pixels(NamedTuple):
     labels: Kinds
     step: int
     cosines: Image
+    beside: Image
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
@@ -242,6 +243,9 @@ def observe(ground: Ground, view: View, sights: Records, pixels: Pixels, limits:
             flat2 = dx * dx + dy * dy
             ray = Ray(x0, y0, z0, dx, dy, dz, view.bend * flat2)
             farther = r > farthest + slack
+            # Leaves let rays through here and there: where a pixel beside it sees the crown, nothing has gone.
+            if farther and not pixels.beside[v, u] / along > farthest + min(sigma, slack):
+                continue
             if farther and not math.isinf(expected):
                 end = min(expected + SKY_SEEN_THROUGH, limits.max_range) if math.isinf(r) else r - slack
                 reached[u] = max(end, before)

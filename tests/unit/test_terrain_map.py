@@ -159,6 +159,20 @@ def test_removed_trees_are_seen_by_the_rays_that_pass_where_they_stood() -> None
     assert np.abs(layers.height - BARE)[PATCH & layers.observed].mean() < 1.0
 
 
+def test_crowns_that_rays_pass_here_and_there_still_stand() -> None:
+    """One pixel of nine, the same each time, sees through leaves what is behind them."""
+    surface = surface_map(RAISED)
+    for source, hours in (("west", 0.0), ("east", 0.5), ("west", 2.0)):
+        standing = frame(RAISED, source, hours)
+        through = standing.depth.copy()
+        through[1::3, 2::3] = frame(BARE, source, hours).depth[1::3, 2::3]
+        surface.add(replace(standing, depth=through))
+    surface.decide()
+    seen = PATCH & surface.layers().observed
+    assert seen.sum() > 300
+    assert (surface.layers().change[seen] == 0).all()
+
+
 def test_the_first_views_define_the_canopy_where_no_raster_does() -> None:
     surface = surface_map()
     for source, hours in (("west", 0.0), ("east", 0.5), ("west", 2.0), ("east", 2.5)):
