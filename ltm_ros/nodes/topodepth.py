@@ -56,8 +56,9 @@ class TopoDepthConfig(NodeConfig):
     `model`."""
     threads: int = Field(1, ge=1)
     """Cores that the network may use."""
-    label_wait: float = Field(1.5, ge=0)
-    """Seconds that a frame waits for its labels before it is fused without them."""
+    label_wait: float = Field(5.0, ge=0)
+    """Seconds that a frame waits for its labels before it is fused without them: on a tower's two cores, all nodes of
+    all cameras at work, they may be some behind."""
     max_waiting: int = Field(4, ge=1)
     """Frames that wait for labels at most."""
     angle_sigma_deg: float = Field(0.03, ge=0)
