@@ -18,6 +18,7 @@ from ltm_core.depth.classes import DepthClasses
 from ltm_core.depth.combine import combine
 from ltm_core.depth.edges import Edges
 from ltm_core.depth.fusion import FusionSettings, fuse
+from ltm_core.depth.measured import MeasuredDepth
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_fit import fit_network
 from ltm_core.depth.pose_check import check_pose
@@ -86,7 +87,8 @@ def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionC
         "silhouettes": crests,
         "terrain or network": decide,
         "land beyond the raster": lambda: clear_beyond(ground, work[0], work[1], source),
-        "whole": lambda: fuse(frame.traced, frame.network, frame.photo, frame.labels, classes, settings),
+        "the network's own measurement": lambda: MeasuredDepth.of(fit),
+        "whole": lambda: fuse(frame.traced, frame.network, frame.photo, frame.labels, classes, settings).measured(),
     }
     for call in parts.values():
         call()

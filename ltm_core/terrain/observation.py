@@ -133,7 +133,8 @@ class Observer:
             self._sums = FrameSums.empty(2 * sights.size + ids.size, self._tiles)
         clear(self._sums)
         pixels = self.pixels(frame)
-        observe(self._ground, view, sights, pixels, self._limits, self._sums)
+        beside = _least_around(frame.depth[:: pixels.step, :: pixels.step])
+        observe(self._ground, view, sights, pixels, beside, self._limits, self._sums)
         if told is not None:
             camera = told.camera.scaled(step)
             sights = self._sights(camera, frame, self._view(camera, frame, covariance))
@@ -166,7 +167,6 @@ class Observer:
             np.ascontiguousarray(labels, np.uint8),
             self._step(frame),
             self.sampled(frame).cosines(),
-            _least_around(frame.depth[:: self._step(frame), :: self._step(frame)]),
         )
 
     def _sights(self, camera: Camera, frame: DepthFrame, view: View) -> Records:

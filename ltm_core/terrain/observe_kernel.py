@@ -68,7 +68,7 @@ class Limits(NamedTuple):
 class Pixels(NamedTuple):
     """Of a whole image (H, W), of which every `step`-th row and column is used: depth along the optical axis, its
     sigma, whether it is a measurement at all, and labels ((0, 0): there are none). `cosines`: of the pixels in use,
-    depth / slant range. `beside`: the least depth among each of them and those around it.
+    depth / slant range.
     """
 
     depth: Image
@@ -77,7 +77,6 @@ class Pixels(NamedTuple):
     labels: Kinds
     step: int
     cosines: Image
-    beside: Image
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
@@ -184,8 +183,11 @@ def _cap(ground: Ground, ray: Ray, t: float, below: float, passed: float, sums: 
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def observe(ground: Ground, view: View, sights: Records, pixels: Pixels, limits: Limits, sums: FrameSums) -> None:
-    """Add a frame's observations up by cell. What finds no room in `sums` is left out.
+def observe(
+    ground: Ground, view: View, sights: Records, pixels: Pixels, beside: Image, limits: Limits, sums: FrameSums
+) -> None:
+    """Add a frame's observations up by cell. What finds no room in `sums` is left out. `beside`: of the pixels in use
+    (H, W), the least depth among each and those around it.
 
     Rows are taken from the bottom up: where a ray has carved, the one above it in its column passes higher, and goes on
     where that ended. So an image carves a cell a few times, and not once for each ray over it.
@@ -244,7 +246,7 @@ def observe(ground: Ground, view: View, sights: Records, pixels: Pixels, limits:
             ray = Ray(x0, y0, z0, dx, dy, dz, view.bend * flat2)
             farther = r > farthest + slack
             # Leaves let rays through here and there: where a pixel beside it sees the crown, nothing has gone.
-            if farther and not pixels.beside[v, u] / along > farthest + min(sigma, slack):
+            if farther and not beside[v, u] / along > farthest + min(sigma, slack):
                 continue
             if farther and not math.isinf(expected):
                 end = min(expected + SKY_SEEN_THROUGH, limits.max_range) if math.isinf(r) else r - slack
