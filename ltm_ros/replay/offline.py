@@ -6,6 +6,7 @@ import importlib
 from collections import defaultdict, deque
 from collections.abc import Callable, Mapping
 from functools import partial
+from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +31,12 @@ class OfflineGraph:
         self._record = record
         self.now_ns = 0
         """Log time of the message at work."""
-        self._handlers: list[tuple[Health, Handler[Any]]] = []
+        self._handlers: dict[str, tuple[Health, Handler[Any]]] = {}
+        self._publications: dict[str, list[str]] = {}
+        self._subscriptions: dict[str, list[str]] = {}
         for spec in graph:
             self._add(spec)
-        for _, handler in self._handlers:
+        for _, handler in self._handlers.values():
             handler.start()
         self._drain()
 
@@ -44,8 +47,15 @@ class OfflineGraph:
         self._drain()
 
     def finish(self) -> None:
-        """Tell every handler that no more will come; what they still publish is delivered."""
-        for health, handler in self._handlers:
+        """Tell every handler that no more will come, each after all that it listens to; what they still publish is
+        delivered."""
+        sources: dict[str, set[str]] = defaultdict(set)
+        for name, topics in self._publications.items():
+            for topic in topics:
+                sources[topic].add(name)
+        upstream = {name: set().union(*(sources[t] for t in topics)) for name, topics in self._subscriptions.items()}
+        for name in TopologicalSorter(upstream).static_order():
+            health, handler = self._handlers[name]
             _guarded(health, handler.finish)
             self._drain()
 
@@ -64,7 +74,9 @@ class OfflineGraph:
         health = self.healths[spec.full_name] = Health()
         outlet = _Outlet(self, spec.namespace, health)
         handler = node.handler(checked(node.config, given, f"parameters of {spec.label}"), outlet, health)
-        self._handlers.append((health, handler))
+        self._handlers[spec.full_name] = health, handler
+        self._publications[spec.full_name] = [_absolute(spec.namespace, topic) for topic in handler.publications]
+        self._subscriptions[spec.full_name] = [_absolute(spec.namespace, topic) for topic in handler.subscriptions]
         for topic, callback in handler.subscriptions.items():
             self._listeners[_absolute(spec.namespace, topic)].append((topic.name, health, callback))
 
@@ -75,7 +87,7 @@ class OfflineGraph:
                 for name, health, callback in self._listeners.get(topic, ()):
                     health.received(name)
                     _guarded(health, partial(callback, message))
-            for health, handler in self._handlers:
+            for health, handler in self._handlers.values():
                 _guarded(health, handler.idle)
 
 

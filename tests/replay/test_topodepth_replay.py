@@ -5,14 +5,21 @@ from __future__ import annotations
 import json
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 import yaml
 from networks import write_depth_network
 from small_site import FRAMES, NAME, SmallSite
 
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import msg_to_depth
+from ltm_ros.handler import Handler
+from ltm_ros.nodes.fuel_map import FuelMap
+from ltm_ros.nodes.fuel_votes import FuelVotes
+from ltm_ros.nodes.terrain import Terrain
+from ltm_ros.nodes.topodepth import TopoDepth
 from ltm_ros.replay.run import ReplayOptions, run_offline
 from ltm_ros.topics import DEPTH_IMAGE, FUSED_DEPTH, FUSED_INFO, camera_topic
 
@@ -43,3 +50,30 @@ def test_every_frame_of_every_camera_is_fused(small_site: SmallSite, tmp_path: P
             known = np.isfinite(a) & np.isfinite(b)
             assert known.mean() > 0.5
             assert np.median(np.abs(b[known] / a[known] - 1)) < 0.05
+
+
+def test_nodes_finish_after_those_that_they_listen_to(
+    small_site: SmallSite, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a node still has to say at the end is heard by one that is still open."""
+    write_depth_network(small_site.folder)
+    content = yaml.safe_load(small_site.path.read_text()) | {"depth_model": "depth.yaml", "terrain": {}}
+    path = small_site.folder / "with_terrain.yaml"
+    path.write_text(yaml.safe_dump(content))
+    finished: list[str] = []
+
+    def noted(handler: type[Handler[Any]]) -> None:
+        finish = handler.finish
+
+        def wrapped(self: Handler[Any]) -> None:
+            finished.append(handler.__name__)
+            finish(self)
+
+        monkeypatch.setattr(handler, "finish", wrapped)
+
+    for handler in (TopoDepth, Terrain, FuelVotes, FuelMap):
+        noted(handler)
+    run_offline(small_site.bag, path, ReplayOptions(duration=1.0), lambda done, total: None)
+    assert sorted(finished) == ["FuelMap", *["FuelVotes"] * 2, "Terrain", *["TopoDepth"] * 2]
+    assert finished[-1] == "FuelMap"
+    assert finished.index("Terrain") > max(i for i, name in enumerate(finished) if name == "TopoDepth")
