@@ -109,7 +109,7 @@ def _frames(
             seen = fused.measured()
             depth, sigma, verdict = seen.depth, seen.sigma, fused.verdict.value
             own = camera.resized(*depth.shape[::-1])
-        with np.errstate(invalid="ignore"):
-            off = np.abs(at_pixels_of(depth, true.shape, true.shape) / true - 1)
-        share = float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else float("nan")
+        seen_at = at_pixels_of(depth, true.shape, true.shape)
+        both = np.isfinite(seen_at) & np.isfinite(true)
+        share = float(np.median(np.abs(seen_at[both] / true[both] - 1))) if both.any() else float("nan")
         yield DepthFrame(depth, sigma, ~np.isnan(depth), own, pose, stamp, "canyon", covariance), share, verdict
