@@ -42,7 +42,8 @@ def terrain(
         Path | None, typer.Option(help="Instead: a recorded run with a terrain node, and truth beside its site.")
     ] = None,
     network: Annotated[
-        list[str] | None, typer.Option(help="With --canyon or --frames: also what this depth network measures; repeatable.")
+        list[str] | None,
+        typer.Option(help="With --canyon or --frames: also what this depth network measures; repeatable."),
     ] = None,
     alike: Annotated[
         bool, typer.Option("--alike", help="With --frames and --network: how much of an error repeats on all dates.")
