@@ -28,10 +28,8 @@ MOST_RATIO = 3.0
 """E-foldings of depth between ground and what stands before it from which on its chance grows no more."""
 EDGE = 0.5
 """What log odds lose at an edge as high as the disagreement, and less by its square."""
-ELSEWHERE = 4.0
-"""Times a network's variance on ground: its variance on what stands before it."""
-BETWEEN = 0.3
-"""Of the range of a network's depth among neighbours: sigma of which of them a pixel shows."""
+_ELSEWHERE = 4.0  # times a network's variance on ground: its variance on what stands before it
+_BETWEEN = 0.3  # of the range of a network's depth among neighbours: sigma of which of them a pixel shows
 _BLURRED = 0.3  # of a disagreement: what lies between two sides by more is an edge
 _OPEN = 0.2  # chance from which on a depth counts beside the likelier one
 _OWN = 4.0  # of a network's own variance: below it, `_least` is no more than `_alone`
@@ -153,14 +151,20 @@ def _combine(
                 t, inverse = min(t * other / inverse, np.float32(0.99) * other), other
             if not (t < inverse and (kind[u] == 0 or (inverse > true[u]) == (off[u] > 0))):
                 continue
-            # Which of its neighbours' depths it is stays unsure.
-            between_both = np.float32(BETWEEN) * (near[u] - back[u])
-            t = np.sqrt(np.float32(ELSEWHERE) * t * t + between_both * between_both) / (inverse * inverse)
+            t = elsewhere(t, near[u], back[u]) / (inverse * inverse)
             if d[u] < far and likely < np.float32(1.0 - _OPEN):
                 d[u], s[u] = _either(d[u], s[u], one / inverse, t, likely)
             elif likely > half:
                 d[u], s[u] = one / inverse, t
             kind[u] = 2 if likely > half else kind[u]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def elsewhere(t: np.float32, near: np.float32, back: np.float32) -> np.float32:
+    """A network's sigma, 1/m, of what may stand before the ground, of which its own is `t`; which of its neighbours'
+    depths, from `back` to `near`, a pixel has stays unsure."""
+    between = np.float32(_BETWEEN) * (near - back)
+    return np.float32(np.sqrt(np.float32(_ELSEWHERE) * t * t + between * between))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.depth.answers import meant
-from ltm_core.depth.combine import BETWEEN, ELSEWHERE
+from ltm_core.depth.combine import elsewhere
 from ltm_core.depth.network_fit import NetworkFit
 
 Image = NDArray[np.float32]
@@ -57,8 +57,6 @@ def _measure(
             depth[v, u], sigma[v, u] = none, none
             if inverse[v, u] > 0:
                 true, t = meant(row, u * shift.shape[1] // width, inverse[v, u], shift, factor)
-                # Edges are soft: which of its neighbours' depths a pixel has stays unsure.
-                between = np.float32(BETWEEN) * (nearest[v, u] - farthest[v, u])
-                t = np.sqrt(np.float32(ELSEWHERE) * t * t + between * between)
+                t = elsewhere(t, nearest[v, u], farthest[v, u])
                 if t < np.float32(_SURE) * true:
                     depth[v, u], sigma[v, u] = one / true, t / (true * true)

@@ -171,7 +171,7 @@ def simulated_frames(
     rows = []
     for name, measure, told in measures:
         with console.status(name):
-            earlier = list(read_truth_frames(folder, known[0])) * watched
+            earlier = list(read_truth_frames(folder, known[0])) * watched if watched else []
             frames = read_truth_frames(folder, date)
             score = score_frames(frames, ground, before, now, measure, told, looks, gone, earlier)
         said = ", ".join(f"{verdict} {count}" for verdict, count in score.verdicts.items())

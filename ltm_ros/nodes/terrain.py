@@ -292,10 +292,12 @@ def _compile_kernels(config: TerrainConfig) -> None:
     sunk = TerrainTracer(Dem(plain.elevation - 10, plain.geometry)).trace(camera, pose).depth()
     sure, seen = np.full(sunk.shape, 0.1, np.float32), np.ones(sunk.shape, np.bool_)
     covariance = np.diag([1e-4] * 3 + [1e-5] * 3)
+    told, gone = LabelImage(np.ones(sunk.shape, np.uint8), camera), np.ones(256, np.float32)
     for stable in (None, seen):
-        tiny = SurfaceMap(Reference.of(plain), config.model_copy(update={"cache_mb": 32.0}), ("any",))
+        small = config.model_copy(update={"cache_mb": 32.0})
+        tiny = SurfaceMap(Reference.of(plain), small, ("any",), gone=gone)
         for stamp in (0, 7_200_000_000_000):
-            tiny.add(DepthFrame(sunk, sure, seen, camera, pose, stamp, "any", covariance, None, stable))
+            tiny.add(DepthFrame(sunk, sure, seen, camera, pose, stamp, "any", covariance, None, stable, told))
         tiny.decide()
 
 
