@@ -26,6 +26,7 @@ from ltm_core.depth.range_image import DepthImage
 from ltm_core.depth.sampling import ground_samples
 from ltm_core.depth.seen import SeenDepth
 from ltm_core.depth.silhouettes import raise_silhouettes
+from ltm_core.depth.standing import Standing
 from ltm_core.depth.surface import expected_surface
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
@@ -60,6 +61,7 @@ def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionC
     samples = ground_samples(surface, sigma, frame.labels, classes.ground, camera.fy)
     fit = fit_network(frame.network, samples, (height, width))
     seen, edges = SeenDepth.of(fit, frame.photo), Edges.of(ground)
+    standing = Standing.of(ground, frame.labels, classes, camera.fy, seen.shape)
 
     def crests() -> None:
         surface, sigma = work
@@ -70,7 +72,7 @@ def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionC
         # From the same state each time: a copy's cost is in the figure.
         np.copyto(work[0], surface)
         np.copyto(work[1], sigma)
-        combine(work[0], work[1], None, seen, frame.labels, classes, source)
+        combine(work[0], work[1], None, seen, standing, frame.labels, classes, source)
 
     work, source = np.stack([surface, sigma]), np.empty(surface.shape, np.uint8)
     parts: dict[str, Callable[[], Any]] = {
@@ -84,6 +86,7 @@ def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionC
         "sampling": lambda: ground_samples(surface, sigma, frame.labels, classes.ground, camera.fy),
         "RANSAC and regions": lambda: fit_network(frame.network, samples, (height, width)),
         "photo's edges for the network": lambda: SeenDepth.of(fit, frame.photo),
+        "what may stand there": lambda: Standing.of(ground, frame.labels, classes, camera.fy, seen.shape),
         "silhouettes": crests,
         "terrain or network": decide,
         "land beyond the raster": lambda: clear_beyond(ground, work[0], work[1], source),

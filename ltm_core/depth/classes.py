@@ -20,19 +20,14 @@ CREST = 3.0
 """Metres that unlabelled or low cover may rise over a crest."""
 TREE_CREST = 12.0
 """Metres that a tree may rise over a crest."""
-STANDING: Mapping[str, tuple[float, float]] = {
-    "grass": (-3.8, 0.5),
-    "shrub": (-2.8, 0.8),
-    "tree": (-1.9, 1.5),
-    "bare": (-3.5, 0.0),
-    "water": (-4.6, 0.0),
-    "built": (-1.9, 1.5),
-}
-"""Log odds that a pixel of a class shows something which stands clearly before the bare ground behind it: of label
-images that are often wrong about crowns; and what is added for each e-folding of depth between the two, since the
-nearer a thing, the more ground it hides."""
-UNLABELLED_STANDING = (-2.6, 0.6)
+STANDING: Mapping[str, float] = {"grass": -3.2, "shrub": 0.2, "tree": 2.7, "bare": -3.2, "water": -3.2, "built": 2.7}
+"""Log odds that a pixel shows something which stands before the ground behind it, where all labels about it are of a
+class; see `standing`."""
+UNLABELLED_STANDING = 0.1
 """The same of unlabelled pixels."""
+
+CANOPY: Mapping[str, float] = {"grass": -1.5, "shrub": 1.1, "tree": 1.6, "bare": -2.6, "water": -3.0, "built": 1.6}
+"""Log odds that a canopy raster, and not bare ground, is what a pixel of a class shows where the two differ."""
 
 OUTLINE: Mapping[str, float] = {"grass": -0.9, "shrub": 0.6, "tree": 1.3, "bare": -1.7, "water": -1.7, "built": 1.3}
 """Log odds that a pixel a metre above a crest, which the photo's colours give to the crest, belongs to it, by class."""
@@ -46,8 +41,8 @@ class DepthClasses:
 
     `cover`: float32 metres of cover above bare ground. `ground`: bool, the terrain shows there. `crest`: float32 metres
     to which a silhouette may be raised there. `surface`: float32 log odds that a canopy raster and not bare ground is
-    what shows. `standing`: (256, 2) float32, log odds that something stands before the ground, and their growth, see
-    STANDING. `outline`: float32, log odds that a pixel belongs to a crest, see OUTLINE. `sky`: the id of sky.
+    what shows, see CANOPY. `standing`: float32 log odds that something stands before the ground, see STANDING.
+    `outline`: float32 log odds that a pixel belongs to a crest, see OUTLINE. `sky`: the id of sky.
     """
 
     cover: NDArray[np.float32]
@@ -70,12 +65,10 @@ class DepthClasses:
         ground[[labels.id_of(name) for name in GROUND_CLASSES]] = True
         crest[Label.TREE] = TREE_CREST
         crest[[Label.BARE, Label.WATER]] = 1.0
-        surface[[Label.GRASS, Label.BARE, Label.WATER]] = -3.0
-        surface[[Label.SHRUB, Label.TREE]] = 0.5, 2.0
+        for name, odds in CANOPY.items():
+            surface[labels.id_of(name)] = odds
         crest[Label.SKY] = 0.0
-        standing = np.empty((256, 2), np.float32)
-        standing[:] = UNLABELLED_STANDING
-        standing[Label.SKY] = -np.inf, 0.0
+        standing = np.full(256, UNLABELLED_STANDING, np.float32)
         for name, odds in STANDING.items():
             standing[labels.id_of(name)] = odds
         outline = np.full(256, UNLABELLED_OUTLINE, np.float32)

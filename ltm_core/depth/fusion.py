@@ -28,6 +28,7 @@ from ltm_core.depth.range_image import DepthImage, RangeImage
 from ltm_core.depth.sampling import ground_samples
 from ltm_core.depth.seen import SeenDepth
 from ltm_core.depth.silhouettes import raise_silhouettes
+from ltm_core.depth.standing import Standing
 from ltm_core.depth.surface import expected_surface
 from ltm_core.errors import ImageError
 
@@ -160,8 +161,9 @@ def fuse(
     fit = None if network is None else fit_network(network, samples, (size[0], size[1]))
     source = np.empty(size, np.uint8)
     beside = SeenDepth.of(fit, rgb) if fit is not None and not fit.trouble else None
+    standing = None if beside is None else Standing.of(ground, labels, classes, camera.fy, beside.shape)
     raise_silhouettes(rgb, ground, expected, sigma, labels, classes, camera, beside, edges)
-    combine(expected, sigma, None if surface is None else surface.depth(), beside, labels, classes, source)
+    combine(expected, sigma, None if surface is None else surface.depth(), beside, standing, labels, classes, source)
     clear_beyond(ground, expected, sigma, source)
     verdict, reason = Verdict.OK, ""
     if fit is not None and fit.trouble:

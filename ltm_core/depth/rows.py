@@ -14,6 +14,7 @@ from ltm_core.depth.answers import said_at
 Image = NDArray[np.float32]
 Row = NDArray[np.float32]
 
+_ODD = 0.4  # sigmas, squared, from which on a disagreement is looked at
 _SOFT = 0.15  # of the range of a network's depth among neighbours: how far a pixel between them may be off
 
 
@@ -60,7 +61,7 @@ def compare(
         joint[u] = spread[u] * spread[u] + own[u] * own[u] + soft * soft
     count = 0
     for u in range(width):
-        odd = (off[u] * off[u] > np.float32(2.0) * joint[u]) & ((off[u] > 0) | (d[u] < far))
+        odd = (off[u] * off[u] > np.float32(_ODD) * joint[u]) & ((off[u] > 0) | (d[u] < far))
         ask = (label[u] != sky) & (odd | ((d[u] != d[u]) & (y[u] == y[u])))
         asked[u] = ask
         count += ask

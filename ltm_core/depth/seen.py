@@ -43,6 +43,12 @@ class SeenDepth:
         columns = np.clip(np.floor(at), 0, width - 2).astype(np.int32)
         return cls(cells, grey, columns, np.clip(at - columns, 0, 1).astype(np.float32), fit.answers, fit.gross)
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the network's depth."""
+        _, rows, columns = self.cells.shape
+        return rows, columns
+
     @classmethod
     def none(cls) -> SeenDepth:
         """In place of a network that is not there, for kernels."""

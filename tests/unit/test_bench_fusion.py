@@ -8,5 +8,5 @@ from ltm_core.bench.fusion import run
 def test_every_part_and_the_whole_are_timed() -> None:
     costs = run(320, 180, repeats=1)
     assert [cost.part for cost in costs][-1] == "whole"
-    assert len({cost.part for cost in costs}) == 11
+    assert len({cost.part for cost in costs}) == 12
     assert all(cost.cost.wall_ms > 0 for cost in costs)

@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 from ltm_core.depth.answers import OCTAVES, Answers, pairs, said, said_at
 from ltm_core.depth.beyond import clear_beyond
 from ltm_core.depth.classes import DepthClasses
-from ltm_core.depth.combine import _alone, _either, _least, _standing
+from ltm_core.depth.combine import _HEARD, _OWN, _likely, _surely_terrain
 from ltm_core.depth.edges import Edges
 from ltm_core.depth.guided import guided_coefficients
 from ltm_core.depth.network_fit import NetworkFit
 from ltm_core.depth.seen import SeenDepth, see, see_row
+from ltm_core.depth.standing import OPEN, Standing, either, stands
 from ltm_core.depth.surface import JUMP
 from ltm_core.vision.labels import Label, LabelSet
+
+Image = NDArray[np.float32]
 
 
 def beyond_by_components(ground: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -108,31 +111,78 @@ def test_edges_are_where_depth_leaps_from_below_to_above(share: float) -> None:
     assert (len(edges) > 0) == (share > 0)
 
 
-def test_the_nearer_a_thing_the_likelier_it_stands_before_the_ground() -> None:
-    standing = DepthClasses.of(LabelSet.load()).standing
-    far, none = np.float32(1 / 900), np.float32(0.0)
-    for odds in standing[[int(Label.GRASS), int(Label.SHRUB), int(Label.TREE), 255]]:
-        chances = [_standing(np.float32(1 / near), far, none, odds) for near in (890, 600, 300, 100, 40, 20)]
-        assert np.all(np.diff(chances[:-1]) > 0)
-        assert chances[-1] == pytest.approx(chances[-2], rel=1e-6)  # beyond twenty times nearer it grows no more
-        assert 0 < chances[0] < chances[-1] < 1
-        assert _standing(np.float32(1 / 300), far, np.float32(1.0), odds) < chances[2]
-    assert _standing(np.float32(1 / 40), far, none, standing[int(Label.SKY)]) == 0
+def plain_ground(rows: int = 120, columns: int = 200, focal: float = 150.0, height: float = 30.0) -> Image:
+    """Depth over a plain, seen level from `height` metres above: sky in the upper half."""
+    below = np.arange(rows) - (rows - 1) / 2
+    with np.errstate(divide="ignore"):
+        depth = np.where(below > 0, focal * height / below, np.inf)
+    return np.repeat(depth[:, None], columns, 1).astype(np.float32)
+
+
+def odds_at(standing: Standing, row: int, near: float, true: float, edge: float = 0.0, odds: float = 0.0) -> float:
+    """Log odds of something at depth `near` metres before ground at `true`, in the middle of a photo."""
+    column = standing.feet[len(standing.feet) // 2]
+    place = np.float32(odds), np.float32(1 / near), np.float32(1 / true), np.float32(edge)
+    return float(stands(*place, column, row, np.float32(standing.focal)))
+
+
+def test_the_nearer_a_thing_the_likelier_it_stands_before_the_ground_and_the_higher_the_less() -> None:
+    """Over a plain, on which a thing at depth z has its foot `30 f / z` rows below the horizon."""
+    standing = Standing.of(plain_ground(), None, DepthClasses.of(LabelSet.load()), 150.0, (12, 20))
+    # Something as high as the camera reaches up to the horizon, however far it is; rows are told by fours.
+    for near in (100.0, 200.0, 400.0):
+        foot = 59.5 + 150 * 30 / near
+        for high in (0.0, 3.0, 12.0):
+            row = int(foot - high * 150 / near)
+            metre = odds_at(standing, row, near, 4000.0) - odds_at(standing, int(foot), near, 4000.0)
+            assert metre == pytest.approx(-0.14 * high, abs=0.14 * (5 * near / 150))
+    rising = [odds_at(standing, 100, near, 4000.0) - odds_at(standing, 100, near, 4000.0, 1.0) for near in (90.0, 95.0)]
+    assert rising[0] == pytest.approx(rising[1], rel=1e-4)  # an edge takes as much wherever it is
+    assert rising[0] > 1.0
+    ratios = [odds_at(standing, 60, 300.0, 300.0 * ratio) for ratio in (1.1, 2.0, 5.0, 19.0, 30.0, 1e9)]
+    assert np.all(np.diff(ratios[:4]) > 0)
+    assert ratios[4] == pytest.approx(ratios[5])  # beyond twenty times nearer it grows no more
+    # What is nearer than all ground in the image has its foot below that.
+    assert odds_at(standing, 116, 78.0, 4000.0) < odds_at(standing, 116, 81.0, 4000.0) - 0.9
+
+
+def test_labels_are_heard_about_a_place() -> None:
+    """In the middle of a meadow nothing stands; beside a wood, on either side, it may; sky says nothing."""
+    classes = DepthClasses.of(LabelSet.load())
+    labels = np.full((120, 200), Label.GRASS, np.uint8)
+    labels[:, 80:] = Label.TREE
+    labels[:40] = Label.SKY
+    odds = Standing.of(plain_ground(), labels, classes, 150.0, (24, 40)).odds
+    grass, tree = classes.standing[int(Label.GRASS)], classes.standing[int(Label.TREE)]
+    np.testing.assert_allclose(odds[9:, :12], grass, rtol=1e-5)
+    np.testing.assert_allclose(odds[9:, 20:], tree, rtol=1e-5)
+    assert np.all(np.diff(odds[15, 12:20]) > 0)
+    assert odds[15, 15] == pytest.approx((4 * grass + 3 * tree) / 7, rel=1e-4)
+    np.testing.assert_allclose(odds[8], odds[15], atol=1e-4)  # beside the sky
+    unlabelled = Standing.of(plain_ground(), None, classes, 150.0, (24, 40)).odds
+    assert np.unique(unlabelled).tolist() == [classes.standing[255]]
+    one = cv2.blur(classes.standing[np.where(labels == Label.SKY, Label.GRASS, labels)], (35, 35))[2::5, 2::5]
+    assert np.abs(one - odds)[12:20].max() < 0.2  # as the photo's own labels, smoothed
 
 
 def test_what_is_passed_over_would_not_have_been_taken() -> None:
-    """`_least` is a short cut: of a disagreement below it nothing is taken for a thing before the ground, however far
-    behind that lies."""
+    """`_surely_terrain` is a short cut: where it says so, no chance is as high as counts."""
     rng = np.random.default_rng(1)
-    spread, gross = np.float32(1e-3), np.float32(1e-6)
-    for odds in DepthClasses.of(LabelSet.load()).standing[1:7]:
-        least = _least(_standing(np.float32(1.0), np.float32(0.0), np.float32(0.0), odds))
-        for _ in range(40):
-            joint = np.float32(spread**2 * rng.uniform(1.0, 4.0))
-            off = np.float32(np.sqrt(0.98 * max(least, 0.0) * joint))
-            y = np.float32(off + 1e-4)
-            chance = _standing(y, np.float32(1e-4), np.float32(0.0), odds)
-            assert _alone(y, y, y, off, joint, spread, gross, np.float32(chance))[0] == 0
+    ground = plain_ground()
+    standing = Standing.of(ground, None, DepthClasses.of(LabelSet.load()), 150.0, (12, 20))
+    passed = 0
+    for _ in range(4000):
+        true = np.float32(1 / rng.uniform(80, 2000))
+        spread = np.float32(true * rng.uniform(0.05, 0.5))
+        joint = np.float32(spread**2 * rng.uniform(1.0, _OWN))
+        off = np.float32(np.sqrt(joint) * rng.uniform(0.7, 6.0))
+        near, odds = np.float32(true + off), np.float32(rng.uniform(-6.0, 3.0))
+        if _surely_terrain(odds, near, true, off, joint, spread):
+            passed += 1
+            known = stands(odds, near, true, np.float32(0.0), standing.feet[3], 119, np.float32(150.0))
+            gross = np.float32(1e-6)
+            assert _likely(near, off, joint, spread, gross, known, np.float32(_HEARD)) < OPEN
+    assert 400 < passed < 3600
 
 
 @pytest.mark.parametrize("likely", [0.25, 0.5, 0.7])
@@ -140,6 +190,6 @@ def test_a_depth_that_may_be_either_of_two_has_their_mean_and_all_of_their_sprea
     """As many draws from both say."""
     rng = np.random.default_rng(4)
     draws = np.where(rng.random(400_000) < likely, rng.normal(90, 9, 400_000), rng.normal(700, 30, 400_000))
-    mean, sigma = _either(*np.array([700, 30, 90, 9, likely], np.float32))
+    mean, sigma = either(*np.array([700, 30, 90, 9, likely], np.float32))
     assert mean == pytest.approx(draws.mean(), rel=0.01)
     assert sigma == pytest.approx(draws.std(), rel=0.01)
