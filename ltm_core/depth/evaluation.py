@@ -129,12 +129,21 @@ class Given:
 
 
 class DepthEvaluation:
-    """Scores frames under one condition; `dem` is as given, `settings` those of the fusion."""
+    """Scores frames under one condition; `dem` is as given. With a `surface` raster, of what once stood there, its own
+    traced depth is scored too, and fusion gets it."""
 
-    def __init__(self, condition: Condition, dem: Dem, classes: DepthClasses, bend_curvature: bool = True) -> None:
+    def __init__(
+        self,
+        condition: Condition,
+        dem: Dem,
+        classes: DepthClasses,
+        bend_curvature: bool = True,
+        surface: Dem | None = None,
+    ) -> None:
         self.condition = condition
         self._classes = classes
         self._tracer = TerrainTracer(condition.dem(dem), bend_curvature)
+        self._over = None if surface is None else TerrainTracer(condition.dem(surface), bend_curvature)
         self._tallies: dict[tuple[str, str], DepthTally] = {}
         self._verdicts: Counter[str] = Counter()
         self._checked = 0
@@ -154,10 +163,12 @@ class DepthEvaluation:
         pose = self.condition.pose(frame.pose, rng)
         traced = self._tracer.trace(frame.camera, pose)
         settings = FusionSettings(label_columns=given.label_columns)
-        fused = fuse(traced, given.network, photo, given.labels, self._classes, settings)
+        over = None if self._over is None else self._over.trace(frame.camera, pose)
+        fused = fuse(traced, given.network, photo, given.labels, self._classes, settings, over)
         size, shape = (frame.camera.height, frame.camera.width), frame.surface.shape
         sources = {
             "traced": at_pixels_of(fused.ground, size, shape),
+            **({} if over is None else {"surface": at_pixels_of(over.depth(), size, shape)}),
             "network": _network_alone(fused, given.network, frame, size),
             "fused": at_pixels_of(fused.depth, size, shape),
         }
@@ -171,6 +182,7 @@ class DepthEvaluation:
             "open": common & ~covered & ~frame.changed,
             "covered": common & covered,
             "changed": common & frame.changed,
+            "covered or changed": common & (covered | frame.changed),
         }
         for name, depth in sources.items():
             self._covered[name] += int((true & np.isfinite(depth)).sum())

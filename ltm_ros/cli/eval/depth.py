@@ -39,6 +39,9 @@ def depth(
     labels: Annotated[Labels, typer.Option(help="Labels that the fusion gets.")] = Labels.model,
     segmentation: Annotated[str, typer.Option(help="Segmentation network; default: the site's.")] = "",
     site: Annotated[Path | None, typer.Option(help="Site file of a bag; default: beside it.")] = None,
+    surface: Annotated[
+        Path | None, typer.Option(help="Raster of what once stood there: traced and scored too, and given to fusion.")
+    ] = None,
     date: Annotated[str, typer.Option(help="Only frames of this date of a simulated folder.")] = "",
     pose_error: Annotated[str, typer.Option(help="Also with poses wrong by so many degrees, with commas.")] = "",
     occlude: Annotated[str, typer.Option(help="Also with such shares of the photo hidden, with commas.")] = "",
@@ -55,10 +58,12 @@ def depth(
 
     from rich.console import Console
 
+    from ltm_core.dem import Dem
+    from ltm_core.dem_stack import with_surface
     from ltm_core.depth.classes import DepthClasses
     from ltm_core.depth.evaluation import DepthEvaluation, Given, conditions, upsampled_labels
     from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
-    from ltm_core.depth.truth_frames_io import is_curved, open_dem, read_truth_frames
+    from ltm_core.depth.truth_frames_io import is_curved, open_dem, read_truth_frames, site_frame
     from ltm_core.errors import RecordingError
     from ltm_core.metrics.depth_maps_io import DepthMapFolder
     from ltm_core.pictures import to_png
@@ -73,6 +78,7 @@ def depth(
     name = segmentation or DEFAULT_MODEL
     if (place / "frames.json").is_file():
         dem, frames, curved = open_dem(place), read_truth_frames(place, date), is_curved(place)
+        frame_of_map = site_frame(place)
     else:
         from ltm_ros.recorded import Recorded
         from ltm_ros.truth_frames import recorded_truth_frames
@@ -80,13 +86,14 @@ def depth(
         recorded = Recorded.find(place, site)
         name = segmentation or recorded.site.model
         dem, frames = recorded.site.open_dem(), recorded_truth_frames(place, recorded.site)
-        curved = recorded.site.curvature
+        curved, frame_of_map = recorded.site.curvature, recorded.site.frame
+    over = None if surface is None else with_surface(dem, Dem.open(surface).in_frame(frame_of_map))
     classes = DepthClasses.of(LabelSet.load())
     network = None if depth_maps is not None else DepthNetwork.open(model)
     folder = None if depth_maps is None else DepthMapFolder.open(depth_maps.name, depth_maps)
     segmenter = Segmenter.open(name) if labels is Labels.model else None
     runs = [
-        DepthEvaluation(condition, dem, classes, curved)
+        DepthEvaluation(condition, dem, classes, curved, over)
         for condition in conditions(*(_numbers(text) for text in (pose_error, occlude, coarsen, shift)))
     ]
     count = 0
@@ -130,6 +137,7 @@ def depth(
         console.print(_verdicts(scores))
     console.print(CLAIM)
     state = f"{place}, {count} frames, depth {what}, labels {labels.value if segmenter is None else name}"
+    state += f", surface raster {surface}" if surface is not None else ""
     console.print(f"conditions: {state}; {len(os.sched_getaffinity(0))} cores, Python {platform.python_version()}")
     if json_path is not None:
         report = {"conditions": state, "claim": CLAIM, "scores": [_as_json(score) for score in scores]}
