@@ -23,6 +23,7 @@ from ltm_core.depth.classes import DepthClasses
 from ltm_core.depth.crests import smoothed
 from ltm_core.depth.edges import Edges
 from ltm_core.depth.seen import SeenDepth, see
+from ltm_core.depth.standing import OPEN, either
 from ltm_core.depth.surface import JUMP
 
 Image = NDArray[np.float32]
@@ -316,12 +317,21 @@ def _raise(
         for s in range(1, raised[i] + 1):
             if surface[v - s, u] <= d:
                 continue
+            near = max(sigma[v, u], np.float32(0.02) * d)
             if networked and ground[v - s, u] > d:
                 behind = one / ground[v - s, u]
                 toward = (see(cells, grey, columns, parts, v - s, u) - behind) / (one / d - behind)
                 odds = outline[labels[v - s, u] if labelled else 255] - np.log(np.float32(s) * d / focal)
                 # Not the other way round: where the network has no depth there is no doubt.
-                if odds + np.float32(_TOWARD) * min(max(toward, np.float32(-0.5)), np.float32(1.5)) < 0:
+                odds += np.float32(_TOWARD) * min(max(toward, np.float32(-0.5)), np.float32(1.5))
+                likely = one / (one + np.exp(-odds))
+                if likely < np.float32(OPEN):
                     continue
+                if likely < np.float32(1.0 - OPEN):
+                    if surface[v - s, u] < np.float32(1e9):
+                        surface[v - s, u], sigma[v - s, u] = either(surface[v - s, u], sigma[v - s, u], d, near, likely)
+                        continue
+                    if odds < 0:
+                        continue
             surface[v - s, u] = d
-            sigma[v - s, u] = max(sigma[v, u], np.float32(0.02) * d)
+            sigma[v - s, u] = near
