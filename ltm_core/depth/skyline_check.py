@@ -24,11 +24,11 @@ COLUMNS = 480
 LEAST_SHARE = 0.3
 """Of the columns that must have a known skyline beyond near crests: a short piece fits at many places."""
 _EDGE = 0.75  # sigma of the labels' edge, in steps between columns or, where these are wider, cells of their network
-_USUALLY = 2 / 3  # of the height that a class may rise to
 _RUN = 3  # rows of land that end the sky
 _MOST = 4.0  # sigmas beyond which a column counts no more: labels err, clouds hide
 _SHARE = 0.6  # of the columns that must still be seen after a shift
 _HOPELESS = 3.0  # mean square of sigmas at the best place: then nothing fits
+_LUCKY = 0.5  # mean square of sigmas below which a fit is no better, but by luck
 _AS_WELL, _AND = 1.25, 0.25  # factor and addend of the best cost that fit about as well
 
 
@@ -74,7 +74,7 @@ def check_skyline(
     # What stands on the crest is of the class that the sky ends at.
     border = np.minimum(observed.astype(np.intp) + 1, len(labels) - 1)
     cover = np.empty(len(cols))
-    cover[:] = _USUALLY * crest[labels[border, cols]]
+    cover[:] = crest[labels[border, cols]]
     open_above = far & np.isposinf(ground[np.maximum(top - 1, 0), cols])
     if open_above.mean() < LEAST_SHARE or not (observed > 0).any():
         return None
@@ -94,7 +94,7 @@ def check_skyline(
         math.degrees(float(down[best]) / camera.fy),
         -math.degrees(float(right[best]) / camera.fx),
         least,
-        float(costs[cells, cells]) / max(lowest, 0.1),
+        float(costs[cells, cells]) / max(lowest, _LUCKY),
     )
 
 
