@@ -14,7 +14,8 @@ def unmatched(node: Node, summaries: Mapping[str, Mapping[str, str]]) -> list[st
     """Topics that have more subscribers than their publisher is matched with, or the other way round.
 
     DDS discovers each pair of processes by itself: that `node` knows of two others says nothing of what these know of
-    each other. So their own word counts, `summaries`: the latest diagnostics of every node, by full name.
+    each other. So their own word counts, `summaries`: the latest diagnostics of every node, by full name. Listeners
+    that are none of these, somebody's `ros2 topic echo`, are waited for by nobody.
     """
     found = []
     for name, summary in summaries.items():
@@ -23,7 +24,14 @@ def unmatched(node: Node, summaries: Mapping[str, Mapping[str, str]]) -> list[st
             if key.startswith(LISTENERS):
                 topic = key.removeprefix(LISTENERS)
                 topic = topic if topic.startswith("/") else f"{namespace}/{topic}"
-                if node.count_subscribers(topic) != int(value):
+                listeners = [
+                    f"{end.node_namespace.rstrip('/')}/{end.node_name}"
+                    for end in node.get_subscriptions_info_by_topic(topic)
+                ]
+                # One whose name is not yet known may be anybody's.
+                ours = sum(listener in summaries or "_UNKNOWN_" in listener for listener in listeners)
+                matched = int(value)
+                if matched < ours or (matched != ours and ours == len(listeners)):
                     found.append(topic)
     return found
 

@@ -89,11 +89,15 @@ class Bystander:
         return drops
 
     def wait_for_wiring(self, nodes: int) -> None:
-        """Until so many nodes have reported and all of them are matched with all that listen to them."""
+        """Until so many nodes have reported and all of them are matched with all that listen to them, this one too."""
+
+        def loose() -> list[str]:
+            return unmatched(self.node, {**self.summaries, self.node.get_fully_qualified_name(): {}})
+
         wait_for(
-            lambda: len(self.summaries) >= nodes and not unmatched(self.node, dict(self.summaries)),
+            lambda: len(self.summaries) >= nodes and not loose(),
             f"{nodes} nodes that have found each other",
-            lambda: (self.summaries.keys(), unmatched(self.node, self.summaries)),
+            lambda: (self.summaries.keys(), loose()),
         )
 
     def call(self, service: str) -> tuple[bool, str]:
