@@ -15,6 +15,7 @@ Image = NDArray[np.float32]
 Row = NDArray[np.float32]
 
 _ODD = 0.4  # sigmas, squared, from which on a disagreement is looked at
+_TORN = 0.15  # of its depth: sigma of a terrain that is torn between two surfaces; nothing is at their mean
 _SOFT = 0.15  # of the range of a network's depth among neighbours: how far a pixel between them may be off
 
 
@@ -70,12 +71,13 @@ def compare(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
 def average(d: Row, s: Row, kind: NDArray[np.uint8], true: Row, own: Row, off: Row, joint: Row, weight: Row) -> None:
-    """Mean by inverse variance, in inverse depth, where both agree within three sigmas; see `compare`."""
+    """Mean by inverse variance, in inverse depth, where both agree within three sigmas and the terrain is one surface;
+    see `compare`."""
     width, one = len(d), np.float32(1.0)
     for u in range(width):
         w = own[u] * own[u] / joint[u]
         fits = (off[u] * off[u] <= np.float32(9.0) * joint[u]) & (true[u] + w * off[u] > np.float32(0.5) * true[u])
-        weight[u] = w if fits & (own[u] > 0) else np.float32(-1.0)
+        weight[u] = w if fits & (own[u] > 0) & (own[u] < np.float32(_TORN) * true[u]) else np.float32(-1.0)
     for u in range(width):
         d[u] = one / (true[u] + weight[u] * off[u]) if weight[u] >= 0 else d[u]
     for u in range(width):

@@ -14,6 +14,7 @@ from ltm_core.depth.combine import _HEARD, _OWN, _likely, _surely_terrain
 from ltm_core.depth.edges import Edges
 from ltm_core.depth.guided import guided_coefficients
 from ltm_core.depth.network_fit import NetworkFit
+from ltm_core.depth.rows import average
 from ltm_core.depth.seen import SeenDepth, see, see_row
 from ltm_core.depth.standing import OPEN, Standing, either, stands
 from ltm_core.depth.surface import JUMP
@@ -193,3 +194,16 @@ def test_a_depth_that_may_be_either_of_two_has_their_mean_and_all_of_their_sprea
     mean, sigma = either(*np.array([700, 30, 90, 9, likely], np.float32))
     assert mean == pytest.approx(draws.mean(), rel=0.01)
     assert sigma == pytest.approx(draws.std(), rel=0.01)
+
+
+def test_a_terrain_that_is_torn_between_two_depths_is_not_averaged() -> None:
+    """What is unsure by a tenth is; the mean is that of inverse variances."""
+    true = np.full(3, 1 / 500, np.float32)
+    own = true * np.array([0.1, 0.1, 0.2], np.float32)
+    off = true * np.array([0.05, 0.9, 0.05], np.float32)
+    joint = own**2 + (0.1 * true) ** 2
+    depth, sigma, kind = 1 / true, own / true**2, np.ones(3, np.uint8)
+    average(depth, sigma, kind, true, own, off, joint, np.empty(3, np.float32))
+    np.testing.assert_allclose(depth, [500 / 1.025, 500, 500], rtol=1e-5)
+    np.testing.assert_allclose(sigma, [0.1 * np.sqrt(0.5) * 500 / 1.025**2, 50, 100], rtol=1e-4)
+    np.testing.assert_array_equal(kind, [3, 1, 1])
