@@ -19,7 +19,7 @@ from ltm_core.depth.answers import meant, pairs, said
 from ltm_core.depth.classes import DepthClasses
 from ltm_core.depth.rows import average, begin, compare
 from ltm_core.depth.seen import SeenDepth, see_row
-from ltm_core.depth.standing import MOST_RATIO, NEARER, OPEN, Standing, either, stands
+from ltm_core.depth.standing import MOST_RATIO, NEARER, OPEN, Standing, either, foot_of, grounded, stands
 
 Image = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
@@ -140,7 +140,7 @@ def _combine(
         if not count:
             continue
         for u in np.flatnonzero(asked):
-            other, likely = y[u], one
+            other, likely, foot = y[u], one, 0
             if kind[u] and off[u] > 0:
                 # Something stands there? At a soft edge only where the network is nearer to the near side; away from
                 # edges what neighbours see is but their own place.
@@ -149,7 +149,9 @@ def _combine(
                 if not edge < one or _surely_terrain(known, near[u], true[u], off[u], joint[u], spread[u]):
                     continue
                 other = y[u] if edge < np.float32(_BLURRED) else near[u]
-                known = stands(known, other, true[u], edge, feet[cell[u]], v, focal)
+                column = feet[cell[u]]
+                foot = foot_of(other, column, v)
+                known = stands(known, other, true[u], edge, column, v, foot, focal)
                 likely = _likely(other, off[u], joint[u], spread[u], gross, known, np.float32(_HEARD))
             elif kind[u]:
                 # Or is something gone? That is not asked at edges, where the far side, or sky, may have leaked in.
@@ -166,7 +168,10 @@ def _combine(
                 t, inverse = min(t * other / inverse, np.float32(0.99) * other), other
             if not (t < inverse and (kind[u] == 0 or (inverse > true[u]) == (off[u] > 0))):
                 continue
-            t = elsewhere(t, near[u], back[u]) / (inverse * inverse)
+            t = elsewhere(t, near[u], back[u])
+            if kind[u] and off[u] > 0:
+                inverse, t = grounded(inverse, t, feet[cell[u]], foot)
+            t /= inverse * inverse
             if d[u] < far and likely < np.float32(1.0 - OPEN):
                 d[u], s[u] = either(d[u], s[u], one / inverse, t, likely)
             elif likely > half:

@@ -4,7 +4,8 @@ high it would have to be.
 Labels are often wrong about single crowns, and their outlines run some cells beside the photo's. So a pixel is not
 judged by its own label but by all those about it: in the middle of a meadow nothing stands, whatever a network of depth
 sees there, and in a wood a pixel of grass may well be a crown. And what stands has its foot on the ground: straight
-below it in the image the terrain is as near as it is, and from there up to the pixel is its height.
+below it in the image the terrain is as near as it is, and from there up to the pixel is its height. Where the terrain
+leaps there, at a crest, it stands on the crest, wherever behind that a network sees it.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ _EDGE = 1.16  # what log odds lose at an edge as high as the disagreement, and l
 _METRE = 0.14  # what they lose with each metre of height
 _HIGHEST = 30.0  # metres from which on they lose no more
 _NO_FOOT = 1.0  # what they lose where the image ends above the foot
+_SEEN, _SEEN_DOUBT = 0.8, 0.4  # of the way from where a network sees a thing to where its foot is: its place, sigma
 _ABOUT = 7  # cells, the side of the square whose labels are heard
 _STEP = 4  # rows of the photo between those of `feet`
 
@@ -77,14 +79,9 @@ class Standing:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def stands(
-    odds: np.float32, near: np.float32, true: np.float32, edge: np.float32, column: Row, row: int, focal: np.float32
-) -> np.float32:
-    """Log odds that something stands at inverse depth `near` before ground at `true`, which may be 0, in a `row` of the
-    photo, where an edge is as high as `edge` of the disagreement. For `odds` and `column` see `Standing`."""
-    ratio = np.float32(MOST_RATIO)
-    if true * np.float32(np.exp(MOST_RATIO)) > near:
-        ratio = np.log(near / true)
+def foot_of(near: np.float32, column: Row, row: int) -> int:
+    """Where in `column` of `Standing.feet` the ground below a `row` of the photo is first as near as the inverse depth
+    `near`; its length where the image ends above that."""
     # Up a column of the image terrain only gets farther.
     first, last = row // _STEP, len(column)
     while first < last:
@@ -93,11 +90,42 @@ def stands(
             last = middle
         else:
             first = middle + 1
+    return first
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def stands(
+    odds: np.float32,
+    near: np.float32,
+    true: np.float32,
+    edge: np.float32,
+    column: Row,
+    row: int,
+    foot: int,
+    focal: np.float32,
+) -> np.float32:
+    """Log odds that something stands at inverse depth `near` before ground at `true`, which may be 0, in a `row` of the
+    photo, where an edge is as high as `edge` of the disagreement. For `odds` and `column` see `Standing`, for `foot`
+    `foot_of`."""
+    ratio = np.float32(MOST_RATIO)
+    if true * np.float32(np.exp(MOST_RATIO)) > near:
+        ratio = np.log(near / true)
     odds += np.float32(NEARER) * ratio - np.float32(_EDGE) * edge * edge
-    if first == len(column):
+    if foot == len(column):
         odds -= np.float32(_NO_FOOT)
-    height = np.float32(max(first * _STEP - row, 0)) / (near * focal)
+    height = np.float32(max(foot * _STEP - row, 0)) / (near * focal)
     return np.float32(odds - np.float32(_METRE) * min(height, np.float32(_HIGHEST)))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def grounded(near: np.float32, t: np.float32, column: Row, foot: int) -> tuple[np.float32, np.float32]:
+    """Inverse depth and its sigma, 1/m, of what a network sees at `near`, with `t`, and what has its foot there: it
+    stands on the ground that is seen rather than on what a crest hides."""
+    if foot == len(column) or not column[foot] > 0:
+        return near, t
+    nearer = np.float32(1.0) / column[foot] - near
+    hidden = np.float32(_SEEN_DOUBT) * nearer
+    return near + np.float32(_SEEN) * nearer, np.float32(np.sqrt(t * t + hidden * hidden))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

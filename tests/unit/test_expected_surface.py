@@ -80,15 +80,19 @@ def test_of_a_raised_strip_a_network_and_labels_take_back_what_is_not_the_crests
     strip = grown & (rows < crest)
 
     def raised(label: int, seen_at: float) -> float:
-        """Share of the strip given to the crest, where the network sees all of the photo at `seen_at` metres."""
+        """Of the way from the far side to the crest, where the strip is, on average, where the network sees all of the
+        photo at `seen_at` metres; what is between both says so."""
         inverse = np.full((25, 30), 1 / seen_at, np.float32)
         inverse[14:] = 1 / 400
         fit = NetworkFit(inverse, inverse, inverse, Answers.none(), 0.05, None, "")
         surface, sigma = ground.copy(), np.full_like(ground, 2.0)
         labels = np.full(ground.shape, label, np.uint8)
         raise_silhouettes(photo, ground, surface, sigma, labels, CLASSES, camera, SeenDepth.of(fit, photo))
-        return float((surface[strip] == 400.0).mean())
+        torn = strip & (surface > 400) & (surface < 1500)
+        assert np.all(surface + 3 * sigma >= 1500, where=torn)
+        assert np.all(surface - 3 * sigma <= 400, where=torn)
+        return float((1500 - surface[strip]).mean() / 1100)
 
-    assert raised(int(Label.TREE), 400.0) > 0.8
-    assert raised(int(Label.TREE), 1500.0) < raised(int(Label.TREE), 400.0)
-    assert raised(int(Label.GRASS), 1500.0) == 0.0
+    assert raised(int(Label.TREE), 400.0) > 0.85
+    assert 0.2 < raised(int(Label.TREE), 1500.0) < 0.7
+    assert raised(int(Label.GRASS), 1500.0) < 0.2

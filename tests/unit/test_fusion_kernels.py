@@ -16,7 +16,7 @@ from ltm_core.depth.guided import guided_coefficients
 from ltm_core.depth.network_fit import NetworkFit
 from ltm_core.depth.rows import average
 from ltm_core.depth.seen import SeenDepth, see, see_row
-from ltm_core.depth.standing import OPEN, Standing, either, stands
+from ltm_core.depth.standing import OPEN, Standing, either, foot_of, grounded, stands
 from ltm_core.depth.surface import JUMP
 from ltm_core.vision.labels import Label, LabelSet
 
@@ -124,7 +124,8 @@ def odds_at(standing: Standing, row: int, near: float, true: float, edge: float 
     """Log odds of something at depth `near` metres before ground at `true`, in the middle of a photo."""
     column = standing.feet[len(standing.feet) // 2]
     place = np.float32(odds), np.float32(1 / near), np.float32(1 / true), np.float32(edge)
-    return float(stands(*place, column, row, np.float32(standing.focal)))
+    foot = foot_of(place[1], column, row)
+    return float(stands(*place, column, row, foot, np.float32(standing.focal)))
 
 
 def test_the_nearer_a_thing_the_likelier_it_stands_before_the_ground_and_the_higher_the_less() -> None:
@@ -145,6 +146,20 @@ def test_the_nearer_a_thing_the_likelier_it_stands_before_the_ground_and_the_hig
     assert ratios[4] == pytest.approx(ratios[5])  # beyond twenty times nearer it grows no more
     # What is nearer than all ground in the image has its foot below that.
     assert odds_at(standing, 116, 78.0, 4000.0) < odds_at(standing, 116, 81.0, 4000.0) - 0.9
+
+
+def test_a_tree_behind_a_crest_stands_on_it() -> None:
+    """Ground at 180 m in rows 60 and below, at 900 m above: what is seen between both has its foot on the crest, what
+    is seen before it below that, as far as rows tell; what is nearer than all has none."""
+    rows = np.arange(0, 120, 4)
+    column = np.where(rows < 60, 900.0, 180.0 - (rows - 60.0)).astype(np.float32)
+    for seen, place, doubt in ((250.0, 180.0, 0.4), (600.0, 180.0, 0.4), (150.0, 148.0, 0.4), (100.0, 100.0, 0.0)):
+        near, t = np.float32(1 / seen), np.float32(1e-4)
+        foot = foot_of(near, column, 40)
+        assert foot == (len(column) if seen == 100 else np.flatnonzero(column <= seen)[0])
+        inverse, sigma = grounded(near, t, column, foot)
+        assert inverse == pytest.approx(0.2 / seen + 0.8 / place, rel=1e-4)
+        assert sigma == pytest.approx(np.hypot(1e-4, doubt * (1 / place - 1 / seen)), rel=1e-3)
 
 
 def test_labels_are_heard_about_a_place() -> None:
@@ -180,7 +195,8 @@ def test_what_is_passed_over_would_not_have_been_taken() -> None:
         near, odds = np.float32(true + off), np.float32(rng.uniform(-6.0, 3.0))
         if _surely_terrain(odds, near, true, off, joint, spread):
             passed += 1
-            known = stands(odds, near, true, np.float32(0.0), standing.feet[3], 119, np.float32(150.0))
+            # As high as nothing: at its foot.
+            known = stands(odds, near, true, np.float32(0.0), standing.feet[3], 116, 29, np.float32(150.0))
             gross = np.float32(1e-6)
             assert _likely(near, off, joint, spread, gross, known, np.float32(_HEARD)) < OPEN
     assert 400 < passed < 3600
