@@ -61,7 +61,7 @@ def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionC
     samples = ground_samples(surface, sigma, frame.labels, classes.ground, camera.fy)
     fit = fit_network(frame.network, samples, (height, width))
     seen, edges = SeenDepth.of(fit, frame.photo), Edges.of(ground)
-    standing = Standing.of(ground, frame.labels, classes, camera.fy, seen.shape)
+    standing = Standing.of(ground, frame.labels, classes, camera, frame.traced.pose, seen.shape)
 
     def crests() -> None:
         surface, sigma = work
@@ -86,7 +86,9 @@ def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionC
         "sampling": lambda: ground_samples(surface, sigma, frame.labels, classes.ground, camera.fy),
         "RANSAC and regions": lambda: fit_network(frame.network, samples, (height, width)),
         "photo's edges for the network": lambda: SeenDepth.of(fit, frame.photo),
-        "what may stand there": lambda: Standing.of(ground, frame.labels, classes, camera.fy, seen.shape),
+        "what may stand there": lambda: Standing.of(
+            ground, frame.labels, classes, camera, frame.traced.pose, seen.shape
+        ),
         "silhouettes": crests,
         "terrain or network": decide,
         "land beyond the raster": lambda: clear_beyond(ground, work[0], work[1], source),

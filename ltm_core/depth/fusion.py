@@ -161,7 +161,7 @@ def fuse(
     fit = None if network is None else fit_network(network, samples, (size[0], size[1]))
     source = np.empty(size, np.uint8)
     beside = SeenDepth.of(fit, rgb) if fit is not None and not fit.trouble else None
-    standing = None if beside is None else Standing.of(ground, labels, classes, camera.fy, beside.shape)
+    standing = None if beside is None else Standing.of(ground, labels, classes, camera, traced.pose, beside.shape)
     raise_silhouettes(rgb, ground, expected, sigma, labels, classes, camera, beside, edges)
     combine(expected, sigma, None if surface is None else surface.depth(), beside, standing, labels, classes, source)
     clear_beyond(ground, expected, sigma, source)

@@ -10,6 +10,7 @@ leaps there, at a crest, it stands on the crest, wherever behind that a network 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -17,7 +18,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from ltm_core.camera import Camera
 from ltm_core.depth.classes import DepthClasses
+from ltm_core.depth.surface import MOST_ROLL_DEG
+from ltm_core.pose import Pose
 
 Image = NDArray[np.float32]
 Row = NDArray[np.float32]
@@ -34,6 +38,7 @@ _HIGHEST = 30.0  # metres from which on they lose no more
 _NO_FOOT = 1.0  # what they lose where the image ends above the foot
 _SEEN, _SEEN_DOUBT = 0.8, 0.4  # of the way from where a network sees a thing to where its foot is: its place, sigma
 _ABOUT = 7  # cells, the side of the square whose labels are heard
+_MOST_PITCH_DEG = 60.0
 _STEP = 4  # rows of the photo between those of `feet`
 
 
@@ -43,7 +48,8 @@ class Standing:
 
     `odds`: (h, w) float32 over the photo, log odds that a place shows something which stands before the ground, when
     that is hardly farther and has no height. `feet`: (w, R) float32 depth of the ground, metres, in the columns of
-    `odds` and every fourth row of the photo. `focal`: pixels of the photo.
+    `odds` and every fourth row of the photo; 0 where it is not asked. `focal`: pixels of the photo that a plumb metre
+    spans at a depth of one.
     """
 
     odds: Image
@@ -56,13 +62,19 @@ class Standing:
         ground: Image,
         labels: NDArray[np.uint8] | None,
         classes: DepthClasses,
-        focal: float,
+        camera: Camera,
+        pose: Pose,
         cells: tuple[int, int],
     ) -> Standing:
         """From traced depth of bare ground (H, W) and label ids (H, W), or None. `cells`: (h, w) of the network whose
-        depth will be asked about."""
+        depth will be asked about. Of a camera that is rolled by more than 20 degrees, or looks more than 60 down or up,
+        no foot is asked: nothing stands along its columns."""
         columns = ((np.arange(cells[1]) + 0.5) * ground.shape[1] / cells[1]).astype(np.intp)
         feet = np.ascontiguousarray(ground[::_STEP, columns].T)
+        _, pitch, roll = pose.angles_deg
+        if abs(roll) > MOST_ROLL_DEG or abs(pitch) > _MOST_PITCH_DEG:
+            feet[:] = 0.0
+        focal = camera.fy * math.cos(math.radians(pitch))
         if labels is None:
             return cls(np.full(cells, classes.standing[255], np.float32), feet, focal)
         ids = cv2.resize(labels, cells[::-1], interpolation=cv2.INTER_NEAREST)

@@ -23,11 +23,12 @@ JUMP = 1.25
 """Ratio of depths of neighbouring pixels from which on they lie on two surfaces."""
 COVER_DOUBT = 0.5
 """Sigma of a cover height as a part of it."""
+MOST_ROLL_DEG = 20.0
+"""Of a camera whose columns are still about plumb."""
 _PIXEL_DOUBT = 0.3
 """Pixels by which an edge of the terrain may be misplaced even with perfect pose: pixel grid and DEM cells."""
 _LEAST = 1e-3
 """Least relative sigma that is ever claimed."""
-_MOST_ROLL_DEG = 20.0
 
 
 def expected_surface(
@@ -54,7 +55,7 @@ def expected_surface(
     """
     surface, sigma = np.empty_like(ground), np.empty_like(ground)
     _, pitch, roll = pose.angles_deg
-    plumb = math.cos(math.radians(pitch)) if abs(roll) <= _MOST_ROLL_DEG else 0.0
+    plumb = math.cos(math.radians(pitch)) if abs(roll) <= MOST_ROLL_DEG else 0.0
     _expect(
         ground,
         np.zeros((1, 1), np.uint8) if labels is None else labels,

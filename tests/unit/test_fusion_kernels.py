@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ltm_core.camera import Camera
 from ltm_core.depth.answers import OCTAVES, Answers, pairs, said, said_at
 from ltm_core.depth.beyond import clear_beyond
 from ltm_core.depth.classes import DepthClasses
@@ -18,6 +19,7 @@ from ltm_core.depth.rows import average
 from ltm_core.depth.seen import SeenDepth, see, see_row
 from ltm_core.depth.standing import OPEN, Standing, either, foot_of, grounded, stands
 from ltm_core.depth.surface import JUMP
+from ltm_core.pose import Pose
 from ltm_core.vision.labels import Label, LabelSet
 
 Image = NDArray[np.float32]
@@ -120,6 +122,15 @@ def plain_ground(rows: int = 120, columns: int = 200, focal: float = 150.0, heig
     return np.repeat(depth[:, None], columns, 1).astype(np.float32)
 
 
+def standing_of(
+    labels: NDArray[np.uint8] | None, cells: tuple[int, int], pitch: float = 0.0, roll: float = 0.0
+) -> Standing:
+    """Over that plain."""
+    camera = Camera(200, 120, 150.0, 150.0, 99.5, 59.5)
+    pose = Pose.from_angles((0.0, 0.0, 30.0), 20.0, pitch, roll)
+    return Standing.of(plain_ground(), labels, DepthClasses.of(LabelSet.load()), camera, pose, cells)
+
+
 def odds_at(standing: Standing, row: int, near: float, true: float, edge: float = 0.0, odds: float = 0.0) -> float:
     """Log odds of something at depth `near` metres before ground at `true`, in the middle of a photo."""
     column = standing.feet[len(standing.feet) // 2]
@@ -130,7 +141,7 @@ def odds_at(standing: Standing, row: int, near: float, true: float, edge: float 
 
 def test_the_nearer_a_thing_the_likelier_it_stands_before_the_ground_and_the_higher_the_less() -> None:
     """Over a plain, on which a thing at depth z has its foot `30 f / z` rows below the horizon."""
-    standing = Standing.of(plain_ground(), None, DepthClasses.of(LabelSet.load()), 150.0, (12, 20))
+    standing = standing_of(None, (12, 20))
     # Something as high as the camera reaches up to the horizon, however far it is; rows are told by fours.
     for near in (100.0, 200.0, 400.0):
         foot = 59.5 + 150 * 30 / near
@@ -148,6 +159,12 @@ def test_the_nearer_a_thing_the_likelier_it_stands_before_the_ground_and_the_hig
     assert odds_at(standing, 116, 78.0, 4000.0) < odds_at(standing, 116, 81.0, 4000.0) - 0.9
 
 
+def test_a_camera_that_looks_down_sees_heights_shortened() -> None:
+    level, down = standing_of(None, (12, 20)), standing_of(None, (12, 20), -60.0)
+    np.testing.assert_array_equal(level.feet, down.feet)
+    assert down.focal == pytest.approx(0.5 * level.focal)
+
+
 def test_a_tree_behind_a_crest_stands_on_it() -> None:
     """Ground at 180 m in rows 60 and below, at 900 m above: what is seen between both has its foot on the crest, what
     is seen before it below that, as far as rows tell; what is nearer than all has none."""
@@ -162,20 +179,31 @@ def test_a_tree_behind_a_crest_stands_on_it() -> None:
         assert sigma == pytest.approx(np.hypot(1e-4, doubt * (1 / place - 1 / seen)), rel=1e-3)
 
 
+@pytest.mark.parametrize("looks", [(0.0, 90.0), (-75.0, 0.0)])
+def test_of_a_camera_on_its_side_or_that_looks_down_no_height_is_asked(looks: tuple[float, float]) -> None:
+    """Its columns are not plumb: what is seen there is as likely anywhere, and where the network sees it."""
+    standing = standing_of(None, (12, 20), *looks)
+    everywhere = [odds_at(standing, row, 100.0, 4000.0) for row in range(0, 120, 7)]
+    assert everywhere == pytest.approx([everywhere[0]] * len(everywhere))
+    near, t = np.float32(1 / 100), np.float32(1e-4)
+    for row in (0, 60, 119):
+        assert grounded(near, t, standing.feet[3], foot_of(near, standing.feet[3], row)) == (near, t)
+
+
 def test_labels_are_heard_about_a_place() -> None:
     """In the middle of a meadow nothing stands; beside a wood, on either side, it may; sky says nothing."""
     classes = DepthClasses.of(LabelSet.load())
     labels = np.full((120, 200), Label.GRASS, np.uint8)
     labels[:, 80:] = Label.TREE
     labels[:40] = Label.SKY
-    odds = Standing.of(plain_ground(), labels, classes, 150.0, (24, 40)).odds
+    odds = standing_of(labels, (24, 40)).odds
     grass, tree = classes.standing[int(Label.GRASS)], classes.standing[int(Label.TREE)]
     np.testing.assert_allclose(odds[9:, :12], grass, rtol=1e-5)
     np.testing.assert_allclose(odds[9:, 20:], tree, rtol=1e-5)
     assert np.all(np.diff(odds[15, 12:20]) > 0)
     assert odds[15, 15] == pytest.approx((4 * grass + 3 * tree) / 7, rel=1e-4)
     np.testing.assert_allclose(odds[8], odds[15], atol=1e-4)  # beside the sky
-    unlabelled = Standing.of(plain_ground(), None, classes, 150.0, (24, 40)).odds
+    unlabelled = standing_of(None, (24, 40)).odds
     assert np.unique(unlabelled).tolist() == [classes.standing[255]]
     one = cv2.blur(classes.standing[np.where(labels == Label.SKY, Label.GRASS, labels)], (35, 35))[2::5, 2::5]
     assert np.abs(one - odds)[12:20].max() < 0.2  # as the photo's own labels, smoothed
@@ -184,8 +212,7 @@ def test_labels_are_heard_about_a_place() -> None:
 def test_what_is_passed_over_would_not_have_been_taken() -> None:
     """`_surely_terrain` is a short cut: where it says so, no chance is as high as counts."""
     rng = np.random.default_rng(1)
-    ground = plain_ground()
-    standing = Standing.of(ground, None, DepthClasses.of(LabelSet.load()), 150.0, (12, 20))
+    standing = standing_of(None, (12, 20))
     passed = 0
     for _ in range(4000):
         true = np.float32(1 / rng.uniform(80, 2000))
