@@ -94,7 +94,7 @@ def _frames(
     tracer = TerrainTracer(canyon.surveys[BEFORE])
     for date in PHOTOS:
         stamp = int(datetime.strptime(date, "%y%m%d").replace(tzinfo=UTC).timestamp()) * _SECOND
-        own, true = camera, TerrainTracer(canyon.surveys[date]).trace(camera, pose).depth()
+        true = TerrainTracer(canyon.surveys[date]).trace(camera, pose).depth()
         if network is None:
             sigma = (0.3 + 0.005 * np.where(np.isfinite(true), true, 0)).astype(np.float32)
             depth = (true + sigma * rng.standard_normal(true.shape)).astype(np.float32)
@@ -108,8 +108,7 @@ def _frames(
             )
             seen = fused.measured()
             depth, sigma, verdict = seen.depth, seen.sigma, fused.verdict.value
-            own = camera.resized(*depth.shape[::-1])
         seen_at = at_pixels_of(depth, true.shape, true.shape)
         both = np.isfinite(seen_at) & np.isfinite(true)
         share = float(np.median(np.abs(seen_at[both] / true[both] - 1))) if both.any() else float("nan")
-        yield DepthFrame(depth, sigma, ~np.isnan(depth), own, pose, stamp, "canyon", covariance), share, verdict
+        yield DepthFrame.of_photo(depth, sigma, camera, pose, stamp, "canyon", covariance), share, verdict

@@ -10,14 +10,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.depth.classes import DepthClasses
-from ltm_core.depth.fusion import FusionSettings, Verdict, fuse
+from ltm_core.depth.fusion import FusionSettings, fuse
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.truth_frames_io import TruthFrame
 from ltm_core.metrics.change import ChangeScore, score_change
@@ -25,7 +23,7 @@ from ltm_core.metrics.depth_fit import at_pixels_of
 from ltm_core.metrics.surface import SurfaceScore, cell_means, score_surface
 from ltm_core.site import TerrainConfig
 from ltm_core.terrain.layers import SurfaceLayers
-from ltm_core.terrain.observation import DepthFrame, LabelImage
+from ltm_core.terrain.observation import DepthFrame
 from ltm_core.terrain.reference import Reference
 from ltm_core.terrain.surface_map import SurfaceMap
 from ltm_core.terrain.trials import Noise
@@ -142,7 +140,8 @@ def true_depth(noise: Noise, seed: int = 1) -> Measure:
             sigma = (noise.constant + noise.share * np.where(np.isfinite(depth), depth, 0)).astype(np.float32)
         measured = (depth + sigma * rng.standard_normal(depth.shape, np.float32)).astype(np.float32)
         everywhere = np.ones(depth.shape, np.bool_)
-        return _frame(frame, measured, sigma, everywhere, frame.camera.scaled(frame.step)), "true depth"
+        camera, name = frame.camera.scaled(frame.step), frame.camera_name
+        return DepthFrame(measured, sigma, everywhere, camera, frame.pose, frame.stamp_ns, name, _SURE), "true depth"
 
     return measure
 
@@ -164,21 +163,8 @@ def network_depth(
             traced, canopy = (tracer.trace(camera, frame.pose) for tracer in (to_ground, to_surface))
             fused = fuse(traced, network.predict(photo, camera), photo, labels, classes, settings, canopy)
             own = fused.measured()
-            small = own.depth.shape[::-1]
-            seen = _frame(frame, own.depth, own.sigma, ~np.isnan(own.depth), camera.resized(*small))
-            told = LabelImage(labels, camera) if fused.verdict is Verdict.OK else None
-            labels = cv2.resize(labels, small, interpolation=cv2.INTER_NEAREST)
-            known[key] = replace(seen, labels=labels, told=told), fused.verdict.value
+            of = camera, frame.pose, frame.stamp_ns, frame.camera_name, _SURE
+            known[key] = DepthFrame.of_photo(own.depth, own.sigma, *of, labels), fused.verdict.value
         return known[key]
 
     return measure
-
-
-def _frame(
-    frame: TruthFrame,
-    depth: NDArray[np.float32],
-    sigma: NDArray[np.float32],
-    measured: NDArray[np.bool_],
-    camera: Camera,
-) -> DepthFrame:
-    return DepthFrame(depth, sigma, measured, camera, frame.pose, frame.stamp_ns, frame.camera_name, _SURE)

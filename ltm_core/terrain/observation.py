@@ -65,6 +65,31 @@ class DepthFrame:
     stable: NDArray[np.bool_] | None = None
     told: LabelImage | None = None
 
+    @classmethod
+    def of_photo(
+        cls,
+        depth: Image,
+        sigma: Image,
+        camera: Camera,
+        pose: Pose,
+        stamp_ns: int,
+        source: str,
+        covariance: Covariance | None = None,
+        labels: NDArray[np.uint8] | None = None,
+    ) -> DepthFrame:
+        """What was measured in a photo of `camera`, NaN where nothing was, and its labels: each of its own size, edge
+        to edge over the photo. Where nothing at all was measured the pose may be suspected; labels are not asked then.
+        """
+        height, width = depth.shape
+        measured = ~np.isnan(depth)
+        small = told = None
+        if labels is not None:
+            small = np.asarray(cv2.resize(labels, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
+            if measured.any():
+                told = LabelImage(labels, camera.resized(labels.shape[1], labels.shape[0]))
+        own = camera.resized(width, height)
+        return cls(depth, sigma, measured, own, pose, stamp_ns, source, covariance, small, None, told)
+
     def __post_init__(self) -> None:
         shape = (self.camera.height, self.camera.width)
         for name in ("depth", "sigma", "measured", "labels", "stable"):

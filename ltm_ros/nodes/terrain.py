@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from pydantic import Field
 from std_msgs.msg import String
@@ -217,28 +216,20 @@ class Terrain(Handler[TerrainNodeConfig]):
         if self._map.counted(camera, stamp):
             self.health.drop("duplicate", f"a frame of {camera} of stamp {stamp} ns came twice; counted once")
             return
-        metres = msg_to_depth(depth)
-        height, width = metres.shape
         covariance = np.array(pose.pose.covariance, np.float64).reshape(6, 6)
-        frame = DepthFrame(
-            metres,
+        labels = self._labels[camera].pop(stamp, None)
+        frame = DepthFrame.of_photo(
+            msg_to_depth(depth),
             msg_to_depth(sigma),
-            ~np.isnan(metres),
-            msg_to_camera(info).resized(width, height),
+            msg_to_camera(info),
             msg_to_pose(pose, "map"),
             stamp,
             camera,
             covariance if covariance.any() else None,
+            None if labels is None else msg_to_array(labels, ("mono8",)),
         )
-        labels = self._labels[camera].pop(stamp, None)
-        if labels is not None:
-            whole = msg_to_array(labels, ("mono8",))
-            ids = cv2.resize(whole, (width, height), interpolation=cv2.INTER_NEAREST)
-            frame = replace(frame, labels=ids, stable=self._stable[ids])
-            if frame.measured.any():
-                # Where nothing is measured, fusion may suspect the pose.
-                own = msg_to_camera(info).resized(whole.shape[1], whole.shape[0])
-                frame = replace(frame, told=LabelImage(whole, own))
+        if frame.labels is not None:
+            frame = replace(frame, stable=self._stable[frame.labels])
         added = self._map.add(frame)
         self._undecided += 1
         self.health.gauge("frames", self._store.frame_count() + self._map.uncommitted)

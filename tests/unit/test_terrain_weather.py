@@ -20,7 +20,7 @@ from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.pose import Pose
 from ltm_core.site import TerrainConfig
-from ltm_core.terrain import DepthFrame, LabelImage, Reference, SurfaceMap
+from ltm_core.terrain import DepthFrame, Reference, SurfaceMap
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
@@ -179,11 +179,9 @@ class Watch:
             ground, canopy = (tracer.trace(look.camera, look.pose) for tracer in (bare, surface))
             seen, labels = network.predict(rgb, look.camera), self.segmenter.segment(rgb).labels
             own = fuse(ground, seen, rgb, labels, self.classes, surface=canopy).measured()
-            camera = look.camera.resized(*own.depth.shape[::-1])
             stamp = BEGIN + number // 2 * 2 * HOUR + number
-            measured = ~np.isnan(own.depth)
-            frame = DepthFrame(own.depth, own.sigma, measured, camera, look.pose, stamp, look.name, SURE)
-            living.add(replace(frame, told=LabelImage(labels, look.camera)))
+            of = look.camera, look.pose, stamp, look.name, SURE
+            living.add(DepthFrame.of_photo(own.depth, own.sigma, *of, labels))
         changed = living.decide()
         looked = int(living.layers().observed.sum())
         return {(int(r), int(c)) for r, c in zip(changed.rows, changed.cols, strict=True)}, looked
