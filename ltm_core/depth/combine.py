@@ -25,8 +25,7 @@ Image = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 Row = NDArray[np.float32]
 
-VANISHED = -4.6
-"""Log odds that the ground of a pixel is gone, so that something farther shows."""
+_VANISHED = -4.6  # log odds that the ground of a pixel is gone, so that something farther shows
 _HEARD = 0.44  # of the log likelihood by which a network speaks for something nearer: its errors go on for many pixels
 _HEARD_OVER = 0.18  # the same of that by which it speaks for a canopy raster
 _ELSEWHERE = 4.0  # times a network's variance on ground: its variance on what stands before it
@@ -141,7 +140,8 @@ def _combine(
             continue
         for u in np.flatnonzero(asked):
             other, likely, foot = y[u], one, 0
-            if kind[u] and off[u] > 0:
+            nearer = kind[u] > 0 and off[u] > 0
+            if nearer:
                 # Something stands there? At a soft edge only where the network is nearer to the near side; away from
                 # edges what neighbours see is but their own place.
                 known = at[cell[u]]
@@ -155,21 +155,20 @@ def _combine(
                 likely = _likely(other, off[u], joint[u], spread[u], gross, known, np.float32(_HEARD))
             elif kind[u]:
                 # Or is something gone? That is not asked at edges, where the far side, or sky, may have leaked in.
-                if near[u] - back[u] < -off[u]:
-                    likely = _likely(other, off[u], joint[u], spread[u], gross, np.float32(VANISHED), one)
-                else:
+                if not near[u] - back[u] < -off[u]:
                     continue
+                likely = _likely(other, off[u], joint[u], spread[u], gross, np.float32(_VANISHED), one)
             if not (likely >= np.float32(OPEN) and other > 0):
                 continue
             inverse, t = meant(i, table[u], other, shift, factor)
-            if kind[u] and off[u] > 0:
+            if nearer:
                 # The shifts were learnt on ground; what stands before it is told by the line alone, and that it is
                 # there is known even where its depth is as good as not.
                 t, inverse = min(t * other / inverse, np.float32(0.99) * other), other
             if not (t < inverse and (kind[u] == 0 or (inverse > true[u]) == (off[u] > 0))):
                 continue
             t = elsewhere(t, near[u], back[u])
-            if kind[u] and off[u] > 0:
+            if nearer:
                 inverse, t = grounded(inverse, t, feet[cell[u]], foot)
             t /= inverse * inverse
             if d[u] < far and likely < np.float32(1.0 - OPEN):
