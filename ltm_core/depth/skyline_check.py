@@ -73,8 +73,7 @@ def check_skyline(
     far = edge & (depth > nearest)
     # What stands on the crest is of the class that the sky ends at.
     border = np.minimum(observed.astype(np.intp) + 1, len(labels) - 1)
-    cover = np.empty(len(cols))
-    cover[:] = crest[labels[border, cols]]
+    cover = crest[labels[border, cols]].astype(np.float64)
     open_above = far & np.isposinf(ground[np.maximum(top - 1, 0), cols])
     if open_above.mean() < LEAST_SHARE or not (observed > 0).any():
         return None

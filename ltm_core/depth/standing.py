@@ -131,8 +131,8 @@ def stands(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def grounded(near: np.float32, t: np.float32, column: Row, foot: int) -> tuple[np.float32, np.float32]:
-    """Inverse depth and its sigma, 1/m, of what a network sees at `near`, with `t`, and what has its foot there: it
-    stands on the ground that is seen rather than on what a crest hides."""
+    """Inverse depth and its sigma, 1/m, of a thing that a network sees at `near`, with sigma `t`, and whose `foot` is
+    known: it stands on the ground that is seen rather than on what a crest hides."""
     if foot == len(column) or not column[foot] > 0:
         return near, t
     nearer = np.float32(1.0) / column[foot] - near
