@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 
-from ltm_core.dem_io import horizontal, read_heights
 from ltm_core.errors import RasterError
 from ltm_core.geodesy import SiteFrame
 from ltm_core.grid import GridGeometry
+from ltm_core.raster.dem_io import horizontal, read_heights
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +74,6 @@ class Dem:
 
     def save(self, path: Path | str) -> None:
         """Write a deflated float32 GeoTIFF. Raises RasterError when the DEM is in no named CRS."""
-        from ltm_core.raster_io import write_geotiff
+        from ltm_core.raster.raster_io import write_geotiff
 
         write_geotiff(path, self.elevation, self.geometry, nodata=float("nan"))

@@ -10,13 +10,13 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
-from ltm_core.dem_stack import open_terrain, with_surface
 from ltm_core.errors import ConfigError, PoseError
 from ltm_core.fuel.prior_config import PriorConfig
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.geodesy import SiteFrame, ray_bend
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
+from ltm_core.raster.dem_stack import open_terrain, with_surface
 
 
 def _ros_name(name: str) -> str:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
 from ltm_core.errors import MessageError
-from ltm_core.fuel.sighting import CellSighting
+from ltm_core.fuel.cell_visibility import CellSighting
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_msgs_py.pointcloud import Columns, columns_to_msg, msg_to_columns, take

@@ -19,8 +19,8 @@ from packaging.requirements import Requirement
 
 import ltm_core
 from ltm_core.errors import LtmError
-from ltm_ros import shm
-from ltm_ros.ros_environment import PROFILE_VARIABLES, available_cores, ros_environment
+from ltm_ros.launching import shared_memory
+from ltm_ros.launching.ros_environment import PROFILE_VARIABLES, available_cores, ros_environment
 
 MESSAGE_PACKAGES = (
     "builtin_interfaces",
@@ -181,7 +181,7 @@ def _transport() -> Iterator[Finding]:
 def _participant(environment: Mapping[str, str]) -> Finding:
     """Start a real one and ask it."""
     wanted = environment["RMW_IMPLEMENTATION"]
-    command = [sys.executable, "-m", "ltm_ros.transport_probe"]
+    command = [sys.executable, "-m", "ltm_ros.launching.transport_probe"]
     try:
         ran = subprocess.run(command, env=dict(environment), capture_output=True, text=True, timeout=60)
     except subprocess.TimeoutExpired:
@@ -211,7 +211,7 @@ def _participant(environment: Mapping[str, str]) -> Finding:
 
 
 def _shared_memory() -> Iterator[Finding]:
-    free = shm.free_bytes()
+    free = shared_memory.free_bytes()
     if free is None:
         yield Finding(
             "shared memory",
@@ -221,8 +221,8 @@ def _shared_memory() -> Iterator[Finding]:
             "mount -t tmpfs tmpfs /dev/shm",
         )
         return
-    needed = shm.BYTES_PER_PARTICIPANT * SMALLEST_SITE_NODES
-    nodes = free // shm.BYTES_PER_PARTICIPANT
+    needed = shared_memory.BYTES_PER_PARTICIPANT * SMALLEST_SITE_NODES
+    nodes = free // shared_memory.BYTES_PER_PARTICIPANT
     yield Finding(
         "shared memory",
         "/dev/shm",
@@ -230,7 +230,7 @@ def _shared_memory() -> Iterator[Finding]:
         f"{free >> 20} MB free, enough for {nodes} nodes",
         "" if free >= needed else "mount -o remount,size=2G /dev/shm, or docker run --shm-size=2g",
     )
-    seen = shm.survey()
+    seen = shared_memory.survey()
     yield Finding(
         "shared memory",
         "segments",

@@ -114,7 +114,7 @@ class March:
         self._dem = dem
 
     def prepare(self, view: View) -> Callable[[], Any]:
-        from ltm_core.tracing.march import march
+        from ltm_core.tracing.baselines.march import march
 
         rays = view.rays()
         march(self._dem, view.pose.position, rays[:8])  # compiles
@@ -128,7 +128,7 @@ class NumpyMarch:
         self._dem = dem
 
     def prepare(self, view: View) -> Callable[[], Any]:
-        from ltm_core.tracing.march import march_arrays
+        from ltm_core.tracing.baselines.march import march_arrays
 
         rays = view.rays()
         return lambda: march_arrays(self._dem, view.pose.position, rays, step=1.0)

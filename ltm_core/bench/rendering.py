@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 from ltm_core.bench.measure import Cost, cost_of, peak_mb
 from ltm_core.errors import ConfigError
+from ltm_core.simulator.mitsuba_scene import SceneBuilder, View
 from ltm_core.simulator.run import SimulatedFrame, SimulatedSite, make_site, plan_shots, render_shots, site_at
 from ltm_core.simulator.scenario import Scenario
-from ltm_core.simulator.scene import SceneBuilder, View
 
 _MORE = 1.05  # by which the detail radius aims beyond what is asked for
 _TRIES = 5

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from ltm_core.bench.measure import Cost, available_mb, cost_of, least_cost, peak_mb, resident_mb
+from ltm_core.bench.mountains import ridged_terrain
 from ltm_core.bench.peers import PEERS, PeerKind, View
-from ltm_core.bench.terrain import ridged_terrain
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.pose import Pose

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.bench.measure import Cost, least_cost
-from ltm_core.bench.terrain import ridged_terrain
+from ltm_core.bench.mountains import ridged_terrain
 from ltm_core.camera import Camera
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.grid import GridGeometry

@@ -1,0 +1,1 @@
+"""TopoDepth: depth traced to the terrain fused with a monocular network's. Start at `topodepth`."""

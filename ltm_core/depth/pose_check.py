@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
-from ltm_core.depth.classes import CREST, DepthClasses
-from ltm_core.depth.edges import Edges
+from ltm_core.depth.class_priors import CREST, DepthClasses
+from ltm_core.depth.depth_discontinuities import Edges
+from ltm_core.depth.expected_surface import JUMP
 from ltm_core.depth.skyline_check import check_skyline
-from ltm_core.depth.surface import JUMP
 
 REACH_DEG = 2.5
 """How far a wrong pose is looked for."""

@@ -13,7 +13,7 @@ from ltm_core.config_io import load_yaml
 from ltm_core.errors import ConfigError
 from ltm_core.fuel.life_form import NODATA, NONBURNABLE
 from ltm_core.resources import config_path
-from ltm_core.vision.strict import StrictModel
+from ltm_core.strict_model import StrictModel
 
 
 class FuelSystem(StrEnum):

@@ -27,7 +27,7 @@ from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
-from ltm_core.tile_store_schema import Field
+from ltm_core.raster.tile_store_schema import Field
 from ltm_core.vision.labels import LabelSet
 
 Window = tuple[int, int, int, int]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import log_softmax, softmax
 
 from ltm_core.errors import ImageError
-from ltm_core.fuel.cell_look import what_is_seen
+from ltm_core.fuel.cell_appearance_model import what_is_seen
 from ltm_core.fuel.evidence_kernel import spread, with_neighbours
 from ltm_core.fuel.label_errors import FLOOR, LabelErrors
 from ltm_core.fuel.life_form import form_counts

@@ -12,7 +12,7 @@ from ltm_core.errors import ConfigError, RasterError
 from ltm_core.fuel.majority import UNSEEN
 from ltm_core.geodesy import SiteFrame
 from ltm_core.grid import GridGeometry
-from ltm_core.raster_io import write_geotiff
+from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.vision.labels import LabelSet
 
 

@@ -14,12 +14,12 @@ from pydantic import Field, model_validator
 
 from ltm_core.config_io import load_yaml
 from ltm_core.errors import ConfigError, ModelError
-from ltm_core.fuel.cell_look import CellLook, CellLookFile
+from ltm_core.fuel.cell_appearance_model import CellLook, CellLookFile
 from ltm_core.fuel.life_form import FORMS, LifeForm
 from ltm_core.resources import config_path
-from ltm_core.vision.calibration_io import Calibration, load_calibration
+from ltm_core.strict_model import StrictModel
+from ltm_core.vision.label_calibration_io import Calibration, load_calibration
 from ltm_core.vision.manifest import Manifest
-from ltm_core.vision.strict import StrictModel
 
 FLOOR = 0.01
 """The least share that any label is taken to have: a matrix counted on a few scenes never rules anything out."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import model_validator
 
-from ltm_core.vision.strict import StrictModel
+from ltm_core.strict_model import StrictModel
 
 
 class PriorConfig(StrictModel):

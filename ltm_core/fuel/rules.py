@@ -6,7 +6,7 @@ from pydantic import Field
 
 from ltm_core.fuel.life_form import NONBURNABLE
 from ltm_core.fuel.votes import FRAME_CAP
-from ltm_core.vision.strict import StrictModel
+from ltm_core.strict_model import StrictModel
 
 
 class DecayYears(StrictModel):

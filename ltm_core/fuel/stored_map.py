@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError
+from ltm_core.fuel.cell_visibility import CellSighting
 from ltm_core.fuel.evidence import EVIDENCE_FIELDS, EVIDENCE_VERSION, TILE
-from ltm_core.fuel.sighting import CellSighting
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
+from ltm_core.raster.tile_store import FrameRecord, Key, StoreSchema, TileStore
 from ltm_core.site import Site
-from ltm_core.tile_store import FrameRecord, Key, StoreSchema, TileStore
 
 STORE_KIND: Final = "fuel"
 STORE_FILE: Final = "fuel_map.ltm"

@@ -18,10 +18,10 @@ from ltm_core.fuel.evidence import TILE, EvidenceMap, Window
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.grid import GridGeometry
+from ltm_core.raster.tile_store import Key, Tile
 from ltm_core.terrain.change import ChangeKind
-from ltm_core.terrain.handover import LEAST_SEEN, SHRUB_BELOW, FuelChange, cover_after, fuel_changes
+from ltm_core.terrain.fuel_change import LEAST_SEEN, SHRUB_BELOW, FuelChange, cover_after, fuel_changes
 from ltm_core.terrain.layers import SurfaceLayers
-from ltm_core.tile_store import Key, Tile
 
 UNSEEN: Final = 255
 """Of a grid of changes: independent views have not looked."""

@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
-from ltm_core.depth.range_image import RangeImage
 from ltm_core.errors import ImageError
-from ltm_core.fuel.sighting import CellSighting, sight_cells
+from ltm_core.fuel.cell_visibility import CellSighting, sight_cells
 from ltm_core.fuel.vote_kernel import sum_pixels
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
+from ltm_core.range_image import RangeImage
 
 FRAME_CAP = 10.0
 """Pixels of one frame in one cell that count as evidence at most: they see the same plants under the same light, so a

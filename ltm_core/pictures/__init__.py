@@ -6,7 +6,7 @@ from ltm_core.pictures.maps import MapCamera, fuel_map_picture, labelled_shade, 
 from ltm_core.pictures.overlay import label_colors, overlay_depth, overlay_labels
 from ltm_core.pictures.panel import fit, panel
 from ltm_core.pictures.ranges import RangeScale, depth_colors
-from ltm_core.pictures.terrain import hillshade, hypsometric, terrain_colors
+from ltm_core.pictures.relief import hillshade, hypsometric, terrain_colors
 
 __all__ = [
     "MapCamera",

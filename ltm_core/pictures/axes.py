@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 
 from ltm_core.grid import GridGeometry
+from ltm_core.pictures.class_palette import Rgb
 from ltm_core.pictures.legend import INK, PAPER
 from ltm_core.pictures.text import Anchor, draw_texts, text_width
-from ltm_core.pictures.types import Rgb
 
 _STEPS = (1, 2, 5)
 _LEAST_TICKS = 3

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from ltm_core.errors import ImageError
-from ltm_core.pictures.types import Rgb
+from ltm_core.pictures.class_palette import Rgb
 
 
 def to_jpeg(picture: Rgb, quality: int = 85) -> bytes:

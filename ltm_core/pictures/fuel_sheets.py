@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from ltm_core.errors import ImageError
 from ltm_core.fuel.coverage import CoverageMap
 from ltm_core.fuel.decision import FuelLayers
-from ltm_core.pictures.fuel import CAMERAS, DOUBT, FOOTPRINT, FRAMES, FuelCanvas, Scale
+from ltm_core.pictures.class_palette import Palette, Rgb
+from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, FOOTPRINT, FRAMES, FuelCanvas, Scale
 from ltm_core.pictures.panel import panel
-from ltm_core.pictures.types import Palette, Rgb
 
 
 def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: Palette) -> Rgb:

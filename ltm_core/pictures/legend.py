@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 import cv2
 import numpy as np
 
+from ltm_core.pictures.class_palette import Palette, Rgb
 from ltm_core.pictures.ranges import SKY_COLOR, UNKNOWN_COLOR, RangeScale, scale_colors
 from ltm_core.pictures.text import draw_texts, metres, text_width
-from ltm_core.pictures.types import Palette, Rgb
 
 Color = tuple[int, int, int]
 PAPER = (250, 250, 249)

@@ -15,11 +15,11 @@ from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import RasterError
 from ltm_core.grid import GridGeometry
+from ltm_core.pictures.class_palette import UNLABELLED, Labels, Palette, Rgb
 from ltm_core.pictures.legend import INK, PAPER, label_legend, with_legend
 from ltm_core.pictures.overlay import label_colors
-from ltm_core.pictures.terrain import hillshade, terrain_colors
+from ltm_core.pictures.relief import hillshade, terrain_colors
 from ltm_core.pictures.text import Anchor, draw_texts, metres, text_width
-from ltm_core.pictures.types import UNLABELLED, Labels, Palette, Rgb
 
 _CHANGED = (230, 0, 140)
 _SEEN = (225, 87, 20)

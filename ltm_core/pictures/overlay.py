@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ltm_core.errors import ImageError
+from ltm_core.pictures.class_palette import UNLABELLED, Labels, Palette, Rgb
 from ltm_core.pictures.ranges import RangeScale, depth_colors
-from ltm_core.pictures.types import UNLABELLED, Labels, Palette, Rgb
 
 
 def label_colors(labels: Labels, label_set: Palette, unlabelled: tuple[int, int, int] = (70, 70, 74)) -> Rgb:

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 
 from ltm_core.errors import ImageError
+from ltm_core.pictures.class_palette import Rgb
 from ltm_core.pictures.legend import INK, PAPER
 from ltm_core.pictures.text import draw_texts
-from ltm_core.pictures.types import Rgb
 
 
 def fit(picture: Rgb, width: int) -> Rgb:

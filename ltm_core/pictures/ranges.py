@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ltm_core.errors import ImageError
-from ltm_core.pictures.types import Rgb
+from ltm_core.pictures.class_palette import Rgb
 
 SKY_COLOR = (222, 232, 240)
 UNKNOWN_COLOR = (70, 70, 74)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.grid import GridGeometry
-from ltm_core.simulator import noise
+from ltm_core.simulator import noise_fields
 from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, WATER, LandCover
 
 _STRIP = 128  # rows of ground texture made at once
@@ -97,12 +97,12 @@ def _strip_texture(cover: LandCover, geometry: GridGeometry, colors: Palette, se
     xs = geometry.to_map(0, np.arange(geometry.width))[0]
     ys = geometry.to_map(np.arange(geometry.height), 0)[1]
     cell = geometry.resolution
-    ragged = [7.0 * noise.fractal(xs, ys, 24.0, seed + 301 + k, octaves=3, gain=0.6) for k in range(2)]
+    ragged = [7.0 * noise_fields.fractal(xs, ys, 24.0, seed + 301 + k, octaves=3, gain=0.6) for k in range(2)]
     x, y = xs[None, :] + ragged[0], ys[:, None] + ragged[1]
     classes = cover.at(x, y)
-    broad = noise.fractal(xs, ys, 420.0, seed + 311, octaves=5, gain=0.6)[..., None]
-    fine = noise.fractal(xs, ys, max(26.0, 4 * cell), seed + 313, octaves=5, gain=0.75)[..., None]
-    patchy = noise.fractal(xs, ys, max(60.0, 6 * cell), seed + 317, octaves=4, gain=0.6)[..., None]
+    broad = noise_fields.fractal(xs, ys, 420.0, seed + 311, octaves=5, gain=0.6)[..., None]
+    fine = noise_fields.fractal(xs, ys, max(26.0, 4 * cell), seed + 313, octaves=5, gain=0.75)[..., None]
+    patchy = noise_fields.fractal(xs, ys, max(60.0, 6 * cell), seed + 317, octaves=4, gain=0.6)[..., None]
     moist = np.clip(cover.sample(cover.moisture, x, y)[..., None], -1, 1)
     stones = np.clip(0.5 + 1.8 * patchy, 0, 1)
     grass = colors.grass * (1 + 0.25 * broad) + np.clip(moist + 0.6 * patchy - 0.1, 0, 1) * 0.35 * (
@@ -112,7 +112,7 @@ def _strip_texture(cover: LandCover, geometry: GridGeometry, colors: Palette, se
     grass = (1 - thin) * grass + thin * (0.6 * colors.soil + 0.4 * colors.litter)
     under_shrub = (1 - 0.55 * stones) * colors.litter + 0.55 * stones * colors.soil
     under_tree = 0.6 * colors.litter + 0.4 * grass
-    rills = noise.fractal(xs, ys, max(16.0, 4 * cell), seed + 319, octaves=3, gain=0.7, ridged=True)[..., None]
+    rills = noise_fields.fractal(xs, ys, max(16.0, 4 * cell), seed + 319, octaves=3, gain=0.7, ridged=True)[..., None]
     bare = ((1 - stones) * colors.soil + stones * colors.rock) * (1 + 0.3 * rills + 0.2 * patchy)
     out = np.empty((*geometry.shape, 3), np.float32)
     out[:] = bare

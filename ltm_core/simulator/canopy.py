@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ltm_core.grid import GridGeometry
-from ltm_core.simulator.terrain import HeightField
+from ltm_core.simulator.terrain_synthesis import HeightField
 from ltm_core.simulator.vegetation import LATTICE, Placement
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ltm_core.simulator.noise import gradient_noise, gradient_noise_3d, lattice_uniform
+from ltm_core.simulator.noise_fields import gradient_noise, gradient_noise_3d, lattice_uniform
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.simulator import noise
+from ltm_core.simulator import noise_fields
 from ltm_core.simulator.appearance import Palette
-from ltm_core.simulator.terrain import HeightField
+from ltm_core.simulator.terrain_synthesis import HeightField
 
 Array = NDArray[np.float64]
 
@@ -132,8 +132,8 @@ def far_ranges(wide: HeightField, colors: Palette, seed: int, center: Array, ben
     reach = radius[:, None] * ((1 - blend) * square + blend)
     x, y = middle[0] + reach * np.cos(angle), middle[1] + reach * np.sin(angle)
     rise = np.clip((reach - 1.3 * half) / 16_000.0, 0, 1)
-    ridges = 1 - 2 * np.abs(noise.at_points(x.ravel(), y.ravel(), 9000.0, seed + 501)).reshape(x.shape)
-    rough = noise.at_points(x.ravel(), y.ravel(), 1700.0, seed + 503).reshape(x.shape)
+    ridges = 1 - 2 * np.abs(noise_fields.at_points(x.ravel(), y.ravel(), 9000.0, seed + 501)).reshape(x.shape)
+    rough = noise_fields.at_points(x.ravel(), y.ravel(), 1700.0, seed + 503).reshape(x.shape)
     z = (
         edge
         - 40.0
@@ -143,7 +143,7 @@ def far_ranges(wide: HeightField, colors: Palette, seed: int, center: Array, ben
     z[0] = edge - 120.0
     z -= _drop(x, y, center, bend)
     color = 0.62 * colors.chamise + 0.2 * colors.grass + 0.18 * colors.soil
-    tint = 1 + 0.5 * noise.at_points(x.ravel(), y.ravel(), 1500.0, seed + 507)[:, None]
+    tint = 1 + 0.5 * noise_fields.at_points(x.ravel(), y.ravel(), 1500.0, seed + 507)[:, None]
     vertices = np.stack([x, y, z], axis=-1).reshape(-1, 3)
     faces = _grid_faces(np.ones((len(radius) - 1, len(angle) - 1), bool))
     shades = np.clip(color * tint, 0.02, 0.6)

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from ltm_core.grid import GridGeometry
-from ltm_core.simulator import noise
+from ltm_core.simulator import noise_fields
 from ltm_core.simulator.scenario import VegetationConfig
-from ltm_core.simulator.terrain import HeightField, Terrain
+from ltm_core.simulator.terrain_synthesis import HeightField, Terrain
 from ltm_core.simulator.works import YARD, Houses, hamlet, track
 
 SKY, GRASS, SHRUB, TREE, BARE, WATER, BUILT = 0, 1, 2, 3, 4, 5, 6  # ids of config/labels.yaml
@@ -128,8 +128,8 @@ def make_landcover(
     wet = np.clip((ndimage.zoom(ndimage.maximum_filter(terrain.wetness, 5), 2, order=1) - 4.0) / 1.6, 0, 1)
     level = (height.elevation - coarse.elevation.mean()) / max(float(coarse.elevation.std()), 1.0)
     waves = (config.patch, config.patch, 0.5 * config.patch)
-    patches = [noise.fractal(xs, ys, w, seed + 201 + k, octaves=4, gain=0.65) for k, w in enumerate(waves)]
-    broad = noise.fractal(xs, ys, 1400.0, seed + 211, octaves=2)
+    patches = [noise_fields.fractal(xs, ys, w, seed + 201 + k, octaves=4, gain=0.65) for k, w in enumerate(waves)]
+    broad = noise_fields.fractal(xs, ys, 1400.0, seed + 211, octaves=2)
     moisture = np.clip(0.45 * ravine + 0.4 * wet - 0.45 * exposure + 0.6 * broad, -1.5, 1.5).astype(np.float32)
     tree = moisture + 1.3 * patches[0] + 0.12 * level
     grass = (
@@ -171,7 +171,7 @@ def make_landcover(
         reach = np.hypot(cx - x, cy - y)
         classes[window] = np.where(reach < 6.0, BUILT, np.where(reach < YARD, BARE, classes[window]))
     # Conifers hold the high, shaded ground in stands
-    stands = noise.fractal(xs, ys, 500.0, seed + 409, octaves=2, gain=0.5)
+    stands = noise_fields.fractal(xs, ys, 500.0, seed + 409, octaves=2, gain=0.5)
     conifer = np.asarray(0.5 * level - 0.5 * exposure + 0.9 * stands > 2.05 - 3 * config.conifers, np.bool_)
     stand = replace(Stand.undisturbed(fine.shape, conifer, config.density), rock=rock)
     return LandCover(classes, road, moisture, exposure.astype(np.float32), fine, stand, houses)
@@ -181,7 +181,7 @@ def _prior_classes(
     codes: NDArray[np.int16], own: NDArray[np.uint8], patches: Field, xs: Any, ys: Any, g: GridGeometry, seed: int
 ) -> NDArray[np.uint8]:
     """Classes as a fuel map says, along ragged edges; grass-shrub is broken up by noise, unknown keeps `own`."""
-    shift = [14.0 * noise.fractal(xs, ys, 60.0, seed + 221 + k, octaves=3, gain=0.6) for k in range(2)]
+    shift = [14.0 * noise_fields.fractal(xs, ys, 60.0, seed + 221 + k, octaves=3, gain=0.6) for k in range(2)]
     rows, cols = np.mgrid[0 : g.height, 0 : g.width]
     r = np.clip(rows + np.rint(shift[0] / g.resolution).astype(int), 0, g.height - 1)
     c = np.clip(cols + np.rint(shift[1] / g.resolution).astype(int), 0, g.width - 1)

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ltm_core.grid import GridGeometry
-from ltm_core.simulator import noise
+from ltm_core.simulator import noise_fields
 from ltm_core.simulator.scenario import DemConfig
-from ltm_core.simulator.terrain import HeightField
+from ltm_core.simulator.terrain_synthesis import HeightField
 
 _QUANTUM = 1 / 16  # m; a binary fraction deflates well
 
@@ -36,7 +36,7 @@ def outdated_dem(site: HeightField, config: DemConfig, seed: int) -> tuple[NDArr
     )
     mean = z.reshape(size, n, size, n).mean(axis=(1, 3))
     xs, ys = HeightField(np.empty((0, 0), np.float32), geometry).axes()
-    error = noise.fractal(xs, ys, 900.0, seed + 601, octaves=4, gain=0.8).astype(np.float64)
+    error = noise_fields.fractal(xs, ys, 900.0, seed + 601, octaves=4, gain=0.8).astype(np.float64)
     error -= error.mean()
     spread = float(error.std())
     if config.sigma > 0 and spread > 0:

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError
-from ltm_core.raster_io import write_geotiff
+from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.simulator.outdated import outdated_dem
 from ltm_core.simulator.rasters import UNKNOWN, SiteRasters, site_change
 from ltm_core.simulator.run import SimulatedFrame, SimulatedSite

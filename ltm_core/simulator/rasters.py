@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ltm_core.grid import GridGeometry
 from ltm_core.simulator.canopy import canopy_height
 from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, WATER, LandCover
-from ltm_core.simulator.terrain import HeightField
+from ltm_core.simulator.terrain_synthesis import HeightField
 from ltm_core.simulator.truth import fuel_truth
 from ltm_core.simulator.vegetation import Planting
 

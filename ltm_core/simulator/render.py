@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ltm_core.camera import Camera
 from ltm_core.errors import CameraError
 from ltm_core.pose import Pose
-from ltm_core.simulator.scene import View, mitsuba
+from ltm_core.simulator.mitsuba_scene import View, mitsuba
 
 Image = NDArray[np.float32]
 

@@ -17,13 +17,13 @@ from ltm_core.simulator.ground_io import read_codes, read_elevation
 from ltm_core.simulator.imaging import add_haze, develop, lit
 from ltm_core.simulator.landcover import UNLABELLED, WATER, LandCover, cover_geometry, make_landcover
 from ltm_core.simulator.lens import lookup, pinhole_for, through
+from ltm_core.simulator.mitsuba_scene import SceneBuilder, View
 from ltm_core.simulator.rasters import SiteRasters, site_rasters
 from ltm_core.simulator.render import air_length, airlight, render_radiance, render_range, white_cards
 from ltm_core.simulator.scenario import DateConfig, Scenario
-from ltm_core.simulator.scene import SceneBuilder, View
 from ltm_core.simulator.sensors import Report, SensorModel
 from ltm_core.simulator.stand import changed_terrain, stand_at
-from ltm_core.simulator.terrain import Terrain, make_terrain, surroundings_geometry, terrain_of
+from ltm_core.simulator.terrain_synthesis import Terrain, make_terrain, surroundings_geometry, terrain_of
 from ltm_core.simulator.truth import FrameTruth, frame_truth
 from ltm_core.simulator.vegetation import Planting
 from ltm_core.simulator.viewpoints import draw_viewpoints

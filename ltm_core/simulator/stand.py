@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ltm_core.grid import GridGeometry
-from ltm_core.simulator import noise
+from ltm_core.simulator import noise_fields
 from ltm_core.simulator.changes import (
     Burn,
     Change,
@@ -25,7 +25,7 @@ from ltm_core.simulator.changes import (
     Thinning,
 )
 from ltm_core.simulator.landcover import BARE, GRASS, SHRUB, TREE, LandCover, Stand
-from ltm_core.simulator.terrain import HeightField, Terrain
+from ltm_core.simulator.terrain_synthesis import HeightField, Terrain
 
 Field = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -45,8 +45,8 @@ def mask_weights(mask: MaskConfig, geometry: GridGeometry, seed: int) -> Mask:
     _, ys = geometry.to_map(np.arange(geometry.height), 0)
     x, y = np.meshgrid(xs, ys)
     if mask.ragged > 0:
-        x = x + 1.6 * mask.ragged * noise.fractal(xs, ys, 90.0, seed + 701, octaves=4, gain=0.6)
-        y = y + 1.6 * mask.ragged * noise.fractal(xs, ys, 90.0, seed + 703, octaves=4, gain=0.6)
+        x = x + 1.6 * mask.ragged * noise_fields.fractal(xs, ys, 90.0, seed + 701, octaves=4, gain=0.6)
+        y = y + 1.6 * mask.ragged * noise_fields.fractal(xs, ys, 90.0, seed + 703, octaves=4, gain=0.6)
     if mask.circle is not None:
         cx, cy, radius = mask.circle
         return np.asarray(np.hypot(x - cx, y - cy) <= radius, np.bool_)
@@ -99,7 +99,7 @@ def _slide(site: HeightField, inside: Mask, change: Landslide) -> Field:
     scar = bowl * np.clip((height - 0.42) / 0.3, 0, 1) * inside
     scar /= max(float(scar.max()), 1e-6)
     toe = bowl * np.clip((0.42 - height) / 0.25, 0, 1) * inside
-    lumps = 1 + 0.35 * noise.fractal(*site.axes(), 22.0, 733, octaves=3, gain=0.6)
+    lumps = 1 + 0.35 * noise_fields.fractal(*site.axes(), 22.0, 733, octaves=3, gain=0.6)
     out -= change.depth * scar
     if toe.sum() > 0:
         out += change.depth * change.deposit * float(scar.sum() / toe.sum()) * toe * lumps
@@ -196,7 +196,7 @@ def _earthwork(
 def _burn(s: _State, change: Burn, inside: Mask, since: float, geometry: GridGeometry, seed: int) -> None:
     xs, _ = geometry.to_map(0, np.arange(geometry.width))
     _, ys = geometry.to_map(np.arange(geometry.height), 0)
-    uneven = noise.fractal(xs, ys, 130.0, seed + 711, octaves=4, gain=0.65)
+    uneven = noise_fields.fractal(xs, ys, 130.0, seed + 711, octaves=4, gain=0.65)
     severity = np.clip(change.severity + (1.6 if change.prescribed else 0.5) * uneven, 0, 1)
     burnt = inside & (severity > (0.25 if change.prescribed else 0.12))
     severity = np.where(burnt, severity, 0).astype(np.float32)

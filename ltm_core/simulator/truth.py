@@ -11,8 +11,8 @@ from ltm_core.camera import Camera
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SKY, TREE, UNLABELLED, LandCover
+from ltm_core.simulator.mitsuba_scene import View
 from ltm_core.simulator.render import render_range
-from ltm_core.simulator.scene import View
 
 
 @dataclass(frozen=True)

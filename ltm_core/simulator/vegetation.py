@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.simulator import noise
+from ltm_core.simulator import noise_fields
 from ltm_core.simulator.appearance import Palette
-from ltm_core.simulator.cells import Cells, describe
 from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, LandCover
+from ltm_core.simulator.plant_cells import Cells, describe
 from ltm_core.simulator.prototypes import FAR_PATCH, NEAR_PATCH, STAGES, TUFT_PATCH, Prototype, Prototypes
 from ltm_core.simulator.scenario import VegetationConfig
-from ltm_core.simulator.sight import line_of_sight
-from ltm_core.simulator.terrain import Terrain
+from ltm_core.simulator.terrain_synthesis import Terrain
+from ltm_core.simulator.visible_ground import line_of_sight
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -107,11 +107,11 @@ class Planting:
 
     def _noise(self, x: Array, y: Array, wavelength: float, salt: int) -> Array:
         """Noise in [-1, 1] at scattered points."""
-        return noise.at_points(x, y, wavelength, self._seed + salt)
+        return noise_fields.at_points(x, y, wavelength, self._seed + salt)
 
     def _draw(self, x: Array, y: Array, salt: int) -> Array:
         """A uniform draw in [0, 1) that belongs to each place, not to the order of asking."""
-        return noise.uniform_at(x, y, self._seed + salt)
+        return noise_fields.uniform_at(x, y, self._seed + salt)
 
     def _dry(self, x: Array, y: Array) -> Mask:
         """Where low scrub stands in place of tall chaparral."""

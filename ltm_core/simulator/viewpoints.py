@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ltm_core.simulator.camera_setup import ViewsConfig
-from ltm_core.simulator.terrain import HeightField
+from ltm_core.simulator.terrain_synthesis import HeightField
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.pose import Pose
-from ltm_core.simulator import noise
+from ltm_core.simulator import noise_fields
 from ltm_core.simulator.scenario import SmokeConfig
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ def smoke(
     rise by buoyancy (height grows with the 2/3 power of time), drift with the wind and widen as they rise.
     """
     steps = np.arange(float(_TILE))
-    billows = noise.fractal(steps, steps, 0.5 * _TILE, seed + 811, octaves=6, gain=0.62)
+    billows = noise_fields.fractal(steps, steps, 0.5 * _TILE, seed + 811, octaves=6, gain=0.62)
     alpha = np.zeros(ranges.shape, np.float32)
     light = np.zeros((*ranges.shape, 3), np.float32)
     puffs = []

@@ -13,7 +13,7 @@ from scipy.sparse import csgraph
 from ltm_core.errors import ConfigError
 from ltm_core.grid import GridGeometry
 from ltm_core.simulator.scenario import LakeConfig
-from ltm_core.simulator.terrain import HeightField, Terrain
+from ltm_core.simulator.terrain_synthesis import HeightField, Terrain
 
 Mask = NDArray[np.bool_]
 

@@ -5,7 +5,7 @@
 """
 
 from ltm_core.terrain.observation import DepthFrame, LabelImage
-from ltm_core.terrain.reference import Reference
+from ltm_core.terrain.reference_surface import Reference
 from ltm_core.terrain.surface_map import SurfaceMap
 
 __all__ = ["DepthFrame", "LabelImage", "Reference", "SurfaceMap"]

@@ -12,12 +12,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ltm_core.raster.tile_store import Key, Tile
 from ltm_core.site import TerrainConfig
-from ltm_core.terrain.cell_kernel import Rules, independent, mean_variance
-from ltm_core.terrain.cells import TILE
+from ltm_core.terrain.cell_layout import TILE
+from ltm_core.terrain.cell_update import Rules, independent, mean_variance
 from ltm_core.terrain.neighbours import REACH, WIDE, Estimates, mean_of_neighbours, own_shift, regions, stand_rise
-from ltm_core.terrain.reference import Reference
-from ltm_core.tile_store import Key, Tile
+from ltm_core.terrain.reference_surface import Reference
 
 _OWN_SHARE = 0.4
 """Of its neighbours' shift that a cell must show itself: a gap in a felled stand was no tree."""

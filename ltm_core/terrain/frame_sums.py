@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ltm_core.terrain.cells import CELLS, NO_LABEL, PLACE_BITS, Records
+from ltm_core.terrain.cell_layout import CELLS, NO_LABEL, PLACE_BITS, Records
 
 SUM = np.dtype(
     [("place", "i4"), ("number", "f4"), ("weight", "f4"), ("moment", "f4"), ("sheet", "f4"), ("pose", "f4"),

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from ltm_core.camera import Camera
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
-from ltm_core.terrain.cell_kernel import Rules, take
-from ltm_core.terrain.cells import CELLS, TILE, Cells
-from ltm_core.terrain.observe_kernel import Pixels
+from ltm_core.terrain.cell_layout import CELLS, TILE, Cells
+from ltm_core.terrain.cell_update import Rules, take
+from ltm_core.terrain.observation_kernel import Pixels
 from ltm_core.tracing.prefetch import prefetch
 
 Image = NDArray[np.float32]

@@ -10,10 +10,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ltm_core.terrain.cells import NO_LABEL, Records
+from ltm_core.terrain.cell_layout import NO_LABEL, Records
 from ltm_core.terrain.frame_sums import FrameSums, sum_of
-from ltm_core.terrain.ground import Ground, Image, stood_at
-from ltm_core.terrain.observe_kernel import Limits, Pixels
+from ltm_core.terrain.observation_kernel import Limits, Pixels
+from ltm_core.terrain.reference_kernels import Ground, Image, stood_at
 
 _EDGE = 0.5
 """Of the height of what stood, by which a pixel's neighbours may see it differently."""

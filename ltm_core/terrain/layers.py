@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.grid import GridGeometry
-from ltm_core.terrain.cell_kernel import Rules
+from ltm_core.terrain.cell_update import Rules
 from ltm_core.terrain.change import Window, estimate_variance, mosaic
-from ltm_core.terrain.reference import Reference
+from ltm_core.terrain.reference_surface import Reference
 from ltm_core.terrain.tile_pool import TilePool
 
 _FIELDS = (

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from ltm_core.camera import Camera
 from ltm_core.errors import ImageError, PoseError
 from ltm_core.pose import Pose
-from ltm_core.terrain.cells import TILE, Records
+from ltm_core.terrain.cell_layout import TILE, Records
+from ltm_core.terrain.expected_view import Extremes, Sights, View, foresee
 from ltm_core.terrain.frame_sums import FrameSums, clear
-from ltm_core.terrain.ground import Ground
 from ltm_core.terrain.label_kernel import hear
-from ltm_core.terrain.observe_kernel import Limits, Pixels, observe
-from ltm_core.terrain.reference import BLOCK, Reference
-from ltm_core.terrain.sight import Extremes, Sights, View, foresee
+from ltm_core.terrain.observation_kernel import Limits, Pixels, observe
+from ltm_core.terrain.reference_kernels import Ground
+from ltm_core.terrain.reference_surface import BLOCK, Reference
 from ltm_core.tracing import TerrainTracer
 
 Image = NDArray[np.float32]

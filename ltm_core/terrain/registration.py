@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from ltm_core.errors import PoseError
 from ltm_core.pose import Pose
-from ltm_core.terrain.ground import LEAST_INCIDENCE
 from ltm_core.terrain.observation import DepthFrame
-from ltm_core.terrain.observe_kernel import Limits
-from ltm_core.terrain.reference import BLOCK, Reference
+from ltm_core.terrain.observation_kernel import Limits
+from ltm_core.terrain.reference_kernels import LEAST_INCIDENCE
+from ltm_core.terrain.reference_surface import BLOCK, Reference
 from ltm_core.tracing import TerrainTracer
 
 Floats = NDArray[np.float64]

@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError
 from ltm_core.pose import Pose
+from ltm_core.raster.tile_store import CellChanges, FrameRecord, Key, TileStore
 from ltm_core.site import TerrainConfig
-from ltm_core.terrain.cell_kernel import Rules, merge
-from ltm_core.terrain.cells import TILE
+from ltm_core.terrain.cell_layout import TILE
+from ltm_core.terrain.cell_update import Rules, merge
 from ltm_core.terrain.change import Changed, decide, margin_of
 from ltm_core.terrain.free_space import INSIDE, see_through
 from ltm_core.terrain.layers import SurfaceLayers, layers_of
 from ltm_core.terrain.observation import DepthFrame, Observer, assumed_covariance
-from ltm_core.terrain.observe_kernel import Limits
-from ltm_core.terrain.reference import Reference
+from ltm_core.terrain.observation_kernel import Limits
+from ltm_core.terrain.reference_surface import Reference
 from ltm_core.terrain.registration import Registration, register
 from ltm_core.terrain.tile_pool import TilePool, schema_of
-from ltm_core.tile_store import CellChanges, FrameRecord, Key, TileStore
 from ltm_core.tracing import TerrainTracer
 
 CAMERAS = 32

@@ -10,7 +10,7 @@ import numpy as np
 
 from ltm_core.errors import ConfigError
 from ltm_core.grid import GridGeometry
-from ltm_core.raster_io import write_geotiff
+from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.terrain.change import ChangeKind
 from ltm_core.terrain.layers import SurfaceLayers
 

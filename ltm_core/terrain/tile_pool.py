@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.grid import GridGeometry
-from ltm_core.terrain.cells import CELL_BYTES, FIELDS, NO_LABEL, TILE, Cells
-from ltm_core.tile_store import CellChanges, FrameRecord, Key, StoreSchema, Tile, TileStore
+from ltm_core.raster.tile_store import CellChanges, FrameRecord, Key, StoreSchema, Tile, TileStore
+from ltm_core.terrain.cell_layout import CELL_BYTES, FIELDS, NO_LABEL, TILE, Cells
 
 KIND, VERSION = "terrain", 4
 

@@ -4,7 +4,7 @@
 independent float64 tracer that tests hold the fast one against.
 """
 
-from ltm_core.depth.range_image import RangeImage
+from ltm_core.range_image import RangeImage
 from ltm_core.tracing.tracer import TerrainTracer
 
 __all__ = ["RangeImage", "TerrainTracer"]

@@ -13,7 +13,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ltm_core.tracing.cells import FASTMATH, clearance, first_root, meets, ray_height, surface
+from ltm_core.tracing.cell_intersection import FASTMATH, clearance, first_root, meets, ray_height, surface
+from ltm_core.tracing.column_block import (
+    ANSWERED,
+    FACE,
+    MEETS_NOTHING,
+    NEAR,
+    PER_MAJOR,
+    SLOPE,
+    WEDGE,
+    T,
+)
+from ltm_core.tracing.horizon_profile import WEDGES_A_FACE
 from ltm_core.tracing.lanes import (
     WIDTH,
     any_of,
@@ -32,18 +43,16 @@ from ltm_core.tracing.lanes import (
     to_floats,
     to_ints,
 )
-from ltm_core.tracing.profile import WEDGES_A_FACE
-from ltm_core.tracing.sweep_block import (
-    ANSWERED,
-    FACE,
-    MEETS_NOTHING,
-    NEAR,
-    PER_MAJOR,
-    SLOPE,
-    WEDGE,
-    T,
+from ltm_core.tracing.pyramid_traversal import (
+    OVER_KNOWN,
+    PLUMB_SINE,
+    Floats,
+    Ground,
+    Stage,
+    finished,
+    hit_between,
+    over_raster,
 )
-from ltm_core.tracing.traversal import OVER_KNOWN, PLUMB_SINE, Floats, Ground, Stage, finished, hit_between, over_raster
 
 FIRST_STEPS, MORE_STEPS, MOST_ROUNDS = 4, 8, 6
 """Cells that a group goes through at once: at first, from the list, and how often the latter."""

@@ -38,16 +38,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
-from ltm_core.depth.range_image import RangeImage
 from ltm_core.errors import PoseError
 from ltm_core.geodesy import ray_bend
 from ltm_core.pose import Pose
+from ltm_core.range_image import RangeImage
 from ltm_core.tracing import lanes
 from ltm_core.tracing.caches import BoundedCache, TracerStatistics
-from ltm_core.tracing.levels import filled_corners, grounds, stages
-from ltm_core.tracing.profile import SECTOR, WEDGES_A_FACE, Wedges, extended, mark_sectors, no_wedges
-from ltm_core.tracing.sweep import sweep_image
-from ltm_core.tracing.traversal import FRESH, OVER_KNOWN, trace_directions
+from ltm_core.tracing.column_sweep import sweep_image
+from ltm_core.tracing.horizon_profile import SECTOR, WEDGES_A_FACE, Wedges, extended, mark_sectors, no_wedges
+from ltm_core.tracing.pyramid_traversal import FRESH, OVER_KNOWN, trace_directions
+from ltm_core.tracing.raster_stages import filled_corners, grounds, stages
 
 # Numba's fallback threading layer dies when two threads launch parallel kernels at once.
 _ONE_LAUNCH = threading.Lock()

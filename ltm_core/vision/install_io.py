@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ltm_core.errors import ModelError
-from ltm_core.vision.calibration_io import calibration_path
+from ltm_core.vision.label_calibration_io import calibration_path
 from ltm_core.vision.manifest import Manifest, added_folder, shipped_names
 
 _CHUNK = 1 << 20

@@ -17,7 +17,7 @@ from pydantic import Field
 from ltm_core.config_io import load_yaml
 from ltm_core.errors import ConfigError
 from ltm_core.resources import config_path
-from ltm_core.vision.strict import StrictModel
+from ltm_core.strict_model import StrictModel
 
 UNLABELLED: Final = 255
 

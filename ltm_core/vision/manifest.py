@@ -9,7 +9,7 @@ from pydantic import Field, PrivateAttr, field_validator, model_validator
 from ltm_core.config_io import load_yaml
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.resources import config_path
-from ltm_core.vision.strict import StrictModel
+from ltm_core.strict_model import StrictModel
 
 MODEL_PATH_VARIABLE: Final = "LTM_MODEL_PATH"
 

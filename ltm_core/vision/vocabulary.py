@@ -15,10 +15,10 @@ from pathlib import Path
 from ltm_core.config_io import load_yaml
 from ltm_core.errors import ConfigError
 from ltm_core.resources import config_path
+from ltm_core.strict_model import StrictModel
 from ltm_core.vision.labels import UNLABELLED, LabelSet
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.segmenter import Segmenter
-from ltm_core.vision.strict import StrictModel
 from ltm_core.vision.text_io import load_text
 
 _COLORS = (

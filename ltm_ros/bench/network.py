@@ -30,12 +30,12 @@ from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.bench.network_site import NAME, Traffic, write_region
-from ltm_ros.farewell import wait_for_quiet
-from ltm_ros.graph import Graph, describe
-from ltm_ros.node import stream_qos
-from ltm_ros.ros_environment import apply_to_process, ros_environment
-from ltm_ros.runner import Runner
-from ltm_ros.topics import FUEL_MAP_UPDATE, site_topic
+from ltm_ros.launching.dds_shutdown import wait_for_quiet
+from ltm_ros.launching.graph import Graph, describe
+from ltm_ros.launching.ros_environment import apply_to_process, ros_environment
+from ltm_ros.launching.runner import Runner
+from ltm_ros.runtime.node import stream_qos
+from ltm_ros.runtime.topics import FUEL_MAP_UPDATE, site_topic
 
 TOWERS_A_PROCESS = 25
 SETTLE_S = 20.0

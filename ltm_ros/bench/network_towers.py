@@ -16,9 +16,9 @@ import rclpy
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
-from ltm_ros.farewell import begin_farewell
-from ltm_ros.node import stream_qos
-from ltm_ros.topics import FUEL_VOTES, camera_topic
+from ltm_ros.launching.dds_shutdown import begin_farewell
+from ltm_ros.runtime.node import stream_qos
+from ltm_ros.runtime.topics import FUEL_VOTES, camera_topic
 
 PATIENCE_S = 60.0
 

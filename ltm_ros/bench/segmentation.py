@@ -21,12 +21,12 @@ from sensor_msgs.msg import Image
 from ltm_core.errors import LtmError
 from ltm_core.site_io import load_site
 from ltm_msgs_py.image import image_to_msg
-from ltm_ros.farewell import wait_for_quiet
-from ltm_ros.graph import Graph, describe
-from ltm_ros.node import stream_qos
-from ltm_ros.ros_environment import apply_to_process
-from ltm_ros.runner import Runner
-from ltm_ros.topics import LABELS_IMAGE, POSED_IMAGE, camera_topic
+from ltm_ros.launching.dds_shutdown import wait_for_quiet
+from ltm_ros.launching.graph import Graph, describe
+from ltm_ros.launching.ros_environment import apply_to_process
+from ltm_ros.launching.runner import Runner
+from ltm_ros.runtime.node import stream_qos
+from ltm_ros.runtime.topics import LABELS_IMAGE, POSED_IMAGE, camera_topic
 
 IN_FLIGHT = 2  # photos sent and not yet answered: the next one waits at the node, as on a busy tower
 PATIENCE_S = 30.0

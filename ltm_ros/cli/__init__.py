@@ -1,0 +1,1 @@
+"""The command `ltm`, one module a command."""

@@ -43,7 +43,7 @@ def _simulated(out: Path, domain: int, console: Console) -> None:
     from ltm_ros.cli.progress import message_bar
     from ltm_ros.cli.summary import print_nodes
     from ltm_ros.demo.simulated import run_demo
-    from ltm_ros.eval_tables import bin_name
+    from ltm_ros.evaluation.score_tables import bin_name
 
     with message_bar(console, "demo") as progress:
         result = run_demo(

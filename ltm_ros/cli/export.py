@@ -10,7 +10,7 @@ import typer
 
 if TYPE_CHECKING:
     from ltm_core.grid import GridGeometry
-    from ltm_ros.fuel_source import FuelSource
+    from ltm_ros.fuel_map.source import FuelSource
 
 
 class Format(StrEnum):
@@ -85,7 +85,7 @@ def export(
         if site is None:
             raise ConfigError(f"{kind} needs the terrain and the prior fuel map of a site: name its file with --site")
         from ltm_core.site_io import load_site
-        from ltm_ros.fuel_source import FuelSource
+        from ltm_ros.fuel_map.source import FuelSource
 
         with FuelSource.open(source, load_site(site)) as map_:
             geometry = _export_site(map_, out, crs, kind, system, as_of, since)
@@ -98,7 +98,7 @@ def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None,
     from ltm_core.fuel.life_form import life_form_labels
     from ltm_core.site_io import load_site
     from ltm_core.vision.labels import LabelSet
-    from ltm_ros.fuel_source import FuelSource
+    from ltm_ros.fuel_map.source import FuelSource
 
     labels = LabelSet.load()
     if source.suffix.lower() in (".tif", ".tiff") and as_of is None:
@@ -110,7 +110,7 @@ def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None,
             with FuelSource.open(source, load_site(site)) as map_:
                 classes, geometry, labels = map_.at(as_of).life_form, map_.geometry, map_.labels
         else:
-            from ltm_ros.recorded_map import last_fuel_map
+            from ltm_ros.recordings.recorded_map import last_fuel_map
 
             classes, geometry, labels = last_fuel_map(source, load_site(site))
     if crs is not None:
@@ -124,11 +124,11 @@ def _export_site(
 ) -> GridGeometry:
     """Everything that needs more than the label map."""
     from ltm_core.fuel.codes import FuelSystem
-    from ltm_core.fuel.export_grid import GridTransfer, make_landscape, snapped_grid
-    from ltm_core.fuel.landscape_io import write_elmfire, write_landscape, write_layers
-    from ltm_core.fuel.lcp_io import write_lcp
+    from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape, snapped_grid
+    from ltm_core.fuel.export.landscape_io import write_elmfire, write_landscape, write_layers
+    from ltm_core.fuel.export.lcp_io import write_lcp
+    from ltm_core.fuel.export.points_io import fuel_points, write_las, write_ply
     from ltm_core.fuel.life_form import life_form_labels
-    from ltm_core.fuel.points_io import fuel_points, write_las, write_ply
 
     site, grid, layers = map_.site, map_.geometry, map_.at(as_of)
     target = grid if crs is None else snapped_grid(grid, crs, site.fuel.phase)
@@ -153,8 +153,8 @@ def _export_site(
     if kind is Format.layers:
         write_layers(out, moved, target)
     elif kind is Format.kmz:
-        from ltm_core.fuel.overlay_io import write_kmz
-        from ltm_core.pictures.fuel import overlay_picture
+        from ltm_core.fuel.export.kmz_io import write_kmz
+        from ltm_core.pictures.fuel_maps import overlay_picture
         from ltm_core.pictures.legend import label_legend
 
         palette = life_form_labels(map_.labels)
@@ -171,7 +171,7 @@ def _draw(map_: FuelSource, out: Path, kind: Format, as_of: str | None, since: s
     from ltm_core.fuel.life_form import life_form_labels
     from ltm_core.pictures import to_png
     from ltm_core.pictures.fuel_sheets import change_sheet, coverage_sheet, fuel_sheet, seen_sheet
-    from ltm_ros.fuel_pictures import canvas_of
+    from ltm_ros.fuel_map.pictures import canvas_of
 
     layers, palette = map_.at(as_of), life_form_labels(map_.labels)
     canvas = canvas_of(map_.site, map_.site.open_dem(), map_.site.in_map(map_.geometry))

@@ -13,15 +13,15 @@ from rich.console import Console
 from ltm_core.camera import Camera
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.errors import ImageError
-from ltm_core.metrics.segmentation import score_labels
+from ltm_core.evaluation.metrics.segmentation import score_labels
+from ltm_core.evaluation.segmentation.network_score import score_segmenter, segment_milliseconds
 from ltm_core.pictures import label_legend, overlay_labels, to_jpeg, with_legend
-from ltm_core.vision.evaluate import score_segmenter, segment_milliseconds
+from ltm_core.training.labelled_frames import read_frames
 from ltm_core.vision.labels import Label
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.segmenter import Segmenter
-from ltm_core.vision.train.frames import read_frames
 from ltm_core.vision.vocabulary import open_vocabulary, parse_queries
-from ltm_ros.cli.score_table import score_table
+from ltm_ros.cli.eval.score_table import score_table
 
 _PHOTOS = {".jpg", ".jpeg", ".png"}
 

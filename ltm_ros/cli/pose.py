@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from ltm_core.camera import Camera
-    from ltm_core.resection import Resection
-    from ltm_core.resection_io import ResectionSetup
+    from ltm_core.pose_estimation.resection import Resection
+    from ltm_core.pose_estimation.resection_io import ResectionSetup
 
 
 def pose(
@@ -38,11 +38,17 @@ def pose(
     from rich.console import Console
 
     from ltm_core.config_io import load_yaml
-    from ltm_core.dem_stack import open_terrain
     from ltm_core.geodesy import ray_bend
-    from ltm_core.resection import resect
-    from ltm_core.resection_adjustment import Parameter
-    from ltm_core.resection_io import GuessConfig, read_control_points, set_up_resection, write_pose, write_report
+    from ltm_core.pose_estimation.resection import resect
+    from ltm_core.pose_estimation.resection_adjustment import Parameter
+    from ltm_core.pose_estimation.resection_io import (
+        GuessConfig,
+        read_control_points,
+        set_up_resection,
+        write_pose,
+        write_report,
+    )
+    from ltm_core.raster.dem_stack import open_terrain
 
     guess = load_yaml(pose_guess, GuessConfig)
     terrain = open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])]) if dem else None
@@ -108,7 +114,7 @@ def _points(result: Resection, setup: ResectionSetup, curvature: bool, refractio
     table = Table("point", "u", "v", "du px", "dv px", "residual px")
     traced = None
     if setup.dem is not None:
-        from ltm_core.resection_check import traced_errors
+        from ltm_core.pose_estimation.resection_check import traced_errors
         from ltm_core.tracing import TerrainTracer
 
         tracer = TerrainTracer(setup.dem, curvature, refraction)

@@ -22,8 +22,8 @@ def record(
     from dataclasses import replace
 
     from ltm_core.site_io import load_site
-    from ltm_ros.graph import Graph, ParameterValue, describe
-    from ltm_ros.runner import Runner, new_log_folder
+    from ltm_ros.launching.graph import Graph, ParameterValue, describe
+    from ltm_ros.launching.runner import Runner, new_log_folder
 
     parameters: dict[str, ParameterValue] = {"bag": str(out.resolve())}
     if topics:

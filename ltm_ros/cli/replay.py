@@ -87,9 +87,9 @@ def _publish(
 
     from ltm_core.site_io import load_site
     from ltm_ros.cli.progress import message_bar, stop_on_signals
+    from ltm_ros.launching.ros_environment import apply_to_process
     from ltm_ros.replay.live import LivePlayer
     from ltm_ros.replay.selection import Selection
-    from ltm_ros.ros_environment import apply_to_process
 
     apply_to_process(domain)
     selection = Selection.open(bag, load_site(site), start, duration)

@@ -30,8 +30,8 @@ def run(
 ) -> None:
     """Run a site: each node a process, restarted when it dies; Ctrl-C or SIGTERM stops all of them in order."""
     from ltm_core.site_io import load_site
-    from ltm_ros.graph import ParameterValue, describe
-    from ltm_ros.runner import Runner, new_log_folder
+    from ltm_ros.launching.graph import ParameterValue, describe
+    from ltm_ros.launching.runner import Runner, new_log_folder
 
     config = load_site(site)
     kept: dict[str, ParameterValue] = {}

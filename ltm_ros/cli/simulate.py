@@ -87,7 +87,7 @@ def simulate(
                 raise located(scenario, error) from error
             begin += len(shots)
         if bag is not None:
-            from ltm_ros.simulated_bag import write_simulated_bag
+            from ltm_ros.evaluation.simulated_bag import write_simulated_bag
 
             pictured = [date for date in config.dates if date.frames]
             for date in pictured:

@@ -13,7 +13,7 @@ def trace(
         list[Path],
         typer.Option(help="Elevation raster that GDAL reads, projected, in metres; again for coarser ones around it."),
     ],
-    pose: Annotated[Path, typer.Option(help="YAML: position, azimuth, pitch, roll, camera (ltm_core.trace_io).")],
+    pose: Annotated[Path, typer.Option(help="YAML: position, azimuth, pitch, roll, camera (see docs/tracing.md).")],
     out: Annotated[Path, typer.Option(help="Folder for the results; made if it is not there.")],
     image: Annotated[Path | None, typer.Option(help="The photo, to draw the depth over.")] = None,
     crs: Annotated[
@@ -25,11 +25,11 @@ def trace(
     from rich.console import Console
     from rich.table import Table
 
-    from ltm_core.dem_stack import open_terrain
     from ltm_core.pictures import to_png
-    from ltm_core.trace_io import cell_counts, load_picture_config, read_photo, set_up_picture, write_trace
-    from ltm_core.trace_pictures import depth_picture, map_picture
+    from ltm_core.pictures.trace import depth_picture, map_picture
+    from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.tracing import TerrainTracer
+    from ltm_core.tracing.trace_io import cell_counts, load_picture_config, read_photo, set_up_picture, write_trace
 
     console = Console()
     config = load_picture_config(pose)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from ltm_ros.rerun_view.server import RerunProcess
-    from ltm_ros.runner import Runner
+    from ltm_ros.launching.runner import Runner
+    from ltm_ros.viewer.server import RerunProcess
 
 
 def view(
@@ -42,7 +42,7 @@ def view(
         if not rrd.is_file():
             raise RecordingError(f"{rrd}: no such recording; `ltm run --view` and `ltm view --save` write them")
         if screenshot is not None:
-            from ltm_ros.rerun_view.screenshot import screenshot as draw
+            from ltm_ros.viewer.screenshot import screenshot as draw
 
             draw(rrd, screenshot, tab=tab)
             typer.echo(f"wrote {screenshot}")
@@ -56,7 +56,7 @@ def view(
 
 
 def _show_file(rrd: Path, in_browser: bool, open_browser: bool, web_port: int, grpc_port: int) -> None:
-    from ltm_ros.rerun_view.server import RerunProcess, web_url
+    from ltm_ros.viewer.server import RerunProcess, web_url
 
     if not in_browser:
         _until_ended(RerunProcess(["--port", "auto", str(rrd)], quiet=False))
@@ -73,9 +73,9 @@ def _show_graph(
 
     from ltm_core.errors import ConfigError
     from ltm_core.site_io import load_site
-    from ltm_ros.graph import Graph, ParameterValue, describe
-    from ltm_ros.rerun_view.server import RerunProcess, grpc_url, web_url
-    from ltm_ros.runner import Runner, new_log_folder
+    from ltm_ros.launching.graph import Graph, ParameterValue, describe
+    from ltm_ros.launching.runner import Runner, new_log_folder
+    from ltm_ros.viewer.server import RerunProcess, grpc_url, web_url
 
     site = load_site(path)
     wanted: dict[str, ParameterValue] = {"serve": True, "web_port": web_port, "grpc_port": grpc_port}
@@ -96,7 +96,7 @@ def _show_graph(
 def _comes_up(runner: Runner, port: int, timeout: float = 60.0) -> bool:
     import time
 
-    from ltm_ros.rerun_view.server import listens
+    from ltm_ros.viewer.server import listens
 
     deadline = time.monotonic() + timeout
     while time.monotonic() < deadline and not runner.given_up:

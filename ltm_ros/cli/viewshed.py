@@ -9,8 +9,8 @@ import typer
 
 if TYPE_CHECKING:
     from ltm_core.geodesy import SiteFrame
-    from ltm_core.viewshed import View
-    from ltm_core.visibility import SightLines
+    from ltm_core.visibility.point_visibility import SightLines
+    from ltm_core.visibility.viewshed import View
 
 
 def viewshed(
@@ -46,8 +46,8 @@ def viewshed(
 
     from ltm_core.errors import ConfigError
     from ltm_core.pictures import to_png
-    from ltm_core.viewshed import viewshed as covered
-    from ltm_core.viewshed_io import coverage_picture, write_coverage
+    from ltm_core.visibility.viewshed import viewshed as covered
+    from ltm_core.visibility.viewshed_io import coverage_picture, write_coverage
 
     console = Console()
     if (site is None) == (pose is None):
@@ -95,8 +95,8 @@ def _title(views: list[View], target_height: float) -> str:
 def _from_site(path: Path) -> tuple[SightLines, SiteFrame, list[View], list[str]]:
     from ltm_core.errors import ConfigError
     from ltm_core.site_io import load_site
-    from ltm_core.viewshed import View
-    from ltm_core.visibility import SightLines
+    from ltm_core.visibility.point_visibility import SightLines
+    from ltm_core.visibility.viewshed import View
 
     site = load_site(path)
     terrain = site.open_dem()
@@ -112,10 +112,10 @@ def _from_site(path: Path) -> tuple[SightLines, SiteFrame, list[View], list[str]
 
 
 def _from_pose(path: Path, dem: list[Path], crs: str | None) -> tuple[SightLines, SiteFrame, list[View]]:
-    from ltm_core.dem_stack import open_terrain
-    from ltm_core.trace_io import load_picture_config, set_up_picture
-    from ltm_core.viewshed import View
-    from ltm_core.visibility import SightLines
+    from ltm_core.raster.dem_stack import open_terrain
+    from ltm_core.tracing.trace_io import load_picture_config, set_up_picture
+    from ltm_core.visibility.point_visibility import SightLines
+    from ltm_core.visibility.viewshed import View
 
     config = load_picture_config(path)
     setup = set_up_picture(config, open_terrain([(dem[0], crs), *((raster, None) for raster in dem[1:])]))

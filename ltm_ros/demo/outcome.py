@@ -15,13 +15,13 @@ from ltm_core.fuel.coverage import CoverageMap
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.grid import GridGeometry
 from ltm_core.pictures import MapCamera, RangeScale, fuel_map_picture, overlay_depth, overlay_labels, panel, to_png
-from ltm_core.pictures.fuel import Place
+from ltm_core.pictures.fuel_maps import Place
 from ltm_core.pictures.fuel_sheets import change_sheet, coverage_sheet, fuel_sheet
 from ltm_core.site import Site
 from ltm_core.vision.labels import LabelSet
-from ltm_ros.fuel_pictures import canvas_of, seen_window
-from ltm_ros.recorded_frames import RecordedFrame
-from ltm_ros.report import CameraPictures, Sheet
+from ltm_ros.evaluation.run_report import CameraPictures, Sheet
+from ltm_ros.fuel_map.pictures import canvas_of, seen_window
+from ltm_ros.recordings.recorded_frames import RecordedFrame
 
 Rgb = NDArray[np.uint8]
 HEADING_STEP_DEG = 20.0

@@ -16,7 +16,6 @@ from ltm_core.pictures import to_png
 from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
-from ltm_ros.bag_score import BagScore, DepthRow, score_bag
 from ltm_ros.cli.summary import node_rows
 from ltm_ros.demo.outcome import (
     camera_pictures,
@@ -27,13 +26,14 @@ from ltm_ros.demo.outcome import (
     range_scale,
     write_pictures,
 )
-from ltm_ros.eval_tables import tables
-from ltm_ros.fuel_pictures import coverage_of
-from ltm_ros.fuel_services import write_landscapes
-from ltm_ros.recorded import Recorded, recorded_votes
-from ltm_ros.recorded_frames import recorded_frames
+from ltm_ros.evaluation.run_report import NodeRow, ReportData, write_report
+from ltm_ros.evaluation.run_score import BagScore, DepthRow, score_bag
+from ltm_ros.evaluation.score_tables import tables
+from ltm_ros.fuel_map.pictures import coverage_of
+from ltm_ros.fuel_map.services import write_landscapes
+from ltm_ros.recordings.recorded_frames import recorded_frames
+from ltm_ros.recordings.recorded_run import Recorded, recorded_votes
 from ltm_ros.replay.run import ReplayOptions, run_live
-from ltm_ros.report import NodeRow, ReportData, write_report
 
 
 @dataclass(frozen=True, eq=False)

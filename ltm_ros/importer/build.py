@@ -18,7 +18,7 @@ from ltm_msgs_py.pose import pose_to_msg
 from ltm_ros.importer.georeference import Assumptions, PlacedPhoto, place
 from ltm_ros.importer.photo import find_photos, read_photo
 from ltm_ros.importer.pose_file import PhotoPose, read_pose_file
-from ltm_ros.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
+from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
 
 _APART_NS = 1_000_000
 """Photos of one camera with equal stamps (bursts within a second) are moved this far apart."""

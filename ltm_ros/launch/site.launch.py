@@ -12,8 +12,8 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from ltm_core.errors import ConfigError
 from ltm_core.site_io import load_site
-from ltm_ros.graph import PACKAGE, NodeSpec, describe
-from ltm_ros.ros_environment import ros_additions, thread_limits
+from ltm_ros.launching.graph import PACKAGE, NodeSpec, describe
+from ltm_ros.launching.ros_environment import ros_additions, thread_limits
 
 ARGUMENTS = {
     "site": (None, "site file (YAML)"),

@@ -17,10 +17,10 @@ from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.image import compressed_to_rgb, image_to_msg, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose, pose_to_msg
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet
-from ltm_ros.health import Health, cause_of
-from ltm_ros.node import run_node
-from ltm_ros.topics import (
+from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
+from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.topics import (
     CAMERA_INFO,
     IMAGE_COMPRESSED,
     IMAGE_RAW,

@@ -18,11 +18,18 @@ from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet
-from ltm_ros.health import Health
-from ltm_ros.join import StampJoin
-from ltm_ros.node import run_node
-from ltm_ros.topics import ALIGNMENT, DEPTH_CAMERA_INFO, DEPTH_IMAGE, GROUND_DEPTH, POSED_CAMERA_INFO, POSED_POSE
+from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.stamp_join import StampJoin
+from ltm_ros.runtime.topics import (
+    ALIGNMENT,
+    DEPTH_CAMERA_INFO,
+    DEPTH_IMAGE,
+    GROUND_DEPTH,
+    POSED_CAMERA_INFO,
+    POSED_POSE,
+)
 
 
 class DepthConfig(NodeConfig):

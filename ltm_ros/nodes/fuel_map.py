@@ -14,30 +14,30 @@ from pydantic import Field
 from std_msgs.msg import String
 
 from ltm_core.errors import ConfigError, MessageError
+from ltm_core.fuel.cell_visibility import CellSighting
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.fuel_map_io import write_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
-from ltm_core.fuel.sighting import CellSighting
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import STORE_FILE, fuel_schema
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
+from ltm_core.raster.tile_store import TileStore
 from ltm_core.resources import config_path
 from ltm_core.site import SITE_NAMES
 from ltm_core.site_io import load_site
-from ltm_core.tile_store import TileStore
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.label_info import msg_to_model
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.votes import msg_to_votes
-from ltm_ros.fuel_keeper import Counting, FuelKeeper
-from ltm_ros.fuel_publisher import FuelPublisher
-from ltm_ros.fuel_services import Region, answer, burned, forgotten, region_of, write_landscapes
-from ltm_ros.fuel_surface import SurfaceListener, terrain_grid
-from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet, Topic
-from ltm_ros.health import Health
-from ltm_ros.node import run_node
-from ltm_ros.topics import (
+from ltm_ros.fuel_map.persistence import Counting, FuelKeeper
+from ltm_ros.fuel_map.publisher import FuelPublisher
+from ltm_ros.fuel_map.services import Region, answer, burned, forgotten, region_of, write_landscapes
+from ltm_ros.fuel_map.terrain_changes import SurfaceListener, terrain_grid
+from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.topics import (
     FUEL_MAP_ANSWER,
     FUEL_MAP_INFO,
     FUEL_MAP_QUERY,

@@ -20,11 +20,18 @@ from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.votes import fitting, votes_to_msg
-from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet
-from ltm_ros.health import Health
-from ltm_ros.join import StampJoin
-from ltm_ros.node import run_node
-from ltm_ros.topics import DEPTH_CAMERA_INFO, DEPTH_IMAGE, FUEL_VOTES, LABELS_CONFIDENCE, LABELS_IMAGE, POSED_POSE
+from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.stamp_join import StampJoin
+from ltm_ros.runtime.topics import (
+    DEPTH_CAMERA_INFO,
+    DEPTH_IMAGE,
+    FUEL_VOTES,
+    LABELS_CONFIDENCE,
+    LABELS_IMAGE,
+    POSED_POSE,
+)
 
 
 class FuelVotesConfig(NodeConfig):

@@ -21,14 +21,14 @@ from ltm_core.errors import ConfigError, LtmError
 from ltm_core.site_io import load_site
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_ros.diagnostics import DiagnosticsPublisher
-from ltm_ros.free_path import free_path
-from ltm_ros.handler import NodeConfig
-from ltm_ros.health import Health, cause_of
-from ltm_ros.losses import LossCounter, loss_report, writers_of
-from ltm_ros.node import read_parameters
-from ltm_ros.node_process import run_until_stopped
-from ltm_ros.topics import RECORDED, camera_topic, site_topic
+from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
+from ltm_ros.runtime.free_path import free_path
+from ltm_ros.runtime.handler import NodeConfig
+from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.message_loss import LossCounter, loss_report, writers_of
+from ltm_ros.runtime.node import read_parameters
+from ltm_ros.runtime.node_process import run_until_stopped
+from ltm_ros.runtime.topics import RECORDED, camera_topic, site_topic
 
 QUEUE_BYTES = 512 << 20
 """Bytes that may wait for the disk before messages are dropped and counted."""

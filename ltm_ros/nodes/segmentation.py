@@ -14,10 +14,10 @@ from ltm_core.vision.segmenter import Segmenter
 from ltm_msgs_py.image import image_to_msg, msg_to_rgb
 from ltm_msgs_py.label_info import label_set_to_msg
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet
-from ltm_ros.health import Health
-from ltm_ros.node import run_node
-from ltm_ros.topics import LABELS_CONFIDENCE, LABELS_IMAGE, LABELS_INFO, POSED_IMAGE
+from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.topics import LABELS_CONFIDENCE, LABELS_IMAGE, LABELS_INFO, POSED_IMAGE
 
 
 class SegmentationConfig(NodeConfig):

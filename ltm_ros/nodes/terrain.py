@@ -20,6 +20,7 @@ from ltm_core.errors import ConfigError
 from ltm_core.fuel.site_map import site_label_errors
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
+from ltm_core.raster.tile_store import TileStore
 from ltm_core.resources import config_path
 from ltm_core.site import TerrainConfig
 from ltm_core.site_io import load_site
@@ -27,7 +28,6 @@ from ltm_core.terrain import DepthFrame, LabelImage, Reference, SurfaceMap
 from ltm_core.terrain.change import Changed, ChangeKind
 from ltm_core.terrain.terrain_io import write_surface
 from ltm_core.terrain.tile_pool import schema_of
-from ltm_core.tile_store import TileStore
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.camera_info import msg_to_camera
@@ -35,11 +35,11 @@ from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.terrain import change_to_msg, changed_to_msg
-from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet, Topic
-from ltm_ros.health import Health
-from ltm_ros.join import StampJoin
-from ltm_ros.node import run_node
-from ltm_ros.topics import (
+from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.stamp_join import StampJoin
+from ltm_ros.runtime.topics import (
     LABELS_IMAGE,
     MEASURED_DEPTH,
     MEASURED_SIGMA,

@@ -13,12 +13,12 @@ from pydantic import Field
 from std_msgs.msg import String
 
 from ltm_core.camera import Camera
-from ltm_core.depth.classes import DepthClasses
-from ltm_core.depth.fusion import FusedDepth, FusionSettings, Verdict, fuse
+from ltm_core.depth.class_priors import DepthClasses
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
-from ltm_core.depth.range_image import DepthImage, RangeImage
+from ltm_core.depth.topodepth import FusedDepth, FusionSettings, Verdict, fuse
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.pose import Pose
+from ltm_core.range_image import DepthImage, RangeImage
 from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.tracing import TerrainTracer
@@ -28,11 +28,11 @@ from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet
-from ltm_ros.health import Health
-from ltm_ros.join import StampJoin
-from ltm_ros.node import run_node
-from ltm_ros.topics import (
+from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.stamp_join import StampJoin
+from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
     FUSED_DEPTH,
     FUSED_INFO,

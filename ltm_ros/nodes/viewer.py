@@ -11,8 +11,8 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import Field
 
-from ltm_core.depth.range_image import RangeImage
 from ltm_core.fuel.life_form import NODATA, life_form_labels
+from ltm_core.range_image import RangeImage
 from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
@@ -23,13 +23,12 @@ from ltm_msgs_py.image import msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pointcloud import msg_to_columns, take
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.free_path import free_path
-from ltm_ros.handler import Handler, NodeConfig, NodeType, Outlet, Topic
-from ltm_ros.health import Health
-from ltm_ros.join import StampJoin
-from ltm_ros.node import run_node
-from ltm_ros.rerun_view import RerunView
-from ltm_ros.topics import (
+from ltm_ros.runtime.free_path import free_path
+from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.stamp_join import StampJoin
+from ltm_ros.runtime.topics import (
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
     FUEL_MAP,
@@ -44,6 +43,7 @@ from ltm_ros.topics import (
     camera_topic,
     site_topic,
 )
+from ltm_ros.viewer import RerunView
 
 DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray)
 POINT_STEP = 12

@@ -21,9 +21,9 @@ from rosgraph_msgs.msg import Clock
 from ltm_core.errors import RecordingError
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_msgs_py.stamp import ns_to_time
-from ltm_ros.farewell import wait_for_quiet
+from ltm_ros.launching.dds_shutdown import wait_for_quiet
 from ltm_ros.replay.selection import Selection
-from ltm_ros.wiring import unmatched
+from ltm_ros.runtime.discovery_check import unmatched
 
 CLOCK_PERIOD = 0.025
 """Seconds of real time between `/clock` messages."""

@@ -15,10 +15,10 @@ from ltm_core.errors import LtmError
 from ltm_msgs_py.bag.reader import BagMessage, BagReader
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_ros.graph import Graph, NodeSpec
-from ltm_ros.handler import Handler, NodeType, Topic
-from ltm_ros.health import Health, cause_of
+from ltm_ros.launching.graph import Graph, NodeSpec
 from ltm_ros.replay.selection import Selection
+from ltm_ros.runtime.handler import Handler, NodeType, Topic
+from ltm_ros.runtime.health import Health, cause_of
 
 
 class OfflineGraph:

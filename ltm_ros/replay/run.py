@@ -8,13 +8,13 @@ from pathlib import Path
 
 from ltm_core.errors import LtmError
 from ltm_core.site_io import load_site
-from ltm_ros.graph import Graph, ParameterValue, describe
+from ltm_ros.launching.graph import Graph, ParameterValue, describe
+from ltm_ros.launching.ros_environment import apply_to_process
+from ltm_ros.launching.runner import Runner
 from ltm_ros.replay import LONGEST_PAUSE
 from ltm_ros.replay.live import LivePlayer
 from ltm_ros.replay.offline import replay_offline
 from ltm_ros.replay.selection import Selection
-from ltm_ros.ros_environment import apply_to_process
-from ltm_ros.runner import Runner
 
 NodeParameters = dict[str, ParameterValue]
 

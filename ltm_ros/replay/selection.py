@@ -10,7 +10,7 @@ from pathlib import Path
 from ltm_core.errors import RecordingError
 from ltm_core.site import Site
 from ltm_msgs_py.bag.reader import BagMessage, BagReader
-from ltm_ros.topics import CAMERA_INPUTS, CAMERA_TRUTH, camera_topic
+from ltm_ros.runtime.topics import CAMERA_INPUTS, CAMERA_TRUTH, camera_topic
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 from leftovers import ports_of_domain, processes_of_domain, wait_gone
-from small_site import SmallSite, write_small_site
+from scenes.small_site import SmallSite, write_small_site
 
-from ltm_ros.ros_environment import PROFILE_VARIABLES, ros_environment
+from ltm_ros.launching.ros_environment import PROFILE_VARIABLES, ros_environment
 
 DOMAINS = range(100, 201)
 

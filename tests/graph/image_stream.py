@@ -14,7 +14,7 @@ import rclpy
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 
-from ltm_ros.farewell import wait_for_quiet
+from ltm_ros.launching.dds_shutdown import wait_for_quiet
 
 HEIGHT, WIDTH = 1080, 1920
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)

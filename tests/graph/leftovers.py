@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from ltm_ros import shm
+from ltm_ros.launching import shared_memory
 
 
 def processes_of_domain(domain: int) -> list[str]:
@@ -25,7 +25,7 @@ def processes_of_domain(domain: int) -> list[str]:
 
 def ports_of_domain(domain: int) -> list[str]:
     """Shared-memory ports of a domain's participants; DDS numbers them 250 a domain from 7400 on."""
-    seen = shm.survey(min_age_s=0.0)
+    seen = shared_memory.survey(min_age_s=0.0)
     first = 7400 + 250 * domain
     names = [name for name in (*seen.in_use, *seen.stale, *seen.young) if name.startswith("fastrtps_port")]
     return [name for name in names if first <= int(name.removeprefix("fastrtps_port")) < first + 250]
@@ -36,7 +36,7 @@ def segments_of_process(pid: int) -> set[str]:
     names = set()
     for line in Path(f"/proc/{pid}/maps").read_text().splitlines():
         path = Path(line.split()[-1])
-        if path.parent == shm.SHM_FOLDER and path.name.startswith("fastrtps_") and "port" not in path.name:
+        if path.parent == shared_memory.SHM_FOLDER and path.name.startswith("fastrtps_") and "port" not in path.name:
             names.add(path.name)
     return names
 
@@ -44,7 +44,7 @@ def segments_of_process(pid: int) -> set[str]:
 def ports_of_process(pid: int) -> list[str]:
     """Shared-memory ports that a process has mapped, those that are removed with `(deleted)` behind."""
     lines = Path(f"/proc/{pid}/maps").read_text().splitlines()
-    names = {line.partition(f"{shm.SHM_FOLDER}/fastrtps_")[2] for line in lines if "/fastrtps_port" in line}
+    names = {line.partition(f"{shared_memory.SHM_FOLDER}/fastrtps_")[2] for line in lines if "/fastrtps_port" in line}
     return sorted(names)
 
 

@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from ltm_core.errors import ConfigError
-from ltm_ros.node_process import run_until_stopped
+from ltm_ros.runtime.node_process import run_until_stopped
 
 
 class Actor(Node):

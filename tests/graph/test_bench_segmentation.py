@@ -10,7 +10,7 @@ import pytest
 
 from ltm_core.errors import LtmError
 from ltm_ros.bench.segmentation import run_segmentation
-from ltm_ros.cli.bench_segmentation import segmentation
+from ltm_ros.cli.bench.segmentation import segmentation
 
 
 def test_a_node_labels_as_many_photos_as_it_is_sent(

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from ltm_ros.graph import NODE_TYPES
+from ltm_ros.launching.graph import NODE_TYPES
 
 REPOSITORY = Path(__file__).parents[2]
 SOURCES = ("ltm_core", "ltm_msgs_py", "ltm_ros", "config", "resource", "scripts")

@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bystander import Bystander
-from small_site import NAME, TOWER, SmallSite
+from scenes.small_site import NAME, TOWER, SmallSite
 
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.graph import Graph, describe
-from ltm_ros.runner import Runner
-from ltm_ros.topics import DEPTH_IMAGE, POSED_CAMERA_INFO, POSED_POSE, camera_topic
+from ltm_ros.launching.graph import Graph, describe
+from ltm_ros.launching.runner import Runner
+from ltm_ros.runtime.topics import DEPTH_IMAGE, POSED_CAMERA_INFO, POSED_POSE, camera_topic
 
 pytest.importorskip("cyclonedds", reason="the dev extra is not installed")
 pytestmark = pytest.mark.graph

@@ -12,23 +12,23 @@ from typing import Any
 import numpy as np
 import pytest
 from bystander import Bystander, wait_for
-from fuel_frames import CAMERAS, NAME, camera_of, grid_of, message, stamp_of_frame, write_site
 from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
+from scenes.fuel_frames import CAMERAS, NAME, camera_of, grid_of, message, stamp_of_frame, write_site
 
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.stored_map import STORE_FILE
-from ltm_core.raster_io import write_geotiff
+from ltm_core.raster.raster_io import write_geotiff
+from ltm_core.raster.tile_store import TileStore
 from ltm_core.site_io import load_site
 from ltm_core.terrain.change import Changed, ChangeKind
-from ltm_core.tile_store import TileStore
 from ltm_msgs_py.grid import classes_to_msg, msg_to_classes
 from ltm_msgs_py.stamp import ns_to_time
 from ltm_msgs_py.terrain import changed_to_msg
-from ltm_ros.fuel_surface import terrain_grid
-from ltm_ros.graph import Graph, describe
-from ltm_ros.runner import Runner
-from ltm_ros.supervisor import RestartPolicy
-from ltm_ros.topics import (
+from ltm_ros.fuel_map.terrain_changes import terrain_grid
+from ltm_ros.launching.graph import Graph, describe
+from ltm_ros.launching.runner import Runner
+from ltm_ros.launching.supervisor import RestartPolicy
+from ltm_ros.runtime.topics import (
     FUEL_MAP,
     FUEL_MAP_ANSWER,
     FUEL_MAP_QUERY,

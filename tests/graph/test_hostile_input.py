@@ -14,7 +14,7 @@ from bystander import Bystander, wait_for
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.serialization import serialize_message
-from small_site import BEGIN_NS, MAST, NAME, TOWER, SmallSite
+from scenes.small_site import BEGIN_NS, MAST, NAME, TOWER, SmallSite
 
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.vision.labels import LabelSet
@@ -22,9 +22,9 @@ from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.votes import votes_to_msg
-from ltm_ros.graph import Graph, describe
-from ltm_ros.runner import Runner
-from ltm_ros.topics import (
+from ltm_ros.launching.graph import Graph, describe
+from ltm_ros.launching.runner import Runner
+from ltm_ros.runtime.topics import (
     CAMERA_INFO,
     DEPTH_IMAGE,
     FUEL_MAP_UPDATE,

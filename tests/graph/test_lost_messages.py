@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from bystander import Bystander, wait_for
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from small_site import BEGIN_NS, NAME, SmallSite
+from scenes.small_site import BEGIN_NS, NAME, SmallSite
 
 from ltm_msgs_py.image import image_to_msg
-from ltm_ros.graph import Graph, describe
-from ltm_ros.runner import Runner
-from ltm_ros.topics import IMAGE_RAW, camera_topic
+from ltm_ros.launching.graph import Graph, describe
+from ltm_ros.launching.runner import Runner
+from ltm_ros.runtime.topics import IMAGE_RAW, camera_topic
 
 pytestmark = pytest.mark.graph
 

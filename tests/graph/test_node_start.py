@@ -6,9 +6,9 @@ import subprocess
 import sys
 
 import pytest
-from small_site import SmallSite
+from scenes.small_site import SmallSite
 
-from ltm_ros.supervisor import EX_CONFIG
+from ltm_ros.launching.supervisor import EX_CONFIG
 
 pytestmark = pytest.mark.graph
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from ltm_ros.graph import parameters_yaml
+from ltm_ros.launching.graph import parameters_yaml
 
 pytestmark = pytest.mark.graph
 

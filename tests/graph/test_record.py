@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 from bystander import Bystander, wait_for
-from small_site import BEGIN_NS, NAME, TOWER, SmallSite
+from scenes.small_site import BEGIN_NS, NAME, TOWER, SmallSite
 from std_msgs.msg import String
 
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.node import stream_qos
-from ltm_ros.topics import CAMERA_INFO, LABELS_INFO, POSE, camera_topic
+from ltm_ros.runtime.node import stream_qos
+from ltm_ros.runtime.topics import CAMERA_INFO, LABELS_INFO, POSE, camera_topic
 
 pytestmark = pytest.mark.graph
 

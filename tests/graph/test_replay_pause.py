@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from small_site import SmallSite
+from scenes.small_site import SmallSite
 
 from ltm_ros.replay.live import LivePlayer
 from ltm_ros.replay.selection import Selection

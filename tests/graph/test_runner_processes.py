@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 from leftovers import processes_of_domain, segments_of_process, wait_gone
 
-from ltm_ros import shm
-from ltm_ros.graph import Graph, NodeSpec
-from ltm_ros.runner import GraphError, Runner
-from ltm_ros.supervisor import RestartPolicy, State
+from ltm_ros.launching import shared_memory
+from ltm_ros.launching.graph import Graph, NodeSpec
+from ltm_ros.launching.runner import GraphError, Runner
+from ltm_ros.launching.supervisor import RestartPolicy, State
 
 pytestmark = pytest.mark.graph
 
@@ -126,7 +126,7 @@ def test_ends_a_node_that_will_not_stop(start: Callable[..., Started]) -> None:
     graph.runner.stop()
     assert any("SIGKILL to north/depth, still running" in line for line in graph.lines)
     assert "[north/capture] goodbye" in graph.lines
-    assert not [name for name in segments if (shm.SHM_FOLDER / name).exists()]
+    assert not [name for name in segments if (shared_memory.SHM_FOLDER / name).exists()]
 
 
 def test_ends_what_a_dead_node_had_started(start: Callable[..., Started]) -> None:
@@ -158,8 +158,8 @@ RUN = """
 import sys
 sys.path.insert(0, sys.argv[1])
 from test_runner_processes import HERE, QUICK, spec
-from ltm_ros.graph import Graph
-from ltm_ros.runner import Runner
+from ltm_ros.launching.graph import Graph
+from ltm_ros.launching.runner import Runner
 nodes = (spec("depth"), spec("capture"), spec("viewer", behaviour="stubborn"))[: int(sys.argv[3])]
 runner = Runner(Graph("ridge", nodes), log_folder=sys.argv[2], policy=QUICK, environment={"PYTHONPATH": str(HERE)})
 sys.exit(runner.run())
@@ -220,4 +220,4 @@ def test_killed_runner_leaves_nothing(ros_domain: int, tmp_path: Path, monkeypat
     assert not [pid for pid in pids.values() if Path(f"/proc/{pid}").exists()]
     assert list(temporary.glob("ltm-run-*")) == []
     # A runner elsewhere on this machine may be about to remove them just now.
-    assert wait_gone(lambda: [name for name in segments if os.path.lexists(shm.SHM_FOLDER / name)]) == []
+    assert wait_gone(lambda: [name for name in segments if os.path.lexists(shared_memory.SHM_FOLDER / name)]) == []

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from bystander import Bystander, wait_for
 from leftovers import ports_of_process
-from small_site import BEGIN_NS, FRAMES, NAME, SmallSite, paint_at
+from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite, paint_at
 
 from ltm_core.errors import RecordingError
 from ltm_core.fuel.fuel_map_io import read_fuel_map
@@ -23,14 +23,14 @@ from ltm_core.vision.segmenter import Segmenter
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.graph import CAMERA_NODES, describe
-from ltm_ros.handler import Topic
+from ltm_ros.launching.graph import CAMERA_NODES, describe
+from ltm_ros.launching.runner import Runner
+from ltm_ros.launching.supervisor import RestartPolicy
 from ltm_ros.replay.live import LivePlayer
 from ltm_ros.replay.run import ReplayOptions, run_offline
 from ltm_ros.replay.selection import Selection
-from ltm_ros.runner import Runner
-from ltm_ros.supervisor import RestartPolicy
-from ltm_ros.topics import (
+from ltm_ros.runtime.handler import Topic
+from ltm_ros.runtime.topics import (
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
     FUEL_MAP_UPDATE,

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import rasterio
 from bystander import Bystander, wait_for
-from small_site import BEGIN_NS, NAME, SmallSite
-from terrain_frames import (
+from scenes.small_site import BEGIN_NS, NAME, SmallSite
+from scenes.terrain_frames import (
     HOUR,
     block_cells,
     built_up,
@@ -25,15 +25,15 @@ from terrain_frames import (
     write_terrain_site,
 )
 
-from ltm_core.tile_store import TileStore
+from ltm_core.raster.tile_store import TileStore
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.terrain import msg_to_changed
-from ltm_ros.graph import Graph, describe
+from ltm_ros.launching.graph import Graph, describe
+from ltm_ros.launching.runner import Runner
+from ltm_ros.launching.supervisor import RestartPolicy
 from ltm_ros.nodes.terrain import STORE_FILE
-from ltm_ros.runner import Runner
-from ltm_ros.supervisor import RestartPolicy
-from ltm_ros.topics import (
+from ltm_ros.runtime.topics import (
     IMAGE_RAW,
     LABELS_IMAGE,
     MEASURED_DEPTH,

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import yaml
 from bystander import Bystander, wait_for
-from depth_scene import CAMERA, depth_scene
-from networks import write_depth_network
+from scenes.depth_scene import CAMERA, depth_scene
+from scenes.networks import write_depth_network
 
 from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
@@ -20,9 +20,9 @@ from ltm_core.site_io import load_site
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_depth
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_ros.graph import Graph, describe
-from ltm_ros.runner import Runner
-from ltm_ros.topics import (
+from ltm_ros.launching.graph import Graph, describe
+from ltm_ros.launching.runner import Runner
+from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
     FUSED_DEPTH,
     FUSED_INFO,

@@ -13,8 +13,8 @@ import pytest
 from leftovers import segments_of_process, wait_gone
 
 from ltm_core.resources import config_path
-from ltm_ros import shm
-from ltm_ros.ros_environment import PROFILE_VARIABLES
+from ltm_ros.launching import shared_memory
+from ltm_ros.launching.ros_environment import PROFILE_VARIABLES
 
 pytestmark = pytest.mark.graph
 
@@ -53,14 +53,14 @@ def test_full_hd_at_10_hz_reaches_three_subscribers_whole(ros_domain: int) -> No
 def test_probe_tells_what_a_participant_gets(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
     with_profile = _probe()
     assert with_profile["rmw"] == "rmw_fastrtps_cpp"
-    assert 64 << 20 < with_profile["segment_bytes"][0] < shm.BYTES_PER_PARTICIPANT
+    assert 64 << 20 < with_profile["segment_bytes"][0] < shared_memory.BYTES_PER_PARTICIPANT
     for name in PROFILE_VARIABLES:
         monkeypatch.delenv(name, raising=False)
     assert all(size < 1 << 20 for size in _probe()["segment_bytes"])
 
 
 def _probe() -> dict[str, Any]:
-    command = [sys.executable, "-m", "ltm_ros.transport_probe"]
+    command = [sys.executable, "-m", "ltm_ros.launching.transport_probe"]
     answer: dict[str, Any] = json.loads(subprocess.check_output(command, text=True, timeout=60).splitlines()[-1])
     return answer
 
@@ -70,12 +70,12 @@ def test_profile_is_the_one_in_use(ros_domain: int) -> None:
     subscriber = _end("subscribe")
     assert subscriber.stdout is not None
     assert subscriber.stdout.readline() == "ready\n"
-    sizes = [(shm.SHM_FOLDER / name).stat().st_size for name in segments_of_process(subscriber.pid)]
+    sizes = [(shared_memory.SHM_FOLDER / name).stat().st_size for name in segments_of_process(subscriber.pid)]
     subscriber.terminate()
     subscriber.communicate()
     # The file says 64 MiB; Fast DDS adds its own book-keeping.
     assert "<segment_size>67108864</segment_size>" in config_path("fastdds.xml").read_text()
-    assert 64 << 20 < max(sizes) < shm.BYTES_PER_PARTICIPANT
+    assert 64 << 20 < max(sizes) < shared_memory.BYTES_PER_PARTICIPANT
 
 
 def test_removes_the_memory_of_the_killed_and_only_that(ros_domain: int) -> None:
@@ -83,16 +83,16 @@ def test_removes_the_memory_of_the_killed_and_only_that(ros_domain: int) -> None
     for one in (killed, living):
         assert one.stdout is not None
         assert one.stdout.readline() == "ready\n"
-    time.sleep(shm.MIN_AGE_S)
+    time.sleep(shared_memory.MIN_AGE_S)
     of_killed, of_living = locked_by(killed.pid), locked_by(living.pid)
     assert of_killed
     assert of_living
-    assert of_killed | of_living <= {*shm.survey().in_use}
+    assert of_killed | of_living <= {*shared_memory.survey().in_use}
     killed.kill()
     killed.communicate()
-    assert of_living <= {*shm.survey().in_use}
+    assert of_living <= {*shared_memory.survey().in_use}
     assert removed(segments(of_killed)) == []
-    assert of_living <= {*shm.survey().in_use}
+    assert of_living <= {*shared_memory.survey().in_use}
     living.terminate()
     living.communicate()
     # The ports are looked at by `ros_domain`; some have numbers that processes of other domains take as soon as free.
@@ -103,8 +103,8 @@ def removed(names: set[str]) -> list[str]:
     """What is left of these once the stale is removed; a runner elsewhere on this machine may be at it just now."""
 
     def left() -> list[str]:
-        shm.remove_stale()
-        return [name for name in sorted(names) if (shm.SHM_FOLDER / name).exists()]
+        shared_memory.remove_stale()
+        return [name for name in sorted(names) if (shared_memory.SHM_FOLDER / name).exists()]
 
     return wait_gone(left)
 

@@ -6,13 +6,13 @@ import time
 from pathlib import Path
 
 import pytest
-from networks import write_classifier
-from small_site import SmallSite
+from scenes.networks import write_classifier
+from scenes.small_site import SmallSite
 
 from ltm_core.site_io import load_site
-from ltm_ros.graph import Graph, describe
-from ltm_ros.runner import Runner
-from ltm_ros.supervisor import RestartPolicy
+from ltm_ros.launching.graph import Graph, describe
+from ltm_ros.launching.runner import Runner
+from ltm_ros.launching.supervisor import RestartPolicy
 
 pytestmark = pytest.mark.graph
 PATIENCE_S = 180.0

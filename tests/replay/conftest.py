@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from small_site import SmallSite, write_small_site
+from scenes.small_site import SmallSite, write_small_site
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fuel_frames import write_site
+from scenes.fuel_frames import write_site
 
 TESTS = Path(__file__).parents[1]
 FRAMES = 30
@@ -26,7 +26,7 @@ def states_of(case: str, folder: Path) -> list[dict[str, Any]]:
     disk.mkdir()
     alone = ["unshare", "-m"] if os.geteuid() == 0 else ["unshare", "--user", "--map-root-user", "-m"]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(TESTS), str(TESTS.parent)])}
-    command = [*alone, sys.executable, str(TESTS / "disk_process.py"), case, str(site), str(disk)]
+    command = [*alone, sys.executable, str(TESTS / "scenes" / "disk_process.py"), case, str(site), str(disk)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
     if done.returncode != 0 and "unshare" in done.stderr:
         pytest.skip(f"no mount namespace here: {done.stderr.strip()[:200]}")

@@ -12,15 +12,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fuel_frames import LABELS, camera_of, grid_of, message, write_site
-from outlets import Kept
+from scenes.fuel_frames import LABELS, camera_of, grid_of, message, write_site
+from scenes.outlets import Kept
 
 from ltm_core.fuel.evidence import EVIDENCE_FIELDS
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import STORE_FILE, open_stored_map
 from ltm_core.site_io import load_site
-from ltm_ros.health import Health
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
+from ltm_ros.runtime.health import Health
 
 TESTS = Path(__file__).parents[1]
 AHEAD = 25
@@ -35,7 +35,7 @@ class Aggregator:
         self._owed = owed
         environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(TESTS), str(TESTS.parent)])}
         self._process = subprocess.Popen(
-            [sys.executable, str(TESTS / "fuel_map_process.py"), str(site), str(folder)],
+            [sys.executable, str(TESTS / "scenes" / "fuel_map_process.py"), str(site), str(folder)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

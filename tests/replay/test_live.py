@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
-from small_site import SmallSite
+from scenes.small_site import SmallSite
 
 from ltm_core.camera import Camera
 from ltm_core.errors import RecordingError

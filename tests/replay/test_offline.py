@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_site import FRAMES, NAME, SmallSite
+from scenes.small_site import FRAMES, NAME, SmallSite
 from typer.testing import CliRunner
 
 from ltm_core.fuel.fuel_map_io import read_fuel_map
@@ -17,9 +17,9 @@ from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import msg_to_depth
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.cli.main import cli
-from ltm_ros.recorded_map import last_fuel_map
+from ltm_ros.recordings.recorded_map import last_fuel_map
 from ltm_ros.replay.run import ReplayOptions, run_offline
-from ltm_ros.topics import (
+from ltm_ros.runtime.topics import (
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
     FUEL_MAP,

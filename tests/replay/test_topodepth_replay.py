@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from networks import write_depth_network
-from small_site import FRAMES, NAME, SmallSite
+from scenes.networks import write_depth_network
+from scenes.small_site import FRAMES, NAME, SmallSite
 
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import msg_to_depth
-from ltm_ros.handler import Handler
 from ltm_ros.nodes.fuel_map import FuelMap
 from ltm_ros.nodes.fuel_votes import FuelVotes
 from ltm_ros.nodes.terrain import Terrain
 from ltm_ros.nodes.topodepth import TopoDepth
 from ltm_ros.replay.run import ReplayOptions, run_offline
-from ltm_ros.topics import DEPTH_IMAGE, FUSED_DEPTH, FUSED_INFO, camera_topic
+from ltm_ros.runtime.handler import Handler
+from ltm_ros.runtime.topics import DEPTH_IMAGE, FUSED_DEPTH, FUSED_INFO, camera_topic
 
 
 def test_every_frame_of_every_camera_is_fused(small_site: SmallSite, tmp_path: Path) -> None:

@@ -46,11 +46,11 @@ def bag(
     from rich.console import Console
 
     from ltm_core.errors import ConfigError, RecordingError
-    from ltm_core.metrics.depth_maps_io import DepthMapFolder
-    from ltm_ros.bag_score import DEPTH_SOURCES, score_bag
-    from ltm_ros.eval_tables import as_json, rich_table, tables
-    from ltm_ros.figures_io import write_figures
-    from ltm_ros.recorded import Recorded
+    from ltm_core.evaluation.depth.depth_maps_io import DepthMapFolder
+    from ltm_ros.evaluation.figures_io import write_figures
+    from ltm_ros.evaluation.run_score import DEPTH_SOURCES, score_bag
+    from ltm_ros.evaluation.score_tables import as_json, rich_table, tables
+    from ltm_ros.recordings.recorded_run import Recorded
 
     console = Console()
     folders: list[DepthMapFolder] = []
@@ -83,7 +83,7 @@ def bag(
         write_figures(json_path, as_json(score))
         console.print(f"figures: {json_path}")
     if report is not None:
-        from ltm_ros.eval_report import ReportInputs, write_eval_report
+        from ltm_ros.evaluation.score_report import ReportInputs, write_eval_report
 
         earlier = None
         if before is not None:

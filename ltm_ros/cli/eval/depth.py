@@ -11,7 +11,7 @@ import typer
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from ltm_core.depth.evaluation import ConditionScore
+    from ltm_core.evaluation.depth.fused_depth import ConditionScore
 
 CLAIM = (
     "The paper claims for TopoDepth errors within tens of metres, and for one-shot networks one to two orders of "
@@ -59,19 +59,19 @@ def depth(
     from rich.console import Console
 
     from ltm_core.dem import Dem
-    from ltm_core.dem_stack import with_surface
-    from ltm_core.depth.classes import DepthClasses
-    from ltm_core.depth.evaluation import DepthEvaluation, Given, conditions, upsampled_labels
+    from ltm_core.depth.class_priors import DepthClasses
     from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
-    from ltm_core.depth.truth_frames_io import is_curved, open_dem, read_truth_frames, site_frame
     from ltm_core.errors import RecordingError
-    from ltm_core.metrics.depth_maps_io import DepthMapFolder
+    from ltm_core.evaluation.depth.depth_maps_io import DepthMapFolder
+    from ltm_core.evaluation.depth.fused_depth import DepthEvaluation, Given, conditions, upsampled_labels
+    from ltm_core.evaluation.pictures.depth_sheet import depth_sheet
+    from ltm_core.evaluation.truth_frames_io import is_curved, open_dem, read_truth_frames, site_frame
     from ltm_core.pictures import to_png
-    from ltm_core.pictures.depth_sheet import depth_sheet
+    from ltm_core.raster.dem_stack import with_surface
     from ltm_core.resources import project_path
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
-    from ltm_ros.figures_io import write_figures
+    from ltm_ros.evaluation.figures_io import write_figures
 
     console = Console()
     place = source if source is not None else project_path("bags/demo/recording")
@@ -80,8 +80,8 @@ def depth(
         dem, frames, curved = open_dem(place), read_truth_frames(place, date), is_curved(place)
         frame_of_map = site_frame(place)
     else:
-        from ltm_ros.recorded import Recorded
-        from ltm_ros.truth_frames import recorded_truth_frames
+        from ltm_ros.evaluation.truth_frames import recorded_truth_frames
+        from ltm_ros.recordings.recorded_run import Recorded
 
         recorded = Recorded.find(place, site)
         name = segmentation or recorded.site.model
@@ -154,7 +154,7 @@ def _numbers(text: str) -> list[float]:
 def _table(score: ConditionScore, network: str) -> Table:
     from rich.table import Table
 
-    from ltm_ros.eval_tables import bin_name
+    from ltm_ros.evaluation.score_tables import bin_name
 
     shown = Table(title=f"{score.condition.name}: metres against the visible surface, network {network}")
     for column in ("pixels that are", "source", "true depth", "pixels", "RMSE", "MAE", "median", "bias"):

@@ -33,7 +33,7 @@ def fuel(
     json: Annotated[Path | None, typer.Option(help="Write the figures here.")] = None,
 ) -> None:
     """Score flips, false flips and right cells of the evidence map and the majority vote, trial by trial or of BAG."""
-    from ltm_ros.cli.fuel_tables import score_recording, score_trials
+    from ltm_ros.cli.eval.fuel_tables import score_recording, score_trials
 
     if bag is not None:
         score_recording(bag, site, truth, date, repeat_hours, json)

@@ -25,11 +25,11 @@ def relative_depth(
 
     from ltm_core.depth.monocular import DepthNetwork
     from ltm_core.errors import RecordingError
-    from ltm_core.vision.depth_score import bin_names, score_relative_depth
+    from ltm_core.evaluation.depth.relative_depth import bin_names, score_relative_depth
+    from ltm_core.training.labelled_frames import read_frames
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.segmenter import DEFAULT_MODEL
-    from ltm_core.vision.train.frames import read_frames
-    from ltm_ros.figures_io import write_figures
+    from ltm_ros.evaluation.figures_io import write_figures
 
     places = [folder] if (folder / "frames.json").is_file() else sorted(p.parent for p in folder.glob("*/frames.json"))
     if not places:

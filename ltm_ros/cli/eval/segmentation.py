@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from ltm_core.vision.evaluate import LabelScore
+    from ltm_core.evaluation.segmentation.network_score import LabelScore
 
 
 def segmentation(
@@ -36,10 +36,10 @@ def segmentation(
     from rich.table import Table
 
     from ltm_core.errors import RecordingError
-    from ltm_core.vision.evaluate import score_frames
+    from ltm_core.evaluation.segmentation.network_score import score_frames
+    from ltm_core.training.labelled_frames import LABELS_SUFFIX, read_frames
     from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
-    from ltm_core.vision.train.frames import LABELS_SUFFIX, read_frames
-    from ltm_ros.figures_io import write_figures
+    from ltm_ros.evaluation.figures_io import write_figures
 
     def holds_frames(path: Path) -> bool:
         return any(path.glob(f"*{LABELS_SUFFIX}"))

@@ -26,11 +26,11 @@ def sim2real(
     from rich.table import Table
 
     from ltm_core.errors import ConfigError
-    from ltm_core.metrics.distribution import Estimate
-    from ltm_core.metrics.lpips import Backbone
-    from ltm_core.metrics.picture_folder_io import pictures_in
-    from ltm_core.metrics.sim2real import advice, compare
-    from ltm_ros.figures_io import write_figures
+    from ltm_core.evaluation.sim2real.comparison import advice, compare
+    from ltm_core.evaluation.sim2real.distribution import Estimate
+    from ltm_core.evaluation.sim2real.lpips import Backbone
+    from ltm_core.evaluation.sim2real.picture_folder_io import pictures_in
+    from ltm_ros.evaluation.figures_io import write_figures
 
     if backbone not in ("alexnet", "vgg16"):
         raise ConfigError(f"--backbone {backbone!r}: LPIPS has alexnet and vgg16")

@@ -63,7 +63,7 @@ def terrain(
     is given.
     """
     from ltm_core.errors import ConfigError
-    from ltm_ros.cli import terrain_tables
+    from ltm_ros.cli.eval import terrain_tables
 
     if sum(given is not None for given in (canyon, frames, bag)) > 1:
         raise ConfigError("give one of --canyon, --frames and --bag")
@@ -81,7 +81,7 @@ def terrain(
         return
     from dataclasses import replace
 
-    from ltm_core.terrain.trials import SCENES, Conditions, Noise
+    from ltm_core.evaluation.terrain.hillside_scenes import SCENES, Conditions, Noise
 
     errors = _numbers(pose_errors, "pose-errors", 10)
     shares = _numbers(occluded, "occluded", 0.9)

@@ -1,0 +1,114 @@
+"""A network's fitted depth brought to a photo's size, its edges drawn to the photo's, one row or pixel at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.depth.error_model import Answers
+from ltm_core.depth.guided_filter import guided_coefficients
+from ltm_core.depth.scale_fit import NetworkFit
+
+Image = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class SeenDepth:
+    """A network's view of a photo, kept at the network's size.
+
+    `cells`: (4, h, w) float32 over the photo, edge to edge: gain and offset on the photo's `grey` (H, W), then the
+    greatest and the least inverse depth, 1/m, among neighbours. `columns`, `parts`: for each column of the photo the
+    cell to its left, and how far it lies towards the next. For `answers` and `gross` see `NetworkFit`.
+    """
+
+    cells: Image
+    grey: Bytes
+    columns: NDArray[np.int32]
+    parts: NDArray[np.float32]
+    answers: Answers
+    gross: float
+
+    @classmethod
+    def of(cls, fit: NetworkFit, rgb: Bytes) -> SeenDepth:
+        grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+        gain, offset = guided_coefficients(fit.inverse, grey)
+        cells = np.stack([gain, offset, fit.nearest, fit.farthest])
+        width = cells.shape[2]
+        at = (np.arange(grey.shape[1]) + 0.5) * (width / grey.shape[1]) - 0.5
+        columns = np.clip(np.floor(at), 0, width - 2).astype(np.int32)
+        return cls(cells, grey, columns, np.clip(at - columns, 0, 1).astype(np.float32), fit.answers, fit.gross)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the network's depth."""
+        _, rows, columns = self.cells.shape
+        return rows, columns
+
+    @classmethod
+    def none(cls) -> SeenDepth:
+        """In place of a network that is not there, for kernels."""
+        nothing = np.zeros((4, 2, 2), np.float32)
+        return cls(
+            nothing, np.zeros((1, 1), np.uint8), np.zeros(1, np.int32), np.zeros(1, np.float32), Answers.none(), 1.0
+        )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _row(v: int, rows: int, height: int) -> tuple[int, np.float32]:
+    """The row of cells above row `v` of a photo, and how far that lies towards the next."""
+    at = (v + 0.5) * (rows / height) - 0.5
+    row = min(max(int(np.floor(at)), 0), rows - 2)
+    return row, np.float32(min(max(at - row, 0.0), 1.0))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "contract"})  # type: ignore[untyped-decorator]
+def see_row(
+    cells: Image, grey: Bytes, columns: NDArray[np.int32], parts: NDArray[np.float32], v: int, row: Image, out: Image
+) -> None:
+    """What the network sees in row `v` of the photo, into `out` (3, W): inverse depth, 1/m, NaN where unknown, and the
+    greatest and the least that neighbours see. `row`: (4, w), to work in.
+    """
+    top, down = _row(v, cells.shape[1], grey.shape[0])
+    for k in range(4):
+        above, below, between = cells[k, top], cells[k, top + 1], row[k]
+        for x in range(cells.shape[2]):
+            between[x] = above[x] + down * (below[x] - above[x])
+    gain, offset, near, back = row[0], row[1], row[2], row[3]
+    value, nearest, farthest, tones = out[0], out[1], out[2], grey[v]
+    for u in range(grey.shape[1]):
+        x, part = columns[u], parts[u]
+        g = gain[x] + part * (gain[x + 1] - gain[x])
+        y = offset[x] + part * (offset[x + 1] - offset[x]) + g * np.float32(tones[u])
+        n = near[x] + part * (near[x + 1] - near[x])
+        f = back[x] + part * (back[x + 1] - back[x])
+        # Not min and max: NaN has to stay.
+        y = n if y > n else y
+        value[u] = f if y < f else y
+        nearest[u] = n
+        farthest[u] = f
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def see(
+    cells: Image, grey: Bytes, columns: NDArray[np.int32], parts: NDArray[np.float32], v: int, u: int
+) -> np.float32:
+    """The inverse depth, 1/m, that the network sees in one pixel."""
+    top, down = _row(v, cells.shape[1], grey.shape[0])
+    x, part = columns[u], parts[u]
+    gain = _between(cells[0], top, x, down, part)
+    y = _between(cells[1], top, x, down, part) + gain * np.float32(grey[v, u])
+    near, back = _between(cells[2], top, x, down, part), _between(cells[3], top, x, down, part)
+    y = near if y > near else y
+    return np.float32(back if y < back else y)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _between(image: Image, top: int, x: int, down: np.float32, part: np.float32) -> np.float32:
+    left = image[top, x] + down * (image[top + 1, x] - image[top, x])
+    right = image[top, x + 1] + down * (image[top + 1, x + 1] - image[top, x + 1])
+    return np.float32(left + part * (right - left))

@@ -1,0 +1,228 @@
+"""A network's depth brought to metres: one line over the image, then slow corrections where they hold on unseen ground.
+
+Everything ends as inverse depth, 1/m, since that is what a photo determines: its noise is then about even over the
+image, and far is 0 and not infinite.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.depth.error_model import RELATIVE_FLOOR, Answers
+from ltm_core.depth.ground_sampling import GroundSamples
+from ltm_core.depth.monocular import NetworkDepth
+from ltm_core.depth.robust_regression import WIDTH, Line, robust_line, robust_offset
+
+Floats = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+LEAST_INLIERS = 0.3
+"""Share of samples below which nothing holds together."""
+LEAST_EXPLAINED = 0.1
+"""Part of the ground's robust spread in inverse depth that a network must take away to be of use."""
+LIKE_TERRAIN = 0.2
+"""Relative noise below which a network is of use even over ground of one depth, where there is nothing to explain."""
+_SHIFT_GAIN = (
+    0.6  # of the residual: a shift that does not bring it there is left out, for it would rule all that is far
+)
+_TYPICAL = 0.1  # relative sigma of the terrain from which on a sample counts for less
+GROSS_SIGMAS = 3.0
+"""Joint sigmas beyond which a network's residual is no noise."""
+COVERED_GROSS = 0.5
+"""Part of the ground that a network sees much too near which is its error, and no cover that the labels missed."""
+LEAST_GROSS, NOISY_GROSS = 0.003, 0.05
+"""Least share of gross errors that a network is believed to make: as much as its relative noise, within these bounds.
+The share among samples is little to go by: one place that a network mistakes is many samples, and places are few."""
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkFit:
+    """A network's inverse depth in 1/m at its own size, and what the fit says of it.
+
+    `inverse`: (h, w) float32, 1/m, by one scale and shift. `nearest`, `farthest`: the same, the greatest and the least
+    among a pixel's neighbours: edges are soft, and halfway is neither side's depth. `answers`: what it says where the
+    truth is known. `gross`: share of answers that are no noise but wrong. `line`: scale and shift, in the measure of
+    the network's kind. `trouble`: why the fit cannot be used; empty where it can.
+    """
+
+    inverse: Image
+    nearest: Image
+    farthest: Image
+    answers: Answers
+    gross: float
+    line: Line | None
+    trouble: str
+
+    @property
+    def inlier_ratio(self) -> float:
+        return 0.0 if self.line is None else self.line.inlier_ratio
+
+
+def fit_network(network: NetworkDepth, samples: GroundSamples, size: tuple[int, int]) -> NetworkFit:
+    """Fit a network's depth to ground samples of a photo of `size` (height, width)."""
+    values = network.values
+    trouble = _unfit(values, network.kind) or _too_few(samples)
+    if trouble:
+        return _unusable(network, None, trouble)
+    at = sampled(values, samples, size)
+    known = np.isfinite(at)
+    if known.sum() < 50:
+        return _unusable(network, None, f"{int(known.sum())} of {len(samples)} ground samples have a network depth")
+    line = _line(network.kind, at[known], samples.part(known))
+    if line is None:
+        return _unusable(network, None, "the network's depth is constant over the ground samples")
+    if line.inlier_ratio < LEAST_INLIERS:
+        return _unusable(network, line, f"only {line.inlier_ratio:.0%} of the ground samples fit one scale and shift")
+    if line.scale <= 0:
+        return _unusable(network, line, f"the network's depth runs against the terrain's (scale {line.scale:.3g})")
+    inverse = _in_metres(network, line)
+    read = sampled(inverse, samples, size)
+    explained = _explained(1.0 / samples.depth, read)
+    if explained < LEAST_EXPLAINED and line.sigma > LIKE_TERRAIN:
+        return _unusable(network, line, f"the network's depth explains only {explained:.0%} of the terrain's")
+    answers = Answers.of(read, samples, size)
+    # Ground seldom vanishes, so what is farther than the terrain is an error; what is nearer may be plants as well.
+    joint = answers.joint(read, samples, size)
+    joint = joint[np.isfinite(joint)]
+    gross = float(np.mean(joint > GROSS_SIGMAS) + COVERED_GROSS * np.mean(joint < -GROSS_SIGMAS))
+    gross = max(gross, LEAST_GROSS, min(line.sigma, NOISY_GROSS))
+    return NetworkFit(inverse, *_neighbours(inverse), answers, gross, line, "")
+
+
+def sampled(image: Image, samples: GroundSamples, size: tuple[int, int]) -> Floats:
+    """An image (h, w) over the same field of view at the samples' pixels, bilinear, (N,) float64."""
+    height, width = image.shape
+    x = (samples.cols + 0.5) * (width / size[1]) - 0.5
+    y = (samples.rows + 0.5) * (height / size[0]) - 0.5
+    x, y = np.clip(x, 0, width - 1.001), np.clip(y, 0, height - 1.001)
+    c, r = x.astype(np.intp), y.astype(np.intp)
+    fx, fy = x - c, y - r
+    upper = image[r, c] * (1 - fx) + image[r, c + 1] * fx
+    lower = image[r + 1, c] * (1 - fx) + image[r + 1, c + 1] * fx
+    return np.asarray(upper * (1 - fy) + lower * fy, np.float64)
+
+
+def _unfit(values: Image, kind: str) -> str:
+    known = np.isfinite(values)
+    if kind == "metric":
+        known &= values > 0
+    share = float(known.mean())
+    if share < 0.5:
+        return f"the network gives no depth for {1 - share:.0%} of its pixels"
+    low, high = np.quantile(values[known], (0.01, 0.99))
+    if not high - low > 1e-6 * max(abs(float(low)), abs(float(high)), 1e-12):
+        return f"the network gives the same depth everywhere ({float(low):.4g})"
+    return ""
+
+
+def _too_few(samples: GroundSamples) -> str:
+    return "" if len(samples) >= 50 else f"{len(samples)} pixels of trustworthy ground are too few to fit a scale to"
+
+
+def _line(kind: str, values: Floats, samples: GroundSamples) -> Line | None:
+    """Scale and shift. Residuals of inverse depth weigh in proportion to it among the near, evenly among the far, and
+    less where the terrain itself is unsure."""
+    inverse = 1.0 / samples.depth
+    relative = samples.sigma / samples.depth
+    if kind == "relative_inverse":
+        weight = 1.0 / (np.hypot(inverse, np.median(inverse)) * np.hypot(1.0, relative / _TYPICAL))
+        plain = _through_zero(values, inverse, weight)
+        return _with_shift(plain, values, inverse, weight)
+    if kind == "affine_invariant":
+        return robust_line(values, samples.depth, inverse / np.hypot(1.0, relative / _TYPICAL), floor=RELATIVE_FLOOR)
+    known = values > 0
+    line = robust_offset(np.log(samples.depth[known]) - np.log(values[known]), floor=RELATIVE_FLOOR)
+    return None if line is None else replace(line, inliers=_spread_out(line.inliers, known))
+
+
+def _through_zero(values: Floats, inverse: Floats, weight: Floats) -> Line | None:
+    """The line without a shift; None for a network that seldom gives more than 0."""
+    positive = values > 0
+    if positive.mean() < 0.9:
+        return None
+    ratio = robust_offset(np.log(inverse[positive]) - np.log(values[positive]), floor=RELATIVE_FLOOR)
+    return None if ratio is None else _line_of(float(np.exp(ratio.shift)), 0.0, values, inverse, weight)
+
+
+def _with_shift(plain: Line | None, *given: Floats) -> Line | None:
+    """The line with a shift where that earns its place: one that hardly shows on the ground that was sampled would yet
+    decide how near or far all else is.
+
+    It is the network that is noisy and not the terrain, so the network's values are regressed on the terrain's. The
+    other way round noise flattens the line: over ground of about one depth to a constant.
+    """
+    values, inverse, weight = given
+    reach = np.subtract(*np.quantile(inverse, (0.9, 0.1)))
+    spread = np.subtract(*np.quantile(values, (0.9, 0.1)))
+    back = robust_line(inverse, values, weight, floor=RELATIVE_FLOOR * float(spread / max(reach, 1e-12)))
+    if back is None or (back.scale <= 0 and plain is not None):
+        return plain
+    if back.scale == 0:
+        return None
+    line = _line_of(1.0 / back.scale, -back.shift / back.scale, values, inverse, weight)
+    if plain is None:
+        return line
+    fewer = all(off(line, *given) < _SHIFT_GAIN * off(plain, *given) for off in (_off, _off_values))
+    return line if fewer else plain
+
+
+def _line_of(scale: float, shift: float, values: Floats, inverse: Floats, weight: Floats) -> Line:
+    off = np.abs(scale * values + shift - inverse) * weight
+    sigma = max(1.4826 * float(np.median(off)), RELATIVE_FLOOR)
+    return Line(scale, shift, sigma, off <= WIDTH * sigma)
+
+
+def _off(line: Line, values: Floats, inverse: Floats, weight: Floats) -> float:
+    """Median residual of a line, in inverse depth."""
+    return float(np.median(np.abs(line.scale * values + line.shift - inverse) * weight))
+
+
+def _off_values(line: Line, values: Floats, inverse: Floats, weight: Floats) -> float:
+    """The same in the network's values."""
+    return _off(line, values, inverse, weight) / abs(line.scale)
+
+
+def _spread_out(inliers: NDArray[np.bool_], known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    everywhere = np.zeros(len(known), np.bool_)
+    everywhere[known] = inliers
+    return everywhere
+
+
+def _explained(inverse: Floats, fitted: Floats) -> float:
+    """The part of the ground's spread in inverse depth, in proportion to it, that `fitted` takes away: a mean of what
+    is cut off at 1, since few samples may be all that lie at another depth."""
+    usable = np.isfinite(fitted)
+    inverse, fitted = inverse[usable], fitted[usable]
+    middle = np.median(inverse)
+    typical = np.hypot(inverse, middle)
+    before, after = (float(np.mean(np.minimum(np.abs(inverse - to) / typical, 1.0))) for to in (middle, fitted))
+    return 1.0 - after / max(before, 1e-12)
+
+
+def _in_metres(network: NetworkDepth, line: Line) -> Image:
+    """Inverse depth, 1/m; NaN where the line leads below 0 depth."""
+    values = network.values
+    if network.kind == "relative_inverse":
+        return (line.scale * values + line.shift).astype(np.float32)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if network.kind == "affine_invariant":
+            depth = line.scale * values + line.shift
+        else:
+            depth = np.where(values > 0, values, np.nan) * np.exp(line.shift)
+        return np.where(depth > 0, 1.0 / depth, np.nan).astype(np.float32)
+
+
+def _neighbours(image: Image) -> tuple[Image, Image]:
+    """Largest and least value among each pixel's neighbours."""
+    known = np.nan_to_num(image, nan=0.0)
+    square = np.ones((3, 3), np.uint8)
+    return np.asarray(cv2.dilate(known, square), np.float32), np.asarray(cv2.erode(known, square), np.float32)
+
+
+def _unusable(network: NetworkDepth, line: Line | None, trouble: str) -> NetworkFit:
+    nothing = np.full(network.values.shape, np.nan, np.float32)
+    return NetworkFit(nothing, nothing, nothing, Answers.none(), 1.0, line, trouble)

@@ -1,0 +1,179 @@
+"""TopoDepth: traced depth and a network's depth of one photo made one, pixel by pixel, by what each is worth there.
+
+After the paper's pixel sampling and RANSAC regression (the LTM paper, after FireLoc): the network's free scale comes
+from pixels whose terrain can be trusted, and so does what the network says where the depth is known. The terrain's
+answer is brought to the visible surface, by the height of what the labels say grows there or by a canopy raster, and at
+silhouettes by the photo. Then every pixel is decided: see `combine`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from enum import IntEnum, StrEnum
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.depth_discontinuities import Edges
+from ltm_core.depth.expected_surface import expected_surface
+from ltm_core.depth.ground_sampling import ground_samples
+from ltm_core.depth.guided_upsampling import SeenDepth
+from ltm_core.depth.monocular import NetworkDepth
+from ltm_core.depth.network_measurement import MeasuredDepth
+from ltm_core.depth.occlusion_boundaries import raise_silhouettes
+from ltm_core.depth.occlusion_prior import Standing
+from ltm_core.depth.pixel_fusion import combine
+from ltm_core.depth.pose_check import PoseCheck, check_pose
+from ltm_core.depth.scale_fit import NetworkFit, fit_network
+from ltm_core.depth.unknown_regions import clear_beyond
+from ltm_core.errors import ImageError
+from ltm_core.range_image import DepthImage, RangeImage
+
+Image = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+
+
+class Source(IntEnum):
+    """Where a pixel's depth comes from: the values of `FusedDepth.source`."""
+
+    UNKNOWN = 0
+    TERRAIN = 1
+    NETWORK = 2
+    BOTH = 3
+    SKY = 4
+
+
+class Verdict(StrEnum):
+    """Whether an image's fused depth can be relied on."""
+
+    OK = "ok"
+    POSE_SUSPECTED = "pose_suspected"
+    """The terrain does not lie where the photo has it: traced depth as it is, nothing fused."""
+    NETWORK_UNUSABLE = "network_unusable"
+    """The network's depth does not fit the terrain: the terrain's answer alone, refined by photo and labels."""
+    NO_TERRAIN = "no_terrain"
+    """No pixel was traced to known ground."""
+
+
+@dataclass(frozen=True)
+class FusionSettings:
+    """angle_sigma: of a camera's direction, radians, beside what its pose's covariance says. dem_sigma: of the
+    terrain's heights, metres. label_columns: of the network that made the labels, whose edges are no finer; 0: they
+    are the photo's own."""
+
+    angle_sigma: float = float(np.radians(0.03))
+    dem_sigma: float = 1.0
+    label_columns: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class FusedDepth:
+    """Fused depth of one photo.
+
+    `depth`, `sigma`: (H, W) float32 metres along the optical axis; +inf sky, NaN unknown (sigma is NaN for both).
+    `source`: (H, W) uint8 `Source`. `ground`: (H, W) float32, the traced depth of bare ground, untouched: where it
+    differs from `depth`, what is seen stands before it. `inlier_ratio`: of the network's fit to trusted ground.
+    `verdict`, and `reason` in words where it is not ok. `fit`: the network's fit, None where there was no network.
+    """
+
+    depth: Image
+    sigma: Image
+    source: Bytes
+    ground: Image
+    inlier_ratio: float
+    verdict: Verdict
+    reason: str
+    pose: PoseCheck
+    fit: NetworkFit | None = field(default=None, repr=False)
+
+    def measured(self) -> MeasuredDepth:
+        """What the network alone measures: nothing where it, or the pose, cannot be relied on."""
+        if self.fit is None or self.verdict is not Verdict.OK:
+            return MeasuredDepth.none()
+        return MeasuredDepth.of(self.fit)
+
+    def info(self) -> dict[str, Any]:
+        """JSON-ready: what `fused/info` carries."""
+        line = self.fit.line if self.fit is not None else None
+        shares = cv2.calcHist([self.source], [0], None, [len(Source)], [0, len(Source)]).ravel() / max(
+            1, self.source.size
+        )
+        return {
+            "verdict": self.verdict.value,
+            "reason": self.reason,
+            "inlier_ratio": round(self.inlier_ratio, 4),
+            "scale": line.scale if line is not None else None,
+            "shift": line.shift if line is not None else None,
+            "regional": bool(self.fit is not None and self.fit.answers.regional),
+            "share": {source.name.lower(): round(float(shares[source]), 4) for source in Source},
+            "pose": {k: round(v, 4) if isinstance(v, float) else v for k, v in asdict(self.pose).items()},
+        }
+
+
+def fuse(
+    traced: RangeImage | DepthImage,
+    network: NetworkDepth | None,
+    rgb: Bytes,
+    labels: Bytes | None,
+    classes: DepthClasses,
+    settings: FusionSettings | None = None,
+    surface: RangeImage | DepthImage | None = None,
+) -> FusedDepth:
+    """Fuse one photo's depths.
+
+    Args:
+        traced: what the tracer gave over bare ground.
+        network: the network's depth of the same photo at its own size; None: terrain, labels and photo alone.
+        rgb: (H, W, 3) uint8, the photo.
+        labels: (H, W) uint8 class ids, or None.
+        classes: what these mean.
+        settings: sigmas of what goes in.
+        surface: what the tracer gave over a surface raster (canopy), where there is one.
+
+    Raises ImageError where sizes differ.
+    """
+    ground = traced.depth()
+    size = ground.shape
+    for what, shape in (
+        ("photo", rgb.shape[:2]),
+        ("label image", size if labels is None else labels.shape),
+        ("surface's depth", size if surface is None else (surface.camera.height, surface.camera.width)),
+    ):
+        if shape != size:
+            raise ImageError(f"{what} of {shape} does not fit the traced depth of {size} (rows, columns)")
+    settings = FusionSettings() if settings is None else settings
+    camera = traced.camera
+    cell = max(1.0, size[1] / settings.label_columns) if settings.label_columns else 1.0
+    edges = Edges.of(ground)
+    check = check_pose(rgb, ground, camera, settings.angle_sigma, settings.dem_sigma, labels, classes, cell, edges)
+    # A sample first: where it has ground, as it nearly always does, that is all.
+    if not (np.isfinite(ground[::16, ::16]).any() or np.isfinite(ground).any()):
+        return _traced_alone(ground, Verdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM", check)
+    if check.suspected:
+        return _traced_alone(ground, Verdict.POSE_SUSPECTED, check.reason, check)
+    expected, sigma = expected_surface(
+        ground, labels, classes.cover, camera, traced.pose, settings.angle_sigma, settings.dem_sigma
+    )
+    samples = ground_samples(expected, sigma, labels, classes.ground, camera.fy)
+    fit = None if network is None else fit_network(network, samples, (size[0], size[1]))
+    source = np.empty(size, np.uint8)
+    beside = SeenDepth.of(fit, rgb) if fit is not None and not fit.trouble else None
+    standing = None if beside is None else Standing.of(ground, labels, classes, camera, traced.pose, beside.shape)
+    raise_silhouettes(rgb, ground, expected, sigma, labels, classes, camera, beside, edges)
+    combine(expected, sigma, None if surface is None else surface.depth(), beside, standing, labels, classes, source)
+    clear_beyond(ground, expected, sigma, source)
+    verdict, reason = Verdict.OK, ""
+    if fit is not None and fit.trouble:
+        verdict, reason = Verdict.NETWORK_UNUSABLE, fit.trouble
+    return FusedDepth(
+        expected, sigma, source, ground, fit.inlier_ratio if fit is not None else 0.0, verdict, reason, check, fit
+    )
+
+
+def _traced_alone(ground: Image, verdict: Verdict, reason: str, check: PoseCheck) -> FusedDepth:
+    source = np.where(np.isfinite(ground), Source.TERRAIN, np.where(np.isnan(ground), Source.UNKNOWN, Source.SKY))
+    sigma = np.full(ground.shape, np.nan, np.float32)
+    return FusedDepth(ground, sigma, source.astype(np.uint8), ground, 0.0, verdict, reason, check)

@@ -1,0 +1,1 @@
+"""Study wing: scores of every part against truth. Nothing that a tower runs imports it."""

@@ -1,0 +1,1 @@
+"""Traced, network and fused depth against true depth."""

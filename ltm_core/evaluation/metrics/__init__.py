@@ -1,0 +1,1 @@
+"""Measures of depth, labels, maps and skylines against truth."""

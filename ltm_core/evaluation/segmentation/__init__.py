@@ -1,0 +1,1 @@
+"""Label networks against labelled frames."""

@@ -1,0 +1,118 @@
+"""A segmenter on labelled frames, and its time on photos."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ltm_core.evaluation.metrics.confidence import CalibrationScore
+from ltm_core.evaluation.metrics.segmentation import SegmentationScore
+from ltm_core.evaluation.metrics.skyline import SkylineScore, SkylineTally, skyline
+from ltm_core.training.labelled_frames import Frame
+from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.segmenter import Segmenter
+
+_LAND_AND_SKY = (Label.SKY, Label.GRASS, Label.SHRUB, Label.TREE, Label.BARE)
+_SKYLINE_WIDTH = 512  # pixels, to which skyline errors are brought
+
+
+@dataclass(frozen=True)
+class LabelScore:
+    """Scores of one segmenter on one set of frames. Skyline errors are in pixels of a photo 512 wide."""
+
+    labels: SegmentationScore
+    calibration: CalibrationScore
+    skyline: SkylineScore
+    milliseconds: float
+
+    @property
+    def macro_f1(self) -> float:
+        """Mean F1 of sky, grass, shrub, tree and bare, of those that occur."""
+        return self.labels.macro_f1(_LAND_AND_SKY)
+
+    @property
+    def sky_iou(self) -> float:
+        return float(self.labels.iou[Label.SKY])
+
+    def summary(self, names: tuple[str, ...]) -> dict[str, Any]:
+        """All figures, JSON-ready; None for what does not occur."""
+        score = self.labels
+
+        def by_class(values: npt.NDArray[np.float64]) -> dict[str, float | None]:
+            return {name: _known(float(values[k])) for k, name in enumerate(names)}
+
+        return {
+            "pixels": score.pixels,
+            "f1": by_class(score.f1),
+            "iou": by_class(score.iou),
+            "macro_f1": _known(self.macro_f1),
+            "sky_iou": _known(self.sky_iou),
+            "skyline_median_px": _known(self.skyline.median),
+            "skyline_p95_px": _known(self.skyline.p95),
+            "skyline_columns": self.skyline.columns,
+            "skyline_missed": self.skyline.missed,
+            "accuracy": _known(score.accuracy),
+            "unlabelled": _known(score.unlabelled),
+            "ece": _known(self.calibration.ece),
+            "milliseconds": self.milliseconds,
+            "confusion": score.confusion.tolist(),
+        }
+
+
+def score_frames(segmenter: Segmenter, frames: Sequence[Frame], zoom: float = 1.0) -> LabelScore:
+    """Label each frame and compare with its truth, where that is known."""
+    classes = len(segmenter.labels)
+    labels, calibration, tally = SegmentationScore.empty(classes), CalibrationScore.empty(), SkylineTally()
+    times = []
+    for frame in frames:
+        start = time.perf_counter()
+        found = segmenter.segment(frame.image, zoom)
+        times.append((time.perf_counter() - start) * 1e3)
+        labels = labels.plus(frame.labels, found.labels)
+        calibration = calibration.plus(frame.labels, found.labels, found.confidence, classes)
+        scale, step = np.float32(_SKYLINE_WIDTH / frame.labels.shape[1]), _truth_step(frame.labels)
+        sampled = frame.labels[::step, ::step]
+        # Where truth's sky ends at a pixel of which nothing is known, its skyline may lie lower: not compared.
+        truth = skyline(sampled == Label.SKY, sampled >= classes)
+        half = np.float32((step - 1) / 2)  # the tally's own offset, which must not be scaled
+        tally.add(scale * (skyline(found.labels == Label.SKY) + half) - half, scale * truth, step)
+    return LabelScore(labels, calibration, tally.score(), float(np.median(times)))
+
+
+def score_segmenter(
+    segmenter: Segmenter, pairs: Iterable[tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]]
+) -> SegmentationScore:
+    """Score over pairs of photo (H, W, 3) uint8 RGB and true labels (H, W) uint8 (255: truth unknown)."""
+    score = SegmentationScore.empty(len(segmenter.labels))
+    for image, truth in pairs:
+        score = score.plus(truth, segmenter.segment(image).labels)
+    return score
+
+
+def segment_milliseconds(
+    segmenter: Segmenter, images: Sequence[npt.NDArray[np.uint8]], repeats: int = 5
+) -> npt.NDArray[np.float64]:
+    """Wall time of `segment` in ms, of each call on each image, after one call that is not counted."""
+    segmenter.segment(images[0])
+    times = []
+    for _ in range(repeats):
+        for image in images:
+            start = time.perf_counter()
+            segmenter.segment(image)
+            times.append((time.perf_counter() - start) * 1e3)
+    return np.array(times)
+
+
+def _truth_step(labels: npt.NDArray[np.uint8]) -> int:
+    """Rows between those that hold truth: 1, or n where only every n-th pixel is labelled."""
+    rows = np.flatnonzero((labels != UNLABELLED).any(axis=1))
+    return int(np.diff(rows).min()) if len(rows) > 1 else 1
+
+
+def _known(value: float) -> float | None:
+    return value if np.isfinite(value) else None

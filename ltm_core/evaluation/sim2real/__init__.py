@@ -1,0 +1,1 @@
+"""How far simulated pictures are from real ones."""

@@ -1,0 +1,137 @@
+"""Simulated frames with true depth, from a folder of `ltm simulate`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import RecordingError
+from ltm_core.geodesy import SiteFrame, ray_bend
+from ltm_core.pose import Pose
+from ltm_core.range_image import RangeImage
+
+
+@dataclass(frozen=True, eq=False)
+class TruthFrame:
+    """A photo (H, W, 3) with what is true of every `step`-th of its pixels, (h, w) from the first: `surface` and
+    `ground`, depth along the optical axis of what is seen and of bare ground, +inf sky; `labels`, class ids; `changed`,
+    whether the ground or what grows there is another than at the time of the DEM.
+    """
+
+    camera_name: str
+    stamp_ns: int
+    camera: Camera
+    pose: Pose
+    photo: NDArray[np.uint8]
+    surface: NDArray[np.float32]
+    ground: NDArray[np.float32]
+    labels: NDArray[np.uint8]
+    changed: NDArray[np.bool_]
+    date: str = ""
+
+    @property
+    def step(self) -> int:
+        across: int = self.surface.shape[1]
+        return round(self.camera.width / across)
+
+
+def open_dem(folder: Path) -> Dem:
+    """The outdated DEM of a folder of `ltm simulate`, in the map frame. Raises RecordingError, RasterError."""
+    return Dem.open(folder / "dem.tif").in_frame(site_frame(folder))
+
+
+def site_frame(folder: Path) -> SiteFrame:
+    """The map frame of a folder. Raises RecordingError."""
+    return _frame(_index(folder))
+
+
+def scenario_name(folder: Path) -> str:
+    """Of what a folder shows. Raises RecordingError."""
+    return str(_index(folder)["scenario"])
+
+
+def is_curved(folder: Path) -> bool:
+    """Whether the earth's curvature is in the scene of a folder. Raises RecordingError."""
+    return bool(_index(folder)["curvature"])
+
+
+def read_truth_frames(folder: Path, date: str = "") -> Iterator[TruthFrame]:
+    """The frames of a folder, of one date where it has several (empty: all). Raises RecordingError."""
+    index = _index(folder)
+    frame, bend = _frame(index), ray_bend(bool(index["curvature"]), 0.13)
+    first = next((d["name"] for d in index.get("dates", [])), "")
+    for entry in index["frames"]:
+        when = entry.get("date", "")
+        if date and when != date:
+            continue
+        photo = cv2.imread(str(folder / entry["image"]), cv2.IMREAD_COLOR)
+        if photo is None:
+            raise RecordingError(f"{folder / entry['image']}: the frame's picture is missing or broken")
+        camera, sampled = (_camera(entry[key]) for key in ("camera", "truth_camera"))
+        pose = Pose.from_angles(entry["position"], entry["azimuth_deg"], entry["pitch_deg"], entry["roll_deg"])
+        try:
+            with np.load(folder / entry["truth"]) as truth:
+                surface = RangeImage(truth["range_surface"].astype(np.float32), sampled, pose, bend)
+                ground = RangeImage(truth["range_ground"].astype(np.float32), sampled, pose, bend).depth()
+                labels = truth["labels"].astype(np.uint8)
+        except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+            raise RecordingError(f"{folder / entry['truth']}: no truth of the frame ({error})") from error
+        change = folder / "truth" / f"change_{first}_{when}.tif"
+        changed = _changed(surface, change, frame) if change.is_file() else np.zeros(labels.shape, np.bool_)
+        yield TruthFrame(
+            entry["camera_name"],
+            int(entry["stamp_ns"]),
+            camera,
+            pose,
+            np.ascontiguousarray(photo[..., ::-1]),
+            surface.depth(),
+            ground,
+            labels,
+            changed,
+            when,
+        )
+
+
+def dates(folder: Path) -> list[str]:
+    """Names of a folder's dates; empty where it has one only."""
+    return [date["name"] for date in _index(folder).get("dates", [])]
+
+
+def _changed(surface: RangeImage, change: Path, frame: SiteFrame) -> NDArray[np.bool_]:
+    import rasterio
+
+    points = surface.points()
+    with rasterio.open(change) as source:
+        bits = source.read(1)
+        to_cell = ~source.transform
+    x, y = points[..., 0].astype(np.float64) + frame.x_origin, points[..., 1].astype(np.float64) + frame.y_origin
+    seen = np.isfinite(x)
+    col, row = (np.floor(np.where(seen, c, -1)).astype(np.int64) for c in to_cell * (x, y))
+    seen &= (row >= 0) & (col >= 0) & (row < bits.shape[0]) & (col < bits.shape[1])
+    return np.asarray(seen & (bits[np.where(seen, row, 0), np.where(seen, col, 0)] > 0), np.bool_)
+
+
+def _index(folder: Path) -> dict[str, Any]:
+    file = folder / "frames.json"
+    try:
+        return dict(json.loads(file.read_text(encoding="utf-8")))
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{file}: no index of simulated frames ({error}); `ltm simulate` writes one") from error
+
+
+def _frame(index: dict[str, Any]) -> SiteFrame:
+    return SiteFrame(index["crs"], *index["origin"])
+
+
+def _camera(entry: dict[str, Any]) -> Camera:
+    return Camera(**entry | {"distortion": tuple(entry["distortion"])})

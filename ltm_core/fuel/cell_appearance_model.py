@@ -1,0 +1,116 @@
+"""What a cell of each life form looks like to a network: the likelihood of the labels that a frame shows there.
+
+Labels are of pixels, and a pixel shows the first plant on its ray, which is counted where the ray meets bare terrain
+behind it. From a low eye tall plants so fill more of a cell's pixels than of its ground, and those of the cells behind
+too. How much, depends on the angle at which the ground is seen and on what stands next to the cell along the sight
+line. `CellLook` knows this from cells of known form: a logistic regression with as many cells of each form gives
+the log ratios of the likelihoods of what is seen (Qin, Biometrika 85, 1998), without a model of the plants.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from ltm_core.fuel.life_form import FORMS, LifeForm
+from ltm_core.strict_model import StrictModel
+
+SEEN: Final = 1 + 4 * FORMS
+"""What is looked at: a one, the shares of labels in the cell, these times how sure the labels are, and the shares in
+the cell before it and in the cell behind it."""
+USUAL: Final = 0.7
+"""Confidence of labels from which is told how sure they are, and that of labels that do not say."""
+_NAMES: Final = tuple(form.name.lower() for form in LifeForm)
+
+
+class CellLookFile(StrictModel):
+    """`incidence`: rising cosines of the angle between sight and the ground's normal. `weights`: of each form that the
+    network was tried on, at each of them: of what is looked at (`SEEN`).
+    """
+
+    incidence: list[float] = Field(min_length=2)
+    weights: dict[str, list[list[float]]]
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if any(b <= a for a, b in zip(self.incidence, self.incidence[1:], strict=False)):
+            raise ValueError(f"incidence must rise, got {self.incidence}")
+        if len(self.weights) < 2 or not set(self.weights) <= set(_NAMES):
+            raise ValueError(f"weights must be of two or more of {', '.join(_NAMES)}; got {', '.join(self.weights)}")
+        for form, rows in self.weights.items():
+            if len(rows) != len(self.incidence) or any(len(row) != SEEN for row in rows):
+                raise ValueError(f"weights.{form}: must be {len(self.incidence)} rows of {SEEN}")
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class CellLook:
+    """`incidence`: (K,) rising cosines. `weights`: (FORMS, K, SEEN), between which it is linear; NaN for a form that
+    the network was never tried on.
+    """
+
+    incidence: NDArray[np.float64]
+    weights: NDArray[np.float64]
+
+    @classmethod
+    def of_file(cls, file: CellLookFile) -> CellLook:
+        weights = np.full((FORMS, len(file.incidence), SEEN), np.nan)
+        for form, rows in file.weights.items():
+            weights[_NAMES.index(form)] = rows
+        return cls(np.array(file.incidence), weights)
+
+    def as_file(self) -> CellLookFile:
+        known = {form.name.lower(): self.weights[form - 1] for form in LifeForm if self.known[form - 1]}
+        return CellLookFile(
+            incidence=self.incidence.tolist(),
+            weights={name: np.round(rows, 2).tolist() for name, rows in known.items()},
+        )
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """(FORMS,): forms that the network was tried on."""
+        return np.isfinite(self.weights[:, 0, 0])
+
+    def log_likelihood(self, seen: NDArray[np.float64], cosine: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N, FORMS) of what is seen, (N, SEEN), up to a constant for each cell; -inf for forms that are not known."""
+        inputs = at_incidence(seen, cosine, self.incidence)
+        result = inputs @ np.nan_to_num(self.weights.reshape(FORMS, -1)).T
+        return np.where(self.known, result, -np.inf)
+
+
+def what_is_seen(
+    rows: NDArray[np.int64],
+    cols: NDArray[np.int64],
+    shares: NDArray[np.float64],
+    bearing: NDArray[np.floating],
+    confidence: NDArray[np.floating] | None,
+) -> NDArray[np.float64]:
+    """(N, SEEN) of the cells of a frame with label shares (N, FORMS) of mean confidence (N,), seen in directions
+    `bearing` (N,), radians clockwise from grid north. A neighbour that the frame does not show is taken to look like
+    the cell itself.
+    """
+    n = len(rows)
+    if n == 0:
+        return np.zeros((0, SEEN))
+    sure = np.zeros(n) if confidence is None else confidence - USUAL
+    top, left = rows.min() - 1, cols.min() - 1
+    index = np.full((rows.max() - top + 2, cols.max() - left + 2), -1, np.int64)
+    index[rows - top, cols - left] = np.arange(n)
+    north, east = np.rint(np.cos(bearing)).astype(np.int64), np.rint(np.sin(bearing)).astype(np.int64)
+    blocks = [np.ones((n, 1)), shares, sure[:, None] * shares]
+    for step in (-1, 1):
+        beside = index[rows - top - step * north, cols - left + step * east]
+        blocks.append(shares[np.where(beside < 0, np.arange(n), beside)])
+    return np.concatenate(blocks, axis=1)
+
+
+def at_incidence(
+    seen: NDArray[np.float64], cosine: NDArray[np.float64], incidence: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(N, K SEEN): what is seen, times what each of the K incidences weighs where the cell lies between them."""
+    weigh = np.stack([np.interp(cosine, incidence, one) for one in np.eye(len(incidence))], axis=1)
+    return np.asarray((weigh[:, :, None] * seen[:, None, :]).reshape(len(seen), len(incidence) * seen.shape[1]))

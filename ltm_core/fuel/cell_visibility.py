@@ -1,0 +1,121 @@
+"""How a frame sees each fuel cell: how coarsely, how obliquely, and how well it is known that it is this cell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import ImageError
+from ltm_core.pose import Pose
+from ltm_core.visibility.footprint import arrival_directions
+from ltm_core.visibility.point_uncertainty import checked_covariance
+
+Floats = NDArray[np.float64]
+Column = NDArray[np.float32]
+
+_LEAST_FACING = 0.02
+"""Sine of about 1 degree: sight along the ground is not taken to be flatter, first order would give infinities."""
+
+
+@dataclass(frozen=True, eq=False)
+class CellSighting:
+    """(N,) float32 each.
+
+    `cos_incidence`: of the angle between sight and the ground's normal; 0 along the ground and where it is not known.
+    `footprint`: metres of ground, away from the camera, that one pixel covers. `sigma_along`, `sigma_across`: metres
+    by which the pose's uncertainty may misplace the cell on the map, away from the camera and sideways. `bearing`:
+    radians clockwise from grid north in which the camera looks at the cell.
+    """
+
+    cos_incidence: Column
+    footprint: Column
+    sigma_along: Column
+    sigma_across: Column
+    bearing: Column
+
+    def __post_init__(self) -> None:
+        lengths = [np.shape(column) for column in self.columns()]
+        if len(set(lengths)) != 1 or len(lengths[0]) != 1:
+            raise ImageError(f"the columns of a sighting disagree in shape: {lengths}")
+
+    def columns(self) -> tuple[Column, ...]:
+        return self.cos_incidence, self.footprint, self.sigma_along, self.sigma_across, self.bearing
+
+    def placement(self, cell: float) -> NDArray[np.float64]:
+        """In (0, 1]: how much a cell of `cell` metres is worth as seen here; 1 for a frame that resolves it and looks
+        at it squarely. It is the share of the cell in the area over which one pixel's vote may really lie.
+        """
+        along = np.hypot(self.footprint, self.sigma_along).astype(np.float64)
+        return np.asarray(cell / np.hypot(cell, along) * (cell / np.hypot(cell, self.sigma_across)), np.float64)
+
+    def only(self, chosen: NDArray[Any]) -> CellSighting:
+        return CellSighting(*(column[chosen] for column in self.columns()))
+
+    def __len__(self) -> int:
+        return len(self.bearing)
+
+
+def sight_cells(
+    x: Floats,
+    y: Floats,
+    dem: Dem,
+    cell: float,
+    camera: Camera,
+    pose: Pose,
+    bend: float = 0.0,
+    covariance: ArrayLike | None = None,
+) -> CellSighting:
+    """Sighting of the ground at map points (N,), with its slope taken over the width of a cell.
+
+    To first order, as `uncertainty.traced_uncertainty`: a camera moved by o and turned by w moves the ray's end by
+    q = o + w x p, and the traced point by q - d (n.q) / (n.d). Raises PoseError for a covariance that is none.
+    """
+    ground = np.column_stack([x, y, dem.elevation_at(x, y)])
+    if len(ground) == 0:
+        return CellSighting(*(np.zeros(0, np.float32) for _ in range(5)))
+    normals = _normals(dem, x, y, cell / 2)
+    known = np.isfinite(ground[:, 2]) & np.isfinite(normals[:, 0])
+    ground[~known, 2] = pose.position[2]
+    normals[~known] = (0.0, 0.0, 1.0)
+    arriving = arrival_directions(pose.position, ground, bend)
+    lever = ground - pose.position
+    facing = -np.einsum("ni,ni->n", normals, arriving)
+    cosine = np.where(known, np.clip(facing, 0.0, 1.0), 0.0)
+    facing = np.maximum(facing, _LEAST_FACING)
+    distance = np.linalg.norm(lever, axis=1)
+    footprint = distance / (min(camera.fx, camera.fy) * facing)
+    bearing = np.arctan2(lever[:, 0], lever[:, 1])
+    along, across = _sigmas(arriving, lever, normals, facing, bearing, covariance)
+    return CellSighting(*(np.asarray(c, np.float32) for c in (cosine, footprint, along, across, bearing)))
+
+
+def _normals(dem: Dem, x: Floats, y: Floats, half: float) -> Floats:
+    """Upward unit normals (N, 3) of the ground over `half` metres each way; NaN where a height is unknown."""
+    east = (dem.elevation_at(x + half, y) - dem.elevation_at(x - half, y)) / (2 * half)
+    north = (dem.elevation_at(x, y + half) - dem.elevation_at(x, y - half)) / (2 * half)
+    length = np.sqrt(1 + east**2 + north**2)
+    return np.column_stack([-east / length, -north / length, 1 / length])
+
+
+def _sigmas(
+    arriving: Floats, lever: Floats, normals: Floats, facing: Floats, bearing: Floats, covariance: ArrayLike | None
+) -> tuple[Floats, Floats]:
+    """Horizontal sigmas of the traced points, away from the camera and sideways, metres."""
+    if covariance is None:
+        return np.zeros(len(lever)), np.zeros(len(lever))
+    matrix = checked_covariance(covariance)
+    sigmas = []
+    for level in ((np.sin(bearing), np.cos(bearing)), (np.cos(bearing), -np.sin(bearing))):
+        # The component h.(q - d (n.q) / (n.d)) of a level direction h is g.q with g = h + n (h.d) / facing.
+        slope = (level[0] * arriving[:, 0] + level[1] * arriving[:, 1]) / facing
+        g = normals * slope[:, None]
+        g[:, 0] += level[0]
+        g[:, 1] += level[1]
+        row = np.concatenate([g, np.cross(lever, g)], axis=1)
+        sigmas.append(np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", row, matrix, row), 0)))
+    return sigmas[0], sigmas[1]

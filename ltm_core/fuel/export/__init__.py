@@ -1,0 +1,1 @@
+"""Fuel maps as the files that fire models and GIS read."""

@@ -1,0 +1,138 @@
+"""Writing landscapes as GeoTIFF and as the folder of rasters that ELMFIRE reads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import ConfigError, RasterError
+from ltm_core.fuel.codes import FuelSystem
+from ltm_core.fuel.decision import FuelLayers
+from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, LANDSCAPE_UNITS, Landscape
+from ltm_core.fuel.life_form import NODATA
+from ltm_core.grid import GridGeometry
+from ltm_core.raster.raster_io import write_geotiff
+
+MOST_CELLS: Final = 60_000_000
+MOST_NODATA: Final = 0.5
+"""Share of cells; with more, and with more cells than that, FlamMap and IFTDSS refuse a GeoTIFF landscape."""
+_ELMFIRE: Final[Mapping[str, str]] = {
+    "dem": "elevation",
+    "slp": "slope",
+    "asp": "aspect",
+    "cc": "cover",
+    "ch": "height",
+    "cbh": "base_height",
+    "cbd": "bulk_density",
+}
+
+
+def write_landscape(path: Path | str, landscape: Landscape) -> Path:
+    """Write the eight bands as one GeoTIFF, as FlamMap 6.2 and IFTDSS take it.
+
+    Raises RasterError for a landscape that they would refuse, ConfigError where it cannot be written.
+    """
+    path = Path(path)
+    cells = landscape.geometry.width * landscape.geometry.height
+    if cells >= MOST_CELLS:
+        raise RasterError(f"{path}: {cells} cells; FlamMap takes less than {MOST_CELLS}: export a part")
+    unknown = float((landscape.bands == NODATA).any(axis=0).mean())
+    if unknown > MOST_NODATA:
+        raise RasterError(
+            f"{path}: {unknown:.0%} of the cells have no data, FlamMap takes at most {MOST_NODATA:.0%}: give the site "
+            "a prior fuel map, or a DEM that covers it"
+        )
+    write_raster(path, landscape.bands, landscape.geometry, NODATA, LANDSCAPE_BANDS, LANDSCAPE_UNITS)
+    return path
+
+
+def write_elmfire(folder: Path | str, landscape: Landscape) -> Path:
+    """Write the rasters that ELMFIRE's inputs name: adjustment factors of 1 and nothing burning besides.
+
+    Raises ConfigError where the folder cannot be made.
+    """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be made ({error.strerror})") from error
+    fuel = "fbfm40" if landscape.system is FuelSystem.FBFM40 else "fbfm13"
+    for name, band in {**_ELMFIRE, fuel: "fuel"}.items():
+        write_raster(folder / f"{name}.tif", landscape.band(band), landscape.geometry, NODATA)
+    ones = np.ones(landscape.geometry.shape, np.float32)
+    for name in ("adj", "phi"):
+        write_raster(folder / f"{name}.tif", ones, landscape.geometry, NODATA)
+    return folder
+
+
+def write_raster(
+    path: Path,
+    array: NDArray[Any],
+    geometry: GridGeometry,
+    nodata: float | None,
+    names: tuple[str, ...] = (),
+    units: tuple[str, ...] = (),
+    colormap: Mapping[int, tuple[int, int, int]] | None = None,
+    tags: Mapping[str, str] | None = None,
+) -> None:
+    """A GeoTIFF that appears whole or not at all, its bands named. Raises ConfigError where it cannot be written."""
+    import rasterio
+
+    partial = path.with_name(f".{path.stem}.partial.tif")
+    try:
+        write_geotiff(partial, array, geometry, nodata, colormap, tags)
+        if names:
+            with rasterio.open(partial, "r+") as sink:
+                sink.descriptions, sink.units = names, units
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise ConfigError(f"{path}: cannot be written there ({error})") from error
+
+
+def write_layers(folder: Path, layers: FuelLayers, geometry: GridGeometry) -> None:
+    """Every layer as a Cloud Optimized GeoTIFF of its name. Raises ConfigError where it cannot be written."""
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be made ({error.strerror})") from error
+    nodata = {"prior": NODATA, "code": NODATA, "life_form": 255, "p_max": float("nan"), "entropy": float("nan")}
+    for name, layer in vars(layers).items():
+        # GeoTIFF has no booleans, and seconds are fine enough for when a cell was seen.
+        stored = layer.astype("uint8") if layer.dtype == bool else layer
+        stored = (layer // 10**9).astype("uint32") if name == "last_seen" else stored
+        write_cog(folder / f"{name}.tif", stored, geometry, nodata.get(name))
+
+
+def write_cog(path: Path, array: NDArray[Any], geometry: GridGeometry, nodata: float | None) -> None:
+    """A Cloud Optimized GeoTIFF of one band, (H, W), with overviews by nearest cell.
+
+    Raises ConfigError where it cannot be written.
+    """
+    from rasterio.io import MemoryFile
+    from rasterio.shutil import copy
+
+    partial = path.with_name(f".{path.stem}.partial.tif")
+    try:
+        with MemoryFile() as memory:
+            with memory.open(
+                driver="GTiff",
+                width=geometry.width,
+                height=geometry.height,
+                count=1,
+                dtype=array.dtype,
+                crs=geometry.crs,
+                transform=geometry.transform(),
+                nodata=nodata,
+            ) as sink:
+                sink.write(array, 1)
+            with memory.open() as source:
+                copy(source, partial, driver="COG", compress="deflate", resampling="nearest")
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise ConfigError(f"{path}: cannot be written there ({error})") from error

@@ -1,0 +1,1 @@
+"""Camera poses from what a picture shows: resection from surveyed control points."""

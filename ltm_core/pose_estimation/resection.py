@@ -1,0 +1,182 @@
+"""Resection: a camera's angles, focal length, k1 and position from ground control points.
+
+The adjustment minimises the distances in the image between the points' marked pixels and their projections. It goes in
+four steps: a coarse search over pairs of points (each pair and focal length gives a rotation) that outlives gross
+errors; a fit with robust loss; least squares over the points that this fit does not call outliers; and a test of
+which parameters the points can bear. Source: Luhmann et al., Close-Range Photogrammetry, 3rd ed., 4.2.3 (space
+resection), 2.4 (adjustment, precision).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from ltm_core.camera import Camera
+from ltm_core.errors import PoseError
+from ltm_core.pose import Pose
+from ltm_core.pose_estimation.control_points import ControlPoints
+from ltm_core.pose_estimation.resection_adjustment import (
+    PARAMETERS,
+    SIZE,
+    Adjustment,
+    Fit,
+    Floats,
+    Parameter,
+    median_px,
+)
+from ltm_core.pose_estimation.resection_limits import check_fit, check_points, hold_for_redundancy, unbearable
+from ltm_core.pose_estimation.resection_search import coarse_poses
+
+
+@dataclass(frozen=True, eq=False)
+class Resection:
+    """A fitted camera.
+
+    `residuals`: (N, 2) pixels, marked minus projected; NaN for a point behind the camera. `used`: (N,) the points that
+    were not outliers. `sigma_px`: standard deviation of one measured coordinate, from the residuals but not below the
+    stated one. `held`: parameters that were asked for but not fitted, with the reason. `sigmas`: standard deviations by
+    name: azimuth_deg, pitch_deg, roll_deg, and where they were fitted fx (pixels), k1, x, y, z (metres).
+    `pose_covariance`: (6, 6) over x, y, z (m) and rotations about the map's x, y, z (rad), as in
+    geometry_msgs/PoseWithCovariance; a held position has the variance that it was given, or zero. `covariance`: of
+    the fitted parameters in the order rotation x, y, z (rad), then `fitted`: focal (as a share), k1, position (m).
+    """
+
+    points: ControlPoints
+    camera: Camera
+    pose: Pose
+    fitted: tuple[Parameter, ...]
+    held: dict[Parameter, str]
+    residuals: Floats
+    used: NDArray[np.bool_]
+    sigma_px: float
+    sigmas: dict[str, float]
+    covariance: Floats
+    pose_covariance: Floats
+
+    @property
+    def residual_px(self) -> Floats:
+        """(N,) lengths of the residuals, pixels; +inf behind the camera."""
+        return np.nan_to_num(np.hypot(self.residuals[:, 0], self.residuals[:, 1]), nan=np.inf)
+
+    @property
+    def outliers(self) -> tuple[str, ...]:
+        return tuple(np.array(self.points.names)[~self.used])
+
+
+def resect(
+    points: ControlPoints,
+    camera: Camera,
+    position: ArrayLike,
+    angles_deg: tuple[float, float, float] | None = None,
+    free: Sequence[Parameter] = ("focal", "k1"),
+    bend: float = 0.0,
+    position_sigma: ArrayLike | None = None,
+    sigma_px: float = 1.0,
+) -> Resection:
+    """Fit the camera to the points.
+
+    Args:
+        points: control points; pixels counted as everywhere here, (0, 0) the centre of the top-left pixel.
+        camera: start of focal length and k1; its other values are kept, and fy / fx too.
+        position: (3,) map metres: held, or the start where "position" is free.
+        angles_deg: (azimuth, pitch, roll) where they are roughly known; they only help the search.
+        free: parameters to fit besides the angles. One that the points cannot bear is held, with a reason.
+        bend: curvature coefficient of the rays, `geodesy.ray_bend`.
+        position_sigma: how well `position` is known, metres, one or three: an observation of weight 1 / sigma^2 where
+            the position is free, and its variance where it is not.
+        sigma_px: what a click is worth at best, pixels.
+
+    Raises PoseError that names the points: fewer than three, outside the image, crowded or in line so that the angles
+    do not follow from them, behind the camera, or so wrong that no pose explains them.
+    """
+    unknown = [name for name in free if name not in PARAMETERS]
+    if unknown:
+        raise PoseError(f"cannot fit {', '.join(unknown)}: free parameters are {', '.join(PARAMETERS)}")
+    if not sigma_px > 0:
+        raise PoseError(f"the sigma of a marked pixel must be positive, got {sigma_px}")
+    origin = np.asarray(position, np.float64)
+    sigma = _position_sigma(position_sigma)
+    check_points(points, camera, origin)
+    chosen = [name for name in PARAMETERS if name in free]
+    held = hold_for_redundancy(chosen, len(points.names), sigma is not None)
+
+    starts = coarse_poses(points, camera, origin, angles_deg, "focal" in chosen, "position" in chosen, bend)
+    problem = Adjustment(points, bend, origin, sigma)
+    rough: tuple[Parameter, ...] = tuple(name for name in chosen if name == "focal")
+    fits = [problem.robust_fit(pose, start, rough, sigma_px, rounds=2) for start, pose in starts]
+    best = min(fits, key=lambda fit: median_px(fit.residuals))
+
+    while True:
+        fit = problem.robust_fit(best.pose, best.camera, tuple(chosen), sigma_px)
+        fit = problem.without_outliers(fit, tuple(chosen), sigma_px)
+        check_fit(points, fit)
+        reason = unbearable(fit, tuple(chosen), points)
+        if reason is None:
+            break
+        held[reason[0]] = reason[1]
+        chosen.remove(reason[0])
+    return _result(points, fit, tuple(chosen), held, sigma)
+
+
+def _result(
+    points: ControlPoints, fit: Fit, fitted: tuple[Parameter, ...], held: dict[Parameter, str], sigma: Floats | None
+) -> Resection:
+    pose_covariance = np.zeros((6, 6))
+    turns = np.arange(3)
+    pose_covariance[3:, 3:] = fit.covariance[:3, :3]
+    sigmas = _angle_sigmas(fit.pose, fit.covariance[:3, :3])
+    deviations = np.sqrt(np.diag(fit.covariance))
+    at = 3
+    for name in fitted:
+        if name == "focal":
+            sigmas["fx"] = float(deviations[at]) * fit.camera.fx
+        elif name == "k1":
+            sigmas["k1"] = float(deviations[at])
+        else:
+            place = at + np.arange(3)
+            sigmas.update(zip("xyz", map(float, deviations[place]), strict=True))
+            pose_covariance[:3, :3] = fit.covariance[np.ix_(place, place)]
+            pose_covariance[:3, 3:] = fit.covariance[np.ix_(place, turns)]
+            pose_covariance[3:, :3] = pose_covariance[:3, 3:].T
+        at += SIZE[name]
+    if "position" not in fitted and sigma is not None:
+        pose_covariance[:3, :3] = np.diag(sigma**2)
+    return Resection(
+        points,
+        fit.camera,
+        fit.pose,
+        fitted,
+        held,
+        fit.residuals,
+        fit.used,
+        fit.sigma_px,
+        sigmas,
+        fit.covariance,
+        pose_covariance,
+    )
+
+
+def _angle_sigmas(pose: Pose, turns: Floats) -> dict[str, float]:
+    """Deviations in degrees of azimuth, pitch and roll, from the covariance of the rotation about the map's axes."""
+    step = 1e-6
+    slopes = np.empty((3, 3))
+    for axis in range(3):
+        moved = Rotation.from_rotvec(step * np.eye(3)[axis]).as_matrix() @ pose.rotation
+        change = np.array(Pose(pose.position, moved).angles_deg) - np.array(pose.angles_deg)
+        slopes[:, axis] = ((change + 180) % 360 - 180) / step
+    deviations = np.sqrt(np.diag(slopes @ turns @ slopes.T))
+    return dict(zip(("azimuth_deg", "pitch_deg", "roll_deg"), map(float, deviations), strict=True))
+
+
+def _position_sigma(sigma: ArrayLike | None) -> Floats | None:
+    if sigma is None:
+        return None
+    values = np.broadcast_to(np.asarray(sigma, np.float64), (3,))
+    if not (np.isfinite(values).all() and (values > 0).all()):
+        raise PoseError(f"the position's sigma must be positive metres, got {np.asarray(sigma).tolist()}")
+    return values

@@ -1,0 +1,202 @@
+"""Files of `ltm pose`: control points, the guess, the fitted pose file and its report."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import ConfigError, PoseError
+from ltm_core.geodesy import SiteFrame
+from ltm_core.pose_estimation.control_points import ControlPoints
+from ltm_core.pose_estimation.resection import Resection
+from ltm_core.tracing.trace_io import PictureConfig, PlaceConfig, set_up_picture
+
+Floats = NDArray[np.float64]
+
+_COLUMNS = {
+    "name": ("id", "name", "point"),
+    "x": ("x", "x_e", "e", "east", "easting"),
+    "y": ("y", "y_n", "n", "north", "northing"),
+    "z": ("z", "h", "height", "elevation"),
+    "u": ("u", "col", "column", "px"),
+    "v": ("v", "row", "line", "py"),
+}
+
+
+class GuessConfig(PlaceConfig):
+    """What is known of a camera before its resection: a pose file whose angles may be left out.
+
+    The position is held, or is where the search starts.
+    """
+
+    azimuth_deg: float | None = None
+    """None: all directions are searched."""
+
+    @property
+    def angles_deg(self) -> tuple[float, float, float] | None:
+        return None if self.azimuth_deg is None else (self.azimuth_deg, self.pitch_deg, self.roll_deg)
+
+
+@dataclass(frozen=True)
+class ResectionSetup:
+    """A guess placed in a map frame; `dem` only where one was given."""
+
+    frame: SiteFrame
+    camera: Camera
+    position: Floats
+    dem: Dem | None
+
+
+def set_up_resection(guess: GuessConfig, dem: Dem | None, crs: str | None) -> ResectionSetup:
+    """Place the guess: in the DEM's CRS, or without a DEM in `crs`, which is then that of its position too.
+
+    Raises ConfigError where a DEM or a CRS is missing, and what `set_up_picture` raises.
+    """
+    if dem is not None:
+        values = guess.model_dump()
+        values["azimuth_deg"] = guess.azimuth_deg or 0.0
+        setup = set_up_picture(PictureConfig.model_validate(values), dem)
+        return ResectionSetup(setup.frame, setup.camera, np.array(setup.pose.position), setup.dem)
+    crs = crs or guess.crs
+    if crs is None:
+        raise ConfigError("without a DEM the CRS of the control points must be named: --crs EPSG:..., or give --dem")
+    if guess.height_above_ground is not None or guess.crs not in (None, crs):
+        raise ConfigError(f"without a DEM the position must be [x, y, z] in {crs}; or give --dem")
+    x, y, z = (float(v) for v in guess.position)
+    frame = SiteFrame(crs, round(x / 1000) * 1000.0, round(y / 1000) * 1000.0)
+    return ResectionSetup(frame, guess.camera.camera(), np.array([x - frame.x_origin, y - frame.y_origin, z]), None)
+
+
+def read_control_points(path: Path | str, frame: SiteFrame, first_pixel: float = 0.0) -> ControlPoints:
+    """Read a CSV with a header row: a name, map coordinates, pixel.
+
+    Columns (any case): id or name; x, y (also x_e, y_n, easting, northing) in the frame's CRS, or lon, lat in degrees;
+    z (or height, elevation); u (column) and v (row). `first_pixel`: the number of the first pixel's centre in the
+    file: 0 here and in OpenCV, 1 in Matlab, 0.5 where pixels are counted by their corners. Raises PoseError naming
+    file, line and column.
+    """
+    path = Path(path)
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file)
+            columns = _columns(reader.fieldnames or [], path)
+            rows = [_numbers(row, columns, f"{path}, line {reader.line_num}") for row in reader]
+    except OSError as error:
+        raise PoseError(f"{path}: cannot be read ({error.strerror})") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise PoseError(f"{path}: not a CSV file ({error})") from error
+    if not rows:
+        raise PoseError(f"{path}: holds no control point")
+    names, values = tuple(name for name, _ in rows), np.array([numbers for _, numbers in rows])
+    x, y = values[:, 0], values[:, 1]
+    if columns["x"].strip().lower().startswith("lon"):
+        x, y = frame.from_lonlat(x, y)
+    else:
+        x, y = x - frame.x_origin, y - frame.y_origin
+    return ControlPoints(names, np.column_stack([x, y, values[:, 2]]), values[:, 3:] - first_pixel)
+
+
+def _columns(header: Sequence[str], path: Path) -> dict[str, str]:
+    """The file's column for each of name, x, y, z, u, v; name may be missing."""
+    given = {name.strip().lower(): name for name in header}
+    wanted = dict(_COLUMNS)
+    if {"lon", "lat"} <= given.keys() or {"longitude", "latitude"} <= given.keys():
+        wanted |= {"x": ("lon", "longitude"), "y": ("lat", "latitude")}
+    found: dict[str, str] = {}
+    for key, names in wanted.items():
+        match = next((given[name] for name in names if name in given), None)
+        if match is not None:
+            found[key] = match
+        elif key != "name":
+            raise PoseError(
+                f"{path}: no column {key!r} (or {', '.join(names[1:])}) in {', '.join(header) or 'an empty header'}; "
+                "control points need id, x, y, z, u, v"
+            )
+    return found
+
+
+def _numbers(row: dict[str, str], columns: dict[str, str], place: str) -> tuple[str, list[float]]:
+    name = (row[columns["name"]] or "").strip() if "name" in columns else place.rpartition(" ")[2]
+    values = []
+    for key in ("x", "y", "z", "u", "v"):
+        text = row[columns[key]]
+        try:
+            values.append(float(text))
+        except (TypeError, ValueError):
+            raise PoseError(f"{place}: {columns[key]} is {text!r}, not a number (point {name})") from None
+    return name, values
+
+
+def write_pose(path: Path | str, result: Resection, guess: GuessConfig, frame: SiteFrame) -> None:
+    """Write a pose file that `ltm trace` reads; how it was found stands in its comments."""
+    camera, pose = result.camera, result.pose
+    x, y, z = (float(v) for v in pose.position)
+    azimuth, pitch, roll = pose.angles_deg
+    content = {
+        "position": [round(x + frame.x_origin, 4), round(y + frame.y_origin, 4), round(z, 4)],
+        "crs": frame.crs,
+        "azimuth_deg": round(azimuth, 6),
+        "pitch_deg": round(pitch, 6),
+        "roll_deg": round(roll, 6),
+        "camera": {
+            "width": camera.width,
+            "height": camera.height,
+            "fx": round(camera.fx, 4),
+            "fy": round(camera.fy, 4),
+            "cx": camera.cx,
+            "cy": camera.cy,
+            "distortion": [float(k) for k in camera.distortion],
+        },
+        "curvature": guess.curvature,
+        "refraction": guess.refraction,
+    }
+    lengths = result.residual_px
+    notes = [
+        f"Resection from {len(lengths)} control points: median residual {np.median(lengths):.2f} px.",
+        "Standard deviations: " + ", ".join(f"{name} {value:.3g}" for name, value in result.sigmas.items()),
+        *(f"{name} was held: {reason}" for name, reason in result.held.items()),
+    ]
+    if result.outliers:
+        notes.append(f"Left out as outliers: {', '.join(result.outliers)}")
+    head = "".join(f"# {note}\n" for note in notes)
+    Path(path).write_text(head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None), encoding="utf-8")
+
+
+def write_report(path: Path | str, result: Resection) -> None:
+    """Write residuals, sigmas and the pose's covariance as JSON."""
+    points = [
+        {
+            "name": name,
+            "u": float(pixel[0]),
+            "v": float(pixel[1]),
+            "du_px": _finite(error[0]),
+            "dv_px": _finite(error[1]),
+            "used": bool(used),
+        }
+        for name, pixel, error, used in zip(
+            result.points.names, result.points.pixels, result.residuals, result.used, strict=True
+        )
+    ]
+    content = {
+        "median_residual_px": _finite(float(np.median(result.residual_px))),
+        "sigma_px": result.sigma_px,
+        "fitted": ["angles", *result.fitted],
+        "held": result.held,
+        "sigmas": result.sigmas,
+        "pose_covariance": result.pose_covariance.tolist(),
+        "points": points,
+    }
+    Path(path).write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,176 @@
+"""Terrain out of several rasters: a fine one where the site is, coarser ones around it as far as ridges are seen.
+
+Fire cameras look at ridges tens of kilometres away, where nobody has, or needs, a raster of 1 m. A stack holds rasters
+of falling resolution, each within the next; a point belongs to the finest that is over it. How they are fitted together
+stands in `dem_seams`. Tracing, lines of sight, footprints and votes take a stack wherever they take a `Dem`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ltm_core.dem import Dem
+from ltm_core.errors import RasterError
+from ltm_core.geodesy import SiteFrame
+from ltm_core.grid import GridGeometry
+from ltm_core.raster.dem_io import read_around
+from ltm_core.raster.dem_seams import fill_holes, lead_over
+
+_ROUNDING = 1e-6  # cells
+REACH = 40_000.0
+"""Metres around the finest raster to which coarser ones are read."""
+
+
+class DemStack(Dem):
+    """Rasters in one CRS, finest first, each within the next but for a cell of that.
+
+    It is a `Dem` whose `elevation` and `geometry` are its finest level's, and which goes on beyond that level's edge.
+
+    Args:
+        levels: finest first; two or more. They are not changed: those that have to be fitted are copied.
+
+    Raises RasterError: fewer than two levels, not in order of resolution, in different CRSs, or one that reaches
+    beyond the next.
+    """
+
+    coarser: tuple[Dem, ...]
+    """The levels but the finest, finest of them first."""
+
+    def __init__(self, levels: Sequence[Dem]) -> None:
+        self._assemble([Dem(level.elevation.copy(), level.geometry) for level in levels[:-1]] + list(levels[-1:]))
+
+    @classmethod
+    def open(cls, path: Path | str, crs: str | None = None, *coarser: tuple[Path | str, str | None]) -> DemStack:
+        """Open the finest raster as `Dem.open` does, and around it, out to REACH, the (path, CRS or None) of coarser
+        ones. These may be in another CRS, in degrees too: they are warped, bilinearly, to that of the finest.
+
+        Heights of all levels count as one datum's: mend a datum shift of more than a few metres beforehand (gdalwarp
+        with vertical CRSs). Raises RasterError as `Dem.open` and the stack itself do.
+        """
+        finest = Dem.open(path, crs)
+        x_min, y_min, x_max, y_max = finest.geometry.bounds
+        around = x_min - REACH, y_min - REACH, x_max + REACH, y_max + REACH
+        levels = [finest]
+        for place, stated in coarser:
+            levels.append(Dem(*read_around(place, stated, str(finest.geometry.crs), around)))
+        stack = cls.__new__(cls)
+        stack._assemble(levels)
+        return stack
+
+    @property
+    def levels(self) -> tuple[Dem, ...]:
+        """All rasters, finest first."""
+        return (Dem(self.elevation, self.geometry), *self.coarser)
+
+    def in_frame(self, frame: SiteFrame) -> DemStack:
+        """The same stack in a site's map frame; see `Dem.in_frame`."""
+        return DemStack._of([level.in_frame(frame) for level in self.levels])
+
+    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        """Bilinear height at map points of the finest level over them; NaN beyond the coarsest and in holes."""
+        x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        height = np.full(x.shape, np.nan)
+        left = np.ones(x.shape, np.bool_)
+        for level in self.levels:
+            row, col = level.geometry.to_grid(x, y)
+            here = left & (row >= 0) & (row <= level.geometry.height - 1)
+            here &= (col >= 0) & (col <= level.geometry.width - 1)
+            height[here] = level.elevation_at(x[here], y[here])
+            left &= ~here
+        return height
+
+    def _assemble(self, levels: list[Dem]) -> None:
+        """Check and fit levels, of which all but the last may be written to."""
+        if len(levels) < 2:
+            raise RasterError(f"a stack needs a fine and at least one coarser raster, got {len(levels)}")
+        for k in range(len(levels) - 2, -1, -1):
+            levels[k] = _within(levels[k], levels[k + 1])
+            fine, coarse = levels[k], levels[k + 1]
+            fill_holes(fine.elevation, fine.geometry, coarse.elevation, coarse.geometry)
+            lead_over(fine.elevation, fine.geometry, coarse.elevation, coarse.geometry)
+        self._hold(levels)
+
+    @classmethod
+    def _of(cls, fitted: list[Dem]) -> DemStack:
+        stack = cls.__new__(cls)
+        stack._hold(fitted)
+        return stack
+
+    def _hold(self, levels: list[Dem]) -> None:
+        object.__setattr__(self, "elevation", levels[0].elevation)
+        object.__setattr__(self, "geometry", levels[0].geometry)
+        object.__setattr__(self, "coarser", tuple(levels[1:]))
+
+
+def open_terrain(rasters: Sequence[tuple[Path | str, str | None]]) -> Dem:
+    """Open (path, CRS or None) of one raster as `Dem.open` does, of several, finest first, as `DemStack.open` does."""
+    (path, crs), *coarser = rasters
+    return DemStack.open(path, crs, *coarser) if coarser else Dem.open(path, crs)
+
+
+def with_surface(ground: Dem, surface: Dem) -> Dem:
+    """The terrain with the tops of trees and houses, where `surface` holds them, and bare earth elsewhere.
+
+    `surface` heights are elevations, as the ground's; where it is NaN, the ground shows. Raises RasterError as
+    `DemStack` does.
+    """
+    tops = surface.elevation.copy()
+    for row in np.flatnonzero([np.isnan(heights).any() for heights in tops]):
+        cols = np.flatnonzero(np.isnan(tops[row]))
+        tops[row, cols] = ground.elevation_at(*surface.geometry.to_map(row, cols))
+    levels = [level for level in ground.levels if not _covers(surface.geometry, level.geometry)]
+    whole = Dem(tops, surface.geometry)
+    if not levels:
+        return whole
+    whole = _within(whole, levels[0])
+    lead_over(whole.elevation, whole.geometry, levels[0].elevation, levels[0].geometry)
+    return DemStack._of([whole, *levels])
+
+
+def _covers(outer: GridGeometry, inner: GridGeometry) -> bool:
+    return _excess(inner, outer) == (0, 0, 0, 0)
+
+
+def _excess(fine: GridGeometry, coarse: GridGeometry) -> tuple[int, int, int, int]:
+    """How many of its rows and columns a raster has beyond another's outermost nodes: west, north, east, south."""
+    x0, y0 = (float(v) for v in coarse.to_map(0, 0))
+    x1, y1 = (float(v) for v in coarse.to_map(coarse.height - 1, coarse.width - 1))
+    row0, col0 = (float(v) - _ROUNDING for v in fine.to_grid(x0, y0))
+    row1, col1 = (float(v) + _ROUNDING for v in fine.to_grid(x1, y1))
+    east, south = fine.width - 1 - math.floor(col1), fine.height - 1 - math.floor(row1)
+    return max(0, math.ceil(col0)), max(0, math.ceil(row0)), max(0, east), max(0, south)
+
+
+def _within(fine: Dem, coarse: Dem) -> Dem:
+    """`fine` without the rows and columns that it has beyond the coarser level's outermost nodes.
+
+    Raises RasterError where that is more than a coarse cell, or the two do not go together.
+    """
+    a, b = fine.geometry, coarse.geometry
+    if a.crs != b.crs:
+        raise RasterError(f"a stack's rasters must be in one CRS, got {a.crs} and {b.crs}")
+    if a.resolution > b.resolution:
+        raise RasterError(
+            f"a stack's rasters go from fine to coarse, but one of {a.resolution:g} m stands before one of "
+            f"{b.resolution:g} m"
+        )
+    west, north, east, south = _excess(a, b)
+    most = math.ceil(b.resolution / a.resolution)
+    if max(west, north, east, south) > most:
+        raise RasterError(
+            f"a raster of {a.resolution:g} m over {_rounded(a)} reaches beyond the coarser one of {b.resolution:g} m "
+            f"over {_rounded(b)}: give a coarser one that surrounds it, or clip it (gdal_translate -projwin)"
+        )
+    if max(west, north, east, south) == 0:
+        return fine
+    inside = a.window(north, west, a.height - north - south, a.width - west - east)
+    return Dem(fine.elevation[north : a.height - south, west : a.width - east].copy(), inside)
+
+
+def _rounded(geometry: GridGeometry) -> tuple[int, ...]:
+    return tuple(round(v) for v in geometry.bounds)

@@ -1,0 +1,395 @@
+"""A map's state in one SQLite file: tiles of arrays, the frames counted in them, who touched what, and every change.
+
+A transaction is in the file whole or not at all, also after a power cut: what `commit` has returned from is kept.
+Frames may be committed before the tiles that hold their effect: their payloads wait in the file, as in a redo log, so
+that a frame costs a small write, and the tiles are written now and then.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import sqlite3
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from numpy.typing import NDArray
+
+from ltm_core.errors import ConfigError, StoreError
+from ltm_core.raster.tile_store_schema import (
+    CellChanges,
+    Field,
+    FrameRecord,
+    Key,
+    StoreSchema,
+    Tile,
+    Touch,
+    compressed,
+    decompressed,
+)
+
+__all__ = ["CellChanges", "Field", "FrameRecord", "Key", "StoreSchema", "Tile", "TileStore", "Touch"]
+
+APPLICATION_ID = 0x4C544D31  # "LTM1"
+LAYOUT = 1
+"""Of the tables below, SQLite's user_version."""
+KEPT_FRAMES = 20_000
+"""Stamps remembered of each source, a week of a frame every 30 s; older ones are refused, as nobody knows them."""
+CHECKED_BYTES = 64 << 20
+"""Files up to this size are checked whole when they are opened; of larger ones, damage is found where it is read."""
+
+_TABLES = """
+CREATE TABLE description (content TEXT NOT NULL);
+CREATE TABLE tiles (row INTEGER, col INTEGER, content BLOB NOT NULL, PRIMARY KEY (row, col));
+CREATE TABLE sources (
+    id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE,
+    counted INTEGER NOT NULL DEFAULT 0, kept INTEGER NOT NULL DEFAULT 0, horizon_ns INTEGER NOT NULL DEFAULT -1);
+CREATE TABLE frames (source INTEGER, stamp_ns INTEGER, PRIMARY KEY (source, stamp_ns)) WITHOUT ROWID;
+CREATE TABLE waiting (
+    number INTEGER PRIMARY KEY, source INTEGER NOT NULL, stamp_ns INTEGER NOT NULL, model TEXT NOT NULL,
+    payload BLOB NOT NULL);
+CREATE TABLE changes (
+    number INTEGER PRIMARY KEY, layer TEXT NOT NULL, stamp_ns INTEGER NOT NULL, content BLOB NOT NULL);
+CREATE TABLE touches (
+    row INTEGER, col INTEGER, source INTEGER, model TEXT, frames INTEGER NOT NULL,
+    first_ns INTEGER NOT NULL, last_ns INTEGER NOT NULL, PRIMARY KEY (row, col, source, model)) WITHOUT ROWID;
+"""
+
+
+class TileStore:
+    """Open one with `open`, `open_read_only` or `in_memory`. One writer at a time, any number of readers beside it.
+
+    Every method raises StoreError where the file cannot be read or written just now (then nothing of that call is in
+    it, and the call may be made again), and ConfigError where its content is damaged.
+    """
+
+    def __init__(
+        self, database: sqlite3.Connection, schema: StoreSchema, name: str, lock: int | None, kept_frames: int
+    ) -> None:
+        self.schema = schema
+        self._db, self._name, self._lock, self._kept_frames = database, name, lock, kept_frames
+
+    @classmethod
+    def open(cls, path: Path | str, schema: StoreSchema, kept_frames: int = KEPT_FRAMES) -> TileStore:
+        """The store in `path`, made where there is none, for this process alone to write.
+
+        Raises ConfigError for a file that is no store, is damaged, or was made for other content or another grid:
+        such a file stays as it is. Raises StoreError where another process writes it, the folder cannot be written or
+        the disk is full.
+        """
+        path = Path(path)
+        if not path.parent.is_dir():
+            raise ConfigError(f"{path}: the folder {path.parent} does not exist; make it first")
+        lock = _locked(path)
+        try:
+            if not path.exists():
+                _create(path, schema)
+            database, stored = _opened(path, read_only=False)
+            if differences := schema.differences(stored):
+                database.close()
+                raise ConfigError(f"{path}: not a store of this map: {differences}; move it away or name another file")
+            return cls(database, schema, str(path), lock, kept_frames)
+        except BaseException:
+            os.close(lock)
+            raise
+
+    @classmethod
+    def open_read_only(cls, path: Path | str, kind: str) -> TileStore:
+        """A store of that kind as it is, with its own schema, also while another process writes it.
+
+        Raises ConfigError and StoreError as `open` does.
+        """
+        path = Path(path)
+        database, schema = _opened(path, read_only=True)
+        if schema.kind != kind:
+            database.close()
+            raise ConfigError(f"{path}: holds {schema.kind}, not {kind}")
+        return cls(database, schema, str(path), None, KEPT_FRAMES)
+
+    @classmethod
+    def in_memory(cls, schema: StoreSchema, kept_frames: int = KEPT_FRAMES) -> TileStore:
+        """A store that ends with the process."""
+        database = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
+        database.executescript(_TABLES)
+        return cls(database, schema, "memory", None, kept_frames)
+
+    def close(self) -> None:
+        """Idempotent."""
+        self._db.close()
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def keys(self) -> list[Key]:
+        """Tiles that the store holds, in row-major order."""
+        return [(int(row), int(col)) for row, col in self._rows("SELECT row, col FROM tiles ORDER BY row, col")]
+
+    def read(self, key: Key) -> Tile | None:
+        """A tile's arrays, (tile, tile, *shape of the field) each; None where it has not been written."""
+        rows = self._rows("SELECT content FROM tiles WHERE row = ? AND col = ?", key)
+        return self.schema.unpack(rows[0][0]) if rows else None
+
+    def tiles(self) -> Iterator[tuple[Key, Tile]]:
+        """All tiles, one at a time."""
+        for row, col in self._rows("SELECT row, col FROM tiles ORDER BY row, col"):
+            tile = self.read((row, col))
+            if tile is not None:
+                yield (row, col), tile
+
+    def counted(self, source: str, stamp_ns: int) -> bool:
+        """Whether a frame must not be counted: it has been, or it is so old that nobody knows (see `forgotten`)."""
+        found = self._rows(
+            "SELECT ?2 <= horizon_ns OR EXISTS(SELECT 1 FROM frames WHERE source = id AND stamp_ns = ?2) "
+            "FROM sources WHERE name = ?1",
+            (source, stamp_ns),
+        )
+        return bool(found and found[0][0])
+
+    def forgotten(self, source: str, stamp_ns: int) -> bool:
+        """Whether a frame is older than those that the store remembers of its source, the newest `kept_frames`."""
+        found = self._rows("SELECT horizon_ns FROM sources WHERE name = ?", (source,))
+        return bool(found and stamp_ns <= found[0][0])
+
+    def frame_count(self) -> int:
+        """Frames counted since the store was made, of all sources."""
+        return int(self._rows("SELECT coalesce(sum(counted), 0) FROM sources")[0][0])
+
+    def sources(self) -> dict[str, int]:
+        """Frames counted of each source."""
+        return {
+            str(name): int(counted) for name, counted in self._rows("SELECT name, counted FROM sources ORDER BY name")
+        }
+
+    def newest_ns(self) -> int | None:
+        """The latest stamp that is remembered; None where no frame has been counted."""
+        newest = self._rows("SELECT max((SELECT max(stamp_ns) FROM frames WHERE source = id)) FROM sources")[0][0]
+        return None if newest is None else int(newest)
+
+    def touches(self, key: Key) -> list[Touch]:
+        """Who has touched a tile, by source and network."""
+        found = self._rows(
+            "SELECT name, model, frames, first_ns, last_ns FROM touches JOIN sources ON source = id "
+            "WHERE row = ? AND col = ? ORDER BY name, model",
+            key,
+        )
+        return [Touch(*row) for row in found]
+
+    def waiting(self) -> list[FrameRecord]:
+        """Frames that are counted and that no tile holds yet, with their payloads, in the order of their commits."""
+        found = self._rows(
+            "SELECT name, stamp_ns, model, payload FROM waiting JOIN sources ON source = id ORDER BY number"
+        )
+        return [FrameRecord(name, stamp, (), model, decompressed(payload)) for name, stamp, model, payload in found]
+
+    def changes(self, layer: str, until_ns: int | None = None) -> Iterator[CellChanges]:
+        """The journal of a layer in the order of its commits; only what frames of up to `until_ns` changed."""
+        limit = 2**63 - 1 if until_ns is None else until_ns
+        found = self._rows(
+            "SELECT stamp_ns, content FROM changes WHERE layer = ? AND stamp_ns <= ? ORDER BY number", (layer, limit)
+        )
+        return (CellChanges.unpack(layer, stamp, content) for stamp, content in found)
+
+    def as_of(self, layer: str, initial: NDArray[Any], until_ns: int) -> NDArray[Any]:
+        """A layer as the frames of up to `until_ns` had made it; `initial`: (H, W), as it was before the first."""
+        if initial.shape != self.schema.geometry.shape:
+            raise ValueError(f"initial layer of {initial.shape}, the grid is {self.schema.geometry.shape}")
+        result = initial.copy()
+        for change in self.changes(layer, until_ns):
+            result[change.rows, change.cols] = change.new
+        return result
+
+    def commit(
+        self,
+        tiles: Mapping[Key, Mapping[str, NDArray[Any]]] | None = None,
+        frames: Sequence[FrameRecord] = (),
+        changes: Sequence[CellChanges] = (),
+    ) -> None:
+        """Write all of it in one transaction, or nothing.
+
+        Where tiles are given, they hold the effect of all frames until now, these among them: no payload waits any
+        longer. Raises ValueError where a frame has been counted already or a tile does not fit the schema.
+        """
+        packed = [(*key, self.schema.pack(key, arrays)) for key, arrays in (tiles or {}).items()]
+        with self._transaction() as db:
+            for frame in frames:
+                self._count(db, frame, keep=not packed)
+            for source in {frame.source for frame in frames}:
+                self._forget(db, source)
+            db.executemany(
+                "INSERT INTO changes (layer, stamp_ns, content) VALUES (?, ?, ?)",
+                [(c.layer, c.stamp_ns, c.pack()) for c in changes if len(c.rows)],
+            )
+            if packed:
+                db.executemany("INSERT OR REPLACE INTO tiles VALUES (?, ?, ?)", packed)
+                db.execute("DELETE FROM waiting")
+
+    def _count(self, db: sqlite3.Connection, frame: FrameRecord, keep: bool) -> None:
+        (source,) = db.execute(
+            "INSERT INTO sources (name, counted, kept) VALUES (?, 1, 1) "
+            "ON CONFLICT (name) DO UPDATE SET counted = counted + 1, kept = kept + 1 RETURNING id",
+            (frame.source,),
+        ).fetchone()
+        try:
+            db.execute("INSERT INTO frames VALUES (?, ?)", (source, frame.stamp_ns))
+        except sqlite3.IntegrityError as error:
+            raise ValueError(f"the frame {frame.stamp_ns} of {frame.source} has been counted already") from error
+        if keep and frame.payload:
+            db.execute(
+                "INSERT INTO waiting (source, stamp_ns, model, payload) VALUES (?, ?, ?, ?)",
+                (source, frame.stamp_ns, frame.model, compressed(frame.payload)),
+            )
+        db.executemany(
+            "INSERT INTO touches VALUES (?, ?, ?, ?, 1, ?, ?) ON CONFLICT DO UPDATE SET frames = frames + 1, "
+            "first_ns = min(first_ns, excluded.first_ns), last_ns = max(last_ns, excluded.last_ns)",
+            [(row, col, source, frame.model, frame.stamp_ns, frame.stamp_ns) for row, col in frame.tiles],
+        )
+
+    def _forget(self, db: sqlite3.Connection, source: str) -> None:
+        """Bound what is remembered of a source.
+
+        By number and not by age: a camera whose clock was once set to another year shall neither be refused from then
+        on nor be counted twice.
+        """
+        number, kept = db.execute("SELECT id, kept FROM sources WHERE name = ?", (source,)).fetchone()
+        spare = kept - self._kept_frames
+        if spare <= self._kept_frames // 20:
+            return
+        (horizon,) = db.execute(
+            "SELECT stamp_ns FROM frames WHERE source = ? ORDER BY stamp_ns LIMIT 1 OFFSET ?", (number, spare - 1)
+        ).fetchone()
+        db.execute("DELETE FROM frames WHERE source = ? AND stamp_ns <= ?", (number, horizon))
+        db.execute("UPDATE sources SET kept = kept - ?, horizon_ns = ? WHERE id = ?", (spare, horizon, number))
+
+    @contextlib.contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        with _named_errors(self._name):
+            self._db.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._db
+                self._db.execute("COMMIT")
+            except BaseException:
+                if self._db.in_transaction:
+                    self._db.execute("ROLLBACK")
+                raise
+
+    def _rows(self, query: str, values: Sequence[object] = ()) -> list[tuple[Any, ...]]:
+        with _named_errors(self._name):
+            return self._db.execute(query, values).fetchall()
+
+
+def _locked(path: Path) -> int:
+    """The right to write a store, until the descriptor is closed or the process ends in whatever way."""
+    name = path.with_name(path.name + ".lock")
+    try:
+        lock = os.open(name, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        raise StoreError(
+            f"{path}: the folder cannot be written ({error.strerror}); check its owner and disk"
+        ) from error
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(lock)
+        raise StoreError(f"{path}: another process writes this store; run one node on it") from error
+    return lock
+
+
+def _create(path: Path, schema: StoreSchema) -> None:
+    """A store without content, which appears under its name only when it is whole."""
+    partial = path.with_name(f".{path.name}.new")
+    try:
+        for leftover in (partial, *(partial.with_name(partial.name + end) for end in ("-wal", "-shm", "-journal"))):
+            leftover.unlink(missing_ok=True)
+        with _named_errors(str(path)), contextlib.closing(sqlite3.connect(partial, isolation_level=None)) as db:
+            db.execute("PRAGMA journal_mode = WAL")
+            db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+            db.execute(f"PRAGMA user_version = {LAYOUT}")
+            db.executescript(_TABLES)
+            db.execute("INSERT INTO description VALUES (?)", (schema.described(),))
+        partial.replace(path)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)  # the name, too, shall survive a power cut
+        finally:
+            os.close(folder)
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be made ({error.strerror}); check its folder and the disk") from error
+
+
+def _opened(path: Path, read_only: bool) -> tuple[sqlite3.Connection, StoreSchema]:
+    """A connection to a store that was found sound, and the schema that it states."""
+    _check_header(path)
+    with _named_errors(str(path)):
+        db = sqlite3.connect(
+            f"{path.resolve().as_uri()}?mode={'ro' if read_only else 'rw'}",
+            uri=True,
+            isolation_level=None,
+            check_same_thread=False,
+            timeout=5.0,
+        )
+        try:
+            db.execute("PRAGMA synchronous = FULL")  # a commit outlives a power cut
+            db.execute("PRAGMA cell_size_check = ON")
+            if path.stat().st_size <= CHECKED_BYTES:
+                (verdict,) = db.execute("PRAGMA quick_check(1)").fetchone()
+                if verdict != "ok":
+                    raise ConfigError(f"{path}: the store is damaged ({verdict}); restore it from a copy")
+            (described,) = db.execute("SELECT content FROM description").fetchone() or ("",)
+            return db, StoreSchema.from_description(described, str(path))
+        except BaseException:
+            db.close()
+            raise
+
+
+def _check_header(path: Path) -> None:
+    """Before SQLite touches a file, which may change it: is it ours? Raises ConfigError, StoreError."""
+    try:
+        with path.open("rb") as file:
+            header = file.read(100)
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path}: there is no such store") from error
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read ({error.strerror})") from error
+    if len(header) < 100 or not header.startswith(b"SQLite format 3\0"):
+        raise ConfigError(f"{path}: not a tile store; it stays as it is: move it away or name another file")
+    layout, application = struct.unpack(">I", header[60:64])[0], struct.unpack(">I", header[68:72])[0]
+    if application != APPLICATION_ID:
+        raise ConfigError(f"{path}: an SQLite file of another program; it stays as it is: name another file")
+    if layout != LAYOUT:
+        raise ConfigError(f"{path}: a store of layout {layout}, this program has {LAYOUT}; use the one that wrote it")
+
+
+@contextlib.contextmanager
+def _named_errors(name: str) -> Iterator[None]:
+    """SQLite's errors as ours, with the file's name and what may help."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        code = getattr(error, "sqlite_errorname", "") or ""
+        if code.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB")):
+            raise ConfigError(f"{name}: the store is damaged ({error}); restore it from a copy") from error
+        if not isinstance(error, sqlite3.OperationalError):
+            raise  # a bug, not the disk
+        remedy = next((text for start, text in _REMEDIES.items() if code.startswith(start)), "see the error")
+        raise StoreError(f"{name}: {error} ({code}); {remedy}") from error
+
+
+_REMEDIES = {
+    "SQLITE_FULL": "make room on the disk",
+    "SQLITE_READONLY": "make the file and its folder writable",
+    "SQLITE_CANTOPEN": "make its folder writable, and room on the disk",
+    "SQLITE_BUSY": "another process holds it",
+    "SQLITE_IOERR": "check the disk",
+}

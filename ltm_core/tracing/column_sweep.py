@@ -1,0 +1,381 @@
+"""The fast path: an image's columns are swept upwards over the wedge profile, and each hit is found cell by cell.
+
+Going up a column of pixels, rays climb, so that the entry of the profile that a ray needs is a few places after that
+of the pixel below: the place is kept as a hint. From the strip that the entry names, a ray goes through single cells,
+of which it takes half a dozen on the average; a ray that needs more, or comes to a hole, is handed to the pyramid
+(`traversal.hit_between`), which holds the rules for what ends a ray. A ray without an entry meets nothing, and the
+terrain is not looked at.
+
+All of this exists for one ray at a time (here: on any processor, and for whatever is rare) and for eight
+(`sweep_lanes`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from ltm_core.tracing.cell_intersection import FASTMATH, clearance, first_root, meets, ray_height, surface
+from ltm_core.tracing.column_block import (
+    ANSWERED,
+    BY_PYRAMID,
+    COLUMNS,
+    FACE,
+    HINT,
+    MEETS_NOTHING,
+    NEAR,
+    PER_MAJOR,
+    SLOPE,
+    WEDGE,
+    T,
+    new_block,
+)
+from ltm_core.tracing.horizon_profile import WEDGES_A_FACE, Wedges
+from ltm_core.tracing.lanes import WIDTH
+from ltm_core.tracing.prefetch import prefetch
+from ltm_core.tracing.pyramid_traversal import (
+    AFTER,
+    OVER_KNOWN,
+    PLUMB_SINE,
+    START_LEVEL,
+    WHOLE,
+    Floats,
+    Ground,
+    Stage,
+    finished,
+    height_at,
+    hit_between,
+    over_raster,
+    stretch,
+)
+from ltm_core.tracing.sweep_lanes import first_cells, more_cells, no_rays, turn_lanes
+
+_MANY_WAIT, _FEW_WAIT = 64, 16
+_MOST_CELLS = 48
+_ROWS_AHEAD = 4
+"""Rows fetched ahead of a ray that goes from row to row, each in memory of its own."""
+HIT, LEFT, OPEN = 0, 1, 2
+"""How single cells end: at the ground, at the raster's edge, or at a hole or after many of them."""
+
+
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH, parallel=True, nogil=True)  # type: ignore[untyped-decorator]
+def sweep_image(
+    ground: Ground,
+    stage: Stage,
+    wedges: Wedges,
+    rotation: Floats,
+    rays: Floats,
+    out: NDArray[np.float32],
+    by_lanes: bool,
+) -> None:
+    """Take an image of rays through one stage.
+
+    The camera must stand over the raster or the next finer one, and not in an outer hole.
+
+    Args:
+        wedges: profile of the camera's position for this stage.
+        rotation: (3, 3) float64, ray frame -> (east, north, up).
+        rays: (H, W, 3) float64 unit vectors; a NaN one gives NaN.
+        out: (H, W) float32, slant ranges in metres, or the states of rays that have met nothing: on entry before this
+            stage, on return after it.
+        by_lanes: eight rays at a time where that can be, else one; which of the two never matters to the answer.
+    """
+    height, width = rays.shape[0], rays.shape[1]
+    flat_rays, flat_out = rays.reshape(-1), out.reshape(-1)
+    for tile in prange((width + COLUMNS - 1) // COLUMNS):
+        first = tile * COLUMNS
+        count = min(COLUMNS, width - first)
+        _sweep_tile(ground, stage, wedges, rotation, flat_rays, flat_out, width, height, first, count, by_lanes)
+
+
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+def _sweep_tile(
+    ground: Ground,
+    stage: Stage,
+    wedges: Wedges,
+    rotation: Floats,
+    rays: Floats,
+    out: NDArray[np.float32],
+    width: int,
+    height: int,
+    first: int,
+    count: int,
+    by_lanes: bool,
+) -> None:
+    """Sweep `count` columns from `first` on; rays and out are flat."""
+    # Lanes take whole groups, and only over the raster that the camera stands on.
+    groups = count // WIDTH if by_lanes and stage.part == WHOLE else 0
+    block, waiting, waits = new_block(), no_rays(), 0
+    # An array that is read out of a tuple is counted as a reference, by all threads in one place: not in the loop.
+    nodes, n_x, n_y = ground.nodes, ground.width, ground.height
+    highest, entries, starts, outer = wedges.highest, wedges.entries, wedges.start, wedges.outer
+    tangents, strips = wedges.tangent, wedges.node
+    for k in range(height):
+        at = (height - 1 - k) * width + first
+        turn_lanes(rays, 3 * at, groups, rotation, stage.resolution, block)
+        turn(rays, 3 * at, groups * WIDTH, count, rotation, stage.resolution, block)
+        enter(highest, entries, starts, tangents, strips, outer, stage.last, count, block)
+        prefetch_starts(nodes, n_x, stage, count, block)
+        if groups > 0:
+            waits = first_cells(nodes, n_x, n_y, stage, outer, groups, block, at, out, waiting, waits)
+            if waits > _MANY_WAIT:
+                waits = more_cells(ground, nodes, n_x, n_y, stage, out, waiting, waits, _FEW_WAIT)
+        one_by_one(ground, nodes, n_x, n_y, stage, outer, count, block, at, out)
+    more_cells(ground, nodes, n_x, n_y, stage, out, waiting, waits, 0)
+
+
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+def turn(rays: Floats, at: int, begin: int, end: int, rotation: Floats, resolution: float, block: Floats) -> None:
+    """Turn rays `begin` to `end` of a block into the grid; they lie flat in `rays`, that of column 0 at index `at`."""
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = -rotation[1, 0], -rotation[1, 1], -rotation[1, 2]
+    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    for i in range(begin, end):
+        a, b, c = rays[at + 3 * i], rays[at + 3 * i + 1], rays[at + 3 * i + 2]
+        east = r00 * a + r01 * b + r02 * c
+        south = r10 * a + r11 * b + r12 * c
+        up = r20 * a + r21 * b + r22 * c
+        along_x = abs(east) >= abs(south)
+        major = east if along_x else south
+        minor = south if along_x else east
+        inverse = 1.0 / abs(major)
+        t = minor * inverse
+        face = (0.0 if along_x else 2.0) + (0.0 if major > 0.0 else 1.0)
+        place = (t + 1.0) * (0.5 * WEDGES_A_FACE)
+        place = place if place < WEDGES_A_FACE - 1 else WEDGES_A_FACE - 1.0
+        place = place if place > 0.0 else 0.0
+        block[PER_MAJOR + i] = inverse
+        block[T + i] = t
+        block[SLOPE + i] = up * inverse * resolution
+        block[FACE + i] = face
+        block[WEDGE + i] = face * WEDGES_A_FACE + math.floor(place)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def enter(
+    highest: NDArray[np.float32],
+    entries: NDArray[np.int32],
+    starts: NDArray[np.int64],
+    tangents: NDArray[np.float32],
+    strips: NDArray[np.int32],
+    outer: NDArray[np.float32],
+    last: bool,
+    count: int,
+    block: Floats,
+) -> None:
+    """Find the entries of a block's rays, in the fields of `Wedges`; `last`: no stage comes after this one."""
+    for i in range(count):
+        wedge, s = int(block[WEDGE + i]), block[SLOPE + i]
+        if not (s <= highest[wedge]):
+            # Whether it is over known ground when it leaves matters only where more ground may come.
+            block[NEAR + i] = MEETS_NOTHING if last or outer[wedge] == np.inf else BY_PYRAMID
+        elif entries[wedge] <= 0:
+            block[NEAR + i] = BY_PYRAMID
+        else:
+            place = first_reaching(tangents, starts[wedge], entries[wedge], int(block[HINT + i]), s)
+            block[HINT + i] = place
+            block[NEAR + i] = strips[starts[wedge] + place]
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def prefetch_starts(nodes: NDArray[np.float32], width: int, stage: Stage, count: int, block: Floats) -> None:
+    """Fetch the first cells of a block's rays."""
+    for i in range(count):
+        node, t = int(block[NEAR + i]), block[T + i]
+        if node < 0:
+            continue
+        if block[FACE + i] < 2.0:
+            at = int(stage.oy + t * abs(node - stage.ox)) * width + node
+            prefetch(nodes, at)
+            prefetch(nodes, at + width)
+        else:
+            at = node * width + int(stage.ox + t * abs(node - stage.oy))
+            row = width if block[FACE + i] == 2.0 else -width
+            for k in range(_ROWS_AHEAD):
+                prefetch(nodes, at + k * row)
+
+
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+def one_by_one(
+    ground: Ground,
+    nodes: NDArray[np.float32],
+    width: int,
+    height: int,
+    stage: Stage,
+    outer: NDArray[np.float32],
+    count: int,
+    block: Floats,
+    at: int,
+    out: NDArray[np.float32],
+) -> None:
+    """Answer those of a block's rays that are not yet answered; `at`: flat index of the first pixel."""
+    columns, rows = width - 1, height - 1
+    for i in range(count):
+        near, state = block[NEAR + i], float(out[at + i])
+        if near == ANSWERED or not state < 0.0:
+            continue
+        s, t, per_major, face = block[SLOPE + i], block[T + i], block[PER_MAJOR + i], int(block[FACE + i])
+        if not (per_major <= 1.0 / PLUMB_SINE):
+            out[at + i] = straight(ground, stage, s)
+            continue
+        along_x = face < 2
+        sign = 1.0 if (face & 1) == 0 else -1.0
+        cx, cy = (sign, t) if along_x else (t, sign)
+        bend = stage.bend * (1.0 + t * t)
+        q = state
+        if near != MEETS_NOTHING or state != OVER_KNOWN:
+            start = stretch(stage, cx, cy)[0] if stage.part == AFTER else 0.0
+            o_major, o_minor = (stage.ox, stage.oy) if along_x else (stage.oy, stage.ox)
+            how, level, begin = OPEN, START_LEVEL, start
+            if near >= 0.0:
+                begin = max(start, sign * (near - o_major))
+                if state != OVER_KNOWN or begin > outer[int(block[WEDGE + i])]:
+                    begin = start
+                else:
+                    n_major, n_minor = (columns, rows) if along_x else (rows, columns)
+                    along, over = (1, width) if along_x else (width, 1)
+                    cell = near if sign > 0.0 else near - 1.0
+                    if begin == start:
+                        cell = min(max(math.floor(o_major + sign * start), 0.0), n_major - 1.0)
+                    begin, how = cell_hit(
+                        nodes,
+                        o_major,
+                        o_minor,
+                        stage.oz,
+                        s,
+                        bend,
+                        t,
+                        sign,
+                        begin,
+                        cell,
+                        n_major,
+                        n_minor,
+                        along,
+                        over,
+                    )
+                    level = 0
+            if how == OPEN:
+                end = over_raster(stage, cx, cy)[1]
+                q = hit_between(ground, stage, cx, cy, s, bend, begin, end, state, level)
+            elif how == HIT:
+                q = begin
+        q = finished(stage, cx, cy, s, bend, q)
+        out[at + i] = q * stage.resolution * per_major if q >= 0.0 else q
+
+
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+def straight(ground: Ground, stage: Stage, slope: float) -> float:
+    """Range of a plumb ray, by the sign of its slope; NaN of one that is none."""
+    if slope > 0.0:
+        return np.inf
+    return stage.oz - height_at(ground, stage.ox, stage.oy) if slope < 0.0 else np.nan
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def first_reaching(tangents: NDArray[np.float32], start: int, count: int, hint: int, slope: float) -> int:
+    """Place of the first of `count` increasing tangents (from `start`) that is at least `slope`; `count` where none is.
+
+    The search widens from `hint` by doubling steps.
+    """
+    low, high = 0, count  # tangents before `low` are less, those from `high` on are not
+    place = min(hint, count)
+    step = 1
+    if place < count and tangents[start + place] < slope:
+        low = place + 1
+        place += 1
+        while place < count and tangents[start + place] < slope:
+            low = place + 1
+            step *= 2
+            place += step
+        high = min(place, count)
+    else:
+        high = place
+        place -= 1
+        while place >= 0 and tangents[start + place] >= slope:
+            high = place
+            step *= 2
+            place -= step
+        low = max(place + 1, 0)
+    while low < high:
+        middle = (low + high) >> 1
+        if tangents[start + middle] < slope:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+def cell_hit(
+    nodes: NDArray[np.float32],
+    o_major: float,
+    o_minor: float,
+    oz: float,
+    s: float,
+    bend: float,
+    t: float,
+    sign: float,
+    q: float,
+    cell: float,
+    n_major: int,
+    n_minor: int,
+    major_stride: int,
+    minor_stride: int,
+) -> tuple[float, int]:
+    """First hit of a ray that meets nothing before `q`, where it is in strip `cell` of its major axis.
+
+    Returns the range and: HIT; LEFT, it leaves the raster without one; or OPEN, the pyramid must go on from there.
+    """
+    m = o_minor + t * q
+    if m < 0.0 or m > n_minor:
+        return q, LEFT
+    lane = float(min(int(m), n_minor - 1))
+    at = int(cell) * major_stride + int(lane) * minor_stride
+    per_t = 1.0 / t if t != 0.0 else np.inf
+    side = 1.0 if t > 0.0 else -1.0
+    far_major = 1.0 if sign > 0.0 else 0.0
+    far_minor = 1.0 if t > 0.0 else 0.0
+    next_major = major_stride if sign > 0.0 else -major_stride
+    next_minor = minor_stride if t > 0.0 else -minor_stride
+    sag = 0.25 * max(bend, 0.0)
+    z = ray_height(oz, s, bend, q)
+    q_major = sign * (cell + far_major - o_major)
+    q_minor = (lane + far_minor - o_minor) * per_t if t != 0.0 else np.inf
+    for _ in range(_MOST_CELLS):
+        q_exit = max(min(q_major, q_minor), q)
+        z_exit = ray_height(oz, s, bend, q_exit)
+        dq = q_exit - q
+        low = min(z, z_exit) - sag * dq * dq
+        h00 = float(nodes[np.uint64(at)])
+        h01 = float(nodes[np.uint64(at + minor_stride)])
+        h10 = float(nodes[np.uint64(at + major_stride)])
+        h11 = float(nodes[np.uint64(at + major_stride + minor_stride)])
+        if not (low > h00 and low > h01 and low > h10 and low > h11):
+            b, e, g = surface(h00, h10, h01, h11)
+            if g != g:
+                return q, OPEN
+            u = o_major + sign * q - cell
+            v = o_minor + t * q - lane
+            f0, f1, a = clearance(z, s, bend, q, sign, t, h00, b, e, g, u, v)
+            if f0 <= 0.0:
+                return q, HIT
+            if meets(f0, f1, a, dq):
+                return q + first_root(f0, f1, a, dq), HIT
+        q = q_exit
+        z = z_exit
+        if q_major <= q_minor:
+            cell += sign
+            at += next_major
+            if cell < 0.0 or cell >= n_major:
+                return q, LEFT
+            q_major = sign * (cell + far_major - o_major)
+        else:
+            lane += side
+            at += next_minor
+            if lane < 0.0 or lane >= n_minor:
+                return q, LEFT
+            q_minor = (lane + far_minor - o_minor) * per_t
+    return q, OPEN

@@ -1,0 +1,276 @@
+"""The wedge profile of a position: how far a ray in each direction certainly flies before it can meet the ground.
+
+Directions are cut into wedges. Each ray has a *major* axis, the grid axis that it mostly follows, and moves `t` (at
+most 1 either way) cells along the other, *minor*, axis for each cell along the major; a wedge is a small interval of
+t on one of four *faces* (+x, -x, +y, -y). Distance d along the major axis is what all ranges here are counted in, so
+that nothing needs a square root: a ray's height is z(d) = oz + s d + bend (1 + t^2) d^2.
+
+Seen from the camera, a height h at distance d has the *tangent* (h - oz) / d - bend (1 + t^2) d: the slope s of the
+ray that meets it. Going outwards by *strips* (the cells between two neighbouring node lines across the major axis), a
+wedge lists each strip in which the highest tangent so far is exceeded, with the new highest. The list is monotone, so
+the first entry whose tangent reaches a ray's slope names the strip before which the ray hits nothing; where there is
+none, it hits nothing at all. Tangents are rounded up and bound everything between the edges of the wedge.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from ltm_core.tracing.holes import filled_at
+from ltm_core.tracing.pyramid import LEAF
+from ltm_core.tracing.pyramid_traversal import AFTER, Floats, Ground, Stage
+
+WEDGES_A_FACE = 3072
+SECTOR = 64
+"""Wedges that are built together."""
+_MOST_ENTRIES = 4096
+# Tangents are raised by this, well above the rounding of any ray's height, and of the tangent itself to float32 (6e-8).
+_RELATIVE, _ABSOLUTE = 3e-7, 1e-9
+# Cells: how far a wedge is widened so that no ray of it slips past its edge by rounding.
+_MARGIN = 1e-6
+# Beyond these distances (cells), strips of this level and below are not told apart.
+_FINE_CELLS = 700.0
+
+
+class Wedges(NamedTuple):
+    """Profiles of the wedges built so far; index: face * WEDGES_A_FACE + wedge."""
+
+    start: NDArray[np.int64]
+    """Where a wedge's entries begin."""
+    entries: NDArray[np.int32]
+    """How many it has; -1 where it is not built."""
+    outer: NDArray[np.float32]
+    """Distance at which the wedge first touches an outer hole; +inf where it does not."""
+    highest: NDArray[np.float32]
+    """The last of a wedge's tangents; +inf where it is not built."""
+    tangent: NDArray[np.float32]
+    """Entries: the highest tangent up to the end of a strip, increasing within a wedge."""
+    node: NDArray[np.int32]
+    """Entries: node line at which that strip begins."""
+
+
+def no_wedges() -> Wedges:
+    """A profile of which nothing is built."""
+    total = 4 * WEDGES_A_FACE
+    return Wedges(
+        np.zeros(total, np.int64),
+        np.full(total, -1, np.int32),
+        np.full(total, np.inf, np.float32),
+        np.full(total, np.inf, np.float32),
+        np.empty(0, np.float32),
+        np.empty(0, np.int32),
+    )
+
+
+def extended(wedges: Wedges, wanted: NDArray[np.int64], ground: Ground, stage: Stage) -> Wedges:
+    """`wedges` with those of the `wanted` indices built that were not, over the stage's part of the raster."""
+    missing = wanted[wedges.entries[wanted] < 0]
+    if missing.size == 0:
+        return wedges
+    # Only what is written of the wide scratch ever takes memory.
+    tangent = np.empty((missing.size, _MOST_ENTRIES), np.float32)
+    node = np.empty((missing.size, _MOST_ENTRIES), np.int32)
+    count, outer, start = wedges.entries.copy(), wedges.outer.copy(), wedges.start.copy()
+    found = np.empty(missing.size, np.int32)
+    touched = np.empty(missing.size, np.float32)
+    _walk_wedges(ground, stage, missing, tangent, node, found, touched)
+    begin = wedges.tangent.size + np.concatenate([[0], np.cumsum(found, dtype=np.int64)])
+    count[missing], outer[missing], start[missing] = found, touched, begin[:-1]
+    tangents = np.empty(begin[-1], np.float32)
+    nodes = np.empty(begin[-1], np.int32)
+    tangents[: wedges.tangent.size], nodes[: wedges.node.size] = wedges.tangent, wedges.node
+    _compact(tangent, node, begin, tangents, nodes)
+    highest = wedges.highest.copy()
+    # A wedge wholly over an outer hole has no entry.
+    highest[missing] = np.where(found > 0, tangents[np.maximum(begin[1:] - 1, 0)], -np.inf)
+    return Wedges(start, count, outer, highest, tangents, nodes)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _compact(
+    tangent: NDArray[np.float32],
+    node: NDArray[np.int32],
+    begin: NDArray[np.int64],
+    tangents: NDArray[np.float32],
+    nodes: NDArray[np.int32],
+) -> None:
+    for k in range(tangent.shape[0]):
+        n = begin[k + 1] - begin[k]
+        tangents[begin[k] : begin[k + 1]] = tangent[k, :n]
+        nodes[begin[k] : begin[k + 1]] = node[k, :n]
+
+
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)  # type: ignore[untyped-decorator]
+def _walk_wedges(
+    ground: Ground,
+    stage: Stage,
+    wanted: NDArray[np.int64],
+    tangent: NDArray[np.float32],
+    node: NDArray[np.int32],
+    count: NDArray[np.int32],
+    outer: NDArray[np.float32],
+) -> None:
+    tasks = (wanted.size + 15) // 16
+    for task in prange(tasks):
+        for k in range(task * 16, min(task * 16 + 16, wanted.size)):
+            count[k], outer[k] = _walk_wedge(ground, stage, wanted[k], tangent[k], node[k])
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _walk_wedge(
+    ground: Ground, stage: Stage, index: int, tangent: NDArray[np.float32], node: NDArray[np.int32]
+) -> tuple[int, float]:
+    """Fill the entries of one wedge; returns their number and the distance of the first outer hole."""
+    oz, bend = stage.oz, stage.bend
+    face = index // WEDGES_A_FACE
+    wedge = index - face * WEDGES_A_FACE
+    t0 = wedge * (2.0 / WEDGES_A_FACE) - 1.0 - 1e-12
+    t1 = (wedge + 1) * (2.0 / WEDGES_A_FACE) - 1.0 + 1e-12
+    least_t = 0.0 if t0 < 0.0 < t1 else min(abs(t0), abs(t1))
+    most_t = max(abs(t0), abs(t1))
+    along_x = face < 2
+    forward = face % 2 == 0
+    sign = 1 if forward else -1
+    o_major, o_minor = (stage.ox, stage.oy) if along_x else (stage.oy, stage.ox)
+    n_major = (ground.width if along_x else ground.height) - 1
+    n_minor = (ground.height if along_x else ground.width) - 1
+    # The least drop below the straight line, so that tangents come out too high rather than too low.
+    drop = bend * (1.0 + (least_t * least_t if bend >= 0.0 else most_t * most_t))
+
+    highest = -np.inf
+    entries = 0
+    first_outer = np.inf
+    begin = _least_exit(stage, along_x, forward, t0, t1) if stage.part == AFTER else 0.0
+    cell = min(max(math.floor(o_major + sign * begin), 0), n_major - 1)
+    level = 0
+    levels = ground.offsets.size
+    while 0 <= cell < n_major:
+        low = (cell >> level) << level
+        high = min(low + (1 << level), n_major)
+        d0 = max(sign * ((cell if forward else cell + 1) - o_major), begin)
+        d1 = sign * ((high if forward else low) - o_major)
+        m_low = o_minor + min(t0 * d0, t0 * d1) - _MARGIN
+        m_high = o_minor + max(t1 * d0, t1 * d1) + _MARGIN
+        if m_high < 0.0 or m_low > n_minor:
+            # Strips of blocks are long: the wedge may leave the raster, or not yet have, within one.
+            if level == 0:
+                break
+            level = level - 1 if level > LEAF else 0
+            continue
+        j0 = min(max(math.floor(m_low), 0), n_minor - 1)
+        j1 = min(math.floor(m_high), n_minor - 1)
+        h, any_outer = _highest(ground, along_x, level, low, j0, j1)
+        rise = h - oz
+        t = rise / (d0 if rise >= 0.0 else d1) - drop * (d0 if bend >= 0.0 else d1)
+        if h > -np.inf and not t <= highest:
+            if level > 0 and (h == np.inf or d0 < _FINE_CELLS * level):
+                level = level - 1 if level > LEAF else 0
+                continue
+            highest = t + abs(t) * _RELATIVE + _ABSOLUTE
+            if entries < tangent.size:
+                node[entries] = cell if forward else cell + 1
+                entries += 1
+            tangent[entries - 1] = np.float32(highest)
+            highest = float(tangent[entries - 1])
+        if any_outer and d0 < first_outer:
+            first_outer = d0
+        block = low >> level
+        cell = high if forward else low - 1
+        above = 1 if level > 0 else LEAF
+        if ((cell >> level) ^ block) >> above != 0 and level + above < levels:
+            level += above
+    return entries, first_outer
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _least_exit(stage: Stage, along_x: bool, forward: bool, t0: float, t1: float) -> float:
+    """The least major distance at which a ray of the wedge t0 to t1 leaves the next finer raster."""
+    if along_x:
+        major, low, high = (stage.finer_east if forward else -stage.finer_west), stage.finer_north, stage.finer_south
+    else:
+        major, low, high = (stage.finer_south if forward else -stage.finer_north), stage.finer_west, stage.finer_east
+    least = major
+    for t in (t0, t1):
+        if t > 0.0:
+            least = min(least, high / t)
+        elif t < 0.0:
+            least = min(least, low / t)
+    return max(least - _MARGIN, 0.0)
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _highest(ground: Ground, along_x: bool, level: int, major: int, j0: int, j1: int) -> tuple[float, bool]:
+    """Bound on the ground in a strip at cell `major`, minor cells j0 to j1; -inf where all of it is an outer hole.
+
+    Also whether an outer hole is among it.
+    """
+    highest = -np.inf
+    any_outer = False
+    if level == 0:
+        step, across = (ground.width, 1) if along_x else (1, ground.width)
+        at = j0 * step + major * across
+        first = at
+        top = np.float32(-np.inf)
+        unknown = False
+        for _ in range(j1 - j0 + 2):
+            near, far = ground.nodes[np.uint64(at)], ground.nodes[np.uint64(at + across)]
+            top = near if near > top else top
+            top = far if far > top else top
+            unknown = unknown or near + far != near + far
+            at += step
+        if not unknown:
+            return float(top), False
+        at = first
+        for _ in range(j1 - j0 + 2):
+            for node in (at, at + across):
+                h = filled_at(ground.nodes, ground, node)
+                if h > highest:
+                    highest = float(h)
+                elif h != h:
+                    any_outer = True
+            at += step
+        return highest, any_outer
+    step, across = (ground.widths[level], 1) if along_x else (1, ground.widths[level])
+    first, last = j0 >> level, j1 >> level
+    at = ground.offsets[level] + first * step + (major >> level) * across
+    for _ in range(last - first + 1):
+        bound = ground.bounds[at]
+        if bound > highest:
+            highest = float(bound)
+        elif bound != bound:
+            any_outer = True
+        at += step
+    return highest, any_outer
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def wedge_of(along_x: bool, forward: bool, t: float) -> int:
+    """Index of the wedge of a ray."""
+    face = (0 if along_x else 2) + (0 if forward else 1)
+    return face * WEDGES_A_FACE + min(max(int((t + 1.0) * (0.5 * WEDGES_A_FACE)), 0), WEDGES_A_FACE - 1)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
+def mark_sectors(rays: Floats, rotation: Floats, every: int, marked: NDArray[np.bool_]) -> None:
+    """Mark the sectors that an image (H, W, 3) of rays looks into, from each `every`-th pixel and some margin.
+
+    It may miss one: a ray in a wedge that is not built is traced without it.
+    """
+    for i in range(0, rays.shape[0], every):
+        for j in range(0, rays.shape[1] + every - 1, every):
+            a, b, c = rays[i, min(j, rays.shape[1] - 1)]
+            east = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c
+            north = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c
+            if not (abs(east) > 1e-3 or abs(north) > 1e-3):
+                continue
+            along_x = abs(east) >= abs(north)
+            major, minor = (east, -north) if along_x else (-north, east)
+            wedge = wedge_of(along_x, major > 0.0, minor / abs(major))
+            first = wedge - wedge % WEDGES_A_FACE
+            for near in (wedge - every, wedge, wedge + every):
+                marked[min(max(near, first), first + WEDGES_A_FACE - 1) // SECTOR] = True

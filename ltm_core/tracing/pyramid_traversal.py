@@ -1,0 +1,350 @@
+"""The tracing kernels: the first point at which a ray meets the bilinear surface, by way of the maximum pyramid.
+
+Everything here is in *grid units*: x = column, y = row (nodes at integers), horizontal range q in cells, heights in
+metres. A ray leaves (ox, oy, oz) along the horizontal vector (cx, cy), in lengths of which q is counted (1 cell, or
+up to sqrt(2)); its height is z(q) = oz + s q + bend q^2, the parabola that earth curvature and refraction give it.
+Blocks whose bound the ray clears are stepped over; the others are opened, down to cells, where the surface under the
+ray is a quadratic in q and its first root the exact hit. A block is left through an edge with a whole coordinate, and
+the next cell follows from that integer, never from a nudged position, so no cell can be skipped or met twice.
+
+What ends a ray is defined in `tracer`; `reference` computes the same by brute force.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from ltm_core.tracing.cell_intersection import FASTMATH, clearance, first_root, meets, ray_height, surface
+from ltm_core.tracing.holes import filled_at
+from ltm_core.tracing.pyramid import LEAF
+
+Floats = NDArray[np.float64]
+
+# Below this a ray is taken to be plumb: 10 km down it is then off by 10 micrometres.
+PLUMB_SINE = 1e-9
+# Cells: a hole that is crossed over less than this is only touched at a corner, and does not count.
+TOUCH = 1e-9
+START_LEVEL = 3
+_CHUNK = 2048
+_TASKS = 128
+
+
+class Ground(NamedTuple):
+    """What the kernels know of one raster."""
+
+    nodes: NDArray[np.float32]
+    """(height * width) elevations, row-major, NaN in holes."""
+    hole_first: NDArray[np.int64]
+    """The enclosed `Holes` among them, as are the next two."""
+    hole_end: NDArray[np.int64]
+    hole_ceiling: NDArray[np.float32]
+    width: int
+    height: int
+    bounds: NDArray[np.float32]
+    """The `MaximumPyramid` of the nodes, as are the next two."""
+    offsets: NDArray[np.int64]
+    widths: NDArray[np.int64]
+    top: float
+    """The highest elevation of this raster and the coarser ones around it."""
+
+
+WHOLE, BEFORE, AFTER = 0, 1, 2
+"""Which part of a ray's way over a raster counts: all of it, or what lies before or after the next finer raster."""
+
+
+class Stage(NamedTuple):
+    """One raster's part in the ways of all rays from one position."""
+
+    ox: float
+    oy: float
+    oz: float
+    """The camera: column, row, height in metres."""
+    resolution: float
+    """Metres a cell."""
+    bend: float
+    """Per cell: the ray's coefficient in grid units."""
+    west: float
+    """Edges of the raster's nodes, seen from the camera, in cells: x (to the east) and y (to the south)."""
+    north: float
+    east: float
+    south: float
+    finer_west: float
+    """Those of the next finer raster; of no meaning where the part is WHOLE."""
+    finer_north: float
+    finer_east: float
+    finer_south: float
+    part: int
+    last: bool
+    """Whether a ray that meets nothing here meets nothing at all."""
+
+
+# A ray that has met nothing yet carries, in place of a range, what it has been over: a negative number.
+FRESH = -1.0
+"""Nothing known."""
+OVER_KNOWN = -2.0
+"""Known ground, and no outer hole since."""
+LOST = -3.0
+"""Known ground, and then an outer hole: what it meets from now on may be hidden by ground that is not known."""
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
+def _normal(c: float) -> float:
+    """`c`, or 0 for a number so small that its reciprocal would overflow: a range of 0 times that is NaN."""
+    return c if abs(c) > 1e-300 else 0.0
+
+
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+def _crossing(west: float, north: float, east: float, south: float, cx: float, cy: float) -> tuple[float, float]:
+    """Ranges (q_in, q_out) between which a ray is over a window; q_in > q_out where it never is."""
+    q_in, q_out = 0.0, np.inf
+    if cx != 0.0:
+        inverse = 1.0 / cx
+        q_in = max(q_in, min(west * inverse, east * inverse))
+        q_out = min(q_out, max(west * inverse, east * inverse))
+    elif west > 0.0 or east < 0.0:
+        return 1.0, 0.0
+    if cy != 0.0:
+        inverse = 1.0 / cy
+        q_in = max(q_in, min(north * inverse, south * inverse))
+        q_out = min(q_out, max(north * inverse, south * inverse))
+    elif north > 0.0 or south < 0.0:
+        return 1.0, 0.0
+    return q_in, q_out
+
+
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+def over_raster(stage: Stage, cx: float, cy: float) -> tuple[float, float]:
+    """Ranges (q_in, q_out) between which a ray is over a stage's raster; q_in > q_out where it never is."""
+    return _crossing(stage.west, stage.north, stage.east, stage.south, cx, cy)
+
+
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+def stretch(stage: Stage, cx: float, cy: float) -> tuple[float, float]:
+    """Ranges between which a ray's way belongs to a stage; start > end where none of it does."""
+    start, end = over_raster(stage, cx, cy)
+    if stage.part == WHOLE:
+        return start, end
+    finer_in, finer_out = _crossing(stage.finer_west, stage.finer_north, stage.finer_east, stage.finer_south, cx, cy)
+    if finer_in > finer_out:
+        return (start, end) if stage.part == BEFORE else (1.0, 0.0)
+    if stage.part == BEFORE:
+        return start, min(end, finer_in)
+    return max(start, finer_out), end
+
+
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+def finished(stage: Stage, cx: float, cy: float, s: float, bend: float, q: float) -> float:
+    """The answer of the last stage: what a ray that has met nothing gives, +inf where it leaves climbing, else NaN."""
+    if not (stage.last and q < 0.0):
+        return q
+    if bend >= 0.0:
+        if s >= 0.0:
+            return np.inf
+        farthest = max(abs(stage.east), abs(stage.west)) + max(abs(stage.south), abs(stage.north))
+        if s + 2.0 * bend * farthest < 0.0:
+            return np.nan
+    q_in, q_out = over_raster(stage, cx, cy)
+    if q_in > q_out:
+        return np.inf if s >= 0.0 else np.nan
+    return np.inf if s + 2.0 * bend * q_out >= 0.0 else np.nan
+
+
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+def hit_between(
+    ground: Ground,
+    stage: Stage,
+    cx: float,
+    cy: float,
+    s: float,
+    bend: float,
+    start: float,
+    end: float,
+    state: float,
+    level: int,
+) -> float:
+    """Range q to the first hit from `start` to `end`, in lengths of (cx, cy); +inf for sky, NaN for unknown, and the
+    ray's state where it has met nothing.
+
+    `bend`: the stage's, or that for lengths other than a cell; `state`: that at `start`; `level`: that of the first
+    block looked at.
+    """
+    nodes, width, height, top = ground.nodes, ground.width, ground.height, ground.top
+    bounds, offsets, widths = ground.bounds, ground.offsets, ground.widths
+    ox, oy, oz = stage.ox, stage.oy, stage.oz
+    if start > end:
+        return state
+    x_last = width - 1
+    y_last = height - 1
+    inv_cx = 1.0 / cx if cx != 0.0 else np.inf
+    inv_cy = 1.0 / cy if cy != 0.0 else np.inf
+    climbs_on = bend >= 0.0 or (stage.last and s + 2.0 * bend * end >= 0.0)
+    sag = 0.25 * max(bend, 0.0)  # the parabola lies at most sag * dq^2 below its chord
+    ahead_x = 1 if cx > 0.0 else 0
+    ahead_y = 1 if cy > 0.0 else 0
+
+    q = start
+    z = ray_height(oz, s, bend, q)
+    ix = min(max(math.floor(ox + cx * q), 0), x_last - 1)
+    iy = min(max(math.floor(oy + cy * q), 0), y_last - 1)
+    level = min(level, offsets.size - 1) if level >= LEAF else 0
+    entered = state != FRESH
+    lost = state == LOST
+    while True:
+        above = 1 if level > 0 else LEAF
+        bx = ix >> level
+        by = iy >> level
+        x0 = bx << level
+        y0 = by << level
+        x1 = min((bx + 1) << level, x_last)
+        y1 = min((by + 1) << level, y_last)
+        q_x = ((x1 if ahead_x else x0) - ox) * inv_cx if cx != 0.0 else np.inf
+        q_y = ((y1 if ahead_y else y0) - oy) * inv_cy if cy != 0.0 else np.inf
+        q_exit = min(max(min(q_x, q_y), q), end)
+        z_exit = ray_height(oz, s, bend, q_exit)
+        if level > 0:
+            bound = bounds[np.uint64(offsets[level] + by * widths[level] + bx)]
+            dq = q_exit - q
+            if min(z, z_exit) - sag * dq * dq > bound:
+                entered = True
+            elif bound != bound:
+                lost = lost or (entered and dq > TOUCH)
+            else:
+                level = level - 1 if level > LEAF else 0
+                continue
+        else:
+            at = np.uint64(iy * width + ix)
+            below = np.uint64(at + np.uint64(width))
+            h00 = float(nodes[at])
+            h10 = float(nodes[at + np.uint64(1)])
+            h01 = float(nodes[below])
+            h11 = float(nodes[below + np.uint64(1)])
+            b, e, g = surface(h00, h10, h01, h11)
+            if g == g:
+                u = ox + cx * q - ix
+                v = oy + cy * q - iy
+                dq = q_exit - q
+                f0, f1, a = clearance(z, s, bend, q, cx, cy, h00, b, e, g, u, v)
+                if f0 <= 0.0:
+                    return np.nan if lost or (not entered and f0 < 0.0) else q
+                if meets(f0, f1, a, dq):
+                    return np.nan if lost else q + first_root(f0, f1, a, dq)
+                entered = True
+            elif q_exit - q > TOUCH:
+                north = iy * width + ix
+                ceiling = cell_ceiling(ground, north)
+                if ceiling != ceiling:
+                    lost = lost or entered
+                elif lowest(oz, s, bend, q, q_exit) <= ceiling:
+                    return np.nan
+                else:
+                    entered = True
+
+        if climbs_on and z_exit > top and s + 2.0 * bend * q_exit >= 0.0:
+            return np.inf
+        if q_exit >= end:
+            break
+        q = q_exit
+        z = z_exit
+        if q_x <= q_y:
+            ix = x1 if ahead_x else x0 - 1
+            if ix < 0 or ix >= x_last:
+                break
+            iy = min(max(math.floor(oy + cy * q), y0), y1 - 1)
+            if ((ix >> level) ^ bx) >> above != 0:
+                level += above
+        else:
+            iy = y1 if ahead_y else y0 - 1
+            if iy < 0 or iy >= y_last:
+                break
+            ix = min(max(math.floor(ox + cx * q), x0), x1 - 1)
+            if ((iy >> level) ^ by) >> above != 0:
+                level += above
+        level = min(level, offsets.size - 1)
+    if lost:
+        return LOST
+    return OVER_KNOWN if entered else FRESH
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def cell_ceiling(ground: Ground, at: int) -> float:
+    """Ceiling of the cell whose north-west node is `at`; NaN where it belongs to an outer hole."""
+    highest = -np.inf
+    for node in (at, at + 1, at + ground.width, at + ground.width + 1):
+        h = filled_at(ground.nodes, ground, node)
+        if h != h:
+            return np.nan
+        highest = max(highest, float(h))
+    return highest
+
+
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+def lowest(oz: float, s: float, bend: float, q0: float, q1: float) -> float:
+    """The least height of z(q) = oz + s q + bend q^2 on [q0, q1]."""
+    z = min(oz + q0 * (s + bend * q0), oz + q1 * (s + bend * q1))
+    if s + 2.0 * bend * q0 < 0.0 and s + 2.0 * bend * q1 > 0.0:
+        z = min(z, oz - s * s / (4.0 * bend))
+    return z
+
+
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+def height_at(ground: Ground, x: float, y: float) -> float:
+    """Bilinear height at grid position (x, y); NaN outside the nodes and in holes."""
+    nodes, width, height = ground.nodes, ground.width, ground.height
+    if not (0.0 <= x <= width - 1 and 0.0 <= y <= height - 1):
+        return np.nan
+    ix = min(int(x), width - 2)
+    iy = min(int(y), height - 2)
+    at = iy * width + ix
+    u = x - ix
+    v = y - iy
+    h00 = float(nodes[at])
+    b = nodes[at + 1] - h00
+    e = nodes[at + width] - h00
+    g = nodes[at + width + 1] - float(nodes[at + width]) - b
+    h: float = h00 + b * u + v * (e + g * u)
+    return h
+
+
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH, parallel=True, nogil=True)  # type: ignore[untyped-decorator]
+def trace_directions(
+    ground: Ground, stage: Stage, rotation: Floats, rays: Floats, first: bool, out: NDArray[np.float32]
+) -> None:
+    """Take rays from one origin through one stage.
+
+    Args:
+        rotation: (3, 3) float64, ray frame -> (east, north, up).
+        rays: (N, 3) float64 unit vectors; a NaN one gives NaN.
+        first: the camera stands over this stage's raster, if over any, so that plumb rays end here.
+        out: (N,) float32, slant ranges in metres, or the states of rays that have met nothing: on entry before this
+            stage, on return after it.
+    """
+    n_chunks = (rays.shape[0] + _CHUNK - 1) // _CHUNK
+    for task in prange(_TASKS):
+        # Chunks are dealt out in turn: rows near the horizon cost several times what sky and foreground do.
+        for chunk in range(task, n_chunks, _TASKS):
+            for k in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, rays.shape[0])):
+                state = float(out[k])
+                if not state < 0.0:
+                    continue
+                a, b, c = rays[k, 0], rays[k, 1], rays[k, 2]
+                east = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c
+                north = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c
+                up = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c
+                across = math.sqrt(east * east + north * north)
+                if not (across == across and up == up):
+                    out[k] = np.nan
+                elif across < PLUMB_SINE:
+                    if first:
+                        out[k] = np.inf if up > 0.0 else stage.oz - height_at(ground, stage.ox, stage.oy)
+                else:
+                    cx, cy, s = east / across, -north / across, up / across * stage.resolution
+                    cx, cy = _normal(cx), _normal(cy)
+                    start, end = stretch(stage, cx, cy)
+                    q = hit_between(ground, stage, cx, cy, s, stage.bend, start, end, state, START_LEVEL)
+                    q = finished(stage, cx, cy, s, stage.bend, q)
+                    out[k] = q * stage.resolution / across if q >= 0.0 else q

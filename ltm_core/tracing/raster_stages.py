@@ -1,0 +1,101 @@
+"""The rasters of a DEM as the kernels see them, and in which order rays from a position go through them.
+
+A single raster is one stage. In a stack each raster lies within the next coarser one, so a ray's way over raster k is
+one interval, which contains that over raster k - 1: it goes from the raster that the camera stands over inwards to the
+finest, and from there outwards to the coarsest, and in between leaves each one out. All rays take the same order.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ltm_core.dem import Dem
+from ltm_core.errors import RasterError
+from ltm_core.tracing.holes import filled_at, find_holes
+from ltm_core.tracing.pyramid import build_pyramid
+from ltm_core.tracing.pyramid_traversal import AFTER, BEFORE, WHOLE, Ground, Stage
+
+Floats = NDArray[np.float64]
+
+
+class _Window(NamedTuple):
+    """A rectangle seen from a position, in cells: its edges' x (to the east) and y (to the south)."""
+
+    west: float
+    north: float
+    east: float
+    south: float
+
+
+def grounds(dem: Dem) -> tuple[Ground, ...]:
+    """What the kernels know of each level, finest first. Raises RasterError for infinite heights."""
+    made: list[Ground] = []
+    top = -np.inf
+    for level in reversed(dem.levels):
+        elevation = level.elevation
+        infinite = _first_infinite(elevation)
+        if infinite >= 0:
+            row, col = divmod(infinite, elevation.shape[1])
+            raise RasterError(f"the DEM is infinite at row {row}, column {col}; mark unknown heights as nodata (NaN)")
+        holes = find_holes(elevation)
+        pyramid = build_pyramid(elevation, holes)
+        height, width = elevation.shape
+        top = max(top, float(np.fmax.reduce(elevation, axis=None)))
+        made.append(Ground(elevation.ravel(), *holes, width, height, *pyramid, top))
+    return tuple(reversed(made))
+
+
+def stages(dem: Dem, position: Floats, bend: float) -> list[tuple[int, Stage]]:
+    """Levels and their stages in the order in which rays from `position` (3,) come to them; `bend` in 1/m."""
+    windows = [_window(level, position) for level in dem.levels]
+    last = len(windows) - 1
+    stands_on = next((k for k, w in enumerate(windows) if _is_inside(w)), last)
+
+    def stage(k: int, part: int) -> tuple[int, Stage]:
+        geometry = dem.levels[k].geometry
+        resolution = geometry.resolution
+        own = windows[k]
+        finer = own
+        if k > 0:
+            scale = dem.levels[k - 1].geometry.resolution / resolution
+            finer = _Window(*(edge * scale for edge in windows[k - 1]))
+        ends = k == last and part != BEFORE
+        grid_bend = bend * resolution**2
+        return k, Stage(-own.west, -own.north, float(position[2]), resolution, grid_bend, *own, *finer, part, ends)
+
+    inwards = [stage(k, BEFORE) for k in range(stands_on, 0, -1)]
+    return [*inwards, stage(0, WHOLE), *(stage(k, AFTER) for k in range(1, last + 1))]
+
+
+def filled_corners(dem: Dem, ground: Ground, position: Floats) -> NDArray[np.float32] | None:
+    """Heights of the four nodes around a position over one raster, with the ceilings of enclosed holes; None where it
+    is not over the raster.
+    """
+    if not _is_inside(_window(dem, position)):
+        return None
+    row, col = (float(v) for v in dem.geometry.to_grid(position[0], position[1]))
+    at = min(int(row), ground.height - 2) * ground.width + min(int(col), ground.width - 2)
+    nodes = (at, at + 1, at + ground.width, at + ground.width + 1)
+    return np.array([filled_at(ground.nodes, ground, node) for node in nodes], np.float32)
+
+
+def _window(dem: Dem, position: Floats) -> _Window:
+    row, col = (float(v) for v in dem.geometry.to_grid(position[0], position[1]))
+    height, width = dem.elevation.shape
+    return _Window(0.0 - col, 0.0 - row, width - 1 - col, height - 1 - row)
+
+
+def _is_inside(window: _Window) -> bool:
+    return window.west <= 0.0 <= window.east and window.north <= 0.0 <= window.south
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _first_infinite(elevation: NDArray[np.float32]) -> int:
+    for at, height in enumerate(elevation.ravel()):
+        if np.isinf(height):
+            return at
+    return -1

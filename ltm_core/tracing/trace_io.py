@@ -1,0 +1,219 @@
+"""Files of `ltm trace`: the pose file that it reads, the rasters that it writes."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from ltm_core.camera import Camera
+from ltm_core.config_io import load_yaml
+from ltm_core.dem import Dem
+from ltm_core.errors import ConfigError, ImageError, PoseError
+from ltm_core.geodesy import SiteFrame
+from ltm_core.pose import Pose
+from ltm_core.range_image import RangeImage
+from ltm_core.raster.raster_io import write_geotiff
+from ltm_core.site import CalibrationConfig, Config
+
+
+class PlaceConfig(Config):
+    """Where a camera stood and its calibration: what every pose file holds."""
+
+    position: tuple[float, float] | tuple[float, float, float]
+    """[x, y, z], or [x, y] with `height_above_ground`; z in metres in the DEM's vertical datum."""
+    crs: str | None = None
+    """CRS of x and y; default the DEM's. In EPSG:4326 they are longitude, latitude in degrees."""
+    height_above_ground: float | None = Field(None, gt=0)
+    """Metres above the DEM: mast or tripod."""
+    pitch_deg: float = 0.0
+    """Up from the horizon."""
+    roll_deg: float = 0.0
+    """Of the camera, clockwise about its viewing direction."""
+    camera: CalibrationConfig
+    curvature: bool = True
+    refraction: float = Field(0.13, ge=0, lt=1)
+
+    @model_validator(mode="after")
+    def _one_height(self) -> Self:
+        if (len(self.position) == 3) == (self.height_above_ground is not None):
+            raise ValueError("give either position [x, y, z], or position [x, y] and height_above_ground")
+        return self
+
+
+class PictureConfig(PlaceConfig):
+    """One picture: where its camera stood, how it looked, and its calibration."""
+
+    azimuth_deg: float
+    """Of the optical axis, clockwise from the grid north of the DEM's CRS."""
+
+
+@dataclass(frozen=True)
+class PictureSetup:
+    """A picture ready to be traced, in a map frame whose origin is near its camera."""
+
+    dem: Dem
+    frame: SiteFrame
+    camera: Camera
+    pose: Pose
+
+
+def load_picture_config(path: Path | str) -> PictureConfig:
+    """Read a pose file. Raises ConfigError naming the file and each wrong key."""
+    return load_yaml(path, PictureConfig)
+
+
+def set_up_picture(config: PictureConfig, dem: Dem) -> PictureSetup:
+    """Place the camera of `config` on `dem`, which is in a CRS.
+
+    Raises PoseError where the ground under a camera given above it is not known, ConfigError for a CRS that is none.
+    """
+    crs = dem.geometry.crs
+    if crs is None:
+        raise ConfigError("the DEM must be in a CRS to place a camera on it")
+    x, y = _in_crs(config.position[0], config.position[1], config.crs, crs)
+    frame = SiteFrame(crs, round(x / 1000) * 1000.0, round(y / 1000) * 1000.0)
+    local = dem.in_frame(frame)
+    x, y = x - frame.x_origin, y - frame.y_origin
+    if config.height_above_ground is None:
+        z = config.position[-1]
+    else:
+        ground = float(local.elevation_at(x, y))
+        if ground != ground:
+            raise PoseError(
+                f"no terrain under the camera at {config.position[:2]} (DEM bounds {dem.geometry.bounds} in {crs}): "
+                "give position [x, y, z] instead of height_above_ground"
+            )
+        z = ground + config.height_above_ground
+    pose = Pose.from_angles((x, y, z), config.azimuth_deg, config.pitch_deg, config.roll_deg)
+    return PictureSetup(local, frame, config.camera.camera(), pose)
+
+
+def _in_crs(x: float, y: float, source: str | None, target: str) -> tuple[float, float]:
+    from pyproj import Transformer
+    from pyproj.exceptions import CRSError
+
+    if source is None:
+        return x, y
+    try:
+        transformer = Transformer.from_crs(source, target, always_xy=True)
+    except CRSError as error:
+        raise ConfigError(f"position crs {source!r} is not known ({error}); use a name such as EPSG:4326") from error
+    x_target, y_target = transformer.transform(x, y)
+    if not (np.isfinite(x_target) and np.isfinite(y_target)):
+        raise PoseError(f"position ({x}, {y}) in {source} has no place in {target}; EPSG:4326 wants longitude first")
+    return float(x_target), float(y_target)
+
+
+def read_photo(path: Path | str, camera: Camera) -> NDArray[np.uint8]:
+    """A photo upright as its EXIF says, (H, W, 3) uint8 RGB. Raises ImageError: not readable, not the camera's size."""
+    from PIL import Image, ImageOps, UnidentifiedImageError
+
+    if Path(path).suffix.lower() in {".heic", ".heif"}:
+        from pillow_heif import register_heif_opener
+
+        register_heif_opener()
+    try:
+        with Image.open(path) as source:
+            upright = ImageOps.exif_transpose(source)
+            photo = np.asarray(upright.convert("RGB"), np.uint8)
+    except (OSError, UnidentifiedImageError) as error:
+        raise ImageError(f"{path}: cannot be read as a picture ({error})") from error
+    if photo.shape[:2] != (camera.height, camera.width):
+        raise ImageError(
+            f"{path}: photo of {photo.shape[1]} x {photo.shape[0]} pixels, but the pose file's camera has "
+            f"{camera.width} x {camera.height}; give the calibration of this image size"
+        )
+    return photo
+
+
+def cell_counts(traced: RangeImage) -> NDArray[np.uint32]:
+    """How many pixels see each DEM cell, (H, W) of the raster."""
+    if traced.geometry is None:
+        raise ImageError("this range image was made without a raster, so it has no cells")
+    cells = traced.cells()
+    seen = cells[cells[..., 0] >= 0]
+    flat = np.bincount(seen[:, 0] * traced.geometry.width + seen[:, 1], minlength=np.prod(traced.geometry.shape))
+    return flat.reshape(traced.geometry.shape).astype(np.uint32)
+
+
+def write_trace(out: Path, traced: RangeImage, frame: SiteFrame) -> list[Path]:
+    """Write a traced picture as GeoTIFFs into the folder `out`; returns their paths.
+
+    `range.tif`, `depth.tif` (along the optical axis), `horizontal.tif` (the paper's depth): float32 metres, one value a
+    pixel of the picture, +inf sky, NaN unknown. `alignment.tif`: x, y in the CRS and z, float64 (float32 would round
+    northings to half a metre). These four lie in image space; camera, pose and CRS stand in their tags.
+    `seen.tif`: pixels a DEM cell, uint32, on the DEM's own grid.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    tags = _tags(traced, frame)
+    points = traced.points() + np.array([frame.x_origin, frame.y_origin, 0.0])
+    layers: dict[str, dict[str, NDArray[np.generic]]] = {
+        "range": {"range along the ray, m": traced.range},
+        "depth": {"depth along the optical axis, m": traced.depth()},
+        "horizontal": {"horizontal distance, m": traced.horizontal()},
+        "alignment": {name: points[..., band] for band, name in enumerate(("x, m", "y, m", "z, m"))},
+    }
+    written = []
+    for name, bands in layers.items():
+        written.append(out / f"{name}.tif")
+        _write_image_raster(written[-1], bands, tags)
+    if traced.geometry is not None:
+        written.append(out / "seen.tif")
+        geometry = traced.geometry.translated(frame.x_origin, frame.y_origin, crs=frame.crs)
+        write_geotiff(written[-1], cell_counts(traced), geometry, nodata=0)
+    return written
+
+
+def _tags(traced: RangeImage, frame: SiteFrame) -> dict[str, str]:
+    camera, pose = traced.camera, traced.pose
+    x, y, z = (float(v) for v in pose.position)
+    azimuth, pitch, roll = pose.angles_deg
+    return {
+        "LTM_CRS": frame.crs,
+        "LTM_CAMERA": json.dumps(
+            {key: getattr(camera, key) for key in ("width", "height", "fx", "fy", "cx", "cy", "distortion")}
+        ),
+        "LTM_POSE": json.dumps(
+            {
+                "position": [x + frame.x_origin, y + frame.y_origin, z],
+                "azimuth_deg": azimuth,
+                "pitch_deg": pitch,
+                "roll_deg": roll,
+            }
+        ),
+        "LTM_BEND": repr(traced.bend),
+    }
+
+
+def _write_image_raster(path: Path, bands: dict[str, NDArray[np.generic]], tags: dict[str, str]) -> None:
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning
+
+    first = next(iter(bands.values()))
+    height, width = first.shape
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # it lies in image space
+        with rasterio.open(
+            path,
+            "w",
+            driver="GTiff",
+            width=width,
+            height=height,
+            count=len(bands),
+            dtype=first.dtype,
+            nodata=np.nan,
+            compress="deflate",
+            predictor=3,
+            interleave="band",
+        ) as sink:
+            for band, (description, values) in enumerate(bands.items(), start=1):
+                sink.write(values, band)
+                sink.set_band_description(band, description)
+            sink.update_tags(**tags)

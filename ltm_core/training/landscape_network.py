@@ -1,0 +1,108 @@
+"""The network: a Lite0 encoder, a light pyramid that brings its maps together, one head each for classes and depth."""
+
+from __future__ import annotations
+
+import copy
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+from ltm_core.training.config import NetworkConfig
+from ltm_core.training.encoder import TAPS, Lite0Encoder, convolution
+
+
+class StripContext(nn.Module):  # type: ignore[misc]  # torch is not typed for us
+    """Adds what the whole picture, each row and each column hold: rows tell ground from sky, the rest the scene.
+
+    Its convolutions carry biases, no batch normalisation: over the few means of a small batch that would be noise.
+    """
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.whole = nn.Conv2d(channels, channels, 1)
+        self.rows = nn.Conv2d(channels, channels, 1)
+        self.columns = nn.Conv2d(channels, channels, 1)
+        self.join = nn.Conv2d(channels, channels, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        context = self.whole(x.mean((2, 3), keepdim=True))
+        context = context + self.rows(x.mean(3, keepdim=True)) + self.columns(x.mean(2, keepdim=True))
+        return functional.relu(x + self.join(functional.relu(context)))
+
+
+class PyramidStep(nn.Module):  # type: ignore[misc]  # torch is not typed for us
+    """Enlarges the coarse map by two, adds the encoder's map of that size, filters."""
+
+    def __init__(self, coarse: int, skip: int, outputs: int) -> None:
+        super().__init__()
+        self.reduce = convolution(coarse, outputs, relu=True)
+        self.skip = convolution(skip, outputs, relu=True)
+        self.filter = nn.Sequential(
+            convolution(outputs, outputs, 5, groups=outputs, relu=True), convolution(outputs, outputs, relu=True)
+        )
+
+    def forward(self, coarse: Tensor, skip: Tensor) -> Tensor:
+        large = functional.interpolate(self.reduce(coarse), scale_factor=2.0, mode="bilinear", align_corners=False)
+        joined: Tensor = self.filter(large + self.skip(skip))
+        return joined
+
+
+class LandscapeNetwork(nn.Module):  # type: ignore[misc]  # torch is not typed for us
+    """Photo (N, 3, H, W), ImageNet-normalised -> class logits (N, classes, H/2, W/2) and log inverse depth
+    (N, 1, H/4, W/4), both to be interpolated to the photo; H and W multiples of 32.
+
+    The depth head answers in logarithms, so that a slope at 5 km is told from one at 6 km as surely as a bush at 5 m
+    from one at 6 m; its scale is free: photos of unknown focal length do not give it.
+    """
+
+    def __init__(self, classes: int, config: NetworkConfig) -> None:
+        super().__init__()
+        self.encoder = Lite0Encoder(config.fixed)
+        fine, *middle, coarse = TAPS.values()
+        wide, narrow = config.width, config.width // 2
+        self.reduce = convolution(coarse, wide, relu=True)
+        self.context = StripContext(wide)
+        self.steps = nn.ModuleList(PyramidStep(wide, skip, wide) for skip in reversed(middle))
+        self.last = PyramidStep(wide, fine, narrow)
+        self.classes = nn.Conv2d(narrow, classes, 1)
+        self.depth = nn.Sequential(
+            convolution(wide, wide, 3, groups=wide, relu=True), convolution(wide, narrow, relu=True)
+        )
+        self.inverse = nn.Conv2d(narrow, 1, 1)
+
+    def forward(self, photo: Tensor) -> tuple[Tensor, Tensor]:
+        return self.heads(self.encoder(photo))
+
+    def heads(self, maps: list[Tensor]) -> tuple[Tensor, Tensor]:
+        """Logits and log inverse depth from the encoder's maps."""
+        fine, *middle, coarse = maps
+        x = self.context(self.reduce(coarse))
+        for step, skip in zip(self.steps, reversed(middle), strict=True):
+            x = step(x, skip)
+        return self.classes(self.last(x, fine)), self.inverse(self.depth(x))
+
+
+class Deployed(nn.Module):  # type: ignore[misc]  # torch is not typed for us
+    """The network as it is exported: outputs `logits` and `inverse_depth` (N, 1, H/4, W/4), positive, of free scale."""
+
+    def __init__(self, network: LandscapeNetwork) -> None:
+        super().__init__()
+        self.network = for_inference(network)
+
+    def forward(self, photo: Tensor) -> tuple[Tensor, Tensor]:
+        logits, log_inverse = self.network(photo)
+        return logits, torch.exp(log_inverse)
+
+
+def for_inference(network: LandscapeNetwork) -> LandscapeNetwork:
+    """A copy in evaluation mode whose batch normalisations are folded into the convolutions before them."""
+    network = copy.deepcopy(network).eval()
+    for module in network.modules():
+        if not isinstance(module, nn.Sequential) or len(module) < 2:
+            continue
+        if isinstance(module[0], nn.Conv2d) and isinstance(module[1], nn.BatchNorm2d):
+            module[0] = fuse_conv_bn_eval(module[0], module[1])
+            module[1] = nn.Identity()
+    return network

@@ -1,0 +1,91 @@
+"""The patch of ground that one pixel covers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.pose import Pose
+from ltm_core.visibility.line_of_sight import sight_vectors
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Footprints:
+    """`along`, `across`: (N,) metres, extents of a pixel's parallelogram on the ground, away from the camera and
+    sideways; +inf where the ground faces away, NaN where it is not known. `area`: (N,) square metres.
+    """
+
+    along: Floats
+    across: Floats
+    area: Floats
+
+
+def ground_normals(dem: Dem, x: Floats, y: Floats) -> Floats:
+    """Upward unit normals (..., 3) of the ground at map points, from height differences over one cell, or over half of
+    one where the other half is unknown; NaN where neither is known.
+    """
+    half = dem.geometry.resolution / 2
+    here = dem.elevation_at(x, y)
+    east = _slope(dem.elevation_at(x - half, y), here, dem.elevation_at(x + half, y), half)
+    north = _slope(dem.elevation_at(x, y - half), here, dem.elevation_at(x, y + half), half)
+    normals = np.stack([-east, -north, np.ones_like(east)], axis=-1)
+    return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True), np.float64)
+
+
+def _slope(before: Floats, here: Floats, after: Floats, step: float) -> Floats:
+    whole = (after - before) / (2 * step)
+    half = np.where(np.isnan(after), here - before, after - here) / step
+    return np.where(np.isnan(whole), half, whole)
+
+
+def arrival_directions(position: Floats, points: Floats, bend: float) -> Floats:
+    """Unit directions (..., 3) in which rays from `position` arrive at the points, bent by curvature."""
+    arriving = sight_vectors(position, points, bend)
+    arriving[..., 2] += 2 * bend * (arriving[..., 0] ** 2 + arriving[..., 1] ** 2)
+    return np.asarray(arriving / np.linalg.norm(arriving, axis=-1, keepdims=True), np.float64)
+
+
+def sideways(directions: Floats) -> Floats:
+    """Unit horizontal vectors (..., 3) to the right of the directions; of a plumb one, east."""
+    right = np.stack([directions[..., 1], -directions[..., 0], np.zeros_like(directions[..., 0])], axis=-1)
+    length = np.linalg.norm(right, axis=-1, keepdims=True)
+    plumb = length[..., 0] < 1e-9
+    with np.errstate(invalid="ignore"):
+        right = right / length
+    right[plumb] = (1.0, 0.0, 0.0)
+    return np.asarray(right, np.float64)
+
+
+def ground_footprints(camera: Camera, pose: Pose, points: Floats, normals: Floats, bend: float) -> Footprints:
+    """Footprints of the pixels that see the ground points (N, 3) with upward normals (N, 3).
+
+    To first order: the inverse of the projection's Jacobian over the plane at each point, distortion included.
+    """
+    arriving = arrival_directions(pose.position, points, bend)
+    # Axes in the ground's plane: b sideways, a away from the camera.
+    b = sideways(arriving)
+    b = b - normals * np.sum(b * normals, axis=-1, keepdims=True)
+    b /= np.linalg.norm(b, axis=-1, keepdims=True)
+    a = np.cross(normals, b)
+    step = 1e-4 * np.linalg.norm(points - pose.position, axis=-1, keepdims=True)
+
+    def pixels(moved: Floats) -> Floats:
+        return camera.project(sight_vectors(pose.position, moved, bend) @ pose.rotation)
+
+    per_a = (pixels(points + step * a) - pixels(points - step * a)) / (2 * step)
+    per_b = (pixels(points + step * b) - pixels(points - step * b)) / (2 * step)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        determinant = np.abs(per_a[:, 0] * per_b[:, 1] - per_a[:, 1] * per_b[:, 0])
+        along = (np.abs(per_b[:, 0]) + np.abs(per_b[:, 1])) / determinant
+        across = (np.abs(per_a[:, 0]) + np.abs(per_a[:, 1])) / determinant
+        area = 1 / determinant
+    away = np.sum(arriving * normals, axis=-1) >= 0
+    for values in (along, across, area):
+        values[away & ~np.isnan(values)] = np.inf
+    return Footprints(along, across, area)

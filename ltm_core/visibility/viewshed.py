@@ -1,0 +1,189 @@
+"""What a network of cameras covers: for each cell of the ground, who sees it, how finely, and what stands too low."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.camera import Camera
+from ltm_core.errors import PoseError, RasterError
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+from ltm_core.visibility.footprint import arrival_directions, ground_footprints, ground_normals
+from ltm_core.visibility.line_of_sight import sight_vectors
+from ltm_core.visibility.point_visibility import TOLERANCE, SightLines, in_image, project
+
+Floats = NDArray[np.float64]
+
+_CELLS = 1 << 18
+"""Cells at a time: bounds memory."""
+
+
+@dataclass(frozen=True)
+class View:
+    """One camera of a network, in the map frame."""
+
+    name: str
+    camera: Camera
+    pose: Pose
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """Rasters (H, W) over `geometry`.
+
+    `count`: int16, cameras that see the cell at the target's height; -1 where the ground is not known. `footprint`:
+    float32 metres, the longer side of a pixel's footprint on the cell's ground, of the camera that sees it best; NaN
+    where none does, or only over a crest whose slope faces away. `height`: float32 metres above the
+    ground, the least that some camera sees; NaN where no camera looks that way or unknown ground is before it.
+    """
+
+    geometry: GridGeometry
+    count: NDArray[np.int16]
+    footprint: NDArray[np.float32]
+    height: NDArray[np.float32]
+
+    @property
+    def known(self) -> int:
+        return int((self.count >= 0).sum())
+
+    def share(self, cameras: int = 1) -> float:
+        """Share of the known ground that at least so many cameras see."""
+        return float((self.count >= cameras).sum() / max(1, self.known))
+
+
+def viewshed(
+    sight: SightLines,
+    views: Sequence[View],
+    resolution: float | None = None,
+    target_height: float = 0.0,
+    max_range: float = math.inf,
+    all_round: bool = False,
+) -> Coverage:
+    """Coverage of the whole DEM.
+
+    Args:
+        sight: lines of sight over the DEM, in the frame of the poses.
+        views: the cameras.
+        resolution: of the result, metres; default the DEM's. A cell is judged at its centre.
+        target_height: metres above the ground that is to be seen (smoke, a person); 0 is the ground.
+        max_range: metres along the map beyond which a camera counts as blind.
+        all_round: each camera turns to wherever it is needed: its angles and image edges do not matter.
+
+    Raises PoseError: no camera, or one under the ground; RasterError for a resolution that is none.
+    """
+    if not views:
+        raise PoseError("a viewshed needs at least one camera with calibration and pose")
+    if not (math.isfinite(target_height) and target_height >= 0):
+        raise PoseError(f"the target's height must be 0 or more metres above the ground, got {target_height}")
+    geometry = _resampled(sight.dem.geometry, resolution)
+    count = np.full(geometry.shape, -1, np.int16)
+    footprint = np.full(geometry.shape, np.inf, np.float32)
+    height = np.full(geometry.shape, np.inf, np.float32)
+    rows_at_once = max(1, _CELLS // geometry.width)
+    for start in range(0, geometry.height, rows_at_once):
+        rows = slice(start, min(start + rows_at_once, geometry.height))
+        row, col = np.mgrid[rows, 0 : geometry.width]
+        x, y = geometry.to_map(row, col)
+        ground = sight.dem.elevation_at(x, y)
+        known = np.isfinite(ground)
+        if not known.any():
+            continue
+        places = np.stack([x, y, ground], axis=-1)[known]
+        normals = ground_normals(sight.dem, places[:, 0], places[:, 1])
+        seen_by = np.zeros(len(places), np.int16)
+        best, lowest = np.full(len(places), np.inf), np.full(len(places), np.inf)
+        for view in views:
+            seen, size, least = _from_one(sight, view, places, normals, target_height, max_range, all_round)
+            seen_by += seen
+            best = np.fmin(best, np.where(seen, size, np.inf))
+            lowest = np.fmin(lowest, least)
+        count[rows][known] = seen_by
+        footprint[rows][known] = best
+        height[rows][known] = lowest
+    footprint[np.isinf(footprint)] = np.nan
+    height[np.isinf(height)] = np.nan
+    return Coverage(geometry, count, footprint, height)
+
+
+def _from_one(
+    sight: SightLines,
+    view: View,
+    places: Floats,
+    normals: Floats,
+    target_height: float,
+    max_range: float,
+    all_round: bool,
+) -> tuple[NDArray[np.bool_], Floats, Floats]:
+    """Whether one camera sees the targets over ground `places` (N, 3), its footprints there (metres), and the least
+    visible height above ground (+inf where it sees none).
+    """
+    position = view.pose.position
+    near = np.hypot(places[:, 0] - position[0], places[:, 1] - position[1]) <= max_range
+    looked = near if all_round else near & _may_be_framed(sight, view, places)
+    lift = np.full(len(places), np.inf)
+    unknown = np.ones(len(places), np.bool_)
+    lift[looked], unknown[looked] = sight.lifts(position, places[looked])
+    least = np.where(unknown, np.inf, np.where(lift <= TOLERANCE, 0.0, lift))
+    seen = least <= target_height
+    if not all_round:
+        seen &= _framed(sight, view, places, np.full(len(places), target_height))
+        least[~_framed(sight, view, places, np.where(np.isfinite(least), least, 0.0))] = np.inf
+    size = np.full(len(places), np.inf)
+    if all_round:
+        size[seen] = _turned_footprint(view.camera, position, places[seen], normals[seen], sight.bend)
+    else:
+        prints = ground_footprints(view.camera, view.pose, places[seen], normals[seen], sight.bend)
+        size[seen] = np.maximum(prints.along, prints.across)
+    return seen, size, least
+
+
+def _may_be_framed(sight: SightLines, view: View, places: Floats) -> NDArray[np.bool_]:
+    """Cells in the sector that the image spans on the map, at any height: spares the others their line of sight."""
+    forward = view.pose.rotation[:, 2]
+    horizontal = float(np.hypot(forward[0], forward[1]))
+    if horizontal < 0.5:  # looks steeply up or down
+        return np.ones(len(places), np.bool_)
+    ahead = (places[:, :2] - view.pose.position[:2]) @ forward[:2] / horizontal
+    sideways = (places[:, :2] - view.pose.position[:2]) @ np.array([forward[1], -forward[0]]) / horizontal
+    corners = _border_rays(view.camera) @ view.pose.rotation.T
+    if np.isnan(corners).any() or (corners[:, :2] @ forward[:2] <= 1e-3).any():
+        return np.ones(len(places), np.bool_)
+    tangents = (corners[:, :2] @ np.array([forward[1], -forward[0]])) / (corners[:, :2] @ forward[:2])
+    return np.asarray(
+        (ahead > 0) & (sideways >= (tangents.min() - 0.01) * ahead) & (sideways <= (tangents.max() + 0.01) * ahead)
+    )
+
+
+def _border_rays(camera: Camera) -> Floats:
+    rays = camera.rays()
+    return np.concatenate([rays[0], rays[-1], rays[:, 0], rays[:, -1]])
+
+
+def _framed(sight: SightLines, view: View, places: Floats, above: Floats) -> NDArray[np.bool_]:
+    raised = places.copy()
+    raised[:, 2] += above
+    return in_image(view.camera, project(view.camera, view.pose, raised, sight.bend))
+
+
+def _turned_footprint(camera: Camera, position: Floats, places: Floats, normals: Floats, bend: float) -> Floats:
+    """Longer side of the footprint of a central pixel turned towards each place, metres."""
+    distance = np.linalg.norm(sight_vectors(position, places, bend), axis=1)
+    facing = -np.sum(arrival_directions(position, places, bend) * normals, axis=1)
+    with np.errstate(divide="ignore"):
+        along = np.where(facing > 0, distance / (camera.fy * facing), np.inf)
+    return np.asarray(np.maximum(along, distance / camera.fx), np.float64)
+
+
+def _resampled(geometry: GridGeometry, resolution: float | None) -> GridGeometry:
+    if resolution is None or resolution == geometry.resolution:
+        return geometry
+    if not (math.isfinite(resolution) and resolution > 0):
+        raise RasterError(f"the viewshed's resolution must be positive metres, got {resolution}")
+    width = math.ceil((geometry.x_max - geometry.x_min) / resolution - 1e-9)
+    height = math.ceil((geometry.y_max - geometry.y_min) / resolution - 1e-9)
+    return GridGeometry(geometry.x_min, geometry.y_max, resolution, width, height, geometry.crs)

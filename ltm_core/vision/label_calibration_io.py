@@ -1,0 +1,75 @@
+"""The calibration file beside a model's manifest: `<model>_calibration.yaml`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from ltm_core.config_io import load_yaml
+from ltm_core.errors import ConfigError, ModelError
+from ltm_core.strict_model import StrictModel
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.manifest import CALIBRATION_SUFFIX, Manifest
+
+
+class Calibration(StrictModel):
+    """How a model's labels err: `confusion[i][j]` is P(label j given | label i true), classes in the order of
+    `labels.yaml`; `measured_on` says where."""
+
+    classes: tuple[str, ...]
+    confusion: tuple[tuple[float, ...], ...]
+    measured_on: str
+    ece: dict[str, float] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _rows_are_distributions(self) -> Calibration:
+        count = len(self.classes)
+        if len(self.confusion) != count or any(len(row) != count for row in self.confusion):
+            raise ValueError(f"confusion must have {count} rows of {count} values, one for each of classes")
+        for name, row in zip(self.classes, self.confusion, strict=True):
+            if min(row) < 0 or abs(sum(row) - 1.0) > 1e-2:
+                raise ValueError(f"confusion: the row of {name} sums to {sum(row):.4f}, expected 1, none below 0")
+        return self
+
+    def matrix(self, labels: LabelSet) -> NDArray[np.float64]:
+        """The matrix (K, K) for a label set whose first classes are those of the file; classes appended to the set
+        are taken at their word. Raises ModelError for classes in another order."""
+        count = len(self.classes)
+        if labels.names[:count] != self.classes:
+            raise ModelError(
+                f"calibration is of classes {', '.join(self.classes)}; the label set has {', '.join(labels.names)}"
+            )
+        matrix = np.eye(len(labels))
+        matrix[:count, :count] = self.confusion
+        return np.asarray(matrix / matrix.sum(axis=1, keepdims=True))
+
+
+def calibration_path(manifest_path: Path) -> Path:
+    """Where the calibration of a manifest lies."""
+    return manifest_path.with_name(f"{manifest_path.stem}{CALIBRATION_SUFFIX}")
+
+
+def load_calibration(manifest: Manifest) -> Calibration | None:
+    """The calibration beside a manifest; None where it has none. Raises ModelError for a file that cannot be taken."""
+    path = manifest.folder / f"{manifest.name}{CALIBRATION_SUFFIX}"
+    if not path.is_file():
+        return None
+    try:
+        return load_yaml(path, Calibration)
+    except ConfigError as reason:
+        raise ModelError(str(reason)) from reason
+
+
+def write_calibration(path: Path, calibration: Calibration) -> None:
+    content = {
+        "classes": list(calibration.classes),
+        "measured_on": calibration.measured_on,
+        "ece": {name: round(value, 4) for name, value in calibration.ece.items()},
+        "confusion": [[round(value, 4) for value in row] for row in calibration.confusion],
+    }
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
+    path.write_text(f"# confusion: rows are true classes, P(label given | true); written by `ltm train`.\n{text}")

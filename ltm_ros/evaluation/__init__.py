@@ -1,0 +1,1 @@
+"""Study wing: recorded runs scored against truth, and the reports of it."""

@@ -1,0 +1,75 @@
+"""The layers of the fuel map that are shown and whose history is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.fuel.evidence import EvidenceMap, Window
+from ltm_core.fuel.stored_map import JOURNALED
+from ltm_core.raster.tile_store import CellChanges, TileStore
+
+
+class ShownLayers:
+    """Life form and code as of the last refresh, (H, W) each; computing them for every frame would cost too much."""
+
+    def __init__(self, evidence: EvidenceMap) -> None:
+        self._evidence = evidence
+        layers = evidence.layers()
+        self.life_form: NDArray[np.uint8] = layers.life_form
+        self.code: NDArray[np.int16] = layers.code
+
+    def refresh(self, windows: Sequence[Window]) -> list[CellChanges]:
+        """Decide these parts of the map anew; what has changed there."""
+        return [change for window in _merged(windows) for change in self._refresh(window)]
+
+    def refresh_all(self) -> list[CellChanges]:
+        """Time alone changes cells too: evidence decays, burns grow over."""
+        return self.refresh([(0, 0, *self._evidence.geometry.shape)])
+
+    def missing_from(self, journal: TileStore, initial: Mapping[str, NDArray[Any]]) -> list[CellChanges]:
+        """How the layers differ from what the journal makes of the `initial` ones, those without any evidence.
+
+        It is found now, by a nanosecond after the latest frame: as of that frame, the map is what was shown then.
+        """
+        found = []
+        for name in JOURNALED:
+            recorded = journal.as_of(name, initial[name], 2**63 - 1)
+            found += self._changes(name, recorded, getattr(self, name), (0, 0), self._evidence.newest_ns + 1)
+        return found
+
+    def copies(self) -> dict[str, NDArray[Any]]:
+        return {name: getattr(self, name).copy() for name in JOURNALED}
+
+    def _refresh(self, window: Window) -> list[CellChanges]:
+        row, col, height, width = window
+        part = slice(row, row + height), slice(col, col + width)
+        layers = self._evidence.layers(window)
+        found = []
+        for name in JOURNALED:
+            shown, now = getattr(self, name)[part], getattr(layers, name)
+            found += self._changes(name, shown, now, (row, col), self._evidence.newest_ns)
+            shown[...] = now
+        return found
+
+    def _changes(
+        self, layer: str, old: NDArray[Any], new: NDArray[Any], corner: tuple[int, int], stamp: int
+    ) -> list[CellChanges]:
+        rows, cols = np.nonzero(old != new)
+        if len(rows) == 0:
+            return []
+        return [CellChanges(layer, stamp, rows + corner[0], cols + corner[1], old[rows, cols], new[rows, cols])]
+
+
+def _merged(windows: Sequence[Window]) -> list[Window]:
+    """One window over all, unless they lie so far apart that it would be more than they are together."""
+    if len(windows) < 2:
+        return list(windows)
+    row, col = min(w[0] for w in windows), min(w[1] for w in windows)
+    height, width = max(w[0] + w[2] for w in windows) - row, max(w[1] + w[3] for w in windows) - col
+    if height * width <= sum(w[2] * w[3] for w in windows):
+        return [(row, col, height, width)]
+    return list(windows)

@@ -1,0 +1,251 @@
+"""A fuel map and its store: what is counted is in memory at once, on disk soon, and acknowledged only then."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+
+from ltm_core.errors import LtmError, StoreError
+from ltm_core.fuel.evidence import Window
+from ltm_core.fuel.stored_map import restore, votes_of, votes_to_bytes
+from ltm_core.fuel.surface_change import LivingFuelMap
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.raster.tile_store import CellChanges, FrameRecord, Key, Tile, TileStore
+from ltm_ros.fuel_map.layers import ShownLayers
+from ltm_ros.runtime.health import Health, cause_of
+
+LOGGED_FRAMES = 200
+"""Frames that wait in the store before its tiles are written: what opening it must count again at most."""
+LOGGED_BYTES = 32 << 20
+UNSAVED_FRAMES = 500_000
+"""Frames counted in memory alone, while the disk is away, before more are refused: three hours of 40 a second."""
+UNSAVED_BYTES = 256 << 20
+"""Of the same, where the store has not been opened yet, so that they must be counted again once it is."""
+RETRY_S = 2.0
+AGE_NS = 3600 * 10**9
+"""Of the map's own time, after which cells that no frame has touched are looked at again."""
+
+
+class Counting(Enum):
+    """What became of a frame."""
+
+    COUNTED = "counted"
+    EMPTY = "empty"
+    """Counted, but it says nothing of any cell."""
+    DUPLICATE = "duplicate"
+    TOO_OLD = "too_old"
+
+
+@dataclass(frozen=True)
+class Counted:
+    """A frame that the map holds; `window`: what it may have changed, None for nothing."""
+
+    record: FrameRecord
+    window: Window | None
+
+
+class FuelKeeper:
+    """Counts frames into a map and keeps it in a store.
+
+    `settle` writes what was counted since the last time, in one transaction, and returns it: acknowledged is what
+    `settle` has returned. While the disk is away the map lives on in memory and nothing is acknowledged; once it is
+    back all of it is written.
+
+    Args:
+        make_map: the site's map without any evidence.
+        open_store: the store. A StoreError of it (disk full, folder not writable) lets the keeper begin in memory; it
+            tries again, and counts what came meanwhile into what the store holds. A ConfigError ends it.
+        durable: whether the store outlives the process; if not, frames and tiles need not be in it.
+    """
+
+    def __init__(
+        self,
+        make_map: Callable[[], LivingFuelMap],
+        open_store: Callable[[], TileStore],
+        health: Health,
+        durable: bool = True,
+    ) -> None:
+        self._make_map, self._open_store, self._health, self._durable = make_map, open_store, health, durable
+        self.map = make_map()
+        self.shown = ShownLayers(self.map)
+        self.store: TileStore | None = None
+        self.saved_frames = 0
+        """Frames acknowledged, since the store was made."""
+        self._initial = self.shown.copies()
+        self._batch: list[Counted] = []
+        self._in_batch: set[tuple[str, int]] = set()
+        self._batch_bytes = 0
+        self._unshown: list[Window] = []
+        self._aged_ns = 0
+        self._changes: list[CellChanges] = []
+        self._dirty: set[Key] = set()
+        self._keys: dict[Key, Key] = {}
+        """Tiles are named by the same objects in all frames: a long outage shall not fill the memory."""
+        self._logged = self._logged_bytes = 0
+        self._failed = False
+        self._waited = 0.0
+        self._open()
+
+    @property
+    def unsaved_frames(self) -> int:
+        """Frames counted in memory alone so far."""
+        return len(self._batch)
+
+    def seen(self, source: str, stamp_ns: int) -> Counting | None:
+        """Why a frame must not be counted; None where it may be."""
+        if (source, stamp_ns) in self._in_batch:
+            return Counting.DUPLICATE
+        if self.store is not None and self.store.counted(source, stamp_ns):
+            return Counting.TOO_OLD if self.store.forgotten(source, stamp_ns) else Counting.DUPLICATE
+        return None
+
+    def count(self, votes: CellVotes, model: str = "") -> Counting:
+        """Count a frame, once. Raises LtmError where it cannot be taken; nothing of it is counted then."""
+        if (before := self.seen(votes.source, votes.stamp_ns)) is not None:
+            return before
+        if len(self._batch) >= UNSAVED_FRAMES or self._batch_bytes > UNSAVED_BYTES:
+            raise StoreError(
+                f"the store has been away for {len(self._batch)} frames; no more are taken until it is back"
+            )
+        payload = votes_to_bytes(votes) if self._durable and not self._failed else b""
+        window = self.map.add(votes)
+        tiles = [self._keys.setdefault(key, key) for key in self.map.tiles_of(window)] if window is not None else []
+        record = FrameRecord(votes.source, votes.stamp_ns, tiles, model, payload if window is not None else b"")
+        self._take(Counted(record, None if window is None else self.map.reached_from(window)))
+        return Counting.EMPTY if window is None else Counting.COUNTED
+
+    def replace_tiles(
+        self,
+        tiles: Mapping[Key, Tile],
+        source: str = "",
+        stamp_ns: int = 0,
+        window: Window | None = None,
+        changes: Sequence[CellChanges] = (),
+    ) -> None:
+        """Put other state in place of the map's, as when a region is cleared; the next `settle` writes it.
+
+        `source`, `stamp_ns`: on whose word, for the record of who touched what. `window`: what it changes. `changes`:
+        what else belongs into the journal.
+        """
+        for key, tile in tiles.items():
+            self.map.load_tile(key, tile)
+        self._dirty.update(tiles)
+        self._changes += [*changes, *self.shown.refresh_all()]
+        self._logged = LOGGED_FRAMES  # no payload could bring this state back
+        if not source:
+            return
+        while (before := self.seen(source, stamp_ns)) is Counting.DUPLICATE:
+            stamp_ns += 1
+        if before is None:
+            reached = None if window is None else self.map.reached_from(window)
+            self._take(Counted(FrameRecord(source, stamp_ns, sorted(tiles)), reached))
+
+    def wait(self, seconds: float) -> None:
+        """Time has passed: where the store was away, try it again now and then."""
+        self._waited += seconds
+        if self.store is None and self._waited >= RETRY_S:
+            self._waited = 0.0
+            self._open()
+
+    def settle(self, write_tiles: bool = False) -> list[Counted]:
+        """Show and write what was counted; what is acknowledged with it. `write_tiles`: all that the map holds."""
+        if self.map.newest_ns - self._aged_ns >= AGE_NS:
+            # Evidence fades and burns end where nobody looks, too.
+            self._aged_ns = self.map.newest_ns
+            self._changes += self.shown.refresh_all()
+        else:
+            self._changes += self.shown.refresh(self._unshown)
+        self._unshown = []
+        if self.store is None or (self._failed and self._waited < RETRY_S and not write_tiles):
+            return []
+        full = self._logged >= LOGGED_FRAMES or self._logged_bytes >= LOGGED_BYTES
+        tiles = self._dirty if self._durable and (write_tiles or full or self._failed) else set()
+        if not (self._batch or tiles or self._changes):
+            return []
+        try:
+            self.store.commit(
+                {key: self.map.tile_state(key) for key in sorted(tiles)},
+                [counted.record for counted in self._batch],
+                self._changes if self._durable else (),
+            )
+        except LtmError as error:
+            self._fail(error)
+            return []
+        return self._succeed(bool(tiles))
+
+    def close(self) -> list[Counted]:
+        """Write all and let go of the store; what is acknowledged with it."""
+        self._changes += self.shown.refresh_all()
+        saved = self.settle(write_tiles=True)
+        if self.store is not None:
+            self.store.close()
+        return saved
+
+    def _succeed(self, wrote_tiles: bool) -> list[Counted]:
+        saved, self._batch = self._batch, []
+        self._in_batch.clear()
+        self._changes = []
+        if wrote_tiles:
+            self._dirty.clear()
+            self._logged = self._logged_bytes = 0
+        else:
+            self._logged += len(saved)
+            self._logged_bytes += self._batch_bytes
+        self._batch_bytes = 0
+        self.saved_frames += len(saved)
+        if self._failed:
+            self._failed = False
+            self._health.note("store_back")
+        return saved
+
+    def _fail(self, error: LtmError) -> None:
+        """The next attempt writes tiles, so payloads need not be held."""
+        self._failed, self._waited = True, 0.0
+        self._batch = [Counted(replace(c.record, payload=b""), c.window) for c in self._batch]
+        self._batch_bytes = 0
+        self._health.trouble(cause_of(error), f"{error}; {len(self._batch)} frames are in memory only")
+
+    def _take(self, counted: Counted) -> None:
+        record = counted.record
+        self._batch.append(counted)
+        self._in_batch.add((record.source, record.stamp_ns))
+        self._batch_bytes += len(record.payload)
+        self._dirty.update(record.tiles)
+        if counted.window is not None:
+            self._unshown.append(counted.window)
+
+    def _open(self) -> None:
+        """Begin with what the store holds; frames that have been counted without it are counted into that."""
+        store = None
+        try:
+            store = self._open_store()
+            evidence = self._make_map()  # the last attempt may have filled one in part
+            newer = restore(store, evidence)
+        except StoreError as error:
+            if store is not None:
+                store.close()
+            self._health.trouble(
+                cause_of(error), f"{error}; the map begins empty, {len(self._batch)} frames are in memory only"
+            )
+            return
+        before, self._batch = self._batch, []
+        self._in_batch.clear()
+        self._batch_bytes = 0
+        self._unshown = []
+        self.store, self.map, self._dirty = store, evidence, newer
+        self._logged = LOGGED_FRAMES if newer else 0  # written with the next frames
+        self.saved_frames = store.frame_count()
+        self.shown = ShownLayers(self.map)
+        self._aged_ns = self.map.newest_ns
+        self._changes = self.shown.missing_from(store, self._initial) if self._durable else []
+        for counted in before:
+            if self.seen(counted.record.source, counted.record.stamp_ns) is None:
+                self._count_again(counted)
+        if before:
+            self._health.note("store_back")
+
+    def _count_again(self, counted: Counted) -> None:
+        if counted.record.payload:
+            self.map.add(votes_of(counted.record, self.map.geometry))
+        self._take(counted)

@@ -1,0 +1,96 @@
+"""Pictures of a site's fuel map: what is drawn over what, for exports and reports alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.dem import Dem
+from ltm_core.errors import ConfigError, PoseError, RasterError
+from ltm_core.fuel.coverage import CoverageMap
+from ltm_core.fuel.decision import FuelLayers
+from ltm_core.fuel.stored_map import JOURNALED
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.grid import GridGeometry
+from ltm_core.pictures.fuel_maps import FuelCanvas, Place
+from ltm_core.raster.tile_store import TileStore
+from ltm_core.site import Site
+
+
+def places_of(site: Site, dem: Dem) -> list[Place]:
+    """The cameras whose place the site file gives, in the map frame."""
+    found = []
+    for name, camera in site.cameras.items():
+        if camera.pose is not None:
+            try:
+                x, y, _ = camera.pose.pose(dem, site.frame).position
+            except PoseError:
+                continue
+            found.append(Place(name, float(x), float(y)))
+    return found
+
+
+def canvas_of(
+    site: Site,
+    dem: Dem,
+    geometry: GridGeometry,
+    places: Sequence[Place] | None = None,
+    bounds: tuple[float, float, float, float] | None = None,
+    width: int = 760,
+) -> FuelCanvas:
+    """For layers on `geometry`, a fuel grid in the map frame, over the site's `dem`; axes in the site's CRS."""
+    shown = places_of(site, dem) if places is None else places
+    return FuelCanvas(geometry, Dem(dem.elevation, dem.geometry), shown, bounds, site.origin, width)
+
+
+def when(text: str) -> int:
+    """Nanoseconds of a date (its end) or a moment in ISO 8601, UTC unless it says otherwise. Raises ConfigError."""
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise ConfigError(f"{text!r} is no date; write 2026-05-31 or 2026-05-31T12:00:00Z") from error
+    moment = moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
+    end = 86400 if len(text) == len("2026-05-31") else 1
+    return (int(moment.timestamp()) + end) * 10**9 - 1
+
+
+def layers_as_of(store: TileStore, empty: FuelLayers, until_ns: int) -> FuelLayers:
+    """The map as the frames of up to a time had made it: codes and life forms; how sure it was then, is not kept.
+
+    `empty`: the layers without any evidence.
+    """
+    found = {name: store.as_of(name, getattr(empty, name), until_ns) for name in JOURNALED}
+    unknown: NDArray[np.float32] = np.full(empty.code.shape, np.nan, np.float32)
+    return replace(empty, **found, changed=found["code"] != empty.prior, p_max=unknown, entropy=unknown.copy())
+
+
+def seen_window(
+    geometry: GridGeometry, cells: NDArray[np.bool_], places: Sequence[Place]
+) -> tuple[float, float, float, float]:
+    """Bounds of the marked cells (H, W) and the cameras with a margin of five cells; of all where there are none.
+
+    Raises RasterError where shapes disagree.
+    """
+    if cells.shape != geometry.shape:
+        raise RasterError(f"cells of {cells.shape} do not fit a fuel grid of {geometry.shape}")
+    rows, cols = np.nonzero(cells)
+    x, y = geometry.to_map(rows, cols)
+    xs, ys = [*x.tolist(), *(p.x for p in places)], [*y.tolist(), *(p.y for p in places)]
+    if not xs:
+        return geometry.bounds
+    margin = 5 * geometry.resolution
+    west, east = max(min(xs) - margin, geometry.x_min), min(max(xs) + margin, geometry.x_max)
+    south, north = max(min(ys) - margin, geometry.y_min), min(max(ys) + margin, geometry.y_max)
+    return west, south, east, north
+
+
+def coverage_of(votes: Iterable[CellVotes], geometry: GridGeometry) -> CoverageMap:
+    """How often and how finely each camera has seen each cell of a fuel grid, in the map frame."""
+    coverage = CoverageMap(geometry)
+    for one in votes:
+        coverage.add(one)
+    return coverage

@@ -1,0 +1,149 @@
+"""What people ask of the fuel map besides looking at it: what stands at a point, to forget a region, landscapes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import ImageError, MessageError
+from ltm_core.fuel.codes import FuelSystem, fuel_models
+from ltm_core.fuel.evidence import TILE, EvidenceMap, Window
+from ltm_core.fuel.export.export_grid import make_landscape
+from ltm_core.fuel.export.landscape_io import write_landscape
+from ltm_core.fuel.export.lcp_io import write_lcp
+from ltm_core.fuel.life_form import NODATA
+from ltm_core.grid import GridGeometry
+from ltm_core.raster.tile_store import Key, Tile, TileStore
+from ltm_core.site import Site
+from ltm_core.vision.labels import LabelSet
+from ltm_msgs_py.stamp import stamp_of
+
+MOST_CORNERS = 1000
+
+
+def answer(evidence: EvidenceMap, store: TileStore | None, classes: LabelSet, x: float, y: float) -> dict[str, Any]:
+    """All that is known of the cell at map coordinates (x, y), and who has touched its tile, ready for JSON.
+
+    Raises MessageError for a point outside the map.
+    """
+    geometry = evidence.geometry
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise MessageError(f"query at ({x}, {y}): a point has finite coordinates")
+    fractional = geometry.to_grid(x, y)
+    row, col = (round(float(index)) if abs(float(index)) < 1e9 else -1 for index in fractional)
+    if not geometry.contains(row, col):
+        raise MessageError(f"query at ({x}, {y}) is outside the fuel map, {geometry.bounds} in the map frame")
+    layers = evidence.layers((row, col, 1, 1))
+    models = fuel_models()
+
+    def code_of(layer: NDArray[np.int16]) -> dict[str, Any] | None:
+        code = int(layer[0, 0])
+        return None if code == NODATA else {"code": code, "name": models.name(code)}
+
+    p_max = float(layers.p_max[0, 0])
+    touches = [] if store is None else store.touches((row // TILE, col // TILE))
+    return {
+        "row": row,
+        "col": col,
+        "prior": code_of(layers.prior),
+        "fuel": code_of(layers.code),
+        "life_form": classes.name_of(int(layers.life_form[0, 0])),
+        "p_max": None if math.isnan(p_max) else round(p_max, 4),
+        "entropy": round(float(layers.entropy[0, 0]), 4),
+        "evidence": round(float(layers.evidence[0, 0]), 3),
+        "changed": bool(layers.changed[0, 0]),
+        "last_seen_ns": int(layers.last_seen[0, 0]),
+        "seen_by": int(layers.seen_by[0, 0]),
+        "tile": [
+            {"camera": t.source, "model": t.model, "frames": t.frames, "first_ns": t.first_ns, "last_ns": t.last_ns}
+            for t in touches
+        ],
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A part of the map that somebody has drawn: `cells` (H, W) whose centres lie inside, one or more; the stamp that
+    it came with, 0 none.
+    """
+
+    cells: NDArray[np.bool_]
+    stamp_ns: int
+
+    @property
+    def window(self) -> Window:
+        """Row, col, height, width of its bounds."""
+        rows, cols = np.nonzero(self.cells)
+        top, left = int(rows.min()), int(cols.min())
+        return top, left, int(rows.max()) - top + 1, int(cols.max()) - left + 1
+
+
+def region_of(message: Any, geometry: GridGeometry) -> Region:
+    """The cells in a PolygonStamped. Raises MessageError on another frame, no polygon, or one that holds no cell."""
+    corners = [(float(p.x), float(p.y)) for p in message.polygon.points[: MOST_CORNERS + 1]]
+    if message.header.frame_id != "map":
+        raise MessageError(f"region is given in frame {message.header.frame_id!r}, wanted 'map'")
+    if not 3 <= len(corners) <= MOST_CORNERS or not np.isfinite(corners).all():
+        raise MessageError(f"region has {len(corners)} corners; give 3 to {MOST_CORNERS} finite ones")
+    cells = _cells_in(corners, geometry)
+    if not cells.any():
+        raise MessageError(f"region from {corners[0]} on holds no cell of the map, {geometry.bounds} in the map frame")
+    return Region(cells, stamp_of(message))
+
+
+def _cells_in(polygon: Sequence[tuple[float, float]], geometry: GridGeometry) -> NDArray[np.bool_]:
+    """(H, W): cells whose centres lie inside."""
+    from rasterio.features import geometry_mask
+
+    shape = {"type": "Polygon", "coordinates": [[*polygon, polygon[0]]]}
+    inside = geometry_mask([shape], geometry.shape, geometry.transform(), invert=True)
+    return np.asarray(inside, np.bool_)
+
+
+def burned(evidence: EvidenceMap, cells: NDArray[np.bool_], stamp_ns: int) -> dict[Key, Tile]:
+    """The state of the tiles that hold these cells, burned at that time. Raises MessageError for no such time."""
+    try:
+        evidence.burn(cells, stamp_ns)
+    except ImageError as error:
+        raise MessageError(str(error)) from error
+    return {key: evidence.tile_state(key) for key in _tiles_of(cells)}
+
+
+def _tiles_of(cells: NDArray[np.bool_]) -> list[Key]:
+    return sorted({(int(row) // TILE, int(col) // TILE) for row, col in np.argwhere(cells)})
+
+
+def forgotten(evidence: EvidenceMap, cells: NDArray[np.bool_]) -> dict[Key, Tile]:
+    """The state of the tiles that hold these cells, with nothing known of them."""
+    tiles = {}
+    for row, col in _tiles_of(cells):
+        state = evidence.tile_state((row, col))
+        inside = np.zeros((TILE, TILE), np.bool_)
+        part = cells[row * TILE : (row + 1) * TILE, col * TILE : (col + 1) * TILE]
+        inside[: part.shape[0], : part.shape[1]] = part
+        for array in state.values():
+            array[inside] = 0
+        tiles[row, col] = state
+    return tiles
+
+
+def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path) -> list[Path]:
+    """The map as `landscape.lcp` and `landscape.tif`, for fire models. Raises ConfigError, RasterError."""
+    system = FuelSystem.FBFM40 if evidence.prior is None else evidence.prior.system
+    landscape = make_landscape(
+        evidence.layers(),
+        evidence.prior,
+        site.open_dem(),
+        site.frame,
+        site.in_crs(evidence.geometry),
+        evidence.region,
+        system,
+    )
+    lcp = write_lcp(folder / "landscape.lcp", landscape, f"{site.name}: fuel map of cameras")
+    return [lcp, write_landscape(folder / "landscape.tif", landscape)]

@@ -1,0 +1,111 @@
+"""A fuel map to export: of a store, of a bag, or a GeoTIFF of classes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import ConfigError, RasterError
+from ltm_core.fuel.codes import Region
+from ltm_core.fuel.coverage import CoverageMap
+from ltm_core.fuel.decision import FuelLayers, layers_of_classes
+from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.fuel.majority import UNSEEN
+from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.prior_io import load_prior
+from ltm_core.fuel.site_map import site_evidence_map
+from ltm_core.fuel.stored_map import open_stored_map
+from ltm_core.fuel.surface_change import LivingFuelMap
+from ltm_core.grid import GridGeometry
+from ltm_core.raster.tile_store import TileStore
+from ltm_core.resources import config_path
+from ltm_core.site import Site
+from ltm_core.vision.labels import LabelSet
+
+
+@dataclass(frozen=True, eq=False)
+class FuelSource:
+    """A context manager. `geometry`: in the site's CRS. `empty`: the layers before any evidence. `evidence`, `store`:
+    of a store alone; `bag`: of a bag alone.
+    """
+
+    site: Site
+    labels: LabelSet
+    geometry: GridGeometry
+    prior: FuelPrior | None
+    layers: FuelLayers
+    empty: FuelLayers
+    evidence: LivingFuelMap | None = None
+    store: TileStore | None = None
+    bag: Path | None = None
+
+    @classmethod
+    def open(cls, path: Path, site: Site) -> FuelSource:
+        """Raises LtmError for a file that holds no fuel map of this site."""
+        labels = LabelSet.load(config_path(site.labels))
+        if path.suffix == ".ltm":
+            geometry = site.fuel_geometry(site.open_dem())
+            evidence = site_evidence_map(site, geometry, labels)
+            prior, empty = evidence.prior, evidence.layers()
+            store = open_stored_map(path, site, evidence)
+            return cls(site, labels, site.in_crs(geometry), prior, evidence.layers(), empty, evidence, store)
+        if path.suffix.lower() in (".tif", ".tiff"):
+            classes, grid = read_fuel_map(path)
+            if grid.crs != site.crs:
+                raise RasterError(f"{path} is in {grid.crs}, the site in {site.crs}: export the site's own map")
+            bag = None
+        else:
+            from ltm_ros.recordings.recorded_map import last_fuel_map
+
+            (classes, grid, _), bag = last_fuel_map(path, site), path
+        prior = None if site.fuel.prior is None else load_prior(site.fuel.prior, grid)
+        region = Region.named(site.fuel.region)
+        nothing = np.full(classes.shape, UNSEEN, np.uint8)
+        shown, empty = (layers_of_classes(one, prior, region) for one in (classes, nothing))
+        return cls(site, labels, grid, prior, shown, empty, bag=bag)
+
+    @property
+    def region(self) -> Region:
+        return Region.named(self.site.fuel.region)
+
+    def at(self, moment: str | None) -> FuelLayers:
+        """The map now, or as of a moment. Raises ConfigError for no moment, or where there is no history."""
+        if moment is None:
+            return self.layers
+        if self.store is None:
+            raise ConfigError(f"the map as of {moment} is known to a store (.ltm) only, which keeps its history")
+        from ltm_ros.fuel_map.pictures import layers_as_of, when
+
+        return layers_as_of(self.store, self.empty, when(moment))
+
+    def seen_by(self) -> dict[str, NDArray[np.bool_]]:
+        """The cells that each camera has seen, as far as the store's cells remember."""
+        if self.evidence is None or self.store is None:
+            raise ConfigError("who has seen a cell is known to a store (.ltm), or a bag with votes")
+        seen = {name: self.evidence.seen_by(name) for name in self.store.sources()}
+        return {name: cells for name, cells in seen.items() if cells.any()}
+
+    def coverage(self) -> CoverageMap | None:
+        """How often and how finely the cameras of a bag have seen each cell; None of anything but a bag."""
+        if self.bag is None:
+            return None
+        from ltm_ros.fuel_map.pictures import coverage_of
+        from ltm_ros.recordings.recorded_run import Recorded, recorded_votes
+
+        grid = self.site.in_map(self.geometry)
+        recorded = Recorded(self.bag, self.bag, self.site, self.bag.parent)
+        return coverage_of(recorded_votes(recorded, grid, self.labels), grid)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.store is not None:
+            self.store.close()

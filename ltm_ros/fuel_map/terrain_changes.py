@@ -1,0 +1,170 @@
+"""The terrain's changes as they come to the fuel map: checked, matched with its cells, told once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.errors import MessageError
+from ltm_core.fuel.stored_map import SURFACE_LAYER
+from ltm_core.fuel.surface_change import SOURCE, UNSEEN, SurfaceNews, news_of, tell
+from ltm_core.grid import GridGeometry
+from ltm_core.raster.tile_store import CellChanges
+from ltm_core.terrain.change import ChangeKind
+from ltm_msgs_py.grid import msg_to_classes, tile_window
+from ltm_msgs_py.pointcloud import msg_to_columns, take
+from ltm_msgs_py.stamp import stamp_of
+from ltm_msgs_py.terrain import msg_to_changed
+from ltm_ros.fuel_map.persistence import FuelKeeper
+from ltm_ros.runtime.health import Health
+
+_POINT_BYTES = 64
+"""Bound of what a changed cell takes on the wire."""
+
+
+def terrain_grid(dem: GridGeometry, resolution: float | None) -> GridGeometry:
+    """The grid of a site's `terrain` node, in the map frame: the DEM's, or over it with cells of `resolution`."""
+    cell = resolution or dem.resolution
+    height, width = (max(2, round(n * dem.resolution / cell)) for n in dem.shape)
+    return GridGeometry(dem.x_min, dem.y_max, cell, width, height, dem.crs)
+
+
+@dataclass(frozen=True, eq=False)
+class _Heard:
+    """A message that was found good."""
+
+    stamp_ns: int
+    kinds: NDArray[np.uint8]
+    window: GridGeometry
+
+
+class SurfaceListener:
+    """Takes `terrain/update` (how far cells moved) and `terrain/change` (the state of all), and tells the keeper's map.
+
+    `terrain/change` is state and latched: what it says is compared with what fuel cells were told before, as the
+    store's journal knows it, so that a message that comes twice, or again after a kill, changes nothing.
+
+    Args:
+        grid: of the terrain node, in the map frame.
+        refuse_future: raises or counts where a stamp is ahead; True where the message must not be taken.
+    """
+
+    def __init__(
+        self, grid: GridGeometry, keeper: FuelKeeper, health: Health, refuse_future: Callable[[str, int], bool]
+    ) -> None:
+        self._grid, self._keeper, self._health, self._refuse_future = grid, keeper, health, refuse_future
+        self._shift = np.zeros(grid.shape, np.float32)  # 0: not known; untouched pages take no memory
+        self._newest = 0
+        self._waiting: _Heard | None = None
+        self._last: _Heard | None = None
+
+    def on_update(self, message: Any) -> None:
+        """How far the surface has moved, of cells whose change is new. Raises MessageError and takes nothing of it."""
+        cells = self._grid.width * self._grid.height
+        count = int(message.height) * int(message.width)
+        if count > cells or len(message.data) > cells * _POINT_BYTES:
+            raise MessageError(f"terrain update names {count} cells in {len(message.data)} bytes; there are {cells}")
+        self._check_frame(message, "terrain update")
+        if self._refuse_future("the terrain's update", stamp_of(message)):
+            return
+        changed, _ = msg_to_changed(message)
+        columns = msg_to_columns(message)
+        x, y = (take(columns, axis, np.float32, "terrain update") for axis in "xy")
+        inside = self._grid.contains(changed.rows, changed.cols)
+        if not inside.all():
+            first = int(np.argmin(inside))
+            raise MessageError(
+                f"terrain update: cell ({changed.rows[first]}, {changed.cols[first]}) is outside the terrain's "
+                f"{self._grid.shape} cells"
+            )
+        centres = self._grid.to_map(changed.rows, changed.cols)
+        with np.errstate(invalid="ignore"):
+            placed = np.hypot(x - centres[0], y - centres[1]) <= 0.25 * self._grid.resolution
+        good = placed & np.isfinite(changed.shift) & (changed.kind <= max(ChangeKind))
+        if not good.all():
+            first = int(np.argmin(good))
+            raise MessageError(
+                f"terrain update: point {first} at ({x[first]}, {y[first]}), cell ({changed.rows[first]}, "
+                f"{changed.cols[first]}), kind {changed.kind[first]}, shift {changed.shift[first]} m: not a change on "
+                "this site's terrain grid"
+            )
+        self._shift[changed.rows, changed.cols] = np.where(changed.kind > 0, changed.shift, 0)
+
+    def on_change(self, message: Any) -> int:
+        """The kinds of change of a window; how many fuel cells they are news to. Raises MessageError, StoreError."""
+        cells = self._grid.width * self._grid.height
+        if int(message.info.width) * int(message.info.height) > cells or len(message.data) > cells:
+            raise MessageError(
+                f"terrain change of {message.info.width} x {message.info.height} cells with {len(message.data)} "
+                f"values; the terrain of this site has {cells}"
+            )
+        self._check_frame(message, "terrain change")
+        stamp = stamp_of(message)
+        if self._refuse_future("the terrain's changes", stamp):
+            return 0
+        if stamp < self._newest:
+            self._health.drop("too_old", f"terrain changes of stamp {stamp} ns came after those of {self._newest} ns")
+            return 0
+        kinds, window = msg_to_classes(message)
+        tile_window(window, self._grid)
+        strange = (kinds > max(ChangeKind)) & (kinds != UNSEEN)
+        if strange.any():
+            row, col = np.argwhere(strange)[0]
+            raise MessageError(f"terrain change: kind {kinds[row, col]} at row {row}, col {col}; there are 0 to 3")
+        self._newest = stamp
+        self._waiting = self._last = _Heard(stamp, kinds, window)
+        return self.retry()
+
+    def retry(self) -> int:
+        """Tell what waits for the store; 0 where nothing does, or the store is still away."""
+        heard, evidence = self._waiting, self._keeper.map
+        if heard is None or self._keeper.store is None:
+            return 0
+        row, col, height, width = tile_window(heard.window, self._grid)
+        shift = self._shift[row : row + height, col : col + width]
+        known = np.where(shift != 0, shift, np.float32(np.nan))
+        news = news_of(heard.kinds, known, heard.window, evidence.geometry, evidence.kinds_told)
+        self._waiting = None
+        if len(news):
+            self._tell(news, heard.stamp_ns)
+        return len(news)
+
+    def forget(self, cells: NDArray[np.bool_]) -> None:
+        """The evidence of these fuel cells, (H, W), is gone. A change that it had shown before the terrain told of it
+        is told again: now, or with the terrain's next message. Any other stands in the code that its cell starts from.
+        """
+        evidence = self._keeper.map
+        again = cells & evidence.told_nothing_new
+        if not again.any():
+            return
+        before, whole = evidence.told[again], evidence.told.copy()
+        whole[again] = 0
+        rows, cols = np.nonzero(again)
+        stamp = max(self._newest, evidence.newest_ns)
+        evidence.recall(whole)
+        self._keeper.replace_tiles(
+            {}, changes=[CellChanges(SURFACE_LAYER, stamp, rows, cols, before, np.zeros_like(before))]
+        )
+        self._waiting = self._last
+        self.retry()
+
+    def _tell(self, news: SurfaceNews, stamp_ns: int) -> None:
+        evidence = self._keeper.map
+        told, tiles = tell(evidence, news)
+        cells = news.rows, news.cols
+        change = CellChanges(SURFACE_LAYER, stamp_ns, *cells, evidence.told[cells], told)
+        whole = evidence.told.copy()
+        whole[cells] = told
+        evidence.recall(whole)
+        top, left = int(news.rows.min()), int(news.cols.min())
+        window = (top, left, int(news.rows.max()) - top + 1, int(news.cols.max()) - left + 1)
+        self._keeper.replace_tiles(tiles, SOURCE, stamp_ns, window, [change])
+        self._health.note("terrain_changes")
+
+    def _check_frame(self, message: Any, what: str) -> None:
+        if message.header.frame_id != "map":
+            raise MessageError(f"{what} is given in frame {message.header.frame_id!r}, wanted 'map'")

@@ -1,0 +1,328 @@
+"""Runs a graph without `launch`: every node a process, restarted when it dies, and nothing left behind at the end."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import TextIO
+
+from ltm_core.errors import LtmError
+from ltm_ros.launching import shared_memory
+from ltm_ros.launching.graph import Graph, NodeSpec, parameters_yaml
+from ltm_ros.launching.ros_environment import ros_environment
+from ltm_ros.launching.supervisor import Console, NodeProcess, RestartPolicy, State
+
+KEPT_RUNS = 10
+"""Log folders of former runs that `new_log_folder` leaves."""
+
+
+class GraphError(LtmError):
+    """A graph that does not come up."""
+
+
+def print_line(line: str) -> None:
+    """Console of a runner in a terminal; one write a line, so that the lines of several nodes do not mix."""
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+def new_log_folder(site: str) -> Path:
+    """A fresh folder for a run's logs under `$XDG_STATE_HOME/ltm`; removes all but the newest former ones."""
+    state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state") / "ltm" / site
+    state.mkdir(parents=True, exist_ok=True)
+    former = sorted(path for path in state.iterdir() if path.is_dir())
+    for path in former[: max(0, len(former) - KEPT_RUNS + 1)]:
+        shutil.rmtree(path, ignore_errors=True)
+    return Path(tempfile.mkdtemp(prefix=time.strftime("%Y%m%d-%H%M%S-"), dir=state))
+
+
+class Runner:
+    """Starts, watches and stops the processes of `graph`.
+
+    `domain_id`: ROS domain (None: as the environment says). `log_folder`: where each node's output goes, as
+    `<camera>.<node>.log`. `console` gets every line of output with the node's label in front. `stop_s`: how long a node
+    may take to finish after SIGTERM before it is made to. `environment`: more variables for every node.
+
+    Used as a context manager it stops on leaving. `start` and `stop` may be called from any thread.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        *,
+        log_folder: Path | str,
+        domain_id: int | None = None,
+        console: Console = print_line,
+        policy: RestartPolicy | None = None,
+        stop_s: float = 10.0,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
+        self.graph = graph
+        self.log_folder = Path(log_folder)
+        self.processes: dict[str, NodeProcess] = {}
+        """By label (`north/depth`, `fuel_map`), in the graph's order, from `start` on."""
+        self._domain_id = domain_id
+        self._console_lock = threading.Lock()
+        self._console = console
+        self._policy = policy or RestartPolicy()
+        self._stop_s = stop_s
+        self._extra_environment = dict(environment or {})
+        self._lock = threading.RLock()
+        self._folder: Path | None = None
+        self._guardian: subprocess.Popen[str] | None = None
+        self._guardian_lock = threading.Lock()
+        self._changed = threading.Event()
+        self._stopping = threading.Event()
+
+    def __enter__(self) -> Runner:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    @property
+    def given_up(self) -> list[str]:
+        """Labels of the nodes that are not started any more because their configuration cannot work."""
+        return [label for label, process in self.processes.items() if process.state is State.GIVEN_UP]
+
+    def start(self) -> None:
+        """Start every node and return at once. Raises GraphError when the runner has been started before."""
+        with self._lock:
+            if self.processes:
+                raise GraphError(f"the graph of {self.graph.site} has been started already; make a new Runner")
+            shared_memory.remove_stale()
+            self._warn_of_small_shm()
+            self._folder = Path(tempfile.mkdtemp(prefix="ltm-run-"))
+            self._start_guardian()
+            self._order(f"folder {self._folder}")
+            self.log_folder.mkdir(parents=True, exist_ok=True)
+            for spec in self.graph:
+                self.processes[spec.label] = self._process(spec)
+            for process in self.processes.values():
+                process.start()
+
+    def wait_until_ready(self, timeout_s: float = 60.0, *, discovered_suffices: bool = False) -> None:
+        """Wait until each node has sent a diagnostic (or is merely seen by DDS, with `discovered_suffices`).
+
+        Raises GraphError naming the nodes that are missing after `timeout_s`, with the last words of each, or at once
+        when a node was given up.
+        """
+        names = {spec.full_name: spec.label for spec in self.graph}
+        command = [sys.executable, "-m", "ltm_ros.launching.readiness", "--timeout", str(timeout_s)]
+        command += ["--discovered"] if discovered_suffices else []
+        watch = subprocess.Popen(
+            [*command, *names],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=self._environment(busy=False),
+            start_new_session=True,
+        )
+        self._order(f"group {watch.pid}")
+        missing = dict(names)
+        assert watch.stdout is not None
+
+        def read(output: TextIO) -> None:
+            for line in output:
+                missing.pop(line.strip(), None)
+
+        reader = threading.Thread(target=read, args=(watch.stdout,), daemon=True)
+        reader.start()
+        try:
+            deadline = time.monotonic() + timeout_s + 5.0
+            # Until it has gone by itself: told to hurry it would leave its peers' shared memory marked as in use.
+            while watch.poll() is None and time.monotonic() < deadline:
+                if self.given_up or self._stopping.is_set():
+                    break
+                self._changed.wait(0.05)
+                self._changed.clear()
+        finally:
+            if watch.poll() is None:
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    watch.terminate()
+                    watch.wait(2.0)
+                watch.kill()
+            watch.wait()
+            reader.join(2.0)
+            watch.stdout.close()
+            self._order(f"forget {watch.pid}")
+        lost = self.given_up or list(missing.values())
+        if lost:
+            raise GraphError("\n".join([f"not ready: {', '.join(lost)}", *map(self._obituary, lost)]))
+
+    def kill(self, label: str, number: int = signal.SIGKILL) -> bool:
+        """Send a signal to one node, for tests and drills. False when it does not run just now. Raises ConfigError."""
+        self.graph.node(label)
+        return self.processes[label].signal(number)
+
+    def stop(self) -> None:
+        """End every node (SIGTERM, after `stop_s` SIGKILL) and remove what is left. Idempotent.
+
+        Not SIGINT: a Python process that is still importing turns that into an exception, which may get lost there.
+        """
+        self._stopping.set()
+        with self._lock:
+            processes = list(self.processes.values())
+            for process in processes:
+                process.request_stop()
+            for number, patience_s in ((signal.SIGTERM, self._stop_s), (signal.SIGKILL, 5.0)):
+                alive = [process for process in processes if not process.wait_stopped(0)]
+                if not alive:
+                    break
+                if number != signal.SIGTERM:
+                    self._say(f"-- {signal.Signals(number).name} to {', '.join(p.label for p in alive)}, still running")
+                self._signal_until_stopped(alive, number, patience_s)
+            for process in processes:
+                process.close()
+            if self._folder is not None:
+                self._remove_shared_memory()
+                shutil.rmtree(self._folder, ignore_errors=True)
+                self._order(f"forget-folder {self._folder}")
+                self._folder = None
+            self._end_guardian()
+
+    def run(self) -> int:
+        """Body of `ltm run`: start, wait for SIGINT, SIGTERM or SIGHUP, stop. Call it from the main thread.
+
+        Exit status: 0, or 1 when a required node was given up. Ends by itself when no required node is left to run.
+        """
+        stopping = threading.Event()
+        numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        former = {number: signal.signal(number, lambda *_: stopping.set()) for number in numbers}
+        required = [spec.label for spec in self.graph if spec.required]
+        herald = threading.Thread(target=self._announce, name="announce", daemon=True)
+        try:
+            self.start()
+            herald.start()
+            while not stopping.wait(0.2):
+                if all(label in self.given_up for label in required):
+                    self._say("-- no node is left to run")
+                    break
+        finally:
+            self.stop()
+            if herald.ident is not None:
+                herald.join(5.0)
+            for number, handler in former.items():
+                signal.signal(number, handler)
+        return 1 if any(label in self.given_up for label in required) else 0
+
+    def _announce(self) -> None:
+        """Say when the graph is up, or what is not."""
+        try:
+            self.wait_until_ready(120.0)
+            self._say(f"-- all {len(self.graph)} nodes are up")
+        except GraphError as error:
+            if not self._stopping.is_set():
+                for line in str(error).splitlines():
+                    self._say(f"-- {line}")
+
+    def _process(self, spec: NodeSpec) -> NodeProcess:
+        assert self._folder is not None
+        parameters = self._folder / f"{spec.label.replace('/', '.')}.yaml"
+        parameters.write_text(parameters_yaml(spec.parameters), encoding="utf-8")
+        remappings = [("__ns", spec.namespace), ("__node", spec.name), *spec.remappings]
+        command = [sys.executable, "-m", spec.module, "--ros-args"]
+        command += [part for old, new in remappings for part in ("-r", f"{old}:={new}")]
+        # The node's output is kept by us; ROS's own log files in ~/.ros would grow beside it.
+        command += ["--params-file", str(parameters), "--disable-external-lib-logs"]
+        return NodeProcess(
+            label=spec.label,
+            command=command,
+            environment=self._environment(spec.busy),
+            log_file=self.log_folder / f"{spec.label.replace('/', '.')}.log",
+            console=self._say,
+            policy=self._policy,
+            on_group=self._on_group,
+            on_given_up=self._changed.set,
+        )
+
+    def _on_group(self, group: int, alive: bool) -> None:
+        self._order(f"{'group' if alive else 'forget'} {group}")
+        if not alive:
+            # Each crash leaves a segment of 70 MB: a node that keeps crashing would fill the memory.
+            shared_memory.remove_stale()
+
+    def _environment(self, busy: bool) -> dict[str, str]:
+        base = os.environ | self._extra_environment
+        return ros_environment(base, domain_id=self._domain_id, busy=busy)
+
+    def _signal_until_stopped(self, processes: list[NodeProcess], number: int, patience_s: float) -> None:
+        """Signals a node again when a new process of it appears: one may just have been starting."""
+        deadline = time.monotonic() + patience_s
+        signalled: set[int] = set()
+        while time.monotonic() < deadline:
+            alive = [process for process in processes if not process.wait_stopped(0)]
+            if not alive:
+                return
+            for process in alive:
+                pid = process.pid
+                if pid is not None and pid not in signalled:
+                    signalled.add(pid)
+                    process.signal(number, whole_group=number == signal.SIGKILL)
+            alive[0].wait_stopped(0.02)
+
+    def _obituary(self, label: str) -> str:
+        process = self.processes[label]
+        how = f", last {process.last_exit}" if process.last_exit else ""
+        words = [f"  | {line}" for line in process.last_words()]
+        return "\n".join([f"{label}: {process.state.value}, {process.starts} starts{how}", *words])
+
+    def _remove_shared_memory(self) -> None:
+        """What killed nodes left; waits for the moment after which nothing young can be theirs."""
+        if shared_memory.remove_stale().young:
+            time.sleep(shared_memory.MIN_AGE_S)
+            shared_memory.remove_stale()
+
+    def _warn_of_small_shm(self) -> None:
+        needed = shared_memory.BYTES_PER_PARTICIPANT * (len(self.graph) + 1)
+        free = shared_memory.free_bytes()
+        if free is not None and free < needed:
+            self._say(
+                f"-- /dev/shm has {free >> 20} MB free, {len(self.graph)} nodes take {needed >> 20} MB: images "
+                "will be slow or lost; enlarge it (mount -o remount,size=2G /dev/shm; docker run --shm-size=2g)"
+            )
+
+    def _start_guardian(self) -> None:
+        self._guardian = subprocess.Popen(
+            [sys.executable, "-m", "ltm_ros.launching.orphan_cleanup"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            env=self._environment(busy=False),
+            start_new_session=True,
+            text=True,
+        )
+
+    def _order(self, line: str) -> None:
+        with self._guardian_lock:
+            if self._guardian is None or self._guardian.stdin is None:
+                return
+            # A guardian that somebody killed is no reason to stop watching a mountain.
+            with contextlib.suppress(OSError, ValueError):
+                self._guardian.stdin.write(line + "\n")
+                self._guardian.stdin.flush()
+
+    def _end_guardian(self) -> None:
+        with self._guardian_lock:
+            guardian, self._guardian = self._guardian, None
+        if guardian is None or guardian.stdin is None:
+            return
+        with contextlib.suppress(OSError):
+            guardian.stdin.close()
+        guardian.wait()
+
+    def _say(self, line: str) -> None:
+        with self._console_lock:
+            self._console(line)

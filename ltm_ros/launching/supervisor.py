@@ -1,0 +1,232 @@
+"""One node of a graph as a supervised process: started, its output told apart, restarted with back-off when it dies."""
+
+from __future__ import annotations
+
+import logging
+import logging.handlers
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import IO
+
+from ltm_ros.launching.orphan_cleanup import end_groups, group_alive
+
+EX_CONFIG = 78
+"""Exit status of a node whose configuration cannot work (sysexits.h)."""
+
+LOG_BYTES = 4 << 20
+LOG_FILES = 3
+
+Console = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class RestartPolicy:
+    """How a dead node comes back: after `initial_s`, then `factor` times longer each time up to `maximum_s`."""
+
+    initial_s: float = 0.5
+    factor: float = 2.0
+    maximum_s: float = 30.0
+    healthy_s: float = 20.0
+    """A run this long starts the back-off anew."""
+    config_tries: int = 3
+    """Starts in a row that may end with EX_CONFIG before the node is given up."""
+
+
+@dataclass
+class Backoff:
+    """Pure state of a RestartPolicy: feed it how each run ended, it says how long to wait, or None to give up."""
+
+    policy: RestartPolicy
+    deaths: int = 0
+    config_errors: int = 0
+
+    def after(self, status: int, uptime_s: float) -> float | None:
+        if uptime_s >= self.policy.healthy_s:
+            self.deaths = 0
+        self.config_errors = self.config_errors + 1 if status == EX_CONFIG else 0
+        if self.config_errors >= self.policy.config_tries:
+            return None
+        # Bounded exponent: a node that dies for weeks must not overflow a float.
+        delay = self.policy.initial_s * self.policy.factor ** min(self.deaths, 60)
+        self.deaths += 1
+        return min(delay, self.policy.maximum_s)
+
+
+class State(Enum):
+    WAITING = "waiting"
+    """Not started, or dead and waiting to start again."""
+    RUNNING = "running"
+    STOPPED = "stopped"
+    GIVEN_UP = "given up"
+
+
+def describe_exit(status: int) -> str:
+    """An exit status as a person reads it: a signal's name, or what the code means."""
+    if status < 0:
+        try:
+            return f"killed by {signal.Signals(-status).name}"
+        except ValueError:
+            return f"killed by signal {-status}"
+    if status == EX_CONFIG:
+        return f"exit code {status}: its configuration cannot work"
+    return "ended by itself (exit code 0)" if status == 0 else f"exit code {status}"
+
+
+@dataclass
+class NodeProcess:
+    """Runs `command` until `stop`. One thread follows the process, another its output; both end with it.
+
+    The process leads a session of its own: Ctrl-C in a terminal reaches the runner alone, which then stops every node
+    in order, and whatever a node itself has started can be ended with it.
+    """
+
+    label: str
+    command: Sequence[str]
+    environment: Mapping[str, str]
+    log_file: Path
+    console: Console
+    policy: RestartPolicy = field(default_factory=RestartPolicy)
+    on_group: Callable[[int, bool], None] = lambda group, alive: None
+    """Told of every process group that comes (True) and is gone (False)."""
+    on_given_up: Callable[[], None] = lambda: None
+
+    state: State = field(default=State.WAITING, init=False)
+    pid: int | None = field(default=None, init=False)
+    starts: int = field(default=0, init=False)
+    last_exit: str = field(default="", init=False)
+    """How the last run ended, in words."""
+
+    def __post_init__(self) -> None:
+        self._lock = threading.Lock()
+        self._stopping = threading.Event()
+        self._tail: deque[str] = deque(maxlen=12)
+        self._backoff = Backoff(self.policy)
+        self._thread = threading.Thread(target=self._supervise, name=f"supervise {self.label}", daemon=True)
+        self._log = _open_log(self.log_file)
+
+    @property
+    def restarts(self) -> int:
+        return max(0, self.starts - 1)
+
+    @property
+    def running(self) -> bool:
+        return self.state is State.RUNNING
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def signal(self, number: int, *, whole_group: bool = False) -> bool:
+        """Send a signal to the node (or all that it started). False when it does not run."""
+        # Under the lock the process is not reaped yet, so its id is still its own.
+        with self._lock:
+            if self.pid is None:
+                return False
+            (os.killpg if whole_group else os.kill)(self.pid, number)
+            return True
+
+    def request_stop(self) -> None:
+        """No more restarts; the process itself is not touched."""
+        self._stopping.set()
+
+    def wait_stopped(self, timeout_s: float) -> bool:
+        """Whether it has stopped for good within `timeout_s`; call after `request_stop` or when it was given up."""
+        if self._thread.ident is not None:
+            self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def close(self) -> None:
+        """Close the log file; call when the node has stopped."""
+        for handler in list(self._log.handlers):
+            self._log.removeHandler(handler)
+            handler.close()
+
+    def last_words(self) -> list[str]:
+        """The newest lines of its output."""
+        return list(self._tail)
+
+    def _supervise(self) -> None:
+        while not self._stopping.is_set():
+            begun = time.monotonic()
+            status = self._run_once()
+            uptime_s = time.monotonic() - begun
+            if self._stopping.is_set():
+                break
+            self.last_exit = describe_exit(status)
+            delay_s = self._backoff.after(status, uptime_s)
+            if delay_s is None:
+                self.state = State.GIVEN_UP
+                reason = next((line for line in reversed(self._tail) if line.strip()), "it said nothing")
+                self._tell(f"given up after {self._backoff.config_errors} starts ({self.last_exit}): {reason}")
+                self.on_given_up()
+                return
+            self._tell(f"{self.last_exit} after {uptime_s:.1f} s; starts again in {delay_s:.1f} s")
+            self._stopping.wait(delay_s)
+        self.state = State.STOPPED
+
+    def _run_once(self) -> int:
+        """Start the process and follow it to its end; its exit status as subprocess has it."""
+        try:
+            process = subprocess.Popen(
+                list(self.command),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                env=dict(self.environment),
+                start_new_session=True,
+                text=True,
+                errors="replace",
+            )
+        except OSError as error:
+            self._tell(f"cannot be started: {error}")
+            return 127
+        group = process.pid
+        self.on_group(group, True)
+        with self._lock:
+            self.pid = process.pid
+            self.starts += 1
+            self.state = State.RUNNING
+        assert process.stdout is not None
+        reader = threading.Thread(target=self._read, args=(process.stdout,), name=f"read {self.label}", daemon=True)
+        reader.start()
+        # Wait without reaping: while the zombie is there its process id belongs to nobody else.
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        with self._lock:
+            self.pid = None
+            self.state = State.WAITING
+            status = process.wait()
+        if group_alive(group):
+            end_groups([group], grace_s=1.0)
+        self.on_group(group, False)
+        reader.join(timeout=2.0)
+        return status
+
+    def _read(self, output: IO[str]) -> None:
+        with output:
+            for line in output:
+                self._tail.append(line.rstrip("\n"))
+                self._emit(line.rstrip("\n"))
+
+    def _tell(self, text: str) -> None:
+        self._emit(f"-- {text}")
+
+    def _emit(self, line: str) -> None:
+        self._log.info(line)
+        self.console(f"[{self.label}] {line}")
+
+
+def _open_log(path: Path) -> logging.Logger:
+    """A file that cannot fill the disk; stands apart from the process's own logging."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handler = logging.handlers.RotatingFileHandler(path, maxBytes=LOG_BYTES, backupCount=LOG_FILES - 1, delay=True)
+    handler.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
+    log = logging.Logger(f"ltm {path}", logging.INFO)
+    log.addHandler(handler)
+    return log

@@ -1,0 +1,43 @@
+"""What a ROS process of ours gets when it starts, printed as one line of JSON.
+
+Asking a real participant is the only sure answer: Fast DDS passes over a profile that it cannot read.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import rclpy
+
+from ltm_ros.launching import shared_memory
+from ltm_ros.launching.dds_shutdown import begin_farewell
+
+
+def own_segment_bytes() -> list[int]:
+    """Sizes of the shared-memory segments that this process has made, largest first."""
+    sizes = set()
+    for link in Path("/proc/self/fd").iterdir():
+        try:
+            lock = link.readlink()
+        except OSError:
+            continue
+        segment = lock.with_name(lock.name.removesuffix("_el"))
+        if lock.parent == shared_memory.SHM_FOLDER and lock.name.endswith("_el") and "_port" not in lock.name:
+            sizes.add((segment.name, segment.stat().st_size))
+    return sorted((size for _, size in sizes), reverse=True)
+
+
+def main() -> None:
+    rclpy.init()
+    node = rclpy.create_node("ltm_transport_probe", enable_rosout=False)
+    print(json.dumps({"rmw": rclpy.get_rmw_implementation_identifier(), "segment_bytes": own_segment_bytes()}))
+    sys.stdout.flush()
+    begin_farewell()
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

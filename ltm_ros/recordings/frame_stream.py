@@ -1,0 +1,118 @@
+"""The frames of a bag, joined by camera and stamp, one in memory after the other.
+
+A first pass over the bag reads stamps alone and counts the messages of each frame; the second gives a frame out as soon
+as its last message has come. So memory holds the frames that overlap in time, however long the bag is.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter, defaultdict, deque
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import groupby
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
+
+from ltm_core.errors import RecordingError
+from ltm_msgs_py.bag.reader import BagMessage, BagReader
+from ltm_ros.runtime.handler import Topic
+from ltm_ros.runtime.topics import camera_topic
+
+Take = Callable[[Any], Any]
+Parts = Mapping[str, tuple[tuple[Topic, Take], ...]]
+"""Name of a part -> the topics that may carry it, each with what turns its message into an array or core type."""
+
+_HEADER = struct.Struct("<4siI")
+
+
+def raw_stamp(message: BagMessage) -> int:
+    """`header.stamp` of a message that begins with a header, nanoseconds, without decoding the rest.
+
+    Raises RecordingError on bytes that are no little-endian CDR.
+    """
+    if len(message.raw) < _HEADER.size or message.raw[1] != 1:
+        raise RecordingError(
+            f"{message.topic} at {message.log_time_ns} ns begins "
+            f"{message.raw[:12].hex(' ') or 'with nothing'}: expected "
+            "little-endian CDR with a header"
+        )
+    _, seconds, nanoseconds = _HEADER.unpack_from(message.raw)
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+
+@dataclass(frozen=True, eq=False)
+class StreamedFrame:
+    """What a bag holds of one frame. Parts are decoded when they are asked for."""
+
+    camera_name: str
+    stamp_ns: int
+    _raw: Mapping[str, tuple[BagMessage, Take]]
+    _reader: BagReader
+    _taken: dict[str, Any] = field(default_factory=dict)
+
+    def __contains__(self, part: str) -> bool:
+        return part in self._raw
+
+    def take(self, part: str) -> Any:
+        """The part, decoded once; None where the bag does not have it. Raises RecordingError, ImageError."""
+        if part not in self._raw:
+            return None
+        if part not in self._taken:
+            message, take = self._raw[part]
+            self._taken[part] = take(self._reader.decode(message))
+        return self._taken[part]
+
+
+class FrameStream:
+    """The frames of the cameras of one site.
+
+    `counts`: messages by (camera, part). `latencies_ms`: by (camera, topic name), how long after its stamp each message
+    was logged.
+    """
+
+    def __init__(self, bag: Path, site: str, cameras: Collection[str], parts: Parts) -> None:
+        self._reader = BagReader(bag)
+        self._topics: dict[str, tuple[str, str, str, Take]] = {}
+        for camera in cameras:
+            for part, sources in parts.items():
+                for topic, take in sources:
+                    self._topics[camera_topic(site, camera, topic)] = (camera, part, topic.name, take)
+        self._messages: Counter[tuple[str, int]] = Counter()
+        self._parts: dict[tuple[str, int], set[str]] = defaultdict(set)
+        self.counts: Counter[tuple[str, str]] = Counter()
+        self.latencies_ms: dict[tuple[str, str], list[float]] = defaultdict(list)
+        for message in self._reader.messages(list(self._topics)):
+            camera, part, name, _ = self._topics[message.topic]
+            stamp = raw_stamp(message)
+            self._messages[camera, stamp] += 1
+            self._parts[camera, stamp].add(part)
+            self.counts[camera, part] += 1
+            self.latencies_ms[camera, name].append((message.log_time_ns - stamp) / 1e6)
+
+    def has(self, part: str) -> bool:
+        """Whether the bag has this part of any frame."""
+        return any(counted == part for _, counted in self.counts)
+
+    def frames(self, needed: Collection[str] = (), cameras: Collection[str] | None = None) -> Iterator[StreamedFrame]:
+        """Frames that have the `needed` parts; each camera's in time order."""
+        chosen = [t for t, (camera, *_) in self._topics.items() if cameras is None or camera in cameras]
+        due = {
+            camera: deque(stamp for name, stamp in keys)
+            for camera, keys in groupby(
+                sorted(key for key, parts in self._parts.items() if parts.issuperset(needed)), key=itemgetter(0)
+            )
+        }
+        waiting: dict[tuple[str, int], dict[str, tuple[BagMessage, Take]]] = defaultdict(dict)
+        missing = Counter(self._messages)
+        for message in self._reader.messages(chosen):
+            camera, part, _, take = self._topics[message.topic]
+            key = (camera, raw_stamp(message))
+            if not self._parts[key].issuperset(needed):
+                continue
+            waiting[key][part] = (message, take)
+            missing[key] -= 1
+            while due[camera] and missing[camera, due[camera][0]] == 0:
+                stamp = due[camera].popleft()
+                yield StreamedFrame(camera, stamp, waiting.pop((camera, stamp)), self._reader)

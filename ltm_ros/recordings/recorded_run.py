@@ -1,0 +1,147 @@
+"""A recorded run: its bag, the site that it is of, its truth rasters, and what its messages hold of each frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.camera import Camera
+from ltm_core.errors import LtmError, RecordingError
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.grid import GridGeometry
+from ltm_core.resources import project_path
+from ltm_core.site import Site
+from ltm_core.site_io import load_site
+from ltm_core.vision.labels import LabelSet
+from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.camera_info import msg_to_camera
+from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
+from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.votes import msg_to_votes
+from ltm_ros.recordings.frame_stream import FrameStream, Parts, StreamedFrame
+from ltm_ros.runtime.topics import (
+    CAMERA_INFO,
+    DEPTH_CAMERA_INFO,
+    DEPTH_IMAGE,
+    FUEL_VOTES,
+    FUSED_DEPTH,
+    IMAGE_COMPRESSED,
+    IMAGE_RAW,
+    LABELS_IMAGE,
+    NETWORK_DEPTH,
+    POSE,
+    POSED_POSE,
+    TRUTH_CAMERA_INFO,
+    TRUTH_DEPTH,
+    TRUTH_GROUND_DEPTH,
+    TRUTH_LABELS,
+)
+
+FUEL_TRUTH = "fuel_truth.tif"
+
+
+def _mono8(message: Any) -> NDArray[np.uint8]:
+    return msg_to_array(message, ("mono8",))
+
+
+PARTS: Parts = {
+    "camera": ((CAMERA_INFO, msg_to_camera),),
+    "depth_camera": ((DEPTH_CAMERA_INFO, msg_to_camera),),
+    "pose": ((POSE, msg_to_pose), (POSED_POSE, msg_to_pose)),
+    "photo": ((IMAGE_COMPRESSED, compressed_to_rgb), (IMAGE_RAW, msg_to_rgb)),
+    "traced": ((DEPTH_IMAGE, msg_to_depth),),
+    "network": ((NETWORK_DEPTH, msg_to_depth),),
+    "fused": ((FUSED_DEPTH, msg_to_depth),),
+    "labels": ((LABELS_IMAGE, _mono8),),
+    "votes": ((FUEL_VOTES, lambda m: m),),
+    "truth_camera": ((TRUTH_CAMERA_INFO, msg_to_camera),),
+    "truth_depth": ((TRUTH_DEPTH, msg_to_depth),),
+    "truth_ground": ((TRUTH_GROUND_DEPTH, msg_to_depth),),
+    "truth_labels": ((TRUTH_LABELS, _mono8),),
+}
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A bag with the site it is of and the folder that may hold its truth rasters."""
+
+    bag: Path
+    site_path: Path
+    site: Site
+    truth: Path
+    date: str | None = None
+    """Of a simulated site with several: `truth/DATE/` in the truth folder holds its rasters."""
+
+    @classmethod
+    def find(cls, bag: Path, site: Path | None = None, truth: Path | None = None, date: str | None = None) -> Recorded:
+        """The site: as given, beside or in the bag, or the shipped one that the topics name. Truth: the site's folder.
+
+        Raises RecordingError where no site or date is found, ConfigError on a site that cannot be read.
+        """
+        path = site or _site_of(bag)
+        folder = truth or path.resolve().parent
+        dates = sorted(p.name for p in (folder / "truth").glob("*") if p.is_dir())
+        if date is None and len(dates) > 1:
+            raise RecordingError(f"{folder} holds the truth of {', '.join(dates)}: name the bag's date with --date")
+        if date is not None and date not in dates:
+            raise RecordingError(f"{folder} holds no truth of {date!r}; it has {', '.join(dates) or 'none'}")
+        return cls(bag, path, load_site(path), folder, date)
+
+    @property
+    def life_forms(self) -> Path | None:
+        """The raster of true class ids on the fuel grid, where there is one."""
+        dated = None if self.date is None else self.truth / "truth" / self.date / "life_form.tif"
+        return next((file for file in (dated, self.truth / FUEL_TRUTH) if file is not None and file.is_file()), None)
+
+    @property
+    def surfaces(self) -> tuple[Path | None, Path | None]:
+        """The rasters of the true surface at the bag's date and at the one before it, where there are such."""
+        if self.date is None:
+            return None, None
+        folder = self.truth / "truth"
+        before = [path.stem.split("_")[1] for path in folder.glob(f"change_*_{self.date}.tif")]
+        rasters = [folder / name / "surface.tif" for name in (self.date, *before[:1])]
+        now, *earlier = [raster if raster.is_file() else None for raster in rasters]
+        return now, earlier[0] if earlier else None
+
+    def stream(self) -> FrameStream:
+        return FrameStream(self.bag, self.site.name, list(self.site.cameras), PARTS)
+
+
+def _site_of(bag: Path) -> Path:
+    folder = bag.resolve()
+    for place in (folder, folder.parent, folder.parent.parent):
+        if (place / "site.yaml").is_file():
+            return place / "site.yaml"
+    names = {topic.split("/")[1] for topic in BagReader(bag).topics() if topic.count("/") > 2}
+    for name in sorted(names):
+        for shipped in (f"bags/{name}/site.yaml", f"config/sites/{name}.yaml"):
+            try:
+                return project_path(shipped)
+            except LtmError:
+                continue
+    raise RecordingError(f"{bag}: no site.yaml beside it, and none ships for {', '.join(sorted(names))}: give --site")
+
+
+def image_shape(frame: StreamedFrame, site: Site) -> tuple[int, int]:
+    """Rows and columns of a frame's image. Raises RecordingError where nothing says them."""
+    camera: Camera | None = frame.take("camera") or frame.take("depth_camera")
+    if camera is None and (calibration := site.cameras[frame.camera_name].calibration) is not None:
+        camera = calibration.camera()
+    if camera is None:
+        raise RecordingError(
+            f"frame {frame.stamp_ns} of {frame.camera_name} has no camera_info, and site {site.name} gives no "
+            "calibration: record camera_info too"
+        )
+    return camera.height, camera.width
+
+
+def recorded_votes(recorded: Recorded, geometry: GridGeometry, labels: LabelSet) -> Iterator[CellVotes]:
+    """The votes of a bag, frame by frame; `geometry`: the fuel grid in the map frame. Raises MessageError."""
+    for frame in recorded.stream().frames(["votes"]):
+        yield msg_to_votes(frame.take("votes"), geometry, labels.names, frame.camera_name)

@@ -1,0 +1,1 @@
+"""What every node is made of: its handler, its life on DDS, its topics, joins and health."""

@@ -1,0 +1,106 @@
+"""A node's work without its transport.
+
+The live node (`runtime.node`) and the offline replay (`replay.offline`) feed the same handlers with the same
+messages, so what a tower computes live is what a researcher recomputes from the recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+from ltm_core.site import Config
+from ltm_ros.runtime.health import Health
+
+
+@dataclass(frozen=True)
+class Topic:
+    """`name`: relative to the node's namespace, or absolute. `latched`: late joiners get the last message. `depth`:
+    messages kept for a listener that is slow.
+    """
+
+    name: str
+    type: type
+    latched: bool = False
+    depth: int = 10
+
+
+class NodeConfig(Config):
+    """Parameters that every node takes."""
+
+    site: str
+    """Path of the site file."""
+    camera: str = ""
+    """Name of the node's camera in the site; empty for nodes of the whole site."""
+
+
+class Outlet(Protocol):
+    """Where a handler's messages go."""
+
+    def publish(self, topic: Topic, message: Any) -> None: ...
+
+    def wanted(self, topic: Topic) -> bool:
+        """Whether somebody listens: costly messages are made only then."""
+        ...
+
+    def now_ns(self) -> int:
+        """The graph's time, for judging stamps: ROS time, or that of the recording; 0 where it has not begun."""
+        ...
+
+
+ConfigT = TypeVar("ConfigT", bound=NodeConfig)
+
+
+class Handler(Generic[ConfigT]):
+    """Base of the handlers: subclasses fill `subscriptions`, `publications` and, where needed, `services`.
+
+    All callbacks run on one thread, in order of arrival. A callback may raise LtmError: the message is dropped, the
+    drop is counted by its cause, and the node lives on.
+    """
+
+    publications: Sequence[Topic] = ()
+
+    def __init__(self, config: ConfigT, outlet: Outlet, health: Health) -> None:
+        self.config = config
+        self.outlet = outlet
+        self.health = health
+
+    @property
+    def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
+        """What to listen to, and who takes each message."""
+        return {}
+
+    @property
+    def discoverable(self) -> Mapping[Topic, Callable[[str, Any], None]]:
+        """Topics to listen to as they appear, by patterns such as `/ridge/*/fuel/votes`; live only.
+
+        `*` stands for one part of the name; the callback is told the whole name.
+        """
+        return {}
+
+    @property
+    def services(self) -> Mapping[str, Callable[[], str]]:
+        """std_srvs/Trigger services by name; each returns its answer or raises LtmError."""
+        return {}
+
+    def start(self) -> None:
+        """Called once when publications are open: latched messages go out here."""
+
+    def idle(self) -> None:
+        """Called after a message when no other waits: what is cheaper for many at once is done here."""
+
+    def tick(self, waited: float) -> None:
+        """Called every half second with the seconds since the last call, on a clock that a replay does not stop."""
+
+    def finish(self) -> None:
+        """Called once when no more messages will come."""
+
+
+@dataclass(frozen=True)
+class NodeType(Generic[ConfigT]):
+    """What a node module offers as `NODE`: its name, its parameters and its work."""
+
+    name: str
+    config: type[ConfigT]
+    handler: Callable[[ConfigT, Outlet, Health], Handler[ConfigT]]

@@ -1,0 +1,73 @@
+"""Life of a node's process: it starts, spins until it is told to stop, finishes, and leaves."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from typing import Protocol
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from ltm_core.errors import LtmError
+from ltm_ros.launching.dds_shutdown import begin_farewell
+from ltm_ros.launching.supervisor import EX_CONFIG
+
+
+class ClosableNode(Protocol):
+    """A node that has something to finish before it goes."""
+
+    def close(self) -> None: ...
+
+    def destroy_node(self) -> None: ...
+
+
+class _StoppedEarly(BaseException):
+    """Told to stop while the node was being made."""
+
+
+def run_until_stopped(name: str, make: Callable[[], ClosableNode]) -> None:
+    """Spin the node that `make` makes until SIGINT or SIGTERM, then `close` it while it can still publish.
+
+    The last act of a process: from the return on it has moments left to exit (`begin_farewell`). Exits with EX_CONFIG
+    where the configuration cannot work (LtmError), so that the graph does not start it for ever.
+    """
+    stopping = threading.Event()
+    making = True
+
+    def stop(*_: object) -> None:
+        stopping.set()
+        # A node may load and compile for long, and has nothing to finish yet.
+        if making:
+            raise _StoppedEarly
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    try:
+        # rclpy's own handlers would shut the context down before the node has finished and published.
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        node = make()
+        making = False
+    except LtmError as error:
+        making = False
+        begin_farewell()
+        print(f"{name}: cannot start: {error}", file=sys.stderr)
+        rclpy.try_shutdown()
+        sys.exit(EX_CONFIG)
+    except _StoppedEarly:
+        making = False
+        begin_farewell()
+        rclpy.try_shutdown()
+        return
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    while rclpy.ok() and not stopping.is_set():
+        executor.spin_once(timeout_sec=0.1)
+    node.close()
+    begin_farewell()
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.try_shutdown()

@@ -1,0 +1,80 @@
+"""The topics of the graph. Names are relative to `/<site>/<camera>/` or, under SITE, to `/<site>/`."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import PointStamped, PolygonStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from std_msgs.msg import String
+
+from ltm_ros.runtime.handler import Topic
+
+IMAGE_RAW = Topic("image_raw", Image)
+IMAGE_COMPRESSED = Topic("image_raw/compressed", CompressedImage)
+CAMERA_INFO = Topic("camera_info", CameraInfo)
+POSE = Topic("pose", PoseWithCovarianceStamped)
+
+POSED_IMAGE = Topic("posed/image", Image)
+POSED_CAMERA_INFO = Topic("posed/camera_info", CameraInfo)
+POSED_POSE = Topic("posed/pose", PoseWithCovarianceStamped)
+
+DEPTH_IMAGE = Topic("depth/image", Image)
+DEPTH_CAMERA_INFO = Topic("depth/camera_info", CameraInfo)
+GROUND_DEPTH = Topic("depth/ground", Image)
+ALIGNMENT = Topic("alignment", Image)
+
+FUSED_DEPTH = Topic("fused/depth", Image)
+FUSED_SIGMA = Topic("fused/sigma", Image)
+FUSED_SOURCE = Topic("fused/source", Image)
+FUSED_INFO = Topic("fused/info", String, latched=True)
+NETWORK_DEPTH = Topic("network/depth", Image)
+MEASURED_DEPTH = Topic("measured/depth", Image)
+MEASURED_SIGMA = Topic("measured/sigma", Image)
+
+LABELS_IMAGE = Topic("labels/image", Image)
+LABELS_CONFIDENCE = Topic("labels/confidence", Image)
+LABELS_INFO = Topic("labels/info", String, latched=True)
+
+FUEL_VOTES = Topic("fuel/votes", PointCloud2)
+
+FUEL_MAP = Topic("fuel_map", OccupancyGrid, latched=True)
+FUEL_MAP_UPDATE = Topic("fuel_map/update", OccupancyGrid, depth=200)  # they come in bursts, twice a second
+FUEL_MAP_INFO = Topic("fuel_map/info", String, latched=True)
+FUEL_MAP_QUERY = Topic("fuel_map/query", PointStamped)
+FUEL_MAP_ANSWER = Topic("fuel_map/answer", String, latched=True)
+FUEL_MAP_REGION = Topic("fuel_map/region", PolygonStamped)
+FUEL_MAP_CELLS = Topic("fuel_map/cells", PointCloud2, latched=True)
+
+TERRAIN_UPDATE = Topic("terrain/update", PointCloud2)
+TERRAIN_CHANGE = Topic("terrain/change", OccupancyGrid, latched=True)
+TERRAIN_INFO = Topic("terrain/info", String, latched=True)
+
+TRUTH_DEPTH = Topic("truth/depth", Image)
+TRUTH_GROUND_DEPTH = Topic("truth/ground_depth", Image)
+TRUTH_LABELS = Topic("truth/labels", Image)
+TRUTH_CAMERA_INFO = Topic("truth/camera_info", CameraInfo)
+TRUTH_POSE = Topic("truth/pose", PoseWithCovarianceStamped)
+
+CAMERA_INPUTS = (IMAGE_RAW, IMAGE_COMPRESSED, CAMERA_INFO, POSE)
+"""What a recording must hold for the graph to run on it."""
+CAMERA_TRUTH = (TRUTH_DEPTH, TRUTH_GROUND_DEPTH, TRUTH_LABELS, TRUTH_CAMERA_INFO, TRUTH_POSE)
+"""What a simulated recording holds besides; no node of the graph listens to it."""
+
+RECORDED = (
+    (
+        *(*CAMERA_INPUTS, *CAMERA_TRUTH, POSED_POSE, DEPTH_IMAGE, DEPTH_CAMERA_INFO, FUSED_DEPTH, FUSED_INFO),
+        *(NETWORK_DEPTH, LABELS_IMAGE, LABELS_INFO, FUEL_VOTES),
+    ),
+    (FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_INFO, TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO),
+)
+"""What a recording holds unless told otherwise, of each camera and of the site: all but decoded copies of images."""
+
+
+def camera_topic(site: str, camera: str, topic: Topic) -> str:
+    """A camera topic's absolute name."""
+    return f"/{site}/{camera}/{topic.name}"
+
+
+def site_topic(site: str, topic: Topic) -> str:
+    """A site topic's absolute name."""
+    return f"/{site}/{topic.name}"

@@ -1,0 +1,139 @@
+"""The layout of the view. Always explicit: an automatic one would add map views, which fetch tiles from the network."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import rerun.blueprint as rrb
+
+from ltm_ros.viewer.fuel_maps import TITLES
+from ltm_ros.viewer.scene_geometry import Eye
+
+TIMELINE = "stamp"
+
+
+@dataclass(frozen=True)
+class MapWindow:
+    """The part of the fuel grid that its view shows first, in cells: column and row ranges."""
+
+    columns: tuple[float, float]
+    rows: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Tabs:
+    """What differs from site to site: tabs only with a depth network (`fusion`), a living surface (`terrain`)."""
+
+    fusion: bool = False
+    terrain: bool = False
+    tall: bool = False
+    """The fuel grid is about as high as wide, or higher: its maps fit a wide screen best in one row."""
+
+
+def site_blueprint(
+    site: str, cameras: Sequence[str], eye: Eye, window: MapWindow, live: bool, tabs: Tabs | None = None
+) -> rrb.Blueprint:
+    """Tabs: the site (terrain, fuel grid, a camera's pictures, latencies), all cameras, `tabs`, the graph's health."""
+    tabs = tabs or Tabs()
+    overview = rrb.Vertical(
+        rrb.Horizontal(_terrain(cameras, eye), _fuel_grid(window), column_shares=[5, 3]),
+        rrb.Tabs(*(_camera_row(site, camera, timed=True) for camera in cameras), active_tab=0),
+        row_shares=[5, 3],
+        name="Site",
+    )
+    gallery = rrb.Vertical(*(_camera_row(site, camera, timed=False) for camera in cameras), name="Cameras")
+    extra: list[rrb.Container] = [_fuel_layers(4 if tabs.tall else 2)]
+    if tabs.fusion:
+        extra.append(rrb.Vertical(*(_depth_row(camera) for camera in cameras), name="Depth"))
+    if tabs.terrain:
+        extra.append(rrb.Horizontal(_terrain(cameras, eye), _changes(window), name="Surface"))
+    health = rrb.Vertical(
+        rrb.Horizontal(
+            _plot("Latency p95 (ms)", "/health/latency_p95_ms", named=False),
+            _plot("Work p95 (ms)", "/health/work_p95_ms", named=False),
+            _plot("Rate (Hz)", "/health/rate_hz", named=False),
+        ),
+        rrb.Horizontal(
+            _plot("Waiting messages", "/health/queue", named=False),
+            # A node has one colour in all plots, so names in one do; this is the one whose lines seldom leave zero.
+            _plot("Dropped messages", "/health/dropped"),
+            rrb.TextLogView(origin="/log", name="Log"),
+        ),
+        name="Health",
+    )
+    return rrb.Blueprint(
+        rrb.Tabs(overview, gallery, *extra, health, active_tab=0),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following" if live else None),
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def _terrain(cameras: Sequence[str], eye: Eye) -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(
+        origin="/map",
+        name="Terrain",
+        # Labels lie under their camera for the 2D view; here they would cover the photo in its frustum.
+        contents=["+ $origin/**", *(f"- $origin/cameras/{camera}/labels" for camera in cameras)],
+        background=(226, 234, 242),
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=(0.0, 0.0, 1.0)
+        ),
+    )
+
+
+def _fuel_grid(window: MapWindow) -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(
+        origin="/fuel_map",
+        name="Fuel map",
+        visual_bounds=_bounds(window),
+    )
+
+
+def _bounds(window: MapWindow) -> rrb.VisualBounds2D:
+    return rrb.VisualBounds2D(x_range=window.columns, y_range=window.rows)
+
+
+def _changes(window: MapWindow) -> rrb.Spatial2DView:
+    """Over the relief and beside the cameras of the fuel map, in its cells, so that nothing moves as it grows."""
+    return rrb.Spatial2DView(
+        origin="/terrain",
+        contents=["+ $origin/**", "+ /fuel_map/relief", "+ /fuel_map/cameras/**"],
+        name="Surface: red removed, green grown, violet lowered, yellow as it was",
+        visual_bounds=_bounds(window),
+    )
+
+
+def _fuel_layers(columns: int) -> rrb.Grid:
+    """What the fuel map knows of each cell besides what covers it."""
+    views = [rrb.Spatial2DView(origin=f"/fuel_layers/{name}", name=title) for name, title in TITLES.items()]
+    return rrb.Grid(*views, grid_columns=columns, name="Fuel")
+
+
+def _camera_row(site: str, camera: str, timed: bool) -> rrb.Horizontal:
+    """Image, depth and labels side by side, and the latencies of this camera's nodes if `timed`."""
+    origin = f"/map/cameras/{camera}"
+    views: list[rrb.View] = [
+        rrb.Spatial2DView(origin=origin, contents="+ $origin/photo", name=f"{camera}: image"),
+        rrb.Spatial2DView(origin=f"/depth/{camera}", name=f"{camera}: depth"),
+        rrb.Spatial2DView(origin=origin, contents=["+ $origin/photo", "+ $origin/labels"], name=f"{camera}: labels"),
+    ]
+    if timed:
+        views.append(_plot("Latency p95 (ms)", f"/health/latency_p95_ms/{site}/{camera}"))
+    return rrb.Horizontal(*views, name=camera)
+
+
+def _depth_row(camera: str) -> rrb.Horizontal:
+    """What the terrain says, what the network says, what both make, and how far that is from the terrain."""
+    parts = {"traced": "traced", "network": "network", "fused": "fused", "difference": "fused - traced"}
+    views = [rrb.Spatial2DView(origin=f"/fusion/{camera}/{p}", name=f"{camera}: {name}") for p, name in parts.items()]
+    return rrb.Horizontal(*views, name=camera)
+
+
+def _plot(name: str, origin: str, named: bool = True) -> rrb.TimeSeriesView:
+    legend = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=named)
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=legend)

@@ -1,0 +1,175 @@
+"""Geometry of the 3D scene: the terrain's mesh, the fuel layer draped on it, and where the eye starts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.dem import Dem
+from ltm_core.errors import RasterError
+from ltm_core.grid import GridGeometry
+from ltm_core.pictures import label_colors, terrain_colors
+from ltm_core.pictures.class_palette import UNLABELLED, Labels, Palette, Rgb
+
+Vertices = NDArray[np.float32]
+Triangles = NDArray[np.uint32]
+
+MAX_TRIANGLES = 300_000
+MAX_TEXTURE = 2048
+TILE = 32
+"""Cells on a side of a fuel tile, the unit in which the fuel layer is logged again."""
+
+
+@dataclass(frozen=True, eq=False)
+class TexturedMesh:
+    """`vertices` (N, 3) metres, map frame; `triangles` (M, 3) indices; `texcoords` (N, 2), (0, 0) the north-west corner
+    of `texture` (h, w, 3)."""
+
+    vertices: Vertices
+    triangles: Triangles
+    texcoords: NDArray[np.float32]
+    texture: Rgb
+
+
+def decimated(dem: Dem, max_triangles: int = MAX_TRIANGLES) -> Dem:
+    """Every n-th height, so that two triangles between four neighbours stay within `max_triangles`."""
+    height, width = dem.elevation.shape
+    step = max(1, math.ceil(math.sqrt(2 * height * width / max_triangles)))
+    step = min(step, height - 1, width - 1)
+    g = dem.geometry
+    elevation = dem.elevation[::step, ::step]
+    # The first sample keeps its place, half a fine cell inside the raster; it is now the centre of a coarse cell.
+    inset = (step - 1) / 2 * g.resolution
+    return Dem(
+        elevation,
+        GridGeometry(
+            g.x_min - inset, g.y_max + inset, g.resolution * step, elevation.shape[1], elevation.shape[0], g.crs
+        ),
+    )
+
+
+def terrain_mesh(dem: Dem, max_triangles: int = MAX_TRIANGLES) -> TexturedMesh:
+    """The terrain with tinted relief as its texture; no triangle touches a cell without height."""
+    coarse = decimated(dem, max_triangles)
+    rows, cols = coarse.elevation.shape
+    row, col = np.mgrid[:rows, :cols]
+    x, y = coarse.geometry.to_map(row, col)
+    vertices = np.stack([x, y, coarse.elevation], axis=-1).reshape(-1, 3).astype(np.float32)
+    index = np.arange(rows * cols, dtype=np.uint32).reshape(rows, cols)
+    nw, ne, sw, se = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    triangles = np.concatenate([np.stack([nw, sw, ne], -1).reshape(-1, 3), np.stack([ne, sw, se], -1).reshape(-1, 3)])
+    known = np.isfinite(vertices[:, 2])
+    triangles = triangles[known[triangles].all(axis=1)]
+    vertices[~known, 2] = 0.0
+    fine = dem.geometry
+    texcoords = np.stack(
+        [(x - fine.x_min) / (fine.x_max - fine.x_min), (fine.y_max - y) / (fine.y_max - fine.y_min)], -1
+    )
+    return TexturedMesh(vertices, triangles, texcoords.reshape(-1, 2).astype(np.float32), _texture(dem))
+
+
+def _texture(dem: Dem) -> Rgb:
+    colors = terrain_colors(dem)
+    height, width = colors.shape[:2]
+    scale = MAX_TEXTURE / max(height, width)
+    if scale >= 1:
+        return colors
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    return np.asarray(cv2.resize(colors, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class FuelTile:
+    """The seen cells of one tile of the fuel layer: four `vertices` and two `triangles` a cell, a colour a vertex."""
+
+    name: str
+    vertices: Vertices
+    triangles: Triangles
+    colors: Rgb
+
+
+class FuelLayer:
+    """Fuel cells as flat coloured quads just above the drawn terrain, tile by tile, only what has changed."""
+
+    def __init__(self, dem: Dem, geometry: GridGeometry, palette: Palette, max_triangles: int = MAX_TRIANGLES) -> None:
+        self._surface = decimated(dem, max_triangles)
+        self._geometry = geometry
+        self._palette = palette
+        # Quads and mesh meet the surface at different points; the lift keeps the mesh from poking through.
+        self._lift = 0.12 * max(geometry.resolution, self._surface.geometry.resolution)
+        self._shown = np.full(geometry.shape, UNLABELLED, np.uint8)
+
+    def changed(self, classes: Labels) -> Iterator[FuelTile]:
+        """The tiles that differ from the last call. Raises RasterError on classes of another shape."""
+        if classes.shape != self._geometry.shape:
+            raise RasterError(f"classes of shape {classes.shape} do not fit a fuel grid of {self._geometry.shape}")
+        rows, cols = np.nonzero(classes != self._shown)
+        self._shown = classes.copy()
+        for row, col in sorted(set(zip((rows // TILE).tolist(), (cols // TILE).tolist(), strict=True))):
+            yield self._tile(row * TILE, col * TILE)
+
+    def _tile(self, row: int, col: int) -> FuelTile:
+        part = self._shown[row : row + TILE, col : col + TILE]
+        rows, cols = part.shape
+        window = self._geometry.window(row, col, rows, cols)
+        x = window.x_min + np.arange(cols + 1) * window.resolution
+        y = window.y_max - np.arange(rows + 1) * window.resolution
+        z = self._surface.elevation_at(*np.meshgrid(x, y)) + self._lift
+        corners = np.stack([*np.meshgrid(x, y), z], axis=-1).astype(np.float32)
+        quads = np.stack([corners[:-1, :-1], corners[1:, :-1], corners[:-1, 1:], corners[1:, 1:]], axis=2)
+        seen = (part != UNLABELLED) & np.isfinite(quads[..., 2]).all(axis=2)
+        first = 4 * np.arange(np.count_nonzero(seen), dtype=np.uint32)
+        triangles = first[:, None, None] + np.array([[0, 1, 2], [2, 1, 3]], np.uint32)
+        colors = np.repeat(label_colors(part[seen], self._palette), 4, axis=0)
+        name = f"r{row // TILE:03d}_c{col // TILE:03d}"
+        return FuelTile(name, quads[seen].reshape(-1, 3), triangles.reshape(-1, 3), colors)
+
+
+@dataclass(frozen=True)
+class Eye:
+    """Where the 3D view starts from, and at what it looks (map frame)."""
+
+    position: tuple[float, float, float]
+    target: tuple[float, float, float]
+
+
+def overview_eye(dem: Dem, positions: NDArray[np.float64], azimuths_deg: NDArray[np.float64], reach: float) -> Eye:
+    """An eye that sees all cameras and the ground before them, from behind the cameras and above.
+
+    `positions` (N, 3) and `azimuths_deg` (N,) of the cameras, `reach` metres ahead of each as far as the DEM goes; with
+    no camera, the whole DEM from the south.
+    """
+    g = dem.geometry
+    if len(positions):
+        angles = np.deg2rad(azimuths_deg)
+        headings = np.column_stack([np.sin(angles), np.cos(angles)])
+        ahead = (positions[:, :2] + headings * reach).clip((g.x_min, g.y_min), (g.x_max, g.y_max))
+        spots = np.vstack([positions[:, :2], ahead])
+        behind = -headings.mean(axis=0)
+    else:
+        spots = np.array([[g.x_min, g.y_min], [g.x_max, g.y_max]])
+        behind = np.array([0.0, -1.0])
+    norm = float(np.hypot(*behind))
+    behind = behind / norm if norm > 0.2 else np.array([0.0, -1.0])
+    low, high = spots.min(axis=0), spots.max(axis=0)
+    centre = (low + high) / 2
+    radius = max(float(np.hypot(*(high - low))) / 2, 10 * g.resolution)
+    ground = float(dem.elevation_at(*centre))
+    if not math.isfinite(ground):
+        ground = float(np.nanmean(dem.elevation))
+    x, y = centre + behind * radius * 1.4
+    # Over a mountain behind the cameras the eye must not start inside it.
+    under = float(dem.elevation_at(x, y))
+    height = max(ground + radius * 0.9, under + radius * 0.2 if math.isfinite(under) else -math.inf)
+    return Eye((float(x), float(y), height), (float(centre[0]), float(centre[1]), ground))
+
+
+def thinned(points: NDArray[np.floating], most: int) -> NDArray[np.intp]:
+    """Indices of at most `most` finite points (N, 3), evenly strided."""
+    finite = np.nonzero(np.isfinite(points).all(axis=1))[0]
+    return finite[:: max(1, math.ceil(len(finite) / most))]

@@ -1,0 +1,86 @@
+"""A picture of an .rrd file as the viewer shows it, made without a screen."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import cv2
+
+from ltm_core.errors import RecordingError
+from ltm_ros.viewer.server import LOOPBACK, RerunProcess, grpc_url
+from ltm_ros.viewer.tabs import with_tab
+
+T = TypeVar("T")
+SETTLE_S = 3.0
+"""Between opening and the picture: the viewer loads meshes and images while it draws."""
+
+
+def screenshot(
+    recording: Path,
+    picture: Path,
+    size: tuple[int, int] = (1600, 900),
+    tab: str | None = None,
+    timeout: float = 60.0,
+) -> None:
+    """Write `picture` (PNG, `size` pixels) of the last moment of `recording`; of `tab`, or of the first one.
+
+    Needs a Vulkan driver, which may be Mesa's software one (Debian: mesa-vulkan-drivers). Raises RecordingError where
+    the file cannot be opened or nothing can be drawn, ConfigError on a tab that it lacks.
+    """
+    if not recording.is_file():
+        raise RecordingError(f"{recording}: no such recording")
+    if picture.suffix != ".png":
+        raise RecordingError(f"{picture}: the viewer writes PNG; name the picture .png")
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    picture.unlink(missing_ok=True)
+    from rerun.experimental import ViewerClient
+
+    port = _free_port()
+    viewer = RerunProcess(["--headless", "--port", str(port), "--window-size", f"{size[0]}x{size[1]}"])
+    try:
+        viewer.wait_until_listening(port)
+        client = ViewerClient.connect(grpc_url(port))
+        deadline = time.monotonic() + timeout
+        _retry(lambda: client.open(str(recording.resolve())), viewer, deadline, recording)
+        _retry(lambda: _shown(client), viewer, deadline, recording)
+        if tab is not None:
+            told = _retry(client.get_blueprint, viewer, deadline, recording)
+            chosen = with_tab(told.blueprint, tab)
+            _retry(lambda: client.set_blueprint(chosen, of="recording"), viewer, deadline, recording)
+        client.set_time(play_state="following")
+        time.sleep(SETTLE_S)
+        _retry(lambda: client.save_screenshot(str(picture.resolve())), viewer, deadline, recording)
+    finally:
+        viewer.stop()
+    if cv2.imread(str(picture)) is None:
+        raise RecordingError(f"{picture}: the viewer wrote no picture")
+
+
+def _shown(client: object) -> None:
+    if not client.get_state().active_recording:  # type: ignore[attr-defined]
+        raise RuntimeError("no recording is shown yet")
+
+
+def _retry(action: Callable[[], T], viewer: RerunProcess, deadline: float, recording: Path) -> T:
+    """The viewer refuses requests until it has drawn its first frame, and slow machines need a while for that."""
+    while True:
+        try:
+            return action()
+        except Exception as error:
+            if not viewer.running() or time.monotonic() > deadline:
+                raise RecordingError(
+                    f"{recording}: no picture ({error}); without a screen the viewer needs a Vulkan driver "
+                    "(Debian: apt-get install mesa-vulkan-drivers libgl1-mesa-dri)"
+                ) from error
+            time.sleep(0.2)
+
+
+def _free_port() -> int:
+    with contextlib.closing(socket.socket()) as probe:
+        probe.bind((LOOPBACK, 0))
+        return int(probe.getsockname()[1])

@@ -1,0 +1,321 @@
+"""What the graph makes, shown in Rerun: live on loopback, or written to an .rrd file, or both."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import cv2
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import ImageError, PoseError
+from ltm_core.grid import GridGeometry
+from ltm_core.pictures import MapCamera, RangeScale, labelled_shade, to_jpeg
+from ltm_core.pictures.class_palette import UNLABELLED, Labels, Palette, Rgb
+from ltm_core.pictures.fuel_maps import Place
+from ltm_core.pose import Pose
+from ltm_core.site import Site
+from ltm_ros.viewer import archetypes, scene_geometry
+from ltm_ros.viewer.blueprint import TIMELINE, MapWindow, Tabs, site_blueprint
+from ltm_ros.viewer.fuel_maps import FuelMaps
+from ltm_ros.viewer.server import RerunProcess, grpc_url, web_url
+from ltm_ros.viewer.terrain_change import ChangeLayer, ChangePicture, change_classes
+
+MAX_POINTS = 15_000
+"""Points of one depth image in the 3D view."""
+RELIEF_PIXELS = 2048
+"""Longer side of the relief under the fuel grid."""
+CAMERA_COLOR = (235, 40, 135)
+NAME_COLOR = (255, 225, 240)
+"""The viewer writes a label in its point's colour on dark grey: camera colours would hardly be read."""
+
+
+class RerunView:
+    """One site in Rerun. Methods may be called from any thread.
+
+    `save`: .rrd file to write; `serve`: a web viewer on loopback at `web_port`, fed from `grpc_port`. Stamps are
+    nanoseconds. Raises ConfigError where a port is taken.
+    """
+
+    def __init__(
+        self,
+        application_id: str,
+        site: Site,
+        dem: Dem,
+        label_set: Palette,
+        *,
+        save: Path | None = None,
+        serve: bool = False,
+        web_port: int = 9090,
+        grpc_port: int = 9876,
+    ) -> None:
+        self._site, self._dem, self._palette = site, dem, label_set
+        self._lock = Lock()
+        self._scale = RangeScale()
+        g = dem.geometry
+        self._reach = min(site.fuel.max_range, max(g.shape) * g.resolution)
+        self._cameras: dict[str, MapCamera] = {}
+        self._poses: dict[str, Pose] = {}
+        self._shown: set[str] = set()
+        self._node_colors: dict[str, tuple[int, int, int]] = {}
+        self._plotted: set[str] = set()
+        self._live = serve
+        self._server = RerunProcess.serve(web_port, grpc_port) if serve else None
+        self.url = web_url(web_port, grpc_port) if serve else None
+        self._recording = rr.RecordingStream(application_id)
+        sinks: list[rr.FileSink | rr.GrpcSink] = []
+        if save is not None:
+            save.parent.mkdir(parents=True, exist_ok=True)
+            sinks.append(rr.FileSink(save))
+        if serve:
+            sinks.append(rr.GrpcSink(grpc_url(grpc_port)))
+        for name, config in site.cameras.items():
+            # A camera whose pose or calibration comes by topic is placed when it first shows itself.
+            if config.pose and config.calibration:
+                with contextlib.suppress(PoseError):
+                    self._place(name, config.pose.pose(dem, site.frame), config.calibration.camera())
+        self._fuel = scene_geometry.FuelLayer(dem, site.fuel_geometry(dem), label_set)
+        self._fuel_geometry = site.fuel_geometry(dem)
+        self._fuel_maps: FuelMaps | None = None
+        self._change = ChangeLayer()
+        if sinks:
+            self._recording.set_sinks(*sinks, default_blueprint=self._blueprint())
+        self._log_scene()
+
+    def log_image(self, camera: str, stamp_ns: int, rgb: Rgb) -> None:
+        """The camera's image, (H, W, 3) uint8."""
+        with self._at(stamp_ns):
+            self._recording.log(f"map/cameras/{camera}/photo", archetypes.photo(rgb))
+
+    def log_depth(self, camera: str, stamp_ns: int, depth: NDArray[np.float32], model: Camera) -> None:
+        """Depth (H, W) along the optical axis, metres; +inf sky, NaN unknown. Raises ImageError on another size."""
+        if depth.shape != (model.height, model.width):
+            raise ImageError(f"depth of {camera} is {depth.shape}, its calibration says {model.height} x {model.width}")
+        with self._at(stamp_ns):
+            self._recording.log(f"depth/{camera}", archetypes.depth_picture(depth, self._scale))
+
+    def log_fusion(
+        self,
+        camera: str,
+        stamp_ns: int,
+        fused: NDArray[np.float32],
+        traced: NDArray[np.float32],
+        network: NDArray[np.float32] | None = None,
+    ) -> None:
+        """Fused, traced and network's depth, each (H, W) along the optical axis in metres; the network's may be of
+        another size. Raises ImageError where fused and traced differ in size.
+        """
+        if fused.shape != traced.shape:
+            raise ImageError(f"fused depth of {camera} is {fused.shape}, its traced depth {traced.shape}")
+        with self._at(stamp_ns):
+            entity = f"fusion/{camera}"
+            self._recording.log(f"{entity}/traced", archetypes.depth_picture(traced, self._scale))
+            self._recording.log(f"{entity}/fused", archetypes.depth_picture(fused, self._scale))
+            self._recording.log(f"{entity}/difference", archetypes.difference_picture(fused, traced))
+            if network is not None:
+                # At the size of the others, so that all lie side by side.
+                grown = np.asarray(cv2.resize(network, fused.shape[::-1], interpolation=cv2.INTER_NEAREST), np.float32)
+                self._recording.log(f"{entity}/network", archetypes.depth_picture(grown, self._scale))
+
+    def log_labels(self, camera: str, stamp_ns: int, labels: Labels) -> None:
+        """Class ids (H, W) uint8, 255 unlabelled, of the size of the image."""
+        with self._at(stamp_ns):
+            self._recording.log(f"map/cameras/{camera}/labels", archetypes.label_image(labels))
+
+    def log_pose(self, camera: str, stamp_ns: int, pose: Pose, model: Camera) -> None:
+        """Where the camera stands. Where the site file does not say it, the first pose moves the view there."""
+        with self._at(stamp_ns):
+            entity = f"map/cameras/{camera}"
+            self._recording.log(entity, *archetypes.stand(pose), archetypes.pinhole(model, self._reach * 0.15))
+            expected = self._poses.get(camera)
+            if camera not in self._shown or expected != pose:
+                self._shown.add(camera)
+                self._place(camera, pose, model)
+                self._log_on_map(camera)
+                self._log_name(camera)
+            if expected is None:
+                self._recording.send_blueprint(self._blueprint())
+
+    def log_points(
+        self, camera: str, stamp_ns: int, points: NDArray[np.floating], colors: NDArray[np.uint8] | None = None
+    ) -> None:
+        """Points (N, 3) that the camera sees, map frame, with colours (N, 3); thinned to `MAX_POINTS`."""
+        kept = scene_geometry.thinned(points, MAX_POINTS)
+        with self._at(stamp_ns):
+            self._recording.log(
+                f"map/points/{camera}",
+                rr.Points3D(
+                    points[kept].astype(np.float32),
+                    colors=None if colors is None else colors[kept],
+                    radii=rr.Radius.ui_points(1.5),
+                ),
+            )
+
+    def log_fuel_map(self, stamp_ns: int, classes: Labels, geometry: GridGeometry) -> None:
+        """The fuel map (H, W) of class ids, 255 unseen, map frame. Raises RasterError where shapes disagree."""
+        with self._at(stamp_ns):
+            if geometry != self._fuel_geometry:
+                self._fuel_geometry = geometry
+                self._fuel = scene_geometry.FuelLayer(self._dem, geometry, self._palette)
+                self._log_relief()
+                self._recording.log("map/fuel", rr.Clear(recursive=True))
+                for name in self._shown:
+                    self._log_on_map(name)
+            changed = list(self._fuel.changed(classes))
+            for tile in changed:
+                self._log_tile(tile)
+            if changed:
+                self._recording.log("fuel_map/classes", rr.SegmentationImage(classes, opacity=0.7, draw_order=1.0))
+
+    def log_fuel_layers(self, stamp_ns: int, rasters: Mapping[str, NDArray[Any]]) -> None:
+        """What is known of the cells of the fuel map besides their life form: as of `FuelMaps.draw`."""
+        with self._at(stamp_ns):
+            if self._fuel_maps is None or self._fuel_maps.geometry != self._fuel_geometry:
+                places = [Place(name, *camera.position) for name, camera in self._cameras.items()]
+                self._fuel_maps = FuelMaps(self._fuel_geometry, self._dem, self._palette, places)
+            for name, picture in self._fuel_maps.draw(rasters).items():
+                self._recording.log(f"fuel_layers/{name}", picture)
+
+    def log_change(self, stamp_ns: int, kinds: Labels, geometry: GridGeometry) -> None:
+        """Kinds of change (H, W) of a window of the terrain's grid, 255 not looked at, map frame."""
+        with self._at(stamp_ns):
+            picture = ChangePicture.over(kinds, geometry, self._fuel_geometry)
+            self._recording.log("terrain/change", *picture.archetypes())
+
+    def log_changed_cells(
+        self, stamp_ns: int, cells: NDArray[np.int32], points: NDArray[np.float32], kinds: Labels
+    ) -> None:
+        """Cells (N, 2) row, col of the terrain's grid whose kind of change (N,) is new, at points (N, 3) of the map."""
+        with self._at(stamp_ns):
+            self._recording.log("map/change", self._change.update(cells, points, kinds))
+
+    def log_diagnostics(self, stamp_ns: int, node_name: str, values: Mapping[str, float]) -> None:
+        """A node's measures by name, as `/diagnostics` carries them: rate_hz, latency_p95_ms, dropped, ..."""
+        with self._at(stamp_ns):
+            node = node_name.strip("/")
+            color = self._node_colors.setdefault(node, archetypes.distinct_color(len(self._node_colors)))
+            for key, value in values.items():
+                entity = f"health/{key}/{node}"
+                if entity not in self._plotted:
+                    self._plotted.add(entity)
+                    self._recording.log(entity, rr.SeriesLines(colors=[color]), static=True)
+                self._recording.log(entity, rr.Scalars(value))
+
+    def log_text(self, level: str, text: str) -> None:
+        """A line for the log, at the time of what was logged before."""
+        with self._lock:
+            self._recording.log("log", rr.TextLog(text, level=level))
+
+    def close(self) -> None:
+        """Write what is pending, finish the file, end the server."""
+        with self._lock:
+            self._recording.flush()
+            self._recording.disconnect()
+            if self._server is not None:
+                self._server.stop()
+
+    @contextlib.contextmanager
+    def _at(self, stamp_ns: int) -> Iterator[None]:
+        with self._lock:
+            self._recording.set_time(TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
+            yield
+
+    def _place(self, camera: str, pose: Pose, model: Camera) -> None:
+        x, y, _ = pose.position
+        self._poses[camera] = pose
+        self._cameras[camera] = MapCamera(camera, model, (float(x), float(y)), pose.angles_deg[0], self._reach)
+
+    def _blueprint(self) -> object:
+        names = list(self._site.cameras) + [name for name in self._cameras if name not in self._site.cameras]
+        poses = [self._poses[name] for name in self._cameras]
+        positions = np.array([pose.position for pose in poses]).reshape(-1, 3)
+        azimuths = np.array([pose.angles_deg[0] for pose in poses])
+        eye = scene_geometry.overview_eye(self._dem, positions, azimuths, self._reach * 0.6)
+        height, width = self._fuel_geometry.shape
+        fusion, terrain = bool(self._site.depth_model), self._site.terrain is not None
+        tabs = Tabs(fusion=fusion, terrain=terrain, tall=1.2 * height > width)
+        return site_blueprint(self._site.name, names, eye, self._window(), self._live, tabs)
+
+    def _window(self) -> MapWindow:
+        """Around the cameras and the ground before them, as far as the fuel grid goes."""
+        g = self._fuel_geometry
+        outline = [camera.sector() for camera in self._cameras.values()]
+        corners = np.vstack(outline) if outline else np.array([[g.x_min, g.y_min], [g.x_max, g.y_max]])
+        row, col = g.to_grid(corners[:, 0].clip(g.x_min, g.x_max), corners[:, 1].clip(g.y_min, g.y_max))
+        margin = 0.06 * max(np.ptp(row), np.ptp(col))
+        return MapWindow(
+            (float(col.min() - margin), float(col.max() + margin)),
+            (float(row.min() - margin), float(row.max() + margin)),
+        )
+
+    def _log_scene(self) -> None:
+        with self._lock:
+            log = self._recording
+            log.log("/", archetypes.annotation_context(self._palette), static=True)
+            log.log("map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+            log.log("map/terrain", archetypes.mesh(scene_geometry.terrain_mesh(self._dem)), static=True)
+            self._log_relief()
+            if self._site.terrain is not None:
+                log.log("terrain", change_classes(), static=True)
+
+    def _log_relief(self) -> None:
+        """The relief under the fuel grid, finer than the cells, in units of cells."""
+        g = self._fuel_geometry
+        finer = max(1, RELIEF_PIXELS // max(g.shape))
+        view = GridGeometry(g.x_min, g.y_max, g.resolution / finer, g.width * finer, g.height * finer, g.crs)
+        none = np.full(g.shape, UNLABELLED, np.uint8)
+        picture = labelled_shade(none, g, self._palette, self._dem, view)
+        longest = max(picture.shape[:2])
+        if longest > RELIEF_PIXELS:
+            shrink = RELIEF_PIXELS / longest
+            picture = np.asarray(
+                cv2.resize(picture, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA), np.uint8
+            )
+        self._recording.log(
+            "fuel_map/relief",
+            rr.Transform3D(scale=(g.width / picture.shape[1], g.height / picture.shape[0], 1.0)),
+            rr.EncodedImage(contents=to_jpeg(picture, 88), media_type="image/jpeg", draw_order=-1.0),
+            static=True,
+        )
+
+    def _log_on_map(self, camera: str) -> None:
+        """The camera's place and sector on the fuel grid."""
+        placed = self._cameras[camera]
+        row, col = self._fuel_geometry.to_grid(placed.sector()[:, 0], placed.sector()[:, 1])
+        outline = np.column_stack([col, row]) + 0.5
+        entity = f"fuel_map/cameras/{camera}"
+        sector = rr.LineStrips2D([outline], colors=[CAMERA_COLOR], radii=rr.Radius.ui_points(1.0), draw_order=2.0)
+        self._recording.log(f"{entity}/sector", sector)
+        place = rr.Points2D(outline[:1], colors=[CAMERA_COLOR], radii=rr.Radius.ui_points(6.0), draw_order=3.0)
+        self._recording.log(entity, place)
+        name = rr.Points2D(
+            outline[:1], labels=[camera], colors=[NAME_COLOR], radii=rr.Radius.ui_points(2.5), draw_order=4.0
+        )
+        self._recording.log(f"{entity}/name", name)
+
+    def _log_name(self, camera: str) -> None:
+        """The camera's name in the 3D view, where its own entity shows nothing but the frustum."""
+        here = rr.Points3D(
+            [self._poses[camera].position], labels=[camera], colors=[NAME_COLOR], radii=rr.Radius.ui_points(4.0)
+        )
+        self._recording.log(f"map/names/{camera}", here)
+
+    def _log_tile(self, tile: scene_geometry.FuelTile) -> None:
+        entity = f"map/fuel/{tile.name}"
+        if len(tile.triangles) == 0:
+            self._recording.log(entity, rr.Clear(recursive=False))
+            return
+        mesh = rr.Mesh3D(
+            vertex_positions=tile.vertices,
+            triangle_indices=tile.triangles,
+            vertex_colors=tile.colors,
+            albedo_factor=(255, 255, 255, 200),
+        )
+        self._recording.log(entity, mesh)

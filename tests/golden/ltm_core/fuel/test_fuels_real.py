@@ -1,0 +1,99 @@
+"""Real fuel maps: two of the Tubbs Fire ground, one of Vermont as LANDFIRE gives it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.warp import Resampling, reproject
+
+from ltm_core.dem import Dem
+from ltm_core.errors import RasterError
+from ltm_core.fuel.codes import FuelSystem, Region
+from ltm_core.fuel.decision import layers_of_classes
+from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape, snapped_grid
+from ltm_core.fuel.export.landscape_io import write_landscape
+from ltm_core.fuel.export.lcp_io import write_lcp
+from ltm_core.fuel.life_form import NODATA
+from ltm_core.fuel.prior_config import PriorConfig
+from ltm_core.fuel.prior_io import load_prior
+from ltm_core.geodesy import SiteFrame
+from ltm_core.grid import GridGeometry
+
+EARLIER, LATER = "earlier_elmfire_lcc/fbfm40r5.tif", "later_gridfire_utm10/fbfm40.tif"
+
+
+def raster(path: Path) -> tuple[np.ndarray, GridGeometry]:
+    with rasterio.open(path) as source:
+        t = source.transform
+        return source.read(1), GridGeometry(t.c, t.f, t.a, source.width, source.height, source.crs.to_wkt())
+
+
+def group(codes: np.ndarray) -> np.ndarray:
+    """NB, GR, GS, SH, TU, TL, SB as 0 to 6."""
+    return np.digitize(codes, [100, 120, 140, 160, 180, 200])
+
+
+def test_the_tubbs_pair(shared_data: Path, tmp_path: Path) -> None:
+    folder = shared_data / "fuels_tubbs_pair"
+    later, grid = raster(folder / LATER)
+    early, early_grid = raster(folder / EARLIER)
+    moved = load_prior(PriorConfig(path=folder / EARLIER), grid)
+    both = (moved.codes != NODATA) & (later != NODATA)
+    assert both.sum() == 92_040
+    assert (moved.codes == later)[both].mean() == pytest.approx(0.229, abs=5e-4)
+    # The confusion by fuel group is that of GDAL's own warp.
+    theirs = np.full(grid.shape, NODATA, np.int16)
+    reproject(
+        early, theirs, src_transform=early_grid.transform(), src_crs=early_grid.crs, src_nodata=NODATA,
+        dst_transform=grid.transform(), dst_crs=grid.crs, dst_nodata=NODATA, resampling=Resampling.nearest,
+    )  # fmt: skip
+    ours, golden = (
+        np.bincount(7 * group(codes[both]) + group(later[both]), minlength=49) for codes in (moved.codes, theirs)
+    )
+    assert np.abs(ours - golden).sum() < 0.002 * both.sum()
+    assert ours.reshape(7, 7)[0, 1:].sum() > 0
+
+    region = Region.named("dry")
+    for name, own in (("early", early_grid), ("later", grid)):
+        names = {"early": EARLIER, "later": LATER}
+        dem = Dem.open((folder / names[name]).parent / "dem.tif")
+        prior = load_prior(PriorConfig(path=folder / names[name]), own)
+        frame = SiteFrame(str(dem.geometry.crs))
+        unseen = np.full(own.shape, 255, np.uint8)
+        layers = layers_of_classes(unseen, prior, region)
+        made = make_landscape(layers, prior, dem.in_frame(frame), frame, own, region, FuelSystem.FBFM40)
+        np.testing.assert_array_equal(made.band("fuel"), prior.codes)
+        for path in (write_lcp(tmp_path / f"{name}.lcp", made), write_landscape(tmp_path / f"{name}.tif", made)):
+            with rasterio.open(path) as source:
+                np.testing.assert_array_equal(source.read(), made.bands)
+            back = load_prior(PriorConfig(path=path), own)
+            np.testing.assert_array_equal(back.codes, prior.codes)
+
+
+def test_codes_that_no_system_has(shared_data: Path) -> None:
+    folder = shared_data / "fuels_tubbs_pair/earlier_elmfire_lcc"
+    _, grid = raster(folder / "fbfm40b.tif")
+    with pytest.raises(RasterError, match="codes that fbfm40 does not have"):
+        load_prior(PriorConfig(path=folder / "fbfm40b.tif"), grid)
+
+
+def test_a_landfire_download(shared_data: Path) -> None:
+    folder = shared_data / "fuels_vermont_landfire"
+    codes, grid = raster(folder / "LC22_F40_230.tif")
+    prior = load_prior(PriorConfig(path=folder), grid)
+    np.testing.assert_array_equal(prior.codes, np.where(codes == 32767, NODATA, codes))
+    assert prior.canopy is not None
+    np.testing.assert_array_equal(prior.canopy[2:], NODATA)  # the download has cover and height alone
+    assert prior.fbfm13 is not None
+    known = prior.codes != NODATA
+    agreeing = (Region.named("humid").to_fbfm13(prior.codes) == prior.fbfm13)[known].mean()
+    assert agreeing > 0.95  # SH3 has two partners, and 39 % of its cells the other one
+    assert (Region.named("dry").to_fbfm13(prior.codes) == prior.fbfm13)[known].mean() < agreeing
+    assert (grid.x_min % 30, grid.y_max % 30) == (15, 15)
+    snapped = snapped_grid(
+        GridGeometry(grid.x_min, grid.y_max, 30.0, grid.width, grid.height, "EPSG:5070"), "EPSG:5070"
+    )
+    np.testing.assert_array_equal(GridTransfer(grid, snapped).layer(codes, 0), codes)

@@ -1,0 +1,103 @@
+"""Lines of sight against GDAL's own viewshed, earth curvature and refraction on."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from numpy.typing import NDArray
+from scenes.rasters import rough_terrain
+
+from ltm_core.dem import Dem
+from ltm_core.grid import GridGeometry
+from ltm_core.visibility.point_visibility import TOLERANCE, SightLines
+
+pytestmark = pytest.mark.slow
+
+
+def gdal_seen(dem: Dem, row: int, col: int, above: float, folder: Path) -> NDArray[np.bool_]:
+    """What GDAL sees from `above` metres over a cell's centre, (H, W). Its -cc is 1 - k."""
+    program = shutil.which("gdal_viewshed")
+    if program is None:
+        pytest.skip("needs gdal_viewshed (Debian: apt-get install gdal-bin)")
+    dem.save(folder / "dem.tif")
+    x, y = (str(float(v)) for v in dem.geometry.to_map(row, col))
+    options = [
+        "-q",
+        "-md",
+        "0",
+        "-ox",
+        x,
+        "-oy",
+        y,
+        "-oz",
+        str(above),
+        "-tz",
+        "0",
+        "-cc",
+        "0.87",
+        "-vv",
+        "1",
+        "-iv",
+        "0",
+    ]
+    subprocess.run([program, *options, str(folder / "dem.tif"), str(folder / "seen.tif")], check=True)
+    with rasterio.open(folder / "seen.tif") as source:
+        seen: NDArray[np.bool_] = source.read(1) > 0
+    assert seen.shape == dem.geometry.shape
+    return seen
+
+
+def our_seen(dem: Dem, row: int, col: int, above: float, curvature: bool = True) -> NDArray[np.bool_]:
+    rows, cols = np.mgrid[0 : dem.geometry.height, 0 : dem.geometry.width]
+    x, y = dem.geometry.to_map(rows, cols)
+    points = np.stack([x, y, dem.elevation], axis=-1).reshape(-1, 3)
+    origin = points[row * dem.geometry.width + col] + (0, 0, above)
+    lift, unknown = SightLines(dem, curvature).lifts(origin, points)
+    return ((lift <= TOLERANCE) & ~unknown).reshape(dem.geometry.shape)
+
+
+def in_utm(dem: Dem, resolution: float) -> Dem:
+    height, width = dem.elevation.shape
+    return Dem(dem.elevation, GridGeometry(400_000.0, 3_800_000.0, resolution, width, height, "EPSG:32611"))
+
+
+@pytest.mark.parametrize(("row", "col", "above"), [(None, None, 10.0), (321, 399, 30.0), (500, 1000, 20.0)])
+def test_mountains(shared_data: Path, tmp_path: Path, row: int | None, col: int | None, above: float) -> None:
+    dem = Dem.open(shared_data / "dem_bigtujunga" / "bigtujunga.tif")
+    if row is None or col is None:
+        row, col = divmod(int(np.nanargmax(dem.elevation)), dem.geometry.width)  # the summit
+    theirs, ours = gdal_seen(dem, row, col, above, tmp_path), our_seen(dem, row, col, above)
+    agreement = float((theirs == ours).mean())
+    print(f"agreement {agreement:.4%}, seen: ours {ours.mean():.2%}, GDAL {theirs.mean():.2%}")
+    assert 0.02 < theirs.mean() < 0.9
+    assert agreement >= 0.99
+    # Where little is seen, most cells agree cheaply: of those that either sees, both see nearly all.
+    common = (theirs & ours).sum() / (theirs | ours).sum()
+    print(f"of the cells that either sees, both see {common:.1%}")
+    assert common > 0.88
+
+
+def test_hills(tmp_path: Path) -> None:
+    # Smooth hills: on ground that is rough from cell to cell GDAL's interpolation is another surface.
+    coarse = rough_terrain(3, (41, 53), relief=300.0)
+    row, col = np.mgrid[0:400, 0:520]
+    x, y = coarse.geometry.to_map(row / 10, col / 10)
+    dem = in_utm(Dem(coarse.elevation_at(x, y).astype(np.float32), GridGeometry(0, 0, 1.0, 520, 400)), 20.0)
+    theirs, ours = gdal_seen(dem, 205, 333, 25.0, tmp_path), our_seen(dem, 205, 333, 25.0)
+    print(f"agreement {(theirs == ours).mean():.4%}, seen: ours {ours.mean():.2%}")
+    assert 0.01 < theirs.mean() < 0.95
+    assert (theirs == ours).mean() >= 0.99
+
+
+def test_a_plain_ends_at_its_horizon(tmp_path: Path) -> None:
+    dem = in_utm(Dem(np.full((300, 420), 50.0, np.float32), GridGeometry(0, 0, 1.0, 420, 300)), 100.0)
+    theirs, ours = gdal_seen(dem, 140, 40, 20.0, tmp_path), our_seen(dem, 140, 40, 20.0)
+    assert (theirs == ours).mean() >= 0.99
+    # Without curvature a plain has no horizon: the agreement above is curvature's.
+    assert our_seen(dem, 140, 40, 20.0, curvature=False).all()
+    assert theirs.mean() < 0.7

@@ -1,0 +1,207 @@
+"""What no set of frames may do to the fuel map, whatever they hold and however they come."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from ltm_core.fuel.cell_visibility import CellSighting
+from ltm_core.fuel.evidence import EPOCH_S, EVIDENCE_FIELDS, EvidenceMap
+from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
+from ltm_core.fuel.life_form import NODATA, forms_of
+from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.rules import FusionRules
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.grid import GridGeometry
+from ltm_core.vision.labels import LabelSet
+
+GRID = GridGeometry(-60.0, 120.0, 30.0, 5, 4)
+LABELS = LabelSet.load()
+CODES = np.array(
+    [[145, 147, 165, 102, 91], [121, 99, NODATA, 183, 145], [101, 101, 145, 145, 204], [98, 7, 145, 186, 165]], np.int16
+)
+PRIOR = FuelPrior(CODES, GRID)
+BEGIN = 1_700_000_000
+CELLS = [(row, col) for row in range(4) for col in range(5)]
+ASSUMED = LabelErrors.assumed()
+
+
+@st.composite
+def frames(draw: st.DrawFn) -> CellVotes:
+    """Any votes that the wire lets through: of any size, sureness and placement, within three epochs and more."""
+    cells = sorted(draw(st.sets(st.sampled_from(CELLS), min_size=1, max_size=8)))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    n = len(cells)
+    counts = np.zeros((n, len(LABELS)), np.uint32)
+    counts[np.arange(n), rng.integers(0, len(LABELS), n)] = rng.choice([1, 3, 40, 100_000, 2**31], n)
+    counts[np.arange(n), rng.integers(0, len(LABELS), n)] += rng.choice([0, 2, 500], n).astype(np.uint32)
+    sighting = None
+    if draw(st.booleans()):
+        columns = (
+            rng.uniform(0, 1, n),
+            rng.choice([0.0, 5.0, 1e9], n),
+            rng.choice([0.0, 40.0, 299.0, 1e9], n),
+            rng.choice([0.0, 20.0, 299.0], n),
+            rng.uniform(-7, 7, n),
+        )
+        sighting = CellSighting(*(column.astype(np.float32) for column in columns))
+    confidence = rng.uniform(0, 1, n).astype(np.float32) if draw(st.booleans()) else None
+    second = BEGIN + draw(st.integers(0, 12)) * draw(st.sampled_from([1, 3600, EPOCH_S]))
+    rows, cols = (np.array(index, np.int32) for index in zip(*cells, strict=True))
+    z = np.zeros(n, np.float32)
+    source = draw(st.sampled_from(["north", "east", "south"]))
+    return CellVotes(GRID, rows, cols, counts, z, second * 10**9, source, confidence, sighting)
+
+
+def errors(cell: float, view: float) -> LabelErrors:
+    correlation = LabelCorrelation(cell=cell, stand=cell / 4, view=view, network=view / 2)
+    return LabelErrors(ASSUMED.shares, correlation)
+
+
+LOOKING = LabelErrors.of_model("landscape_lite0")
+"""A network that knows what cells look like: cells are judged by their neighbours in the frame too."""
+assert LOOKING.look is not None
+networks = st.sampled_from([ASSUMED, errors(0.0, 0.0), errors(0.3, 0.1), errors(1.0, 1.0), LOOKING])
+
+
+def counted(*of: CellVotes, network: LabelErrors = ASSUMED, prior: FuelPrior | None = PRIOR) -> EvidenceMap:
+    result = EvidenceMap(GRID, prior, LABELS, errors=network)
+    for frame in of:
+        result.add(frame)
+    return result
+
+
+def state(fuel_map: EvidenceMap) -> dict[str, np.ndarray]:
+    return fuel_map.tile_state((0, 0))
+
+
+def assert_same(found: EvidenceMap, expected: EvidenceMap) -> None:
+    for name, values in state(expected).items():
+        np.testing.assert_array_equal(state(found)[name], values, err_msg=name)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(frames(), min_size=2, max_size=8), st.randoms(use_true_random=False), networks)
+def test_the_order_of_frames_changes_no_bit(of: list[CellVotes], random: object, network: LabelErrors) -> None:
+    shuffled = list(of)
+    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    assert_same(counted(*shuffled, network=network), counted(*of, network=network))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(frames(), min_size=2, max_size=8), st.randoms(use_true_random=False))
+def test_the_order_of_frames_changes_no_bit_where_cells_are_judged_by_their_look(
+    of: list[CellVotes], random: object
+) -> None:
+    shuffled = list(of)
+    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    assert_same(counted(*shuffled, network=LOOKING), counted(*of, network=LOOKING))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(frames(), min_size=1, max_size=6), networks)
+def test_unseen_cells_are_the_priors_bit_for_bit(of: list[CellVotes], network: LabelErrors) -> None:
+    unseen = np.ones(GRID.shape, bool)
+    for frame in of:
+        unseen[frame.rows, frame.cols] = False
+    before, after = counted(network=network).layers(), counted(*of, network=network).layers()
+    for name, layer in vars(before).items():
+        np.testing.assert_array_equal(vars(after)[name][unseen], layer[unseen], err_msg=name)
+    assert not any(values[: GRID.height, : GRID.width][unseen].any() for values in state(counted(*of)).values())
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(frames(), max_size=8), networks)
+def test_the_code_is_the_priors_where_its_life_form_holds(of: list[CellVotes], network: LabelErrors) -> None:
+    layers = counted(*of, network=network).layers()
+    known = layers.prior != NODATA
+    agrees = np.take_along_axis(forms_of(layers.prior), (layers.life_form.astype(int) - 1)[..., None] % 7, -1)[..., 0]
+    np.testing.assert_array_equal(layers.code[known & agrees], layers.prior[known & agrees])
+    np.testing.assert_array_equal(layers.changed[known], ~agrees[known])
+    masked = np.isin(layers.prior, FusionRules().mask)
+    np.testing.assert_array_equal(layers.code[masked], layers.prior[masked])
+
+
+@settings(max_examples=60, deadline=None)
+@given(frames(), networks)
+def test_one_frame_changes_nothing(frame: CellVotes, network: LabelErrors) -> None:
+    layers = counted(frame, network=network).layers()
+    assert not layers.changed.any()
+    known = layers.prior != NODATA
+    np.testing.assert_array_equal(layers.code[known], layers.prior[known])
+
+
+@settings(max_examples=40, deadline=None)
+@given(frames(), st.integers(2, 200), st.integers(0, 3599))
+def test_frames_of_an_hour_are_one_look(frame: CellVotes, repeats: int, seconds: int) -> None:
+    """However many come, they are worth no more than two looks of that view; of a network that errs in every frame
+    alike, no more than one.
+    """
+    assume(frame.stamp_ns // (10**9 * EPOCH_S) == (frame.stamp_ns // 10**9 + seconds) // EPOCH_S)
+    stamps = frame.stamp_ns + np.linspace(0, seconds, repeats).astype(int) * 10**9
+    many = [replace(frame, stamp_ns=int(stamp)) for stamp in stamps]
+    alike, apart = errors(0.5, 0.5), errors(0.5, 0.1)
+    once, often = (counted(*of, network=alike).layers() for of in ([frame], many))
+    np.testing.assert_allclose(often.evidence, once.evidence, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(often.p_max, once.p_max, rtol=1e-4)
+    once, often = (counted(*of, network=apart).layers() for of in ([frame], many))
+    assert (often.evidence <= 2 / 1.2 * once.evidence + 1e-4).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(frames(), max_size=12), networks)
+def test_evidence_is_bounded_and_never_negative(of: list[CellVotes], network: LabelErrors) -> None:
+    fuel_map = counted(*of, network=network)
+    layers = fuel_map.layers()
+    assert (layers.evidence >= 0).all()
+    correlation = network.correlation
+    if correlation.network > 0:
+        most = FusionRules().frame_cap * correlation.cell / correlation.network
+        assert (layers.evidence <= most * 1.001).all()
+    for layer in (layers.p_max, layers.entropy):
+        assert np.nan_to_num(layer, nan=0.5).min() >= 0
+        assert np.nan_to_num(layer, nan=0.5).max() <= 1 + 1e-6
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(frames(), min_size=1, max_size=5), frames())
+def test_a_hostile_frame_moves_no_cell_but_its_own(of: list[CellVotes], hostile: CellVotes) -> None:
+    elsewhere = np.ones(GRID.shape, bool)
+    elsewhere[hostile.rows, hostile.cols] = False
+    quiet, disturbed = counted(*of), counted(*of, hostile)
+    for name in EVIDENCE_FIELDS:
+        before, after = (state(m)[name][: GRID.height, : GRID.width] for m in (quiet, disturbed))
+        np.testing.assert_array_equal(after[elsewhere], before[elsewhere], err_msg=name)
+    at = max(quiet.newest_ns, disturbed.newest_ns)
+    one, other = quiet.layers(at_ns=at), disturbed.layers(at_ns=at)
+    for name in ("code", "life_form", "evidence", "changed", "p_max"):
+        np.testing.assert_array_equal(vars(other)[name][elsewhere], vars(one)[name][elsewhere], err_msg=name)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(frames(), min_size=1, max_size=6))
+def test_evidence_only_fades(of: list[CellVotes]) -> None:
+    fuel_map = counted(*of)
+    now, *later = (fuel_map.layers(at_ns=fuel_map.newest_ns + days * 86400 * 10**9).evidence for days in (0, 100, 4000))
+    assert (later[0] <= now).all()
+    assert (later[1] <= later[0]).all()
+
+
+def test_counts_of_a_forged_frame_do_not_overflow() -> None:
+    rows, cols = (np.array(index, np.int32) for index in zip(*CELLS, strict=True))
+    counts = np.full((len(CELLS), len(LABELS)), 2**32 - 1, np.uint32)
+    counts[:, 3] = 0
+    huge = CellVotes(GRID, rows, cols, counts, np.zeros(len(CELLS), np.float32), BEGIN * 10**9, "north")
+    layers = counted(huge).layers()
+    assert (layers.evidence <= FusionRules().frame_cap).all()
+    full = state(counted(huge))
+    full["shown"][...] = 2**32 - 1
+    fuel_map = counted()
+    fuel_map.load_tile((0, 0), full)
+    fuel_map.add(huge)
+    assert state(fuel_map)["shown"].max() == 2**32 - 1
+    assert fuel_map.layers().evidence.max() == pytest.approx(0, abs=100)

@@ -1,0 +1,118 @@
+"""The fast path against the pyramid traversal: on every pixel the same kind and the same range."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes.rasters import rough_terrain, with_holes
+from scenes.traced_terrain import (
+    big_tujunga,
+    holed,
+    margin_only,
+    random_camera,
+    random_pose,
+    riddled,
+    ridged,
+    treed,
+    treed_and_holed,
+)
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import PoseError
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+from ltm_core.tracing import TerrainTracer
+
+
+def assert_ways_agree(dem: Dem, seed: int, poses: int, width: int, height: int) -> None:
+    rng = np.random.default_rng(seed)
+    tracer = TerrainTracer(dem)
+    hits = pixels = 0
+    for _ in range(poses):
+        camera, pose = random_camera(rng, width, height), random_pose(dem, rng)
+        try:
+            slow = tracer.trace(camera, pose, way="pyramid").range
+        except PoseError:  # in a lake, below its rim
+            continue
+        hit = np.isfinite(slow)
+        for tracer.by_lanes in (True, False):
+            fast = tracer.trace(camera, pose, way="profile").range
+            name = f"{camera} at {pose}, by lanes: {tracer.by_lanes}"
+            wrong = np.argwhere((np.isnan(fast) != np.isnan(slow)) | (np.isinf(fast) != np.isinf(slow)))
+            assert len(wrong) == 0, f"{len(wrong)} pixels, first {wrong[0]} of {name}"
+            off = np.abs(fast[hit] - slow[hit])
+            assert (off <= 1e-4 + np.spacing(slow[hit])).all(), f"range off by up to {off.max()} m for {name}"
+        hits += int(hit.sum())
+        pixels += hit.size
+    assert tracer.statistics.profile_bytes > 0
+    assert pixels > 0.8 * poses * width * height
+    assert hits > 0.2 * pixels
+
+
+KINDS = [ridged, treed, holed, treed_and_holed, margin_only]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_pixel(kind) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
+    dem = kind(700)
+    oblong = Dem(dem.elevation[:523], GridGeometry(412_000.0, 3_801_000.0, 1.0, 700, 523))
+    assert_ways_agree(oblong, 11, poses=12, width=161, height=121)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_pixel_of_sixty_poses(kind) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
+    assert_ways_agree(kind(2000), 12, poses=60, width=320, height=240)
+
+
+def test_every_pixel_of_real_mountains(shared_data: Path) -> None:
+    assert_ways_agree(big_tujunga(shared_data), 13, poses=10, width=161, height=121)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("holes", [False, True])
+def test_every_pixel_of_sixty_poses_in_real_mountains(shared_data: Path, holes: bool) -> None:
+    dem = big_tujunga(shared_data)
+    assert_ways_agree(riddled(dem) if holes else dem, 14, poses=60, width=320, height=240)
+
+
+@pytest.mark.parametrize("bend", [-3e-4, 7e-4, 1e-2])
+def test_strongly_bent_rays(bend: float) -> None:
+    """Bends far beyond the earth's; a negative one is a strong duct, that curves rays more than the earth."""
+    dem = with_holes(rough_terrain(6, relief=25.0), 6, specks=20, margin=False)
+    rng = np.random.default_rng(6)
+    tracer = TerrainTracer(dem)
+    tracer.bend = bend
+    for _ in range(8):
+        camera, pose = random_camera(rng, 121, 83), random_pose(dem, rng)
+        try:
+            slow = tracer.trace(camera, pose, way="pyramid").range
+        except PoseError:
+            continue
+        for tracer.by_lanes in (True, False):
+            np.testing.assert_allclose(tracer.trace(camera, pose, way="profile").range, slow, rtol=1e-6)
+
+
+def test_on_node_lines_and_at_the_rim() -> None:
+    """Positions on nodes and on the raster's outermost node lines, cameras along the axes and straight down."""
+    dem = rough_terrain(8)
+    tracer = TerrainTracer(dem)
+    rows, cols = dem.elevation.shape
+    for row, col in [(0, 0), (rows - 1, cols - 1), (0, 77.0), (55.0, cols - 1), (90.0, 130.0), (90.5, 131.0)]:
+        x, y = (float(v) for v in dem.geometry.to_map(row, col))
+        for azimuth in (0.0, 45.0, 90.0, 180.0, 270.0, 225.0):
+            for pitch in (-10.0, -90.0, 30.0):
+                pose = Pose.from_angles((x, y, float(dem.elevation_at(x, y)) + 6.0), azimuth, pitch, 0.0)
+                camera = Camera(81, 61, 50.0, 50.0, 40.0, 30.0)
+                slow = tracer.trace(camera, pose, way="pyramid").range
+                # Which side of the rim a ray along it is on, is a matter of the 19th digit.
+                east, north, _ = np.abs(np.moveaxis(camera.rays() @ pose.rotation.T, -1, 0))
+                clear = np.minimum(east, north) > 1e-15
+                assert clear.mean() > 0.95
+                for tracer.by_lanes in (True, False):
+                    fast = tracer.trace(camera, pose, way="profile").range
+                    message = f"{row} {col} {azimuth} {pitch}, by lanes: {tracer.by_lanes}"
+                    np.testing.assert_allclose(fast[clear], slow[clear], rtol=1e-6, err_msg=message)

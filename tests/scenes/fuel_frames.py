@@ -1,0 +1,76 @@
+"""A site without pictures, and frames of votes on it that a number makes: the same number, the same frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from ltm_core.dem import Dem
+from ltm_core.fuel.cell_visibility import CellSighting
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.grid import GridGeometry
+from ltm_core.site_io import load_site
+from ltm_core.vision.labels import LabelSet
+from ltm_msgs_py.votes import votes_to_msg
+
+NAME = "kept"
+CAMERAS = ("north", "east", "south")
+BEGIN_NS = 1_700_000_000_000_000_000
+PERIOD_NS = 60 * 10**9
+LABELS = LabelSet.load()
+
+
+def write_site(folder: Path, **changes: Any) -> Path:
+    """A hill of 2.1 x 2.7 km in `folder`; path of the site file."""
+    rows, cols = np.mgrid[:70, :90]
+    elevation = (300 + 80 * np.exp(-((rows - 30) ** 2 + (cols - 50) ** 2) / 400)).astype(np.float32)
+    Dem(elevation, GridGeometry(480_015.0, 4_150_915.0, 30.0, 90, 70, "EPSG:26911")).save(folder / "dem.tif")
+    site = {
+        "name": NAME,
+        "crs": "EPSG:26911",
+        "origin": [480_015.0, 4_148_815.0],
+        "dem": {"path": "dem.tif"},
+        "cameras": {camera: {} for camera in CAMERAS},
+    }
+    path = folder / "site.yaml"
+    path.write_text(yaml.safe_dump(site | changes), encoding="utf-8")
+    return path
+
+
+def grid_of(site_path: Path) -> GridGeometry:
+    site = load_site(site_path)
+    return site.fuel_geometry(site.open_dem())
+
+
+def camera_of(number: int) -> str:
+    return CAMERAS[number % len(CAMERAS)]
+
+
+def stamp_of_frame(number: int) -> int:
+    return BEGIN_NS + number * PERIOD_NS + number
+
+
+def votes(number: int, grid: GridGeometry, stamp_ns: int | None = None) -> CellVotes:
+    """Some hundred cells of a camera, in patches of covers that change over the years of a test."""
+    rng = np.random.default_rng(number)
+    height, width = 24, 31
+    row, col = rng.integers(0, grid.height - height), rng.integers(0, grid.width - width)
+    seen = np.flatnonzero(rng.random(height * width) < 0.5)
+    rows, cols = (row + seen // width).astype(np.int32), (col + seen % width).astype(np.int32)
+    counts = np.zeros((len(seen), len(LABELS)), np.uint32)
+    cover = 1 + (rows // 9 + cols // 13 + number // 200) % 6
+    counts[np.arange(len(seen)), cover] = rng.integers(1, 60, len(seen))
+
+    def column(low: float, high: float) -> Any:
+        return rng.uniform(low, high, len(seen)).astype(np.float32)
+
+    sighting = CellSighting(column(0.1, 0.9), column(1, 40), column(0, 60), column(0, 30), column(0, 6.2))
+    stamp = stamp_of_frame(number) if stamp_ns is None else stamp_ns
+    return CellVotes(grid, rows, cols, counts, column(300, 380), stamp, camera_of(number), column(0.3, 1), sighting)
+
+
+def message(number: int, grid: GridGeometry, stamp_ns: int | None = None) -> Any:
+    return votes_to_msg(votes(number, grid, stamp_ns), LABELS.names)

@@ -1,0 +1,146 @@
+"""What a network says where the depth is known, and what that means for a pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scenes.depth_scene import CAMERA, depth_scene
+
+from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.error_model import Answers, meant, octaves, said
+from ltm_core.depth.ground_sampling import CROWD, GroundSamples, ground_samples
+from ltm_core.depth.monocular import NetworkDepth
+from ltm_core.depth.scale_fit import _line, fit_network
+from ltm_core.depth.topodepth import Source, Verdict, fuse
+from ltm_core.vision.labels import LabelSet
+
+CLASSES = DepthClasses.of(LabelSet.load())
+SIZE = (360, 640)
+
+
+def spread_samples(count: int = 4000, seed: int = 2) -> GroundSamples:
+    rng = np.random.default_rng(seed)
+    depth = np.exp(rng.uniform(np.log(40.0), np.log(4000.0), count))
+    rows, cols = rng.integers(0, SIZE[0], count), rng.integers(0, SIZE[1], count)
+    return GroundSamples(rows, cols, depth, 0.005 * depth)
+
+
+def misread(depth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Inverse depth of a network for which all beyond 1000 m is at 500 m."""
+    return 1.0 / np.where(depth > 1000.0, 500.0, depth)
+
+
+def test_a_slow_error_of_depth_is_learnt_and_is_no_noise() -> None:
+    samples = spread_samples()
+    noise = 1 + 0.05 * np.random.default_rng(5).standard_normal(len(samples))
+    answers = Answers.of(misread(samples.depth) * noise, samples, SIZE)
+    row, col = answers.shift.shape[0] // 2, answers.shift.shape[1] // 3
+    for depth in (60.0, 200.0, 2000.0):
+        less, sigma = said(row, col, np.float32(1 / depth), answers.shift, answers.factor)
+        assert 1 / depth - less == pytest.approx(float(misread(np.array(depth))), rel=0.08)
+        assert sigma < 0.35 / (depth if depth < 1000 else 500.0)
+
+
+def test_what_hides_most_of_the_far_ground_is_no_error_of_the_network() -> None:
+    """A block at 250 m stands before 55 in 100 samples beyond 360 m; the network is right everywhere."""
+    samples = spread_samples()
+    rng = np.random.default_rng(9)
+    hidden = (samples.depth > 360.0) & (rng.random(len(samples)) < 0.55)
+    seen = np.where(hidden, 250.0, samples.depth) * (1 + 0.01 * rng.standard_normal(len(samples)))
+    answers = Answers.of(1.0 / seen, samples, SIZE)
+    for depth in (400.0, 1000.0, 3000.0):
+        less, sigma = said(17, 30, np.float32(1 / depth), answers.shift, answers.factor)
+        assert abs(less) * depth < 0.05
+        assert sigma * depth < 0.1
+
+
+def test_far_ground_between_near_trees_does_not_make_the_network_a_bad_one() -> None:
+    """Nine tenths of what is known beyond 300 m lie among crowns at 45 m: noise of inverse depth does not grow so."""
+    samples = spread_samples()
+    rng = np.random.default_rng(3)
+    samples = samples.part((samples.depth < 100.0) | (samples.depth > 300.0))
+    among = (samples.depth > 300.0) & (rng.random(len(samples)) < 0.9)
+    crowns = 45.0 * np.exp(0.5 * rng.standard_normal(len(samples)))
+    read = np.where(among, 1.0 / crowns, 1.0 / samples.depth) * (1 + 0.1 * rng.standard_normal(len(samples)))
+    answers = Answers.of(read, samples, SIZE)
+    for depth in (600.0, 1500.0):
+        less, sigma = said(17, 30, np.float32(1 / depth), answers.shift, answers.factor)
+        assert (1 / 45.0 - 1 / depth + less) / sigma > 3.0
+
+
+def test_what_is_said_and_what_is_meant_are_inverse_to_each_other() -> None:
+    samples = spread_samples()
+    answers = Answers.of(0.8 / samples.depth, samples, SIZE)
+    less, _ = said(3, 4, np.float32(1 / 300.0), answers.shift, answers.factor)
+    true, sigma = meant(3, 4, np.float32(1 / 300.0) - less, answers.shift, answers.factor)
+    assert 1 / true == pytest.approx(300.0, rel=0.02)
+    assert 0 < sigma * 300.0 < 0.1
+
+
+def test_beyond_all_samples_a_network_is_believed_less() -> None:
+    samples = spread_samples()
+    near = samples.part(samples.depth < 400.0)
+    answers = Answers.of(1.0 / near.depth * (1 + 0.05 * np.sin(near.depth)), near, SIZE)
+    assert answers.factor[0, 0, octaves(np.array(6000.0))] > 4 * answers.factor[0, 0, octaves(np.array(200.0))]
+
+
+def test_far_hills_that_a_network_takes_for_nearer_ones_stay_where_they_are() -> None:
+    """All of them: no contradiction. One spot among ground that it sees aright: something stands there."""
+    scene = depth_scene()
+    network = scene.network()
+    inverse = (network.values - 0.2) / 40.0
+    beyond = (inverse < 1 / 900.0) & (inverse > 1e-5)
+    values = np.where(beyond, 1 / 500.0, inverse).astype(np.float32)
+    result = fuse(scene.traced, NetworkDepth(values, "relative_inverse"), scene.photo, scene.labels, CLASSES)
+    assert result.verdict is Verdict.OK
+    far = np.isfinite(scene.truth) & (scene.truth > 1000) & ~scene.stand
+    assert np.median(np.abs(result.depth[far] / scene.truth[far] - 1)) < 0.01
+    assert (result.source[far] == Source.NETWORK).mean() < 0.02
+
+
+def test_a_shift_needs_evidence() -> None:
+    """Ground of one range only cannot tell a shift; a network of true inverse depths keeps its 0 at infinity."""
+    scene = depth_scene()
+    rng = np.random.default_rng(4)
+    ground = scene.traced.depth()
+    inverse = np.where(np.isfinite(ground), 1.0 / ground, 0.0)[2::4, 2::4]
+    noisy = (7.0 * inverse * np.exp(0.25 * rng.standard_normal(inverse.shape))).astype(np.float32)
+    sigma = np.full_like(ground, 1.0)
+    some = np.where((ground > 150) & (ground < 400), ground, np.nan).astype(np.float32)
+    samples = ground_samples(some, sigma, None, CLASSES.ground, CAMERA.fy)
+    fit = fit_network(NetworkDepth(noisy, "relative_inverse"), samples, SIZE)
+    assert fit.trouble == ""
+    assert fit.line is not None
+    assert fit.line.shift == 0.0
+    assert fit.line.scale == pytest.approx(1 / 7.0, rel=0.1)
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.2])
+def test_noise_over_ground_of_about_one_depth_makes_no_shift(noise: float) -> None:
+    """The network is noisy, not the terrain: a line fitted to depth by what the network says would be near flat."""
+    rng = np.random.default_rng(8)
+    samples = spread_samples()
+    samples = samples.part((samples.depth > 300) & (samples.depth < 420))
+    values = np.full((36, 64), np.nan, np.float32)
+    values[:] = 1 / 360.0 / 0.014
+    at = samples.rows * 36 // SIZE[0], samples.cols * 64 // SIZE[1]
+    values[at] = 1 / samples.depth / 0.014
+    values *= 1 + noise * rng.standard_normal(values.shape)
+    line = _line("relative_inverse", values[at].astype(np.float64), samples)
+    assert line is not None
+    assert line.shift == 0.0
+    assert line.scale == pytest.approx(0.014, rel=0.1)
+
+
+def test_no_range_crowds_out_the_others() -> None:
+    rows = np.mgrid[0 : SIZE[0], 0 : SIZE[1]][0]
+    # Nine tenths of the photo at 30 m, and a slope behind.
+    depth = np.where(rows > 36, 30.0 + 0.001 * rows, 400.0 + 20.0 * (36 - rows)).astype(np.float32)
+    samples = ground_samples(depth, np.full_like(depth, 0.5), None, CLASSES.ground, 1e-3)
+    counts = np.unique(np.floor(2 * np.log2(samples.depth)), return_counts=True)[1]
+    assert len(counts) > 2
+    assert counts.max() <= 1.1 * CROWD * np.median(counts)
+    near = samples.depth < 100
+    assert np.ptp(samples.rows[near]) > 0
+    assert np.ptp(samples.cols[near]) > 0.9 * SIZE[1]

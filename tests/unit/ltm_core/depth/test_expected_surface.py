@@ -1,0 +1,98 @@
+"""What terrain, labels and photo let expect of a pixel: cover, and where outlines run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes.depth_scene import CAMERA, depth_scene
+
+from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.error_model import Answers
+from ltm_core.depth.expected_surface import expected_surface
+from ltm_core.depth.guided_upsampling import SeenDepth
+from ltm_core.depth.occlusion_boundaries import raise_silhouettes
+from ltm_core.depth.scale_fit import NetworkFit
+from ltm_core.vision.labels import Label, LabelSet
+
+CLASSES = DepthClasses.of(LabelSet.load())
+
+
+def test_cover_brings_the_surface_nearer_by_its_height() -> None:
+    """On a plane the raised surface is known in closed form."""
+    rows, _ = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
+    down = np.maximum((rows - CAMERA.cy) / CAMERA.fy, 1e-9)
+    ground = np.where(rows > CAMERA.cy + 20, 50.0 / down, np.inf).astype(np.float32)
+    pose = replace(depth_scene().traced.pose, rotation=np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]))
+    shrubs = np.full(ground.shape, 2, np.uint8)
+    cover = np.zeros(256, np.float32)
+    cover[2] = 2.0
+    surface, sigma = expected_surface(ground, shrubs, cover, CAMERA, pose, 0.0, 0.5)
+    part = (rows > CAMERA.cy + 30) & (rows < CAMERA.height - 12)
+    np.testing.assert_allclose(surface[part], ground[part] * 48.0 / 50.0, rtol=2e-3)
+    # Half a metre of the terrain's height is a hundredth of the camera's, and so of the depth; cover is half unsure.
+    expected = np.hypot(0.01 * ground[part], 0.5 * (ground - surface)[part])
+    assert np.median(sigma[part] / expected) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("height", [3.0, 4.4, 6.0])
+def test_cover_nearly_as_high_as_the_eye_is_drawn_without_stripes(height: float) -> None:
+    """Around the height from which on the ground is no longer brought to the top, rows may not take turns."""
+    rows, _ = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
+    down = np.maximum((rows - CAMERA.cy) / CAMERA.fy, 1e-9)
+    ground = np.where(rows > CAMERA.cy + 20, 20.0 / down, np.inf).astype(np.float32)
+    pose = replace(depth_scene().traced.pose, rotation=np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]))
+    cover = np.zeros(256, np.float32)
+    cover[3] = height
+    trees = np.full(ground.shape, 3, np.uint8)
+    surface, _ = expected_surface(ground, trees, cover, CAMERA, pose, 0.0, 0.5)
+    nearer = (ground / surface)[int(CAMERA.cy) + 30 : -60, ::7]
+    assert (nearer >= 1).all()
+    assert np.abs(np.diff(nearer, axis=0)).max() < 0.03
+
+
+def test_an_edge_moves_to_where_the_photo_has_it() -> None:
+    height, width = 200, 240
+    rows, cols = np.mgrid[0:height, 0:width]
+    crest = (110 + 12 * np.sin(cols / 40.0)).astype(int)
+    ground = np.where(rows >= crest, 400.0, 1500.0).astype(np.float32)
+    grown = rows >= crest - 5
+    rng = np.random.default_rng(6)
+    photo = np.where(grown[..., None], (90, 80, 40), (170, 180, 200)) + rng.normal(0, 8, (height, width, 1))
+    surface, sigma = ground.copy(), np.full_like(ground, 2.0)
+    camera = replace(CAMERA, width=width, height=height, fx=1200.0, fy=1200.0)
+    edges = raise_silhouettes(np.clip(photo, 0, 255).astype(np.uint8), ground, surface, sigma, None, CLASSES, camera)
+    assert (np.abs(edges.raised - 5) <= 1).mean() > 0.9
+    strip = grown & (rows < crest)
+    assert (surface[strip] == 400.0).mean() > 0.85
+    assert (surface[rows < crest - 9] == 1500.0).mean() > 0.99
+
+
+def test_of_a_raised_strip_a_network_and_labels_take_back_what_is_not_the_crests() -> None:
+    height, width, crest = 200, 240, 110
+    rows = np.mgrid[0:height, 0:width][0]
+    ground = np.where(rows >= crest, 400.0, 1500.0).astype(np.float32)
+    grown = rows >= crest - 5
+    photo = np.where(grown[..., None], (90, 80, 40), (170, 180, 200)).astype(np.uint8)
+    photo = np.asarray(np.ascontiguousarray(np.broadcast_to(photo, (height, width, 3))))
+    camera = replace(CAMERA, width=width, height=height, fx=300.0, fy=300.0)
+    strip = grown & (rows < crest)
+
+    def raised(label: int, seen_at: float) -> float:
+        """Of the way from the far side to the crest, where the strip is, on average, where the network sees all of the
+        photo at `seen_at` metres; what is between both says so."""
+        inverse = np.full((25, 30), 1 / seen_at, np.float32)
+        inverse[14:] = 1 / 400
+        fit = NetworkFit(inverse, inverse, inverse, Answers.none(), 0.05, None, "")
+        surface, sigma = ground.copy(), np.full_like(ground, 2.0)
+        labels = np.full(ground.shape, label, np.uint8)
+        raise_silhouettes(photo, ground, surface, sigma, labels, CLASSES, camera, SeenDepth.of(fit, photo))
+        torn = strip & (surface > 400) & (surface < 1500)
+        assert np.all(surface + 3 * sigma >= 1500, where=torn)
+        assert np.all(surface - 3 * sigma <= 400, where=torn)
+        return float((1500 - surface[strip]).mean() / 1100)
+
+    assert raised(int(Label.TREE), 400.0) > 0.85
+    assert 0.2 < raised(int(Label.TREE), 1500.0) < 0.7
+    assert raised(int(Label.GRASS), 1500.0) < 0.2

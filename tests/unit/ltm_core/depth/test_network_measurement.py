@@ -1,0 +1,73 @@
+"""What a network measures by itself, beside what fusion makes of it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scenes.depth_scene import depth_scene
+
+from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.monocular import NetworkDepth
+from ltm_core.depth.topodepth import FusedDepth, fuse
+from ltm_core.vision.labels import Label, LabelSet
+
+CLASSES = DepthClasses.of(LabelSet.load())
+NEAR = 150.0
+
+
+@pytest.fixture(scope="module")
+def seen() -> tuple[FusedDepth, NDArray[np.bool_]]:
+    """Fused, where a network sees ground at NEAR on a patch of far grass; and that patch, (h, w) of the network."""
+    scene = depth_scene()
+    values = scene.network(noise=0.05).values.copy()
+    ground = scene.traced.depth()[2::4, 2::4]
+    patch = np.zeros(ground.shape, np.bool_)
+    patch[:, 40:60] = np.isfinite(ground[:, 40:60]) & (ground[:, 40:60] > 250)
+    values[patch] = 40.0 / NEAR * (1 + 0.05 * np.random.default_rng(2).standard_normal(int(patch.sum()))) + 0.2
+    labels = scene.labels.copy()
+    labels[patch.repeat(4, 0).repeat(4, 1)] = Label.GRASS
+    return fuse(scene.traced, NetworkDepth(values, "relative_inverse"), scene.photo, labels, CLASSES), patch
+
+
+def test_it_tells_what_it_sees_where_the_terrain_says_otherwise(seen: tuple[FusedDepth, NDArray[np.bool_]]) -> None:
+    fused, patch = seen
+    inside = cv2.erode(patch.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    measured = fused.measured()
+    off = np.abs(measured.depth - NEAR)[inside]
+    assert inside.sum() > 200
+    assert np.median(off) < 0.1 * NEAR
+    assert (off < 2 * measured.sigma[inside]).mean() > 0.95
+    # Fused depth believes the terrain in part, or at all.
+    assert np.median(fused.depth[2::4, 2::4][inside]) > 1.4 * NEAR
+
+
+def test_at_the_edge_between_two_depths_it_is_unsure(seen: tuple[FusedDepth, NDArray[np.bool_]]) -> None:
+    fused, patch = seen
+    inside = cv2.erode(patch.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    edge = patch & ~(cv2.erode(patch.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
+    sigma = fused.measured().sigma
+    # NaN is as unsure as can be.
+    assert np.median(np.nan_to_num(sigma[edge], nan=np.inf)) > 1.5 * np.median(sigma[inside])
+
+
+def test_sky_and_what_is_as_good_as_unknown_are_no_measurement(seen: tuple[FusedDepth, NDArray[np.bool_]]) -> None:
+    measured = seen[0].measured()
+    sky = ~np.isfinite(seen[0].ground[2::4, 2::4])
+    assert sky.any()
+    assert np.isnan(measured.depth[sky]).mean() > 0.9
+    known = np.isfinite(measured.depth)
+    np.testing.assert_array_equal(known, np.isfinite(measured.sigma))
+    assert (measured.sigma[known] < measured.depth[known]).all()
+
+
+def test_without_a_network_that_fits_or_with_a_wrong_pose_nothing_is_measured() -> None:
+    scene = depth_scene()
+    noise = NetworkDepth(np.random.default_rng(1).random((54, 96)).astype(np.float32), "relative_inverse")
+    cases = [(scene.traced, None), (scene.traced, noise), (scene.turned(2.0), scene.network())]
+    for traced, network in cases:
+        measured = fuse(traced, network, scene.photo, scene.labels, CLASSES).measured()
+        assert np.isnan(measured.depth).all()
+        assert np.isnan(measured.sigma).all()
+    assert np.isfinite(fuse(scene.traced, scene.network(), scene.photo, None, CLASSES).measured().depth).any()

@@ -1,0 +1,117 @@
+"""A wrong pose told by the labels' skyline, and what must not be taken for one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes.depth_scene import CAMERA, SKY, TREE, depth_scene
+
+from ltm_core.camera import Camera
+from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.pose_check import PoseCheck, check_pose
+from ltm_core.depth.topodepth import FusionSettings
+from ltm_core.vision.labels import LabelSet
+
+CLASSES = DepthClasses.of(LabelSet.load())
+SETTINGS = FusionSettings()
+
+
+def checked(turn: float, labels: np.ndarray | None) -> PoseCheck:
+    """Of a photo without any edge, so that only labels can tell."""
+    scene = depth_scene()
+    grey = np.full((CAMERA.height, CAMERA.width, 3), 120, np.uint8)
+    traced = scene.traced if turn == 0 else scene.turned(turn)
+    return check_pose(grey, traced.depth(), CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, labels, CLASSES)
+
+
+@pytest.mark.parametrize("turn", [-0.5, 0.5, 1.0, -2.0])
+def test_the_skyline_tells_a_wrong_pitch(turn: float) -> None:
+    check = checked(turn, depth_scene().labels)
+    assert check.suspected
+    assert check.checked
+    assert check.columns > 0.3 * 480
+    assert check.pitch_deg == pytest.approx(-turn, abs=0.2)
+    assert "skyline" in check.reason
+
+
+def test_an_exact_pose_is_not_suspected_even_with_rough_labels() -> None:
+    labels = depth_scene().labels
+    assert not checked(0.0, labels).suspected
+    # Labels at a quarter of the size, and a cloud that is taken for land over a tenth of the sky.
+    rough = np.repeat(np.repeat(labels[::4, ::4], 4, 0), 4, 1)
+    rough[:60, 200:264] = 1
+    assert not checked(0.0, rough).suspected
+
+
+@pytest.mark.parametrize("cells", [24, 48, 160])
+def test_labels_of_a_coarse_network_are_no_wrong_pose(cells: int) -> None:
+    """Each cell's label is drawn as a block; which of two the sky's edge falls in is the network's own matter."""
+    scene = depth_scene()
+    grey = np.full((CAMERA.height, CAMERA.width, 3), 120, np.uint8)
+    cell = CAMERA.width / cells
+    rows = np.arange(CAMERA.height)
+    cols = ((np.arange(CAMERA.width) // cell + 0.5) * cell).astype(int)
+    for part in (0.05, 0.5, 0.95):
+        at = np.minimum((rows // cell + part) * cell, CAMERA.height - 1).astype(int)
+        coarse = np.ascontiguousarray(scene.labels[np.ix_(at, cols)])
+        given = (coarse, CLASSES, cell)
+        exact = check_pose(grey, scene.traced.depth(), CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, *given)
+        assert not exact.suspected
+        # What is wrong by clearly more than half a cell is still told.
+        wrong = scene.turned(-2.0).depth()
+        told = check_pose(grey, wrong, CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, *given)
+        assert told.suspected or cell > 20
+
+
+def test_trees_on_a_far_crest_are_no_wrong_pose() -> None:
+    labels = depth_scene().labels.copy()
+    for _ in range(4):  # 5 m and more at 1200 m
+        above = np.roll(labels, -1, axis=0)
+        labels = np.where((labels == SKY) & (above != SKY), TREE, labels)
+    assert not checked(0.0, labels).suspected
+
+
+def test_a_wood_along_the_skyline_is_no_wrong_pose() -> None:
+    """Its tops are the photo's clearest edge, half a degree above the traced one; only the label tells that."""
+    scene = depth_scene()
+    land = scene.labels != SKY
+    trees = round(float(np.tan(np.radians(0.5)) * CAMERA.fy))
+    wooded = np.logical_or.reduce([np.roll(land, -up, axis=0) for up in range(trees + 1)])
+    wooded[-trees:] = True
+    labels = np.where(wooded & ~land, TREE, scene.labels)
+    labels[land & np.roll(wooded & ~land, 3, axis=0)] = TREE
+    photo = np.repeat(np.where(wooded, 60, 200).astype(np.uint8)[..., None], 3, axis=2)
+    given = photo, scene.traced.depth(), CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma
+    unlabelled = check_pose(*given)
+    assert unlabelled.suspected
+    assert unlabelled.pitch_deg == pytest.approx(-0.5, abs=0.15)
+    assert not check_pose(*given, labels, CLASSES).suspected
+
+
+@pytest.mark.parametrize(("metres", "suspected"), [(11.5, False), (30.0, True)])
+def test_a_straight_ridge_under_high_trees_is_no_wrong_pose(metres: float, suspected: bool) -> None:
+    """Trees of 8 m and more along all of a ridge that falls to one side, where land beyond the DEM looks out over it:
+    a ridge may as well be moved along itself, but no tree is 30 m high."""
+    camera = Camera.from_fov(480, 200, 50.0)
+    rows, cols = np.mgrid[0:200, 0:480]
+    crest = 70.0 + 0.2 * cols[0]
+    ground = np.where(rows > crest, 560.0, np.inf).astype(np.float32)
+    high = np.random.default_rng(5).uniform(8.0, metres, 60).repeat(8) * camera.fy / 560.0
+    high[440:] = 17.0 * camera.fy / 560.0
+    labels = np.where(rows > crest, 2, np.where(rows > crest - high, TREE, SKY)).astype(np.uint8)
+    grey = np.full((200, 480, 3), 120, np.uint8)
+    check = check_pose(grey, ground, camera, SETTINGS.angle_sigma, SETTINGS.dem_sigma, labels, CLASSES)
+    assert check.columns > 0.9 * 480
+    assert check.suspected == suspected
+
+
+def test_without_a_known_skyline_labels_say_nothing() -> None:
+    scene = depth_scene()
+    beyond = scene.traced.range.copy()
+    beyond[np.isinf(beyond)] = np.nan
+    grey = np.full((CAMERA.height, CAMERA.width, 3), 120, np.uint8)
+    unknown = replace(scene.traced, range=beyond).depth()
+    check = check_pose(grey, unknown, CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, scene.labels, CLASSES)
+    assert (check.columns, check.suspected) == (0, False)

@@ -1,0 +1,276 @@
+"""Fusion of traced and network depth: better than either, sharp at edges, never silent about a wrong pose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scenes.depth_scene import CAMERA, STAND_HEIGHT, DepthScene, depth_scene
+
+from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.expected_surface import expected_surface
+from ltm_core.depth.ground_sampling import ground_samples
+from ltm_core.depth.monocular import NetworkDepth
+from ltm_core.depth.pose_check import check_pose
+from ltm_core.depth.scale_fit import fit_network
+from ltm_core.depth.topodepth import FusedDepth, FusionSettings, Source, Verdict, fuse
+from ltm_core.errors import ConfigError, ImageError
+from ltm_core.range_image import DepthImage, RangeImage
+from ltm_core.tracing import TerrainTracer
+from ltm_core.vision.labels import Label, LabelSet
+
+CLASSES = DepthClasses.of(LabelSet.load())
+SETTINGS = FusionSettings()
+
+
+def fused(scene: DepthScene, network: NetworkDepth | None, labels: NDArray[np.uint8] | None = None) -> FusedDepth:
+    return fuse(scene.traced, network, scene.photo, labels, CLASSES)
+
+
+def rmse(depth: NDArray[np.float32], truth: NDArray[np.float32], where: NDArray[np.bool_]) -> float:
+    counted = where & np.isfinite(depth) & np.isfinite(truth)
+    return float(np.sqrt(np.mean((depth[counted] - truth[counted]) ** 2)))
+
+
+@pytest.mark.parametrize(("labelled", "left"), [(True, 0.5), (False, 0.8)])
+def test_trees_that_the_dem_does_not_know_are_seen(labelled: bool, left: float) -> None:
+    """Without labels the trees stand among the ground that the network is fitted to, and less is seen of them."""
+    scene = depth_scene()
+    result = fused(scene, scene.network(), scene.labels if labelled else None)
+    assert result.verdict is Verdict.OK
+    traced = rmse(scene.traced.depth(), scene.truth, scene.stand)
+    assert rmse(result.depth, scene.truth, scene.stand) < left * traced
+    seen = np.isin(result.source, (Source.NETWORK, Source.BOTH))
+    assert seen[scene.stand].mean() > 1.0 - left
+    np.testing.assert_array_equal(result.ground, scene.traced.depth())
+
+
+def test_where_nothing_changed_the_terrain_stays_and_beats_the_network() -> None:
+    scene = depth_scene()
+    result = fused(scene, scene.network(), scene.labels)
+    assert result.fit is not None
+    far = np.isfinite(scene.truth) & (scene.truth > 800) & ~scene.stand
+    network = np.repeat(np.repeat(1 / np.maximum(result.fit.inverse, 1e-5), 4, 0), 4, 1)
+    assert rmse(result.depth, scene.truth, far) < 0.1 * rmse(network, scene.truth, far)
+    error = np.abs(result.depth[far] - scene.truth[far]) / scene.truth[far]
+    assert np.median(error) < 0.002
+    # The height that grass is taken to have, under a grazing view, and what of outlines a soft network blurs.
+    assert np.quantile(error, 0.98) < 0.06
+    assert (error > 0.1).mean() < 0.004
+
+
+def test_sigma_says_how_wrong_the_depth_is() -> None:
+    scene = depth_scene()
+    result = fused(scene, scene.network(), scene.labels)
+    known = np.isfinite(result.depth) & np.isfinite(scene.truth)
+    assert (np.abs(result.depth[known] - scene.truth[known]) < 3 * result.sigma[known]).mean() > 0.97
+    assert np.isnan(result.sigma[~np.isfinite(result.depth)]).all()
+
+
+def test_sigma_holds_for_what_stands_before_the_ground() -> None:
+    """Crowns at 60 m before ground at five times that: of them networks are more than twice as unsure as of ground."""
+    scene = depth_scene()
+    network, rng = scene.network(noise=0.05), np.random.default_rng(7)
+    ground = scene.traced.depth()
+    small = ground[2::4, 2::4]
+    crowns = np.zeros(small.shape, np.bool_)
+    crowns[:, 40:60] = np.isfinite(small[:, 40:60]) & (small[:, 40:60] > 300)
+    values, labels = network.values.copy(), scene.labels.copy()
+    noisy = 1 + 0.13 * rng.standard_normal(int(crowns.sum()))
+    values[crowns] = 40.0 / 60.0 * noisy + 0.2
+    labels[crowns.repeat(4, 0).repeat(4, 1)] = 3
+    result = fused(scene, NetworkDepth(values, "relative_inverse"), labels)
+    inside = cv2.erode(crowns.astype(np.uint8), np.ones((5, 5), np.uint8)).repeat(4, 0).repeat(4, 1) > 0
+    inside &= result.source == Source.NETWORK
+    assert inside.sum() > 2000
+    assert (np.abs(result.depth[inside] - 60.0) < result.sigma[inside]).mean() > 0.68
+
+
+def test_what_may_as_well_not_be_there_has_the_mean_of_both_depths_and_says_so() -> None:
+    """A network sees something reach 32 m up before ground that is half as far again: as trees it is believed but for
+    the top, where few trees are so high; shrubs of that height are none."""
+    scene = depth_scene()
+    ground = scene.traced.depth()
+    foot = int(np.argmin(ground[:, 200] > 180))
+    thing = np.zeros(ground.shape, np.bool_)
+    thing[foot - int(32 * CAMERA.fy / 180) : foot, 160:240] = True
+    small = thing[2::4, 2::4]
+    values = scene.network(noise=0.05).values.copy()
+    values[small] = 40.0 / 180.0 + 0.2
+    inside = cv2.erode(small.astype(np.uint8), np.ones((5, 5), np.uint8)).repeat(4, 0).repeat(4, 1) > 0
+    inside &= ground > 270
+    assert inside.sum() > 3000
+    for label, near, between in ((Label.TREE, 0.75, 0.25), (Label.SHRUB, 0.0, 0.0)):
+        labels = np.where(thing, np.uint8(label), scene.labels)
+        result = fused(scene, NetworkDepth(values, "relative_inverse"), labels)
+        depth, sigma, far = (image[inside] for image in (result.depth, result.sigma, ground))
+        torn = (depth > 220) & (depth < 0.75 * far)
+        assert (depth < 220).mean() == pytest.approx(near, abs=0.1)
+        assert torn.mean() == pytest.approx(between, abs=0.1)
+        both = (depth - 2.5 * sigma < 180) & (depth + 2.5 * sigma > far)
+        assert both[torn].sum() >= 0.9 * torn.sum()
+
+
+@pytest.mark.parametrize("kind", ["affine_invariant", "metric"])
+def test_networks_of_the_other_kinds_are_fitted_too(kind: str) -> None:
+    scene = depth_scene()
+    inverse = (scene.network(noise=0.01, scale=1.0, shift=0.0)).values
+    metres = 1 / np.maximum(inverse, 2e-4)
+    values = metres * 1.7 if kind == "metric" else 0.01 * metres - 0.5
+    result = fused(scene, NetworkDepth(values.astype(np.float32), kind), scene.labels)  # type: ignore[arg-type]
+    assert result.verdict is Verdict.OK
+    assert result.fit is not None
+    assert result.fit.line is not None
+    if kind == "metric":
+        assert np.exp(result.fit.line.shift) == pytest.approx(1 / 1.7, rel=0.02)
+    else:
+        assert result.fit.line.scale == pytest.approx(100.0, rel=0.05)
+    assert rmse(result.depth, scene.truth, scene.stand) < 0.6 * rmse(scene.traced.depth(), scene.truth, scene.stand)
+
+
+@pytest.mark.parametrize("kind", ["relative_inverse", "affine_invariant", "metric"])
+def test_noise_is_no_depth(kind: str) -> None:
+    """Numbers that have nothing to do with the terrain, over decades: named, and the terrain's depth stays."""
+    scene = depth_scene()
+    noise = (1e4 * np.random.default_rng(4).random((32, 48)) ** 6).astype(np.float32)
+    result = fused(scene, NetworkDepth(noise, kind), scene.labels)  # type: ignore[arg-type]
+    assert result.verdict is Verdict.NETWORK_UNUSABLE
+    assert "explains only" in result.reason or "fit one scale" in result.reason or "against" in result.reason
+    assert rmse(result.depth, scene.traced.depth(), ~scene.stand & np.isfinite(scene.traced.range)) < 20.0
+
+
+def test_a_fit_holds_while_forty_percent_of_the_ground_is_something_else() -> None:
+    scene = depth_scene()
+    network = scene.network(noise=0.005)
+    rng = np.random.default_rng(8)
+    blocks = rng.random((9, 16)) < 0.4
+    hidden = np.repeat(np.repeat(blocks, 10, 0), 10, 1)
+    near = np.where(hidden, 40.0 / rng.uniform(30, 60, hidden.shape) + 0.2, network.values)
+    ground = scene.traced.depth()
+    surface, sigma = expected_surface(
+        ground, scene.labels, CLASSES.cover, CAMERA, scene.traced.pose, SETTINGS.angle_sigma, SETTINGS.dem_sigma
+    )
+    samples = ground_samples(surface, sigma, scene.labels, CLASSES.ground, CAMERA.fy)
+    fit = fit_network(NetworkDepth(near.astype(np.float32), network.kind), samples, (CAMERA.height, CAMERA.width))
+    assert fit.trouble == ""
+    assert fit.line is not None
+    assert fit.line.scale == pytest.approx(1 / 40.0, rel=0.03)
+    assert fit.line.shift == pytest.approx(-0.2 / 40.0, abs=1.5e-4)
+
+
+@pytest.mark.parametrize("turn", [0.6, -1.0, 2.0])
+def test_a_wrong_pose_is_suspected_and_nothing_is_fused(turn: float) -> None:
+    scene = depth_scene()
+    wrong = scene.turned(turn)
+    result = fuse(wrong, scene.network(), scene.photo, scene.labels, CLASSES)
+    assert result.verdict is Verdict.POSE_SUSPECTED
+    assert result.pose.pitch_deg == pytest.approx(-turn, abs=0.15)
+    assert "deg of pitch" in result.reason
+    np.testing.assert_array_equal(result.depth, wrong.depth())
+    assert set(np.unique(result.source)) <= {Source.TERRAIN, Source.SKY, Source.UNKNOWN}
+    assert np.isnan(result.sigma).all()
+
+
+def test_an_exact_pose_is_not_suspected() -> None:
+    scene = depth_scene()
+    check = check_pose(scene.photo, scene.traced.depth(), CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma)
+    assert check.edges > 100
+    assert not check.suspected
+
+
+def test_without_terrain_and_with_an_empty_sky() -> None:
+    scene = depth_scene()
+    for value, source in ((np.nan, Source.UNKNOWN), (np.inf, Source.SKY)):
+        nothing = replace(scene.traced, range=np.full_like(scene.traced.range, value))
+        result = fuse(nothing, scene.network(), scene.photo, scene.labels, CLASSES)
+        assert result.verdict is Verdict.NO_TERRAIN
+        assert (result.source == source).all()
+
+
+def test_holes_of_the_dem_stay_holes_or_are_filled_by_the_network_alone() -> None:
+    scene = depth_scene()
+    holed = scene.traced.range.copy()
+    holed[250:300, 100:220] = np.nan
+    result = fuse(replace(scene.traced, range=holed), scene.network(), scene.photo, scene.labels, CLASSES)
+    assert result.verdict is Verdict.OK
+    inside = result.source[255:295, 110:210]
+    assert np.isin(inside, (Source.NETWORK, Source.UNKNOWN)).all()
+    filled = result.depth[255:295, 110:210][inside == Source.NETWORK]
+    true = scene.truth[255:295, 110:210][inside == Source.NETWORK]
+    assert len(filled) > 0.5 * inside.size
+    assert np.median(np.abs(filled / true - 1)) < 0.1
+
+
+def test_land_beyond_the_dem_stays_unknown() -> None:
+    """It reaches up to the sky, so no ground beyond it holds the network's scale."""
+    scene = depth_scene()
+    cut = scene.traced.range.copy()
+    far = np.isfinite(cut) & (cut > np.percentile(cut[np.isfinite(cut)], 80))
+    cut[far] = np.nan
+    result = fuse(replace(scene.traced, range=cut), scene.network(), scene.photo, scene.labels, CLASSES)
+    assert far.sum() > 1000
+    assert np.isnan(result.depth[far]).mean() > 0.99
+    assert (result.source[far] == Source.UNKNOWN).mean() > 0.99
+    assert np.isnan(result.sigma[result.source == Source.UNKNOWN]).all()
+
+
+def test_a_canopy_raster_is_taken_where_trees_are_labelled_and_both_hits_are_kept() -> None:
+    scene = depth_scene()
+    rows, cols = np.mgrid[0 : scene.dem.geometry.height, 0 : scene.dem.geometry.width]
+    x, y = scene.dem.geometry.to_map(rows, cols)
+    stand = (np.abs(x - 60.0) < 70.0) & (np.abs(y - 330.0) < 45.0)
+    # A second stand in the raster has been felled since.
+    felled = (np.abs(x + 120.0) < 40.0) & (np.abs(y - 330.0) < 45.0)
+    grown = np.where(stand | felled, scene.dem.elevation + np.float32(STAND_HEIGHT), scene.dem.elevation)
+    over = TerrainTracer(replace(scene.dem, elevation=grown.astype(np.float32))).trace(CAMERA, scene.traced.pose)
+    result = fuse(scene.traced, None, scene.photo, scene.labels, CLASSES, surface=over)
+    assert rmse(result.depth, scene.truth, scene.stand) < 0.2 * rmse(scene.traced.depth(), scene.truth, scene.stand)
+    with np.errstate(invalid="ignore"):
+        gone = np.isfinite(scene.truth) & ~scene.stand & (over.depth() < scene.traced.depth() - 5.0)
+    gone &= scene.labels == 1
+    assert gone.sum() > 500
+    assert np.abs(result.depth[gone] / scene.truth[gone] - 1).max() < 0.05
+    assert (result.ground[scene.stand] > result.depth[scene.stand]).mean() > 0.9
+
+
+def test_depths_that_were_sent_fuse_as_the_ranges_that_they_come_from() -> None:
+    scene = depth_scene()
+    sent = DepthImage(scene.traced.depth(), scene.traced.camera, scene.traced.pose)
+    here = fuse(scene.traced, None, scene.photo, scene.labels, CLASSES, surface=scene.traced)
+    there = fuse(sent, None, scene.photo, scene.labels, CLASSES, surface=sent)
+    np.testing.assert_array_equal(there.depth, here.depth)
+    np.testing.assert_array_equal(there.sigma, here.sigma)
+
+
+def test_sizes_that_differ_and_heights_that_are_none_are_refused() -> None:
+    scene = depth_scene()
+    with pytest.raises(ImageError, match=r"label image of \(360, 639\) does not fit"):
+        fuse(scene.traced, None, scene.photo, scene.labels[:, 1:], CLASSES)
+    with pytest.raises(ImageError, match=r"photo of \(359, 640\)"):
+        fuse(scene.traced, None, scene.photo[1:], None, CLASSES)
+    with pytest.raises(ConfigError, match="cover height of tree is -1 m"):
+        DepthClasses.of(LabelSet.load(), {"tree": -1})
+    with pytest.raises(ConfigError, match="no label is called 'palm'"):
+        DepthClasses.of(LabelSet.load(), {"palm": 3.0})
+
+
+def test_what_is_published_of_a_frame_is_plain_json() -> None:
+    import json
+
+    scene = depth_scene()
+    info = json.loads(json.dumps(fused(scene, scene.network(), scene.labels).info()))
+    assert info["verdict"] == "ok"
+    assert sum(info["share"].values()) == pytest.approx(1.0, abs=0.001)
+    assert info["pose"]["suspected"] is False
+
+
+def test_a_range_image_of_sky_alone_has_no_samples() -> None:
+    sky = np.full((CAMERA.height, CAMERA.width), np.inf, np.float32)
+    samples = ground_samples(sky, sky, None, CLASSES.ground, CAMERA.fy)
+    assert len(samples) == 0
+    fit = fit_network(depth_scene().network(), samples, sky.shape)
+    assert "0 pixels of trustworthy ground" in fit.trouble
+    assert isinstance(RangeImage(sky, CAMERA, depth_scene().traced.pose).depth(), np.ndarray)

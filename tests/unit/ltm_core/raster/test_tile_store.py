@@ -1,0 +1,282 @@
+"""The tile store: what is committed is there, whole, once; what is not a store of this map stays as it is."""
+
+from __future__ import annotations
+
+import sqlite3
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ltm_core.errors import ConfigError, StoreError
+from ltm_core.grid import GridGeometry
+from ltm_core.raster.tile_store import CellChanges, Field, FrameRecord, StoreSchema, Tile, TileStore, Touch
+
+GRID = GridGeometry(480_015.0, 4_150_915.0, 30.0, 21, 13, "EPSG:26911")
+SCHEMA = StoreSchema("weather", 3, GRID, 8, {"rain": Field(np.float32, (4,)), "seen": Field(np.int64)})
+
+
+def tile(seed: int) -> Tile:
+    rng = np.random.default_rng(seed)
+    return {"rain": rng.random((8, 8, 4), np.float32), "seen": rng.integers(-(2**60), 2**60, (8, 8))}
+
+
+def changes(layer: str, stamp: int, cells: list[tuple[int, int, int, int]]) -> CellChanges:
+    return CellChanges(layer, stamp, *np.array(cells, np.int32).reshape(-1, 4).T)
+
+
+def read_whole(path: Path) -> list[Tile | None]:
+    with TileStore.open(path, SCHEMA) as store:
+        return [store.read(key) for key in [(0, 0), (0, 1), (1, 0), (1, 1)]]
+
+
+def assert_same(found: Tile | None, expected: Tile) -> None:
+    assert found is not None
+    assert found.keys() == expected.keys()
+    for name, array in expected.items():
+        np.testing.assert_array_equal(found[name], array)
+        assert found[name].dtype == array.dtype
+
+
+def test_what_is_committed_is_there_after_opening_again(tmp_path: Path) -> None:
+    path = tmp_path / "map.ltm"
+    with TileStore.open(path, SCHEMA) as store:
+        assert (store.keys(), store.read((0, 1)), store.frame_count(), store.newest_ns()) == ([], None, 0, None)
+        store.commit({(1, 2): tile(1), (0, 1): tile(2)}, [FrameRecord("north", 5), FrameRecord("east", 7)])
+        store.commit({(0, 1): tile(3)}, [FrameRecord("north", 3)])
+    with TileStore.open(path, SCHEMA) as store:
+        assert store.keys() == [(0, 1), (1, 2)]
+        assert_same(store.read((1, 2)), tile(1))
+        assert_same(store.read((0, 1)), tile(3))
+        asked = [("north", 5), ("north", 3), ("east", 7), ("east", 5), ("west", 7)]
+        assert [store.counted(*frame) for frame in asked] == [True, True, True, False, False]
+        assert store.sources() == {"east": 1, "north": 2}
+        assert (store.frame_count(), store.newest_ns()) == (3, 7)
+
+
+def test_tiles_cover_the_grid() -> None:
+    assert SCHEMA.tiles == (2, 3)
+    rows, cols = np.array([12, 0, 7, 8, 12]), np.array([20, 15, 16, 0, 17])
+    assert SCHEMA.keys_of(rows, cols) == [(0, 1), (0, 2), (1, 0), (1, 2)]
+
+
+def test_payloads_wait_until_tiles_hold_their_effect(tmp_path: Path) -> None:
+    path = tmp_path / "map.ltm"
+    with TileStore.open(path, SCHEMA) as store:
+        store.commit(frames=[FrameRecord("b", 9, [(0, 0)], "net", b"first"), FrameRecord("a", 2, payload=b"second")])
+        store.commit(frames=[FrameRecord("a", 1)])
+    with TileStore.open(path, SCHEMA) as store:
+        waiting = [(f.source, f.stamp_ns, f.model, f.payload) for f in store.waiting()]
+        assert waiting == [("b", 9, "net", b"first"), ("a", 2, "", b"second")]
+        store.commit({(0, 0): tile(1)}, [FrameRecord("c", 1, payload=b"third")])
+        assert store.waiting() == []
+        assert store.frame_count() == 4
+
+
+def test_a_transaction_is_whole_or_not_at_all(tmp_path: Path) -> None:
+    with TileStore.open(tmp_path / "map.ltm", SCHEMA) as store:
+        store.commit({(0, 0): tile(1)}, [FrameRecord("a", 1)])
+        again = [FrameRecord("b", 2, [(0, 0)]), FrameRecord("a", 1)]
+        with pytest.raises(ValueError, match="frame 1 of a has been counted already"):
+            store.commit({(0, 0): tile(2)}, again, [changes("life", 2, [(1, 1, 0, 4)])])
+        assert_same(store.read((0, 0)), tile(1))
+        assert store.sources() == {"a": 1}
+        assert (list(store.changes("life")), store.touches((0, 0))) == ([], [])
+
+
+def test_who_touched_a_tile(tmp_path: Path) -> None:
+    with TileStore.open(tmp_path / "map.ltm", SCHEMA) as store:
+        for stamp, model in ((5, "old"), (9, "new"), (7, "new")):
+            store.commit(frames=[FrameRecord("north", stamp, [(0, 0), (1, 2)], model)])
+        store.commit(frames=[FrameRecord("east", 1, [(1, 2)], "new")])
+        north = [Touch("north", "new", 2, 7, 9), Touch("north", "old", 1, 5, 5)]
+        assert store.touches((0, 0)) == north
+        assert store.touches((1, 2)) == [Touch("east", "new", 1, 1, 1), *north]
+
+
+def test_layer_as_of_any_date(tmp_path: Path) -> None:
+    path = tmp_path / "map.ltm"
+    initial = np.full(GRID.shape, 9, np.uint8)
+    with TileStore.open(path, SCHEMA) as store:
+        store.commit(
+            changes=[changes("life", 10, [(0, 0, 9, 1), (12, 20, 9, 2)]), changes("code", 10, [(0, 0, 9, 204)])]
+        )
+        store.commit(changes=[changes("life", 30, [(0, 0, 1, 3)]), changes("life", 20, [(5, 6, 9, 4)])])
+        expected = {9: {}, 10: {(0, 0): 1, (12, 20): 2}, 29: {(0, 0): 1, (12, 20): 2, (5, 6): 4}}
+        expected[30] = expected[29] | {(0, 0): 3}
+        for date, cells in expected.items():
+            layer = initial.copy()
+            for cell, value in cells.items():
+                layer[cell] = value
+            np.testing.assert_array_equal(store.as_of("life", initial, date), layer)
+        assert store.as_of("code", initial, 10)[0, 0] == 204
+        with pytest.raises(ValueError, match="initial layer"):
+            store.as_of("life", initial.T, 10)
+
+
+def test_oldest_stamps_are_forgotten_and_refused(tmp_path: Path) -> None:
+    """By number, not by age: a camera whose clock was once ahead by years is neither refused nor counted twice."""
+    with TileStore.open(tmp_path / "map.ltm", SCHEMA, kept_frames=40) as store:
+        store.commit(frames=[FrameRecord("north", 10**18), FrameRecord("east", 3)])
+        for stamp in range(100):
+            assert not store.counted("north", stamp)
+            store.commit(frames=[FrameRecord("north", stamp)])
+        assert store.counted("north", 10**18)
+        assert not store.forgotten("north", 10**18)
+        assert all(store.counted("north", stamp) for stamp in range(100))
+        known = [stamp for stamp in range(100) if not store.forgotten("north", stamp)]
+        assert 39 <= len(known) <= 42
+        assert known == list(range(known[0], 100))
+        assert not store.counted("east", 2), "another camera's frames are its own"
+        assert store.sources() == {"north": 101, "east": 1}
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"kind": "fuel"}, "kind is weather, here fuel"),
+        ({"version": 4}, "version is 3, here 4"),
+        ({"tile": 16}, "tile is 8, here 16"),
+        ({"terms": "tree decays in 9 years"}, "terms is , here tree decays in 9 years"),
+        ({"geometry": replace(GRID, x_min=480_045.0)}, "480015.0.*480045.0"),
+        ({"geometry": replace(GRID, crs="EPSG:26910")}, "EPSG:26911.*EPSG:26910"),
+        ({"fields": {"rain": Field(np.float64, (4,)), "seen": Field(np.int64)}}, "<f4.*<f8"),
+    ],
+)
+def test_store_of_another_map_is_refused_and_left_alone(tmp_path: Path, change: dict[str, Any], complaint: str) -> None:
+    path = tmp_path / "map.ltm"
+    with TileStore.open(path, SCHEMA) as store:
+        store.commit({(0, 0): tile(1)})
+    before = path.read_bytes()
+    with pytest.raises(ConfigError, match=complaint):
+        TileStore.open(path, replace(SCHEMA, **change))
+    assert path.read_bytes() == before
+
+
+def foreign_database(path: Path) -> None:
+    with sqlite3.connect(path) as db:
+        db.execute("CREATE TABLE tiles (row, col, content)")
+    db.close()
+
+
+def later_layout(path: Path) -> None:
+    TileStore.open(path, SCHEMA).close()
+    with sqlite3.connect(path) as db:
+        db.execute("PRAGMA user_version = 2")
+    db.close()
+
+
+@pytest.mark.parametrize(
+    ("make", "complaint"),
+    [
+        (lambda path: path.write_bytes(b""), "not a tile store"),
+        (lambda path: path.write_text("dear diary " * 50), "not a tile store"),
+        (foreign_database, "another program"),
+        (later_layout, "layout 2, this program has 1"),
+    ],
+)
+def test_foreign_file_is_refused_and_left_alone(tmp_path: Path, make: Any, complaint: str) -> None:
+    path = tmp_path / "map.ltm"
+    make(path)
+    before = path.read_bytes()
+    for opening in (lambda: TileStore.open(path, SCHEMA), lambda: TileStore.open_read_only(path, "weather")):
+        with pytest.raises(ConfigError, match=complaint):
+            opening()
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("where", ["first", "middle", "tail"])
+def test_damaged_store_is_refused_and_left_alone(tmp_path: Path, where: str) -> None:
+    path = tmp_path / "map.ltm"
+    with TileStore.open(path, SCHEMA) as store:
+        store.commit({key: tile(sum(key)) for key in ((0, 0), (0, 1), (1, 0), (1, 1))}, [FrameRecord("a", 1)])
+    content = bytearray(path.read_bytes())
+    if where == "tail":
+        content = content[: len(content) // 2]
+    else:
+        at = 200 if where == "first" else len(content) // 2
+        content[at : at + 3000] = np.random.default_rng(1).bytes(3000)
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match="damaged"):
+        read_whole(path)
+    assert path.read_bytes() == bytes(content)
+
+
+def test_one_writer_and_readers_beside_it(tmp_path: Path) -> None:
+    path = tmp_path / "map.ltm"
+    with TileStore.open(path, SCHEMA) as store:
+        store.commit({(0, 0): tile(1)})
+        with pytest.raises(StoreError, match="another process writes"):
+            TileStore.open(path, SCHEMA)
+        with TileStore.open_read_only(path, "weather") as reader:
+            assert reader.schema == SCHEMA
+            store.commit({(0, 0): tile(2)})
+            assert_same(reader.read((0, 0)), tile(2))
+            with pytest.raises(StoreError, match="READONLY"):
+                reader.commit({(0, 0): tile(3)})
+    with pytest.raises(ConfigError, match="holds weather, not fuel"):
+        TileStore.open_read_only(path, "fuel")
+    TileStore.open(path, SCHEMA).close()
+
+
+def test_full_disk_loses_nothing_and_goes_on_when_there_is_room(tmp_path: Path) -> None:
+    path = tmp_path / "map.ltm"
+    with TileStore.open(path, SCHEMA) as store:
+        store.commit({(0, 0): tile(1)}, [FrameRecord("a", 1)])
+        (pages,) = store._db.execute("PRAGMA page_count").fetchone()
+        store._db.execute(f"PRAGMA max_page_count = {pages + 1}")
+        for _ in range(3):
+            with pytest.raises(StoreError, match=r"map\.ltm.*SQLITE_FULL.*make room"):
+                store.commit({(0, 1): tile(2), (1, 1): tile(3)}, [FrameRecord("a", 2)])
+        assert store.keys() == [(0, 0)]
+        assert not store.counted("a", 2)
+        store._db.execute("PRAGMA max_page_count = 100000")
+        store.commit({(0, 1): tile(2), (1, 1): tile(3)}, [FrameRecord("a", 2)])
+    with TileStore.open(path, SCHEMA) as store:
+        assert_same(store.read((1, 1)), tile(3))
+        assert store.counted("a", 2)
+
+
+def test_folder_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="does not exist"):
+        TileStore.open(tmp_path / "no" / "map.ltm", SCHEMA)
+    with pytest.raises(ConfigError, match="no such store"):
+        TileStore.open_read_only(tmp_path / "map.ltm", "weather")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_an_interrupted_creation_left_is_no_store(tmp_path: Path) -> None:
+    path = tmp_path / "map.ltm"
+    (tmp_path / ".map.ltm.new").write_bytes(b"half")
+    with TileStore.open(path, SCHEMA) as store:
+        assert store.keys() == []
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["map.ltm", "map.ltm.lock"]
+
+
+def test_in_memory_store_behaves_alike() -> None:
+    with TileStore.in_memory(SCHEMA) as store:
+        store.commit({(1, 1): tile(4)}, [FrameRecord("a", 1, payload=b"x")])
+        assert_same(store.read((1, 1)), tile(4))
+        assert store.counted("a", 1)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda t: t.pop("seen"),
+        lambda t: t.update(other=t["seen"]),
+        lambda t: t.update(rain=t["rain"].astype(np.float64)),
+        lambda t: t.update(rain=t["rain"][:5]),
+    ],
+)
+def test_arrays_that_are_no_tile_are_refused(spoil: Any) -> None:
+    arrays = tile(1)
+    spoil(arrays)
+    with TileStore.in_memory(SCHEMA) as store:
+        with pytest.raises(ValueError, match="tile"):
+            store.commit({(0, 0): arrays})
+        with pytest.raises(ValueError, match="outside"):
+            store.commit({(2, 0): tile(1)})
+        assert store.keys() == []

@@ -1,0 +1,84 @@
+"""The paper's own march, kept as a baseline."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes.rasters import directions, rough_terrain, standing, tilted_plane
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import PoseError
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.baselines.march import march, march_arrays, march_image, proportional_rays
+
+
+def test_depth_on_a_plain_is_the_first_step_below_it() -> None:
+    plain = tilted_plane(east=0.0, north=0.0, base=100.0).dem
+    ray = np.array([0.6, 0.0, -0.8])
+    # 100 steps of 0.25 m go down 20 m exactly; the paper stops where the ray is no longer above the ground.
+    depth = march(plain, (0.0, 0.0, 120.0), [ray], step=0.25)
+    assert depth[0] == pytest.approx(100 * 0.25 * 0.6, abs=0.16)
+
+
+def test_it_uses_the_nearest_cell() -> None:
+    z = np.zeros((5, 40), np.float32)
+    z[:, 20:] = 50.0
+    wall = Dem(z, GridGeometry(0.0, 5.0, 1.0, 40, 5))
+    (depth,) = march(wall, (2.5, 2.5, 10.0), [(1.0, 0.0, 0.0)], step=0.5)
+    assert depth == pytest.approx(17.5)
+
+
+def test_what_ends_a_ray() -> None:
+    z = np.zeros((5, 40), np.float32)
+    z[:, 30] = np.nan
+    dem = Dem(z, GridGeometry(0.0, 5.0, 1.0, 40, 5))
+    rays = [(-1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (np.nan, 0.0, 1.0)]
+    leaves, nodata, up, down, none = march(dem, (9.3, 2.5, 10.0), rays)
+    assert np.isposinf(leaves)
+    assert np.isnan(nodata)
+    assert np.isposinf(up)
+    assert down == 0.0
+    assert np.isnan(none)
+
+
+def test_proportional_rays_are_off_by_up_to_1_4_degrees_at_65() -> None:
+    camera = Camera.from_fov(641, 361, 65.0)
+    pose = Pose.from_angles((0, 0, 0), 120.0, 0.0, 0.0)
+    pinhole = camera.rays() @ pose.rotation.T
+    cosine = np.einsum("hwc,hwc->hw", pinhole, proportional_rays(camera, pose)).clip(-1, 1)
+    off = np.degrees(np.arccos(cosine))
+    assert off[180, 320] < 1e-3
+    assert off[180].max() == pytest.approx(1.4, abs=0.1)
+
+
+def test_the_march_is_within_a_few_metres_of_the_tracer() -> None:
+    dem = rough_terrain(21)
+    camera = Camera.from_fov(97, 61, 50.0)
+    position = standing(dem, 120.0, 60.0, 15.0)
+    pose = Pose.from_angles(position, 60.0, -15.0, 0.0)
+    rays = (camera.rays() @ pose.rotation.T).reshape(-1, 3)
+    marched = march(dem, position, rays, step=1.0)
+    exact = TerrainTracer(dem, curvature=False).trace(camera, pose).horizontal().ravel()
+    both = np.isfinite(marched) & np.isfinite(exact)
+    error = np.abs(marched[both] - exact[both])
+    assert both.mean() > 0.5
+    assert np.median(error) < 1.5
+    assert march_image(dem, camera, pose).shape == (61, 97)
+
+
+@pytest.mark.parametrize(("origin", "step"), [((0, 0, np.nan), 1.0), ((0, 0, 500), 0.0)])
+def test_refuses_what_cannot_be_marched(origin: tuple[float, ...], step: float) -> None:
+    with pytest.raises(PoseError, match="cannot march"):
+        march(tilted_plane().dem, origin, [(1, 0, 0)], step)
+
+
+def test_numpy_march_is_the_same_march() -> None:
+    dem = rough_terrain(22)
+    dem.elevation[40:44, 100:130] = np.nan
+    position = standing(dem, 120.0, 60.0, 15.0)
+    rays = directions(np.random.default_rng(22), 700)
+    rays[:3] = [(0, 0, 1), (0, 0, -1), (np.nan, 0, 1)]
+    np.testing.assert_allclose(march_arrays(dem, position, rays), march(dem, position, rays), rtol=1e-6)

@@ -1,0 +1,150 @@
+"""Pose files in, rasters out, of `ltm trace`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from PIL import Image
+from scenes.rasters import rough_terrain
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import ConfigError, ImageError, PoseError
+from ltm_core.grid import GridGeometry
+from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.trace_io import (
+    PictureConfig,
+    cell_counts,
+    load_picture_config,
+    read_photo,
+    set_up_picture,
+    write_trace,
+)
+
+POSE = """
+position: [400060.5, 3799930.25]
+height_above_ground: 14
+azimuth_deg: 75
+pitch_deg: -12
+roll_deg: 2
+camera: {width: 64, height: 40, hfov_deg: 55}
+"""
+
+
+@pytest.fixture
+def dem() -> Dem:
+    terrain = rough_terrain(41, x_min=400_000.0, y_max=3_800_000.0)
+    return Dem(terrain.elevation, GridGeometry(400_000.0, 3_800_000.0, 1.0, 263, 181, "EPSG:32611"))
+
+
+def config_of(tmp_path: Path, text: str) -> PictureConfig:
+    path = tmp_path / "pose.yaml"
+    path.write_text(text)
+    return load_picture_config(path)
+
+
+def test_the_camera_stands_above_the_ground_in_a_near_frame(tmp_path: Path, dem: Dem) -> None:
+    setup = set_up_picture(config_of(tmp_path, POSE), dem)
+    assert (setup.frame.x_origin, setup.frame.y_origin) == (400_000.0, 3_800_000.0)
+    np.testing.assert_allclose(setup.pose.position[:2], [60.5, -69.75])
+    ground = float(dem.elevation_at(400_060.5, 3_799_930.25))
+    assert setup.pose.position[2] == pytest.approx(ground + 14)
+    np.testing.assert_allclose(setup.pose.angles_deg, [75, -12, 2], atol=1e-9)
+    assert setup.camera == Camera.from_fov(64, 40, 55)
+
+
+def test_a_position_may_be_longitude_and_latitude(tmp_path: Path, dem: Dem) -> None:
+    from pyproj import Transformer
+
+    lon, lat = Transformer.from_crs("EPSG:32611", "EPSG:4326", always_xy=True).transform(400_060.5, 3_799_930.25)
+    text = POSE.replace("[400060.5, 3799930.25]", f"[{lon:.9f}, {lat:.9f}]") + "crs: EPSG:4326\n"
+    setup = set_up_picture(config_of(tmp_path, text), dem)
+    np.testing.assert_allclose(setup.pose.position[:2], [60.5, -69.75], atol=1e-3)
+
+
+def test_a_surveyed_height_is_taken_as_it_is(tmp_path: Path, dem: Dem) -> None:
+    text = POSE.replace("3799930.25]", "3799930.25, 912.5]").replace("height_above_ground: 14\n", "")
+    assert set_up_picture(config_of(tmp_path, text), dem).pose.position[2] == 912.5
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (POSE + "azimut_deg: 3\n", "azimut_deg: unknown key"),
+        (POSE.replace("hfov_deg: 55", "hfov_deg: 55, fx: 800"), "either hfov_deg or fx"),
+        (POSE.replace("3799930.25]", "3799930.25, 900]"), "give either position"),
+        (POSE.replace("height_above_ground: 14\n", ""), "give either position"),
+        (POSE.replace("azimuth_deg: 75", "azimuth_deg: .nan"), "azimuth_deg"),
+        (POSE.replace("azimuth_deg: 75\n", ""), "azimuth_deg: missing"),
+    ],
+)
+def test_refuses_pose_files_that_cannot_be_meant(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        config_of(tmp_path, text)
+
+
+def test_refuses_positions_it_cannot_place(tmp_path: Path, dem: Dem) -> None:
+    beside = POSE.replace("400060.5", "399000")
+    with pytest.raises(PoseError, match="no terrain under the camera"):
+        set_up_picture(config_of(tmp_path, beside), dem)
+    with pytest.raises(ConfigError, match="EPSG:999999"):
+        set_up_picture(config_of(tmp_path, POSE + "crs: EPSG:999999\n"), dem)
+    with pytest.raises(PoseError, match="longitude first"):
+        set_up_picture(
+            config_of(tmp_path, POSE.replace("[400060.5, 3799930.25]", "[34, -118]") + "crs: EPSG:4326"), dem
+        )
+
+
+def test_rasters_hold_the_trace(tmp_path: Path, dem: Dem) -> None:
+    setup = set_up_picture(config_of(tmp_path, POSE), dem)
+    traced = TerrainTracer(setup.dem).trace(setup.camera, setup.pose)
+    written = write_trace(tmp_path / "out", traced, setup.frame)
+    assert sorted(p.name for p in written) == ["alignment.tif", "depth.tif", "horizontal.tif", "range.tif", "seen.tif"]
+    for name, values in (("range", traced.range), ("depth", traced.depth()), ("horizontal", traced.horizontal())):
+        with rasterio.open(tmp_path / "out" / f"{name}.tif") as source:
+            np.testing.assert_array_equal(source.read(1), values)
+            assert np.isnan(source.nodata)
+            assert "m" in source.descriptions[0]
+            pose = json.loads(source.tags()["LTM_POSE"])
+            assert pose["position"][:2] == pytest.approx([400_060.5, 3_799_930.25])
+            assert json.loads(source.tags()["LTM_CAMERA"])["width"] == 64
+            assert source.tags()["LTM_CRS"] == "EPSG:32611"
+    with rasterio.open(tmp_path / "out" / "alignment.tif") as source:
+        x, y, z = source.read()
+    seen = np.isfinite(traced.range)
+    assert seen.mean() > 0.3
+    assert np.isnan(x[~seen]).all()
+    np.testing.assert_allclose(z[seen], dem.elevation_at(x[seen], y[seen]), atol=2e-3)
+
+
+def test_seen_cells_lie_on_the_dem(tmp_path: Path, dem: Dem) -> None:
+    setup = set_up_picture(config_of(tmp_path, POSE), dem)
+    traced = TerrainTracer(setup.dem).trace(setup.camera, setup.pose)
+    write_trace(tmp_path, traced, setup.frame)
+    counts = cell_counts(traced)
+    assert counts.sum() == np.isfinite(traced.range).sum()
+    row, col = traced.cells()[30, 20]
+    assert counts[row, col] >= 1
+    with rasterio.open(tmp_path / "seen.tif") as source:
+        np.testing.assert_array_equal(source.read(1), counts)
+        assert source.crs.to_epsg() == 32611
+        assert tuple(source.bounds) == dem.geometry.bounds
+
+
+def test_photos_are_read_upright_and_must_fit(tmp_path: Path) -> None:
+    pixels = np.zeros((20, 30, 3), np.uint8)
+    pixels[:, :10, 0] = 200
+    upside_down = Image.Exif()
+    upside_down[0x0112] = 3
+    Image.fromarray(pixels).save(tmp_path / "photo.png", exif=upside_down)
+    photo = read_photo(tmp_path / "photo.png", Camera.from_fov(30, 20, 50))
+    np.testing.assert_array_equal(photo, pixels[::-1, ::-1])
+    with pytest.raises(ImageError, match=r"30 x 20 pixels.* 64 x 40"):
+        read_photo(tmp_path / "photo.png", Camera.from_fov(64, 40, 50))
+    (tmp_path / "broken.jpg").write_bytes(b"\xff\xd8 no picture")
+    with pytest.raises(ImageError, match=r"broken\.jpg: cannot be read"):
+        read_photo(tmp_path / "broken.jpg", Camera.from_fov(64, 40, 50))

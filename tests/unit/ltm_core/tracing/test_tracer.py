@@ -1,0 +1,322 @@
+"""The tracer against closed-form scenes, and what it does at the edges of what is known."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from scenes.rasters import RIDGE_X, RIDGE_Z, Floats, cone, directions, ridge, rough_terrain, tilted_plane
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import PoseError, RasterError
+from ltm_core.geodesy import ray_bend
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+from ltm_core.tracing import TerrainTracer
+
+CAMERA = Camera(width=161, height=97, fx=120.0, fy=124.0, cx=77.0, cy=50.5, distortion=(-0.12, 0.03, 1e-3, -5e-4, 0.0))
+MILLIMETRE = 1e-3
+
+
+def assert_ranges(actual: np.ndarray, expected: Floats) -> None:
+    """Equal kinds (sky, unknown), and ranges within 1 mm + float32 rounding."""
+    np.testing.assert_array_equal(np.isposinf(actual), np.isposinf(expected))
+    np.testing.assert_array_equal(np.isnan(actual), np.isnan(expected))
+    hit = np.isfinite(expected)
+    error = np.abs(actual[hit].astype(np.float64) - expected[hit])
+    assert (error <= MILLIMETRE + np.spacing(expected[hit].astype(np.float32))).all(), f"off by up to {error.max()} m"
+
+
+def first_positive_root(a: Floats, b: Floats, c: Floats) -> Floats:
+    """Least r > 0 with a r^2 + b r + c = 0, where c > 0; +inf where there is none."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        discriminant = b * b - 4 * a * c
+        root = 2 * c / (-b + np.sqrt(discriminant))
+    return np.where(np.isfinite(root) & (root > 0), root, np.inf)
+
+
+@pytest.mark.parametrize("curvature", [False, True])
+@pytest.mark.parametrize(("azimuth_deg", "pitch_deg", "roll_deg"), [(70, -10, 3), (200, -35, -12), (325, -80, 45)])
+def test_tilted_plane(curvature: bool, azimuth_deg: float, pitch_deg: float, roll_deg: float) -> None:
+    scene = tilted_plane()
+    pose = Pose.from_angles((-12.3, 7.9, 420 - 3 + 40.0), azimuth_deg, pitch_deg, roll_deg)
+    traced = TerrainTracer(scene.dem, curvature).trace(CAMERA, pose)
+
+    ray = CAMERA.rays() @ pose.rotation.T
+    across = np.hypot(ray[..., 0], ray[..., 1])
+    east, north, slope = ray[..., 0] / across, ray[..., 1] / across, ray[..., 2] / across
+    x, y, z = pose.position
+    above = z - float(scene.surface(np.array(x), np.array(y)))
+    r = first_positive_root(
+        np.full(across.shape, ray_bend(curvature, 0.13)),
+        slope - 0.31 * east + 0.17 * north,
+        np.full(across.shape, above),
+    )
+    # Beyond the outermost cell centres nothing is known: rays that leave descending are unknown, the others sky.
+    with np.errstate(invalid="ignore"):
+        inside = (x + r * east > -299) & (x + r * east < 299) & (y + r * north > -211) & (y + r * north < 211)
+    rim = np.minimum(
+        (np.copysign(299, east) - x) / east,
+        (np.copysign(211, north) - y) / north,
+    )
+    beyond = np.where(slope + 2 * ray_bend(curvature, 0.13) * rim >= 0, np.inf, np.nan)
+    expected = np.where(inside, r / across, beyond)
+    assert np.isfinite(expected).mean() > 0.2
+    assert_ranges(traced.range, expected)
+
+
+def test_cone_from_the_side() -> None:
+    scene = cone()
+    origin = np.array([-70.0, 61.0, 140.0])
+    rng = np.random.default_rng(0)
+    rays = directions(rng, 4000, -45, 10)
+    traced = TerrainTracer(scene.dem, curvature=False).trace_rays(origin, rays)
+
+    # On the cone 0.6 hypot(x, y) = 150 - z: a quadratic in the ray's length, of which the branch z <= 150 counts.
+    x, y, z = origin
+    dx, dy, dz = rays.T
+    k2 = 0.36
+    a = k2 * (dx**2 + dy**2) - dz**2
+    b = 2 * (k2 * (x * dx + y * dy) - (z - 150) * dz)
+    c = np.full(len(rays), k2 * (x * x + y * y) - (z - 150) ** 2)
+    t = first_positive_root(a, b, c)
+    with np.errstate(invalid="ignore"):
+        px, py, pz = x + t * dx, y + t * dy, z + t * dz
+        # Near its tip the raster rounds the cone off, and near a tangent a tenth of a millimetre of height is metres
+        # of range.
+        normal = np.stack([0.6 * px, 0.6 * py, np.hypot(px, py)], axis=-1)
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        graze = -np.einsum("ij,ij->i", normal, rays)
+        inside = np.isfinite(t) & (pz < 150) & (np.abs(px) < 124.8) & (np.abs(py) < 99.8)
+        clear = inside & (np.hypot(px, py) > 15) & (graze > 0.35)
+    assert clear.sum() > 500
+    error = np.abs(traced[clear] - t[clear])
+    assert (error <= MILLIMETRE + np.spacing(t[clear].astype(np.float32))).all(), error.max()
+    passes = ~inside & (dz > 0) & ~np.isfinite(t)
+    assert passes.any()
+    assert np.isposinf(traced[passes]).all()
+
+
+def test_ridge_hides_the_valley_behind_it() -> None:
+    scene = ridge()
+    pose = Pose.from_angles((-150.0, 20.0, 275.0), 90.0, -3.0, 0.0)
+    camera = Camera(width=5, height=301, fx=300.0, fy=300.0, cx=2.0, cy=150.0)
+    column = TerrainTracer(scene.dem, curvature=False).trace(camera, pose).range[:, 2]
+
+    ray = (camera.rays() @ pose.rotation.T)[:, 2]
+    x, z = pose.position[0], pose.position[2]
+    slope = ray[:, 2] / ray[:, 0]
+    expected = np.where(slope >= 0, np.inf, np.nan)
+    for x0, x1, z0, z1 in reversed(list(zip(RIDGE_X, RIDGE_X[1:], RIDGE_Z, RIDGE_Z[1:], strict=False))):
+        rise = (z1 - z0) / (x1 - x0)
+        with np.errstate(divide="ignore"):
+            at = (z0 - z + rise * (x - x0)) / (slope - rise) + x
+        here = (at > x) & (at >= x0) & (at <= x1)
+        expected[here] = ((at - x) / ray[:, 0])[here]
+    assert_ranges(column, expected)
+    # Bottom to top: the near slope, then across the gap behind the crest to the far slope, then sky.
+    ground = x + expected * ray[:, 0]
+    seen = ground[np.isfinite(expected)]
+    assert (seen < 0).any()
+    assert (seen > 300).any()
+    assert not ((seen > 0) & (seen < 300)).any()
+
+
+def test_hit_points_lie_on_the_surface_and_in_their_cells() -> None:
+    dem = rough_terrain(11, x_min=5000.0, y_max=-3000.0)
+    x, y = (float(v) for v in dem.geometry.to_map(90, 120))
+    pose = Pose.from_angles((x, y, float(dem.elevation_at(x, y)) + 12), 33.0, -12.0, 5.0)
+    image = TerrainTracer(dem).trace(CAMERA, pose)
+    points = image.points()[np.isfinite(image.range)].astype(np.float64)
+    assert len(points) > 3000
+    # Map coordinates are float32, so a point is only placed to half a millimetre, and the ground is steep.
+    np.testing.assert_allclose(points[:, 2], dem.elevation_at(points[:, 0], points[:, 1]), atol=5e-3)
+    row, col = dem.geometry.cell_of(points[:, 0], points[:, 1])
+    np.testing.assert_array_equal(image.cells()[np.isfinite(image.range)], np.stack([row, col], axis=-1))
+
+
+def test_large_coordinates_lose_nothing() -> None:
+    near, far = rough_terrain(12), rough_terrain(12, x_min=412_345.25, y_max=4_801_234.75)
+    rays = directions(np.random.default_rng(12), 3000)
+    at_zero = TerrainTracer(near).trace_rays((130.0, -77.0, 900.0), rays)
+    moved = TerrainTracer(far).trace_rays((130.0 + 412_345.25, -77.0 + 4_801_234.75, 900.0), rays)
+    np.testing.assert_allclose(moved, at_zero, rtol=1e-6)
+
+
+def test_curvature_and_refraction_lower_the_far_ground() -> None:
+    flat = Dem(np.full((40, 500), 100.0, np.float32), GridGeometry(0.0, 4000.0, 100.0, 500, 40))
+    slope = -0.004
+    ray = [(1.0, 0.0, slope)]
+    traced = [
+        float(TerrainTracer(flat, *how).trace_rays((1000.0, 2000.0, 150.0), ray)[0])
+        for how in [(False,), (True, 0.0), (True, 0.13)]
+    ]
+    radius = 6_371_008.8
+    assert traced[0] == pytest.approx(50 / -slope * np.hypot(1, slope), rel=1e-6)
+    for length, k in zip(traced[1:], (0.0, 0.13), strict=True):
+        r = length / np.hypot(1, slope)
+        assert 50 + slope * r + (1 - k) * r * r / (2 * radius) == pytest.approx(0.0, abs=0.01)
+    assert traced[0] < traced[2] < traced[1]
+
+
+def test_a_bent_ray_that_only_grazes_the_plain_hits_it() -> None:
+    """It dips a centimetre under the plain in the middle of a block, and is above it at both of the block's edges."""
+    plain = Dem(np.zeros((40, 300), np.float32), GridGeometry(-50.0, 4000.0, 100.0, 300, 40))
+    bend = ray_bend(True, 0.13)
+    lowest_at = 4480.0
+    slope = -2 * bend * lowest_at
+    height = slope * slope / (4 * bend) - 0.01
+    # Columns are x / 100: the camera at 47.2, the lowest point at 92, between block edges 88 and 96.
+    dips, clears = (
+        TerrainTracer(plain).trace_rays((4720.0, 2010.0, height + more), [(1.0, 0.0, slope)])[0] for more in (0.0, 0.02)
+    )
+    assert dips == pytest.approx((lowest_at - np.sqrt(0.01 / bend)) * np.hypot(1, slope), abs=0.01)
+    assert np.isposinf(clears)
+
+
+def test_straight_down_and_straight_up() -> None:
+    dem = rough_terrain(13)
+    origin = np.array([100.3, -60.7, 1000.0])
+    ground = float(dem.elevation_at(origin[0], origin[1]))
+    tracer = TerrainTracer(dem)
+    down, up, almost = tracer.trace_rays(origin, [(0, 0, -1), (0, 0, 2), (1e-7, -1e-7, -1)])
+    assert down == pytest.approx(1000 - ground, abs=1e-3)
+    assert np.isposinf(up)
+    assert almost == pytest.approx(1000 - ground, abs=1e-3)
+
+    nadir = tracer.trace(CAMERA, Pose.from_angles(origin, 20.0, -90.0, 0.0))
+    u, v = (round(c) for c in (CAMERA.cx, CAMERA.cy))
+    assert nadir.range[v, u] == pytest.approx(1000 - ground, rel=0.01)
+    outside = tracer.trace_rays((-50.0, -60.0, 1000.0), [(0, 0, -1), (0, 0, 1)])
+    assert np.isnan(outside[0])
+    assert np.isposinf(outside[1])
+
+
+def test_camera_outside_the_raster_sees_in() -> None:
+    scene = tilted_plane(east=0.0, north=0.0, base=100.0)
+    tracer = TerrainTracer(scene.dem, curvature=False)
+    towards, away_down, away_up, below_the_edge, over = tracer.trace_rays(
+        (-400.0, 0.0, 130.0), [(1, 0, -0.1), (-1, 0, -0.1), (-1, 0, 0.1), (1, 0, -0.5), (1, 0, 0.01)]
+    )
+    assert towards == pytest.approx(300 * np.hypot(1, 0.1), rel=1e-6)
+    assert np.isnan(away_down)
+    assert np.isposinf(away_up)
+    assert np.isnan(below_the_edge)  # it reached the ground before the raster begins
+    assert np.isposinf(over)
+
+
+def with_nodata(box: tuple[slice, slice]) -> Dem:
+    """A level plain at 50 m, 60 x 100 cells of 1 m, higher (80 m) east of column 80, with nodata in `box`."""
+    z = np.full((60, 100), 50.0, np.float32)
+    z[:, 80:] = 80.0
+    z[box] = np.nan
+    return Dem(z, GridGeometry(0.0, 60.0, 1.0, 100, 60))
+
+
+LAKE = (slice(20, 40), slice(40, 60))
+MARGIN = (slice(0, 60), slice(40, 60))
+
+
+def test_an_enclosed_hole_blocks_only_below_its_rim() -> None:
+    tracer = TerrainTracer(with_nodata(LAKE), curvature=False)
+    origin = (10.5, 29.5, 60.0)
+    before, into, over, climbing_over = tracer.trace_rays(
+        origin, [(1, 0, -0.5), (1, 0, -0.25), (1, 0, -0.05), (1, 0, 0.001)]
+    )
+    assert before == pytest.approx(20 * np.hypot(1, 0.5), rel=1e-5)
+    assert np.isnan(into)
+    # 60 - 0.05 * 50 = 57.5 m at the lake's far shore, above its rim; then it meets the step at column 79 to 80.
+    assert over == pytest.approx((69 + (57 - 0.45 - 50) / 30) * np.hypot(1, 0.05), rel=1e-3)
+    assert np.isfinite(climbing_over)
+
+
+@pytest.mark.parametrize("first", [40, 41])
+def test_an_outer_hole_is_outside_the_dem(first: int) -> None:
+    """Whether its edges fall between the pyramid's blocks (41) or into them (40)."""
+    tracer = TerrainTracer(with_nodata((slice(0, 60), slice(first, 60))), curvature=False)
+    origin = (10.5, 29.5, 60.0)
+    before, across_to_the_step, across_to_the_sky, into = tracer.trace_rays(
+        origin, [(1, 0, -0.5), (1, 0, -0.05), (1, 0, 0.4), (1, 0, -0.25)]
+    )
+    assert before == pytest.approx(20 * np.hypot(1, 0.5), rel=1e-5)
+    assert np.isnan(across_to_the_step)
+    assert np.isposinf(across_to_the_sky)
+    assert np.isnan(into)
+
+
+def test_a_camera_in_a_margin_sees_the_known_ground() -> None:
+    tracer = TerrainTracer(with_nodata(MARGIN), curvature=False)
+    (hit,) = tracer.trace_rays((50.5, 29.5, 60.0), [(-1, 0, -0.4)])
+    assert hit == pytest.approx(25 * np.hypot(1, 0.4), rel=1e-5)
+
+
+def test_a_camera_in_a_lake_below_its_rim_is_refused() -> None:
+    tracer = TerrainTracer(with_nodata(LAKE))
+    with pytest.raises(PoseError, match=r"nodata hole of the DEM, 2\.00 m below"):
+        tracer.trace(CAMERA, Pose.from_angles((50.0, 30.0, 48.0), 90, 0, 0))
+    assert np.isfinite(tracer.trace(CAMERA, Pose.from_angles((50.0, 30.0, 55.0), 90, 0, 0)).range).any()
+
+
+def test_refuses_a_camera_under_the_ground_and_says_by_how_much() -> None:
+    scene = tilted_plane(east=0.0, north=0.0, base=100.0)
+    tracer = TerrainTracer(scene.dem)
+    pose = Pose.from_angles((10.0, 20.0, 87.25), 0, 0, 0)
+    with pytest.raises(PoseError, match=r"12\.75 m under the ground.* 100\.00 m"):
+        tracer.trace(CAMERA, pose)
+    assert tracer.ground_clearance(pose) == pytest.approx(-12.75)
+
+
+@pytest.mark.parametrize("origin", [(np.nan, 0, 500), (0, np.inf, 500), (0, 0)])
+def test_refuses_a_position_that_is_none(origin: tuple[float, ...]) -> None:
+    with pytest.raises(PoseError, match="not finite"):
+        TerrainTracer(tilted_plane().dem).trace_rays(origin, [(1, 0, 0)])
+
+
+def test_refuses_directions_of_another_shape() -> None:
+    with pytest.raises(PoseError, match=r"\(N, 3\)"):
+        TerrainTracer(tilted_plane().dem).trace_rays((0, 0, 500), [1, 0, 0])
+
+
+def test_refuses_infinite_heights() -> None:
+    z = np.full((6, 9), 10.0, np.float32)
+    z[4, 7] = -np.inf
+    with pytest.raises(RasterError, match="row 4, column 7"):
+        TerrainTracer(Dem(z, GridGeometry(0, 6, 1, 9, 6)))
+
+
+def test_rays_that_are_none_give_nan_and_lengths_do_not_matter() -> None:
+    tracer = TerrainTracer(tilted_plane().dem)
+    unit, long, none, zero = tracer.trace_rays((0, 0, 450), [(0.6, 0, -0.8), (6, 0, -8), (np.nan, 0, -1), (0, 0, 0)])
+    assert unit == long
+    assert np.isfinite(unit)
+    assert np.isnan(none)
+    assert np.isnan(zero)
+
+
+def test_pixels_beyond_the_distortion_fold_are_unknown() -> None:
+    folded = Camera(width=121, height=81, fx=60.0, fy=60.0, cx=60.0, cy=40.0, distortion=(-0.3, 0.0, 0.0, 0.0, 0.0))
+    missing = np.isnan(folded.rays()).any(axis=-1)
+    assert missing.any()
+    image = TerrainTracer(tilted_plane().dem).trace(folded, Pose.from_angles((0, 0, 460), 45, -20, 0))
+    assert np.isnan(image.range[missing]).all()
+    assert np.isfinite(image.range[~missing]).any()
+
+
+def test_the_smallest_dem() -> None:
+    z = np.array([[10, 20, 30], [10, 20, 30]], np.float32)
+    tracer = TerrainTracer(Dem(z, GridGeometry(0, 20, 10, 3, 2)), curvature=False)
+    (hit,) = tracer.trace_rays((6.0, 10.0, 25.0), [(1, 0, 0)])
+    assert hit == pytest.approx(14.0, abs=1e-4)
+
+
+def test_threads_may_trace_at_once() -> None:
+    dem = rough_terrain(14)
+    tracer = TerrainTracer(dem)
+    pose = Pose.from_angles((100.0, -80.0, 900.0), 10, -20, 0)
+    alone = tracer.trace(CAMERA, pose).range
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda _: tracer.trace(CAMERA, pose).range, range(12)))
+    for ranges in together:
+        np.testing.assert_array_equal(ranges, alone)

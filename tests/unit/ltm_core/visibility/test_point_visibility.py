@@ -1,0 +1,180 @@
+"""Lines of sight: closed forms, and agreement with the tracer on rough ground with holes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes.rasters import RIDGE_X, RIDGE_Z, ridge, rough_terrain, standing, tilted_plane, with_holes
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import PoseError, RasterError
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+from ltm_core.tracing import TerrainTracer
+from ltm_core.visibility.line_of_sight import pixel_rays, sight_vectors
+from ltm_core.visibility.point_visibility import PointState, SightLines
+
+CAMERA = Camera(160, 120, 150.0, 150.0, 79.0, 60.0, (-0.08, 0.0, 0.0, 0.0, 0.0))
+
+
+def test_behind_a_ridge_the_lift_follows_from_its_crest() -> None:
+    scene = ridge()
+    origin = np.array([-390.0, 10.0, float(scene.dem.elevation_at(-390.0, 10.0)) + 2.0])
+    sight = SightLines(scene.dem, curvature=False)
+    points = np.array([[300.0, 10.0, 40.0], [500.0, 10.0, 40.0], [-100.0, 10.0, 220.0]])
+    lift, unknown = sight.lifts(origin, points)
+    # Foot and crest: the whole rise lies below the line from the camera over the crest.
+    slope = (RIDGE_Z[1] - origin[2]) / (RIDGE_X[1] - origin[0])
+    assert lift[:2] == pytest.approx(origin[2] + slope * (points[:2, 0] - origin[0]) - 40.0, abs=1e-3)
+    assert lift[2] == pytest.approx(0.0, abs=1e-4)
+    assert not unknown.any()
+
+
+def test_curvature_hides_what_lies_beyond_the_horizon() -> None:
+    dem = Dem(np.full((60, 500), 50.0, np.float32), GridGeometry(0.0, 6000.0, 100.0, 500, 60))
+    origin = np.array([1000.0, 3000.0, 70.0])
+    points = np.array([[1000.0 + r, 3000.0, 50.0] for r in (5000.0, 15_000.0, 30_000.0, 40_000.0)])
+    sight = SightLines(dem)
+    lift, _ = sight.lifts(origin, points)
+    horizon = np.sqrt(20.0 / sight.bend)
+    assert 15_000 < horizon < 18_000
+    # Behind the horizon a point must reach the line that touches the plain there.
+    expected = [0.0, 0.0, sight.bend * (30_000 - horizon) ** 2, sight.bend * (40_000 - horizon) ** 2]
+    assert lift == pytest.approx(expected, abs=1e-3)
+    assert not SightLines(dem, curvature=False).lifts(origin, points)[0].any()
+
+
+@pytest.mark.parametrize("holes", [False, True])
+def test_agrees_with_the_tracer(holes: bool) -> None:
+    dem = rough_terrain(5, (181, 263))
+    if holes:
+        dem = with_holes(dem, 3)
+    sight, tracer = SightLines(dem), TerrainTracer(dem)
+    rng = np.random.default_rng(1)
+    judged = 0
+    for row, col, above in ((90.5, 120.2, 3.0), (20.0, 215.7, 15.0), (133.3, 95.0, 0.5)):
+        origin = standing(dem, row, col, above)
+        if np.isnan(origin).any():
+            continue
+        x, y = dem.geometry.to_map(rng.uniform(0, 180, 4000), rng.uniform(0, 262, 4000))
+        points = np.column_stack([x, y, dem.elevation_at(x, y) + rng.choice([0.0, 0.3, 8.0], 4000)])
+        points = points[np.isfinite(points[:, 2])]
+        lift, unknown = sight.lifts(origin, points)
+        hidden = ~unknown & (lift > 1e-3)
+        for shift in (0.01, -0.01):
+            raised = points + np.outer(np.maximum(lift, 0) + shift, [0, 0, 1])
+            sights = sight_vectors(origin, raised, sight.bend)
+            distance = np.linalg.norm(sights, axis=1)
+            met = tracer.trace_rays(origin, sights)
+            # The tracer's NaN may lie behind the point (the ray leaves the DEM), so it says nothing of it.
+            said = ~np.isnan(met) & ~unknown
+            if shift > 0:
+                assert (met[said] >= distance[said] - 2e-3).all()
+            else:
+                assert (met[said & hidden] <= distance[said & hidden] + 2e-3).all()
+            judged += int(said.sum())
+    assert judged > 8000
+
+
+def test_agrees_with_a_dense_walk() -> None:
+    dem = rough_terrain(9, (61, 87))
+    origin = standing(dem, 31.0, 40.5, 2.0)
+    x, y = dem.geometry.to_map(*np.random.default_rng(4).uniform(0, [[60], [86]], (2, 200)))
+    points = np.column_stack([x, y, dem.elevation_at(x, y)])
+    sight = SightLines(dem)
+    lift, _ = sight.lifts(origin, points)
+    for point, expected in zip(points, lift, strict=True):
+        share = np.linspace(0, 1, 20_001)[1:]
+        way = origin[:2] + share[:, None] * (point[:2] - origin[:2])
+        r = share * np.hypot(*(point[:2] - origin[:2]))
+        slopes = (dem.elevation_at(way[:, 0], way[:, 1]) - origin[2]) / r - sight.bend * r
+        assert (slopes.max() - slopes[-1]) * r[-1] == pytest.approx(expected, abs=2e-3)
+
+
+def test_traced_points_are_visible_at_their_pixels() -> None:
+    dem = rough_terrain(5, (181, 263))
+    pose = Pose.from_angles(standing(dem, 100.0, 60.0, 12.0), 80.0, -12.0, 5.0)
+    traced = TerrainTracer(dem).trace(CAMERA, pose)
+    seen = np.isfinite(traced.range)
+    assert seen.mean() > 0.5
+    result = SightLines(dem).visible(CAMERA, pose, traced.points()[seen], tolerance=0.02)
+    assert result.visible.all()
+    rows, cols = np.nonzero(seen)
+    assert np.abs(result.pixels - np.column_stack([cols, rows])).max() < 0.02
+
+
+def test_states() -> None:
+    scene = ridge()
+    pose = Pose.from_angles((-390.0, 10.0, 140.0), 90.0)
+    points = np.array(
+        [
+            [-100.0, 10.0, 220.0],  # on the near slope
+            [300.0, 10.0, 40.0],  # in the valley behind the crest
+            [-395.0, 10.0, 102.0],  # behind the camera
+            [-390.0, 200.0, 150.0],  # at its side
+            [5000.0, 10.0, 2026.0],  # in the air far beyond the DEM
+            [-389.0, 10.0, 90.0],  # below the ground, at the foot of the mast
+        ]
+    )
+    result = SightLines(scene.dem).visible(CAMERA, pose, points)
+    expected = ["VISIBLE", "HIDDEN", "OUTSIDE", "OUTSIDE", "UNKNOWN", "OUTSIDE"]
+    assert [PointState(s).name for s in result.states] == expected
+    assert np.isnan(result.pixels[2]).all()
+    assert result.visible.tolist() == [True, False, False, False, False, False]
+
+
+def test_tolerance_is_a_height() -> None:
+    plane = tilted_plane(0.0, 0.0).dem
+    pose = Pose.from_angles((-200.0, 0.0, 440.0), 90.0, -10.0)
+    sunk = np.array([[0.0, 0.0, 420.0 - 0.3]])
+    sight = SightLines(plane, curvature=False)
+    assert sight.visible(CAMERA, pose, sunk).states[0] == PointState.HIDDEN
+    # The ray to a point under the ground meets it before the point: lifting to the ground is what counts.
+    assert sight.visible(CAMERA, pose, sunk, tolerance=0.31).states[0] == PointState.VISIBLE
+
+
+def test_plumb_points() -> None:
+    plane = tilted_plane(0.0, 0.0).dem
+    origin = (3.0, 5.0, 440.0)
+    lift, unknown = SightLines(plane).lifts(origin, [[3.0, 5.0, 420.0], [3.0, 5.0, 415.0], [3.0, 5.0, 500.0]])
+    assert lift == pytest.approx([0.0, 5.0, 0.0], abs=1e-4)
+    assert not unknown.any()
+
+
+def test_a_hole_on_the_way_leaves_it_unknown() -> None:
+    elevation = np.full((41, 83), 100.0, np.float32)
+    elevation[18:23, 40:44] = np.nan
+    elevation[17, 41] = 130.0  # the hole's ceiling
+    dem = Dem(elevation, GridGeometry(0.0, 0.0, 1.0, 83, 41))
+    origin = standing(dem, 20.0, 10.0, 20.0)
+    x, y = dem.geometry.to_map([20.0, 20.0, 5.0], [70.0, 30.0, 70.0])
+    lift, unknown = SightLines(dem).lifts(origin, np.column_stack([x, y, [100.0, 100.0, 100.0]]))
+    assert unknown.tolist() == [True, False, False]
+    assert lift[0] > 30.0
+
+
+def test_sub_pixel_rays_project_back() -> None:
+    pixels = np.array([[3.25, 100.75], [79.0, 60.0], [158.5, 2.1]])
+    rays = pixel_rays(CAMERA, pixels)
+    assert CAMERA.project(rays * 70.0) == pytest.approx(pixels, abs=1e-9)
+    assert rays[1] == pytest.approx([0.0, 0.0, 1.0])
+    assert pixel_rays(CAMERA, [[80, 61]])[0] == pytest.approx(CAMERA.rays()[61, 80])
+
+
+def test_bad_input() -> None:
+    plane = tilted_plane(0.0, 0.0).dem
+    sight = SightLines(plane)
+    with pytest.raises(PoseError, match="under the ground"):
+        sight.lifts((0.0, 0.0, 400.0), [[1.0, 2.0, 3.0]])
+    with pytest.raises(PoseError, match=r"\(N, 3\)"):
+        sight.lifts((0.0, 0.0, 440.0), [1.0, 2.0, 3.0])
+    with pytest.raises(PoseError, match="three finite"):
+        sight.lifts((0.0, np.nan, 440.0), [[1.0, 2.0, 3.0]])
+    elevation = plane.elevation.copy()
+    elevation[3, 4] = np.inf
+    with pytest.raises(RasterError, match="infinite"):
+        SightLines(Dem(elevation, plane.geometry))
+    lift, unknown = sight.lifts((0.0, 0.0, 440.0), [[np.nan, 2.0, 3.0]])
+    assert np.isnan(lift[0])
+    assert unknown[0]

@@ -1,0 +1,145 @@
+"""Model manifests: keys, finding the network file, and networks that are not what their manifest says."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from scenes.networks import changed, write_classifier, write_manifest
+
+from ltm_core.errors import ModelError
+from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, Manifest, shipped_names
+from ltm_core.vision.onnx_model import OnnxModel
+
+
+@pytest.fixture
+def manifest_path(tmp_path: Path) -> Path:
+    return write_classifier(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"colour": "red"}, r"colour: unknown key"),
+        ({"input": {"widht": 3}}, r"input\.widht: unknown key"),
+        ({"input": {"width": 0}}, r"input\.width"),
+        ({"input": {"std": [1, 0, 1]}}, r"input\.std: .*above 0"),
+        ({"input": {"dtype": "uint8"}}, r"input: .*scale, mean and std belong to float32"),
+        ({"output": {"kind": "scores"}}, r"output\.kind.*'logits', 'probabilities', 'ids', 'relative_inverse'"),
+        ({"sha256": "12"}, r"sha256"),
+        ({"classes": ["blue", "red", "blue"]}, r"classes has blue more than once"),
+        ({"mapping": {"purple": "sky"}}, r"mapping names purple, not among classes \(blue, red"),
+        ({"classes": []}, r"classes: missing; output kind logits needs it"),
+        ({"mapping": {}}, r"mapping: missing; output kind logits needs it"),
+        ({"output": {"kind": "relative_inverse"}}, r"classes and mapping belong to labels"),
+        ({"output": {"inverse": True}}, r"output: .*inverse and canonical_focal_px belong to kind metric"),
+        ({"output": {"canonical_focal_px": 700.0}}, r"output: .*belong to kind metric; remove them for logits"),
+        ({"output": {"kind": "ids", "offsets": {"red": 1.0}}}, r"output: .*offsets belong to kind logits"),
+        ({"output": {"offsets": {"mauve": 1.0}}}, r"output\.offsets names mauve, none of classes"),
+    ],
+)
+def test_a_wrong_manifest_is_refused_by_the_key_at_fault(
+    manifest_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ModelError, match=message) as caught:
+        Manifest.load(changed(manifest_path, **changes))
+    assert str(manifest_path) in str(caught.value)
+
+
+def test_a_missing_key_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"sha256: missing"):
+        Manifest.load(write_manifest(tmp_path / "m.yaml", {"name": "m", "file": "m.onnx"}))
+
+
+def test_an_unknown_name_lists_the_models_that_ship() -> None:
+    assert "mosaic_r4_ade20k31" in shipped_names()
+    with pytest.raises(ModelError, match=r"'spline'.*mosaic_r4_ade20k31"):
+        Manifest.find("spline")
+
+
+def test_every_shipped_manifest_loads_and_has_its_card() -> None:
+    for name in shipped_names():
+        manifest = Manifest.find(name)
+        assert manifest.name == name
+        assert (manifest.folder / manifest.card).is_file()
+
+
+def test_the_file_is_found_beside_the_manifest_before_the_model_path(
+    manifest_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "colors.onnx").write_bytes(b"another")
+    monkeypatch.setenv(MODEL_PATH_VARIABLE, str(other))
+    manifest = Manifest.load(manifest_path)
+    assert manifest.model_file() == tmp_path / "colors.onnx"
+    (tmp_path / "colors.onnx").unlink()
+    assert manifest.model_file() == other / "colors.onnx"
+
+
+def test_the_model_path_is_searched_by_relative_path_then_by_bare_name(
+    manifest_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    (second / "nets").mkdir(parents=True)
+    first.mkdir()
+    (second / "nets" / "far.onnx").write_bytes(b"x")
+    manifest = Manifest.load(changed(manifest_path, file="nets/far.onnx"))
+    monkeypatch.setenv(MODEL_PATH_VARIABLE, os.pathsep.join([str(first), str(second)]))
+    assert manifest.model_file() == second / "nets" / "far.onnx"
+    (first / "far.onnx").write_bytes(b"x")
+    assert manifest.model_file() == first / "far.onnx"
+
+
+def test_an_absent_file_says_where_it_was_looked_for(
+    manifest_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(MODEL_PATH_VARIABLE, "/nowhere")
+    manifest = Manifest.load(changed(manifest_path, file="gone.onnx", source="https://example.org/gone"))
+    with pytest.raises(ModelError, match=r"gone\.onnx.*/nowhere/gone\.onnx.*LTM_MODEL_PATH.*example\.org"):
+        manifest.model_file()
+
+
+def test_a_changed_file_is_refused_with_both_checksums(manifest_path: Path, tmp_path: Path) -> None:
+    manifest = Manifest.load(manifest_path)
+    network = tmp_path / "colors.onnx"
+    network.write_bytes(network.read_bytes() + b"\0")
+    with pytest.raises(ModelError, match=rf"sha256 [0-9a-f]{{64}}, expected {manifest.sha256}"):
+        OnnxModel(manifest)
+
+
+def test_a_file_that_is_no_network_is_refused(manifest_path: Path, tmp_path: Path) -> None:
+    text = b"<html>404 not found</html>"
+    (tmp_path / "colors.onnx").write_bytes(text)
+    checksum = hashlib.sha256(text).hexdigest()
+    with pytest.raises(ModelError, match=r"expected an ONNX network, found 26 bytes"):
+        OnnxModel(Manifest.load(changed(manifest_path, sha256=checksum)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"input": {"width": 64}},
+            r"input 'image': shape: expected \[1, 3, 32, 64\] \(NCHW, 64 x 32\), found \[1, 3, 32, 48\]",
+        ),
+        ({"input": {"layout": "NHWC"}}, r"expected \[1, 32, 48, 3\].*found \[1, 3, 32, 48\]"),
+        ({"input": {"dtype": "uint8", "scale": 1.0}}, r"type: expected tensor\(uint8\), found tensor\(float\)"),
+        ({"input": {"name": "photo"}}, r"input: expected 'photo', found 'image'"),
+        ({"output": {"name": "probs"}}, r"output: expected 'probs', found 'scores'"),
+        ({"output": {"kind": "ids"}}, r"expected an integer tensor of class ids, found tensor\(float\)"),
+        (
+            {"classes": ["blue", "red", "lime", "olive", "white", "sixth"]},
+            r"expected \[1, 6, h, w\] \(NCHW, 6 classes\), found \[1, 5, 16, 24\]",
+        ),
+        ({"output": {"layout": "NHWC"}}, r"expected \[1, h, w, 5\] \(NHWC, 5 classes\), found \[1, 5, 16, 24\]"),
+    ],
+)
+def test_a_network_unlike_its_manifest_is_refused_with_expected_and_found(
+    manifest_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ModelError, match=message):
+        OnnxModel(Manifest.load(changed(manifest_path, **changes)))

@@ -1,0 +1,209 @@
+"""Segmentation: every kind and layout of network gives the same labels; upsampling against OpenCV; confidence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scenes.networks import COLORS, changed, write_classifier
+
+from ltm_core.errors import ImageError, ModelError
+from ltm_core.evaluation.metrics.segmentation import score_labels
+from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, InputSpec
+from ltm_core.vision.segmenter import Segmenter, input_tensor
+from ltm_core.vision.upsample import upsampled_winner
+
+SIZE = (110, 170)  # of the photos: no multiple of the network's size
+
+
+def _photo(size: tuple[int, int] = SIZE) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Blue above, below it red at the left and lime at the right, a white patch in a corner; and its labels."""
+    height, width = size
+    photo = np.empty((height, width, 3), np.uint8)
+    labels = np.empty((height, width), np.uint8)
+    row, col = int(height * 0.4), int(width * 0.3)
+    for area, color, label in (
+        (np.s_[:row], "blue", Label.SKY),
+        (np.s_[row:, :col], "red", Label.BUILT),
+        (np.s_[row:, col:], "lime", Label.GRASS),
+        (np.s_[-row // 2 :, -col // 2 :], "white", UNLABELLED),
+    ):
+        photo[area] = COLORS[color]
+        labels[area] = label
+    return photo, labels
+
+
+def _away_from_edges(labels: NDArray[np.uint8], pixels: int) -> NDArray[np.bool_]:
+    kernel = np.ones((2 * pixels + 1, 2 * pixels + 1), np.uint8)
+    return np.asarray(cv2.dilate(labels, kernel) == cv2.erode(labels, kernel))
+
+
+@pytest.mark.parametrize("kind", ["logits", "probabilities", "ids"])
+@pytest.mark.parametrize(("layout", "dtype"), [("NCHW", "float32"), ("NHWC", "uint8"), ("NHWC", "float32")])
+def test_every_kind_of_network_labels_the_photo(tmp_path: Path, kind: str, layout: str, dtype: str) -> None:
+    segmenter = Segmenter.open(write_classifier(tmp_path, kind, layout, dtype))
+    photo, truth = _photo()
+    result = segmenter.segment(photo)
+    assert result.labels.shape == result.confidence.shape == SIZE
+    assert result.labels.dtype == result.confidence.dtype == np.uint8
+    sure = _away_from_edges(truth, 6)
+    assert sure.mean() > 0.5
+    np.testing.assert_array_equal(result.labels[sure], truth[sure])
+    assert (result.labels != truth).mean() < 0.04
+    assert np.all(result.confidence[result.labels == UNLABELLED] == 0)
+    assert np.all(result.confidence[result.labels != UNLABELLED] > 0)
+
+
+def test_channel_order_follows_the_manifest(tmp_path: Path) -> None:
+    photo, truth = _photo()
+    segmenter = Segmenter.open(write_classifier(tmp_path, channels="bgr"))
+    assert (segmenter.segment(photo).labels == truth).mean() > 0.96
+    swapped = Segmenter.open(changed(tmp_path / "colors.yaml", input={"channels": "rgb"}))
+    labels = swapped.segment(photo).labels
+    assert np.all(labels[:20] == Label.BUILT)
+
+
+@pytest.mark.parametrize("size", [(9, 15), (32, 48), (31, 200), (540, 960)])
+def test_any_photo_size_gives_labels_of_that_size(tmp_path: Path, size: tuple[int, int]) -> None:
+    photo, truth = _photo(size)
+    labels = Segmenter.open(write_classifier(tmp_path)).segment(photo).labels
+    assert labels.shape == size
+    assert (labels == truth).mean() > 0.85
+
+
+def test_confidence_is_the_probability_of_the_label(tmp_path: Path) -> None:
+    """One grey tone everywhere: the classes' softmax is known, and two classes of one label add up."""
+    gain = 3.0
+    grey = np.array([90, 160, 70], np.uint8)
+    photo = np.broadcast_to(grey, (50, 70, 3)).copy()
+    distance = ((np.array(list(COLORS.values())) - grey.astype(float)) / 255.0) ** 2
+    probability = np.exp(-gain * distance.sum(axis=1))
+    probability /= probability.sum()
+    names = list(COLORS)
+    grass = probability[names.index("lime")] + probability[names.index("olive")]
+    assert grass < 0.9  # else the test could not tell a sum from a winner
+    result = Segmenter.open(write_classifier(tmp_path, gain=gain)).segment(photo)
+    assert np.all(result.labels == Label.GRASS)
+    np.testing.assert_allclose(result.confidence, 255 * grass, atol=0.6)
+
+
+def test_an_offset_is_added_to_its_classes_logits_alone(tmp_path: Path) -> None:
+    """Its scores move by it and no others; a label whose classes are held down gives way."""
+    photo = np.full((40, 60, 3), (140, 120, 60), np.uint8)
+    path = write_classifier(tmp_path, gain=3.0)
+    plain = Segmenter.open(path)
+    scores = plain.logits(photo)
+    order = np.argsort(scores[:, 5, 5])
+    best = plain.classes[order[-1]]
+    assert best in ("lime", "olive")
+    moved = Segmenter.open(changed(path, output={"offsets": {best: -0.75}})).logits(photo)
+    expected = scores.copy()
+    expected[order[-1]] -= 0.75
+    np.testing.assert_allclose(moved, expected, atol=1e-6)
+    others = changed(path, output={"offsets": {"lime": -9.0, "olive": -9.0}})
+    assert np.all(plain.segment(photo).labels == Label.GRASS)
+    assert not np.any(Segmenter.open(others).segment(photo).labels == Label.GRASS)
+
+
+def test_split_classes_of_one_label_beat_a_single_rival(tmp_path: Path) -> None:
+    """lime and olive halve the vote between them; red is the most probable single class, grass the better label."""
+    gain = 2.0
+    photo = np.full((40, 60, 3), (150, 110, 0), np.uint8)
+    distance = ((np.array(list(COLORS.values())) - photo[0, 0].astype(float)) / 255.0) ** 2
+    scores = dict(zip(COLORS, np.exp(-gain * distance.sum(axis=1)), strict=True))
+    assert max(scores, key=lambda name: scores[name]) == "red"
+    assert scores["red"] < scores["lime"] + scores["olive"]
+    labels = Segmenter.open(write_classifier(tmp_path, gain=gain)).segment(photo).labels
+    assert np.all(labels == Label.GRASS)
+
+
+def test_normalisation_follows_the_manifest() -> None:
+    spec = InputSpec(
+        width=5, height=3, layout="NCHW", dtype="float32", channels="bgr", scale=0.5, mean=(1, 2, 3), std=(2, 4, 8)
+    )
+    photo = np.random.default_rng(3).integers(0, 256, (3, 5, 3), dtype=np.uint8)
+    tensor = input_tensor(photo, spec)
+    assert tensor.shape == (1, 3, 3, 5)
+    assert tensor.dtype == np.float32
+    expected = (photo[2, 4, ::-1] * 0.5 - np.array([1, 2, 3])) / np.array([2, 4, 8])
+    np.testing.assert_allclose(tensor[0, :, 2, 4], expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("rows", "cols", "height", "width"), [(9, 13, 54, 91), (16, 24, 31, 65), (1, 7, 5, 20), (12, 1, 40, 3)]
+)
+def test_upsampling_agrees_with_opencv(rows: int, cols: int, height: int, width: int) -> None:
+    rng = np.random.default_rng(rows * cols)
+    probabilities = rng.dirichlet(np.ones(4), size=(rows, cols)).astype(np.float32).transpose(2, 0, 1)
+    winner, confidence = upsampled_winner(probabilities, height, width)
+    planes = np.stack([cv2.resize(plane, (width, height), interpolation=cv2.INTER_LINEAR) for plane in probabilities])
+    ordered = np.sort(planes, axis=0)
+    clear = ordered[-1] - ordered[-2] > 1e-5
+    assert clear.mean() > 0.95
+    np.testing.assert_array_equal(winner[clear], planes.argmax(axis=0)[clear])
+    np.testing.assert_allclose(confidence, planes.max(axis=0) * 255, atol=0.51)
+
+
+def test_a_tie_goes_to_the_lower_index() -> None:
+    half = np.full((2, 3, 4), 0.5, np.float32)
+    winner, confidence = upsampled_winner(half, 7, 11)
+    assert not winner.any()
+    assert np.all(confidence == 128)
+
+
+@pytest.mark.parametrize(
+    "photo",
+    [
+        np.zeros((4, 6), np.uint8),
+        np.zeros((4, 6, 4), np.uint8),
+        np.zeros((4, 6, 3), np.float32),
+        np.zeros((0, 6, 3), np.uint8),
+    ],
+)
+def test_what_is_no_rgb_photo_is_refused(tmp_path: Path, photo: NDArray[np.uint8]) -> None:
+    segmenter = Segmenter.open(write_classifier(tmp_path))
+    with pytest.raises(ImageError, match=r"expected \(H, W, 3\) uint8 RGB"):
+        segmenter.segment(photo)
+
+
+def test_a_mapping_to_no_label_is_refused(tmp_path: Path) -> None:
+    path = changed(write_classifier(tmp_path), mapping={"red": "bush"})
+    with pytest.raises(ModelError, match=r"mapping\.red.*'bush'.*shrub"):
+        Segmenter.open(path)
+
+
+def test_logits_declared_as_probabilities_are_refused(tmp_path: Path) -> None:
+    segmenter = Segmenter.open(changed(write_classifier(tmp_path), output={"kind": "probabilities"}))
+    with pytest.raises(ModelError, match=r"kind: logits"):
+        segmenter.segment(_photo()[0])
+
+
+def test_the_default_network_tells_sky_from_ground() -> None:
+    """A plain scene: blue gradient over rough dark slopes whose crest falls to the right."""
+    segmenter = Segmenter.open()
+    height, width = 540, 960
+    crest = np.linspace(200, 330, width)
+    ground = np.arange(height)[:, None] > crest[None]
+    rng = np.random.default_rng(5)
+    sky = np.array([120, 165, 215]) + np.linspace(0, 50, height)[:, None, None]
+    rough = np.repeat(rng.normal(0.0, 18.0, (height // 4, width // 4)), 4, axis=0).repeat(4, axis=1)[..., None]
+    slope = np.array([70, 72, 45]) + rough
+    photo = np.clip(np.where(ground[..., None], slope, sky), 0, 255).astype(np.uint8)
+    found = segmenter.segment(photo).labels
+    assert score_labels(ground.astype(np.uint8), (found != Label.SKY).astype(np.uint8), 2).iou.min() > 0.9
+    assert np.mean(np.isin(found[ground], [Label.GRASS, Label.SHRUB, Label.TREE, Label.BARE])) > 0.9
+
+
+def test_mosaic_sees_sky_above_ground(shared_models: Path, shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(MODEL_PATH_VARIABLE, str(shared_models))
+    segmenter = Segmenter.open("mosaic_r4_ade20k31", threads=2)
+    photo = cv2.imread(str(shared_data / "mountain_photos" / "images" / "image298_resized.jpg"))[..., ::-1]
+    result = segmenter.segment(np.ascontiguousarray(photo))
+    assert result.labels.shape == photo.shape[:2]
+    assert np.mean(result.labels[:150] == Label.SKY) > 0.95
+    assert np.mean(result.labels[-150:] == Label.SKY) < 0.01
+    assert np.mean(np.isin(result.labels[-150:], [Label.GRASS, Label.BARE, Label.TREE, Label.SHRUB])) > 0.5

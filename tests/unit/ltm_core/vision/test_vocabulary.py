@@ -1,0 +1,155 @@
+"""Open vocabulary: words read as classes, and the arithmetic of embeddings of pixels and of words."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+from scenes.networks import write_classifier, write_manifest
+
+from ltm_core.errors import ConfigError, ModelError
+from ltm_core.vision.labels import UNLABELLED, LabelSet
+from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.segmenter import Segmenter
+from ltm_core.vision.vocabulary import Vocabulary, open_vocabulary, parse_queries, read_queries
+
+WORDS = ("dry grass", "chaparral", "oak", "road", "sky")
+DIMENSIONS, SCALE = 6, 9.0
+WIDTH, HEIGHT = 40, 24
+
+
+def _write_embedder(folder: Path, **changes: object) -> Path:
+    """A random 1x1 convolution from colours to embeddings, and random embeddings of words, of any length."""
+    rng = np.random.default_rng(4)
+    weight = rng.normal(0.0, 1.0, (DIMENSIONS, 3, 1, 1)).astype(np.float32)
+    node = helper.make_node("Conv", ["image", "w"], ["dense"])
+    graph = helper.make_graph(
+        [node],
+        "embedder",
+        [helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, HEIGHT, WIDTH])],
+        [helper.make_tensor_value_info("dense", TensorProto.FLOAT, [1, DIMENSIONS, HEIGHT, WIDTH])],
+        [numpy_helper.from_array(weight, "w")],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    (folder / "embedder.onnx").write_bytes(model.SerializeToString())
+    embeddings = rng.normal(0.0, 3.0, (len(WORDS), DIMENSIONS))
+    np.savez(folder / "words.npz", names=np.array(WORDS), embeddings=embeddings)
+    content = {
+        "name": "embedder",
+        "file": "embedder.onnx",
+        "sha256": hashlib.sha256((folder / "embedder.onnx").read_bytes()).hexdigest(),
+        "input": {"width": WIDTH, "height": HEIGHT, "layout": "NCHW", "dtype": "float32", "scale": 1 / 255.0,
+                  "mean": [0.5, 0.5, 0.5]},
+        "output": {"kind": "embeddings"},
+        "text": {"file": "words.npz", "dimensions": DIMENSIONS, "scale": SCALE},
+        "mapping": {"dry grass": "grass", "chaparral": "shrub", "oak": "tree", "road": "bare", "sky": "sky"},
+        "licence": "Apache-2.0",
+        "card": "random, for tests",
+    }  # fmt: skip
+    return write_manifest(folder / "embedder.yaml", {**content, **changes})
+
+
+def _expected(folder: Path, photo: np.ndarray, words: tuple[str, ...]) -> np.ndarray:
+    """Softmax of scaled cosines, straight from the definition, (K, h, w)."""
+    model = onnx.load(folder / "embedder.onnx")
+    weight = numpy_helper.to_array(model.graph.initializer[0])[:, :, 0, 0].astype(np.float64)
+    pixels = (photo / 255.0 - 0.5) @ weight.T
+    text = np.load(folder / "words.npz")["embeddings"][[WORDS.index(word) for word in words]]
+    cosine = (pixels @ text.T) / (np.linalg.norm(pixels, axis=-1)[..., None] * np.linalg.norm(text, axis=-1))
+    weights = np.exp(SCALE * cosine)
+    return np.moveaxis(weights / weights.sum(axis=-1, keepdims=True), -1, 0)
+
+
+def test_pixels_take_the_word_whose_embedding_is_nearest(tmp_path: Path) -> None:
+    segmenter = Segmenter.open(_write_embedder(tmp_path))
+    photo = np.random.default_rng(1).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+    expected = _expected(tmp_path, photo, WORDS)
+    found = segmenter.class_probabilities(photo)
+    assert tuple(found) == WORDS
+    np.testing.assert_allclose(np.stack(list(found.values())), expected, atol=1e-5)
+    result = segmenter.segment(photo)
+    order = np.array([1, 2, 3, 4, 0], np.uint8)  # grass, shrub, tree, bare, sky
+    np.testing.assert_array_equal(result.labels, order[expected.argmax(axis=0)])
+
+
+def test_only_the_queried_words_compete(tmp_path: Path) -> None:
+    manifest = Manifest.load(_write_embedder(tmp_path))
+    segmenter, readings = open_vocabulary(manifest, ["oak", "dry grass"])
+    assert [reading.how for reading in readings] == ["is a word of embedder"] * 2
+    assert segmenter.labels.names == ("oak", "dry grass")
+    photo = np.random.default_rng(2).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+    expected = _expected(tmp_path, photo, ("oak", "dry grass"))
+    result = segmenter.segment(photo)
+    np.testing.assert_array_equal(result.labels, expected.argmax(axis=0))
+    np.testing.assert_allclose(result.confidence, expected.max(axis=0) * 255, atol=0.6)
+    with pytest.raises(ConfigError, match=r"'chapparal' is not among the 5 words.*chaparral"):
+        open_vocabulary(manifest, ["chapparal"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"text": {"file": "words.npz", "dimensions": 5}}, r"shape \(5, 6\); expected \(K, 5\)"),
+        ({"text": {"file": "none.npz", "dimensions": DIMENSIONS}}, r"no file none\.npz; looked at"),
+        ({"text": {"file": "embedder.onnx", "dimensions": DIMENSIONS}}, r"expected an \.npz with `names`"),
+        ({"mapping": {"pine": "tree"}}, r"mapping names pine, not among the words"),
+        ({"output": {"kind": "logits"}}, r"text belongs to output kind embeddings"),
+        ({"classes": ["oak"]}, r"words of the text file are the classes"),
+    ],
+)
+def test_a_text_network_that_does_not_fit_is_refused(tmp_path: Path, changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        Segmenter.open(_write_embedder(tmp_path, **changes))
+
+
+def test_words_of_another_dimension_are_refused(tmp_path: Path) -> None:
+    path = _write_embedder(tmp_path)
+    np.savez(tmp_path / "words.npz", names=np.array(WORDS), embeddings=np.ones((len(WORDS), 4)))
+    with pytest.raises(ModelError, match=r"shape \(5, 4\); expected \(K, 6\)"):
+        Segmenter.open(path)
+    path = _write_embedder(tmp_path, text={"file": "words.npz", "dimensions": 4})
+    np.savez(tmp_path / "words.npz", names=np.array(WORDS), embeddings=np.ones((len(WORDS), 4)))
+    with pytest.raises(ModelError, match=r"expected \[1, 4, h, w\] .*found \[1, 6, 24, 40\]"):
+        Segmenter.open(path)
+
+
+def test_a_network_of_few_classes_reads_words_as_what_it_knows(tmp_path: Path) -> None:
+    manifest = Manifest.load(write_classifier(tmp_path))  # knows sky, built, and grass as lime and olive
+    segmenter, readings = open_vocabulary(manifest, parse_queries("dry grass,  Cabin house, cloud, meadow"))
+    assert [reading.classes for reading in readings] == [("lime", "olive"), ("red",), ("blue",), ()]
+    assert readings[0].how == "is read as grass by its last word: colors knows no finer word"
+    assert readings[3].how.endswith("so is 'dry grass', and all of it is reported as 'dry grass'")
+    photo = np.zeros((20, 30, 3), np.uint8)
+    photo[:, :10] = (0, 255, 0)
+    photo[:, 10:20] = (255, 0, 0)
+    photo[:, 20:] = 255  # white answers no query
+    labels = segmenter.segment(photo).labels
+    assert [int(labels[10, col]) for col in (3, 15, 27)] == [0, 1, UNLABELLED]
+
+
+def test_unknown_words_are_refused_with_near_ones(tmp_path: Path) -> None:
+    manifest = Manifest.load(write_classifier(tmp_path))
+    with pytest.raises(ConfigError, match=r"nothing here knows 'medow'; near it: meadow"):
+        read_queries(["medow"], manifest, Vocabulary.load())
+    with pytest.raises(ConfigError, match=r"'chaparral' is shrub, of which colors knows no class"):
+        read_queries(["chaparral"], manifest, Vocabulary.load())
+    with pytest.raises(ConfigError, match=r"each once"):
+        parse_queries("oak, Oak")
+
+
+def test_the_shipped_vocabulary_reads_into_labels_and_into_mosaics_classes() -> None:
+    vocabulary = Vocabulary.load()
+    assert set(vocabulary.synonyms) == set(LabelSet.load().names)
+    readings = read_queries(["dry grass", "chaparral", "oak", "road"], Manifest.find("mosaic_r4_ade20k31"), vocabulary)
+    assert [reading.classes for reading in readings] == [("grass", "field"), ("plant",), ("tree",), ("road",)]
+
+
+def test_a_word_of_two_labels_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "vocabulary.yaml"
+    path.write_text("synonyms: {grass: [oats], shrub: [oats]}\n")
+    with pytest.raises(ConfigError, match=r"'oats' stands for grass and for shrub"):
+        Vocabulary.load(path)

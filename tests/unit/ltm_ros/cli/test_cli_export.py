@@ -1,0 +1,125 @@
+"""`ltm export` and the fuel map that a recording ended with."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+import yaml
+from std_msgs.msg import String
+from typer.testing import CliRunner
+
+from ltm_core.dem import Dem
+from ltm_core.errors import ConfigError, RecordingError
+from ltm_core.fuel.fuel_map_io import read_fuel_map, write_fuel_map
+from ltm_core.fuel.life_form import life_form_labels
+from ltm_core.grid import GridGeometry
+from ltm_core.site_io import load_site
+from ltm_core.vision.labels import LabelSet
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.grid import classes_to_msg
+from ltm_ros.cli.main import cli
+from ltm_ros.recordings.recorded_map import last_fuel_map
+
+LOCAL = GridGeometry(-25.0, 75.0, 30.0, 4, 3)  # in the map frame
+CLASSES = np.array([[1, 2, 3, 255], [4, 255, 5, 6], [0, 1, 1, 2]], np.uint8)
+IN_CRS = GridGeometry(345_975.0, 3_783_075.0, 30.0, 4, 3, "EPSG:32611")
+
+
+@pytest.fixture
+def site_file(tmp_path: Path) -> Path:
+    site = {
+        "name": "ridge",
+        "crs": "EPSG:32611",
+        "origin": [346_000.0, 3_783_000.0],
+        "dem": {"path": "dem.tif"},
+        "cameras": {"north": {}},
+    }
+    (tmp_path / "site.yaml").write_text(yaml.safe_dump(site))
+    return tmp_path / "site.yaml"
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    with BagWriter(tmp_path / "bag") as writer:
+        for stamp, classes in ((10, np.full((3, 4), 255, np.uint8)), (20, CLASSES)):
+            writer.write("/ridge/fuel_map", classes_to_msg(classes, LOCAL, stamp), stamp)
+        writer.write("/other/fuel_map", classes_to_msg(CLASSES[::-1].copy(), LOCAL, 30), 30)
+    return tmp_path / "bag"
+
+
+def export(*arguments: object) -> str:
+    result = CliRunner().invoke(cli, ["export", *map(str, arguments)], catch_exceptions=False)
+    assert result.exit_code == 0
+    return result.output
+
+
+def test_the_last_map_of_a_bag(bag: Path, site_file: Path, tmp_path: Path) -> None:
+    output = export(bag, "--site", site_file, "--out", tmp_path / "out.tif")
+    assert "4 x 3 cells of 30 m, EPSG:32611" in output
+    classes, geometry = read_fuel_map(tmp_path / "out.tif")
+    np.testing.assert_array_equal(classes, CLASSES)
+    assert geometry == IN_CRS
+
+
+def test_in_landfires_crs(bag: Path, site_file: Path, tmp_path: Path) -> None:
+    assert "EPSG:5070" in export(bag, "--site", site_file, "--out", tmp_path / "out.tif", "--crs", "EPSG:5070")
+    classes, geometry = read_fuel_map(tmp_path / "out.tif")
+    assert (geometry.crs, geometry.x_min % 30, geometry.y_max % 30) == ("EPSG:5070", 15.0, 15.0)
+    assert set(np.unique(classes)) <= {0, 1, 2, 3, 4, 5, 6, 255}
+    assert (classes != 255).sum() == pytest.approx((CLASSES != 255).sum(), abs=3)
+
+
+@pytest.mark.parametrize("name", ["in.tif", "IN.TIFF"])
+def test_from_a_raster(tmp_path: Path, name: str) -> None:
+    write_fuel_map(tmp_path / name, CLASSES, IN_CRS, life_form_labels(LabelSet.load()))
+    export(tmp_path / name, "--out", tmp_path / "out.tif")
+    assert (tmp_path / "out.tif").read_bytes() == (tmp_path / name).read_bytes()
+
+
+def test_a_bag_needs_its_site(bag: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="--site"):
+        export(bag, "--out", tmp_path / "out.tif")
+    assert not (tmp_path / "out.tif").exists()
+
+
+def test_a_bag_without_fuel_map(site_file: Path, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "empty") as writer:
+        writer.write("/ridge/note", String(data="nothing seen"), 10)
+    with pytest.raises(RecordingError, match=r"empty holds no /ridge/fuel_map; its topics are /ridge/note"):
+        last_fuel_map(tmp_path / "empty", load_site(site_file))
+
+
+def test_what_fire_models_read(bag: Path, site_file: Path, tmp_path: Path) -> None:
+    around = LOCAL.translated(346_000.0 - 60, 3_783_000.0 + 60, "EPSG:32611")
+    wide = GridGeometry(around.x_min, around.y_max, 30.0, 9, 8, "EPSG:32611")
+    Dem(np.add.outer(-6.0 * np.arange(8.0), np.zeros(9)).astype(np.float32) + 500, wide).save(tmp_path / "dem.tif")
+    export(bag, "--site", site_file, "--out", tmp_path / "map.lcp")
+    with rasterio.open(tmp_path / "map.lcp") as source:
+        bands = source.read()
+    # Grass, shrubs and trees of the dry region; nothing is known of the unseen cells and of what no life form is.
+    np.testing.assert_array_equal(bands[3], [[102, 145, 183, -9999], [99, -9999, 98, 91], [-9999, 102, 102, 145]])
+    np.testing.assert_array_equal(bands[1], 11)  # atan(6 / 30)
+    np.testing.assert_array_equal(bands[2], 180)  # it falls to the south
+    np.testing.assert_array_equal(bands[4][0], [0, 0, 55, -9999])
+    for name, count in (("points.ply", 9), ("points.las", 9)):
+        export(bag, "--site", site_file, "--out", tmp_path / name)
+        if name.endswith("las"):
+            laspy = pytest.importorskip("laspy")
+            cloud = laspy.read(tmp_path / name)
+            assert len(cloud.x) == count
+            assert sorted(set(np.asarray(cloud.fuel_code).tolist())) == [91, 98, 99, 102, 145, 183]
+        else:
+            assert f"element vertex {count}".encode() in (tmp_path / name).read_bytes()[:400]
+    export(bag, "--site", site_file, "--out", tmp_path / "map.kmz")
+    assert sorted(zipfile.ZipFile(tmp_path / "map.kmz").namelist()) == ["doc.kml", "legend.png", "map.png"]
+
+
+def test_a_format_that_is_none(bag: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"names no format; give --format, or one of \.tif"):
+        export(bag, "--out", tmp_path / "map.doc")
+    with pytest.raises(ConfigError, match="lcp needs the terrain"):
+        export(bag, "--out", tmp_path / "map.lcp")

@@ -1,0 +1,261 @@
+"""Pictures of the fuel map: colours say what the legend says, lie on their cells, and the axes tell where that is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import rasterio
+import yaml
+from scenes.fuel_frames import BEGIN_NS, LABELS, NAME, camera_of, grid_of, message, stamp_of_frame, votes, write_site
+from scenes.outlets import Kept
+from typer.testing import CliRunner
+
+from ltm_core.dem import Dem
+from ltm_core.errors import ConfigError, ImageError
+from ltm_core.fuel.codes import Region, fuel_models
+from ltm_core.fuel.coverage import CoverageMap
+from ltm_core.fuel.decision import FuelLayers, layers_of_classes
+from ltm_core.fuel.life_form import LifeForm, life_form_labels
+from ltm_core.grid import GridGeometry
+from ltm_core.pictures.axes import round_step, with_axes
+from ltm_core.pictures.fuel_colors import code_color, code_colors, code_names
+from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, FOOTPRINT, FRAMES, FuelCanvas, Place, Scale, overlay_picture
+from ltm_core.pictures.fuel_sheets import change_sheet, coverage_sheet, fuel_sheet, seen_sheet
+from ltm_core.raster.raster_io import write_geotiff
+from ltm_core.resources import config_path
+from ltm_core.site_io import load_site
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.grid import classes_to_msg
+from ltm_ros.cli.main import cli
+from ltm_ros.fuel_map.pictures import seen_window, when
+from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
+from ltm_ros.runtime.health import Health
+
+PALETTE = life_form_labels(LABELS)
+GRID = GridGeometry(100.0, 900.0, 30.0, 24, 16)
+PINK = (230, 0, 140)
+
+
+def flat() -> Dem:
+    geometry = GridGeometry(100.0, 900.0, 10.0, 72, 48)
+    return Dem(np.full(geometry.shape, 300.0, np.float32), geometry)
+
+
+def layers(classes: np.ndarray) -> FuelLayers:
+    return layers_of_classes(classes, None, Region.named("dry"))
+
+
+def bare(canvas: FuelCanvas, picture: np.ndarray) -> np.ndarray:
+    """The map of a picture that has axes and a legend about it."""
+    margin = picture.shape[1] - canvas.view.width
+    return picture[: canvas.view.height, margin:]
+
+
+def test_every_fuel_model_has_a_colour_of_its_own() -> None:
+    models = fuel_models()
+    for codes in (models.fbfm40, models.fbfm13):
+        every = [*codes, *models.nonburnable]
+        assert len({code_color(code) for code in every}) == len(every)
+        assert code_color(0) not in {code_color(code) for code in every}
+    np.testing.assert_array_equal(code_colors(np.array([[102, -9999]], np.int16))[0, 0], code_color(102))
+    assert code_names(np.array([102, 183, 183, -9999], np.int16)) == [
+        ("TL3", code_color(183)),
+        ("GR2", code_color(102)),
+    ]
+
+
+@pytest.mark.parametrize("scale", [DOUBT, FRAMES, CAMERAS, FOOTPRINT])
+def test_scales_read_the_same_without_colours(scale: Scale) -> None:
+    light = cv2.cvtColor(np.array([scale.colors], np.uint8), cv2.COLOR_RGB2LAB)[0, :, 0].astype(int)
+    steps = np.diff(light)
+    assert (steps >= 8).all() or (steps <= -8).all()
+    assert len(scale.names) == len(scale.colors) == len(scale.bounds) + 1
+    values = np.array([[scale.bounds[0], scale.bounds[-1], 1e9, -1.0, np.nan]])
+    known = np.array([[True, True, True, True, False]])
+    last = len(scale.bounds)
+    np.testing.assert_array_equal(scale.classes(values, known), [[1, last, last, 0, 255]])
+
+
+@pytest.mark.parametrize(("length", "step"), [(4000.0, 1000.0), (2900.0, 500.0), (700.0, 200.0), (45.0, 10.0)])
+def test_axes_have_three_round_ticks_or_more(length: float, step: float) -> None:
+    assert round_step(length) == step
+
+
+def test_ticks_stand_where_they_say() -> None:
+    view = GridGeometry(1234.0, 6000.0, 10.0, 500, 300)
+    plain = np.full((300, 500, 3), 200, np.uint8)
+    sheet = with_axes(plain, view, offset=(340_000.0, 0.0))
+    left = sheet.shape[1] - 500
+    below = sheet[301, left:]  # just under the frame
+    marks = np.flatnonzero((below < 100).all(axis=-1))
+    np.testing.assert_allclose(marks, [(342_000 + 1000 * k - 341_234) / 10 for k in range(5)], atol=1)
+    beside = np.flatnonzero((sheet[:300, left - 2] < 100).all(axis=-1))
+    np.testing.assert_allclose(beside, [0, 100, 200], atol=1)
+
+
+def test_cells_lie_on_their_place_and_changed_ones_are_outlined() -> None:
+    canvas = FuelCanvas(GRID, flat(), [Place("north", 400.0, 500.0)], GRID.bounds, width=720)
+    classes = np.full(GRID.shape, 255, np.uint8)
+    classes[3:9, 10:20] = LifeForm.TREE
+    classes[5:7, 12:15] = LifeForm.BURNED
+    changed = classes == LifeForm.BURNED
+    drawn = bare(canvas, canvas.classes(classes, PALETTE, changed))
+    centre = (np.indices(GRID.shape) * 30 + 15).reshape(2, -1)
+    colors = drawn[centre[0], centre[1]].reshape(*GRID.shape, 3).astype(int)
+    grey = np.ptp(colors, axis=-1) < 4
+    near_camera = np.zeros(GRID.shape, bool)
+    near_camera[12:15, 8:14] = True
+    np.testing.assert_array_equal((grey | near_camera)[classes == 255], True)
+    assert (colors[classes == LifeForm.TREE][:, 1] > colors[classes == LifeForm.TREE][:, 0] + 20).all()
+    assert (colors[changed].sum(axis=-1) < colors[classes == LifeForm.TREE].sum(axis=-1).min()).all()
+    pink = np.argwhere((drawn == PINK).all(axis=-1))
+    assert pink.min(axis=0).tolist() == [150, 360]
+    assert pink.max(axis=0).tolist() == [209, 449]
+
+
+def test_doubtful_cells_are_paler() -> None:
+    known = layers(np.full(GRID.shape, LifeForm.TREE, np.uint8))
+    entropy = np.full(GRID.shape, 0.1, np.float32)
+    entropy[:, 12:] = 0.8
+    picture = overlay_picture(replace(known, entropy=entropy), np.full(GRID.shape, 50.0), 30.0, PALETTE)
+    assert picture.shape == (4 * 16, 4 * 24, 3)
+    assert picture[:, 52:].mean() > picture[:, :44].mean() + 30
+
+
+def test_sheets_hold_what_they_name() -> None:
+    canvas = FuelCanvas(GRID, flat(), [], GRID.bounds, width=300)
+    classes = np.full(GRID.shape, LifeForm.GRASS, np.uint8)
+    before = layers(classes)
+    classes[2:5, 3:9] = LifeForm.TREE
+    after = layers(classes)
+    for sheet in (fuel_sheet(canvas, after, PALETTE), change_sheet(canvas, before, after, PALETTE, ("then", "now"))):
+        assert sheet.shape[0] > 500
+        assert sheet.shape[1] > 2 * 300
+    changes = change_sheet(canvas, before, after, PALETTE, ("then", "now"))
+    assert (changes == PINK).all(axis=-1).sum() > 4 * 50, "outlined in all four maps"
+    cells = np.zeros(GRID.shape, bool)
+    cells[4:9] = True
+    assert (
+        seen_sheet(canvas, {"north": cells}).shape[0]
+        < seen_sheet(canvas, {"north": cells, "east": cells, "x": cells}).shape[0]
+    )
+    with pytest.raises(ImageError, match="no camera has seen"):
+        coverage_sheet(canvas, CoverageMap(GRID))
+
+
+def test_coverage_counts_frames_and_keeps_the_best_footprint(tmp_path: Path) -> None:
+    grid = grid_of(write_site(tmp_path))
+    coverage = CoverageMap(grid)
+    frames = [votes(n, grid) for n in (0, 3, 1)]
+    for frame in frames:
+        coverage.add(frame)
+    assert sorted(coverage.cameras) == ["east", "north"]
+    north = coverage.cameras["north"]
+    count = np.zeros(grid.shape, int)
+    best = np.full(grid.shape, np.inf)
+    for frame in frames[:2]:
+        count[frame.rows, frame.cols] += 1
+        best[frame.rows, frame.cols] = np.minimum(best[frame.rows, frame.cols], frame.sighting.footprint)
+    np.testing.assert_array_equal(north.frames, count)
+    np.testing.assert_allclose(north.footprint, np.where(count > 0, best, np.nan))
+    np.testing.assert_array_equal(coverage.count(), (count > 0).astype(int) + (coverage.cameras["east"].frames > 0))
+
+
+@pytest.mark.parametrize(
+    ("text", "second"),
+    [
+        ("2023-11-14", 1_700_006_399),
+        ("2023-11-14T22:13:20Z", 1_700_000_000),
+        ("2023-11-14T22:13:20", 1_700_000_000),
+        ("2023-11-14T23:13:20+01:00", 1_700_000_000),
+    ],
+)
+def test_moments_are_taken_to_their_end(text: str, second: int) -> None:
+    assert when(text) == (second + 1) * 10**9 - 1
+    with pytest.raises(ConfigError, match="is no date"):
+        when("last spring")
+
+
+def test_the_shown_part_holds_what_is_seen_and_the_cameras() -> None:
+    cells = np.zeros(GRID.shape, bool)
+    assert seen_window(GRID, cells, []) == GRID.bounds
+    cells[8, 10] = True
+    west, south, east, north = seen_window(GRID, cells, [Place("a", 500.0, 600.0)])
+    assert (west, east, south, north) == (265.0, 650.0, 450.0, 795.0)
+
+
+def export(*arguments: Any) -> str:
+    result = CliRunner().invoke(cli, ["export", *map(str, arguments)], catch_exceptions=False)
+    assert result.exit_code == 0
+    return result.output
+
+
+@pytest.fixture
+def kept(tmp_path: Path) -> tuple[Path, Path, FuelMap]:
+    """Site file and store of a map whose covers change over the years, and its node, which has ended."""
+    plain = write_site(tmp_path)
+    grid = load_site(plain).in_crs(grid_of(plain))
+    write_geotiff(tmp_path / "prior.tif", np.full(grid.shape, 102, np.int16), grid, -9999)
+    errors = yaml.safe_load(config_path("fuel/label_errors/default.yaml").read_text())
+    errors["correlation"] = {"cell": 0.28, "stand": 0.1, "view": 0.11, "network": 0.05}
+    (tmp_path / "errors.yaml").write_text(yaml.safe_dump(errors))
+    site = write_site(tmp_path, fuel={"prior": "prior.tif", "label_errors": "errors.yaml"})
+    node = FuelMap(FuelMapConfig(site=str(site), folder=str(tmp_path / "kept")), Kept(), Health())
+    node.start()
+    for number in range(60):
+        stamp = stamp_of_frame(number) + (number // 30) * 400 * 86400 * 10**9
+        node.on_votes(camera_of(number), message(number + 200 * (number // 30), grid_of(site), stamp))
+        node.idle()
+    node.finish()
+    return site, tmp_path / "kept" / "fuel_map.ltm", node
+
+
+def test_a_store_is_drawn_and_told_as_of_any_date(kept: tuple[Path, Path, FuelMap], tmp_path: Path) -> None:
+    site, store, node = kept
+    now = node._keeper.map.layers()
+    for name, arguments in {
+        "now.tif": (),
+        "first.tif": ("--as-of", "2023-11-15"),
+        "before.tif": ("--as-of", "2023-11-13"),
+    }.items():
+        export(store, "--site", site, "--out", tmp_path / name, *arguments)
+    found = {}
+    for name in ("now", "first", "before"):
+        with rasterio.open(tmp_path / f"{name}.tif") as source:
+            found[name] = source.read(1)
+    assert (found["before"] == LifeForm.GRASS).all(), "the prior"
+    assert (found["first"] != found["before"]).sum() > 20
+    assert (found["now"] != found["first"]).sum() > 20
+    np.testing.assert_array_equal(found["now"], now.life_form)
+    export(store, "--site", site, "--out", tmp_path / "then.lcp", "--as-of", "2023-11-15")
+    with rasterio.open(tmp_path / "then.lcp") as source:
+        fuel = source.read(4)
+    np.testing.assert_array_equal(fuel == 102, found["first"] == LifeForm.GRASS)
+    for kind in ("png", "change", "coverage"):
+        export(store, "--site", site, "--out", tmp_path / f"{kind}.png", "--format", kind)
+        assert cv2.imread(str(tmp_path / f"{kind}.png")).shape[1] > 1500
+    since = tmp_path / "since.png"
+    export(
+        store, "--site", site, "--out", since, "--format", "change", "--since", "2023-11-15", "--as-of", "2025-12-31"
+    )
+    assert since.read_bytes() != (tmp_path / "change.png").read_bytes()
+
+
+def test_a_bag_has_coverage_but_no_history(tmp_path: Path) -> None:
+    site = write_site(tmp_path)
+    grid = grid_of(site)
+    with BagWriter(tmp_path / "bag") as writer:
+        for number in range(4):
+            writer.write(f"/{NAME}/{camera_of(number)}/fuel/votes", message(number, grid), stamp_of_frame(number))
+        writer.write(f"/{NAME}/fuel_map", classes_to_msg(np.ones(grid.shape, np.uint8), grid, BEGIN_NS), BEGIN_NS)
+    export(tmp_path / "bag", "--site", site, "--out", tmp_path / "c.png", "--format", "coverage")
+    assert cv2.imread(str(tmp_path / "c.png")).shape[0] > 3 * 500, "three cameras, a row each"
+    with pytest.raises(ConfigError, match="known to a store"):
+        export(tmp_path / "bag", "--site", site, "--out", tmp_path / "c.lcp", "--as-of", "2024-01-01")
+    with pytest.raises(ConfigError, match="give --format change"):
+        export(tmp_path / "bag", "--site", site, "--out", tmp_path / "c.lcp", "--since", "2024-01-01")

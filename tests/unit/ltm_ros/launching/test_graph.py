@@ -1,0 +1,134 @@
+"""The description of a site's graph: which nodes, where, with which parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from ltm_core.errors import ConfigError
+from ltm_core.site import Site
+from ltm_ros.launching.graph import CAMERA_NODES, Graph, NodeSpec, describe, parameters_yaml
+
+
+def site(**changes: Any) -> Site:
+    content: dict[str, Any] = {
+        "name": "ridge",
+        "crs": "EPSG:32611",
+        "origin": (400000.0, 3800000.0),
+        "dem": {"path": "dem.tif"},
+        "cameras": {"north": {}, "south": {"image": "raw"}},
+    }
+    return Site.model_validate(content | changes)
+
+
+def test_every_camera_has_its_chain_and_the_site_its_map() -> None:
+    graph = describe(site(), "/sites/ridge.yaml")
+    assert [node.full_name for node in graph] == [
+        "/ridge/fuel_map",
+        *(f"/ridge/north/{kind}" for kind in CAMERA_NODES),
+        *(f"/ridge/south/{kind}" for kind in CAMERA_NODES),
+    ]
+    depth = graph.node("south/depth")
+    assert (depth.module, depth.executable, depth.busy) == ("ltm_ros.nodes.depth", "depth", True)
+    assert depth.parameters == {"site": "/sites/ridge.yaml", "camera": "south", "use_sim_time": False}
+    assert graph.node("fuel_map").parameters == {"site": "/sites/ridge.yaml", "use_sim_time": False}
+    assert all(node.required for node in graph)
+
+
+def test_a_site_with_a_depth_network_fuses_every_cameras_depth() -> None:
+    assert "topodepth" not in {node.name for node in describe(site(), "ridge.yaml")}
+    graph = describe(site(depth_model="tcmonodepth"), "ridge.yaml")
+    assert [node.full_name for node in graph if node.name == "topodepth"] == [
+        "/ridge/north/topodepth",
+        "/ridge/south/topodepth",
+    ]
+    assert graph.node("north/topodepth").busy
+
+
+def test_only_some_cameras_in_simulated_time() -> None:
+    graph = describe(site(), "ridge.yaml", cameras=["south"], sim_time=True)
+    assert {node.namespace for node in graph} == {"/ridge", "/ridge/south"}
+    assert all(node.parameters["use_sim_time"] is True for node in graph)
+    assert all(node.parameters["site"] == str(Path.cwd() / "ridge.yaml") for node in graph)
+
+
+def test_viewer_and_recorder_on_request_are_not_required() -> None:
+    graph = describe(site(), "ridge.yaml", view={"serve": True}, record={"bag": "/bags/today"})
+    viewer, recorder = graph.node("viewer"), graph.node("recorder")
+    assert (viewer.full_name, viewer.parameters["serve"], viewer.required) == ("/ridge/viewer", True, False)
+    assert (recorder.full_name, recorder.parameters["bag"], recorder.required) == (
+        "/ridge/recorder",
+        "/bags/today",
+        False,
+    )
+
+
+def test_parameters_of_the_site_file_reach_the_nodes_of_that_type() -> None:
+    nodes = {"capture": {"pose_tolerance": 0.25, "limits": {"size": [3, 4.5]}}, "fuel_map": {"export_path": "on"}}
+    graph = describe(site(nodes=nodes), "ridge.yaml", parameters={"capture": {"pose_tolerance": 0.5}})
+    for camera in ("north", "south"):
+        capture = graph.node(f"{camera}/capture").parameters
+        assert capture["pose_tolerance"] == 0.5
+        assert capture["limits.size"] == [3.0, 4.5]
+    assert graph.node("fuel_map").parameters["export_path"] == "on"
+    assert "pose_tolerance" not in graph.node("north/depth").parameters
+
+
+@pytest.mark.parametrize(
+    ("nodes", "message"),
+    [
+        ({"dept": {"x": 1}}, r"ridge.yaml: nodes: unknown node 'dept'; known are capture, depth"),
+        ({"depth": {"camera": "north"}}, r"nodes.depth.camera: the graph gives this parameter itself"),
+        ({"depth": {"x": None}}, r"nodes.depth.x = None: a parameter is"),
+        ({"depth": {"x": []}}, r"nodes.depth.x = \[\]: a parameter is"),
+        ({"depth": {"x": [1, "a"]}}, r"nodes.depth.x = \[1, 'a'\]: a parameter is"),
+        ({"depth": {"x": [True, 1]}}, r"nodes.depth.x = \[True, 1\]: a parameter is"),
+    ],
+)
+def test_refuses_parameters_that_no_node_can_take(nodes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        describe(site(nodes=nodes), "ridge.yaml")
+
+
+def test_names_the_cameras_and_nodes_there_are() -> None:
+    with pytest.raises(ConfigError, match="'west'; it has north, south"):
+        describe(site(), "ridge.yaml", cameras=["west"])
+    with pytest.raises(ConfigError, match="'depth' in the graph of ridge; it has fuel_map, north/capture"):
+        describe(site(), "ridge.yaml").node("depth")
+
+
+@pytest.mark.parametrize(("name", "namespace"), [("a b", "/x"), ("1a", "/x"), ("a", "x"), ("a", "/x/"), ("a", "/")])
+def test_refuses_names_that_ros_does_not_allow(name: str, namespace: str) -> None:
+    with pytest.raises(ConfigError):
+        NodeSpec(name, namespace, "m")
+
+
+def test_refuses_two_nodes_of_one_label() -> None:
+    with pytest.raises(ConfigError, match="more than one node north/depth"):
+        Graph("ridge", (NodeSpec("depth", "/ridge/north", "a"), NodeSpec("depth", "/cliff/north", "b")))
+
+
+def test_parameters_keep_their_type_through_yaml() -> None:
+    """Checked with YAML 1.1 as PyYAML reads it; tests/graph reads the same through rclpy."""
+    values: dict[str, Any] = {
+        "flag": True,
+        "count": 3,
+        "small": 1e-05,
+        "whole": 2.0,
+        "word": "on",
+        "letter": "y",
+        "number": "12",
+        "text": "a: 'b' \"c\" # é\nnext",
+        "empty": "",
+        "numbers": [1.0, 2.5e-07],
+        "words": ["n", "1"],
+        "a.b": [1, 2],
+    }
+    text = parameters_yaml(values)
+    read = yaml.safe_load(text)["/**"]["ros__parameters"]
+    assert read == values
+    assert [type(value) for value in read.values()] == [type(value) for value in values.values()]
+    assert '"y"' in text, "rcl takes a bare y for true"

@@ -1,0 +1,148 @@
+"""One supervised process, without ROS: its output, its deaths, its end."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from ltm_ros.launching.supervisor import EX_CONFIG, Backoff, NodeProcess, RestartPolicy, State, describe_exit
+
+QUICK = RestartPolicy(initial_s=0.01, maximum_s=0.02, config_tries=2)
+
+
+def test_waits_longer_after_each_death_up_to_a_limit() -> None:
+    backoff = Backoff(RestartPolicy(initial_s=0.5, factor=3.0, maximum_s=10.0, healthy_s=20.0))
+    assert [backoff.after(1, 0.1) for _ in range(5)] == [0.5, 1.5, 4.5, 10.0, 10.0]
+    assert backoff.after(-9, 20.0) == 0.5, "a healthy run starts anew"
+    assert backoff.after(0, 19.9) == 1.5
+    for _ in range(2000):
+        assert backoff.after(1, 0.0) is not None
+    assert backoff.after(1, 0.0) == 10.0
+
+
+def test_gives_up_only_after_configuration_errors_in_a_row() -> None:
+    backoff = Backoff(RestartPolicy(initial_s=0.5, config_tries=2))
+    assert backoff.after(EX_CONFIG, 0.0) is not None
+    assert backoff.after(1, 0.0) is not None
+    assert backoff.after(EX_CONFIG, 0.0) is not None
+    assert backoff.after(EX_CONFIG, 0.0) is None
+
+
+@pytest.mark.parametrize(
+    ("status", "words"),
+    [
+        (-9, "killed by SIGKILL"),
+        (-11, "killed by SIGSEGV"),
+        (-63, "killed by signal 63"),
+        (0, "ended by itself (exit code 0)"),
+        (3, "exit code 3"),
+        (78, "exit code 78: its configuration cannot work"),
+    ],
+)
+def test_says_how_a_process_ended(status: int, words: str) -> None:
+    assert describe_exit(status) == words
+
+
+class Supervised:
+    def __init__(self, folder: Path, program: str) -> None:
+        self.lines: list[str] = []
+        self.groups: list[tuple[int, bool]] = []
+        self.process = NodeProcess(
+            label="north/depth",
+            command=[sys.executable, "-u", "-c", program],
+            environment={"PATH": "/usr/bin:/bin", "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"},
+            log_file=folder / "logs" / "north.depth.log",
+            console=self.lines.append,
+            policy=QUICK,
+            on_group=lambda group, alive: self.groups.append((group, alive)),
+        )
+        self.process.start()
+
+    def wait_for(self, condition: Callable[[], object]) -> None:
+        deadline = time.monotonic() + 20.0
+        while not condition():
+            assert time.monotonic() < deadline, self.lines
+            time.sleep(0.01)
+
+    def end(self) -> None:
+        self.process.request_stop()
+        self.process.signal(signal.SIGKILL, whole_group=True)
+        assert self.process.wait_stopped(10.0)
+        self.process.close()
+
+
+def test_output_of_both_kinds_goes_to_console_and_log(tmp_path: Path) -> None:
+    one = Supervised(tmp_path, "import sys, time; print('out'); print('err \\udcff', file=sys.stderr); time.sleep(60)")
+    one.wait_for(lambda: len(one.lines) == 2)
+    one.end()
+    assert one.lines[0] == "[north/depth] out"
+    assert one.lines[1].startswith("[north/depth] err")
+    log = (tmp_path / "logs/north.depth.log").read_text().splitlines()
+    assert [line.split(" ", 2)[2][:3] for line in log] == ["out", "err"]
+    assert one.process.state is State.STOPPED
+
+
+def test_restarts_whatever_way_it_dies(tmp_path: Path) -> None:
+    one = Supervised(tmp_path, "import os; print('up'); os.abort()")
+    one.wait_for(lambda: one.process.starts >= 3)
+    one.end()
+    assert one.process.restarts >= 2
+    assert "[north/depth] -- killed by SIGABRT after " in "\n".join(one.lines)
+    came = [group for group, alive in one.groups if alive]
+    assert [group for group, alive in one.groups if not alive] == came, "each group is reported gone"
+    assert len({*came}) == len(came)
+
+
+def test_gives_up_a_configuration_error_with_its_last_words(tmp_path: Path) -> None:
+    given_up: list[str] = []
+    one = Supervised(tmp_path, "import sys; print('no such camera'); sys.exit(78)")
+    one.process.on_given_up = lambda: given_up.append("north/depth")
+    one.wait_for(lambda: one.process.state is State.GIVEN_UP)
+    assert one.process.wait_stopped(5.0)
+    assert one.process.starts == 2
+    assert one.process.last_words()[-1] == "no such camera"
+    assert one.lines[-1].endswith("no such camera")
+    assert one.process.signal(signal.SIGKILL) is False
+    one.process.close()
+
+
+def test_stops_while_it_waits_to_restart(tmp_path: Path) -> None:
+    one = Supervised(tmp_path, "raise SystemExit(1)")
+    one.process.policy = QUICK
+    one.process._backoff.policy = RestartPolicy(initial_s=3600.0, maximum_s=3600.0)
+    one.wait_for(lambda: any("starts again in 3600.0 s" in line for line in one.lines) or one.process.starts > 1)
+    one.process.request_stop()
+    assert one.process.wait_stopped(5.0)
+
+
+def test_command_that_does_not_exist_is_reported_and_tried_again(tmp_path: Path) -> None:
+    one = Supervised(tmp_path, "pass")
+    one.end()
+    lines: list[str] = []
+    process = NodeProcess("x", ["/no/such/python"], {}, tmp_path / "x.log", lines.append, QUICK)
+    process.start()
+    deadline = time.monotonic() + 10.0
+    while sum("cannot be started" in line for line in lines) < 2:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    process.request_stop()
+    assert process.wait_stopped(5.0)
+    process.close()
+
+
+def test_ends_what_the_process_had_started(tmp_path: Path) -> None:
+    program = (
+        "import subprocess, sys; c = subprocess.Popen([sys.executable, '-S', '-c', 'import time; time.sleep(600)']);"
+        "print(c.pid); sys.exit(1)"
+    )
+    one = Supervised(tmp_path, program)
+    one.wait_for(lambda: one.process.starts >= 2)
+    one.end()
+    pids = [int(line.split()[-1]) for line in one.lines if line.split()[-1].isdigit()]
+    assert pids
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)

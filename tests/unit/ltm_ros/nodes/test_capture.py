@@ -1,0 +1,260 @@
+"""capture: which image leaves with which pose and calibration, when, and what becomes of the others."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from scenes.outlets import Kept
+from scenes.rasters import rough_terrain
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import CameraError, ConfigError, ImageError, PoseError
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
+from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg, msg_to_rgb
+from ltm_msgs_py.pose import msg_to_pose, pose_to_msg
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.nodes.capture import Capture, CaptureConfig
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.topics import (
+    CAMERA_INFO,
+    IMAGE_COMPRESSED,
+    IMAGE_RAW,
+    POSE,
+    POSED_CAMERA_INFO,
+    POSED_IMAGE,
+    POSED_POSE,
+)
+
+CAMERA = Camera(12, 7, 10.0, 11.0, 5.5, 3.0)
+S = 10**9
+RNG = np.random.default_rng(5)
+PHOTO = RNG.integers(0, 255, (7, 12, 3), dtype=np.uint8)
+
+
+def image(stamp: int, data: bytes | None = None) -> Any:
+    message = compressed_to_msg(encode_rgb(PHOTO, "png"), "png", stamp, "driver_frame")
+    if data is not None:
+        message.data = array("B", data)
+    return message
+
+
+def info(stamp: int, fx: float = 10.0) -> Any:
+    return camera_to_msg(Camera(12, 7, fx, 11.0, 5.5, 3.0), stamp, "driver_frame")
+
+
+def at(x: float) -> Pose:
+    return Pose.from_angles((x, 2.0, 3.0), 40.0, -5.0, 1.0)
+
+
+def pose(stamp: int, x: float = 1.0) -> Any:
+    return pose_to_msg(at(x), stamp, "map", np.diag([1.0, 2, 3, 4, 5, 6]))
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Callable[..., Path]:
+    """Writes a site of one camera `eye` with these settings."""
+
+    def write(**camera: Any) -> Path:
+        geometry = GridGeometry(500_000.0, 4_000_600.0, 5.0, 130, 120, "EPSG:32611")
+        Dem(rough_terrain(4, (120, 130)).elevation, geometry).save(tmp_path / "dem.tif")
+        content = {
+            "name": "ridge",
+            "crs": "EPSG:32611",
+            "origin": [500_000.0, 4_000_000.0],
+            "dem": {"path": "dem.tif"},
+            "cameras": {"eye": camera},
+        }
+        (tmp_path / "site.yaml").write_text(yaml.safe_dump(content))
+        return tmp_path / "site.yaml"
+
+    return write
+
+
+@pytest.fixture
+def capture_of(site: Callable[..., Path]) -> Callable[..., tuple[Capture, Kept, Health]]:
+    def make(camera: dict[str, Any] | None = None, **parameters: Any) -> tuple[Capture, Kept, Health]:
+        outlet, health = Kept(), Health()
+        config = CaptureConfig(site=str(site(**(camera or {}))), camera="eye", **parameters)
+        return Capture(config, outlet, health), outlet, health
+
+    return make
+
+
+CaptureOf = Callable[..., tuple[Capture, Kept, Health]]
+
+
+@pytest.mark.parametrize("order", ["ipc", "icp", "pic", "pci", "cip", "cpi"])
+def test_leaves_when_the_last_part_comes(capture_of: CaptureOf, order: str) -> None:
+    capture, outlet, health = capture_of()
+    feed = {
+        "i": lambda: capture.on_image(image(S)),
+        "p": lambda: capture.on_pose(pose(S)),
+        "c": lambda: capture.on_camera_info(info(S)),
+    }
+    for part in order[:2]:
+        feed[part]()
+    assert outlet.sent == []
+    feed[order[2]]()
+    assert [topic for topic, _ in outlet.sent] == [POSED_CAMERA_INFO, POSED_POSE, POSED_IMAGE]
+    assert [stamp_of(message) for _, message in outlet.sent] == [S] * 3
+    np.testing.assert_array_equal(msg_to_rgb(outlet.on(POSED_IMAGE)[0]), PHOTO)
+    assert msg_to_camera(outlet.on(POSED_CAMERA_INFO)[0]) == CAMERA
+    sent = outlet.on(POSED_POSE)[0]
+    np.testing.assert_allclose(msg_to_pose(sent, "map").rotation, at(1.0).rotation, atol=1e-12)
+    assert sent.pose.covariance.reshape(6, 6).diagonal().tolist() == [1, 2, 3, 4, 5, 6]
+    assert {outlet.on(topic)[0].header.frame_id for topic in (POSED_IMAGE, POSED_CAMERA_INFO)} == {"eye_optical"}
+    assert health.dropped == {}
+
+
+def test_calibration_is_the_newest_up_to_the_image(capture_of: CaptureOf) -> None:
+    capture, outlet, _ = capture_of()
+    for stamp, fx in ((10 * S, 10.0), (30 * S, 30.0), (20 * S, 20.0)):
+        capture.on_camera_info(info(stamp, fx))
+    for stamp in (5 * S, 25 * S, 20 * S, 99 * S):
+        capture.on_pose(pose(stamp))
+        capture.on_image(image(stamp))
+    # An image from before all calibrations takes the first.
+    assert [m.k[0] for m in outlet.on(POSED_CAMERA_INFO)] == [10.0, 20.0, 20.0, 30.0]
+
+
+def test_pose_must_have_the_stamp_unless_told_otherwise(capture_of: CaptureOf) -> None:
+    capture, outlet, _ = capture_of()
+    capture.on_camera_info(info(0))
+    capture.on_image(image(S))
+    capture.on_pose(pose(S - 1))
+    capture.on_pose(pose(S + 1))
+    assert outlet.sent == []
+
+
+def test_nearest_pose_within_the_tolerance_once_a_later_one_is_there(capture_of: CaptureOf) -> None:
+    capture, outlet, _ = capture_of(pose_tolerance=0.5)
+    capture.on_camera_info(info(0))
+    capture.on_pose(pose(9 * S // 10, x=0.9))
+    capture.on_image(image(S))
+    assert outlet.sent == [], "a nearer pose may be on its way"
+    capture.on_pose(pose(11 * S // 10 - 1, x=1.1))
+    assert [m.pose.pose.position.x for m in outlet.on(POSED_POSE)] == [1.1]
+    assert outlet.stamps(POSED_POSE) == [S]
+    capture.on_image(image(2 * S))
+    capture.on_pose(pose(26 * S // 10, x=2.6))
+    assert outlet.stamps(POSED_POSE) == [S], "nobody is within half a second of it"
+
+
+def test_image_waits_so_long_and_is_counted(capture_of: CaptureOf) -> None:
+    capture, outlet, health = capture_of(max_wait=2.0)
+    capture.on_camera_info(info(0))
+    capture.on_image(image(S))
+    for _ in range(3):
+        capture.tick(0.6)
+    capture.on_image(image(2 * S))
+    assert health.dropped == {}
+    capture.tick(0.6)
+    assert health.dropped == {"no_pose": 1}
+    assert f"image of stamp {S} ns has no pose (waited 2.0 s)" in health.last_error
+    capture.on_pose(pose(S))
+    capture.on_pose(pose(2 * S))
+    assert outlet.stamps(POSED_IMAGE) == [2 * S]
+
+
+def test_without_calibration_that_is_the_cause(capture_of: CaptureOf) -> None:
+    capture, _, health = capture_of(max_wait=1.0)
+    capture.on_pose(pose(S))
+    capture.on_image(image(S))
+    capture.tick(1.1)
+    assert health.dropped == {"no_calibration": 1}
+
+
+def test_oldest_goes_when_too_many_wait(capture_of: CaptureOf) -> None:
+    capture, outlet, health = capture_of(max_waiting=3)
+    capture.on_camera_info(info(0))
+    for stamp in (4 * S, 2 * S, 3 * S):
+        capture.on_image(image(stamp))
+    assert health.dropped == {}
+    capture.on_image(image(5 * S))
+    assert health.dropped == {"no_pose": 1}
+    for stamp in range(2, 6):
+        capture.on_pose(pose(stamp * S))
+    assert outlet.stamps(POSED_IMAGE) == [3 * S, 4 * S, 5 * S]
+
+
+def test_end_gives_up_what_waits(capture_of: CaptureOf) -> None:
+    capture, _, health = capture_of()
+    for stamp in (S, 2 * S):
+        capture.on_image(image(stamp))
+    capture.finish()
+    assert health.dropped == {"no_pose": 2}
+    assert "ended" in health.last_error
+
+
+def test_duplicates_and_disorder(capture_of: CaptureOf) -> None:
+    capture, outlet, health = capture_of()
+    capture.on_camera_info(info(0))
+    for stamp in (2 * S, S, 2 * S, 3 * S):
+        capture.on_pose(pose(stamp))
+        capture.on_image(image(stamp))
+    assert outlet.stamps(POSED_IMAGE) == [2 * S, S, 3 * S]
+    assert health.dropped == {"duplicate": 1}
+    assert health.summary()["noted.out_of_order"] == "1"
+
+
+def test_broken_image_does_not_hold_back_the_others(capture_of: CaptureOf) -> None:
+    capture, outlet, health = capture_of()
+    for stamp in (S, 2 * S, 3 * S, 4 * S):
+        capture.on_pose(pose(stamp))
+        capture.on_image(image(stamp, b"garbage" if stamp in (S, 3 * S) else None))
+    with pytest.raises(ImageError, match="neither jpeg nor png"):
+        capture.on_camera_info(info(0))
+    assert outlet.stamps(POSED_IMAGE) == [2 * S, 4 * S]
+    # The one that is raised is counted by who called.
+    assert health.dropped == {"image": 1}
+    capture.finish()
+    assert health.dropped == {"image": 1}
+
+
+def test_bad_parts_are_refused_and_leave_nothing(capture_of: CaptureOf) -> None:
+    capture, outlet, _ = capture_of()
+    bad_pose, bad_info = pose(S), info(S)
+    bad_pose.pose.pose.position.y = float("nan")
+    bad_info.k[0] = 0.0
+    with pytest.raises(PoseError):
+        capture.on_pose(bad_pose)
+    with pytest.raises(CameraError, match="uncalibrated"):
+        capture.on_camera_info(bad_info)
+    capture.on_image(image(S))
+    assert outlet.sent == []
+    capture.on_pose(pose(S))
+    with pytest.raises(ImageError, match=r"eye is \(7, 12, 3\).*calibration says \(7, 13, 3\)"):
+        capture.on_camera_info(camera_to_msg(Camera.from_fov(13, 7, 50.0), S, "x"))
+    assert outlet.sent == []
+
+
+def test_site_file_may_give_pose_and_calibration(capture_of: CaptureOf) -> None:
+    calibration = {"width": 12, "height": 7, "fx": 9.0}
+    where = {"x": 500_321.0, "y": 4_000_123.0, "height_above_ground": 8.0, "azimuth_deg": 70.0}
+    capture, outlet, _ = capture_of({"image": "raw", "calibration": calibration, "pose": where})
+    assert {*capture.subscriptions} == {IMAGE_RAW}
+    capture.on_image(image_to_msg(PHOTO[..., ::-1].copy(), "bgr8", S, "driver_frame"))
+    np.testing.assert_array_equal(msg_to_rgb(outlet.on(POSED_IMAGE)[0]), PHOTO)
+    sent = msg_to_pose(outlet.on(POSED_POSE)[0], "map")
+    ground = Dem.open(Path(capture.config.site).parent / "dem.tif").elevation_at(500_321.0, 4_000_123.0)
+    np.testing.assert_allclose(sent.position, [321.0, 123.0, float(ground) + 8.0], atol=1e-6)
+    assert msg_to_camera(outlet.on(POSED_CAMERA_INFO)[0]) == Camera(12, 7, 9.0, 9.0, 5.5, 3.0)
+
+
+def test_subscribes_to_what_the_site_leaves_open(capture_of: CaptureOf) -> None:
+    capture, _, _ = capture_of()
+    assert {*capture.subscriptions} == {IMAGE_COMPRESSED, CAMERA_INFO, POSE}
+
+
+def test_unknown_camera_is_named(site: Callable[..., Path]) -> None:
+    with pytest.raises(ConfigError, match="no camera 'nose'; it has eye"):
+        Capture(CaptureConfig(site=str(site()), camera="nose"), Kept(), Health())

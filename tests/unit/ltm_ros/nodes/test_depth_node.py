@@ -1,0 +1,78 @@
+"""depth: both hits of a pixel, where the site knows both bare ground and what stands on it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scenes.depth_scene import CAMERA, STAND_HEIGHT, depth_scene
+from scenes.outlets import Kept
+
+from ltm_core.dem import Dem
+from ltm_core.grid import GridGeometry
+from ltm_msgs_py.camera_info import camera_to_msg
+from ltm_msgs_py.image import msg_to_depth
+from ltm_msgs_py.pose import pose_to_msg
+from ltm_ros.nodes.depth import Depth, DepthConfig
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.topics import DEPTH_IMAGE, GROUND_DEPTH, POSED_CAMERA_INFO, POSED_POSE
+
+STAMP = 1_700_000_000_000_000_000
+
+
+def write_site(folder: Path, with_surface: bool) -> Path:
+    dem = depth_scene().dem
+    place = dem.geometry
+    moved = GridGeometry(
+        480_000.0 + place.x_min, 4_150_000.0 + place.y_max, place.resolution, place.width, place.height, "EPSG:26911"
+    )
+    Dem(dem.elevation, moved).save(folder / "dem.tif")
+    rows, cols = np.mgrid[0 : place.height, 0 : place.width]
+    x, y = place.to_map(rows, cols)
+    stand = (np.abs(x - 60.0) < 70.0) & (np.abs(y - 330.0) < 45.0)
+    Dem(np.where(stand, dem.elevation + np.float32(STAND_HEIGHT), dem.elevation), moved).save(folder / "canopy.tif")
+    content = {
+        "name": "hollow",
+        "crs": "EPSG:26911",
+        "origin": [480_000.0, 4_150_000.0],
+        "dem": {"path": "dem.tif"},
+        "cameras": {"mast": {}},
+    }
+    path = folder / "site.yaml"
+    path.write_text(yaml.safe_dump(content | ({"surface": {"path": "canopy.tif"}} if with_surface else {})))
+    return path
+
+
+def traced(folder: Path, with_surface: bool, *listened: object, **config: object) -> Kept:
+    kept = Kept(*listened)
+    site = str(write_site(folder, with_surface))
+    node = Depth(DepthConfig(site=site, camera="mast", **config), kept, Health())
+    node.subscriptions[POSED_CAMERA_INFO](camera_to_msg(CAMERA, STAMP, "mast_optical"))
+    node.subscriptions[POSED_POSE](pose_to_msg(depth_scene().traced.pose, STAMP))
+    return kept
+
+
+def test_both_hits_are_kept_where_there_is_a_surface_raster(tmp_path: Path) -> None:
+    kept = traced(tmp_path, True, GROUND_DEPTH)
+    over, ground = (msg_to_depth(kept.on(topic)[0]) for topic in (DEPTH_IMAGE, GROUND_DEPTH))
+    scene = depth_scene()
+    # The scene was traced on a flat earth's DEM of the same heights.
+    apart = np.isfinite(over) & (over < ground - 2.0)
+    assert apart[scene.stand].mean() > 0.9
+    assert apart[~scene.stand].mean() < 0.02
+    assert kept.stamps(GROUND_DEPTH) == [STAMP]
+
+
+@pytest.mark.parametrize(("with_surface", "surface"), [(False, True), (True, False)])
+def test_without_one_or_when_told_so_both_hits_are_bare_ground(
+    tmp_path: Path, with_surface: bool, surface: bool
+) -> None:
+    kept = traced(tmp_path, with_surface, GROUND_DEPTH, surface=surface)
+    over, ground = (msg_to_depth(kept.on(topic)[0]) for topic in (DEPTH_IMAGE, GROUND_DEPTH))
+    np.testing.assert_array_equal(over, ground)
+
+
+def test_nothing_is_traced_twice_while_nobody_listens(tmp_path: Path) -> None:
+    assert traced(tmp_path, True).on(GROUND_DEPTH) == []

@@ -1,0 +1,132 @@
+"""viewer: what it asks the graph for, and what it shows of fused depth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from scenes.outlets import Kept
+from scenes.small_site import write_small_site
+
+from ltm_core.errors import MessageError
+from ltm_core.fuel.codes import Region
+from ltm_core.fuel.decision import layers_of_classes
+from ltm_core.fuel.life_form import LifeForm
+from ltm_core.grid import GridGeometry
+from ltm_core.terrain.change import Changed, ChangeKind
+from ltm_msgs_py.fuel_cells import fuel_cells_to_msg
+from ltm_msgs_py.grid import classes_to_msg
+from ltm_msgs_py.image import depth_to_msg
+from ltm_msgs_py.terrain import changed_to_msg
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.topics import (
+    DEPTH_IMAGE,
+    FUEL_MAP,
+    FUEL_MAP_CELLS,
+    FUSED_DEPTH,
+    NETWORK_DEPTH,
+    TERRAIN_CHANGE,
+    TERRAIN_UPDATE,
+    camera_topic,
+    site_topic,
+)
+
+pytest.importorskip("rerun", reason="the viewer's extra is not installed")
+
+from rerun.chunk import RrdReader
+
+from ltm_ros.nodes.viewer import Viewer, ViewerConfig
+
+STAMP = 1_700_000_000_000_000_000
+
+
+def viewer(path: Path, save: Path) -> Viewer:
+    return Viewer(ViewerConfig(site=str(path), save=str(save)), Kept(), Health())
+
+
+def test_fused_depth_is_shown_beside_traced_and_the_networks_of_the_same_stamp(tmp_path: Path) -> None:
+    small = write_small_site(tmp_path)
+    path = small.path
+    path.write_text(path.read_text() + yaml.safe_dump({"depth_model": "depth.yaml"}))
+    camera = next(iter(small.site.cameras))
+    node = viewer(path, tmp_path / "view.rrd")
+    take = {topic.name: callback for topic, callback in node.subscriptions.items()}
+    depth = np.full((36, 64), 800.0, np.float32)
+
+    def send(topic: object, stamp: int, size: tuple[int, int] = (36, 64)) -> None:
+        take[camera_topic(small.site.name, camera, topic)](depth_to_msg(depth[: size[0], : size[1]], stamp, "c"))
+
+    send(NETWORK_DEPTH, STAMP, (18, 32))
+    send(FUSED_DEPTH, STAMP)
+    send(DEPTH_IMAGE, STAMP)
+    send(DEPTH_IMAGE, STAMP + 5)
+    send(FUSED_DEPTH, STAMP + 5)
+    node.finish()
+    shown: dict[str, int] = {}
+    for chunk in RrdReader(str(tmp_path / "view.rrd")).stream():
+        entity = str(chunk.entity_path)
+        shown[entity] = shown.get(entity, 0) + chunk.to_record_batch().num_rows
+    assert shown[f"/fusion/{camera}/fused"] == 2
+    assert shown[f"/fusion/{camera}/difference"] == 2
+    assert shown[f"/fusion/{camera}/network"] == 1, "the second frame's network depth never came"
+
+
+def test_without_a_depth_network_nobody_is_asked_for_fused_depth(tmp_path: Path) -> None:
+    node = viewer(write_small_site(tmp_path).path, tmp_path / "view.rrd")
+    assert not [topic.name for topic in node.subscriptions if "fused" in topic.name or "network" in topic.name]
+    node.finish()
+
+
+def test_changes_of_the_surface_lie_where_they_are_on_the_fuel_grid(tmp_path: Path) -> None:
+    small = write_small_site(tmp_path)
+    path = small.path
+    path.write_text(path.read_text() + yaml.safe_dump({"depth_model": "depth.yaml", "terrain": {}}))
+    node = viewer(path, tmp_path / "view.rrd")
+    take = {topic.name: callback for topic, callback in node.subscriptions.items()}
+    under = small.site.fuel_geometry(small.dem)
+    window = GridGeometry(under.x_min + 90.0, under.y_max - 60.0, 10.0, 7, 4)
+    kinds = np.full(window.shape, 255, np.uint8)
+    kinds[2, 3] = ChangeKind.GROWN
+    take[site_topic(small.site.name, TERRAIN_CHANGE)](classes_to_msg(kinds, window, STAMP))
+    one = np.array([1])
+    changed = Changed(one, one, 0 * one.astype(np.uint8), one.astype(np.uint8), np.array([-4.0], np.float32))
+    take[site_topic(small.site.name, TERRAIN_UPDATE)](changed_to_msg(changed, np.array([300.0]), window, STAMP))
+    node.finish()
+    found: dict[str, list[dict[str, Any]]] = {}
+    for chunk in RrdReader(str(tmp_path / "view.rrd")).stream():
+        batch = chunk.to_record_batch()
+        parts = {name: batch.column(name).to_pylist() for name in batch.schema.names if ":" in name}
+        found.setdefault(str(chunk.entity_path), []).append(parts)
+    (picture,) = found["/terrain/change"]
+    assert picture["Transform3D:translation"][0][0] == pytest.approx([90 / under.resolution, 60 / under.resolution, 0])
+    assert picture["Transform3D:scale"][0][0] == pytest.approx([10 / under.resolution, 10 / under.resolution, 1])
+    assert "grown" in str(found["/terrain"])
+    (points,) = found["/map/change"]
+    x, y = window.to_map(1, 1)
+    assert points["Points3D:positions"][0][0] == pytest.approx([float(x), float(y), 300.0])
+
+
+def test_the_layers_of_the_fuel_map_are_shown_with_burned_cells(tmp_path: Path) -> None:
+    small = write_small_site(tmp_path)
+    node = viewer(small.path, tmp_path / "view.rrd")
+    take = {topic.name: callback for topic, callback in node.subscriptions.items()}
+    grid = small.site.fuel_geometry(small.dem)
+    classes = np.full(grid.shape, LifeForm.GRASS, np.uint8)
+    classes[2:4, 3:5] = LifeForm.BURNED
+    layers = layers_of_classes(classes, None, Region.named("dry"))
+    seen = replace(layers, last_seen=np.where(classes == LifeForm.BURNED, STAMP, 0))
+    cells = fuel_cells_to_msg(seen, np.zeros(grid.shape), grid, STAMP)
+    take[site_topic(small.site.name, FUEL_MAP_CELLS)](cells)
+    take[site_topic(small.site.name, FUEL_MAP)](classes_to_msg(classes, grid, STAMP))
+    elsewhere = fuel_cells_to_msg(seen, np.zeros(grid.shape), grid.translated(9e5, 0.0), STAMP)
+    with pytest.raises(MessageError, match="outside the fuel grid"):
+        take[site_topic(small.site.name, FUEL_MAP_CELLS)](elsewhere)
+    node.finish()
+    found = {str(chunk.entity_path): chunk for chunk in RrdReader(str(tmp_path / "view.rrd")).stream()}
+    assert {f"/fuel_layers/{name}" for name in ("life_form", "code", "entropy", "seen_by")} <= set(found)
+    context = str(found["/"].to_record_batch().to_pydict())
+    assert "burned" in context

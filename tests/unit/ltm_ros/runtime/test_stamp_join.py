@@ -1,0 +1,91 @@
+"""StampJoin: complete sets once each, and every message that finds no partners is counted."""
+
+from __future__ import annotations
+
+from itertools import permutations
+from typing import Any
+
+import pytest
+
+from ltm_core.errors import ImageError
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.stamp_join import StampJoin
+
+
+@pytest.fixture
+def health() -> Health:
+    return Health()
+
+
+def join_of(health: Health, names: tuple[str, ...] = ("a", "b", "c"), capacity: int = 3) -> tuple[StampJoin, list[Any]]:
+    done: list[Any] = []
+    return StampJoin(names, lambda **parts: done.append(parts), health, capacity), done
+
+
+def test_any_order_of_parts_makes_a_set(health: Health) -> None:
+    join, done = join_of(health)
+    for stamp, order in enumerate(permutations("abc")):
+        for name in order:
+            assert len(done) == stamp
+            join.add(name, stamp, f"{name}{stamp}")
+        assert done[-1] == {name: f"{name}{stamp}" for name in "abc"}
+    join.finish()
+    assert health.dropped == {}
+
+
+def test_interleaved_stamps_stay_apart(health: Health) -> None:
+    join, done = join_of(health)
+    for name in "abc":
+        for stamp in (20, 10):
+            join.add(name, stamp, (name, stamp))
+    assert done == [{name: (name, stamp) for name in "abc"} for stamp in (20, 10)]
+
+
+def test_second_message_of_a_part_is_a_duplicate_before_and_after_the_set_is_whole(health: Health) -> None:
+    join, done = join_of(health)
+    join.add("a", 5, "first")
+    join.add("a", 5, "second")
+    assert health.dropped == {"duplicate": 1}
+    assert "a second a of stamp 5 ns" in health.last_error
+    join.add("b", 5, "b")
+    join.add("c", 5, "c")
+    join.add("b", 5, "late")
+    assert done == [{"a": "first", "b": "b", "c": "c"}]
+    assert health.dropped == {"duplicate": 2}
+
+
+def test_oldest_incomplete_set_goes_when_too_many_wait(health: Health) -> None:
+    join, done = join_of(health, capacity=3)
+    for stamp in (1, 2, 3):
+        join.add("a", stamp, stamp)
+    assert health.dropped == {}
+    join.add("a", 4, 4)
+    assert health.dropped == {"unjoined": 1}
+    assert health.last_error == "unjoined: stamp 1 ns never got its b, c"
+    for name in "bc":
+        join.add(name, 2, name)
+    assert done == [{"a": 2, "b": "b", "c": "c"}]
+    join.finish()
+    assert health.dropped == {"unjoined": 3}
+
+
+def test_stamps_that_are_done_are_forgotten_one_day(health: Health) -> None:
+    join, done = join_of(health, ("a",), capacity=2)
+    for stamp in range(100):
+        join.add("a", stamp, stamp)
+    join.add("a", 99, "again")
+    assert health.dropped == {"duplicate": 1}
+    join.add("a", 0, "forgotten")
+    assert len(done) == 101
+
+
+def test_what_the_set_raises_reaches_the_caller_and_the_set_is_done(health: Health) -> None:
+    def fail(**parts: Any) -> None:
+        raise ImageError(f"no good: {parts}")
+
+    join = StampJoin(("a", "b"), fail, health)
+    join.add("a", 1, "x")
+    with pytest.raises(ImageError, match="no good"):
+        join.add("b", 1, "y")
+    join.add("a", 1, "x")
+    assert health.dropped == {"duplicate": 1}

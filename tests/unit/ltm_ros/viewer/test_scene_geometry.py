@@ -1,0 +1,107 @@
+"""Geometry of the Rerun view's scene: terrain, fuel layer, points, the eye."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes.rerun_site import LABELS, hills
+
+from ltm_core.dem import Dem
+from ltm_core.errors import RasterError
+from ltm_core.grid import GridGeometry
+
+pytest.importorskip("rerun", reason="the viewer's extra is not installed")
+
+from ltm_ros.viewer import scene_geometry
+
+
+def test_decimated_terrain_keeps_every_height_at_its_place() -> None:
+    dem = hills()
+    for most in (100_000, 3000, 700):
+        coarse = scene_geometry.decimated(dem, most)
+        rows, cols = coarse.elevation.shape
+        assert 2 * (rows - 1) * (cols - 1) <= most
+        x, y = coarse.geometry.to_map(*np.mgrid[:rows, :cols])
+        np.testing.assert_allclose(dem.elevation_at(x, y), coarse.elevation, atol=1e-3)
+
+
+def test_terrain_mesh_faces_up_and_skips_what_is_unknown() -> None:
+    dem = hills()
+    elevation = dem.elevation.copy()
+    elevation[10, 20] = np.nan
+    mesh = scene_geometry.terrain_mesh(Dem(elevation, dem.geometry))
+    assert len(mesh.triangles) == 2 * 69 * 109 - 6, "a lone vertex belongs to six triangles"
+    corners = mesh.vertices[mesh.triangles].astype(np.float64)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (normals[:, 2] > 0).all()
+    assert np.isfinite(mesh.vertices).all()
+    assert mesh.texcoords.min() > 0
+    assert mesh.texcoords.max() < 1
+    north_west = np.argmin(mesh.vertices[:, 0] - mesh.vertices[:, 1])
+    np.testing.assert_allclose(mesh.texcoords[north_west], (0.5 / 110, 0.5 / 70), rtol=1e-4)
+
+
+def test_large_terrain_stays_within_its_budget() -> None:
+    rng = np.random.default_rng(1)
+    dem = Dem(rng.normal(500, 20, (900, 2500)).astype(np.float32), GridGeometry(0.0, 0.0, 3.0, 2500, 900))
+    mesh = scene_geometry.terrain_mesh(dem, 50_000)
+    assert len(mesh.triangles) <= 50_000
+    assert max(mesh.texture.shape[:2]) <= scene_geometry.MAX_TEXTURE
+
+
+def test_fuel_cells_lie_just_above_the_drawn_terrain() -> None:
+    dem = hills()
+    geometry = GridGeometry(-600.0, 900.0, 30.0, 50, 40)
+    layer = scene_geometry.FuelLayer(dem, geometry, LABELS)
+    classes = np.full(geometry.shape, 255, np.uint8)
+    classes[33, 45] = 3
+    (tile,) = layer.changed(classes)
+    assert tile.name == "r001_c001"
+    x, y = geometry.to_map([32.5, 33.5], [44.5, 45.5])
+    np.testing.assert_allclose(np.unique(tile.vertices[:, 0]), x, atol=1e-3)
+    np.testing.assert_allclose(np.unique(tile.vertices[:, 1]), np.sort(y), atol=1e-3)
+    above = tile.vertices[:, 2] - dem.elevation_at(tile.vertices[:, 0], tile.vertices[:, 1])
+    np.testing.assert_allclose(above, 3.6, atol=1e-2)
+    np.testing.assert_array_equal(tile.colors, [LABELS.colors[3]] * 4)
+    corners = tile.vertices[tile.triangles].astype(np.float64)
+    assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0).all()
+
+
+def test_fuel_layer_gives_only_what_has_changed() -> None:
+    geometry = GridGeometry(-600.0, 900.0, 30.0, 50, 40)
+    layer = scene_geometry.FuelLayer(hills(), geometry, LABELS)
+    classes = np.full(geometry.shape, 255, np.uint8)
+    assert list(layer.changed(classes)) == []
+    classes[2, 3] = classes[2, 40] = classes[35, 4] = 1
+    assert [tile.name for tile in layer.changed(classes)] == ["r000_c000", "r000_c001", "r001_c000"]
+    assert list(layer.changed(classes)) == []
+    classes[2, 40] = 255
+    (emptied,) = layer.changed(classes)
+    assert emptied.name == "r000_c001"
+    assert len(emptied.triangles) == len(emptied.vertices) == 0
+    with pytest.raises(RasterError, match=r"\(40, 49\)"):
+        list(layer.changed(classes[:, 1:]))
+
+
+def test_eye_starts_behind_the_cameras_and_above_the_ground() -> None:
+    dem = hills()
+    eye = scene_geometry.overview_eye(
+        dem, np.array([[0.0, 300.0, 500.0], [200.0, 300.0, 520.0]]), np.array([170.0, 190.0]), 900
+    )
+    assert eye.position[1] > 300, "both look south, so the eye is north of them"
+    assert eye.target[1] < 300
+    assert eye.position[2] > dem.elevation_at(*eye.position[:2]) or np.isnan(dem.elevation_at(*eye.position[:2]))
+    alone = scene_geometry.overview_eye(dem, np.empty((0, 3)), np.empty(0), 900)
+    assert alone.position[1] < alone.target[1]
+    opposed = scene_geometry.overview_eye(dem, np.zeros((2, 3)), np.array([0.0, 180.0]), 900)
+    assert np.isfinite([*opposed.position, *opposed.target]).all()
+
+
+def test_points_are_thinned_and_finite() -> None:
+    points = np.arange(3000, dtype=np.float64).reshape(1000, 3)
+    points[::10] = np.nan
+    kept = scene_geometry.thinned(points, 200)
+    assert 100 < len(kept) <= 200
+    assert np.isfinite(points[kept]).all()
+    assert len(scene_geometry.thinned(points, 10_000)) == 900
+    assert len(scene_geometry.thinned(np.empty((0, 3)), 5)) == 0

@@ -1,0 +1,139 @@
+"""What a recording of the Rerun view holds."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scenes.rerun_site import LABELS, STAMP, chunks, hills, site
+
+from ltm_core.fuel.codes import FuelSystem, fuel_models
+from ltm_core.grid import GridGeometry
+
+pytest.importorskip("rerun", reason="the viewer's extra is not installed")
+
+from ltm_ros.viewer import RerunView, archetypes
+
+
+def test_recording_holds_scene_pictures_and_health(recording: Path) -> None:
+    rows = chunks(recording)
+    latency = [row["Scalars:scalars"] for row in rows["/health/latency_p95_ms/ridge/north/depth"] if "stamp" in row]
+    assert latency == [[81.5]]
+    assert rows["/log"][0]["TextLog:text"] == ["depth: slow"]
+    assert len(rows["/map/terrain"][0]["Mesh3D:vertex_positions"]) == 70 * 110
+    (tile, *_) = [row for name, found in rows.items() if name.startswith("/map/fuel/") for row in found]
+    assert tile["Mesh3D:albedo_factor"][0] & 0xFF < 255, "one sees the terrain through the fuel layer"
+    cells = sum(
+        len(r["Mesh3D:triangle_indices"]) // 2 for n, f in rows.items() if n.startswith("/map/fuel/") for r in f
+    )
+    assert cells == 150
+    for camera in ("north", "south"):
+        (photo,) = rows[f"/map/cameras/{camera}/photo"]
+        assert photo["stamp"] == STAMP
+        shown = cv2.imdecode(np.array(photo["EncodedImage:blob"][0], np.uint8), cv2.IMREAD_COLOR)
+        assert shown.shape == (540, 960, 3)
+        assert np.abs(shown[..., ::-1].reshape(-1, 3).mean(axis=0) - (200, 100, 30)).max() < 6, "RGB, not BGR"
+        (labels,) = rows[f"/map/cameras/{camera}/labels"]
+        ids = np.array(labels["SegmentationImage:buffer"][0], np.uint8).reshape(540, 960)
+        assert set(np.unique(ids)) == {0, 3}
+        assert (ids[200:] == 3).all()
+        assert len(rows[f"/map/points/{camera}"][0]["Points3D:positions"]) <= 15_000
+        assert rows[f"/depth/{camera}"][0]["EncodedImage:media_type"] == ["image/jpeg"]
+        difference = cv2.imdecode(
+            np.array(rows[f"/fusion/{camera}/difference"][0]["EncodedImage:blob"][0], np.uint8), cv2.IMREAD_COLOR
+        )
+        assert difference[400].mean() > difference[200].mean() + 20, "ten metres apart is brighter than none"
+        assert difference[50].mean() > 200, "the sky of both is sky"
+    assert "/fusion/north/network" in rows
+    assert "/fusion/south/network" not in rows
+    context = rows["/"][0]["AnnotationContext:context"][0]
+    names = {entry["class_id"]: entry["class_description"]["info"]["label"] for entry in context}
+    assert names[3] == "tree"
+    assert names[255] == "unlabelled"
+
+
+def test_pictures_of_the_fuel_layers_keep_their_size(tmp_path: Path) -> None:
+    """A row of JPEGs is a video to the viewer, and it refuses one whose frames differ in size."""
+    where, dem = site(north={}), hills()
+    view = RerunView("ltm ridge", where, dem, LABELS, save=tmp_path / "a.rrd")
+    shape = where.fuel_geometry(dem).shape
+    every = np.array(sorted(fuel_models().codes(FuelSystem.FBFM40)), np.int16)
+    for moment, codes in enumerate((every[:1], every[10:30], every)):
+        rasters = {name: np.ones(shape, np.uint8) for name in ("life_form", "entropy", "changed", "seen_by")}
+        view.log_fuel_layers(STAMP + moment, {**rasters, "code": np.resize(codes, shape)})
+    view.close()
+    rows = chunks(tmp_path / "a.rrd")
+    sizes = {
+        cv2.imdecode(np.array(row["EncodedImage:blob"][0], np.uint8), cv2.IMREAD_COLOR).shape[0]
+        for name in ("code", "life_form", "entropy", "seen_by")
+        for row in rows[f"/fuel_layers/{name}"]
+    }
+    assert len(sizes) == 1
+
+
+def test_a_node_has_one_colour_in_all_plots(recording: Path) -> None:
+    rows = chunks(recording)
+    colors = {
+        tuple(row["SeriesLines:colors"])
+        for name in ("rate_hz", "latency_p95_ms", "dropped")
+        for row in rows[f"/health/{name}/ridge/north/depth"]
+        if row.get("SeriesLines:colors")
+    }
+    assert len(colors) == 1
+    assert len({archetypes.distinct_color(k) for k in range(40)}) == 40
+
+
+def test_recording_holds_what_changed_and_forgets_what_changed_back(recording: Path) -> None:
+    rows = chunks(recording)
+    first, second = sorted(rows["/map/change"], key=lambda row: row["stamp"])
+    assert len(first["Points3D:positions"]) == 3
+    np.testing.assert_allclose(second["Points3D:positions"], [[100.5, 219.5, 480.0], [3.5, 292.5, 470.0]])
+
+
+def test_recording_is_small(recording: Path) -> None:
+    assert recording.stat().st_size < 4e6
+
+
+def test_layout_is_explicit_and_fetches_no_map(recording: Path) -> None:
+    from rerun.chunk import RrdReader
+
+    blueprints = RrdReader(str(recording)).blueprints()
+    assert blueprints
+    text = recording.read_bytes()
+    assert b"3D" in text
+    listing = subprocess.run(
+        [sys.executable, "-m", "rerun_cli", "rrd", "print", "-vv", str(recording)], capture_output=True, text=True
+    )
+    assert "ViewBlueprint" in listing.stdout, listing.stderr[-500:]
+    assert "MapBackground" not in listing.stdout
+    assert "MapZoom" not in listing.stdout
+
+
+def test_a_grid_with_other_edges_replaces_the_layer(tmp_path: Path) -> None:
+    dem = hills()
+    view = RerunView("ltm ridge", site(north={}), dem, LABELS, save=tmp_path / "a.rrd")
+    for left in (-600.0, -300.0):
+        classes = np.full((30, 40), 255, np.uint8)
+        classes[3, 4] = 1
+        view.log_fuel_map(STAMP + int(left), classes, GridGeometry(left, 900.0, 30.0, 40, 30))
+    view.close()
+    rows = chunks(tmp_path / "a.rrd")
+    west = [min(v[0] for v in row["Mesh3D:vertex_positions"]) for row in rows["/map/fuel/r000_c000"]]
+    assert west == [-480.0, -180.0]
+
+
+def test_an_unchanged_fuel_map_is_not_written_again(tmp_path: Path) -> None:
+    view = RerunView("ltm ridge", site(north={}), hills(), LABELS, save=tmp_path / "a.rrd")
+    geometry = GridGeometry(-600.0, 900.0, 30.0, 40, 30)
+    classes = np.full((30, 40), 255, np.uint8)
+    for moment in range(6):
+        classes[3, 4] = 1 + moment // 3
+        view.log_fuel_map(STAMP + moment, classes, geometry)
+    view.close()
+    rows = chunks(tmp_path / "a.rrd")
+    assert [row["stamp"] - STAMP for row in rows["/fuel_map/classes"]] == [0, 3]
+    assert [row["stamp"] - STAMP for row in rows["/map/fuel/r000_c000"]] == [0, 3]
