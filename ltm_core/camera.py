@@ -8,11 +8,9 @@ from functools import lru_cache
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import CameraError
-
-Array = NDArray[np.float64]
+from ltm_core.types import Float32Array, Float64Array
 
 _MOST_PIXELS = 65_535  # a side: as many as a JPEG can have
 
@@ -56,7 +54,7 @@ class Camera:
         return cls(width, height, f, f, (width - 1) / 2, (height - 1) / 2)
 
     @property
-    def matrix(self) -> Array:
+    def matrix(self) -> Float64Array:
         """K, (3, 3)."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
@@ -94,7 +92,7 @@ class Camera:
             self.distortion,
         )
 
-    def rays(self) -> Array:
+    def rays(self) -> Float64Array:
         """Unit viewing rays of all pixels in the optical frame, (H, W, 3), read-only.
 
         NaN where the distortion cannot be inverted: such a pixel lies beyond the model's fold, and no ray projects
@@ -102,12 +100,12 @@ class Camera:
         """
         return _rays(self)
 
-    def cosines(self) -> NDArray[np.float32]:
+    def cosines(self) -> Float32Array:
         """The third component of `rays()`, (H, W) float32, read-only: the depth along the optical axis (REP-118) of a
         point one metre away."""
         return _cosines(self)
 
-    def project(self, points: Array) -> Array:
+    def project(self, points: Float64Array) -> Float64Array:
         """Pixels (..., 2) of optical-frame points (..., 3); NaN behind the camera or beyond the distortion's fold."""
         points = np.asarray(points, np.float64)
         z = points[..., 2]
@@ -137,7 +135,7 @@ def _fold_radius_squared(distortion: tuple[float, float, float, float, float]) -
 
 
 @lru_cache(maxsize=4)
-def _rays(camera: Camera) -> Array:
+def _rays(camera: Camera) -> Float64Array:
     rays = np.empty((camera.height, camera.width, 3))
     if any(camera.distortion):
         _undistorted_rays(
@@ -156,7 +154,7 @@ def _rays(camera: Camera) -> Array:
 
 
 @lru_cache(maxsize=4)
-def _cosines(camera: Camera) -> NDArray[np.float32]:
+def _cosines(camera: Camera) -> Float32Array:
     cosines = np.ascontiguousarray(_rays(camera)[..., 2], np.float32)
     cosines.flags.writeable = False
     return cosines
@@ -182,7 +180,7 @@ def _radial_inverse(distorted: float, k1: float, k2: float, k3: float, fold: flo
 
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _undistorted_rays(rays: Array, intrinsics: Array, distortion: Array, fold: float) -> None:
+def _undistorted_rays(rays: Float64Array, intrinsics: Float64Array, distortion: Float64Array, fold: float) -> None:
     """Newton's method on the two distortion equations; a pixel that does not converge inside the fold is NaN.
 
     It starts at the distorted point. Where the model all but folds, steps from there may never settle; then a second

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pyproj import CRS
 
 from ltm_core.errors import RasterError
 from ltm_core.geodesy import SiteFrame
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.dem_io import horizontal, read_heights
+from ltm_core.types import Float32Array, Float64Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +24,7 @@ class Dem:
     bilinear between them. Raises RasterError when shape and geometry disagree or no height is known.
     """
 
-    elevation: NDArray[np.float32]
+    elevation: Float32Array
     geometry: GridGeometry
 
     def __post_init__(self) -> None:
@@ -59,7 +60,7 @@ class Dem:
             )
         return Dem(self.elevation, self.geometry.translated(-frame.x_origin, -frame.y_origin))
 
-    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Float64Array:
         """Bilinear height at map points, metres; NaN outside the outermost cell centres and beside nodata."""
         row, col = self.geometry.to_grid(x, y)
         height, width = self.elevation.shape

@@ -5,18 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.errors import ImageError
 from ltm_core.pose import Pose
+from ltm_core.types import UInt8Array
 
 
 @dataclass(frozen=True, eq=False)
 class PosedImage:
     """`image`: (H, W, 3) uint8 RGB; `stamp_ns`: when it was taken, nanoseconds. Raises ImageError on another shape."""
 
-    image: NDArray[np.uint8]
+    image: UInt8Array
     camera: Camera
     pose: Pose
     stamp_ns: int

@@ -11,13 +11,12 @@ from datetime import date
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pyproj import CRS, Proj, Transformer
 from pyproj.exceptions import CRSError
 
 from ltm_core.errors import ConfigError
-
-Array = NDArray[np.float64]
+from ltm_core.types import Float64Array
 
 EARTH_RADIUS = 6_371_008.8
 """Mean radius of the WGS 84 ellipsoid, metres (IUGG R1)."""
@@ -56,12 +55,12 @@ class SiteFrame:
                 f"a site needs a projected CRS in metres, such as its UTM zone; {self.crs!r} is {crs.name}"
             )
 
-    def from_lonlat(self, lon: ArrayLike, lat: ArrayLike) -> tuple[Array, Array]:
+    def from_lonlat(self, lon: ArrayLike, lat: ArrayLike) -> tuple[Float64Array, Float64Array]:
         """WGS 84 degrees to map (x, y)."""
         x, y = _from_wgs84(self.crs).transform(lon, lat)
         return np.asarray(x) - self.x_origin, np.asarray(y) - self.y_origin
 
-    def to_lonlat(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
+    def to_lonlat(self, x: ArrayLike, y: ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Map (x, y) to WGS 84 degrees."""
         lon, lat = _from_wgs84(self.crs).transform(
             np.asarray(x, np.float64) + self.x_origin,

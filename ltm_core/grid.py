@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ltm_core.errors import RasterError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from ltm_core.types import BoolArray, Float64Array, Int64Array
 
 
 @dataclass(frozen=True)
@@ -56,19 +54,19 @@ class GridGeometry:
         """(x_min, y_min, x_max, y_max)."""
         return self.x_min, self.y_min, self.x_max, self.y_max
 
-    def to_grid(self, x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
+    def to_grid(self, x: ArrayLike, y: ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Map coordinates to fractional (row, col); integers fall on cell centres."""
         col = (np.asarray(x, np.float64) - self.x_min) / self.resolution - 0.5
         row = (self.y_max - np.asarray(y, np.float64)) / self.resolution - 0.5
         return row, col
 
-    def to_map(self, row: ArrayLike, col: ArrayLike) -> tuple[Floats, Floats]:
+    def to_map(self, row: ArrayLike, col: ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Fractional (row, col) to map coordinates (x, y)."""
         x = self.x_min + (np.asarray(col, np.float64) + 0.5) * self.resolution
         y = self.y_max - (np.asarray(row, np.float64) + 0.5) * self.resolution
         return x, y
 
-    def cell_of(self, x: ArrayLike, y: ArrayLike) -> tuple[Ints, Ints]:
+    def cell_of(self, x: ArrayLike, y: ArrayLike) -> tuple[Int64Array, Int64Array]:
         """The (row, col) of the cell that holds each point; may lie outside the raster (see `contains`).
 
         Cells partition the plane: a point on a shared edge belongs to the cell to its east or south.
@@ -77,10 +75,10 @@ class GridGeometry:
         row = np.floor((self.y_max - np.asarray(y, np.float64)) / self.resolution).astype(np.int64)
         return row, col
 
-    def contains(self, row: ArrayLike, col: ArrayLike) -> NDArray[np.bool_]:
+    def contains(self, row: ArrayLike, col: ArrayLike) -> BoolArray:
         """Which cell indices lie inside the raster."""
         row, col = np.asarray(row), np.asarray(col)
-        inside: NDArray[np.bool_] = (row >= 0) & (row < self.height) & (col >= 0) & (col < self.width)
+        inside: BoolArray = (row >= 0) & (row < self.height) & (col >= 0) & (col < self.width)
         return inside
 
     def translated(self, dx: float, dy: float, crs: str | None = None) -> GridGeometry:

@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from ltm_core.errors import PoseError
-
-Array = NDArray[np.float64]
+from ltm_core.types import Float64Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +22,8 @@ class Pose:
     (x right, y down, z forward) to map frame. Raises PoseError on NaN or on a matrix that is no rotation.
     """
 
-    position: Array
-    rotation: Array
+    position: Float64Array
+    rotation: Float64Array
 
     def __post_init__(self) -> None:
         position = np.array(self.position, np.float64)
@@ -103,10 +102,10 @@ class Pose:
         x, y, z, w = Rotation.from_matrix(self.rotation).as_quat(canonical=True)
         return float(x), float(y), float(z), float(w)
 
-    def to_map(self, points_optical: Array) -> Array:
+    def to_map(self, points_optical: Float64Array) -> Float64Array:
         """Optical-frame points (..., 3) in the map frame."""
         return np.asarray(np.asarray(points_optical) @ self.rotation.T + self.position, np.float64)
 
-    def to_optical(self, points_map: Array) -> Array:
+    def to_optical(self, points_map: Float64Array) -> Float64Array:
         """Map-frame points (..., 3) in the optical frame."""
         return np.asarray((np.asarray(points_map, np.float64) - self.position) @ self.rotation, np.float64)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.errors import ImageError
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
+from ltm_core.types import Float32Array, Int32Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +23,7 @@ class RangeImage:
     `geometry`: the raster whose cells `cells()` counts.
     """
 
-    range: NDArray[np.float32]
+    range: Float32Array
     camera: Camera
     pose: Pose
     bend: float = 0.0
@@ -39,7 +39,7 @@ class RangeImage:
     @classmethod
     def from_depth(
         cls,
-        depth: NDArray[np.float32],
+        depth: Float32Array,
         camera: Camera,
         pose: Pose,
         bend: float = 0.0,
@@ -53,12 +53,12 @@ class RangeImage:
         slant = (depth / camera.cosines()).astype(np.float32, copy=False)
         return cls(slant, camera, pose, bend, geometry)
 
-    def depth(self) -> NDArray[np.float32]:
+    def depth(self) -> Float32Array:
         """Distance along the optical axis, (H, W) metres (REP-118)."""
-        depth: NDArray[np.float32] = self.range * self.camera.cosines()
+        depth: Float32Array = self.range * self.camera.cosines()
         return depth
 
-    def horizontal(self) -> NDArray[np.float32]:
+    def horizontal(self) -> Float32Array:
         """Horizontal distance from the camera, (H, W) metres: the paper's depth (Algorithm 1, line 9)."""
         up = self.camera.rays() @ self.pose.rotation[2]
         cosine = np.sqrt(np.maximum(0.0, 1.0 - up * up))
@@ -66,7 +66,7 @@ class RangeImage:
             horizontal = (self.range * cosine).astype(np.float32)
         return np.where(np.isinf(self.range), np.float32(np.inf), horizontal)
 
-    def points(self) -> NDArray[np.float32]:
+    def points(self) -> Float32Array:
         """Map coordinates of what each pixel sees, (H, W, 3) metres; NaN where the range is not finite."""
         directions = self.camera.rays() @ self.pose.rotation.T
         slant = np.where(np.isfinite(self.range), self.range, np.nan).astype(np.float64)
@@ -76,7 +76,7 @@ class RangeImage:
         points += self.pose.position
         return points.astype(np.float32)
 
-    def cells(self) -> NDArray[np.int32]:
+    def cells(self) -> Int32Array:
         """The DEM cell (row, col) that each pixel sees, (H, W, 2); -1 where it sees none. The paper's img-DEM."""
         if self.geometry is None:
             raise ImageError("this range image was made without a raster, so it has no cells")
@@ -96,7 +96,7 @@ class DepthImage:
     `along`: (H, W) float32 metres along the optical axis (REP-118); +inf sky, NaN unknown.
     """
 
-    along: NDArray[np.float32]
+    along: Float32Array
     camera: Camera
     pose: Pose
 
@@ -107,6 +107,6 @@ class DepthImage:
                 f"{self.camera.height} x {self.camera.width} (rows x columns)"
             )
 
-    def depth(self) -> NDArray[np.float32]:
+    def depth(self) -> Float32Array:
         """As `RangeImage.depth`: row after row, without a copy where they lie so."""
         return np.ascontiguousarray(self.along)

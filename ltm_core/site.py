@@ -107,7 +107,7 @@ class TerrainConfig(Config):
     """Two looks of one camera are independent when they are that far apart."""
     settle: float = Field(600.0, ge=0)
     """Two cameras must agree over at least that long: what moves is gone by then."""
-    repeats: float = Field(0.95, ge=0, le=1)
+    repeated_error_share: float = Field(0.95, ge=0, le=1)
     """Of the variance of a depth, what each look of a camera has alike, which no number of them averages out. A network
     sees the same scene alike in any light; 0: depth whose errors are new each time, as a range finder's (then `alone`
     need not be more than `confidence`)."""

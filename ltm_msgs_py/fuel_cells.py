@@ -17,6 +17,7 @@ from sensor_msgs.msg import PointCloud2
 from ltm_core.errors import MessageError
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.grid import GridGeometry
+from ltm_core.types import Int64Array
 from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns, take
 
 _FIELDS: Final[dict[str, Any]] = {
@@ -35,8 +36,8 @@ _FIELDS: Final[dict[str, Any]] = {
 class FuelCells:
     """(N,) each: row and col of the fuel grid, and the layers of `FuelLayers` there by name."""
 
-    rows: NDArray[np.int64]
-    cols: NDArray[np.int64]
+    rows: Int64Array
+    cols: Int64Array
     layers: dict[str, NDArray[Any]]
 
     def raster(self, name: str, shape: tuple[int, int], elsewhere: float) -> NDArray[Any]:

@@ -11,19 +11,17 @@ from typing import Any
 
 import numpy as np
 from nav_msgs.msg import OccupancyGrid
-from numpy.typing import NDArray
 
 from ltm_core.errors import MessageError
 from ltm_core.grid import GridGeometry
+from ltm_core.types import UInt8Array
 from ltm_msgs_py.stamp import make_header, ns_to_time
 
 UNKNOWN = 255
 LARGEST_CLASS = 127
 
-Classes = NDArray[np.uint8]
 
-
-def classes_to_msg(classes: Classes, geometry: GridGeometry, stamp_ns: int, frame_id: str = "map") -> OccupancyGrid:
+def classes_to_msg(classes: UInt8Array, geometry: GridGeometry, stamp_ns: int, frame_id: str = "map") -> OccupancyGrid:
     """A grid of class indices, (H, W) uint8 north up with 255 unknown, as an OccupancyGrid with -1 unknown.
 
     Class indices 0..127 fit int8; codes such as fuel model numbers (up to 204) do not. Raises MessageError on those, or
@@ -53,7 +51,7 @@ def classes_to_msg(classes: Classes, geometry: GridGeometry, stamp_ns: int, fram
 
 
 def tile_to_msg(
-    classes: Classes,
+    classes: UInt8Array,
     geometry: GridGeometry,
     window: tuple[int, int, int, int],
     stamp_ns: int,
@@ -72,7 +70,7 @@ def tile_to_msg(
     return classes_to_msg(part, geometry.window(row, col, height, width), stamp_ns, frame_id)
 
 
-def msg_to_classes(msg: Any, crs: str | None = None) -> tuple[Classes, GridGeometry]:
+def msg_to_classes(msg: Any, crs: str | None = None) -> tuple[UInt8Array, GridGeometry]:
     """The class grid, (H, W) uint8 north up with 255 unknown, and the geometry of an OccupancyGrid.
 
     Raises MessageError when the data's length is not width * height, a cell is below -1, the grid is empty, turned,

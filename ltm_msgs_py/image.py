@@ -18,10 +18,8 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image
 
 from ltm_core.errors import ImageError
+from ltm_core.types import Float32Array, UInt8Array
 from ltm_msgs_py.stamp import make_header
-
-Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -111,7 +109,7 @@ def msg_to_array(msg: Any, encodings: tuple[str, ...] = tuple(ENCODINGS)) -> NDA
     return pixels if dtype.isnative else pixels.astype(spec.dtype)
 
 
-def msg_to_rgb(msg: Any) -> Bytes:
+def msg_to_rgb(msg: Any) -> UInt8Array:
     """A colour or grey Image as (H, W, 3) uint8 RGB; no copy when it is rgb8. mono16 keeps its high byte.
 
     Raises ImageError as `msg_to_array` does.
@@ -131,12 +129,12 @@ def msg_to_rgb(msg: Any) -> Bytes:
     return _converted(pixels, cv2.COLOR_GRAY2RGB)
 
 
-def depth_to_msg(depth: Floats, stamp_ns: int, frame_id: str, out: Image | None = None) -> Image:
+def depth_to_msg(depth: Float32Array, stamp_ns: int, frame_id: str, out: Image | None = None) -> Image:
     """A depth image, (H, W) float32 metres along the optical axis, as 32FC1 (REP-118). Raises ImageError."""
     return image_to_msg(depth, "32FC1", stamp_ns, frame_id, out)
 
 
-def msg_to_depth(msg: Any) -> Floats:
+def msg_to_depth(msg: Any) -> Float32Array:
     """A depth Image as (H, W) float32 metres: 32FC1 as it is (no copy), 16UC1 from millimetres with 0 as NaN.
 
     Source: REP-118. Raises ImageError as `msg_to_array` does.
@@ -164,7 +162,7 @@ def compressed_to_msg(data: bytes, image_format: str, stamp_ns: int, frame_id: s
     return msg
 
 
-def encode_rgb(image: Bytes, image_format: str = "jpeg", quality: int = 92) -> bytes:
+def encode_rgb(image: UInt8Array, image_format: str = "jpeg", quality: int = 92) -> bytes:
     """(H, W, 3) uint8 RGB as JPEG (of `quality` 1..100) or PNG bytes. Raises ImageError."""
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or 0 in image.shape:
         raise ImageError(f"an image to compress must be (H, W, 3) uint8, got {image.shape} {image.dtype}")
@@ -179,7 +177,7 @@ def encode_rgb(image: Bytes, image_format: str = "jpeg", quality: int = 92) -> b
     return bytes(encoded.tobytes())
 
 
-def compressed_to_rgb(msg: Any) -> Bytes:
+def compressed_to_rgb(msg: Any) -> UInt8Array:
     """A CompressedImage (jpeg or png, told by its bytes) as (H, W, 3) uint8 RGB, in stored pixel order.
 
     An EXIF orientation tag is left aside: the calibration counts the pixels as they are stored. Raises ImageError with
@@ -188,7 +186,7 @@ def compressed_to_rgb(msg: Any) -> Bytes:
     return decode_rgb(bytes(memoryview(msg.data)), f"CompressedImage with format {msg.format!r}")
 
 
-def decode_rgb(data: bytes, what: str = "image") -> Bytes:
+def decode_rgb(data: bytes, what: str = "image") -> UInt8Array:
     """JPEG or PNG bytes as (H, W, 3) uint8 RGB; `what` names the image in errors. See `compressed_to_rgb`."""
     found = _format_of(data)
     if found is None:
@@ -220,7 +218,7 @@ def _spec(encoding: str, taken: tuple[str, ...], purpose: str) -> _Encoding:
     return ENCODINGS[encoding]
 
 
-def _converted(pixels: NDArray[Any], code: int) -> Bytes:
+def _converted(pixels: NDArray[Any], code: int) -> UInt8Array:
     return np.asarray(cv2.cvtColor(pixels, code), np.uint8)
 
 

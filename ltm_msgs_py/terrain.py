@@ -16,12 +16,13 @@ from sensor_msgs.msg import PointCloud2
 from ltm_core.grid import GridGeometry
 from ltm_core.terrain.change import Changed
 from ltm_core.terrain.layers import SurfaceLayers
+from ltm_core.types import Float32Array
 from ltm_msgs_py.grid import UNKNOWN, classes_to_msg
 from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns, take
 
 
 def changed_to_msg(
-    changed: Changed, heights: NDArray[np.float32], geometry: GridGeometry, stamp_ns: int, frame_id: str = "map"
+    changed: Changed, heights: Float32Array, geometry: GridGeometry, stamp_ns: int, frame_id: str = "map"
 ) -> PointCloud2:
     """`heights`: (N,) of the updated surface at the changed cells; `geometry`: the terrain's grid."""
     x, y = geometry.to_map(changed.rows, changed.cols)
@@ -37,7 +38,7 @@ def changed_to_msg(
     return columns_to_msg(columns, stamp_ns, frame_id, is_dense=bool(np.isfinite(heights).all()))
 
 
-def msg_to_changed(msg: Any) -> tuple[Changed, NDArray[np.float32]]:
+def msg_to_changed(msg: Any) -> tuple[Changed, Float32Array]:
     """The changed cells, with kind 0 before, and their heights. Raises MessageError on other fields or types."""
     columns = msg_to_columns(msg)
     rows, cols = (take(columns, name, np.int32, "terrain update") for name in ("row", "col"))

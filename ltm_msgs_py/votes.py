@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
 from ltm_core.errors import MessageError
-from ltm_core.fuel.cell_visibility import CellSighting
+from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
+from ltm_core.types import Int32Array, Int64Array
 from ltm_msgs_py.pointcloud import Columns, columns_to_msg, msg_to_columns, take
 from ltm_msgs_py.stamp import stamp_of
 
@@ -29,8 +30,8 @@ _HEADER_BYTES = 1_500
 """Bound of what a message holds besides its points: header, names of fields."""
 _AXES = ("x", "y", "z")
 _LENGTHS = ("footprint_dm", "sigma_along_dm", "sigma_across_dm")
-_SIGHTING = ("cos_incidence", *_LENGTHS, "bearing_deg")
-_RESERVED = (*_AXES, "row", "col", "confidence", *_SIGHTING)
+_VISIBILITY = ("cos_incidence", *_LENGTHS, "bearing_deg")
+_RESERVED = (*_AXES, "row", "col", "confidence", *_VISIBILITY)
 _MOST = 65_535
 
 
@@ -69,8 +70,8 @@ def votes_to_msg(votes: CellVotes, class_names: Sequence[str], frame_id: str = "
             columns[name] = np.rint(votes.counts[:, k] * scale).astype(np.uint16)
     if votes.confidence is not None:
         columns["confidence"] = _scaled(votes.confidence, 255, np.uint8)
-    if votes.sighting is not None:
-        seen = votes.sighting
+    if votes.visibility is not None:
+        seen = votes.visibility
         columns["cos_incidence"] = _scaled(seen.cos_incidence, 255, np.uint8)
         for name, length in zip(_LENGTHS, (seen.footprint, seen.sigma_along, seen.sigma_across), strict=True):
             columns[name] = _scaled(length, 10, np.uint16)
@@ -110,14 +111,12 @@ def _checked_columns(msg: Any, geometry: GridGeometry, names: Sequence[str], wha
             f"the fuel grid has {cells}, whose votes take {most} bytes at most"
         )
     columns = msg_to_columns(msg)
-    if foreign := sorted(columns.keys() - {*_AXES, "confidence", *_SIGHTING, *names}):
+    if foreign := sorted(columns.keys() - {*_AXES, "confidence", *_VISIBILITY, *names}):
         raise MessageError(f"{what} have the fields {', '.join(foreign)}; classes here are {', '.join(names)}")
     return columns
 
 
-def _cells_at(
-    x: NDArray[Any], y: NDArray[Any], geometry: GridGeometry, what: str
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _cells_at(x: NDArray[Any], y: NDArray[Any], geometry: GridGeometry, what: str) -> tuple[Int32Array, Int32Array]:
     """Rows and columns of the cells whose centres these points are."""
     row, col = geometry.to_grid(x, y)
     with np.errstate(invalid="ignore"):
@@ -146,15 +145,15 @@ def _cells_at(
     return rows, cols
 
 
-def _sighting(columns: Columns, what: str) -> CellSighting | None:
-    if not columns.keys() & set(_SIGHTING):
+def _sighting(columns: Columns, what: str) -> CellVisibility | None:
+    if not columns.keys() & set(_VISIBILITY):
         return None
     cosine = take(columns, "cos_incidence", np.uint8, what).astype(np.float32) / np.float32(255)
     footprint, along, across = (
         take(columns, name, np.uint16, what).astype(np.float32) / np.float32(10) for name in _LENGTHS
     )
     bearing = np.radians(take(columns, "bearing_deg", np.uint16, what).astype(np.float32))
-    return CellSighting(cosine, footprint, along, across, bearing)
+    return CellVisibility(cosine, footprint, along, across, bearing)
 
 
 def _scaled(values: NDArray[Any], factor: float, dtype: Any) -> NDArray[Any]:
@@ -165,10 +164,10 @@ def _scaled(values: NDArray[Any], factor: float, dtype: Any) -> NDArray[Any]:
 
 def _point_bytes(votes: CellVotes) -> int:
     classes = int(votes.counts.any(axis=0).sum())
-    return 12 + 2 * classes + (votes.confidence is not None) + (9 if votes.sighting is not None else 0)
+    return 12 + 2 * classes + (votes.confidence is not None) + (9 if votes.visibility is not None else 0)
 
 
-def _cells(votes: CellVotes) -> NDArray[np.int64]:
+def _cells(votes: CellVotes) -> Int64Array:
     return votes.rows.astype(np.int64) * votes.geometry.width + votes.cols
 
 

@@ -38,7 +38,7 @@ LEAST_MEMORY_GB = 4.0
 INSTALL = "pip install"
 
 
-class State(StrEnum):
+class Condition(StrEnum):
     OK = "ok"
     OPTIONAL = "optional"
     """Absent, and only some commands need it."""
@@ -52,7 +52,7 @@ class State(StrEnum):
 class Finding:
     area: str
     name: str
-    state: State
+    state: Condition
     detail: str
     remedy: str = ""
     """Command that mends it."""
@@ -69,21 +69,21 @@ def as_json(findings: list[Finding]) -> str:
 
 def healthy(findings: list[Finding]) -> bool:
     """Whether nothing required is missing."""
-    return not any(finding.state is State.MISSING for finding in findings)
+    return not any(finding.state is Condition.MISSING for finding in findings)
 
 
 def summed_up(findings: list[Finding]) -> list[Finding]:
     """The same with the packages of one area that are as they should be in one line."""
     lines: list[Finding] = []
     for finding in findings:
-        if not finding.area.startswith("packages") or finding.state is not State.OK:
+        if not finding.area.startswith("packages") or finding.state is not Condition.OK:
             lines.append(finding)
             continue
         part = f"{finding.name} {finding.detail}"
-        if lines and (lines[-1].area, lines[-1].state, lines[-1].name) == (finding.area, State.OK, ""):
-            lines[-1] = Finding(finding.area, "", State.OK, f"{lines[-1].detail}, {part}")
+        if lines and (lines[-1].area, lines[-1].state, lines[-1].name) == (finding.area, Condition.OK, ""):
+            lines[-1] = Finding(finding.area, "", Condition.OK, f"{lines[-1].detail}, {part}")
         else:
-            lines.append(Finding(finding.area, "", State.OK, part))
+            lines.append(Finding(finding.area, "", Condition.OK, part))
     return lines
 
 
@@ -109,7 +109,7 @@ def _python() -> Iterator[Finding]:
     yield Finding(
         "python",
         "Python",
-        State.OK if fine else State.MISSING,
+        Condition.OK if fine else Condition.MISSING,
         f"{version} in {sys.prefix}",
         "" if fine else "install Python 3.11 or newer, then `make demo`",
     )
@@ -121,21 +121,21 @@ def _packages() -> Iterator[Finding]:
             if requirement.marker is not None and not requirement.marker.evaluate({"extra": extra}):
                 continue
             area = f"packages [{extra}]" if extra else "packages"
-            absent = State.OPTIONAL if extra else State.MISSING
+            absent = Condition.OPTIONAL if extra else Condition.MISSING
             if extra == "ros" and _distribution(requirement.name) is None:
                 # The ROS part looks at what there is instead: it may come from apt.
                 continue
             yield _package(area, requirement, absent)
 
 
-def _package(area: str, requirement: Requirement, absent: State) -> Finding:
+def _package(area: str, requirement: Requirement, absent: Condition) -> Finding:
     version = _distribution(requirement.name)
     remedy = f"{INSTALL} '{requirement.name}{requirement.specifier}'"
     if version is None:
         return Finding(area, requirement.name, absent, "not installed", remedy)
     if not requirement.specifier.contains(version, prereleases=True):
         return Finding(area, requirement.name, absent, f"{version}, needed {requirement.specifier}", remedy)
-    return Finding(area, requirement.name, State.OK, version)
+    return Finding(area, requirement.name, Condition.OK, version)
 
 
 def _distribution(name: str) -> str | None:
@@ -149,18 +149,18 @@ def _ros() -> Iterator[Finding]:
     remedy = f"{INSTALL} 'ltm[ros]' (x86-64), or: apt install ros-jazzy-ros-base && source /opt/ros/jazzy/setup.sh"
     spec = importlib.util.find_spec("rclpy")
     if spec is None or spec.origin is None:
-        yield Finding("ros", "rclpy", State.MISSING, "not found", remedy)
+        yield Finding("ros", "rclpy", Condition.MISSING, "not found", remedy)
         return
     place = Path(spec.origin).parent
     wheel = _distribution("ros-jazzy-rclpy")
     from_wheels = wheel is not None and place.is_relative_to(sys.prefix)
     kind = f"pip wheel {wheel}" if from_wheels else f"ROS {os.environ.get('ROS_DISTRO', 'of unknown distribution')}"
-    yield Finding("ros", "rclpy", State.OK, f"{kind}, {place}")
+    yield Finding("ros", "rclpy", Condition.OK, f"{kind}, {place}")
     absent = [name for name in MESSAGE_PACKAGES if importlib.util.find_spec(name) is None]
     if absent:
-        yield Finding("ros", "messages", State.MISSING, f"no {', '.join(absent)}", remedy)
+        yield Finding("ros", "messages", Condition.MISSING, f"no {', '.join(absent)}", remedy)
     else:
-        yield Finding("ros", "messages", State.OK, ", ".join(MESSAGE_PACKAGES))
+        yield Finding("ros", "messages", Condition.OK, ", ".join(MESSAGE_PACKAGES))
 
 
 def _transport() -> Iterator[Finding]:
@@ -170,11 +170,11 @@ def _transport() -> Iterator[Finding]:
     given = next((name for name in PROFILE_VARIABLES if os.environ.get(name)), None)
     profile = Path(environment[given or PROFILE_VARIABLES[0]])
     if profile.is_file():
-        yield Finding("transport", "profile", State.OK, f"{profile} ({f'from {given}' if given else 'our own'})")
+        yield Finding("transport", "profile", Condition.OK, f"{profile} ({f'from {given}' if given else 'our own'})")
     else:
-        yield Finding("transport", "profile", State.MISSING, f"{given}={profile} is no file", f"unset {given}")
+        yield Finding("transport", "profile", Condition.MISSING, f"{given}={profile} is no file", f"unset {given}")
     domain, reach = environment.get("ROS_DOMAIN_ID", "0"), environment["ROS_AUTOMATIC_DISCOVERY_RANGE"]
-    yield Finding("transport", "discovery", State.OK, f"domain {domain}, range {reach}")
+    yield Finding("transport", "discovery", Condition.OK, f"domain {domain}, range {reach}")
     yield _participant(environment)
 
 
@@ -185,28 +185,32 @@ def _participant(environment: Mapping[str, str]) -> Finding:
     try:
         ran = subprocess.run(command, env=dict(environment), capture_output=True, text=True, timeout=60)
     except subprocess.TimeoutExpired:
-        return Finding("transport", "participant", State.MISSING, f"{wanted}: did not start within 60 s")
+        return Finding("transport", "participant", Condition.MISSING, f"{wanted}: did not start within 60 s")
     lines = [line for line in ran.stdout.splitlines() if line.startswith("{")]
     if ran.returncode != 0 or not lines:
         last = (ran.stderr.strip() or ran.stdout.strip() or f"exit code {ran.returncode}").splitlines()[-1]
         return Finding(
             "transport",
             "participant",
-            State.MISSING,
+            Condition.MISSING,
             f"{wanted}: {last}",
             f"unset RMW_IMPLEMENTATION; {INSTALL} 'ltm[ros]'",
         )
     answer = json.loads(lines[-1])
     largest = max(answer["segment_bytes"], default=0)
     if answer["rmw"] != "rmw_fastrtps_cpp":
-        return Finding("transport", "participant", State.OK, f"{answer['rmw']}: configure it for images yourself")
+        return Finding("transport", "participant", Condition.OK, f"{answer['rmw']}: configure it for images yourself")
     if largest < 32 << 20:
         detail = f"shared memory of {largest / 1e6:.1f} MB: too small for images, some will be lost"
         return Finding(
-            "transport", "participant", State.WARNING, detail, "enlarge /dev/shm (see below), unset profile variables"
+            "transport",
+            "participant",
+            Condition.WARNING,
+            detail,
+            "enlarge /dev/shm (see below), unset profile variables",
         )
     return Finding(
-        "transport", "participant", State.OK, f"{answer['rmw']}, shared memory of {largest / 1e6:.0f} MB and UDP"
+        "transport", "participant", Condition.OK, f"{answer['rmw']}, shared memory of {largest / 1e6:.0f} MB and UDP"
     )
 
 
@@ -216,7 +220,7 @@ def _shared_memory() -> Iterator[Finding]:
         yield Finding(
             "shared memory",
             "/dev/shm",
-            State.WARNING,
+            Condition.WARNING,
             "not there: images go over UDP, slowly",
             "mount -t tmpfs tmpfs /dev/shm",
         )
@@ -226,7 +230,7 @@ def _shared_memory() -> Iterator[Finding]:
     yield Finding(
         "shared memory",
         "/dev/shm",
-        State.OK if free >= needed else State.WARNING,
+        Condition.OK if free >= needed else Condition.WARNING,
         f"{free >> 20} MB free, enough for {nodes} nodes",
         "" if free >= needed else "mount -o remount,size=2G /dev/shm, or docker run --shm-size=2g",
     )
@@ -234,7 +238,7 @@ def _shared_memory() -> Iterator[Finding]:
     yield Finding(
         "shared memory",
         "segments",
-        State.WARNING if seen.stale else State.OK,
+        Condition.WARNING if seen.stale else Condition.OK,
         f"{seen.segments_in_use} in use, {len(seen.stale)} objects of dead processes ({seen.stale_bytes >> 20} MB)",
         "fastdds shm clean (`ltm run` also does it)" if seen.stale else "",
     )
@@ -247,7 +251,7 @@ def _models() -> Iterator[Finding]:
 
     names = shipped_names()
     for name in dict.fromkeys([DEFAULT_MODEL, *names]):
-        absent = State.MISSING if name == DEFAULT_MODEL else State.OPTIONAL
+        absent = Condition.MISSING if name == DEFAULT_MODEL else Condition.OPTIONAL
         try:
             model = OnnxModel(Manifest.find(name))
         except LtmError as error:
@@ -256,7 +260,7 @@ def _models() -> Iterator[Finding]:
             )
             continue
         role = " (default)" if name == DEFAULT_MODEL else ""
-        yield Finding("models", name, State.OK, f"{model.path}{role}, checksum as its manifest states")
+        yield Finding("models", name, Condition.OK, f"{model.path}{role}, checksum as its manifest states")
 
 
 def _machine() -> Iterator[Finding]:
@@ -264,7 +268,7 @@ def _machine() -> Iterator[Finding]:
     yield Finding(
         "machine",
         "cores",
-        State.OK if cores >= 2 else State.WARNING,
+        Condition.OK if cores >= 2 else Condition.WARNING,
         f"{cores} for this process",
         "" if cores >= 2 else "give it two: nodes wait for each other on one",
     )
@@ -272,7 +276,7 @@ def _machine() -> Iterator[Finding]:
     yield Finding(
         "machine",
         "memory",
-        State.OK if memory >= LEAST_MEMORY_GB else State.WARNING,
+        Condition.OK if memory >= LEAST_MEMORY_GB else Condition.WARNING,
         f"{memory:.1f} GB for this process",
         "" if memory >= LEAST_MEMORY_GB else f"give it {LEAST_MEMORY_GB:.0f} GB, or run fewer cameras with --only",
     )
@@ -280,7 +284,7 @@ def _machine() -> Iterator[Finding]:
     yield Finding(
         "machine",
         "numba cache",
-        State.OK if folder else State.WARNING,
+        Condition.OK if folder else Condition.WARNING,
         str(folder) if folder else "no writable folder: kernels are compiled anew at each start",
         "" if folder else "export NUMBA_CACHE_DIR=/a/writable/folder",
     )

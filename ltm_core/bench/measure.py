@@ -73,7 +73,7 @@ def available_mb() -> float | None:
 
 
 @dataclass(frozen=True)
-class Conditions:
+class Machine:
     """The machine and the versions behind a set of figures."""
 
     cpu: str
@@ -87,7 +87,7 @@ class Conditions:
         return asdict(self)
 
 
-def conditions(packages: tuple[str, ...]) -> Conditions:
+def conditions(packages: tuple[str, ...]) -> Machine:
     """Those of now; packages that are not installed are left out."""
     found = {}
     for package in packages:
@@ -96,7 +96,7 @@ def conditions(packages: tuple[str, ...]) -> Conditions:
         except PackageNotFoundError:
             continue
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return Conditions(_cpu_name(), cores, os.getloadavg(), platform.python_version(), found)
+    return Machine(_cpu_name(), cores, os.getloadavg(), platform.python_version(), found)
 
 
 def _cpu_name() -> str:

@@ -11,10 +11,10 @@ import math
 
 import numpy as np
 from numba import njit, prange
-from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
+from ltm_core.types import Float32Array
 
 _WAVELENGTH = 2100.0  # metres from ridge to ridge
 _OCTAVES = 9
@@ -57,7 +57,7 @@ def _noise(x: float, y: float, octave: int) -> float:
 
 
 @njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
-def _fill(elevation: NDArray[np.float32]) -> None:
+def _fill(elevation: Float32Array) -> None:
     height, width = elevation.shape
     for row in prange(height):
         for col in range(width):

@@ -12,23 +12,21 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.pose import Pose
-
-Floats = NDArray[np.float64]
+from ltm_core.types import Float32Array, Float64Array, Int32Array
 
 
 @dataclass(frozen=True)
-class View:
+class TracedView:
     """What is traced: a camera at a pose."""
 
     camera: Camera
     pose: Pose
 
-    def rays(self) -> Floats:
+    def rays(self) -> Float64Array:
         """(N, 3) unit vectors in the map frame, row after row."""
         return np.ascontiguousarray((self.camera.rays() @ self.pose.rotation.T).reshape(-1, 3))
 
@@ -36,7 +34,7 @@ class View:
 class Peer(Protocol):
     """A tracer set up over a DEM."""
 
-    def prepare(self, view: View) -> Callable[[], Any]:
+    def prepare(self, view: TracedView) -> Callable[[], Any]:
         """The tracing of one view as a call without arguments; what it needs made beforehand is made here."""
         ...
 
@@ -52,7 +50,7 @@ class Embreex:
         self._scene = EmbreeScene()
         self._mesh = TriangleMesh(self._scene, vertices, faces)
 
-    def prepare(self, view: View) -> Callable[[], Any]:
+    def prepare(self, view: TracedView) -> Callable[[], Any]:
         rays = view.rays().astype(np.float32)
         origins = np.broadcast_to(view.pose.position.astype(np.float32), rays.shape).copy()
         return lambda: self._scene.run(origins, rays, query="DISTANCE")
@@ -69,7 +67,7 @@ class Open3D:
         self._scene.add_triangles(o3d.core.Tensor(vertices), o3d.core.Tensor(faces.astype(np.uint32)))
         self._tensor = o3d.core.Tensor
 
-    def prepare(self, view: View) -> Callable[[], Any]:
+    def prepare(self, view: TracedView) -> Callable[[], Any]:
         rays = view.rays()
         origins = np.broadcast_to(view.pose.position, rays.shape)
         both = self._tensor(np.concatenate([origins, rays], axis=1).astype(np.float32))
@@ -92,7 +90,7 @@ class Mitsuba:
         parameters.update()
         self._scene = mi.load_dict({"type": "scene", "terrain": mesh})
 
-    def prepare(self, view: View) -> Callable[[], Any]:
+    def prepare(self, view: TracedView) -> Callable[[], Any]:
         import drjit as dr
         import mitsuba as mi
 
@@ -113,7 +111,7 @@ class March:
     def __init__(self, dem: Dem) -> None:
         self._dem = dem
 
-    def prepare(self, view: View) -> Callable[[], Any]:
+    def prepare(self, view: TracedView) -> Callable[[], Any]:
         from ltm_core.tracing.baselines.march import march
 
         rays = view.rays()
@@ -127,14 +125,14 @@ class NumpyMarch:
     def __init__(self, dem: Dem) -> None:
         self._dem = dem
 
-    def prepare(self, view: View) -> Callable[[], Any]:
+    def prepare(self, view: TracedView) -> Callable[[], Any]:
         from ltm_core.tracing.baselines.march import march_arrays
 
         rays = view.rays()
         return lambda: march_arrays(self._dem, view.pose.position, rays, step=1.0)
 
 
-def triangles(dem: Dem) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+def triangles(dem: Dem) -> tuple[Float32Array, Int32Array]:
     """Vertices (H * W, 3) at the cell centres, and two triangles between every four of them."""
     height, width = dem.elevation.shape
     x = np.asarray(dem.geometry.to_map(0, np.arange(width))[0], np.float32)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ltm_core.bench.measure import Cost, cost_of, peak_mb
 from ltm_core.errors import ConfigError
-from ltm_core.simulator.mitsuba_scene import SceneBuilder, View
+from ltm_core.simulator.mitsuba_scene import EyePointScenes, SceneBuilder
 from ltm_core.simulator.run import SimulatedFrame, SimulatedSite, make_site, plan_shots, render_shots, site_at
 from ltm_core.simulator.scenario import Scenario
 
@@ -40,7 +40,7 @@ def run_rendering(scenario: Scenario, least_near: int) -> RenderCost:
     site_cost = cost_of(lambda: sites.append(site_at(here, make_site(here), date)))
     shot = plan_shots(here, sites[0], date)[0]
     for _ in range(_TRIES):
-        views: list[View] = []
+        views: list[EyePointScenes] = []
         scene_cost = cost_of(
             lambda: views.append(SceneBuilder(here, sites[0].terrain, sites[0].cover).view(shot.pose.position))  # noqa: B023
         )

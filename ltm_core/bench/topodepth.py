@@ -8,28 +8,28 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.bench.measure import Cost, least_cost
 from ltm_core.bench.mountains import ridged_terrain
 from ltm_core.camera import Camera
-from ltm_core.depth.class_priors import DepthClasses
-from ltm_core.depth.depth_discontinuities import Edges
+from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
 from ltm_core.depth.expected_surface import expected_surface
 from ltm_core.depth.ground_sampling import ground_samples
-from ltm_core.depth.guided_upsampling import SeenDepth
+from ltm_core.depth.guided_upsampling import NetworkView
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.network_measurement import MeasuredDepth
-from ltm_core.depth.occlusion_boundaries import raise_silhouettes
-from ltm_core.depth.occlusion_prior import Standing
-from ltm_core.depth.pixel_fusion import combine
+from ltm_core.depth.network_measurement import NetworkMeasurement
+from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries
+from ltm_core.depth.occlusion_prior import OcclusionPrior
+from ltm_core.depth.pixel_fusion import fuse_pixels
 from ltm_core.depth.pose_check import check_pose
-from ltm_core.depth.scale_fit import fit_network
+from ltm_core.depth.scale_fit import fit_scale
 from ltm_core.depth.topodepth import FusionSettings, fuse
-from ltm_core.depth.unknown_regions import clear_beyond
+from ltm_core.depth.unknown_regions import clear_unenclosed
 from ltm_core.pose import Pose
 from ltm_core.range_image import DepthImage
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import LabelSet
 
 NETWORK_SIZE = (256, 384)
@@ -46,37 +46,37 @@ class FusionCost:
 @dataclass(frozen=True, eq=False)
 class _Frame:
     traced: DepthImage
-    photo: NDArray[np.uint8]
-    labels: NDArray[np.uint8]
+    photo: UInt8Array
+    labels: UInt8Array
     network: NetworkDepth
 
 
 def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionCost]:
     """Costs for a frame of ridges under a patchwork of covers; the kernels are compiled before."""
-    frame, classes, settings = _frame(width, height), DepthClasses.of(LabelSet.load()), FusionSettings()
+    frame, classes, settings = _frame(width, height), ClassPriors.of(LabelSet.load()), FusionSettings()
     camera, ground = frame.traced.camera, frame.traced.depth()
     surface, sigma = expected_surface(
         ground, frame.labels, classes.cover, camera, frame.traced.pose, settings.angle_sigma, settings.dem_sigma
     )
     samples = ground_samples(surface, sigma, frame.labels, classes.ground, camera.fy)
-    fit = fit_network(frame.network, samples, (height, width))
-    seen, edges = SeenDepth.of(fit, frame.photo), Edges.of(ground)
-    standing = Standing.of(ground, frame.labels, classes, camera, frame.traced.pose, seen.shape)
+    fit = fit_scale(frame.network, samples, (height, width))
+    seen, edges = NetworkView.of(fit, frame.photo), DepthDiscontinuities.of(ground)
+    standing = OcclusionPrior.of(ground, frame.labels, classes, camera, frame.traced.pose, seen.shape)
 
     def crests() -> None:
         surface, sigma = work
         of = classes, camera, seen, edges
-        raise_silhouettes(frame.photo, ground, surface, sigma, frame.labels, *of)
+        refine_occlusion_boundaries(frame.photo, ground, surface, sigma, frame.labels, *of)
 
     def decide() -> None:
         # From the same state each time: a copy's cost is in the figure.
         np.copyto(work[0], surface)
         np.copyto(work[1], sigma)
-        combine(work[0], work[1], None, seen, standing, frame.labels, classes, source)
+        fuse_pixels(work[0], work[1], None, seen, standing, frame.labels, classes, source)
 
     work, source = np.stack([surface, sigma]), np.empty(surface.shape, np.uint8)
     parts: dict[str, Callable[[], Any]] = {
-        "traced edges": lambda: Edges.of(ground),
+        "traced edges": lambda: DepthDiscontinuities.of(ground),
         "check of the pose": lambda: check_pose(
             frame.photo, ground, camera, settings.angle_sigma, settings.dem_sigma, frame.labels, classes, edges=edges
         ),
@@ -84,15 +84,15 @@ def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionC
             ground, frame.labels, classes.cover, camera, frame.traced.pose, settings.angle_sigma, settings.dem_sigma
         ),
         "sampling": lambda: ground_samples(surface, sigma, frame.labels, classes.ground, camera.fy),
-        "RANSAC and regions": lambda: fit_network(frame.network, samples, (height, width)),
-        "photo's edges for the network": lambda: SeenDepth.of(fit, frame.photo),
-        "what may stand there": lambda: Standing.of(
+        "RANSAC and regions": lambda: fit_scale(frame.network, samples, (height, width)),
+        "photo's edges for the network": lambda: NetworkView.of(fit, frame.photo),
+        "what may stand there": lambda: OcclusionPrior.of(
             ground, frame.labels, classes, camera, frame.traced.pose, seen.shape
         ),
         "silhouettes": crests,
         "terrain or network": decide,
-        "land beyond the raster": lambda: clear_beyond(ground, work[0], work[1], source),
-        "the network's own measurement": lambda: MeasuredDepth.of(fit),
+        "land beyond the raster": lambda: clear_unenclosed(ground, work[0], work[1], source),
+        "the network's own measurement": lambda: NetworkMeasurement.of(fit),
         "whole": lambda: fuse(frame.traced, frame.network, frame.photo, frame.labels, classes, settings).measured(),
     }
     for call in parts.values():

@@ -20,7 +20,7 @@ import numpy as np
 
 from ltm_core.bench.measure import Cost, available_mb, cost_of, least_cost, peak_mb, resident_mb
 from ltm_core.bench.mountains import ridged_terrain
-from ltm_core.bench.peers import PEERS, PeerKind, View
+from ltm_core.bench.peers import PEERS, PeerKind, TracedView
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.pose import Pose
@@ -161,7 +161,7 @@ def measure(name: str, elevation: np.ndarray[Any, np.dtype[np.float32]], scenes:
         if kind is None:
             frames[scene.name] = _ours(made[0], scene, pose, repeats, steps)
         else:
-            call = made[0].prepare(View(scene.camera(kind.every), pose))
+            call = made[0].prepare(TracedView(scene.camera(kind.every), pose))
             if kind.every == 1:
                 call()
             frames[scene.name] = {"": least_cost(call, repeats).scaled(kind.every**2)}

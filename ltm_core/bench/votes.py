@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.bench.measure import Cost, least_cost
 from ltm_core.bench.mountains import ridged_terrain
@@ -14,6 +13,7 @@ from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import Float32Array, UInt8Array
 from ltm_core.vision.labels import LabelSet
 
 MAST = 60.0
@@ -25,7 +25,7 @@ _ABOUT = 400
 
 
 @dataclass(frozen=True)
-class View:
+class Heading:
     """Where the camera looks: degrees right of grid north, up from the horizon, and its horizontal field of view."""
 
     name: str
@@ -35,10 +35,10 @@ class View:
 
 
 VIEWS = (
-    View("wide, to the horizon", 35.0, -6.0, 70.0),
-    View("tower, zoomed out", 35.0, -10.0, 54.0),
-    View("zoomed in on a far slope", 35.0, -4.0, 15.0),
-    View("steep down", 35.0, -35.0, 60.0),
+    Heading("wide, to the horizon", 35.0, -6.0, 70.0),
+    Heading("tower, zoomed out", 35.0, -10.0, 54.0),
+    Heading("zoomed in on a far slope", 35.0, -4.0, 15.0),
+    Heading("steep down", 35.0, -35.0, 60.0),
 )
 
 
@@ -46,7 +46,7 @@ VIEWS = (
 class VotesCost:
     """`ground`: share of pixels that see terrain within reach. `votes`: what the frame gave."""
 
-    view: View
+    view: Heading
     cost: Cost
     ground: float
     votes: CellVotes
@@ -77,11 +77,11 @@ def run(
         depth, (classes, confidence) = traced.depth(), _labelled(height, width, len(labels))
 
         def cast(
-            depth: NDArray[np.float32] = depth,
+            depth: Float32Array = depth,
             camera: Camera = camera,
             pose: Pose = pose,
-            classes: NDArray[np.uint8] = classes,
-            confidence: NDArray[np.uint8] = confidence,
+            classes: UInt8Array = classes,
+            confidence: UInt8Array = confidence,
         ) -> CellVotes:
             return caster.cast(depth, camera, pose, classes, 0, "tower", confidence, covariance)
 
@@ -91,7 +91,7 @@ def run(
     return found
 
 
-def _labelled(height: int, width: int, classes: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+def _labelled(height: int, width: int, classes: int) -> tuple[UInt8Array, UInt8Array]:
     """Patches of all classes, and their confidence."""
     rng = np.random.default_rng(11)
     step = 24

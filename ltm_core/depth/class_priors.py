@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError
+from ltm_core.types import BoolArray, Float32Array
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 
 COVER_HEIGHTS: Mapping[str, float] = {"grass": 0.2, "shrub": 1.0, "tree": 6.0}
@@ -22,7 +22,7 @@ TREE_CREST = 12.0
 """Metres that a tree may rise over a crest."""
 STANDING: Mapping[str, float] = {"grass": -3.2, "shrub": 0.2, "tree": 2.7, "bare": -3.2, "water": -3.2, "built": 2.7}
 """Log odds that a pixel shows something which stands before the ground behind it, where all labels about it are of a
-class; see `standing`."""
+class; see `occlusion_prior`."""
 UNLABELLED_STANDING = 0.1
 """The same of unlabelled pixels."""
 
@@ -36,25 +36,25 @@ UNLABELLED_OUTLINE = 0.4
 
 
 @dataclass(frozen=True, eq=False)
-class DepthClasses:
+class ClassPriors:
     """Tables over the 256 ids of a label image.
 
     `cover`: float32 metres of cover above bare ground. `ground`: bool, the terrain shows there. `crest`: float32 metres
-    to which a silhouette may be raised there. `surface`: float32 log odds that a canopy raster and not bare ground is
-    what shows, see CANOPY. `standing`: float32 log odds that something stands before the ground, see STANDING.
-    `outline`: float32 log odds that a pixel belongs to a crest, see OUTLINE. `sky`: the id of sky.
+    to which a silhouette may be raised there. `canopy_log_odds`: float32 log odds that a canopy raster and not bare
+    ground is what shows, see CANOPY. `occluder_log_odds`: float32 log odds that something stands before the ground,
+    see STANDING. `outline`: float32 log odds that a pixel belongs to a crest, see OUTLINE. `sky`: the id of sky.
     """
 
-    cover: NDArray[np.float32]
-    ground: NDArray[np.bool_]
-    crest: NDArray[np.float32]
-    surface: NDArray[np.float32]
-    standing: NDArray[np.float32]
-    outline: NDArray[np.float32]
+    cover: Float32Array
+    ground: BoolArray
+    crest: Float32Array
+    canopy_log_odds: Float32Array
+    occluder_log_odds: Float32Array
+    outline: Float32Array
     sky: int = int(Label.SKY)
 
     @classmethod
-    def of(cls, labels: LabelSet, heights: Mapping[str, float] = COVER_HEIGHTS) -> DepthClasses:
+    def of(cls, labels: LabelSet, heights: Mapping[str, float] = COVER_HEIGHTS) -> ClassPriors:
         """The tables of a label set. Raises ConfigError for the height of a class that is none, or below 0."""
         cover, ground = np.zeros(256, np.float32), np.zeros(256, np.bool_)
         crest, surface = np.full(256, CREST, np.float32), np.zeros(256, np.float32)

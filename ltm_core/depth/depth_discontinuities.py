@@ -6,23 +6,23 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.depth.expected_surface import JUMP
+from ltm_core.types import Float32Array, Int32Array
 
 _BLOCK = 64  # columns that are searched at once in a row with edges
 
 
 @dataclass(frozen=True, eq=False)
-class Edges:
+class DepthDiscontinuities:
     """`rows`, `cols`: (N,) int32, the topmost pixels of the near surfaces, from the lowest in the image up, and from
     left to right."""
 
-    rows: NDArray[np.int32]
-    cols: NDArray[np.int32]
+    rows: Int32Array
+    cols: Int32Array
 
     @classmethod
-    def of(cls, ground: NDArray[np.float32]) -> Edges:
+    def of(cls, ground: Float32Array) -> DepthDiscontinuities:
         """Pixels with ground (H, W) above which the next one is farther by a jump, or sky, or unknown."""
         return cls(*_edges(ground, np.float32(JUMP)))
 
@@ -31,7 +31,7 @@ class Edges:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _edges(ground: NDArray[np.float32], jump: np.float32) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _edges(ground: Float32Array, jump: np.float32) -> tuple[Int32Array, Int32Array]:
     height = len(ground)
     counts = np.zeros(height, np.int32)
     for v in range(1, height):
@@ -53,7 +53,7 @@ def _edges(ground: NDArray[np.float32], jump: np.float32) -> tuple[NDArray[np.in
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _count(here: NDArray[np.float32], above: NDArray[np.float32], jump: np.float32) -> np.int32:
+def _count(here: Float32Array, above: Float32Array, jump: np.float32) -> np.int32:
     """How many edges a piece of a row has. Compilers turn this into vector code: most rows have none."""
     count = np.int32(0)
     for u in range(len(here)):

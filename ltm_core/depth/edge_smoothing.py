@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
+
+from ltm_core.types import Int32Array
 
 _CHAIN = 3  # rows between neighbours on one crest
 _BESIDE = 3  # neighbours to each side that an edge is smoothed with
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def smoothed(
-    rows: NDArray[np.int32], cols: NDArray[np.int32], raised: NDArray[np.int32], width: int
-) -> NDArray[np.int32]:
+def smoothed_edge_heights(rows: Int32Array, cols: Int32Array, raised: Int32Array, width: int) -> Int32Array:
     """The median of the heights of each edge and its neighbours along the same crest: columns are judged one by one.
 
     `rows`, `cols`: (N,) edges from the lowest row of the image up; `raised`: (N,) pixels; `width`: of the image.

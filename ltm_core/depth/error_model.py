@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from ltm_core.depth.ground_sampling import GroundSamples
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.float32]
+from ltm_core.types import Float32Array, Float64Array, IndexArray, Int32Array
 
 REGIONS = (9, 16)
 """Rows and columns in which samples are gathered."""
@@ -56,19 +54,19 @@ _BEFORE = 1.1  # the same before all samples: nearness scales, so that a network
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
+class ErrorModel:
     """Where the true inverse depth is x, the network says x - shift x, with a sigma of factor x.
 
     `shift`, `factor`: (R, C, D) float32 over the photo and half octaves of depth. `regional`: whether they differ over
     the photo.
     """
 
-    shift: Image
-    factor: Image
+    shift: Float32Array
+    factor: Float32Array
     regional: bool
 
     @classmethod
-    def of(cls, read: Floats, samples: GroundSamples, size: tuple[int, int]) -> Answers:
+    def of(cls, read: Float64Array, samples: GroundSamples, size: tuple[int, int]) -> ErrorModel:
         """From what the network said (N,), 1/m, at ground samples of a photo of `size` (height, width)."""
         usable = read * samples.depth < _NEARER
         samples, read = samples.part(usable), read[usable]
@@ -84,12 +82,12 @@ class Answers:
         return cls(shift, _grown(factor) * spread.astype(np.float32), bool(mean.any()))
 
     @classmethod
-    def none(cls) -> Answers:
+    def none(cls) -> ErrorModel:
         """In place of a network that is not there."""
         plain = np.zeros((1, 1, OCTAVES), np.float32)
         return cls(plain, plain + 1, False)
 
-    def joint(self, read: Floats, samples: GroundSamples, size: tuple[int, int]) -> Floats:
+    def standardized(self, read: Float64Array, samples: GroundSamples, size: tuple[int, int]) -> Float64Array:
         """True less read inverse depth at samples (N,), in sigmas of both network and terrain."""
         rows = samples.rows * self.shift.shape[0] // size[0]
         cols = samples.cols * self.shift.shape[1] // size[1]
@@ -98,7 +96,7 @@ class Answers:
         return np.asarray(off / np.hypot(self.factor[at], samples.sigma / samples.depth), np.float64)
 
 
-def octaves(depth: NDArray[np.floating]) -> NDArray[np.intp]:
+def octaves(depth: NDArray[np.floating]) -> IndexArray:
     """The half octave that each depth, metres, is in."""
     places = np.rint(2.0 * np.log2(depth) - _FIRST)
     return np.asarray(np.clip(places, 0, OCTAVES - 1), np.intp)
@@ -115,7 +113,9 @@ def _place(depth: np.float32) -> np.float32:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def said(row: int, col: int, inverse: np.float32, shift: Image, factor: Image) -> tuple[np.float32, np.float32]:
+def expected_prediction(
+    row: int, col: int, inverse: np.float32, shift: Float32Array, factor: Float32Array
+) -> tuple[np.float32, np.float32]:
     """By how much less than the true `inverse` depth the network says in a cell of the tables, and its sigma, 1/m."""
     # What has no depth, as the sky, is taken for the farthest that the tables know.
     inverse = max(inverse, np.float32(1 / _FARTHEST))
@@ -128,7 +128,7 @@ def said(row: int, col: int, inverse: np.float32, shift: Image, factor: Image) -
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def pairs(shift: Image, factor: Image) -> NDArray[np.float32]:
+def interpolation_table(shift: Float32Array, factor: Float32Array) -> Float32Array:
     """Both tables (R, C, D) side by side, (R, C * D, 4): each value, and by how much the next half octave's is more."""
     rows, cols, count = shift.shape
     both = np.zeros((rows, cols * count, 4), np.float32)
@@ -144,17 +144,17 @@ def pairs(shift: Image, factor: Image) -> NDArray[np.float32]:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
-def said_at(
-    inverse: NDArray[np.float32],
-    tables: Image,
-    col: NDArray[np.int32],
-    place: NDArray[np.int32],
-    part: NDArray[np.float32],
-    less: NDArray[np.float32],
-    sigma: NDArray[np.float32],
+def expected_predictions(
+    inverse: Float32Array,
+    tables: Float32Array,
+    col: Int32Array,
+    place: Int32Array,
+    part: Float32Array,
+    less: Float32Array,
+    sigma: Float32Array,
 ) -> None:
-    """`said` for a row of pixels (W,), into `less` and `sigma`. `tables`: (C * D, 4) one row of `pairs`; `col`: (W,) of
-    the tables; `place`, `part`: (W,), to work in.
+    """`expected_prediction` for a row of pixels (W,), into `less` and `sigma`. `tables`: (C * D, 4) one row of
+    `interpolation_table`; `col`: (W,) of the tables; `place`, `part`: (W,), to work in.
 
     The logarithm is taken from the numbers' own bits, so that no table is looked up: log2(2^e (1 + m)) is
     e + m + 0.3438 m (1 - m) but for 0.009.
@@ -180,18 +180,20 @@ def said_at(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def meant(row: int, col: int, read: np.float32, shift: Image, factor: Image) -> tuple[np.float32, np.float32]:
+def invert(
+    row: int, col: int, read: np.float32, shift: Float32Array, factor: Float32Array
+) -> tuple[np.float32, np.float32]:
     """The true inverse depth that the network means where it says `read`, and its sigma, 1/m."""
     plain = np.float32(1.0)
-    less, sigma = said(row, col, read, shift, factor)
+    less, sigma = expected_prediction(row, col, read, shift, factor)
     if read > 0:
         plain = max(plain - less / read, np.float32(_LEAST_SAID))
     return read / plain, sigma / plain
 
 
 def _by_depth(
-    octave: NDArray[np.intp], less: Floats, terrain: Floats, region: NDArray[np.intp]
-) -> tuple[Floats, Floats]:
+    octave: IndexArray, less: Float64Array, terrain: Float64Array, region: IndexArray
+) -> tuple[Float64Array, Float64Array]:
     """Middle of `less` (N,), a part of the true inverse depth, by half octave, and its spread without the terrain's.
 
     Both are drawn towards those of all samples by a region's worth of belief. Samples side by side are no evidence
@@ -224,7 +226,7 @@ def _by_depth(
     return middles, np.maximum(np.minimum(spread, most), _LEAST_SPREAD * wide) * growth
 
 
-def _spread(less: Floats, terrain: Floats) -> tuple[float, float]:
+def _spread(less: Float64Array, terrain: Float64Array) -> tuple[float, float]:
     """Middle and spread of the densest part of `less` (N,): what stands before the ground in most of the places where
     its range is seen draws a median along, and its own spread into that of the network."""
     ordered = np.sort(less)
@@ -236,7 +238,7 @@ def _spread(less: Floats, terrain: Floats) -> tuple[float, float]:
     return middle, max(wide**2 - float(np.median(terrain)) ** 2, RELATIVE_FLOOR**2) ** 0.5
 
 
-def _by_region(off: Floats, samples: GroundSamples, size: tuple[int, int]) -> tuple[Image, Image]:
+def _by_region(off: Float64Array, samples: GroundSamples, size: tuple[int, int]) -> tuple[Float32Array, Float32Array]:
     """Mean of `off` (N,) by region and depth, 0 where that does not help, and the spread about it, (R, C, D).
 
     Means are taken over the regions of a checkerboard and judged on the others: what they say of ground that they have
@@ -265,20 +267,20 @@ def _by_region(off: Floats, samples: GroundSamples, size: tuple[int, int]) -> tu
     return shift, np.sqrt(_means(index, off**2, 16.0, max(1.0, UNSAMPLED * unseen)))
 
 
-def _regions(samples: GroundSamples, size: tuple[int, int]) -> NDArray[np.intp]:
+def _regions(samples: GroundSamples, size: tuple[int, int]) -> IndexArray:
     """The region (N,) that each sample of a photo of `size` is in, row by row."""
     rows = np.minimum(samples.rows * REGIONS[0] // size[0], REGIONS[0] - 1)
     cols = np.minimum(samples.cols * REGIONS[1] // size[1], REGIONS[1] - 1)
     return np.asarray(rows * REGIONS[1] + cols, np.intp)
 
 
-def _means(index: NDArray[np.intp], off: Floats, belief: float, prior: float = 0.0) -> Image:
+def _means(index: IndexArray, off: Float64Array, belief: float, prior: float = 0.0) -> Float32Array:
     """Smoothed mean of `off` by region and depth, drawn towards `prior` by as many samples as `belief` says."""
     totals, counts = _sums(index, off - prior)
     return np.asarray(prior + totals / (counts + belief), np.float32)
 
 
-def _sums(index: NDArray[np.intp], off: Floats) -> tuple[Floats, Floats]:
+def _sums(index: IndexArray, off: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Smoothed sums and counts by region and depth, of a unit of belief's height: a lone cell still counts with all
     its samples."""
     cells = (*REGIONS, OCTAVES)
@@ -288,7 +290,7 @@ def _sums(index: NDArray[np.intp], off: Floats) -> tuple[Floats, Floats]:
     return totals, counts
 
 
-def _grown(table: Image) -> Image:
+def _grown(table: Float32Array) -> Float32Array:
     """A table (R, C, D) at _FINE times the rows and columns."""
     size = (table.shape[1] * _FINE, table.shape[0] * _FINE)
     return np.ascontiguousarray(cv2.resize(table, size, interpolation=cv2.INTER_LINEAR), np.float32)

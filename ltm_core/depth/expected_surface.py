@@ -3,7 +3,7 @@
 Traced depth is that of bare ground. Where a label says that something grows, the camera looks at its top: the ray that
 meets a surface raised by h above ground of depth d is the one that meets bare ground h f / d pixels further down the
 image. So the raised surface's depth is found in the traced image itself, exactly where the slope goes on, and never
-across a silhouette (that is `silhouettes`' work).
+across a silhouette (that is `occlusion_boundaries`' work).
 """
 
 from __future__ import annotations
@@ -12,12 +12,10 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.pose import Pose
-
-Image = NDArray[np.float32]
+from ltm_core.types import Float32Array, UInt8Array
 
 JUMP = 1.25
 """Ratio of depths of neighbouring pixels from which on they lie on two surfaces."""
@@ -32,14 +30,14 @@ _LEAST = 1e-3
 
 
 def expected_surface(
-    ground: Image,
-    labels: NDArray[np.uint8] | None,
-    cover: NDArray[np.float32],
+    ground: Float32Array,
+    labels: UInt8Array | None,
+    cover: Float32Array,
     camera: Camera,
     pose: Pose,
     angle_sigma: float,
     dem_sigma: float,
-) -> tuple[Image, Image]:
+) -> tuple[Float32Array, Float32Array]:
     """Depth of the visible surface and its sigma, (H, W) float32 metres; +inf and NaN stay as they are in `ground`.
 
     Args:
@@ -72,15 +70,15 @@ def expected_surface(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
 def _expect(
-    ground: Image,
-    labels: NDArray[np.uint8],
+    ground: Float32Array,
+    labels: UInt8Array,
     labelled: bool,
-    cover: NDArray[np.float32],
+    cover: Float32Array,
     focal: np.float32,
     angle_sigma: np.float32,
     dem_sigma: np.float32,
-    surface: Image,
-    sigma: Image,
+    surface: Float32Array,
+    sigma: Float32Array,
 ) -> None:
     """Row by row in short loops without branches, which compilers turn into vector code."""
     height, width = ground.shape
@@ -118,13 +116,13 @@ def _expect(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
 def _cover(
-    ground: Image,
+    ground: Float32Array,
     v: int,
-    labels: NDArray[np.uint8],
-    cover: NDArray[np.float32],
+    labels: UInt8Array,
+    cover: Float32Array,
     focal: np.float32,
-    surface: Image,
-    square: NDArray[np.float32],
+    surface: Float32Array,
+    square: Float32Array,
 ) -> None:
     """Bring row `v` of the ground to the top of its cover, into `surface`, and add its doubt to the variance `square`.
 

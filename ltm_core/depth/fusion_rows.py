@@ -7,12 +7,9 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from ltm_core.depth.error_model import said_at
-
-Image = NDArray[np.float32]
-Row = NDArray[np.float32]
+from ltm_core.depth.error_model import expected_predictions
+from ltm_core.types import BoolArray, Float32Array, Int32Array, UInt8Array
 
 _ODD = 0.4  # sigmas, squared, from which on a disagreement is looked at
 _TORN = 0.15  # of its depth: sigma of a terrain that is torn between two surfaces; nothing is at their mean
@@ -20,25 +17,25 @@ _SOFT = 0.15  # of the range of a network's depth among neighbours: how far a pi
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
-def compare(
-    d: Row,
-    s: Row,
-    y: Row,
-    near: Row,
-    back: Row,
-    tables: Image,
-    table: NDArray[np.int32],
-    place: NDArray[np.int32],
-    label: NDArray[np.uint8],
+def compare_row(
+    d: Float32Array,
+    s: Float32Array,
+    y: Float32Array,
+    near: Float32Array,
+    back: Float32Array,
+    tables: Float32Array,
+    table: Int32Array,
+    place: Int32Array,
+    label: UInt8Array,
     sky: int,
-    true: Row,
-    own: Row,
-    less: Row,
-    spread: Row,
-    off: Row,
-    joint: Row,
-    part: Row,
-    asked: NDArray[np.bool_],
+    true: Float32Array,
+    own: Float32Array,
+    less: Float32Array,
+    spread: Float32Array,
+    off: Float32Array,
+    joint: Float32Array,
+    part: Float32Array,
+    asked: BoolArray,
 ) -> int:
     """One row of terrain, depth `d` and sigma `s`, beside what the network sees, `y`, `near` and `back`.
 
@@ -53,7 +50,7 @@ def compare(
     for u in range(width):
         b = s[u] * true[u] * true[u]
         own[u] = b if d[u] < far else none
-    said_at(true, tables, table, place, part, less, spread)
+    expected_predictions(true, tables, table, place, part, less, spread)
     for u in range(width):
         off[u] = y[u] - true[u] + less[u]
     for u in range(width):
@@ -70,9 +67,18 @@ def compare(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
-def average(d: Row, s: Row, kind: NDArray[np.uint8], true: Row, own: Row, off: Row, joint: Row, weight: Row) -> None:
+def average_row(
+    d: Float32Array,
+    s: Float32Array,
+    kind: UInt8Array,
+    true: Float32Array,
+    own: Float32Array,
+    off: Float32Array,
+    joint: Float32Array,
+    weight: Float32Array,
+) -> None:
     """Mean by inverse variance, in inverse depth, where both agree within three sigmas and the terrain is one surface;
-    see `compare`."""
+    see `compare_row`."""
     width, one = len(d), np.float32(1.0)
     for u in range(width):
         w = own[u] * own[u] / joint[u]
@@ -87,7 +93,7 @@ def average(d: Row, s: Row, kind: NDArray[np.uint8], true: Row, own: Row, off: R
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
-def begin(d: Row, s: Row, kind: NDArray[np.uint8]) -> None:
+def begin_row(d: Float32Array, s: Float32Array, kind: UInt8Array) -> None:
     """What a row is without a network."""
     far, none = np.float32(1e9), np.float32(np.nan)
     for u in range(len(d)):

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.depth.expected_surface import JUMP
-
-Floats = NDArray[np.float64]
+from ltm_core.types import BoolArray, Float32Array, Float64Array, IndexArray, UInt8Array
 
 MOST = 6000
 """Samples that a fit gets at most."""
@@ -28,24 +26,24 @@ _CLEAR = 5  # pixels within which no silhouette may lie
 class GroundSamples:
     """`rows`, `cols`: (N,) pixels of the photo; `depth`, `sigma`: (N,) float64 metres of the surface there."""
 
-    rows: NDArray[np.intp]
-    cols: NDArray[np.intp]
-    depth: Floats
-    sigma: Floats
+    rows: IndexArray
+    cols: IndexArray
+    depth: Float64Array
+    sigma: Float64Array
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    def part(self, chosen: NDArray[np.bool_]) -> GroundSamples:
+    def part(self, chosen: BoolArray) -> GroundSamples:
         """Those that `chosen` (N,) names."""
         return GroundSamples(self.rows[chosen], self.cols[chosen], self.depth[chosen], self.sigma[chosen])
 
 
 def ground_samples(
-    surface: NDArray[np.float32],
-    sigma: NDArray[np.float32],
-    labels: NDArray[np.uint8] | None,
-    ground: NDArray[np.bool_],
+    surface: Float32Array,
+    sigma: Float32Array,
+    labels: UInt8Array | None,
+    ground: BoolArray,
     focal: float,
 ) -> GroundSamples:
     """Evenly spread pixels with terrain that is no sky, at no silhouette, not grazed, and of a class that is ground.
@@ -67,13 +65,13 @@ def ground_samples(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _candidates(
-    surface: NDArray[np.float32],
-    sigma: NDArray[np.float32],
-    labels: NDArray[np.uint8],
+    surface: Float32Array,
+    sigma: Float32Array,
+    labels: UInt8Array,
     labelled: bool,
-    ground: NDArray[np.bool_],
+    ground: BoolArray,
     steep: np.float32,
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
+) -> tuple[IndexArray, IndexArray, Float32Array]:
     """Rows, columns and depth of the pixels of a grid that are fit. `steep`: relative change of depth over two rows
     that is grazed."""
     height, width = surface.shape
@@ -102,7 +100,7 @@ def _candidates(
     return rows[:i], cols[:i], depth[:i]
 
 
-def _even(depth: NDArray[np.float32]) -> NDArray[np.intp]:
+def _even(depth: Float32Array) -> IndexArray:
     """Which of the samples (N,) to keep, so that what fills most of a photo does not decide for all ranges: no class of
     ranges gets more than CROWD times the places of a middling one."""
     if not len(depth):
@@ -118,7 +116,7 @@ def _even(depth: NDArray[np.float32]) -> NDArray[np.intp]:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _evenly(kind: NDArray[np.intp], share: Floats) -> NDArray[np.intp]:
+def _evenly(kind: IndexArray, share: Float64Array) -> IndexArray:
     """Which to keep of things (N,) of several kinds, that `share` of each kind: evenly spread, since they come row by
     row."""
     chosen, rank, n = np.empty(len(kind), np.intp), np.zeros(len(share), np.intp), 0

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Image = NDArray[np.float32]
+from ltm_core.types import Float32Array, UInt8Array
 
 RADIUS = 1
 """Of the windows, pixels of the small image."""
@@ -18,16 +17,16 @@ EDGE = 12.0
 """Contrast in 8-bit steps from which on a change of grey counts as an edge."""
 
 
-def guided_coefficients(image: Image, grey: NDArray[np.uint8]) -> tuple[Image, Image]:
+def guided_coefficients(image: Float32Array, grey: UInt8Array) -> tuple[Float32Array, Float32Array]:
     """Gain and offset (h, w) so that `image` is gain * grey + offset with the edges of `grey` (H, W), 0..255.
 
     NaN in `image` spreads by twice the windows' radius.
     """
     height, width = image.shape
-    guide: Image = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
+    guide: Float32Array = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
     window = (2 * RADIUS + 1, 2 * RADIUS + 1)
 
-    def mean(a: Image) -> Image:
+    def mean(a: Float32Array) -> Float32Array:
         return np.asarray(cv2.blur(a, window, borderType=cv2.BORDER_REFLECT), np.float32)
 
     guide_mean, image_mean = mean(guide), mean(image)

@@ -7,41 +7,38 @@ from dataclasses import dataclass
 import cv2
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from ltm_core.depth.error_model import Answers
+from ltm_core.depth.error_model import ErrorModel
 from ltm_core.depth.guided_filter import guided_coefficients
-from ltm_core.depth.scale_fit import NetworkFit
-
-Image = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
+from ltm_core.depth.scale_fit import ScaleFit
+from ltm_core.types import Float32Array, Int32Array, UInt8Array
 
 
 @dataclass(frozen=True, eq=False)
-class SeenDepth:
+class NetworkView:
     """A network's view of a photo, kept at the network's size.
 
     `cells`: (4, h, w) float32 over the photo, edge to edge: gain and offset on the photo's `grey` (H, W), then the
     greatest and the least inverse depth, 1/m, among neighbours. `columns`, `parts`: for each column of the photo the
-    cell to its left, and how far it lies towards the next. For `answers` and `gross` see `NetworkFit`.
+    cell to its left, and how far it lies towards the next. For `error_model` and `gross` see `ScaleFit`.
     """
 
-    cells: Image
-    grey: Bytes
-    columns: NDArray[np.int32]
-    parts: NDArray[np.float32]
-    answers: Answers
+    cells: Float32Array
+    grey: UInt8Array
+    columns: Int32Array
+    parts: Float32Array
+    error_model: ErrorModel
     gross: float
 
     @classmethod
-    def of(cls, fit: NetworkFit, rgb: Bytes) -> SeenDepth:
+    def of(cls, fit: ScaleFit, rgb: UInt8Array) -> NetworkView:
         grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
         gain, offset = guided_coefficients(fit.inverse, grey)
         cells = np.stack([gain, offset, fit.nearest, fit.farthest])
         width = cells.shape[2]
         at = (np.arange(grey.shape[1]) + 0.5) * (width / grey.shape[1]) - 0.5
         columns = np.clip(np.floor(at), 0, width - 2).astype(np.int32)
-        return cls(cells, grey, columns, np.clip(at - columns, 0, 1).astype(np.float32), fit.answers, fit.gross)
+        return cls(cells, grey, columns, np.clip(at - columns, 0, 1).astype(np.float32), fit.error_model, fit.gross)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -50,11 +47,11 @@ class SeenDepth:
         return rows, columns
 
     @classmethod
-    def none(cls) -> SeenDepth:
+    def none(cls) -> NetworkView:
         """In place of a network that is not there, for kernels."""
         nothing = np.zeros((4, 2, 2), np.float32)
         return cls(
-            nothing, np.zeros((1, 1), np.uint8), np.zeros(1, np.int32), np.zeros(1, np.float32), Answers.none(), 1.0
+            nothing, np.zeros((1, 1), np.uint8), np.zeros(1, np.int32), np.zeros(1, np.float32), ErrorModel.none(), 1.0
         )
 
 
@@ -67,8 +64,14 @@ def _row(v: int, rows: int, height: int) -> tuple[int, np.float32]:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "contract"})  # type: ignore[untyped-decorator]
-def see_row(
-    cells: Image, grey: Bytes, columns: NDArray[np.int32], parts: NDArray[np.float32], v: int, row: Image, out: Image
+def upsample_row(
+    cells: Float32Array,
+    grey: UInt8Array,
+    columns: Int32Array,
+    parts: Float32Array,
+    v: int,
+    row: Float32Array,
+    out: Float32Array,
 ) -> None:
     """What the network sees in row `v` of the photo, into `out` (3, W): inverse depth, 1/m, NaN where unknown, and the
     greatest and the least that neighbours see. `row`: (4, w), to work in.
@@ -94,8 +97,8 @@ def see_row(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def see(
-    cells: Image, grey: Bytes, columns: NDArray[np.int32], parts: NDArray[np.float32], v: int, u: int
+def upsample_pixel(
+    cells: Float32Array, grey: UInt8Array, columns: Int32Array, parts: Float32Array, v: int, u: int
 ) -> np.float32:
     """The inverse depth, 1/m, that the network sees in one pixel."""
     top, down = _row(v, cells.shape[1], grey.shape[0])
@@ -108,7 +111,7 @@ def see(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
-def _between(image: Image, top: int, x: int, down: np.float32, part: np.float32) -> np.float32:
+def _between(image: Float32Array, top: int, x: int, down: np.float32, part: np.float32) -> np.float32:
     left = image[top, x] + down * (image[top + 1, x] - image[top, x])
     right = image[top, x + 1] + down * (image[top + 1, x + 1] - image[top, x + 1])
     return np.float32(left + part * (right - left))

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Literal, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.errors import ImageError, ModelError
+from ltm_core.types import Float32Array, UInt8Array
 from ltm_core.vision.manifest import DEPTH_KINDS, Manifest
 from ltm_core.vision.onnx_model import OnnxModel
 from ltm_core.vision.segmenter import input_tensor
@@ -26,7 +26,7 @@ class NetworkDepth:
     `affine_invariant`: depth but for a scale and a shift; `metric`: metres along the optical axis. NaN: no answer.
     """
 
-    values: NDArray[np.float32]
+    values: Float32Array
     kind: DepthKind
 
     def __post_init__(self) -> None:
@@ -58,7 +58,7 @@ class DepthNetwork:
         """A network by its manifest's path, or by the name of one in `config/models`."""
         return cls(Manifest.find(path_or_name), threads)
 
-    def predict(self, rgb: NDArray[np.uint8], camera: Camera) -> NetworkDepth:
+    def predict(self, rgb: UInt8Array, camera: Camera) -> NetworkDepth:
         """Depth of a photo (H, W, 3) uint8 RGB taken by `camera`.
 
         Metres of a network that answers for one focal length are scaled to the camera's. What is no number, and of
@@ -94,7 +94,7 @@ class DepthNetwork:
             values = self._metres(values, float(np.sqrt(matrix[0, 0] * matrix[1, 1])))
         return NetworkDepth(values, kind)
 
-    def _metres(self, values: NDArray[np.float32], focal_px: float) -> NDArray[np.float32]:
+    def _metres(self, values: Float32Array, focal_px: float) -> Float32Array:
         """`focal_px`: of the network's input; its two axes may be stretched differently, so their geometric mean."""
         output = self.manifest.output
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -15,18 +15,17 @@ from dataclasses import dataclass
 import cv2
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
-from ltm_core.depth.class_priors import DepthClasses
-from ltm_core.depth.depth_discontinuities import Edges
-from ltm_core.depth.edge_smoothing import smoothed
-from ltm_core.depth.error_model import said
+from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
+from ltm_core.depth.edge_smoothing import smoothed_edge_heights
+from ltm_core.depth.error_model import expected_prediction
 from ltm_core.depth.expected_surface import JUMP
-from ltm_core.depth.guided_upsampling import SeenDepth, see
-from ltm_core.depth.occlusion_prior import OPEN, either
+from ltm_core.depth.guided_upsampling import NetworkView, upsample_pixel
+from ltm_core.depth.occlusion_prior import OPEN, mixture_moments
+from ltm_core.types import Float32Array, Int32Array, UInt8Array
 
-Image = NDArray[np.float32]
 _Answer = tuple[np.float32, np.float32, np.float32, np.float32]
 """True inverse depth, by how much less the network says there, the sigma of that, all 1/m, and its logarithm."""
 
@@ -55,35 +54,35 @@ class Silhouettes:
     (N,) int32 pixels by which the photo puts the edge higher.
     """
 
-    rows: NDArray[np.int32]
-    cols: NDArray[np.int32]
-    depth: NDArray[np.float32]
-    raised: NDArray[np.int32]
+    rows: Int32Array
+    cols: Int32Array
+    depth: Float32Array
+    raised: Int32Array
 
 
-def raise_silhouettes(
-    rgb: NDArray[np.uint8],
-    ground: Image,
-    surface: Image,
-    sigma: Image,
-    labels: NDArray[np.uint8] | None,
-    classes: DepthClasses,
+def refine_occlusion_boundaries(
+    rgb: UInt8Array,
+    ground: Float32Array,
+    surface: Float32Array,
+    sigma: Float32Array,
+    labels: UInt8Array | None,
+    classes: ClassPriors,
     camera: Camera,
-    network: SeenDepth | None = None,
-    edges: Edges | None = None,
+    network: NetworkView | None = None,
+    edges: DepthDiscontinuities | None = None,
 ) -> Silhouettes:
     """Move the edges of `surface` and `sigma` (H, W), in place, to where the photo has them; the edges found.
 
     `labels`: (H, W) ids of `classes`, or None. `network`: what it sees at the photo's size, where there is one.
     `edges`: of `ground`, where they are known.
     """
-    edges = Edges.of(ground) if edges is None else edges
+    edges = DepthDiscontinuities.of(ground) if edges is None else edges
     rows, cols = edges.rows, edges.cols
     crest = classes.crest
     highest = np.float32(crest[255] if labels is None and network is None else crest.max())
     color = np.asarray(cv2.blur(rgb, _BLUR), np.uint8) if len(rows) else rgb
     raised = np.zeros(len(rows), np.int32)
-    seen = SeenDepth.none() if network is None else network
+    seen = NetworkView.none() if network is None else network
     ids = np.zeros((1, 1), np.uint8) if labels is None else labels
     _cut(
         color,
@@ -98,15 +97,15 @@ def raise_silhouettes(
         seen.grey,
         seen.columns,
         seen.parts,
-        seen.answers.shift,
-        seen.answers.factor,
+        seen.error_model.shift,
+        seen.error_model.factor,
         network is not None,
         np.float32(JUMP),
         rows,
         cols,
         raised,
     )
-    raised = smoothed(rows, cols, raised, ground.shape[1])
+    raised = smoothed_edge_heights(rows, cols, raised, ground.shape[1])
     _raise(
         rows,
         cols,
@@ -128,9 +127,7 @@ def raise_silhouettes(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _sample(
-    color: NDArray[np.uint8], top: int, bottom: int, u: int, mean: NDArray[np.float32], var: NDArray[np.float32]
-) -> None:
+def _sample(color: UInt8Array, top: int, bottom: int, u: int, mean: Float32Array, var: Float32Array) -> None:
     """Mean and variance (3,) of the colours in rows [top, bottom) about column u."""
     left, right = max(u - _HALF, 0), min(u + _HALF + 1, color.shape[1])
     count = np.float32((bottom - top) * (right - left))
@@ -160,10 +157,10 @@ def _step(low: np.float32, high: np.float32, near: np.float32, far: np.float32) 
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _answer(depth: np.float32, row: int, col: int, shift: Image, factor: Image) -> _Answer:
+def _answer(depth: np.float32, row: int, col: int, shift: Float32Array, factor: Float32Array) -> _Answer:
     """What the network says of a surface of known `depth`, which may be inf. `row`, `col`: of the tables."""
     true = np.float32(1.0) / depth
-    less, spread = said(row, col, true, shift, factor)
+    less, spread = expected_prediction(row, col, true, shift, factor)
     return true, less, spread, np.log(spread)
 
 
@@ -177,7 +174,7 @@ def _against(inverse: np.float32, answer: _Answer) -> np.float32:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _farther(
-    inverse: np.float32, near: _Answer, far: np.float32, row: int, col: int, shift: Image, factor: Image
+    inverse: np.float32, near: _Answer, far: np.float32, row: int, col: int, shift: Float32Array, factor: Float32Array
 ) -> np.float32:
     """Log likelihood that the network speaks for the far side, of depth `far`, and not for the near one."""
     if np.isnan(inverse) or np.isnan(far):
@@ -188,25 +185,25 @@ def _farther(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _cut(
-    color: NDArray[np.uint8],
-    ground: Image,
-    labels: NDArray[np.uint8],
+    color: UInt8Array,
+    ground: Float32Array,
+    labels: UInt8Array,
     labelled: bool,
-    crest: NDArray[np.float32],
+    crest: Float32Array,
     highest: np.float32,
     sky: int,
     focal: np.float32,
-    cells: Image,
-    grey: NDArray[np.uint8],
-    columns: NDArray[np.int32],
-    parts: NDArray[np.float32],
-    shift: Image,
-    factor: Image,
+    cells: Float32Array,
+    grey: UInt8Array,
+    columns: Int32Array,
+    parts: Float32Array,
+    shift: Float32Array,
+    factor: Float32Array,
     networked: bool,
     jump: np.float32,
-    rows: NDArray[np.int32],
-    cols: NDArray[np.int32],
-    raised: NDArray[np.int32],
+    rows: Int32Array,
+    cols: Int32Array,
+    raised: Int32Array,
 ) -> None:
     height = color.shape[0]
     near, near_var = np.empty(3, np.float32), np.empty(3, np.float32)
@@ -226,13 +223,13 @@ def _cut(
         share = np.float32(0.0)
         below = _answer(d, row, col, shift, factor)
         if networked:
-            low = see(cells, grey, columns, parts, min(v + _SAMPLE, height - 1), u)
-            high = see(cells, grey, columns, parts, max(v - tall - _SAMPLE, 0), u)
+            low = upsample_pixel(cells, grey, columns, parts, min(v + _SAMPLE, height - 1), u)
+            high = upsample_pixel(cells, grey, columns, parts, max(v - tall - _SAMPLE, 0), u)
             share = _step(low, high, d, ground[v - 1, u])
         for s in range(1, min(tall, v) + 1):
             taller = labelled and crest[labels[v - s, u]] > crest[255]
             if not taller and share > 0:
-                inverse = see(cells, grey, columns, parts, v - s, u)
+                inverse = upsample_pixel(cells, grey, columns, parts, v - s, u)
                 side = _farther(inverse, below, ground[v - s, u], row, col, shift, factor)
                 taller = share * side < -_NETWORK_SURE
             if not taller:
@@ -269,7 +266,7 @@ def _cut(
             evidence = min(max(np.float32(_TEMPER) * evidence, np.float32(-_MOST)), np.float32(_MOST))
             further = np.float32(0.0)
             if share > 0:
-                inverse = see(cells, grey, columns, parts, r, u)
+                inverse = upsample_pixel(cells, grey, columns, parts, r, u)
                 further = share * _farther(inverse, below, ground[r, u], row, col, shift, factor)
             if labelled:
                 label = labels[r, u]
@@ -292,21 +289,21 @@ def _same(a: np.float32, b: np.float32, jump: np.float32) -> bool:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _raise(
-    rows: NDArray[np.int32],
-    cols: NDArray[np.int32],
-    raised: NDArray[np.int32],
-    ground: Image,
-    labels: NDArray[np.uint8],
+    rows: Int32Array,
+    cols: Int32Array,
+    raised: Int32Array,
+    ground: Float32Array,
+    labels: UInt8Array,
     labelled: bool,
-    outline: NDArray[np.float32],
+    outline: Float32Array,
     focal: np.float32,
-    cells: Image,
-    grey: NDArray[np.uint8],
-    columns: NDArray[np.int32],
-    parts: NDArray[np.float32],
+    cells: Float32Array,
+    grey: UInt8Array,
+    columns: Int32Array,
+    parts: Float32Array,
     networked: bool,
-    surface: Image,
-    sigma: Image,
+    surface: Float32Array,
+    sigma: Float32Array,
 ) -> None:
     """Write the near side's depth above each edge, but for pixels that are likelier the far side's by their class,
     their height and which of the two the network sees them nearer to."""
@@ -320,7 +317,7 @@ def _raise(
             near = max(sigma[v, u], np.float32(0.02) * d)
             if networked and ground[v - s, u] > d:
                 behind = one / ground[v - s, u]
-                toward = (see(cells, grey, columns, parts, v - s, u) - behind) / (one / d - behind)
+                toward = (upsample_pixel(cells, grey, columns, parts, v - s, u) - behind) / (one / d - behind)
                 odds = outline[labels[v - s, u] if labelled else 255] - np.log(np.float32(s) * d / focal)
                 # Not the other way round: where the network has no depth there is no doubt.
                 odds += np.float32(_TOWARD) * min(max(toward, np.float32(-0.5)), np.float32(1.5))
@@ -329,7 +326,9 @@ def _raise(
                     continue
                 if likely < np.float32(1.0 - OPEN):
                     if surface[v - s, u] < np.float32(1e9):
-                        surface[v - s, u], sigma[v - s, u] = either(surface[v - s, u], sigma[v - s, u], d, near, likely)
+                        surface[v - s, u], sigma[v - s, u] = mixture_moments(
+                            surface[v - s, u], sigma[v - s, u], d, near, likely
+                        )
                         continue
                     if odds < 0:
                         continue

@@ -16,15 +16,12 @@ from dataclasses import dataclass
 import cv2
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
-from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.expected_surface import MOST_ROLL_DEG
 from ltm_core.pose import Pose
-
-Image = NDArray[np.float32]
-Row = NDArray[np.float32]
+from ltm_core.types import Float32Array, UInt8Array
 
 NEARER = 0.69
 """Log odds that each e-folding of depth between a thing and the ground behind it adds: what is near hides much."""
@@ -43,7 +40,7 @@ _STEP = 4  # rows of the photo between those of `feet`
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class OcclusionPrior:
     """What is known of a photo's places before its depth is asked.
 
     `odds`: (h, w) float32 over the photo, log odds that a place shows something which stands before the ground, when
@@ -52,20 +49,20 @@ class Standing:
     spans at a depth of one.
     """
 
-    odds: Image
-    feet: Image
+    odds: Float32Array
+    feet: Float32Array
     focal: float
 
     @classmethod
     def of(
         cls,
-        ground: Image,
-        labels: NDArray[np.uint8] | None,
-        classes: DepthClasses,
+        ground: Float32Array,
+        labels: UInt8Array | None,
+        classes: ClassPriors,
         camera: Camera,
         pose: Pose,
         cells: tuple[int, int],
-    ) -> Standing:
+    ) -> OcclusionPrior:
         """From traced depth of bare ground (H, W) and label ids (H, W), or None. `cells`: (h, w) of the network whose
         depth will be asked about. Of a camera that is rolled by more than 20 degrees, or looks more than 60 down or up,
         no foot is asked: nothing stands along its columns."""
@@ -76,24 +73,24 @@ class Standing:
             feet[:] = 0.0
         focal = camera.fy * math.cos(math.radians(pitch))
         if labels is None:
-            return cls(np.full(cells, classes.standing[255], np.float32), feet, focal)
+            return cls(np.full(cells, classes.occluder_log_odds[255], np.float32), feet, focal)
         ids = cv2.resize(labels, cells[::-1], interpolation=cv2.INTER_NEAREST)
         # The sky says nothing of what stands beside it.
         land = (ids != classes.sky).astype(np.float32)
-        about = cv2.blur(classes.standing[ids] * land, (_ABOUT, _ABOUT))
+        about = cv2.blur(classes.occluder_log_odds[ids] * land, (_ABOUT, _ABOUT))
         share = np.maximum(cv2.blur(land, (_ABOUT, _ABOUT)), np.float32(1e-3))
         return cls(np.asarray(about / share, np.float32), feet, focal)
 
     @classmethod
-    def none(cls) -> Standing:
+    def none(cls) -> OcclusionPrior:
         """In place of one that is not asked, for kernels."""
         return cls(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 1.0)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def foot_of(near: np.float32, column: Row, row: int) -> int:
-    """Where in `column` of `Standing.feet` the ground below a `row` of the photo is first as near as the inverse depth
-    `near`; its length where the image ends above that."""
+def ground_contact(near: np.float32, column: Float32Array, row: int) -> int:
+    """Where in `column` of `OcclusionPrior.feet` the ground below a `row` of the photo is first as near as the inverse
+    depth `near`; its length where the image ends above that."""
     # Up a column of the image terrain only gets farther.
     first, last = row // _STEP, len(column)
     while first < last:
@@ -106,19 +103,19 @@ def foot_of(near: np.float32, column: Row, row: int) -> int:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def stands(
+def occlusion_log_odds(
     odds: np.float32,
     near: np.float32,
     true: np.float32,
     edge: np.float32,
-    column: Row,
+    column: Float32Array,
     row: int,
     foot: int,
     focal: np.float32,
 ) -> np.float32:
     """Log odds that something stands at inverse depth `near` before ground at `true`, which may be 0, in a `row` of the
-    photo, where an edge is as high as `edge` of the disagreement. For `odds` and `column` see `Standing`, for `foot`
-    `foot_of`."""
+    photo, where an edge is as high as `edge` of the disagreement. For `odds` and `column` see `OcclusionPrior`, for
+    `foot` `ground_contact`."""
     ratio = np.float32(MOST_RATIO)
     if true * np.float32(np.exp(MOST_RATIO)) > near:
         ratio = np.log(near / true)
@@ -130,7 +127,7 @@ def stands(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def grounded(near: np.float32, t: np.float32, column: Row, foot: int) -> tuple[np.float32, np.float32]:
+def snap_to_contact(near: np.float32, t: np.float32, column: Float32Array, foot: int) -> tuple[np.float32, np.float32]:
     """Inverse depth and its sigma, 1/m, of a thing that a network sees at `near`, with sigma `t`, and whose `foot` is
     known: it stands on the ground that is seen rather than on what a crest hides."""
     if foot == len(column) or not column[foot] > 0:
@@ -141,7 +138,7 @@ def grounded(near: np.float32, t: np.float32, column: Row, foot: int) -> tuple[n
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def either(
+def mixture_moments(
     d: np.float32, s: np.float32, other: np.float32, t: np.float32, likely: np.float32
 ) -> tuple[np.float32, np.float32]:
     """Mean and sigma, metres, of a depth that is `other`, of sigma `t`, as `likely` as that and else `d`, of `s`."""

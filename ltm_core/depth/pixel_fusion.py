@@ -1,10 +1,11 @@
 """Terrain or network, pixel by pixel.
 
-If the terrain were right, what would the network say here, and how surely (`answers`)? Where it says that, both are
+If the terrain were right, what would the network say here, and how surely (`error_model`)? Where it says that, both are
 averaged by inverse variance, in inverse depth: far away the terrain decides, since a network's sigma grows with the
 square of the depth. Where it says something else, either something stands before the terrain, or it is gone, or the
-network is wrong; the chance of each, by what the labels about the place say (`standing`), decides whether the network
-alone is taken. Where that is nearly open, depth is the mean of both as likely as they are, and sigma owns up to it.
+network is wrong; the chance of each, by what the labels about the place say (`occlusion_prior`), decides whether the
+network alone is taken. Where that is nearly open, depth is the mean of both as likely as they are, and sigma owns up
+to it.
 """
 
 from __future__ import annotations
@@ -13,17 +14,22 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from ltm_core.depth.class_priors import DepthClasses
-from ltm_core.depth.error_model import meant, pairs, said
-from ltm_core.depth.fusion_rows import average, begin, compare
-from ltm_core.depth.guided_upsampling import SeenDepth, see_row
-from ltm_core.depth.occlusion_prior import MOST_RATIO, NEARER, OPEN, Standing, either, foot_of, grounded, stands
-
-Image = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
-Row = NDArray[np.float32]
+from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.error_model import expected_prediction, interpolation_table, invert
+from ltm_core.depth.fusion_rows import average_row, begin_row, compare_row
+from ltm_core.depth.guided_upsampling import NetworkView, upsample_row
+from ltm_core.depth.occlusion_prior import (
+    MOST_RATIO,
+    NEARER,
+    OPEN,
+    OcclusionPrior,
+    ground_contact,
+    mixture_moments,
+    occlusion_log_odds,
+    snap_to_contact,
+)
+from ltm_core.types import Float32Array, Int32Array, UInt8Array
 
 _VANISHED = -4.6  # log odds that the ground of a pixel is gone, so that something farther shows
 _HEARD = 0.44  # of the log likelihood by which a network speaks for something nearer: its errors go on for many pixels
@@ -37,15 +43,15 @@ _FEW = math.log(OPEN / (1.0 - OPEN))
 _WIDEST = math.log(_RANGES / math.sqrt(2.0 * math.pi * _OWN))
 
 
-def combine(
-    depth: Image,
-    sigma: Image,
-    over: Image | None,
-    network: SeenDepth | None,
-    standing: Standing | None,
-    labels: Bytes | None,
-    classes: DepthClasses,
-    source: Bytes,
+def fuse_pixels(
+    depth: Float32Array,
+    sigma: Float32Array,
+    over: Float32Array | None,
+    network: NetworkView | None,
+    standing: OcclusionPrior | None,
+    labels: UInt8Array | None,
+    classes: ClassPriors,
+    source: UInt8Array,
 ) -> None:
     """Fuse in place: `depth` and `sigma` (H, W) come in as the terrain's and go out as the fused ones, `source` as
     `fusion.Source`.
@@ -54,8 +60,8 @@ def combine(
     class ids; None where there is none.
     """
     nothing = np.zeros((1, 1), np.float32)
-    standing = Standing.none() if standing is None else standing
-    seen = SeenDepth.none() if network is None else network
+    standing = OcclusionPrior.none() if standing is None else standing
+    seen = NetworkView.none() if network is None else network
     _combine(
         depth,
         sigma,
@@ -65,8 +71,8 @@ def combine(
         seen.grey,
         seen.columns,
         seen.parts,
-        seen.answers.shift,
-        seen.answers.factor,
+        seen.error_model.shift,
+        seen.error_model.factor,
         np.float32(seen.gross),
         network is not None,
         np.zeros((1, 1), np.uint8) if labels is None else labels,
@@ -75,42 +81,42 @@ def combine(
         standing.odds,
         standing.feet,
         np.float32(standing.focal),
-        classes.surface,
+        classes.canopy_log_odds,
         source,
     )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
 def _combine(
-    depth: Image,
-    sigma: Image,
-    over: Image,
+    depth: Float32Array,
+    sigma: Float32Array,
+    over: Float32Array,
     has_over: bool,
-    cells: Image,
-    grey: Bytes,
-    columns: NDArray[np.int32],
-    parts: Row,
-    shift: Image,
-    factor: Image,
+    cells: Float32Array,
+    grey: UInt8Array,
+    columns: Int32Array,
+    parts: Float32Array,
+    shift: Float32Array,
+    factor: Float32Array,
     gross: np.float32,
     usable: bool,
-    labels: Bytes,
+    labels: UInt8Array,
     labelled: bool,
     sky: int,
-    odds: Image,
-    feet: Image,
+    odds: Float32Array,
+    feet: Float32Array,
     focal: np.float32,
-    prefers_over: NDArray[np.float32],
-    source: Bytes,
+    prefers_over: Float32Array,
+    source: UInt8Array,
 ) -> None:
     """What is absent, as `has_over`, `usable` and `labelled` say, is of size 1 or 2.
 
-    Row by row (see `rows`): only the pixels where terrain and network disagree are looked at one by one.
+    Row by row (see `fusion_rows`): only the pixels where terrain and network disagree are looked at one by one.
     """
     half, one, far = np.float32(0.5), np.float32(1.0), np.float32(1e9)
     height, width = depth.shape
     cols = shift.shape[1]
-    tables = pairs(shift, factor)
+    tables = interpolation_table(shift, factor)
     table = (np.arange(width) * cols // width).astype(np.int32)
     between, seen = np.empty((4, cells.shape[2]), np.float32), np.empty((3, width), np.float32)
     y, near, back = seen[0], seen[1], seen[2]
@@ -126,16 +132,16 @@ def _combine(
         label = labels[v] if labelled else unlabelled
         at = odds[v * odds.shape[0] // height]
         if usable:
-            see_row(cells, grey, columns, parts, v, between, seen)
+            upsample_row(cells, grey, columns, parts, v, between, seen)
         if has_over:
             _choose(d, s, over[v], y, usable, i, table, shift, factor, label, prefers_over)
-        begin(d, s, kind)
+        begin_row(d, s, kind)
         if not usable:
             continue
-        count = compare(
+        count = compare_row(
             d, s, y, near, back, tables[i], table, place, label, sky, true, own, less, spread, off, joint, weight, asked
         )
-        average(d, s, kind, true, own, off, joint, weight)
+        average_row(d, s, kind, true, own, off, joint, weight)
         if not count:
             continue
         for u in np.flatnonzero(asked):
@@ -150,8 +156,8 @@ def _combine(
                     continue
                 other = y[u] if edge < np.float32(_BLURRED) else near[u]
                 column = feet[cell[u]]
-                foot = foot_of(other, column, v)
-                known = stands(known, other, true[u], edge, column, v, foot, focal)
+                foot = ground_contact(other, column, v)
+                known = occlusion_log_odds(known, other, true[u], edge, column, v, foot, focal)
                 likely = _likely(other, off[u], joint[u], spread[u], gross, known, np.float32(_HEARD))
             elif kind[u]:
                 # Or is something gone? That is not asked at edges, where the far side, or sky, may have leaked in.
@@ -160,7 +166,7 @@ def _combine(
                 likely = _likely(other, off[u], joint[u], spread[u], gross, np.float32(_VANISHED), one)
             if not (likely >= np.float32(OPEN) and other > 0):
                 continue
-            inverse, t = meant(i, table[u], other, shift, factor)
+            inverse, t = invert(i, table[u], other, shift, factor)
             if nearer:
                 # The shifts were learnt on ground; what stands before it is told by the line alone, and that it is
                 # there is known even where its depth is as good as not.
@@ -169,10 +175,10 @@ def _combine(
                 continue
             t = elsewhere(t, near[u], back[u])
             if nearer:
-                inverse, t = grounded(inverse, t, feet[cell[u]], foot)
+                inverse, t = snap_to_contact(inverse, t, feet[cell[u]], foot)
             t /= inverse * inverse
             if d[u] < far and likely < np.float32(1.0 - OPEN):
-                d[u], s[u] = either(d[u], s[u], one / inverse, t, likely)
+                d[u], s[u] = mixture_moments(d[u], s[u], one / inverse, t, likely)
             elif likely > half:
                 d[u], s[u] = one / inverse, t
             kind[u] = 2 if likely > half else kind[u]
@@ -224,17 +230,17 @@ def _likely(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _choose(
-    depth: Row,
-    sigma: Row,
-    over: Row,
-    seen: Row,
+    depth: Float32Array,
+    sigma: Float32Array,
+    over: Float32Array,
+    seen: Float32Array,
     usable: bool,
     i: int,
-    table: NDArray[np.int32],
-    shift: Image,
-    factor: Image,
-    labels: NDArray[np.uint8],
-    prefers_over: NDArray[np.float32],
+    table: Int32Array,
+    shift: Float32Array,
+    factor: Float32Array,
+    labels: UInt8Array,
+    prefers_over: Float32Array,
 ) -> None:
     """Bare ground or canopy, in one row: the label's odds, and which of the two the network is nearer to."""
     far, one, half = np.float32(1e9), np.float32(1.0), np.float32(0.5)
@@ -246,16 +252,16 @@ def _choose(
                 y, a = seen[u], np.float32(0.0)
                 if d < far:
                     a = one / d
-                m, t = said(i, table[u], a, shift, factor)
+                m, t = expected_prediction(i, table[u], a, shift, factor)
                 to_ground = (y - a + m) / t
                 for_over = half * to_ground * to_ground + np.log(t)
-                m, t = said(i, table[u], one / c, shift, factor)
+                m, t = expected_prediction(i, table[u], one / c, shift, factor)
                 to_over = (y - one / c + m) / t
                 for_over -= half * to_over * to_over + np.log(t)
                 odds += np.float32(_HEARD_OVER) * for_over
             likely = one / (one + np.exp(-odds))
             top = np.float32(0.03) * c if np.isnan(s) else max(s, np.float32(0.01) * c)
             if d < far and min(likely, one - likely) > np.float32(OPEN):
-                depth[u], sigma[u] = either(d, s, c, top, likely)
+                depth[u], sigma[u] = mixture_moments(d, s, c, top, likely)
             elif odds > 0:
                 depth[u], sigma[u] = c, top

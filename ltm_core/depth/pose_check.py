@@ -15,13 +15,13 @@ from dataclasses import dataclass
 import cv2
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
-from ltm_core.depth.class_priors import CREST, DepthClasses
-from ltm_core.depth.depth_discontinuities import Edges
+from ltm_core.depth.class_priors import CREST, ClassPriors
+from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
 from ltm_core.depth.expected_surface import JUMP
 from ltm_core.depth.skyline_check import check_skyline
+from ltm_core.types import BoolArray, Float32Array, Int32Array, UInt8Array
 
 REACH_DEG = 2.5
 """How far a wrong pose is looked for."""
@@ -60,15 +60,15 @@ class PoseCheck:
 
 
 def check_pose(
-    rgb: NDArray[np.uint8],
-    ground: NDArray[np.float32],
+    rgb: UInt8Array,
+    ground: Float32Array,
     camera: Camera,
     angle_sigma: float,
     dem_sigma: float,
-    labels: NDArray[np.uint8] | None = None,
-    classes: DepthClasses | None = None,
+    labels: UInt8Array | None = None,
+    classes: ClassPriors | None = None,
     label_cell: float = 1.0,
-    edges: Edges | None = None,
+    edges: DepthDiscontinuities | None = None,
 ) -> PoseCheck:
     """Check one photo (H, W, 3) and its labels (H, W), where there are any, against its traced depth (H, W).
 
@@ -77,7 +77,7 @@ def check_pose(
     """
     allowed = _ALLOWED_DEG + 3 * math.degrees(angle_sigma)
     nearest = (_COVER + dem_sigma) / math.radians(_NEAR_DEG)
-    rows, cols = _silhouettes(ground, Edges.of(ground) if edges is None else edges, nearest)
+    rows, cols = _silhouettes(ground, DepthDiscontinuities.of(ground) if edges is None else edges, nearest)
     if labels is not None and classes is not None:
         clear_of_trees = _clear_of_trees(rows, cols, ground, labels, classes.crest, dem_sigma)
         rows, cols = rows[clear_of_trees], cols[clear_of_trees]
@@ -106,13 +106,13 @@ def check_pose(
 
 
 def _clear_of_trees(
-    rows: NDArray[np.int32],
-    cols: NDArray[np.int32],
-    ground: NDArray[np.float32],
-    labels: NDArray[np.uint8],
-    crest: NDArray[np.float32],
+    rows: Int32Array,
+    cols: Int32Array,
+    ground: Float32Array,
+    labels: UInt8Array,
+    crest: Float32Array,
     dem_sigma: float,
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Which edges (N,) are no trees', by the labels right above and below them, or so far that trees are not much."""
     height = np.maximum(crest[labels[np.maximum(rows - _BESIDE, 0), cols]], crest[labels[rows, cols]])
     far = ground[rows, cols] > (height + dem_sigma) / math.radians(_NEAR_DEG)
@@ -120,7 +120,7 @@ def _clear_of_trees(
 
 
 def _check_edges(
-    rgb: NDArray[np.uint8], rows: NDArray[np.int32], cols: NDArray[np.int32], camera: Camera, allowed_deg: float
+    rgb: UInt8Array, rows: Int32Array, cols: Int32Array, camera: Camera, allowed_deg: float
 ) -> tuple[float, float, float, bool]:
     """Pitch and azimuth of the best turn, degrees, its gain, and whether the pose is suspected."""
     shrink = max(1, round(rgb.shape[1] / _CELLS))  # photo pixels a cell
@@ -140,9 +140,7 @@ def _check_edges(
     return pitch, azimuth, best / max(here, 1e-3), bool(clear and least > allowed_deg)
 
 
-def _silhouettes(
-    ground: NDArray[np.float32], edges: Edges, nearest: float
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _silhouettes(ground: Float32Array, edges: DepthDiscontinuities, nearest: float) -> tuple[Int32Array, Int32Array]:
     """Pixels (rows, cols) above which is sky or ground farther by twice a jump, every other column, of ground beyond
     `nearest` metres; where known ground merely ends there is no edge to be seen.
     """
@@ -157,7 +155,7 @@ def _silhouettes(
     return rows, cols
 
 
-def _contrast(rgb: NDArray[np.uint8], shrink: int) -> NDArray[np.float32]:
+def _contrast(rgb: UInt8Array, shrink: int) -> Float32Array:
     """How much the colour changes from above to below each place, relative to its surroundings' texture."""
     size = (rgb.shape[1] // shrink, rgb.shape[0] // shrink)
     change = _changes(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
@@ -166,7 +164,7 @@ def _contrast(rgb: NDArray[np.uint8], shrink: int) -> NDArray[np.float32]:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _changes(small: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _changes(small: UInt8Array) -> Float32Array:
     """Summed over the colours: two rows and the next two, as means over five columns; 0 where there are none."""
     height, width = small.shape[0], small.shape[1]
     change = np.zeros((height, width), np.float32)
@@ -189,13 +187,11 @@ def _changes(small: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _scores(
-    contrast: NDArray[np.float32], rows: NDArray[np.int32], cols: NDArray[np.int32], reach: int
-) -> NDArray[np.float32]:
+def _scores(contrast: Float32Array, rows: Int32Array, cols: Int32Array, reach: int) -> Float32Array:
     """Mean contrast under the edges, shifted by -reach..reach rows and columns."""
     height, width = contrast.shape
     side = 2 * reach + 1
-    # Edges that leave the image count as no contrast: the rest must not look the better for it.
+    # DepthDiscontinuities that leave the image count as no contrast: the rest must not look the better for it.
     wide = np.zeros((height + 2 * reach, width + 2 * reach), np.float32)
     wide[reach : reach + height, reach : reach + width] = contrast
     scores = np.zeros((side, side), np.float32)

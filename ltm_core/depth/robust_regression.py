@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from ltm_core.types import BoolArray, Float64Array
 
 TRIALS = 128
 """Pairs tried. With 45 % outliers a pair is clean with 0.3, so all fail together once in 10^19."""
@@ -30,14 +29,16 @@ class Line:
     scale: float
     shift: float
     sigma: float
-    inliers: NDArray[np.bool_]
+    inliers: BoolArray
 
     @property
     def inlier_ratio(self) -> float:
         return float(self.inliers.mean()) if len(self.inliers) else 0.0
 
 
-def robust_line(x: Floats, y: Floats, weight: Floats | None = None, floor: float = 0.0, seed: int = 0) -> Line | None:
+def robust_line(
+    x: Float64Array, y: Float64Array, weight: Float64Array | None = None, floor: float = 0.0, seed: int = 0
+) -> Line | None:
     """The line through the points (N,) that at most half of them contradict.
 
     `weight`: (N,) factors of the residuals. `floor`: the least sigma of a weighted residual that is believed, so that
@@ -80,7 +81,7 @@ def robust_line(x: Floats, y: Floats, weight: Floats | None = None, floor: float
     return Line(float(scale), float(shift), sigma, off <= WIDTH * sigma)
 
 
-def robust_offset(values: Floats, floor: float = 0.0) -> Line | None:
+def robust_offset(values: Float64Array, floor: float = 0.0) -> Line | None:
     """The number that most of `values` (N,) lie around, as a line of scale 1: the middle of their densest half."""
     if len(values) < 8:
         return None

@@ -10,15 +10,12 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from ltm_core.depth.error_model import RELATIVE_FLOOR, Answers
+from ltm_core.depth.error_model import RELATIVE_FLOOR, ErrorModel
 from ltm_core.depth.ground_sampling import GroundSamples
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.robust_regression import WIDTH, Line, robust_line, robust_offset
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.float32]
+from ltm_core.types import BoolArray, Float32Array, Float64Array
 
 LEAST_INLIERS = 0.3
 """Share of samples below which nothing holds together."""
@@ -40,19 +37,19 @@ The share among samples is little to go by: one place that a network mistakes is
 
 
 @dataclass(frozen=True, eq=False)
-class NetworkFit:
+class ScaleFit:
     """A network's inverse depth in 1/m at its own size, and what the fit says of it.
 
     `inverse`: (h, w) float32, 1/m, by one scale and shift. `nearest`, `farthest`: the same, the greatest and the least
-    among a pixel's neighbours: edges are soft, and halfway is neither side's depth. `answers`: what it says where the
-    truth is known. `gross`: share of answers that are no noise but wrong. `line`: scale and shift, in the measure of
-    the network's kind. `trouble`: why the fit cannot be used; empty where it can.
+    among a pixel's neighbours: edges are soft, and halfway is neither side's depth. `error_model`: what it says where
+    the truth is known. `gross`: share of answers that are no noise but wrong. `line`: scale and shift, in the measure
+    of the network's kind. `trouble`: why the fit cannot be used; empty where it can.
     """
 
-    inverse: Image
-    nearest: Image
-    farthest: Image
-    answers: Answers
+    inverse: Float32Array
+    nearest: Float32Array
+    farthest: Float32Array
+    error_model: ErrorModel
     gross: float
     line: Line | None
     trouble: str
@@ -62,7 +59,7 @@ class NetworkFit:
         return 0.0 if self.line is None else self.line.inlier_ratio
 
 
-def fit_network(network: NetworkDepth, samples: GroundSamples, size: tuple[int, int]) -> NetworkFit:
+def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, int]) -> ScaleFit:
     """Fit a network's depth to ground samples of a photo of `size` (height, width)."""
     values = network.values
     trouble = _unfit(values, network.kind) or _too_few(samples)
@@ -84,16 +81,16 @@ def fit_network(network: NetworkDepth, samples: GroundSamples, size: tuple[int, 
     explained = _explained(1.0 / samples.depth, read)
     if explained < LEAST_EXPLAINED and line.sigma > LIKE_TERRAIN:
         return _unusable(network, line, f"the network's depth explains only {explained:.0%} of the terrain's")
-    answers = Answers.of(read, samples, size)
+    model = ErrorModel.of(read, samples, size)
     # Ground seldom vanishes, so what is farther than the terrain is an error; what is nearer may be plants as well.
-    joint = answers.joint(read, samples, size)
+    joint = model.standardized(read, samples, size)
     joint = joint[np.isfinite(joint)]
     gross = float(np.mean(joint > GROSS_SIGMAS) + COVERED_GROSS * np.mean(joint < -GROSS_SIGMAS))
     gross = max(gross, LEAST_GROSS, min(line.sigma, NOISY_GROSS))
-    return NetworkFit(inverse, *_neighbours(inverse), answers, gross, line, "")
+    return ScaleFit(inverse, *_neighbours(inverse), model, gross, line, "")
 
 
-def sampled(image: Image, samples: GroundSamples, size: tuple[int, int]) -> Floats:
+def sampled(image: Float32Array, samples: GroundSamples, size: tuple[int, int]) -> Float64Array:
     """An image (h, w) over the same field of view at the samples' pixels, bilinear, (N,) float64."""
     height, width = image.shape
     x = (samples.cols + 0.5) * (width / size[1]) - 0.5
@@ -106,7 +103,7 @@ def sampled(image: Image, samples: GroundSamples, size: tuple[int, int]) -> Floa
     return np.asarray(upper * (1 - fy) + lower * fy, np.float64)
 
 
-def _unfit(values: Image, kind: str) -> str:
+def _unfit(values: Float32Array, kind: str) -> str:
     known = np.isfinite(values)
     if kind == "metric":
         known &= values > 0
@@ -123,7 +120,7 @@ def _too_few(samples: GroundSamples) -> str:
     return "" if len(samples) >= 50 else f"{len(samples)} pixels of trustworthy ground are too few to fit a scale to"
 
 
-def _line(kind: str, values: Floats, samples: GroundSamples) -> Line | None:
+def _line(kind: str, values: Float64Array, samples: GroundSamples) -> Line | None:
     """Scale and shift. Residuals of inverse depth weigh in proportion to it among the near, evenly among the far, and
     less where the terrain itself is unsure."""
     inverse = 1.0 / samples.depth
@@ -139,7 +136,7 @@ def _line(kind: str, values: Floats, samples: GroundSamples) -> Line | None:
     return None if line is None else replace(line, inliers=_spread_out(line.inliers, known))
 
 
-def _through_zero(values: Floats, inverse: Floats, weight: Floats) -> Line | None:
+def _through_zero(values: Float64Array, inverse: Float64Array, weight: Float64Array) -> Line | None:
     """The line without a shift; None for a network that seldom gives more than 0."""
     positive = values > 0
     if positive.mean() < 0.9:
@@ -148,7 +145,7 @@ def _through_zero(values: Floats, inverse: Floats, weight: Floats) -> Line | Non
     return None if ratio is None else _line_of(float(np.exp(ratio.shift)), 0.0, values, inverse, weight)
 
 
-def _with_shift(plain: Line | None, *given: Floats) -> Line | None:
+def _with_shift(plain: Line | None, *given: Float64Array) -> Line | None:
     """The line with a shift where that earns its place: one that hardly shows on the ground that was sampled would yet
     decide how near or far all else is.
 
@@ -170,29 +167,29 @@ def _with_shift(plain: Line | None, *given: Floats) -> Line | None:
     return line if fewer else plain
 
 
-def _line_of(scale: float, shift: float, values: Floats, inverse: Floats, weight: Floats) -> Line:
+def _line_of(scale: float, shift: float, values: Float64Array, inverse: Float64Array, weight: Float64Array) -> Line:
     off = np.abs(scale * values + shift - inverse) * weight
     sigma = max(1.4826 * float(np.median(off)), RELATIVE_FLOOR)
     return Line(scale, shift, sigma, off <= WIDTH * sigma)
 
 
-def _off(line: Line, values: Floats, inverse: Floats, weight: Floats) -> float:
+def _off(line: Line, values: Float64Array, inverse: Float64Array, weight: Float64Array) -> float:
     """Median residual of a line, in inverse depth."""
     return float(np.median(np.abs(line.scale * values + line.shift - inverse) * weight))
 
 
-def _off_values(line: Line, values: Floats, inverse: Floats, weight: Floats) -> float:
+def _off_values(line: Line, values: Float64Array, inverse: Float64Array, weight: Float64Array) -> float:
     """The same in the network's values."""
     return _off(line, values, inverse, weight) / abs(line.scale)
 
 
-def _spread_out(inliers: NDArray[np.bool_], known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _spread_out(inliers: BoolArray, known: BoolArray) -> BoolArray:
     everywhere = np.zeros(len(known), np.bool_)
     everywhere[known] = inliers
     return everywhere
 
 
-def _explained(inverse: Floats, fitted: Floats) -> float:
+def _explained(inverse: Float64Array, fitted: Float64Array) -> float:
     """The part of the ground's spread in inverse depth, in proportion to it, that `fitted` takes away: a mean of what
     is cut off at 1, since few samples may be all that lie at another depth."""
     usable = np.isfinite(fitted)
@@ -203,7 +200,7 @@ def _explained(inverse: Floats, fitted: Floats) -> float:
     return 1.0 - after / max(before, 1e-12)
 
 
-def _in_metres(network: NetworkDepth, line: Line) -> Image:
+def _in_metres(network: NetworkDepth, line: Line) -> Float32Array:
     """Inverse depth, 1/m; NaN where the line leads below 0 depth."""
     values = network.values
     if network.kind == "relative_inverse":
@@ -216,13 +213,13 @@ def _in_metres(network: NetworkDepth, line: Line) -> Image:
         return np.where(depth > 0, 1.0 / depth, np.nan).astype(np.float32)
 
 
-def _neighbours(image: Image) -> tuple[Image, Image]:
+def _neighbours(image: Float32Array) -> tuple[Float32Array, Float32Array]:
     """Largest and least value among each pixel's neighbours."""
     known = np.nan_to_num(image, nan=0.0)
     square = np.ones((3, 3), np.uint8)
     return np.asarray(cv2.dilate(known, square), np.float32), np.asarray(cv2.erode(known, square), np.float32)
 
 
-def _unusable(network: NetworkDepth, line: Line | None, trouble: str) -> NetworkFit:
+def _unusable(network: NetworkDepth, line: Line | None, trouble: str) -> ScaleFit:
     nothing = np.full(network.values.shape, np.nan, np.float32)
-    return NetworkFit(nothing, nothing, nothing, Answers.none(), 1.0, line, trouble)
+    return ScaleFit(nothing, nothing, nothing, ErrorModel.none(), 1.0, line, trouble)

@@ -12,12 +12,10 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from ltm_core.camera import Camera
-
-Floats = NDArray[np.float32]
+from ltm_core.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 
 COLUMNS = 480
 """Of a photo, about, that are looked at."""
@@ -46,13 +44,13 @@ class SkylineCheck:
 
 
 def check_skyline(
-    labels: NDArray[np.uint8],
+    labels: UInt8Array,
     sky: int,
-    ground: Floats,
+    ground: Float32Array,
     camera: Camera,
     angle_sigma: float,
     dem_sigma: float,
-    crest: Floats,
+    crest: Float32Array,
     nearest: float,
     reach: float,
     cell: float = 1.0,
@@ -97,7 +95,7 @@ def check_skyline(
     )
 
 
-def _within(top: NDArray[np.float64], columns: int) -> NDArray[np.float64]:
+def _within(top: Float64Array, columns: int) -> Float64Array:
     """Standard deviation of the skyline (C,) over so many columns about each."""
     size = columns | 1
     mean = uniform_filter1d(top, size, mode="nearest")
@@ -105,9 +103,7 @@ def _within(top: NDArray[np.float64], columns: int) -> NDArray[np.float64]:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _tops(
-    labels: NDArray[np.uint8], sky: int, ground: Floats, cols: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _tops(labels: UInt8Array, sky: int, ground: Float32Array, cols: Int64Array) -> tuple[Float64Array, Int64Array]:
     """Of columns (C,): the first row from which on some rows are no sky, 0 without sky and H without land; and the
     first row of known ground, 0 without."""
     height, count = labels.shape[0], len(cols)
@@ -134,15 +130,15 @@ def _tops(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _costs(
-    observed: NDArray[np.float64],
-    top: NDArray[np.float64],
-    far: NDArray[np.bool_],
-    open_above: NDArray[np.bool_],
-    cover: NDArray[np.float64],
-    sigma: NDArray[np.float64],
+    observed: Float64Array,
+    top: Float64Array,
+    far: BoolArray,
+    open_above: BoolArray,
+    cover: Float64Array,
+    sigma: Float64Array,
     cells: int,
     step: int,
-) -> NDArray[np.float64]:
+) -> Float64Array:
     """Mean square of sigmas, capped, for every shift by -cells..cells steps down and right."""
     count, side = len(observed), 2 * cells + 1
     usable = 0

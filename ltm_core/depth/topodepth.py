@@ -3,7 +3,7 @@
 After the paper's pixel sampling and RANSAC regression (the LTM paper, after FireLoc): the network's free scale comes
 from pixels whose terrain can be trusted, and so does what the network says where the depth is known. The terrain's
 answer is brought to the visible surface, by the height of what the labels say grows there or by a canopy raster, and at
-silhouettes by the photo. Then every pixel is decided: see `combine`.
+silhouettes by the photo. Then every pixel is decided: see `pixel_fusion`.
 """
 
 from __future__ import annotations
@@ -14,26 +14,23 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from ltm_core.depth.class_priors import DepthClasses
-from ltm_core.depth.depth_discontinuities import Edges
+from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
 from ltm_core.depth.expected_surface import expected_surface
 from ltm_core.depth.ground_sampling import ground_samples
-from ltm_core.depth.guided_upsampling import SeenDepth
+from ltm_core.depth.guided_upsampling import NetworkView
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.network_measurement import MeasuredDepth
-from ltm_core.depth.occlusion_boundaries import raise_silhouettes
-from ltm_core.depth.occlusion_prior import Standing
-from ltm_core.depth.pixel_fusion import combine
+from ltm_core.depth.network_measurement import NetworkMeasurement
+from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries
+from ltm_core.depth.occlusion_prior import OcclusionPrior
+from ltm_core.depth.pixel_fusion import fuse_pixels
 from ltm_core.depth.pose_check import PoseCheck, check_pose
-from ltm_core.depth.scale_fit import NetworkFit, fit_network
-from ltm_core.depth.unknown_regions import clear_beyond
+from ltm_core.depth.scale_fit import ScaleFit, fit_scale
+from ltm_core.depth.unknown_regions import clear_unenclosed
 from ltm_core.errors import ImageError
 from ltm_core.range_image import DepthImage, RangeImage
-
-Image = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
+from ltm_core.types import Float32Array, UInt8Array
 
 
 class Source(IntEnum):
@@ -79,21 +76,21 @@ class FusedDepth:
     `verdict`, and `reason` in words where it is not ok. `fit`: the network's fit, None where there was no network.
     """
 
-    depth: Image
-    sigma: Image
-    source: Bytes
-    ground: Image
+    depth: Float32Array
+    sigma: Float32Array
+    source: UInt8Array
+    ground: Float32Array
     inlier_ratio: float
     verdict: Verdict
     reason: str
     pose: PoseCheck
-    fit: NetworkFit | None = field(default=None, repr=False)
+    fit: ScaleFit | None = field(default=None, repr=False)
 
-    def measured(self) -> MeasuredDepth:
+    def measured(self) -> NetworkMeasurement:
         """What the network alone measures: nothing where it, or the pose, cannot be relied on."""
         if self.fit is None or self.verdict is not Verdict.OK:
-            return MeasuredDepth.none()
-        return MeasuredDepth.of(self.fit)
+            return NetworkMeasurement.none()
+        return NetworkMeasurement.of(self.fit)
 
     def info(self) -> dict[str, Any]:
         """JSON-ready: what `fused/info` carries."""
@@ -107,7 +104,7 @@ class FusedDepth:
             "inlier_ratio": round(self.inlier_ratio, 4),
             "scale": line.scale if line is not None else None,
             "shift": line.shift if line is not None else None,
-            "regional": bool(self.fit is not None and self.fit.answers.regional),
+            "regional": bool(self.fit is not None and self.fit.error_model.regional),
             "share": {source.name.lower(): round(float(shares[source]), 4) for source in Source},
             "pose": {k: round(v, 4) if isinstance(v, float) else v for k, v in asdict(self.pose).items()},
         }
@@ -116,9 +113,9 @@ class FusedDepth:
 def fuse(
     traced: RangeImage | DepthImage,
     network: NetworkDepth | None,
-    rgb: Bytes,
-    labels: Bytes | None,
-    classes: DepthClasses,
+    rgb: UInt8Array,
+    labels: UInt8Array | None,
+    classes: ClassPriors,
     settings: FusionSettings | None = None,
     surface: RangeImage | DepthImage | None = None,
 ) -> FusedDepth:
@@ -147,7 +144,7 @@ def fuse(
     settings = FusionSettings() if settings is None else settings
     camera = traced.camera
     cell = max(1.0, size[1] / settings.label_columns) if settings.label_columns else 1.0
-    edges = Edges.of(ground)
+    edges = DepthDiscontinuities.of(ground)
     check = check_pose(rgb, ground, camera, settings.angle_sigma, settings.dem_sigma, labels, classes, cell, edges)
     # A sample first: where it has ground, as it nearly always does, that is all.
     if not (np.isfinite(ground[::16, ::16]).any() or np.isfinite(ground).any()):
@@ -158,13 +155,15 @@ def fuse(
         ground, labels, classes.cover, camera, traced.pose, settings.angle_sigma, settings.dem_sigma
     )
     samples = ground_samples(expected, sigma, labels, classes.ground, camera.fy)
-    fit = None if network is None else fit_network(network, samples, (size[0], size[1]))
+    fit = None if network is None else fit_scale(network, samples, (size[0], size[1]))
     source = np.empty(size, np.uint8)
-    beside = SeenDepth.of(fit, rgb) if fit is not None and not fit.trouble else None
-    standing = None if beside is None else Standing.of(ground, labels, classes, camera, traced.pose, beside.shape)
-    raise_silhouettes(rgb, ground, expected, sigma, labels, classes, camera, beside, edges)
-    combine(expected, sigma, None if surface is None else surface.depth(), beside, standing, labels, classes, source)
-    clear_beyond(ground, expected, sigma, source)
+    beside = NetworkView.of(fit, rgb) if fit is not None and not fit.trouble else None
+    standing = None if beside is None else OcclusionPrior.of(ground, labels, classes, camera, traced.pose, beside.shape)
+    refine_occlusion_boundaries(rgb, ground, expected, sigma, labels, classes, camera, beside, edges)
+    fuse_pixels(
+        expected, sigma, None if surface is None else surface.depth(), beside, standing, labels, classes, source
+    )
+    clear_unenclosed(ground, expected, sigma, source)
     verdict, reason = Verdict.OK, ""
     if fit is not None and fit.trouble:
         verdict, reason = Verdict.NETWORK_UNUSABLE, fit.trouble
@@ -173,7 +172,7 @@ def fuse(
     )
 
 
-def _traced_alone(ground: Image, verdict: Verdict, reason: str, check: PoseCheck) -> FusedDepth:
+def _traced_alone(ground: Float32Array, verdict: Verdict, reason: str, check: PoseCheck) -> FusedDepth:
     source = np.where(np.isfinite(ground), Source.TERRAIN, np.where(np.isnan(ground), Source.UNKNOWN, Source.SKY))
     sigma = np.full(ground.shape, np.nan, np.float32)
     return FusedDepth(ground, sigma, source.astype(np.uint8), ground, 0.0, verdict, reason, check)

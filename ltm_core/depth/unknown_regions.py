@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-Image = NDArray[np.float32]
+from ltm_core.types import Float32Array, Int32Array, Int64Array, UInt8Array
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def clear_beyond(ground: Image, depth: Image, sigma: Image, source: NDArray[np.uint8]) -> NDArray[np.int32]:
+def clear_unenclosed(ground: Float32Array, depth: Float32Array, sigma: Float32Array, source: UInt8Array) -> Int32Array:
     """Make unknown in `depth`, `sigma` (H, W) and `source` what regions of NaN in the traced `ground` (H, W) cover that
     touch sky or the image's edge, by a corner or more; the runs of the others, (N, 3): row, first column, and the one
     behind the last.
@@ -58,7 +57,7 @@ def clear_beyond(ground: Image, depth: Image, sigma: Image, source: NDArray[np.u
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _runs(ground: Image) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+def _runs(ground: Float32Array) -> tuple[Int32Array, Int32Array, Int32Array]:
     """Row, first column and the column behind the last of every run of NaN, row by row."""
     height, width = ground.shape
     counts = np.zeros(height, np.int32)
@@ -85,7 +84,7 @@ def _runs(ground: Image) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _sky_beside(ground: Image, v: int, start: int, end: int) -> bool:
+def _sky_beside(ground: Float32Array, v: int, start: int, end: int) -> bool:
     """Whether a run that does not touch the image's edge has sky next to it."""
     sky = np.float32(np.inf)
     if ground[v, start - 1] == sky or ground[v, end] == sky:
@@ -97,7 +96,7 @@ def _sky_beside(ground: Image, v: int, start: int, end: int) -> bool:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _root(parent: NDArray[np.int64], k: int) -> int:
+def _root(parent: Int64Array, k: int) -> int:
     while parent[k] != k:
         parent[k] = parent[parent[k]]
         k = parent[k]

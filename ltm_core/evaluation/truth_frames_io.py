@@ -11,7 +11,6 @@ from zipfile import BadZipFile
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -19,6 +18,7 @@ from ltm_core.errors import RecordingError
 from ltm_core.geodesy import SiteFrame, ray_bend
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
+from ltm_core.types import BoolArray, Float32Array, UInt8Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +32,11 @@ class TruthFrame:
     stamp_ns: int
     camera: Camera
     pose: Pose
-    photo: NDArray[np.uint8]
-    surface: NDArray[np.float32]
-    ground: NDArray[np.float32]
-    labels: NDArray[np.uint8]
-    changed: NDArray[np.bool_]
+    photo: UInt8Array
+    surface: Float32Array
+    ground: Float32Array
+    labels: UInt8Array
+    changed: BoolArray
     date: str = ""
 
     @property
@@ -107,7 +107,7 @@ def dates(folder: Path) -> list[str]:
     return [date["name"] for date in _index(folder).get("dates", [])]
 
 
-def _changed(surface: RangeImage, change: Path, frame: SiteFrame) -> NDArray[np.bool_]:
+def _changed(surface: RangeImage, change: Path, frame: SiteFrame) -> BoolArray:
     import rasterio
 
     points = surface.points()

@@ -3,8 +3,8 @@
 Labels are of pixels, and a pixel shows the first plant on its ray, which is counted where the ray meets bare terrain
 behind it. From a low eye tall plants so fill more of a cell's pixels than of its ground, and those of the cells behind
 too. How much, depends on the angle at which the ground is seen and on what stands next to the cell along the sight
-line. `CellLook` knows this from cells of known form: a logistic regression with as many cells of each form gives
-the log ratios of the likelihoods of what is seen (Qin, Biometrika 85, 1998), without a model of the plants.
+line. `CellAppearanceModel` knows this from cells of known form: a logistic regression with as many cells of each form
+gives the log ratios of the likelihoods of what is seen (Qin, Biometrika 85, 1998), without a model of the plants.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pydantic import Field, model_validator
 
 from ltm_core.fuel.life_form import FORMS, LifeForm
 from ltm_core.strict_model import StrictModel
+from ltm_core.types import BoolArray, Float64Array, Int64Array
 
 SEEN: Final = 1 + 4 * FORMS
 """What is looked at: a one, the shares of labels in the cell, these times how sure the labels are, and the shares in
@@ -27,7 +28,7 @@ USUAL: Final = 0.7
 _NAMES: Final = tuple(form.name.lower() for form in LifeForm)
 
 
-class CellLookFile(StrictModel):
+class CellAppearanceFile(StrictModel):
     """`incidence`: rising cosines of the angle between sight and the ground's normal. `weights`: of each form that the
     network was tried on, at each of them: of what is looked at (`SEEN`).
     """
@@ -48,34 +49,34 @@ class CellLookFile(StrictModel):
 
 
 @dataclass(frozen=True, eq=False)
-class CellLook:
+class CellAppearanceModel:
     """`incidence`: (K,) rising cosines. `weights`: (FORMS, K, SEEN), between which it is linear; NaN for a form that
     the network was never tried on.
     """
 
-    incidence: NDArray[np.float64]
-    weights: NDArray[np.float64]
+    incidence: Float64Array
+    weights: Float64Array
 
     @classmethod
-    def of_file(cls, file: CellLookFile) -> CellLook:
+    def of_file(cls, file: CellAppearanceFile) -> CellAppearanceModel:
         weights = np.full((FORMS, len(file.incidence), SEEN), np.nan)
         for form, rows in file.weights.items():
             weights[_NAMES.index(form)] = rows
         return cls(np.array(file.incidence), weights)
 
-    def as_file(self) -> CellLookFile:
+    def as_file(self) -> CellAppearanceFile:
         known = {form.name.lower(): self.weights[form - 1] for form in LifeForm if self.known[form - 1]}
-        return CellLookFile(
+        return CellAppearanceFile(
             incidence=self.incidence.tolist(),
             weights={name: np.round(rows, 2).tolist() for name, rows in known.items()},
         )
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def known(self) -> BoolArray:
         """(FORMS,): forms that the network was tried on."""
         return np.isfinite(self.weights[:, 0, 0])
 
-    def log_likelihood(self, seen: NDArray[np.float64], cosine: NDArray[np.float64]) -> NDArray[np.float64]:
+    def log_likelihood(self, seen: Float64Array, cosine: Float64Array) -> Float64Array:
         """(N, FORMS) of what is seen, (N, SEEN), up to a constant for each cell; -inf for forms that are not known."""
         inputs = at_incidence(seen, cosine, self.incidence)
         result = inputs @ np.nan_to_num(self.weights.reshape(FORMS, -1)).T
@@ -83,12 +84,12 @@ class CellLook:
 
 
 def what_is_seen(
-    rows: NDArray[np.int64],
-    cols: NDArray[np.int64],
-    shares: NDArray[np.float64],
+    rows: Int64Array,
+    cols: Int64Array,
+    shares: Float64Array,
     bearing: NDArray[np.floating],
     confidence: NDArray[np.floating] | None,
-) -> NDArray[np.float64]:
+) -> Float64Array:
     """(N, SEEN) of the cells of a frame with label shares (N, FORMS) of mean confidence (N,), seen in directions
     `bearing` (N,), radians clockwise from grid north. A neighbour that the frame does not show is taken to look like
     the cell itself.
@@ -108,9 +109,7 @@ def what_is_seen(
     return np.concatenate(blocks, axis=1)
 
 
-def at_incidence(
-    seen: NDArray[np.float64], cosine: NDArray[np.float64], incidence: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def at_incidence(seen: Float64Array, cosine: Float64Array, incidence: Float64Array) -> Float64Array:
     """(N, K SEEN): what is seen, times what each of the K incidences weighs where the cell lies between them."""
     weigh = np.stack([np.interp(cosine, incidence, one) for one in np.eye(len(incidence))], axis=1)
     return np.asarray((weigh[:, :, None] * seen[:, None, :]).reshape(len(seen), len(incidence) * seen.shape[1]))

@@ -12,18 +12,16 @@ from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import ImageError
 from ltm_core.pose import Pose
+from ltm_core.types import Float32Array, Float64Array
 from ltm_core.visibility.footprint import arrival_directions
 from ltm_core.visibility.point_uncertainty import checked_covariance
-
-Floats = NDArray[np.float64]
-Column = NDArray[np.float32]
 
 _LEAST_FACING = 0.02
 """Sine of about 1 degree: sight along the ground is not taken to be flatter, first order would give infinities."""
 
 
 @dataclass(frozen=True, eq=False)
-class CellSighting:
+class CellVisibility:
     """(N,) float32 each.
 
     `cos_incidence`: of the angle between sight and the ground's normal; 0 along the ground and where it is not known.
@@ -32,44 +30,44 @@ class CellSighting:
     radians clockwise from grid north in which the camera looks at the cell.
     """
 
-    cos_incidence: Column
-    footprint: Column
-    sigma_along: Column
-    sigma_across: Column
-    bearing: Column
+    cos_incidence: Float32Array
+    footprint: Float32Array
+    sigma_along: Float32Array
+    sigma_across: Float32Array
+    bearing: Float32Array
 
     def __post_init__(self) -> None:
         lengths = [np.shape(column) for column in self.columns()]
         if len(set(lengths)) != 1 or len(lengths[0]) != 1:
-            raise ImageError(f"the columns of a sighting disagree in shape: {lengths}")
+            raise ImageError(f"the columns of a cell visibility disagree in shape: {lengths}")
 
-    def columns(self) -> tuple[Column, ...]:
+    def columns(self) -> tuple[Float32Array, ...]:
         return self.cos_incidence, self.footprint, self.sigma_along, self.sigma_across, self.bearing
 
-    def placement(self, cell: float) -> NDArray[np.float64]:
+    def placement(self, cell: float) -> Float64Array:
         """In (0, 1]: how much a cell of `cell` metres is worth as seen here; 1 for a frame that resolves it and looks
         at it squarely. It is the share of the cell in the area over which one pixel's vote may really lie.
         """
         along = np.hypot(self.footprint, self.sigma_along).astype(np.float64)
         return np.asarray(cell / np.hypot(cell, along) * (cell / np.hypot(cell, self.sigma_across)), np.float64)
 
-    def only(self, chosen: NDArray[Any]) -> CellSighting:
-        return CellSighting(*(column[chosen] for column in self.columns()))
+    def only(self, chosen: NDArray[Any]) -> CellVisibility:
+        return CellVisibility(*(column[chosen] for column in self.columns()))
 
     def __len__(self) -> int:
         return len(self.bearing)
 
 
-def sight_cells(
-    x: Floats,
-    y: Floats,
+def cell_visibility(
+    x: Float64Array,
+    y: Float64Array,
     dem: Dem,
     cell: float,
     camera: Camera,
     pose: Pose,
     bend: float = 0.0,
     covariance: ArrayLike | None = None,
-) -> CellSighting:
+) -> CellVisibility:
     """Sighting of the ground at map points (N,), with its slope taken over the width of a cell.
 
     To first order, as `uncertainty.traced_uncertainty`: a camera moved by o and turned by w moves the ray's end by
@@ -77,7 +75,7 @@ def sight_cells(
     """
     ground = np.column_stack([x, y, dem.elevation_at(x, y)])
     if len(ground) == 0:
-        return CellSighting(*(np.zeros(0, np.float32) for _ in range(5)))
+        return CellVisibility(*(np.zeros(0, np.float32) for _ in range(5)))
     normals = _normals(dem, x, y, cell / 2)
     known = np.isfinite(ground[:, 2]) & np.isfinite(normals[:, 0])
     ground[~known, 2] = pose.position[2]
@@ -91,10 +89,10 @@ def sight_cells(
     footprint = distance / (min(camera.fx, camera.fy) * facing)
     bearing = np.arctan2(lever[:, 0], lever[:, 1])
     along, across = _sigmas(arriving, lever, normals, facing, bearing, covariance)
-    return CellSighting(*(np.asarray(c, np.float32) for c in (cosine, footprint, along, across, bearing)))
+    return CellVisibility(*(np.asarray(c, np.float32) for c in (cosine, footprint, along, across, bearing)))
 
 
-def _normals(dem: Dem, x: Floats, y: Floats, half: float) -> Floats:
+def _normals(dem: Dem, x: Float64Array, y: Float64Array, half: float) -> Float64Array:
     """Upward unit normals (N, 3) of the ground over `half` metres each way; NaN where a height is unknown."""
     east = (dem.elevation_at(x + half, y) - dem.elevation_at(x - half, y)) / (2 * half)
     north = (dem.elevation_at(x, y + half) - dem.elevation_at(x, y - half)) / (2 * half)
@@ -103,8 +101,13 @@ def _normals(dem: Dem, x: Floats, y: Floats, half: float) -> Floats:
 
 
 def _sigmas(
-    arriving: Floats, lever: Floats, normals: Floats, facing: Floats, bearing: Floats, covariance: ArrayLike | None
-) -> tuple[Floats, Floats]:
+    arriving: Float64Array,
+    lever: Float64Array,
+    normals: Float64Array,
+    facing: Float64Array,
+    bearing: Float64Array,
+    covariance: ArrayLike | None,
+) -> tuple[Float64Array, Float64Array]:
     """Horizontal sigmas of the traced points, away from the camera and sideways, metres."""
     if covariance is None:
         return np.zeros(len(lever)), np.zeros(len(lever))

@@ -6,7 +6,6 @@ from enum import StrEnum
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ltm_core.config_io import load_yaml
@@ -14,6 +13,7 @@ from ltm_core.errors import ConfigError
 from ltm_core.fuel.life_form import NODATA, NONBURNABLE
 from ltm_core.resources import config_path
 from ltm_core.strict_model import StrictModel
+from ltm_core.types import Int16Array
 
 
 class FuelSystem(StrEnum):
@@ -107,7 +107,7 @@ class ChangedBySystem(StrictModel):
     fbfm13: ChangedCodes
 
 
-class Region(StrictModel):
+class FuelRegion(StrictModel):
     """What fuel codes mean in a region: see `config/fuel/regions`."""
 
     description: str
@@ -117,7 +117,7 @@ class Region(StrictModel):
     """FBFM40 -> FBFM13, of every burnable code."""
 
     @model_validator(mode="after")
-    def _codes_are_known(self) -> Region:
+    def _codes_are_known(self) -> FuelRegion:
         models = fuel_models()
         for system in FuelSystem:
             known = models.codes(system)
@@ -132,7 +132,7 @@ class Region(StrictModel):
         return self
 
     @classmethod
-    def named(cls, name: str) -> Region:
+    def named(cls, name: str) -> FuelRegion:
         """A region that ships with the project. Raises ConfigError naming those there are."""
         folder = config_path("fuel/regions")
         path = folder / f"{name}.yaml"
@@ -141,7 +141,7 @@ class Region(StrictModel):
             raise ConfigError(f"no fuel region is called {name!r}; there are {there}")
         return load_yaml(path, cls)
 
-    def to_fbfm13(self, codes: NDArray[np.int16]) -> NDArray[np.int16]:
+    def to_fbfm13(self, codes: Int16Array) -> Int16Array:
         """FBFM40 codes as FBFM13; non-burnable codes stay, unknown ones become NODATA."""
         table = np.full(256, NODATA, np.int16)
         table[list(NONBURNABLE)] = NONBURNABLE

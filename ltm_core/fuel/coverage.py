@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
+from ltm_core.types import Float32Array, Int32Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,8 +17,8 @@ class Seen:
     that a pixel covered at best, NaN where none is known.
     """
 
-    frames: NDArray[np.int32]
-    footprint: NDArray[np.float32]
+    frames: Int32Array
+    footprint: Float32Array
 
 
 class CoverageMap:
@@ -35,10 +35,10 @@ class CoverageMap:
             self.cameras[votes.source] = Seen(np.zeros(shape, np.int32), np.full(shape, np.nan, np.float32))
         seen, cells = self.cameras[votes.source], (votes.rows, votes.cols)
         seen.frames[cells] += 1
-        if votes.sighting is not None:
-            seen.footprint[cells] = np.fmin(seen.footprint[cells], votes.sighting.footprint)
+        if votes.visibility is not None:
+            seen.footprint[cells] = np.fmin(seen.footprint[cells], votes.visibility.footprint)
 
-    def count(self) -> NDArray[np.int32]:
+    def count(self) -> Int32Array:
         """(H, W): how many cameras saw each cell."""
         seen = [camera.frames > 0 for camera in self.cameras.values()]
         return np.sum(seen, axis=0, dtype=np.int32) if seen else np.zeros(self.geometry.shape, np.int32)

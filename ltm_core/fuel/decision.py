@@ -6,15 +6,15 @@ from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.special import betainc, entr
 
-from ltm_core.fuel.codes import FuelSystem, Region
+from ltm_core.fuel.codes import FuelRegion, FuelSystem
 from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of
 from ltm_core.fuel.majority import UNSEEN
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.rules import FusionRules
+from ltm_core.types import BoolArray, Float32Array, Float64Array, Int16Array, Int64Array, UInt8Array, UInt32Array
 
 _GRASS, _SHRUB, _TREE, _BURNED = (f - 1 for f in (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE, LifeForm.BURNED))
 _FLAT: Final = 0.5
@@ -27,11 +27,11 @@ class CellEvidence:
     that show each form, 0 none; `cameras` (N, FORMS): how many show it, 2 for more; `burned_at` (N,): seconds, 0 never.
     """
 
-    evidence: NDArray[np.float64]
-    first: NDArray[np.uint32]
-    last: NDArray[np.uint32]
-    cameras: NDArray[np.int64]
-    burned_at: NDArray[np.uint32]
+    evidence: Float64Array
+    first: UInt32Array
+    last: UInt32Array
+    cameras: Int64Array
+    burned_at: UInt32Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,15 +45,15 @@ class FuelLayers:
     not the prior's. `seen_by`: uint8 cameras, 8 for more.
     """
 
-    prior: NDArray[np.int16]
-    code: NDArray[np.int16]
-    life_form: NDArray[np.uint8]
-    p_max: NDArray[np.float32]
-    entropy: NDArray[np.float32]
-    evidence: NDArray[np.float32]
-    last_seen: NDArray[np.int64]
-    changed: NDArray[np.bool_]
-    seen_by: NDArray[np.uint8]
+    prior: Int16Array
+    code: Int16Array
+    life_form: UInt8Array
+    p_max: Float32Array
+    entropy: Float32Array
+    evidence: Float32Array
+    last_seen: Int64Array
+    changed: BoolArray
+    seen_by: UInt8Array
 
     def part(self, row: int, col: int, height: int, width: int) -> FuelLayers:
         """A rectangle of them: views."""
@@ -70,33 +70,33 @@ class _Judged:
     index of the strongest other form. `wants`: to change into it.
     """
 
-    codes: NDArray[np.int16]
-    base: NDArray[np.int16]
-    agreeing: NDArray[np.bool_]
-    has_prior: NDArray[np.bool_]
-    fresh: NDArray[np.bool_]
-    regrown: NDArray[np.bool_]
-    alpha: NDArray[np.float64]
-    challenger: NDArray[np.int64]
-    p_max: NDArray[np.float64]
-    wants: NDArray[np.bool_]
+    codes: Int16Array
+    base: Int16Array
+    agreeing: BoolArray
+    has_prior: BoolArray
+    fresh: BoolArray
+    regrown: BoolArray
+    alpha: Float64Array
+    challenger: Int64Array
+    p_max: Float64Array
+    wants: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
 class _Decided:
     """(N,) each."""
 
-    code: NDArray[np.int16]
-    form: NDArray[np.int64]
-    changed: NDArray[np.bool_]
-    p_max: NDArray[np.float64]
-    entropy: NDArray[np.float64]
+    code: Int16Array
+    form: Int64Array
+    changed: BoolArray
+    p_max: Float64Array
+    entropy: Float64Array
 
 
-class Decider:
+class ChangeDecision:
     """Applies the rules of change. `system`: of the prior's codes; None: no prior, codes are FBFM40."""
 
-    def __init__(self, system: FuelSystem | None, rules: FusionRules, region: Region) -> None:
+    def __init__(self, system: FuelSystem | None, rules: FusionRules, region: FuelRegion) -> None:
         self._rules = rules
         self._codes = getattr(region.changed, system or FuelSystem.FBFM40)
         # What a cell without evidence is depends on its code alone.
@@ -114,11 +114,11 @@ class Decider:
 
     def decide(
         self,
-        codes: NDArray[np.int16],
-        touched: NDArray[np.bool_],
+        codes: Int16Array,
+        touched: BoolArray,
         cells: CellEvidence,
         now_s: float,
-        company: NDArray[np.uint8] | None = None,
+        company: UInt8Array | None = None,
     ) -> FuelLayers:
         """The layers of a part of the grid, all but `last_seen` and `seen_by`, which are zero; within `reach` of an
         edge that is not the grid's they may be those of a map that ends there.
@@ -154,7 +154,7 @@ class Decider:
             layers.changed[touched] = decided.changed
         return layers
 
-    def _judge(self, codes: NDArray[np.int16], cells: CellEvidence, now_s: float) -> _Judged:
+    def _judge(self, codes: Int16Array, cells: CellEvidence, now_s: float) -> _Judged:
         rules = self._rules
         original = forms_of(codes)
         masked = np.isin(codes, rules.mask)
@@ -172,7 +172,7 @@ class Decider:
         fresh = burned & ~regrown
         return _Judged(codes, base, agreeing, has_prior, fresh, regrown, alpha, challenger, p_max, wants)
 
-    def _settle(self, judged: _Judged, changes: NDArray[np.bool_], cells: CellEvidence, now_s: float) -> _Decided:
+    def _settle(self, judged: _Judged, changes: BoolArray, cells: CellEvidence, now_s: float) -> _Decided:
         """What cells become, those of `changes` (N,) their challenger."""
         rules, codes = self._rules, judged.codes
         original = forms_of(codes)
@@ -194,7 +194,7 @@ class Decider:
         changed = (changes | judged.fresh | judged.regrown) & ~back
         return _Decided(code.astype(np.int16), form, changed, judged.p_max, entropy)
 
-    def _prior_evidence(self, agreeing: NDArray[np.bool_], has_prior: NDArray[np.bool_]) -> NDArray[np.float64]:
+    def _prior_evidence(self, agreeing: BoolArray, has_prior: BoolArray) -> Float64Array:
         """(N, FORMS): kappa pi."""
         rules = self._rules
         count = agreeing.sum(axis=1, keepdims=True)
@@ -203,9 +203,7 @@ class Decider:
         prior = rules.prior_evidence * np.where(agreeing, inside, outside)
         return np.where(has_prior[:, None], prior, _FLAT)
 
-    def _new_codes(
-        self, form: NDArray[np.int64], original: NDArray[np.bool_], evidence: NDArray[np.float64]
-    ) -> NDArray[np.int64]:
+    def _new_codes(self, form: Int64Array, original: BoolArray, evidence: Float64Array) -> Int64Array:
         """The codes of cells that are now of `form` (N,)."""
         c = self._codes
         table = np.array([c.grass, c.shrub, c.to_tree, c.bare, c.water, c.built, c.burned])
@@ -216,7 +214,7 @@ class Decider:
         return np.where(mixed, c.grass_shrub, code)
 
 
-def _in_regions(forms: NDArray[np.uint8], least: int) -> NDArray[np.bool_]:
+def _in_regions(forms: UInt8Array, least: int) -> BoolArray:
     """(H, W): cells of connected regions (by sides and corners) of one form, not 0, of `least` cells or more."""
     if least == 1:
         return forms > 0
@@ -229,9 +227,7 @@ def _in_regions(forms: NDArray[np.uint8], least: int) -> NDArray[np.bool_]:
     return kept
 
 
-def _favoured(
-    alpha: NDArray[np.float64], possible: NDArray[np.bool_], has_prior: NDArray[np.bool_], posterior: float
-) -> NDArray[np.int64]:
+def _favoured(alpha: Float64Array, possible: BoolArray, has_prior: BoolArray, posterior: float) -> Int64Array:
     """(N,) the form of cells that do not change: of those that a prior's code stands for, its first one, unless another
     is the commoner with the probability that a change would need; without a prior, the commonest.
     """
@@ -243,8 +239,8 @@ def _favoured(
 
 
 def _contest(
-    alpha: NDArray[np.float64], agreeing: NDArray[np.bool_], has_prior: NDArray[np.bool_]
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    alpha: Float64Array, agreeing: BoolArray, has_prior: BoolArray
+) -> tuple[Int64Array, Float64Array, Float64Array]:
     """The strongest life form that does not agree with the prior, the probability that it is the commonest, and that
     of whatever is favoured.
 
@@ -261,7 +257,7 @@ def _contest(
     return challenger, better, np.where(has_prior, np.maximum(better, 1 - over_prior), over_prior)
 
 
-def layers_of_classes(classes: NDArray[np.uint8], prior: FuelPrior | None, region: Region) -> FuelLayers:
+def layers_of_classes(classes: UInt8Array, prior: FuelPrior | None, region: FuelRegion) -> FuelLayers:
     """The layers that a map of label classes (H, W), 255 unseen, stands for, each of its cells taken at its word.
 
     For maps without evidence, such as a majority vote: a cell whose class agrees with the prior keeps its code.
@@ -273,4 +269,4 @@ def layers_of_classes(classes: NDArray[np.uint8], prior: FuelPrior | None, regio
     certain[np.arange(len(certain)), classes[seen].astype(np.int64) - 1] = 1000.0
     shown = (certain > 0).astype(np.uint32)
     cells = CellEvidence(certain, shown, shown, 2 * shown.astype(np.int64), np.zeros(len(certain), np.uint32))
-    return Decider(prior.system if prior is not None else None, rules, region).decide(codes, seen, cells, 0.0)
+    return ChangeDecision(prior.system if prior is not None else None, rules, region).decide(codes, seen, cells, 0.0)

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError, RasterError
-from ltm_core.fuel.codes import Region
-from ltm_core.fuel.decision import CellEvidence, Decider, FuelLayers
+from ltm_core.fuel.codes import FuelRegion
+from ltm_core.fuel.decision import CellEvidence, ChangeDecision, FuelLayers
 from ltm_core.fuel.evidence_kernel import accumulate, pooled
 from ltm_core.fuel.frame_evidence import FrameEvidence, frame_evidence
 from ltm_core.fuel.label_errors import LabelErrors
@@ -28,6 +28,7 @@ from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store_schema import Field
+from ltm_core.types import BoolArray, Int64Array, UInt8Array
 from ltm_core.vision.labels import LabelSet
 
 Window = tuple[int, int, int, int]
@@ -56,7 +57,7 @@ EVIDENCE_FIELDS: Final[Mapping[str, Field]] = {
     "epochs": Field(np.uint16, (VIEWS, EPOCHS)),  # their numbers from 1970 on, newest first; 0 none
     "first": Field(np.uint32, (FORMS,)),  # second of the earliest frame that shows the form; 0 none
     "last": Field(np.uint32, (FORMS,)),  # of the latest
-    "witnesses": Field(np.uint32, (FORMS, 2)),  # hashes of two cameras that show the form; 0 none
+    "camera_hashes": Field(np.uint32, (FORMS, 2)),  # hashes of two cameras that show the form; 0 none
     "seen_by": Field(np.uint32, (CAMERAS_KEPT,)),  # hashes of cameras that see the cell, rising; 0 none
     "last_seen": Field(np.uint32),  # second of the latest frame
     "burned_at": Field(np.uint32),  # second of the latest burn that the map was told of; 0 none
@@ -71,7 +72,7 @@ def camera_hash(source: str) -> int:
     return zlib.crc32(source.encode()) or 1
 
 
-def _views(source: str, frame: FrameEvidence) -> NDArray[np.int64]:
+def _views(source: str, frame: FrameEvidence) -> Int64Array:
     """(N,) which view of each cell a frame belongs to; that of a camera which tells no bearing is always the same."""
     if frame.bearing is None:
         return np.full(len(frame), camera_hash(source) % VIEWS)
@@ -98,21 +99,21 @@ class EvidenceMap:
         labels: LabelSet,
         rules: FusionRules | None = None,
         errors: LabelErrors | None = None,
-        region: Region | None = None,
+        region: FuelRegion | None = None,
     ) -> None:
         if prior is not None and prior.codes.shape != geometry.shape:
             raise RasterError(f"the prior is {prior.codes.shape} cells, the fuel grid {geometry.shape}")
         self.geometry = geometry
         self.prior = prior
         self.rules = rules if rules is not None else FusionRules()
-        self.region = region if region is not None else Region.named("dry")
+        self.region = region if region is not None else FuelRegion.named("dry")
         self.newest_ns = 0
         """The latest stamp counted, to the second: the map's own time."""
         self._errors = errors if errors is not None else LabelErrors.assumed()
         self._forms = label_forms(labels)
         # Cells of which the prior says the same are of one stand.
         self._stands = None if prior is None else np.packbits(forms_of(prior.codes), axis=-1)[..., 0]
-        self._decider = Decider(prior.system if prior is not None else None, self.rules, self.region)
+        self._decider = ChangeDecision(prior.system if prior is not None else None, self.rules, self.region)
         years = self.rules.decay_years.model_dump()
         self._decay_s = np.array([years[form.name.lower()] for form in LifeForm]) * (365.25 * 86400)
         # calloc'ed: cells that no frame sees take no memory.
@@ -158,7 +159,7 @@ class EvidenceMap:
         row, col = int(frame.rows.min()), int(frame.cols.min())
         return row, col, int(frame.rows.max()) - row + 1, int(frame.cols.max()) - col + 1
 
-    def burn(self, cells: NDArray[np.bool_], stamp_ns: int) -> None:
+    def burn(self, cells: BoolArray, stamp_ns: int) -> None:
         """The cells (H, W) burned at that time: what was known of them before is void, also where it comes later.
 
         Tell it once it is known: evidence of frames after the burn that came before this call is lost too.
@@ -191,7 +192,7 @@ class EvidenceMap:
         row, col = wanted[0] - around[0], wanted[1] - around[1]
         return self._layers(around, at_ns).part(row, col, wanted[2], wanted[3])
 
-    def changed_otherwise(self, window: Window) -> NDArray[np.uint8] | None:
+    def changed_otherwise(self, window: Window) -> UInt8Array | None:
         """(h, w) life forms of cells that have changed for other reasons than evidence, 0 none; None: none has."""
         return None
 
@@ -215,7 +216,7 @@ class EvidenceMap:
             evidence=worth / UNIT,
             first=state["first"][touched],
             last=state["last"][touched],
-            cameras=(state["witnesses"][touched] > 0).sum(axis=-1),
+            cameras=(state["camera_hashes"][touched] > 0).sum(axis=-1),
             burned_at=state["burned_at"][touched],
         )
         layers = self._decider.decide(codes, touched, cells, now, self.changed_otherwise(window))
@@ -223,7 +224,7 @@ class EvidenceMap:
         layers.seen_by[...] = (state["seen_by"] > 0).sum(axis=-1)
         return layers
 
-    def seen_by(self, source: str) -> NDArray[np.bool_]:
+    def seen_by(self, source: str) -> BoolArray:
         """(H, W): cells that a camera sees, as far as cells remember (`CAMERAS_KEPT`)."""
         return np.asarray((self._state["seen_by"] == np.uint32(camera_hash(source))).any(axis=-1))
 
@@ -258,7 +259,7 @@ class EvidenceMap:
         newest = max(int(self._state["last_seen"][part].max()), int(self._state["burned_at"][part].max()))
         self.newest_ns = max(self.newest_ns, newest * 10**9)
 
-    def _forget(self, cells: NDArray[np.bool_]) -> None:
+    def _forget(self, cells: BoolArray) -> None:
         for name, array in self._state.items():
             if name != "burned_at":
                 array[cells] = 0

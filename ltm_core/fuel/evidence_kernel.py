@@ -6,7 +6,8 @@ from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
+
+from ltm_core.types import Float64Array
 
 _REACH = 2.5
 """Sigmas to which the displacement of a cell is followed."""
@@ -36,7 +37,7 @@ def _gaussian(weight: float, sigma: float) -> Any:
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def with_neighbours(
     rows: Any, cols: Any, values: Any, stands: Any, weight: float, sigma: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Float64Array, Float64Array]:
     """`values` (N, F) of each cell plus those of the cells of its stand (N,) about it, which weigh `weight` times a
     Gaussian of `sigma` cells; and (N,) the sum of these weights, 1 for the cell itself. Of stand 0 nothing is known,
     and it may end anywhere: there the Gaussian is of one cell.
@@ -72,7 +73,7 @@ def spread(
     sigma_along: Any,
     sigma_across: Any,
     bearing: Any,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Float64Array, Float64Array]:
     """Shares (N, F) averaged over where each cell's pixels may really lie, and the part of that which the frame sees.
 
     The cell that is traced to (row, col) is another one with the probability that a Gaussian of `sigma_along` and
@@ -176,7 +177,7 @@ def accumulate(
     epochs: Any,
     first: Any,
     last: Any,
-    witnesses: Any,
+    camera_hashes: Any,
     seen_by: Any,
     last_seen: Any,
     burned_at: Any,
@@ -198,7 +199,7 @@ def accumulate(
         if f >= 0:
             first[r, c, f] = second if first[r, c, f] == 0 else min(first[r, c, f], second)
             last[r, c, f] = max(last[r, c, f], second)
-            _remember(witnesses[r, c, f], camera)
+            _remember(camera_hashes[r, c, f], camera)
         v = views[i]
         e = _slot(epochs[r, c, v], epoch, shown[r, c, v], best[r, c, v], span[r, c, v])
         if e < 0:
@@ -223,7 +224,7 @@ def pooled(
     look_s: float,
     between_frames: float,
     between_views: float,
-) -> NDArray[np.float64]:
+) -> Float64Array:
     """(N, F) evidence that the looks of all views are worth together, as of a time: nested design effects.
 
     `shown` (N, V, E, F), `best` (N, V, E), `span` (N, V, E, 2): what each view shows in each epoch, the most that a

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_softmax, softmax
 
 from ltm_core.errors import ImageError
@@ -15,6 +14,7 @@ from ltm_core.fuel.label_errors import FLOOR, LabelErrors
 from ltm_core.fuel.life_form import form_counts
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
+from ltm_core.types import Float64Array, Int64Array, UInt8Array
 
 _SUPPORTS = 0.5
 """Least evidence by which a frame is one of those that show a life form in a cell."""
@@ -27,11 +27,11 @@ class FrameEvidence:
     `bearing`: (N,) radians clockwise from grid north in which the frame looks at the cell; None: not known.
     """
 
-    rows: NDArray[np.int64]
-    cols: NDArray[np.int64]
-    amounts: NDArray[np.float64]
-    supported: NDArray[np.int64]
-    bearing: NDArray[np.float64] | None
+    rows: Int64Array
+    cols: Int64Array
+    amounts: Float64Array
+    supported: Int64Array
+    bearing: Float64Array | None
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -39,10 +39,10 @@ class FrameEvidence:
 
 def frame_evidence(
     votes: CellVotes,
-    forms: NDArray[np.int64],
+    forms: Int64Array,
     errors: LabelErrors,
     rules: FusionRules,
-    stands: NDArray[np.uint8] | None = None,
+    stands: UInt8Array | None = None,
 ) -> FrameEvidence:
     """Evidence w n p(l) of each cell.
 
@@ -63,8 +63,8 @@ def frame_evidence(
     counts = form_counts(votes.counts, forms)
     pixels = counts.sum(axis=1)
     useful = pixels > 0
-    if votes.sighting is not None:
-        useful &= np.maximum(votes.sighting.sigma_along, votes.sighting.sigma_across) <= rules.max_sigma
+    if votes.visibility is not None:
+        useful &= np.maximum(votes.visibility.sigma_along, votes.visibility.sigma_across) <= rules.max_sigma
     votes, counts, pixels = votes.only(useful), counts[useful], pixels[useful]
     rows, cols = votes.rows.astype(np.int64), votes.cols.astype(np.int64)
     stand = np.zeros(len(rows), np.uint8) if stands is None else stands[rows, cols]
@@ -72,23 +72,23 @@ def frame_evidence(
     amount = np.minimum(pixels, rules.frame_cap)
     bearing = None
     # What a cell looks like tells of the labels' confidence and of how plants stand before the ground behind them.
-    by_look = errors.look is not None and votes.sighting is not None
+    by_look = errors.appearance is not None and votes.visibility is not None
     if votes.confidence is not None and not by_look:
         amount *= np.minimum(votes.confidence / rules.sure, 1.0)
-    if votes.sighting is not None:
+    if votes.visibility is not None:
         cell = votes.geometry.resolution
-        amount *= cell / np.hypot(cell, votes.sighting.footprint)
-        cosine = np.maximum(votes.sighting.cos_incidence.astype(np.float64), 0.02)
+        amount *= cell / np.hypot(cell, votes.visibility.footprint)
+        cosine = np.maximum(votes.visibility.cos_incidence.astype(np.float64), 0.02)
         relief = 0.0 if by_look else rules.relief
         parallax = relief * np.sqrt(1 - np.minimum(cosine, 1.0) ** 2) / cosine
-        bearing = votes.sighting.bearing.astype(np.float64)
+        bearing = votes.visibility.bearing.astype(np.float64)
         probability, coverage = spread(
             rows,
             cols,
             probability,
             amount,
-            np.minimum(np.hypot(votes.sighting.sigma_along, parallax), rules.max_sigma) / cell,
-            votes.sighting.sigma_across.astype(np.float64) / cell,
+            np.minimum(np.hypot(votes.visibility.sigma_along, parallax), rules.max_sigma) / cell,
+            votes.visibility.sigma_across.astype(np.float64) / cell,
             bearing,
         )
         amount *= coverage
@@ -104,25 +104,25 @@ def frame_evidence(
 
 def _probability(
     votes: CellVotes,
-    rows: NDArray[np.int64],
-    cols: NDArray[np.int64],
-    shares: NDArray[np.float64],
-    pixels: NDArray[np.float64],
-    stand: NDArray[np.uint8],
+    rows: Int64Array,
+    cols: Int64Array,
+    shares: Float64Array,
+    pixels: Float64Array,
+    stand: UInt8Array,
     errors: LabelErrors,
     rules: FusionRules,
-) -> NDArray[np.float64]:
+) -> Float64Array:
     """(N, FORMS) of each life form given the shares of labels: a softmax of their log likelihoods.
 
     Plants grow in stands larger than a cell, so that what the cells about it look like speaks for a cell too.
     """
     correlation = errors.correlation
     own = (pixels / (1 + (pixels - 1) * correlation.cell))[:, None] * _log_shares(shares, errors)
-    if errors.look is not None and votes.sighting is not None:
-        seen = what_is_seen(rows, cols, shares, votes.sighting.bearing, votes.confidence)
-        looks = errors.look.log_likelihood(seen, votes.sighting.cos_incidence.astype(np.float64))
+    if errors.appearance is not None and votes.visibility is not None:
+        seen = what_is_seen(rows, cols, shares, votes.visibility.bearing, votes.confidence)
+        looks = errors.appearance.log_likelihood(seen, votes.visibility.cos_incidence.astype(np.float64))
         # Of cells that are mostly called what the looks were not learnt of, such as water, the labels are all there is.
-        usual = shares[:, errors.look.known].sum(axis=1) >= 0.5
+        usual = shares[:, errors.appearance.known].sum(axis=1) >= 0.5
         own[usual] = np.maximum(log_softmax(looks[usual], axis=1), np.log(FLOOR))
     known = np.isfinite(own).all(axis=0)
     pooled, cells = with_neighbours(
@@ -134,7 +134,7 @@ def _probability(
     return probability
 
 
-def _log_shares(shares: NDArray[np.float64], errors: LabelErrors) -> NDArray[np.float64]:
+def _log_shares(shares: Float64Array, errors: LabelErrors) -> Float64Array:
     """(N, FORMS) log likelihood of one pixel's label in the mean of a cell's label shares (N, FORMS)."""
     table = errors.log_likelihood()
     known = np.isfinite(table).all(axis=1)

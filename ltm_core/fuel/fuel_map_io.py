@@ -6,17 +6,17 @@ import json
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError, RasterError
 from ltm_core.fuel.majority import UNSEEN
 from ltm_core.geodesy import SiteFrame
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.raster_io import write_geotiff
+from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import LabelSet
 
 
-def write_fuel_map(path: Path | str, classes: NDArray[np.uint8], geometry: GridGeometry, labels: LabelSet) -> Path:
+def write_fuel_map(path: Path | str, classes: UInt8Array, geometry: GridGeometry, labels: LabelSet) -> Path:
     """Write class indices, (H, W) uint8 with 255 unseen, with the palette and the classes' names.
 
     The file appears whole or not at all. Raises ConfigError where `path` is empty, its folder is missing or the file
@@ -44,7 +44,7 @@ def write_fuel_map(path: Path | str, classes: NDArray[np.uint8], geometry: GridG
     return path
 
 
-def read_fuel_map(path: Path | str) -> tuple[NDArray[np.uint8], GridGeometry]:
+def read_fuel_map(path: Path | str) -> tuple[UInt8Array, GridGeometry]:
     """The class indices (255 unseen) and geometry of a fuel map. Raises RasterError on any other raster."""
     import rasterio
     from rasterio.errors import RasterioError
@@ -66,8 +66,8 @@ def read_fuel_map(path: Path | str) -> tuple[NDArray[np.uint8], GridGeometry]:
 
 
 def resampled(
-    classes: NDArray[np.uint8], geometry: GridGeometry, crs: str, phase: float = 15.0
-) -> tuple[NDArray[np.uint8], GridGeometry]:
+    classes: UInt8Array, geometry: GridGeometry, crs: str, phase: float = 15.0
+) -> tuple[UInt8Array, GridGeometry]:
     """The map by nearest cell on the grid of the same resolution in another CRS, edges at phase mod resolution.
 
     EPSG:5070 gives LANDFIRE's grid. Raises ConfigError where `crs` is unknown or not projected in metres.

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ltm_core.config_io import load_yaml
 from ltm_core.errors import ConfigError, ModelError
-from ltm_core.fuel.cell_appearance_model import CellLook, CellLookFile
+from ltm_core.fuel.cell_appearance_model import CellAppearanceFile, CellAppearanceModel
 from ltm_core.fuel.life_form import FORMS, LifeForm
 from ltm_core.resources import config_path
 from ltm_core.strict_model import StrictModel
+from ltm_core.types import Float32Array, Float64Array
 from ltm_core.vision.label_calibration_io import Calibration, load_calibration
 from ltm_core.vision.manifest import Manifest
 
@@ -70,7 +70,7 @@ class _ErrorsFile(StrictModel):
     source: str = Field(min_length=1)
     shares: dict[str, dict[str, float]] | None = None
     correlation: LabelCorrelation | None = None
-    look: CellLookFile | None = None
+    appearance: CellAppearanceFile | None = None
 
     @model_validator(mode="after")
     def _names_are_life_forms(self) -> _ErrorsFile:
@@ -85,15 +85,15 @@ class _ErrorsFile(StrictModel):
 @dataclass(frozen=True, eq=False)
 class LabelErrors:
     """`shares`: (FORMS, FORMS), by [the cell's life form, label]: rows sum to 1, NaN for a form that the network was
-    never tried on, which its labels then are no evidence of. `source`: where the figures are from. `look`: what whole
-    cells look like, where that was learnt; it stands in place of the shares, and the correlations are of what it
+    never tried on, which its labels then are no evidence of. `source`: where the figures are from. `appearance`: what
+    whole cells look like, where that was learnt; it stands in place of the shares, and the correlations are of what it
     cannot tell.
     """
 
-    shares: NDArray[np.float64]
+    shares: Float64Array
     correlation: LabelCorrelation
     source: str = ""
-    look: CellLook | None = None
+    appearance: CellAppearanceModel | None = None
 
     def __post_init__(self) -> None:
         known = ~np.isnan(self.shares).any(axis=1)
@@ -107,12 +107,12 @@ class LabelErrors:
         out is that of the assumed network. Raises ConfigError on wrong names and values.
         """
         content = load_yaml(path, _ErrorsFile)
-        look = None if content.look is None else CellLook.of_file(content.look)
+        appearance = None if content.appearance is None else CellAppearanceModel.of_file(content.appearance)
         if content.shares is not None and content.correlation is not None:
-            return cls(_shares(content.shares), content.correlation, content.source, look)
+            return cls(_shares(content.shares), content.correlation, content.source, appearance)
         assumed = cls.assumed()
         shares = assumed.shares if content.shares is None else _shares(content.shares)
-        return cls(shares, content.correlation or assumed.correlation, content.source, look)
+        return cls(shares, content.correlation or assumed.correlation, content.source, appearance)
 
     @classmethod
     def assumed(cls) -> LabelErrors:
@@ -134,13 +134,13 @@ class LabelErrors:
         given = load_yaml(own, _ErrorsFile) if own.is_file() else _ErrorsFile(source=assumed.source)
         calibration = _calibration(model)
         correlation = given.correlation or assumed.correlation
-        look = None if given.look is None else CellLook.of_file(given.look)
+        appearance = None if given.appearance is None else CellAppearanceModel.of_file(given.appearance)
         if given.shares is not None:
-            return cls(_shares(given.shares), correlation, given.source, look)
+            return cls(_shares(given.shares), correlation, given.source, appearance)
         if calibration is None:
-            return cls(assumed.shares, correlation, given.source, look)
+            return cls(assumed.shares, correlation, given.source, appearance)
         about = f"its calibration on {calibration.measured_on}; of cells: {given.source}"
-        return cls(_calibrated(calibration, assumed.shares), correlation, about, look)
+        return cls(_calibrated(calibration, assumed.shares), correlation, about, appearance)
 
     def scaled(self, level: float) -> LabelErrors:
         """A network with `level` times the share of wrong labels, at most all but a tenth of a form's."""
@@ -150,12 +150,12 @@ class LabelErrors:
         shares = wrong * factor
         return replace(self, shares=shares + np.diag(1 - shares.sum(axis=1)))
 
-    def log_likelihood(self) -> NDArray[np.float64]:
+    def log_likelihood(self) -> Float64Array:
         """(FORMS, FORMS): log share by [life form, label]; -inf rows for forms that are not known."""
         mixed = (1 - FORMS * FLOOR) * self.shares + FLOOR
         return np.where(np.isnan(mixed), -np.inf, np.log(mixed))
 
-    def open_odds(self) -> NDArray[np.float32]:
+    def open_odds(self) -> Float32Array:
         """(256,) by label id: log odds that a patch of that label is open, as likely grass as bare ground, and not as
         likely shrubs as trees: of two cells that err together as those of one stand do. 0 for labels that are none of
         these, and of a network that was not tried on all of them.
@@ -172,7 +172,7 @@ def _file_of(name: str) -> Path:
     return config_path("fuel/label_errors") / f"{name}.yaml"
 
 
-def _shares(rows: dict[str, dict[str, float]]) -> NDArray[np.float64]:
+def _shares(rows: dict[str, dict[str, float]]) -> Float64Array:
     shares = np.full((FORMS, FORMS), np.nan)
     for form, row in rows.items():
         values = np.array([row.get(name, 0.0) for name in _NAMES])
@@ -189,7 +189,7 @@ def _calibration(model: str) -> Calibration | None:
     return load_calibration(manifest)
 
 
-def _calibrated(calibration: Calibration, otherwise: NDArray[np.float64]) -> NDArray[np.float64]:
+def _calibrated(calibration: Calibration, otherwise: Float64Array) -> Float64Array:
     """The confusion among life forms, that of `otherwise` for forms which the network does not know."""
     shares = otherwise.copy()
     names = {name: index for index, name in enumerate(calibration.classes) if name in _NAMES}

@@ -6,8 +6,8 @@ from enum import IntEnum
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ltm_core.types import BoolArray, Float64Array, Int16Array, Int64Array, UInt32Array
 from ltm_core.vision.labels import LabelSet
 
 
@@ -49,7 +49,7 @@ _GROUPS: Final[tuple[tuple[range, tuple[LifeForm, ...]], ...]] = (
 )
 
 
-def _table() -> NDArray[np.bool_]:
+def _table() -> BoolArray:
     table = np.zeros((256, FORMS), np.bool_)
     for codes, forms in _GROUPS:
         for form in forms:
@@ -61,20 +61,20 @@ FORMS_OF_CODE: Final = _table()
 """(256, FORMS) bool: the life forms that agree with a fuel code, of either system. No form: no such code."""
 
 
-def forms_of(codes: NDArray[np.int16]) -> NDArray[np.bool_]:
+def forms_of(codes: Int16Array) -> BoolArray:
     """(..., FORMS): the life forms that agree with each fuel code; none for unknown codes and nodata."""
     known = (codes >= 0) & (codes < len(FORMS_OF_CODE))
     return np.asarray(FORMS_OF_CODE[np.where(known, codes, 0)], np.bool_)
 
 
-def label_forms(labels: LabelSet) -> NDArray[np.int64]:
+def label_forms(labels: LabelSet) -> Int64Array:
     """(K,) index of each label's life form, -1 for labels that are none: sky, and classes of other names."""
     indices = {form.name.lower(): form - 1 for form in LifeForm}
     covers = zip(labels.names, labels.ground_cover, strict=True)
     return np.array([indices.get(name, -1) if cover else -1 for name, cover in covers], np.int64)
 
 
-def form_counts(counts: NDArray[np.uint32], forms: NDArray[np.int64]) -> NDArray[np.float64]:
+def form_counts(counts: UInt32Array, forms: Int64Array) -> Float64Array:
     """(N, FORMS) pixels of each life form, of (N, K) pixels of each label; `forms` as of `label_forms`."""
     result = np.zeros((len(counts), FORMS))
     for label, form in enumerate(forms):

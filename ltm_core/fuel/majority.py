@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ltm_core.errors import ImageError
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
+from ltm_core.types import Float32Array, UInt8Array
 
 UNSEEN = 255
 """Class of a cell that no pixel has voted in."""
@@ -42,12 +43,12 @@ class MajorityFuelMap:
         row, col = int(votes.rows.min()), int(votes.cols.min())
         return row, col, int(votes.rows.max()) - row + 1, int(votes.cols.max()) - col + 1
 
-    def classes(self) -> NDArray[np.uint8]:
+    def classes(self) -> UInt8Array:
         """The winning class of every cell, (H, W) uint8; UNSEEN where none has voted."""
         winner = self.totals.argmax(axis=2).astype(np.uint8)
         return np.where(self.totals.any(axis=2), winner, np.uint8(UNSEEN))
 
-    def share(self) -> NDArray[np.float32]:
+    def share(self) -> Float32Array:
         """The winner's share of all votes in its cell, (H, W) in [0, 1]; NaN where none has voted."""
         total = self.totals.sum(axis=2).astype(np.float64)
         with np.errstate(invalid="ignore"):

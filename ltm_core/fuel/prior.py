@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ltm_core.errors import RasterError
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.grid import GridGeometry
+from ltm_core.types import Int16Array
 
 CANOPY_BANDS = ("cover", "height", "base_height", "bulk_density")
 
@@ -24,11 +22,11 @@ class FuelPrior:
     `fbfm13`: (H, W) int16, the FBFM13 map that came beside FBFM40 codes. Raises RasterError where shapes disagree.
     """
 
-    codes: NDArray[np.int16]
+    codes: Int16Array
     geometry: GridGeometry
     system: FuelSystem = FuelSystem.FBFM40
-    canopy: NDArray[np.int16] | None = None
-    fbfm13: NDArray[np.int16] | None = None
+    canopy: Int16Array | None = None
+    fbfm13: Int16Array | None = None
 
     def __post_init__(self) -> None:
         shape = self.geometry.shape

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import RasterError
 from ltm_core.fuel.codes import FuelSystem, fuel_models
@@ -17,6 +16,7 @@ from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import CANOPY_BANDS, FuelPrior
 from ltm_core.fuel.prior_config import PriorConfig
 from ltm_core.grid import GridGeometry
+from ltm_core.types import Int16Array
 
 _NODATA_VALUES = (-9999, 32767)
 """That LANDFIRE's downloads and everybody else's use, whatever the file declares."""
@@ -131,7 +131,7 @@ def _unit_factor(name: str, tags: Mapping[str, str], path: Path) -> float:
     return _LCP_FACTORS[name][unit]
 
 
-def _read(band: _Band, geometry: GridGeometry, crs: str | None) -> NDArray[np.int16]:
+def _read(band: _Band, geometry: GridGeometry, crs: str | None) -> Int16Array:
     """A band on the grid by nearest cell, (H, W), NODATA where the file has none or does not reach."""
     import rasterio
     from rasterio.enums import Resampling
@@ -168,12 +168,12 @@ def _read(band: _Band, geometry: GridGeometry, crs: str | None) -> NDArray[np.in
     return np.where(unknown, NODATA, np.round(values * band.factor)).astype(np.int16)
 
 
-def _system_of(codes: NDArray[np.int16], path: Path) -> str:
+def _system_of(codes: Int16Array, path: Path) -> str:
     burnable = codes[(codes != NODATA) & ~np.isin(codes, list(fuel_models().nonburnable))]
     return "fbfm13" if len(burnable) and (burnable <= 13).all() else "fbfm40"
 
 
-def _check_codes(codes: NDArray[np.int16], system: FuelSystem, path: Path) -> None:
+def _check_codes(codes: Int16Array, system: FuelSystem, path: Path) -> None:
     values, counts = np.unique(codes[codes != NODATA], return_counts=True)
     known = np.isin(values, list(fuel_models().codes(system)))
     if not known.all():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ltm_core.fuel.codes import Region
+from ltm_core.fuel.codes import FuelRegion
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.prior_io import load_prior
 from ltm_core.fuel.surface_change import LivingFuelMap
@@ -20,7 +20,7 @@ def site_evidence_map(site: Site, geometry: GridGeometry, labels: LabelSet) -> L
     """
     fuel = site.fuel
     prior = None if fuel.prior is None else load_prior(fuel.prior, site.in_crs(geometry))
-    return LivingFuelMap(geometry, prior, labels, fuel.fusion, site_label_errors(site), Region.named(fuel.region))
+    return LivingFuelMap(geometry, prior, labels, fuel.fusion, site_label_errors(site), FuelRegion.named(fuel.region))
 
 
 def site_label_errors(site: Site) -> LabelErrors:

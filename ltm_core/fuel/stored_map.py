@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError
-from ltm_core.fuel.cell_visibility import CellSighting
+from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.evidence import EVIDENCE_FIELDS, EVIDENCE_VERSION, TILE
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.fuel.votes import CellVotes
@@ -27,7 +27,7 @@ JOURNALED: Final = ("life_form", "code")
 _ALWAYS: Final = 2**63 - 1
 SURFACE_LAYER: Final = "surface"
 """Of the journal: what the changed surface has told each cell (`LivingFuelMap.told`)."""
-_SIGHTING = ("cos_incidence", "footprint", "sigma_along", "sigma_across", "bearing")
+_VISIBILITY = ("cos_incidence", "footprint", "sigma_along", "sigma_across", "bearing")
 
 
 def fuel_schema(site: Site, geometry: GridGeometry) -> StoreSchema:
@@ -76,8 +76,8 @@ def votes_to_bytes(votes: CellVotes) -> bytes:
     columns: dict[str, NDArray[Any]] = {"row": votes.rows, "col": votes.cols, "z": votes.z, "counts": votes.counts}
     if votes.confidence is not None:
         columns["confidence"] = votes.confidence
-    if votes.sighting is not None:
-        columns |= dict(zip(_SIGHTING, votes.sighting.columns(), strict=True))
+    if votes.visibility is not None:
+        columns |= dict(zip(_VISIBILITY, votes.visibility.columns(), strict=True))
     table = np.empty(len(votes), [(name, column.dtype, column.shape[1:]) for name, column in columns.items()])
     for name, column in columns.items():
         table[name] = column
@@ -93,14 +93,14 @@ def votes_of(frame: FrameRecord, geometry: GridGeometry) -> CellVotes:
         row, col, z, counts = (np.ascontiguousarray(table[name]) for name in ("row", "col", "z", "counts"))
         names = table.dtype.names
         confidence = np.ascontiguousarray(table["confidence"]) if "confidence" in names else None
-        sighting = None
-        if _SIGHTING[0] in names:
-            sighting = CellSighting(*_columns(table, _SIGHTING))
+        visibility = None
+        if _VISIBILITY[0] in names:
+            visibility = CellVisibility(*_columns(table, _VISIBILITY))
     except (ValueError, EOFError, IndexError, TypeError) as error:
         raise ConfigError(
             f"the store's frame {frame.stamp_ns} of {frame.source} is damaged ({error}); restore the store from a copy"
         ) from error
-    return CellVotes(geometry, row, col, counts, z, frame.stamp_ns, frame.source, confidence, sighting)
+    return CellVotes(geometry, row, col, counts, z, frame.stamp_ns, frame.source, confidence, visibility)
 
 
 def _columns(table: NDArray[Any], names: Iterable[str]) -> list[NDArray[Any]]:

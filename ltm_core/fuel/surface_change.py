@@ -22,6 +22,7 @@ from ltm_core.raster.tile_store import Key, Tile
 from ltm_core.terrain.change import ChangeKind
 from ltm_core.terrain.fuel_change import LEAST_SEEN, SHRUB_BELOW, FuelChange, cover_after, fuel_changes
 from ltm_core.terrain.layers import SurfaceLayers
+from ltm_core.types import BoolArray, Float32Array, Int32Array, Int64Array, UInt8Array
 
 UNSEEN: Final = 255
 """Of a grid of changes: independent views have not looked."""
@@ -50,12 +51,12 @@ class LivingFuelMap(EvidenceMap):
         """(H, W): what the surface has told each cell, 0 nothing."""
 
     @property
-    def kinds_told(self) -> NDArray[np.uint8]:
+    def kinds_told(self) -> UInt8Array:
         """(H, W) ChangeKind."""
         return (self.told // _CODES).astype(np.uint8)
 
     @property
-    def told_nothing_new(self) -> NDArray[np.bool_]:
+    def told_nothing_new(self) -> BoolArray:
         """(H, W): told of a change that the cell's evidence showed already, so that its prior stayed as it was."""
         return np.asarray((self.told > 0) & (self.told % _CODES == 0), np.bool_)
 
@@ -70,7 +71,7 @@ class LivingFuelMap(EvidenceMap):
         else:
             self.prior = FuelPrior(codes, self.geometry) if (starts > 0).any() else None
 
-    def changed_otherwise(self, window: Window) -> NDArray[np.uint8] | None:
+    def changed_otherwise(self, window: Window) -> UInt8Array | None:
         row, col, height, width = window
         told = self.told[row : row + height, col : col + width] % _CODES
         if not told.any():
@@ -95,21 +96,21 @@ class SurfaceNews:
     back), and the median `shift` of the changed part in metres, NaN where it is not known.
     """
 
-    rows: NDArray[np.int64]
-    cols: NDArray[np.int64]
-    kind: NDArray[np.uint8]
-    shift: NDArray[np.float32]
+    rows: Int64Array
+    cols: Int64Array
+    kind: UInt8Array
+    shift: Float32Array
 
     def __len__(self) -> int:
         return len(self.rows)
 
 
 def news_of(
-    kinds: NDArray[np.uint8],
-    shift: NDArray[np.float32],
+    kinds: UInt8Array,
+    shift: Float32Array,
     window: GridGeometry,
     fuel: GridGeometry,
-    told: NDArray[np.uint8],
+    told: UInt8Array,
 ) -> SurfaceNews:
     """What a part of the terrain's grid says that the fuel cells do not know yet.
 
@@ -141,7 +142,7 @@ def news_of(
     return SurfaceNews(rows, cols, columns[2].astype(np.uint8), columns[3].astype(np.float32))
 
 
-def tell(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[NDArray[np.int32], dict[Key, Tile]]:
+def tell(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict[Key, Tile]]:
     """What the cells of the news, (N,), are told (of `LivingFuelMap.told`), and the state of their tiles then;
     `evidence` itself stays as it is.
 
@@ -210,28 +211,26 @@ def form_after(kind: ChangeKind, shift: float, form: int, shown: int) -> int | N
     return None if cover == form else cover
 
 
-def _span(cells: NDArray[np.int64], first: int, beyond: int) -> slice:
+def _span(cells: Int64Array, first: int, beyond: int) -> slice:
     """Where the ascending `cells` lie in [first, beyond)."""
     return slice(int(np.searchsorted(cells, first)), int(np.searchsorted(cells, beyond)))
 
 
-def _cells_told(told: NDArray[np.uint8], rows: NDArray[np.int64], cols: NDArray[np.int64]) -> list[tuple[int, int]]:
+def _cells_told(told: UInt8Array, rows: Int64Array, cols: Int64Array) -> list[tuple[int, int]]:
     """Those that the window touches."""
     known = np.argwhere(told > 0)
     inside = np.isin(known[:, 0], rows) & np.isin(known[:, 1], cols)
     return [(int(r), int(c)) for r, c in known[inside]]
 
 
-def _blocks_changed(
-    kinds: NDArray[np.uint8], rows: NDArray[np.int64], cols: NDArray[np.int64]
-) -> list[tuple[int, int]]:
+def _blocks_changed(kinds: UInt8Array, rows: Int64Array, cols: Int64Array) -> list[tuple[int, int]]:
     """Blocks of fuel cells in which anything has changed."""
     row, col = np.nonzero((kinds > 0) & (kinds != UNSEEN))
     pairs = np.unique(np.stack([rows[row] // _BLOCK, cols[col] // _BLOCK]), axis=1)
     return [(int(r), int(c)) for r, c in pairs.T]
 
 
-def _as_layers(kinds: NDArray[np.uint8], shift: NDArray[np.float32], window: GridGeometry) -> SurfaceLayers:
+def _as_layers(kinds: UInt8Array, shift: Float32Array, window: GridGeometry) -> SurfaceLayers:
     """What the rule of both maps asks of: only changes, how far, and where anybody has looked."""
     seen = kinds != UNSEEN
     flat: NDArray[Any] = np.zeros(kinds.shape, np.float32)

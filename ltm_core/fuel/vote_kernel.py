@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ltm_core.camera import Camera
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
+from ltm_core.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array, UInt32Array
 
 
 class CellSums(NamedTuple):
@@ -21,21 +22,21 @@ class CellSums(NamedTuple):
     mean of the pixels' confidence, 0..255. `x`, `y`: (N,) mean map coordinates of what they see, metres.
     """
 
-    cells: NDArray[np.int64]
-    counts: NDArray[np.uint32]
-    confidence: NDArray[np.float64]
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
+    cells: Int64Array
+    counts: UInt32Array
+    confidence: Float64Array
+    x: Float64Array
+    y: Float64Array
 
 
 def sum_pixels(
-    distance: NDArray[np.float32],
+    distance: Float32Array,
     along_axis: bool,
     camera: Camera,
     pose: Pose,
-    labels: NDArray[np.uint8],
-    confidence: NDArray[np.uint8] | None,
-    counted: NDArray[np.bool_],
+    labels: UInt8Array,
+    confidence: UInt8Array | None,
+    counted: BoolArray,
     classes: int,
     geometry: GridGeometry,
     max_range: float,
@@ -102,7 +103,7 @@ def _window(geometry: GridGeometry, east: float, north: float, max_range: float)
 
 
 @lru_cache(maxsize=4)
-def _tangents(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _tangents(camera: Camera) -> tuple[Float32Array, Float32Array]:
     """x / z and y / z of the pixels' rays; (1, W) and (H, 1) without distortion, else (H, W) both, NaN without ray."""
     if any(camera.distortion):
         rays = camera.rays()

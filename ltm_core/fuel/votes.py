@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import ImageError
-from ltm_core.fuel.cell_visibility import CellSighting, sight_cells
+from ltm_core.fuel.cell_visibility import CellVisibility, cell_visibility
 from ltm_core.fuel.vote_kernel import sum_pixels
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
+from ltm_core.types import BoolArray, Float32Array, Int32Array, UInt8Array, UInt32Array
 
 FRAME_CAP = 10.0
 """Pixels of one frame in one cell that count as evidence at most: they see the same plants under the same light, so a
@@ -29,19 +30,19 @@ class CellVotes:
     `geometry`: the fuel grid in the map frame. `rows`, `cols`: (N,) int32, its cells that the frame sees, each once,
     in row-major order. `counts`: (N, K) uint32 pixels per class. `z`: (N,) float32 terrain height at the cell
     centres, so that the votes are labelled 3D points, the paper's P(x, y) and L(x, y). `source`: the camera.
-    `confidence`: (N,) float32, the pixels' mean in [0, 1]; None: 1, the labels say nothing of it. `sighting`: how the
+    `confidence`: (N,) float32, the pixels' mean in [0, 1]; None: 1, the labels say nothing of it. `visibility`: how the
     frame sees each cell; None: not known, and evidence then takes the votes as perfectly placed.
     """
 
     geometry: GridGeometry
-    rows: NDArray[np.int32]
-    cols: NDArray[np.int32]
-    counts: NDArray[np.uint32]
-    z: NDArray[np.float32]
+    rows: Int32Array
+    cols: Int32Array
+    counts: UInt32Array
+    z: Float32Array
     stamp_ns: int
     source: str
-    confidence: NDArray[np.float32] | None = None
-    sighting: CellSighting | None = None
+    confidence: Float32Array | None = None
+    visibility: CellVisibility | None = None
 
     def __post_init__(self) -> None:
         n = len(self.rows)
@@ -52,8 +53,8 @@ class CellVotes:
             )
         if self.confidence is not None and self.confidence.shape != (n,):
             raise ImageError(f"votes of {self.source} for {n} cells carry confidence of {self.confidence.shape}")
-        if self.sighting is not None and len(self.sighting) != n:
-            raise ImageError(f"votes of {self.source} for {n} cells carry {len(self.sighting)} sightings")
+        if self.visibility is not None and len(self.visibility) != n:
+            raise ImageError(f"votes of {self.source} for {n} cells carry {len(self.visibility)} visibilities")
         inside = self.geometry.contains(self.rows, self.cols)
         if not inside.all():
             first = int(np.argmin(inside))
@@ -72,7 +73,7 @@ class CellVotes:
         if len(self) <= limit:
             return self
         pixels = np.minimum(self.counts.sum(axis=1), FRAME_CAP).astype(np.float64)
-        worth = pixels if self.sighting is None else pixels * self.sighting.placement(self.geometry.resolution)
+        worth = pixels if self.visibility is None else pixels * self.visibility.placement(self.geometry.resolution)
         return self.only(np.sort(np.argsort(-worth, kind="stable")[:limit]))
 
     def only(self, chosen: NDArray[Any]) -> CellVotes:
@@ -84,10 +85,10 @@ class CellVotes:
             counts=self.counts[chosen],
             z=self.z[chosen],
             confidence=None if self.confidence is None else self.confidence[chosen],
-            sighting=None if self.sighting is None else self.sighting.only(chosen),
+            visibility=None if self.visibility is None else self.visibility.only(chosen),
         )
 
-    def centres(self) -> NDArray[np.float32]:
+    def centres(self) -> Float32Array:
         """Map coordinates of the cells' centres on the terrain, (N, 3) metres."""
         x, y = self.geometry.to_map(self.rows, self.cols)
         return np.column_stack([x, y, self.z]).astype(np.float32)
@@ -108,7 +109,7 @@ class VoteCaster:
         self,
         geometry: GridGeometry,
         dem: Dem,
-        votes_for: NDArray[np.bool_],
+        votes_for: BoolArray,
         max_range: float = np.inf,
         bend: float = 0.0,
     ) -> None:
@@ -122,13 +123,13 @@ class VoteCaster:
 
     def cast(
         self,
-        distance: NDArray[np.float32],
+        distance: Float32Array,
         camera: Camera,
         pose: Pose,
-        labels: NDArray[np.uint8],
+        labels: UInt8Array,
         stamp_ns: int,
         source: str,
-        confidence: NDArray[np.uint8] | None = None,
+        confidence: UInt8Array | None = None,
         covariance: ArrayLike | None = None,
         along_axis: bool = True,
     ) -> CellVotes:
@@ -164,27 +165,27 @@ class VoteCaster:
         cols = (sums.cells % self.geometry.width).astype(np.int32)
         x, y = self.geometry.to_map(rows, cols)
         z = self._dem.elevation_at(x, y).astype(np.float32)
-        sighting = sight_cells(
+        visibility = cell_visibility(
             sums.x, sums.y, self._dem, self.geometry.resolution, camera, pose, self._bend, covariance
         )
         # Of the cells themselves and not of where in them pixels happen to lie: a camera that stays sees each of them
         # in one bearing.
         east, north = x - pose.position[0], y - pose.position[1]
-        sighting = replace(sighting, bearing=np.arctan2(east, north).astype(np.float32))
+        visibility = replace(visibility, bearing=np.arctan2(east, north).astype(np.float32))
         mean = None if confidence is None else (sums.confidence / 255).astype(np.float32)
-        return CellVotes(self.geometry, rows, cols, sums.counts, z, stamp_ns, source, mean, sighting)
+        return CellVotes(self.geometry, rows, cols, sums.counts, z, stamp_ns, source, mean, visibility)
 
 
 def cast_votes(
     ranges: RangeImage,
-    labels: NDArray[np.uint8],
+    labels: UInt8Array,
     geometry: GridGeometry,
     dem: Dem,
-    votes_for: NDArray[np.bool_],
+    votes_for: BoolArray,
     stamp_ns: int,
     source: str,
     max_range: float = np.inf,
-    confidence: NDArray[np.uint8] | None = None,
+    confidence: UInt8Array | None = None,
     covariance: ArrayLike | None = None,
 ) -> CellVotes:
     """The votes of a traced image; see `VoteCaster.cast`."""

@@ -8,15 +8,15 @@ import cv2
 import numpy as np
 
 from ltm_core.grid import GridGeometry
-from ltm_core.pictures.class_palette import Rgb
 from ltm_core.pictures.legend import INK, PAPER
 from ltm_core.pictures.text import Anchor, draw_texts, text_width
+from ltm_core.types import RgbImage
 
 _STEPS = (1, 2, 5)
 _LEAST_TICKS = 3
 
 
-def with_axes(picture: Rgb, view: GridGeometry, offset: tuple[float, float] = (0.0, 0.0)) -> Rgb:
+def with_axes(picture: RgbImage, view: GridGeometry, offset: tuple[float, float] = (0.0, 0.0)) -> RgbImage:
     """`picture` (of the raster `view`) with eastings below and northings on the left, metres, every round distance.
 
     `offset`: what is added to the view's coordinates, such as the map frame's origin.

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.fuel.codes import fuel_models
 from ltm_core.fuel.life_form import NODATA
+from ltm_core.types import Int16Array, UInt8Array
 
 Color = tuple[int, int, int]
 
@@ -40,13 +40,13 @@ def code_color(code: int) -> Color:
     return _LANDFIRE.get(code) or _OURS.get(code) or _UNKNOWN
 
 
-def code_colors(codes: NDArray[np.int16]) -> NDArray[np.uint8]:
+def code_colors(codes: Int16Array) -> UInt8Array:
     """(..., 3) colours of codes (...)."""
     table = np.array([code_color(code) for code in range(256)], np.uint8)
     return table[np.where((codes >= 0) & (codes < 256), codes, 0)]
 
 
-def code_names(codes: NDArray[np.int16]) -> list[tuple[str, Color]]:
+def code_names(codes: Int16Array) -> list[tuple[str, Color]]:
     """Name and colour of each code that occurs, the commonest first."""
     found, counts = np.unique(codes[codes != NODATA], return_counts=True)
     return [(fuel_models().name(int(code)), code_color(int(code))) for code in found[np.argsort(-counts)]]

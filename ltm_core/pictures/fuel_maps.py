@@ -22,12 +22,13 @@ from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.grid import GridGeometry
 from ltm_core.pictures.axes import with_axes
-from ltm_core.pictures.class_palette import UNLABELLED, Labels, Palette, Rgb
+from ltm_core.pictures.class_palette import UNLABELLED, ClassPalette
 from ltm_core.pictures.fuel_colors import code_colors, code_names
 from ltm_core.pictures.legend import INK, PAPER, label_legend, with_legend
 from ltm_core.pictures.maps import draw_north, draw_outline, interesting_bounds, relief, scale_bar, view_of
 from ltm_core.pictures.overlay import label_colors
 from ltm_core.pictures.text import Anchor, draw_texts
+from ltm_core.types import BoolArray, Int16Array, RgbImage, UInt8Array
 
 _UNKNOWN: Final = (235, 235, 232)
 _OPACITY: Final = 0.82
@@ -52,7 +53,7 @@ class Scale:
         chosen = ramp[places if upwards else places[::-1]]
         return cls(tuple(names), tuple((int(r), int(g), int(b)) for r, g, b in chosen), tuple(bounds))
 
-    def classes(self, values: NDArray[Any], known: NDArray[np.bool_]) -> Labels:
+    def classes(self, values: NDArray[Any], known: BoolArray) -> UInt8Array:
         """(H, W) classes, UNLABELLED where not known."""
         index = np.digitize(np.nan_to_num(values), self.bounds)
         return np.where(known, index, UNLABELLED).astype(np.uint8)
@@ -77,7 +78,7 @@ FOOTPRINT: Final = Scale.of(
 
 
 @dataclass(frozen=True)
-class Place:
+class CameraMark:
     """Where a camera stands, in the frame of the map, metres."""
 
     name: str
@@ -101,7 +102,7 @@ class FuelCanvas:
         self,
         geometry: GridGeometry,
         dem: Dem,
-        places: Sequence[Place] = (),
+        places: Sequence[CameraMark] = (),
         bounds: tuple[float, float, float, float] | None = None,
         offset: tuple[float, float] = (0.0, 0.0),
         width: int = 760,
@@ -117,7 +118,7 @@ class FuelCanvas:
         self._inside = np.asarray(geometry.contains(row, col))
         self._row, self._col = np.clip(row, 0, geometry.height - 1), np.clip(col, 0, geometry.width - 1)
 
-    def map(self, colors: Rgb, known: NDArray[np.bool_], outlined: NDArray[np.bool_] | None = None) -> Rgb:
+    def map(self, colors: RgbImage, known: BoolArray, outlined: BoolArray | None = None) -> RgbImage:
         """Colours (H, W, 3) of the known cells over relief, others bare; with outlines, cameras, north and axes."""
         shown = self._inside & known[self._row, self._col]
         tinted = np.clip(colors[self._row, self._col] * (0.4 + 0.62 * self._relief[..., :1] / 255.0), 0, 255)
@@ -127,24 +128,24 @@ class FuelCanvas:
             draw_outline(picture, self._inside & outlined[self._row, self._col], self._cell / self.view.resolution)
         return with_axes(self._furnished(picture), self.view, self._offset)
 
-    def classes(self, classes: Labels, palette: Palette, outlined: NDArray[np.bool_] | None = None) -> Rgb:
+    def classes(self, classes: UInt8Array, palette: ClassPalette, outlined: BoolArray | None = None) -> RgbImage:
         """A map of classes (H, W), UNLABELLED none, over its scale bar and the names of the classes that occur."""
         picture = self.map(label_colors(classes, palette), classes != UNLABELLED, outlined)
         return self.finished(picture, label_legend(picture.shape[1], palette, np.unique(classes).tolist()))
 
-    def scaled(self, values: NDArray[Any], known: NDArray[np.bool_], scale: Scale) -> Rgb:
+    def scaled(self, values: NDArray[Any], known: BoolArray, scale: Scale) -> RgbImage:
         """A map of values (H, W) where they are known, with the whole scale."""
         picture = self.map(label_colors(scale.classes(values, known), scale), known)
         return self.finished(picture, label_legend(picture.shape[1], scale))
 
-    def codes(self, codes: NDArray[np.int16], outlined: NDArray[np.bool_] | None = None) -> Rgb:
+    def codes(self, codes: Int16Array, outlined: BoolArray | None = None) -> RgbImage:
         """A map of fuel models (H, W)."""
         picture = self.map(code_colors(codes), codes >= 0, outlined)
         named = code_names(codes)
         legend = _Names(tuple(name for name, _ in named), tuple(color for _, color in named))
         return self.finished(picture, label_legend(picture.shape[1], legend))
 
-    def life_forms(self, layers: FuelLayers, palette: Palette) -> Rgb:
+    def life_forms(self, layers: FuelLayers, palette: ClassPalette) -> RgbImage:
         """A map of life forms, paler where they are less sure, cells that are not the prior's outlined."""
         colors = faded(layers, palette)
         picture = self.map(colors, layers.life_form != UNLABELLED, layers.changed)
@@ -156,7 +157,7 @@ class FuelCanvas:
         every = np.array(sorted(fuel_models().codes(FuelSystem.FBFM40)), np.int16)
         return len(self.codes(np.resize(every, self._shape)))
 
-    def finished(self, picture: Rgb, legend: Rgb) -> Rgb:
+    def finished(self, picture: RgbImage, legend: RgbImage) -> RgbImage:
         """A map with its scale bar and legend under it."""
         bar = scale_bar(self.view)
         margin = picture.shape[1] - bar.shape[1]
@@ -164,7 +165,7 @@ class FuelCanvas:
         moved[:, margin:] = bar
         return with_legend(picture, moved, legend)
 
-    def _furnished(self, picture: Rgb) -> Rgb:
+    def _furnished(self, picture: RgbImage) -> RgbImage:
         size = max(12, round(self.view.width / 55))
         texts: list[tuple[str, float, float, Anchor]] = []
         for place in self._places:
@@ -180,7 +181,7 @@ class FuelCanvas:
         return draw_texts(picture, texts, size, INK, halo=PAPER)
 
 
-def faded(layers: FuelLayers, palette: Palette) -> Rgb:
+def faded(layers: FuelLayers, palette: ClassPalette) -> RgbImage:
     """(H, W, 3) colours of the life forms, fading to paper with the doubt about them, where that is known."""
     colors = label_colors(layers.life_form, palette, _UNKNOWN).astype(np.float64)
     doubt = np.where(layers.life_form == LifeForm.BURNED, 0.0, np.nan_to_num(layers.entropy))
@@ -188,7 +189,7 @@ def faded(layers: FuelLayers, palette: Palette) -> Rgb:
     return np.asarray(np.array(_UNKNOWN) + (0.3 + 0.7 * sure) * (colors - np.array(_UNKNOWN)), np.uint8)
 
 
-def overlay_picture(layers: FuelLayers, heights: NDArray[np.floating], cell: float, palette: Palette) -> Rgb:
+def overlay_picture(layers: FuelLayers, heights: NDArray[np.floating], cell: float, palette: ClassPalette) -> RgbImage:
     """(n H, n W, 3): the map alone, for laying over others: life forms over relief from `heights` (H, W) of its cells,
     changed cells outlined.
     """
@@ -204,11 +205,11 @@ def overlay_picture(layers: FuelLayers, heights: NDArray[np.floating], cell: flo
 class _Bare(FuelCanvas):
     """Without cameras, north and axes."""
 
-    def map(self, colors: Rgb, known: NDArray[np.bool_], outlined: NDArray[np.bool_] | None = None) -> Rgb:
+    def map(self, colors: RgbImage, known: BoolArray, outlined: BoolArray | None = None) -> RgbImage:
         whole = super().map(colors, known, outlined)
         return whole[: self.view.height, whole.shape[1] - self.view.width :]
 
-    def _furnished(self, picture: Rgb) -> Rgb:
+    def _furnished(self, picture: RgbImage) -> RgbImage:
         return picture
 
 

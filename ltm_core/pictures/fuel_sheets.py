@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError
 from ltm_core.fuel.coverage import CoverageMap
 from ltm_core.fuel.decision import FuelLayers
-from ltm_core.pictures.class_palette import Palette, Rgb
+from ltm_core.pictures.class_palette import ClassPalette
 from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, FOOTPRINT, FRAMES, FuelCanvas, Scale
 from ltm_core.pictures.panel import panel
+from ltm_core.types import BoolArray, RgbImage
 
 
-def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: Palette) -> Rgb:
+def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: ClassPalette) -> RgbImage:
     """Life forms and fuel models, and how sure and how widely seen they are: four maps with their legends."""
     known = np.isfinite(layers.p_max) & np.isfinite(layers.entropy)
     return _sheet(
@@ -31,8 +31,8 @@ def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: Palette) -> Rgb:
 
 
 def change_sheet(
-    canvas: FuelCanvas, before: FuelLayers, after: FuelLayers, palette: Palette, names: tuple[str, str]
-) -> Rgb:
+    canvas: FuelCanvas, before: FuelLayers, after: FuelLayers, palette: ClassPalette, names: tuple[str, str]
+) -> RgbImage:
     """Life forms and fuel models at two dates, cells whose code differs outlined; `names`: of the dates."""
     changed = before.code != after.code
     then, now = names
@@ -47,7 +47,7 @@ def change_sheet(
     )
 
 
-def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap) -> Rgb:
+def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap) -> RgbImage:
     """For each camera, how many frames saw each cell, and how much ground a pixel covered at best.
 
     Raises ImageError where no camera has seen anything.
@@ -62,7 +62,7 @@ def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap) -> Rgb:
     return _sheet(maps)
 
 
-def seen_sheet(canvas: FuelCanvas, by_camera: Mapping[str, NDArray[np.bool_]]) -> Rgb:
+def seen_sheet(canvas: FuelCanvas, by_camera: Mapping[str, BoolArray]) -> RgbImage:
     """For each camera, the cells (H, W) that it has seen, and how many cameras have seen each.
 
     Raises ImageError where there is no camera.
@@ -80,11 +80,11 @@ def seen_sheet(canvas: FuelCanvas, by_camera: Mapping[str, NDArray[np.bool_]]) -
 _SEEN = Scale(("seen",), (CAMERAS.colors[1],), ())
 
 
-def _area(cells: NDArray[np.bool_], coverage: CoverageMap) -> str:
+def _area(cells: BoolArray, coverage: CoverageMap) -> str:
     return f"{cells.sum() * coverage.geometry.resolution**2 / 1e6:.2f} sq km"
 
 
-def _sheet(maps: Mapping[str, Rgb]) -> Rgb:
+def _sheet(maps: Mapping[str, RgbImage]) -> RgbImage:
     if not maps:
         raise ImageError("no camera has seen any cell of the fuel map: there is no coverage to draw")
     return panel(list(maps.items()), columns=2, width=next(iter(maps.values())).shape[1])

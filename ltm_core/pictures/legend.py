@@ -7,16 +7,17 @@ from collections.abc import Iterable, Sequence
 import cv2
 import numpy as np
 
-from ltm_core.pictures.class_palette import Palette, Rgb
+from ltm_core.pictures.class_palette import ClassPalette
 from ltm_core.pictures.ranges import SKY_COLOR, UNKNOWN_COLOR, RangeScale, scale_colors
 from ltm_core.pictures.text import draw_texts, metres, text_width
+from ltm_core.types import RgbImage
 
 Color = tuple[int, int, int]
 PAPER = (250, 250, 249)
 INK = (38, 40, 44)
 
 
-def range_legend(width: int, scale: RangeScale | None = None, sky: bool = True) -> Rgb:
+def range_legend(width: int, scale: RangeScale | None = None, sky: bool = True) -> RgbImage:
     """The colour scale with its round ranges, (h, `width`, 3); with `sky` also the colours of what has no range."""
     scale = scale or RangeScale()
     ticks = [(tick, float(scale.fraction(tick))) for tick in scale.ticks()]
@@ -25,8 +26,8 @@ def range_legend(width: int, scale: RangeScale | None = None, sky: bool = True) 
 
 
 def ramp_legend(
-    width: int, ramp: Rgb, ticks: Sequence[tuple[float, float]], others: Sequence[tuple[str, Color]] = ()
-) -> Rgb:
+    width: int, ramp: RgbImage, ticks: Sequence[tuple[float, float]], others: Sequence[tuple[str, Color]] = ()
+) -> RgbImage:
     """A strip (h, `width`, 3) with the colours `ramp` (256, 3), its `ticks` (metres, where between 0 and 1), and the
     colours of what is not on the scale.
     """
@@ -57,7 +58,7 @@ def ramp_legend(
     return draw_texts(strip, [(text, x, y, "mt") for text, x, y in texts], size, INK)
 
 
-def label_legend(width: int, label_set: Palette, ids: Iterable[int] | None = None) -> Rgb:
+def label_legend(width: int, label_set: ClassPalette, ids: Iterable[int] | None = None) -> RgbImage:
     """A swatch and name for each class in `ids` (default: all), in as many rows as the width asks, (h, `width`, 3)."""
     shown = sorted(set(ids)) if ids is not None else range(len(label_set.names))
     size = _text_size(width)
@@ -83,7 +84,7 @@ def label_legend(width: int, label_set: Palette, ids: Iterable[int] | None = Non
     return draw_texts(strip, [(text, x, y, "lm") for text, x, y in texts], size, INK)
 
 
-def with_legend(picture: Rgb, *legends: Rgb) -> Rgb:
+def with_legend(picture: RgbImage, *legends: RgbImage) -> RgbImage:
     """`picture` with strips of the same width under it."""
     return np.concatenate([picture, *legends], axis=0)
 
@@ -92,5 +93,5 @@ def _text_size(width: int) -> int:
     return max(11, min(26, round(width / 52)))
 
 
-def _paper(height: int, width: int) -> Rgb:
+def _paper(height: int, width: int) -> RgbImage:
     return np.full((height, width, 3), PAPER, np.uint8)

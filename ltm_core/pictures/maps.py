@@ -8,18 +8,18 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import RasterError
 from ltm_core.grid import GridGeometry
-from ltm_core.pictures.class_palette import UNLABELLED, Labels, Palette, Rgb
+from ltm_core.pictures.class_palette import UNLABELLED, ClassPalette
 from ltm_core.pictures.legend import INK, PAPER, label_legend, with_legend
 from ltm_core.pictures.overlay import label_colors
 from ltm_core.pictures.relief import hillshade, terrain_colors
 from ltm_core.pictures.text import Anchor, draw_texts, metres, text_width
+from ltm_core.types import BoolArray, Float32Array, Float64Array, Int32Array, RgbImage, UInt8Array
 
 _CHANGED = (230, 0, 140)
 _SEEN = (225, 87, 20)
@@ -36,7 +36,7 @@ class MapCamera:
     azimuth_deg: float
     reach: float = 3000.0
 
-    def sector(self, steps: int = 24) -> NDArray[np.float64]:
+    def sector(self, steps: int = 24) -> Float64Array:
         """Outline (N, 2) of the sector in map coordinates, from the camera round and back."""
         half = self.camera.hfov_deg / 2
         angles = np.deg2rad(np.linspace(self.azimuth_deg - half, self.azimuth_deg + half, steps))
@@ -45,8 +45,13 @@ class MapCamera:
 
 
 def labelled_shade(
-    classes: Labels, geometry: GridGeometry, label_set: Palette, dem: Dem, view: GridGeometry, opacity: float = 0.8
-) -> Rgb:
+    classes: UInt8Array,
+    geometry: GridGeometry,
+    label_set: ClassPalette,
+    dem: Dem,
+    view: GridGeometry,
+    opacity: float = 0.8,
+) -> RgbImage:
     """Class colours over grey relief on the raster `view`, (H, W, 3); cells that are 255 show the bare relief.
 
     Cells of both rasters are looked up at the centres of the view's pixels. Raises RasterError where classes and
@@ -67,16 +72,16 @@ def labelled_shade(
 
 
 def fuel_map_picture(
-    classes: Labels,
+    classes: UInt8Array,
     geometry: GridGeometry,
-    label_set: Palette,
+    label_set: ClassPalette,
     dem: Dem,
     cameras: Sequence[MapCamera] = (),
     bounds: tuple[float, float, float, float] | None = None,
     width: int = 1200,
     title: str | None = None,
-    outlined: NDArray[np.bool_] | None = None,
-) -> Rgb:
+    outlined: BoolArray | None = None,
+) -> RgbImage:
     """The fuel map (H, W) uint8 class ids, 255 unseen, over relief, with the cameras and a legend below.
 
     `bounds` (x_min, y_min, x_max, y_max): the part shown; default: around all seen cells and cameras. `outlined`:
@@ -94,7 +99,7 @@ def fuel_map_picture(
     return with_legend(picture, scale_bar(view), names)
 
 
-def draw_outline(picture: Rgb, mask: NDArray[np.bool_], cell: float) -> None:
+def draw_outline(picture: RgbImage, mask: BoolArray, cell: float) -> None:
     """The inner edge of the marked pixels in pink, with a white line outside; `cell`: pixels of a grid cell."""
     line = max(1, round(cell / 3.5))
     around = ndimage.binary_dilation(mask) & ~mask
@@ -105,12 +110,12 @@ def draw_outline(picture: Rgb, mask: NDArray[np.bool_], cell: float) -> None:
 
 def terrain_map_picture(
     dem: Dem,
-    seen: NDArray[np.bool_] | None = None,
+    seen: BoolArray | None = None,
     cameras: Sequence[MapCamera] = (),
     bounds: tuple[float, float, float, float] | None = None,
     width: int = 1200,
     title: str | None = None,
-) -> Rgb:
+) -> RgbImage:
     """Tinted relief with the cells of `seen` (shape of the DEM) in orange: what the cameras cover."""
     if seen is not None and seen.shape != dem.elevation.shape:
         raise RasterError(f"seen cells of shape {seen.shape} do not fit a DEM of {dem.elevation.shape}")
@@ -128,7 +133,7 @@ def terrain_map_picture(
     return with_legend(furnished(picture, view, cameras, title), scale_bar(view))
 
 
-def scale_bar(view: GridGeometry) -> Rgb:
+def scale_bar(view: GridGeometry) -> RgbImage:
     """A strip as wide as the map, with a bar of a round length in four parts, (h, view.width, 3)."""
     size = _text_size(view)
     target = view.width * view.resolution / 4
@@ -144,7 +149,7 @@ def scale_bar(view: GridGeometry) -> Rgb:
     return draw_texts(strip, texts, size, INK)
 
 
-def relief(dem: Dem, view: GridGeometry) -> Rgb:
+def relief(dem: Dem, view: GridGeometry) -> RgbImage:
     """Light grey relief on the view; paper where there is no terrain."""
     shade = _smooth(hillshade(dem), dem.geometry, view)
     grey = np.clip(40 + 225 * np.nan_to_num(shade, nan=0.0), 0, 255)
@@ -152,7 +157,7 @@ def relief(dem: Dem, view: GridGeometry) -> Rgb:
     return np.repeat(grey.round().astype(np.uint8)[..., None], 3, axis=-1)
 
 
-def _smooth(values: NDArray[np.float32], geometry: GridGeometry, view: GridGeometry) -> NDArray[np.float32]:
+def _smooth(values: Float32Array, geometry: GridGeometry, view: GridGeometry) -> Float32Array:
     """Values at the view's pixel centres, bilinear; area means first where the view is coarser; NaN outside."""
     factor = int(view.resolution / geometry.resolution)
     if factor >= 2:
@@ -175,7 +180,7 @@ def _smooth(values: NDArray[np.float32], geometry: GridGeometry, view: GridGeome
     return np.asarray(sampled, np.float32)
 
 
-def nearest(values: Labels, geometry: GridGeometry, view: GridGeometry, outside: int) -> Labels:
+def nearest(values: UInt8Array, geometry: GridGeometry, view: GridGeometry, outside: int) -> UInt8Array:
     """The cell under each of the view's pixel centres."""
     x, _ = view.to_map(0, np.arange(view.width))
     _, y = view.to_map(np.arange(view.height), 0)
@@ -194,7 +199,7 @@ def view_of(bounds: tuple[float, float, float, float], width: int) -> GridGeomet
 
 
 def interesting_bounds(
-    mask: NDArray[np.bool_], geometry: GridGeometry, cameras: Sequence[MapCamera], terrain: GridGeometry
+    mask: BoolArray, geometry: GridGeometry, cameras: Sequence[MapCamera], terrain: GridGeometry
 ) -> tuple[float, float, float, float]:
     """Bounds of the marked cells and the cameras with a margin, not thinner than 5:8, inside the terrain."""
     xs, ys = [c.position[0] for c in cameras], [c.position[1] for c in cameras]
@@ -213,7 +218,7 @@ def interesting_bounds(
     return (left, bottom, right, top) if right > left and top > bottom else terrain.bounds
 
 
-def furnished(picture: Rgb, view: GridGeometry, cameras: Sequence[MapCamera], title: str | None) -> Rgb:
+def furnished(picture: RgbImage, view: GridGeometry, cameras: Sequence[MapCamera], title: str | None) -> RgbImage:
     """Cameras, north arrow and title drawn on a map."""
     picture = picture.copy()
     size = _text_size(view)
@@ -230,14 +235,16 @@ def _text_size(view: GridGeometry) -> int:
     return max(12, round(view.width / 62))
 
 
-def _pixels(view: GridGeometry, points: NDArray[np.float64]) -> NDArray[np.int32]:
+def _pixels(view: GridGeometry, points: Float64Array) -> Int32Array:
     row, col = view.to_grid(points[:, 0], points[:, 1])
     # Far outside, coordinates would overflow OpenCV's fixed point.
     limit = 50.0 * max(view.shape)
     return np.asarray(np.clip(np.column_stack([col, row]), -limit, limit) * 2**_SHIFT, np.int32)
 
 
-def _draw_camera(picture: Rgb, view: GridGeometry, camera: MapCamera, size: int) -> tuple[str, float, float, Anchor]:
+def _draw_camera(
+    picture: RgbImage, view: GridGeometry, camera: MapCamera, size: int
+) -> tuple[str, float, float, Anchor]:
     outline = _pixels(view, camera.sector())
     shaded = picture.copy()
     cv2.fillPoly(shaded, [outline], (255, 255, 255), cv2.LINE_AA, _SHIFT)
@@ -259,7 +266,7 @@ def _draw_camera(picture: Rgb, view: GridGeometry, camera: MapCamera, size: int)
 
 
 def draw_north(
-    picture: Rgb, size: int, texts: Sequence[tuple[str, float, float, Anchor]] = ()
+    picture: RgbImage, size: int, texts: Sequence[tuple[str, float, float, Anchor]] = ()
 ) -> tuple[str, float, float, Anchor]:
     """The arrow in the upper right corner, or the lower one where one of the texts is in its way; gives its N."""
     x, y = picture.shape[1] - 2 * size, size

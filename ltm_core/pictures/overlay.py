@@ -9,11 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ltm_core.errors import ImageError
-from ltm_core.pictures.class_palette import UNLABELLED, Labels, Palette, Rgb
+from ltm_core.pictures.class_palette import UNLABELLED, ClassPalette
 from ltm_core.pictures.ranges import RangeScale, depth_colors
+from ltm_core.types import BoolArray, Int16Array, RgbImage, UInt8Array
 
 
-def label_colors(labels: Labels, label_set: Palette, unlabelled: tuple[int, int, int] = (70, 70, 74)) -> Rgb:
+def label_colors(
+    labels: UInt8Array, label_set: ClassPalette, unlabelled: tuple[int, int, int] = (70, 70, 74)
+) -> RgbImage:
     """Colours (..., 3) of class ids (...) uint8; ids without a colour (255 and any not in the set) are `unlabelled`."""
     table = np.empty((256, 3), np.uint8)
     table[:] = unlabelled
@@ -24,8 +27,8 @@ def label_colors(labels: Labels, label_set: Palette, unlabelled: tuple[int, int,
 
 
 def overlay_depth(
-    image: Rgb, ranges: ArrayLike, scale: RangeScale | None = None, opacity: float = 0.55, contours: bool = True
-) -> Rgb:
+    image: RgbImage, ranges: ArrayLike, scale: RangeScale | None = None, opacity: float = 0.55, contours: bool = True
+) -> RgbImage:
     """Range colours over the photo, which stays plain where the range is sky or unknown.
 
     `image` (H, W, 3); `ranges` (H, W) metres, or of a size that divides the image's evenly (it is then enlarged to
@@ -41,7 +44,7 @@ def overlay_depth(
     return np.where(known[..., None], mixed, image)
 
 
-def overlay_labels(image: Rgb, labels: Labels, label_set: Palette, opacity: float = 0.5) -> Rgb:
+def overlay_labels(image: RgbImage, labels: UInt8Array, label_set: ClassPalette, opacity: float = 0.5) -> RgbImage:
     """Class colours over the photo with thin borders; the photo stays plain where a pixel has no label.
 
     `labels` (H, W) uint8, or of a size that divides the image's evenly. Raises ImageError on sizes that disagree.
@@ -54,13 +57,13 @@ def overlay_labels(image: Rgb, labels: Labels, label_set: Palette, opacity: floa
     return np.where((ids != UNLABELLED)[..., None], mixed, image)
 
 
-def _mix(image: Rgb, colors: Rgb, opacity: float) -> Rgb:
+def _mix(image: RgbImage, colors: RgbImage, opacity: float) -> RgbImage:
     """Colours over the photo's brightness alone: the photo's own hues would shift them away from the legend."""
     grey = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
     return np.asarray(cv2.addWeighted(grey, 1 - opacity, colors, opacity, 0.0), np.uint8)
 
 
-def _edges(ids: NDArray[np.int16]) -> NDArray[np.bool_]:
+def _edges(ids: Int16Array) -> BoolArray:
     """Pixels whose right or lower neighbour differs."""
     edge = np.zeros(ids.shape, np.bool_)
     edge[:, :-1] |= ids[:, :-1] != ids[:, 1:]
@@ -68,7 +71,7 @@ def _edges(ids: NDArray[np.int16]) -> NDArray[np.bool_]:
     return edge
 
 
-def _to_image_size(values: NDArray[Any], image: Rgb) -> NDArray[Any]:
+def _to_image_size(values: NDArray[Any], image: RgbImage) -> NDArray[Any]:
     """`values`, sampled at every n-th pixel of `image` (`values = full[::n, ::n]`), enlarged to nearest."""
     (height, width), (rows, cols) = image.shape[:2], values.shape
     if (rows, cols) == (height, width):

@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 
 from ltm_core.errors import ImageError
-from ltm_core.pictures.class_palette import Rgb
 from ltm_core.pictures.legend import INK, PAPER
 from ltm_core.pictures.text import draw_texts
+from ltm_core.types import RgbImage
 
 
-def fit(picture: Rgb, width: int) -> Rgb:
+def fit(picture: RgbImage, width: int) -> RgbImage:
     """`picture` at `width` pixels, its proportions kept."""
     height = max(1, round(picture.shape[0] * width / picture.shape[1]))
     if (height, width) == picture.shape[:2]:
@@ -22,7 +22,7 @@ def fit(picture: Rgb, width: int) -> Rgb:
     return np.asarray(cv2.resize(picture, (width, height), interpolation=method), np.uint8)
 
 
-def panel(pictures: Sequence[tuple[str, Rgb]], columns: int = 2, width: int = 800, gap: int = 14) -> Rgb:
+def panel(pictures: Sequence[tuple[str, RgbImage]], columns: int = 2, width: int = 800, gap: int = 14) -> RgbImage:
     """A sheet of titled pictures, row by row, each `width` pixels wide. Raises ImageError when there is none."""
     if not pictures or columns < 1:
         raise ImageError(f"a panel needs at least one picture and one column, got {len(pictures)} and {columns}")

@@ -8,10 +8,10 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ltm_core.errors import ImageError
-from ltm_core.pictures.class_palette import Rgb
+from ltm_core.types import Float32Array, RgbImage
 
 SKY_COLOR = (222, 232, 240)
 UNKNOWN_COLOR = (70, 70, 74)
@@ -43,7 +43,7 @@ class RangeScale:
         far = min(t for t in _one_two_five(high, high * 10) if t >= high)
         return cls(near, far if far > near else near * 10)
 
-    def fraction(self, ranges: ArrayLike) -> NDArray[np.float32]:
+    def fraction(self, ranges: ArrayLike) -> Float32Array:
         """Place of each range on the scale, 0 near to 1 far; NaN where the range is not a finite positive number."""
         values = np.asarray(ranges, np.float32)
         usable = np.isfinite(values) & (values > 0)
@@ -63,7 +63,7 @@ def _one_two_five(low: float, high: float) -> list[float]:
 
 
 @lru_cache(maxsize=1)
-def scale_colors() -> Rgb:
+def scale_colors() -> RgbImage:
     """(256, 3) colours from near to far: turbo, reversed."""
     ramp = np.arange(255, -1, -1, dtype=np.uint8)[:, None]
     colors = np.ascontiguousarray(cv2.applyColorMap(ramp, cv2.COLORMAP_TURBO)[:, 0, ::-1])
@@ -76,7 +76,7 @@ def depth_colors(
     scale: RangeScale | None = None,
     sky: tuple[int, int, int] = SKY_COLOR,
     unknown: tuple[int, int, int] = UNKNOWN_COLOR,
-) -> Rgb:
+) -> RgbImage:
     """Colours (..., 3) of ranges or depths (...) in metres; +inf is sky, NaN (and -inf) unknown."""
     values = np.asarray(ranges, np.float32)
     fraction = (scale or RangeScale()).fraction(values)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
-from ltm_core.pictures.class_palette import Floats, Rgb
+from ltm_core.types import Float32Array, RgbImage
 
 # Lights from four sides, north-west strongest: ridges of every direction keep a lit and a dark side.
 _LIGHTS = ((315.0, 0.5), (270.0, 0.2), (360.0, 0.2), (225.0, 0.1))
@@ -16,7 +15,7 @@ _TINTS = np.array(
 _NODATA = (214, 216, 220)
 
 
-def hillshade(dem: Dem, altitude_deg: float = 45.0, exaggeration: float = 1.0) -> Floats:
+def hillshade(dem: Dem, altitude_deg: float = 45.0, exaggeration: float = 1.0) -> Float32Array:
     """Brightness (H, W) float32 in [0, 1] of a white matte surface lit from four sides; NaN where there is no height.
 
     Slopes by Horn's 3 x 3 differences (Horn 1981), the border row and column by the same with repeated edges.
@@ -34,7 +33,7 @@ def hillshade(dem: Dem, altitude_deg: float = 45.0, exaggeration: float = 1.0) -
     return np.asarray(shade, np.float32)
 
 
-def _slopes(elevation: NDArray[np.float32], resolution: float) -> tuple[Floats, Floats]:
+def _slopes(elevation: Float32Array, resolution: float) -> tuple[Float32Array, Float32Array]:
     """Rise per metre to the east and to the north, (H, W) each; NaN next to missing heights."""
     z = np.pad(np.asarray(elevation, np.float32), 1, mode="edge")
     rows = z[:-2] + 2 * z[1:-1] + z[2:]  # weighted over three rows
@@ -44,7 +43,7 @@ def _slopes(elevation: NDArray[np.float32], resolution: float) -> tuple[Floats, 
     return np.asarray(east, np.float32), np.asarray(north, np.float32)
 
 
-def hypsometric(elevation: NDArray[np.float32], low: float | None = None, high: float | None = None) -> Rgb:
+def hypsometric(elevation: Float32Array, low: float | None = None, high: float | None = None) -> RgbImage:
     """Height tints (H, W, 3), green lowland to white summits, between the 1st and 99th percentile unless given."""
     known = np.isfinite(elevation)
     if low is None or high is None:
@@ -57,7 +56,7 @@ def hypsometric(elevation: NDArray[np.float32], low: float | None = None, high: 
     return np.asarray(tints.round(), np.uint8)
 
 
-def terrain_colors(dem: Dem, strength: float = 0.75) -> Rgb:
+def terrain_colors(dem: Dem, strength: float = 0.75) -> RgbImage:
     """Height tints under shaded relief, (H, W, 3); `strength` 0 leaves the shade away, 1 applies it fully."""
     shade = hillshade(dem)
     light = 1.0 + strength * (np.nan_to_num(shade, nan=0.75) / 0.75 - 1.0)

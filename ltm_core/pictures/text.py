@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ltm_core.pictures.class_palette import Rgb
+from ltm_core.types import RgbImage
 
 Anchor = Literal["lt", "mt", "rt", "lm", "mm", "rm", "lb", "mb", "rb"]
 
@@ -24,12 +24,12 @@ def text_width(text: str, size: float) -> int:
 
 
 def draw_texts(
-    picture: Rgb,
+    picture: RgbImage,
     texts: list[tuple[str, float, float, Anchor]],
     size: float,
     color: tuple[int, int, int],
     halo: tuple[int, int, int] | None = None,
-) -> Rgb:
+) -> RgbImage:
     """`picture` with each (text, x, y, anchor) written on it; `halo`: colour of an outline that keeps it legible."""
     canvas = Image.fromarray(picture)
     draw = ImageDraw.Draw(canvas)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
 from ltm_core.pictures import (
@@ -17,8 +16,7 @@ from ltm_core.pictures import (
     with_legend,
 )
 from ltm_core.range_image import RangeImage
-
-Rgb = NDArray[np.uint8]
+from ltm_core.types import Float32Array, RgbImage, UInt32Array
 
 _SKY_TOP, _SKY_HORIZON = (150, 186, 220), (228, 236, 242)
 _UNKNOWN = (70, 70, 74)
@@ -26,7 +24,7 @@ _SKYLINE = (255, 255, 255)
 _WIDEST = 2200
 
 
-def depth_picture(traced: RangeImage, dem: Dem, photo: Rgb | None = None) -> Rgb:
+def depth_picture(traced: RangeImage, dem: Dem, photo: RgbImage | None = None) -> RgbImage:
     """Ranges in colour over the photo, or over shaded terrain where there is none, with the skyline and a legend.
 
     `photo`: (H, W, 3) uint8 of the camera's size. `dem`: the terrain that was traced. A picture wider than 2200 pixels
@@ -44,7 +42,7 @@ def depth_picture(traced: RangeImage, dem: Dem, photo: Rgb | None = None) -> Rgb
     return with_legend(picture, range_legend(picture.shape[1], scale, sky=False))
 
 
-def map_picture(traced: RangeImage, dem: Dem, counts: NDArray[np.uint32], title: str | None = None) -> Rgb:
+def map_picture(traced: RangeImage, dem: Dem, counts: UInt32Array, title: str | None = None) -> RgbImage:
     """Shaded relief with the cells that the picture sees, its camera and its field of view.
 
     `counts`: pixels a cell, shape of the DEM.
@@ -57,7 +55,7 @@ def map_picture(traced: RangeImage, dem: Dem, counts: NDArray[np.uint32], title:
     return terrain_map_picture(dem, counts > 0, [camera], title=title)
 
 
-def shaded_view(traced: RangeImage, dem: Dem) -> Rgb:
+def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
     """The traced terrain as a camera would see it, grey under the relief's lights, under a plain sky, (H, W, 3)."""
     height, width = traced.range.shape
     fade = np.linspace(0, 1, height)[:, None, None]
@@ -72,7 +70,7 @@ def shaded_view(traced: RangeImage, dem: Dem) -> Rgb:
     return np.asarray(np.clip(picture, 0, 255), np.uint8)
 
 
-def draw_skyline(picture: Rgb, ranges: NDArray[np.float32]) -> Rgb:
+def draw_skyline(picture: RgbImage, ranges: Float32Array) -> RgbImage:
     """`picture` with a line, two pixels thick at 1080p, where terrain meets the sky above it.
 
     Where unknown ground meets the sky there is no line: that edge is the DEM's, not the landscape's.
@@ -85,7 +83,7 @@ def draw_skyline(picture: Rgb, ranges: NDArray[np.float32]) -> Rgb:
     return drawn
 
 
-def _shrunk(photo: Rgb, shape: tuple[int, ...]) -> Rgb:
+def _shrunk(photo: RgbImage, shape: tuple[int, ...]) -> RgbImage:
     if photo.shape[:2] == shape:
         return photo
     return np.asarray(cv2.resize(photo, shape[::-1], interpolation=cv2.INTER_AREA), np.uint8)

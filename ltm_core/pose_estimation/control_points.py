@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import PoseError
+from ltm_core.types import Float64Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,8 +19,8 @@ class ControlPoints:
     """
 
     names: tuple[str, ...]
-    places: NDArray[np.float64]
-    pixels: NDArray[np.float64]
+    places: Float64Array
+    pixels: Float64Array
 
     def __post_init__(self) -> None:
         places, pixels = np.array(self.places, np.float64), np.array(self.pixels, np.float64)

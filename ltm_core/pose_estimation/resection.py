@@ -13,24 +13,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from ltm_core.camera import Camera
 from ltm_core.errors import PoseError
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation.control_points import ControlPoints
-from ltm_core.pose_estimation.resection_adjustment import (
-    PARAMETERS,
-    SIZE,
-    Adjustment,
-    Fit,
-    Floats,
-    Parameter,
-    median_px,
-)
+from ltm_core.pose_estimation.resection_adjustment import PARAMETERS, SIZE, Adjustment, Fit, Parameter, median_px
 from ltm_core.pose_estimation.resection_limits import check_fit, check_points, hold_for_redundancy, unbearable
 from ltm_core.pose_estimation.resection_search import coarse_poses
+from ltm_core.types import BoolArray, Float64Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,15 +44,15 @@ class Resection:
     pose: Pose
     fitted: tuple[Parameter, ...]
     held: dict[Parameter, str]
-    residuals: Floats
-    used: NDArray[np.bool_]
+    residuals: Float64Array
+    used: BoolArray
     sigma_px: float
     sigmas: dict[str, float]
-    covariance: Floats
-    pose_covariance: Floats
+    covariance: Float64Array
+    pose_covariance: Float64Array
 
     @property
-    def residual_px(self) -> Floats:
+    def residual_px(self) -> Float64Array:
         """(N,) lengths of the residuals, pixels; +inf behind the camera."""
         return np.nan_to_num(np.hypot(self.residuals[:, 0], self.residuals[:, 1]), nan=np.inf)
 
@@ -124,7 +117,11 @@ def resect(
 
 
 def _result(
-    points: ControlPoints, fit: Fit, fitted: tuple[Parameter, ...], held: dict[Parameter, str], sigma: Floats | None
+    points: ControlPoints,
+    fit: Fit,
+    fitted: tuple[Parameter, ...],
+    held: dict[Parameter, str],
+    sigma: Float64Array | None,
 ) -> Resection:
     pose_covariance = np.zeros((6, 6))
     turns = np.arange(3)
@@ -161,7 +158,7 @@ def _result(
     )
 
 
-def _angle_sigmas(pose: Pose, turns: Floats) -> dict[str, float]:
+def _angle_sigmas(pose: Pose, turns: Float64Array) -> dict[str, float]:
     """Deviations in degrees of azimuth, pitch and roll, from the covariance of the rotation about the map's axes."""
     step = 1e-6
     slopes = np.empty((3, 3))
@@ -173,7 +170,7 @@ def _angle_sigmas(pose: Pose, turns: Floats) -> dict[str, float]:
     return dict(zip(("azimuth_deg", "pitch_deg", "roll_deg"), map(float, deviations), strict=True))
 
 
-def _position_sigma(sigma: ArrayLike | None) -> Floats | None:
+def _position_sigma(sigma: ArrayLike | None) -> Float64Array | None:
     if sigma is None:
         return None
     values = np.broadcast_to(np.asarray(sigma, np.float64), (3,))

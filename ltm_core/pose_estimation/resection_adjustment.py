@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -17,9 +16,9 @@ from ltm_core.camera import Camera
 from ltm_core.errors import PoseError
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation.control_points import ControlPoints
-from ltm_core.visibility.line_of_sight import sight_vectors
+from ltm_core.types import BoolArray, Float64Array
+from ltm_core.visibility.line_of_sight import line_of_sight_vectors
 
-Floats = NDArray[np.float64]
 Parameter = Literal["focal", "k1", "position"]
 """What may be fitted besides the angles, which always are."""
 
@@ -42,10 +41,10 @@ REMEDY = (
 class Fit:
     camera: Camera
     pose: Pose
-    residuals: Floats
-    used: NDArray[np.bool_]
+    residuals: Float64Array
+    used: BoolArray
     sigma_px: float
-    covariance: Floats
+    covariance: Float64Array
     """Of rotation (rad), then the free parameters."""
 
 
@@ -53,8 +52,8 @@ class Fit:
 class Adjustment:
     points: ControlPoints
     bend: float
-    position: Floats
-    position_sigma: Floats | None
+    position: Float64Array
+    position_sigma: Float64Array | None
 
     def robust_fit(
         self, pose: Pose, camera: Camera, free: tuple[Parameter, ...], sigma_px: float, rounds: int = 4
@@ -88,16 +87,14 @@ class Adjustment:
             before = used
         return fit
 
-    def _residuals(self, camera: Camera, pose: Pose) -> Floats:
-        sight = sight_vectors(pose.position, self.points.places, self.bend)
+    def _residuals(self, camera: Camera, pose: Pose) -> Float64Array:
+        sight = line_of_sight_vectors(pose.position, self.points.places, self.bend)
         return np.asarray(self.points.pixels - camera.project(sight @ pose.rotation), np.float64)
 
-    def _solve(
-        self, start: Fit, free: tuple[Parameter, ...], used: NDArray[np.bool_], sigma_px: float, loss: str
-    ) -> Fit:
+    def _solve(self, start: Fit, free: tuple[Parameter, ...], used: BoolArray, sigma_px: float, loss: str) -> Fit:
         far = 2 * diagonal(start.camera)
 
-        def errors(x: Floats) -> Floats:
+        def errors(x: Float64Array) -> Float64Array:
             camera, pose = _applied(x, start.camera, start.pose, free)
             # A point behind the camera has no pixel; a constant keeps it from pulling.
             rows = np.nan_to_num(self._residuals(camera, pose)[used], nan=far).ravel() / sigma_px
@@ -111,7 +108,7 @@ class Adjustment:
         return Fit(camera, pose, self._residuals(camera, pose), used, sigma_px, _inverse(solved.jac))
 
 
-def _applied(x: Floats, camera: Camera, pose: Pose, free: tuple[Parameter, ...]) -> tuple[Camera, Pose]:
+def _applied(x: Float64Array, camera: Camera, pose: Pose, free: tuple[Parameter, ...]) -> tuple[Camera, Pose]:
     """Camera and pose moved by x: rotation vector in the map frame, log of the focal length, k1, position."""
     rest = list(x[3:])
     position = pose.position
@@ -126,7 +123,7 @@ def _applied(x: Floats, camera: Camera, pose: Pose, free: tuple[Parameter, ...])
     return camera, Pose(position, Rotation.from_rotvec(x[:3]).as_matrix() @ pose.rotation)
 
 
-def _inverse(jacobian: Floats) -> Floats:
+def _inverse(jacobian: Float64Array) -> Float64Array:
     """(J^T J)^-1; a direction that J does not see gets a variance that is huge, not infinite."""
     norms = np.linalg.norm(jacobian, axis=0)
     norms[norms == 0] = 1e-12
@@ -136,7 +133,7 @@ def _inverse(jacobian: Floats) -> Floats:
     return np.asarray((half @ half.T) / np.outer(norms, norms), np.float64)
 
 
-def named(points: ControlPoints, residuals: Floats, which: NDArray[np.bool_]) -> str:
+def named(points: ControlPoints, residuals: Float64Array, which: BoolArray) -> str:
     """The points of `which` by residual, largest first."""
     off = lengths(residuals)
     order = [i for i in np.argsort(-off, kind="stable") if which[i]]
@@ -147,15 +144,15 @@ def named(points: ControlPoints, residuals: Floats, which: NDArray[np.bool_]) ->
     return ", ".join(shown) + (f" and {len(order) - 8} more" if len(order) > 8 else "")
 
 
-def lengths(residuals: Floats) -> Floats:
+def lengths(residuals: Float64Array) -> Float64Array:
     return np.nan_to_num(np.hypot(residuals[:, 0], residuals[:, 1]), nan=np.inf)
 
 
-def median_px(residuals: Floats) -> float:
+def median_px(residuals: Float64Array) -> float:
     return float(np.median(lengths(residuals)))
 
 
-def _scale(residuals: Floats, parameters: int) -> float:
+def _scale(residuals: Float64Array, parameters: int) -> float:
     """Deviation of one coordinate from the median length (of a Rayleigh variate: 1.1774 sigma), for n - p."""
     observed = residuals.size
     return median_px(residuals) / 1.1774 * float(np.sqrt(observed / (observed - parameters)))

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.pose_estimation.resection import Resection
 from ltm_core.tracing import TerrainTracer
-from ltm_core.visibility.line_of_sight import pixel_rays, sight_vectors
+from ltm_core.types import BoolArray, Float64Array
+from ltm_core.visibility.line_of_sight import line_of_sight_vectors, pixel_rays
 
 HIDDEN_BY = 5.0
 """Metres: a ray aimed at a surveyed point that ends this far from it met other ground: the DEM hides the point, or cuts
@@ -22,8 +22,8 @@ class TracedErrors:
     `visible`: (N,) whether the ray aimed at the surveyed place itself ends there.
     """
 
-    errors: NDArray[np.float64]
-    visible: NDArray[np.bool_]
+    errors: Float64Array
+    visible: BoolArray
 
 
 def traced_errors(result: Resection, tracer: TerrainTracer, hidden_by: float = HIDDEN_BY) -> TracedErrors:
@@ -35,7 +35,7 @@ def traced_errors(result: Resection, tracer: TerrainTracer, hidden_by: float = H
         traced = directions * ranges[:, None]
     traced[:, 2] += tracer.bend * (traced[:, 0] ** 2 + traced[:, 1] ** 2)
     errors = np.linalg.norm(traced + pose.position - places, axis=1)
-    sights = sight_vectors(pose.position, places, tracer.bend)
+    sights = line_of_sight_vectors(pose.position, places, tracer.bend)
     met = tracer.trace_rays(pose.position, sights)
     visible = np.abs(met - np.linalg.norm(sights, axis=1)) < hidden_by
     return TracedErrors(np.where(np.isfinite(errors), errors, np.inf), visible)

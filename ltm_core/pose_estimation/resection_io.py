@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -19,8 +18,7 @@ from ltm_core.geodesy import SiteFrame
 from ltm_core.pose_estimation.control_points import ControlPoints
 from ltm_core.pose_estimation.resection import Resection
 from ltm_core.tracing.trace_io import PictureConfig, PlaceConfig, set_up_picture
-
-Floats = NDArray[np.float64]
+from ltm_core.types import Float64Array
 
 _COLUMNS = {
     "name": ("id", "name", "point"),
@@ -52,7 +50,7 @@ class ResectionSetup:
 
     frame: SiteFrame
     camera: Camera
-    position: Floats
+    position: Float64Array
     dem: Dem | None
 
 

@@ -12,13 +12,13 @@ from ltm_core.pose_estimation.resection_adjustment import (
     REMEDY,
     SIZE,
     Fit,
-    Floats,
     Parameter,
     diagonal,
     median_px,
     named,
     size_of,
 )
+from ltm_core.types import Float64Array
 
 MAX_MEDIAN_SHARE = 0.02
 """Median residual over the image's diagonal above which no pose explains the points."""
@@ -31,7 +31,7 @@ MAX_POSITION_SIGMA = 0.02
 """Of the median distance of the points."""
 
 
-def check_points(points: ControlPoints, camera: Camera, position: Floats) -> None:
+def check_points(points: ControlPoints, camera: Camera, position: Float64Array) -> None:
     names = np.array(points.names)
     if len(names) < 3:
         raise PoseError(f"resection needs at least 3 control points, got {len(names)}: {', '.join(names) or 'none'}")
@@ -115,7 +115,7 @@ def unbearable(fit: Fit, free: tuple[Parameter, ...], points: ControlPoints) -> 
     )
 
 
-def _in_line(places: Floats) -> bool:
+def _in_line(places: Float64Array) -> bool:
     spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
     return bool(spread[1] < 0.02 * spread[0])
 

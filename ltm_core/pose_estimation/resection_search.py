@@ -11,15 +11,13 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.errors import PoseError
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation.control_points import ControlPoints
-from ltm_core.visibility.line_of_sight import pixel_rays, sight_vectors
-
-Floats = NDArray[np.float64]
+from ltm_core.types import Float64Array, Int64Array
+from ltm_core.visibility.line_of_sight import line_of_sight_vectors, pixel_rays
 
 FOCAL_FACTORS = np.geomspace(0.4, 2.5, 41)
 """Shares of the stated focal length that are tried where it is free: steps of 5 %."""
@@ -32,7 +30,7 @@ STARTS = 4
 def coarse_poses(
     points: ControlPoints,
     camera: Camera,
-    position: Floats,
+    position: Float64Array,
     angles_deg: tuple[float, float, float] | None,
     focal_free: bool,
     position_free: bool,
@@ -40,7 +38,7 @@ def coarse_poses(
 ) -> list[tuple[Camera, Pose]]:
     """The best few (camera, pose) to start from. Raises PoseError where all points are crowded together."""
     diagonal = float(np.hypot(camera.width, camera.height))
-    sights = sight_vectors(position, points.places, bend)
+    sights = line_of_sight_vectors(position, points.places, bend)
     sights /= np.linalg.norm(sights, axis=1, keepdims=True)
     first, second = _pairs(points, sights, diagonal)
     limit = diagonal * (0.1 if position_free else 0.05)
@@ -66,7 +64,7 @@ def coarse_poses(
     return starts
 
 
-def _pairs(points: ControlPoints, sights: Floats, diagonal: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _pairs(points: ControlPoints, sights: Float64Array, diagonal: float) -> tuple[Int64Array, Int64Array]:
     """Pairs of points that stand apart in the image and on the map, at most MAX_PAIRS of them."""
     pairs = np.array(list(combinations(range(len(points.names)), 2)))
     apart = np.linalg.norm(points.pixels[pairs[:, 0]] - points.pixels[pairs[:, 1]], axis=1)
@@ -84,7 +82,7 @@ def _pairs(points: ControlPoints, sights: Floats, diagonal: float) -> tuple[NDAr
     return pairs[:, 0], pairs[:, 1]
 
 
-def _bases(a: Floats, b: Floats) -> Floats:
+def _bases(a: Float64Array, b: Float64Array) -> Float64Array:
     """Orthonormal bases (N, 3, 3), as columns, of the planes through unit vectors a and b (N, 3)."""
     middle = a + b
     middle /= np.linalg.norm(middle, axis=1, keepdims=True)
@@ -94,13 +92,15 @@ def _bases(a: Floats, b: Floats) -> Floats:
     return np.stack([middle, normal, np.cross(middle, normal)], axis=-1)
 
 
-def _costs(camera: Camera, rotations: Floats, sights: Floats, pixels: Floats, limit: float) -> Floats:
+def _costs(
+    camera: Camera, rotations: Float64Array, sights: Float64Array, pixels: Float64Array, limit: float
+) -> Float64Array:
     """Sum over the points of their distances to their marks, each at most `limit` pixels: (K,)."""
     errors = camera.project(sights @ rotations) - pixels
     lengths = np.nan_to_num(np.hypot(errors[..., 0], errors[..., 1]), nan=limit)
     return np.asarray(np.minimum(lengths, limit).sum(axis=1), np.float64)
 
 
-def _orthonormal(rotation: Floats) -> Floats:
+def _orthonormal(rotation: Float64Array) -> Float64Array:
     u, _, vt = np.linalg.svd(rotation)
     return np.asarray(u @ vt, np.float64)

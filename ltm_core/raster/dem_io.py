@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS
 
 from ltm_core.errors import RasterError
 from ltm_core.grid import GridGeometry
+from ltm_core.types import Float32Array
 
 Bounds = tuple[float, float, float, float]
 
@@ -22,7 +22,7 @@ _ROWS = 256
 """Rows read at a time, or the file's own blocks where they are higher."""
 
 
-def read_heights(path: Path | str, crs: str | None) -> tuple[NDArray[np.float32], GridGeometry]:
+def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridGeometry]:
     """Band 1 as heights, (H, W) float32, north up, NaN where nodata, and its geometry; see `Dem.open`."""
     import rasterio
     from rasterio.errors import RasterioError
@@ -48,9 +48,7 @@ def read_heights(path: Path | str, crs: str | None) -> tuple[NDArray[np.float32]
     return elevation, GridGeometry(t.c, y_max, t.a, width, height, name_of(stated))
 
 
-def read_around(
-    path: Path | str, crs: str | None, target: str, bounds: Bounds
-) -> tuple[NDArray[np.float32], GridGeometry]:
+def read_around(path: Path | str, crs: str | None, target: str, bounds: Bounds) -> tuple[Float32Array, GridGeometry]:
     """Band 1 as heights over `bounds` (x_min, y_min, x_max, y_max in the CRS `target`), bilinearly warped where its own
     grid is another; degrees will do.
 
@@ -116,7 +114,7 @@ def _read(
     height: int | None = None,
     width: int | None = None,
     scaling: tuple[float, float] | None = None,
-) -> NDArray[np.float32]:
+) -> Float32Array:
     """A window of band 1, strip after strip, so that nothing but the result is ever held whole."""
     from rasterio.windows import Window
 
@@ -140,7 +138,7 @@ def _read(
     return elevation
 
 
-def _turn(elevation: NDArray[np.float32]) -> None:
+def _turn(elevation: Float32Array) -> None:
     """South-up to north-up, in place."""
     for row in range(len(elevation) // 2):
         north = elevation[row].copy()

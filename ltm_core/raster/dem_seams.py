@@ -23,29 +23,30 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from ltm_core.grid import GridGeometry
-
-Heights = NDArray[np.float32]
-Floats = NDArray[np.float64]
+from ltm_core.types import Float32Array, Float64Array
 
 BAND = 3.0
 """Coarse cells over which the fine heights give way to the coarser ones; never more than a quarter of the raster."""
 
 
-def fill_holes(fine: Heights, fine_geometry: GridGeometry, coarse: Heights, coarse_geometry: GridGeometry) -> None:
+def fill_holes(
+    fine: Float32Array, fine_geometry: GridGeometry, coarse: Float32Array, coarse_geometry: GridGeometry
+) -> None:
     """Fill the holes of `fine` (H, W) from `coarse`, where that is known, in place."""
     _fill(fine, coarse, *_places(fine_geometry, coarse_geometry))
 
 
-def lead_over(fine: Heights, fine_geometry: GridGeometry, coarse: Heights, coarse_geometry: GridGeometry) -> None:
+def lead_over(
+    fine: Float32Array, fine_geometry: GridGeometry, coarse: Float32Array, coarse_geometry: GridGeometry
+) -> None:
     """Lead the border of `fine` (H, W) over to `coarse`, where that is known, in place."""
     band = BAND * coarse_geometry.resolution / fine_geometry.resolution
     _blend(fine, coarse, *_places(fine_geometry, coarse_geometry), min(band, (min(fine.shape) - 1) / 4))
 
 
-def _places(fine: GridGeometry, coarse: GridGeometry) -> tuple[Floats, Floats]:
+def _places(fine: GridGeometry, coarse: GridGeometry) -> tuple[Float64Array, Float64Array]:
     """Where the fine rows and columns lie in the coarse raster."""
     x, _ = fine.to_map(0, np.arange(fine.width))
     _, y = fine.to_map(np.arange(fine.height), 0)
@@ -55,7 +56,7 @@ def _places(fine: GridGeometry, coarse: GridGeometry) -> tuple[Floats, Floats]:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _bilinear(nodes: Heights, row: float, col: float) -> float:
+def _bilinear(nodes: Float32Array, row: float, col: float) -> float:
     i = min(max(math.floor(row), 0), nodes.shape[0] - 2)
     j = min(max(math.floor(col), 0), nodes.shape[1] - 2)
     v, u = row - i, col - j
@@ -66,7 +67,7 @@ def _bilinear(nodes: Heights, row: float, col: float) -> float:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _fill(fine: Heights, coarse: Heights, rows: Floats, cols: Floats) -> None:
+def _fill(fine: Float32Array, coarse: Float32Array, rows: Float64Array, cols: Float64Array) -> None:
     """Row after row from the north; of each column the two ends of the hole that it is in are kept."""
     height, width = fine.shape
     above, below = np.full(width, -1, np.int64), np.full(width, 0, np.int64)
@@ -105,7 +106,9 @@ def _fill(fine: Heights, coarse: Heights, rows: Floats, cols: Floats) -> None:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _difference(fine: Heights, coarse: Heights, rows: Floats, cols: Floats, i: int, j: int) -> float:
+def _difference(
+    fine: Float32Array, coarse: Float32Array, rows: Float64Array, cols: Float64Array, i: int, j: int
+) -> float:
     """Fine less coarse at a node; 0 outside the raster, NaN where the coarser level is not known."""
     if not (0 <= i < fine.shape[0] and 0 <= j < fine.shape[1]):
         return 0.0
@@ -114,7 +117,7 @@ def _difference(fine: Heights, coarse: Heights, rows: Floats, cols: Floats, i: i
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _blend(fine: Heights, coarse: Heights, rows: Floats, cols: Floats, band: float) -> None:
+def _blend(fine: Float32Array, coarse: Float32Array, rows: Float64Array, cols: Float64Array, band: float) -> None:
     height, width = fine.shape
     deep = math.ceil(band)
     for i in range(height):

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ltm_core.dem import Dem
 from ltm_core.errors import RasterError
@@ -20,6 +20,7 @@ from ltm_core.geodesy import SiteFrame
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.dem_io import read_around
 from ltm_core.raster.dem_seams import fill_holes, lead_over
+from ltm_core.types import Float64Array
 
 _ROUNDING = 1e-6  # cells
 REACH = 40_000.0
@@ -71,7 +72,7 @@ class DemStack(Dem):
         """The same stack in a site's map frame; see `Dem.in_frame`."""
         return DemStack._of([level.in_frame(frame) for level in self.levels])
 
-    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Float64Array:
         """Bilinear height at map points of the finest level over them; NaN beyond the coarsest and in holes."""
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         height = np.full(x.shape, np.nan)

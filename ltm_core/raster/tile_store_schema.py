@@ -20,6 +20,12 @@ Key = tuple[int, int]
 Tile = dict[str, NDArray[Any]]
 
 _LEVEL = 1
+_RENAMED = {
+    "witnesses": "camera_hashes",
+    "sheet_variance": "relative_variance",
+    "c_sheet_variance": "c_relative_variance",
+}
+"""Fields by the names that stores of version 0.1 know them by; a field's place in a tile's bytes is not by name."""
 _CHANGE = np.dtype([("row", "<i4"), ("col", "<i4"), ("old", "<i4"), ("new", "<i4")])
 
 
@@ -87,7 +93,10 @@ class StoreSchema:
                 int(content["version"]),
                 GridGeometry(**content["geometry"]),
                 int(content["tile"]),
-                {name: Field(np.dtype(dtype), tuple(shape)) for name, (dtype, shape) in content["fields"].items()},
+                {
+                    _RENAMED.get(name, name): Field(np.dtype(dtype), tuple(shape))
+                    for name, (dtype, shape) in content["fields"].items()
+                },
                 str(content["terms"]),
             )
         except (ValueError, KeyError, TypeError) as error:

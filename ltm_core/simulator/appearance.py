@@ -6,54 +6,51 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.grid import GridGeometry
 from ltm_core.simulator import noise_fields
 from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, WATER, LandCover
+from ltm_core.types import Float32Array, Float64Array, Int64Array
 
 _STRIP = 128  # rows of ground texture made at once
 _THREADS = 2
 _WATER = np.array([0.02, 0.035, 0.036])  # a reservoir's own colour, under its reflections
 
-Array = NDArray[np.float64]
-Field = NDArray[np.float32]
 
-
-def _rgb(*values: float) -> Array:
+def _rgb(*values: float) -> Float64Array:
     return np.array(values, np.float64)
 
 
 @dataclass(frozen=True)
-class Palette:
+class Reflectances:
     """Linear RGB reflectances."""
 
-    grass: Array
-    chamise: Array  # dark chaparral
-    sage: Array  # grey-green coastal scrub
-    buckwheat: Array  # rust-brown flower heads
-    oak: Array
-    conifer: Array
-    soil: Array
-    rock: Array
-    litter: Array
-    track: Array
-    char: Array
-    ash: Array
-    scorched: Array  # foliage killed by heat
+    grass: Float64Array
+    chamise: Float64Array  # dark chaparral
+    sage: Float64Array  # grey-green coastal scrub
+    buckwheat: Float64Array  # rust-brown flower heads
+    oak: Float64Array
+    conifer: Float64Array
+    soil: Float64Array
+    rock: Float64Array
+    litter: Float64Array
+    track: Float64Array
+    char: Float64Array
+    ash: Float64Array
+    scorched: Float64Array  # foliage killed by heat
 
 
-def palette(green: float, seed: int) -> Palette:
+def palette(green: float, seed: int) -> Reflectances:
     """The colours of one season (`green` 0 cured .. 1 a wet spring), varied a little from site to site."""
     rng = np.random.default_rng([seed, 77])
 
-    def vary(color: Array) -> Array:
+    def vary(color: Float64Array) -> Float64Array:
         return np.asarray(color * rng.uniform(0.88, 1.14) * (1 + 0.04 * rng.normal(size=3)), np.float64)
 
-    def season(cured: Array, wet: Array) -> Array:
+    def season(cured: Float64Array, wet: Float64Array) -> Float64Array:
         return vary((1 - green) * cured + green * wet)
 
-    return Palette(
+    return Reflectances(
         grass=season(_rgb(0.40, 0.305, 0.155), _rgb(0.135, 0.19, 0.055)),
         chamise=season(_rgb(0.098, 0.099, 0.045), _rgb(0.074, 0.104, 0.036)),
         sage=season(_rgb(0.165, 0.158, 0.098), _rgb(0.125, 0.155, 0.085)),
@@ -70,7 +67,7 @@ def palette(green: float, seed: int) -> Palette:
     )
 
 
-def ground_texture(cover: LandCover, geometry: GridGeometry, colors: Palette, seed: int) -> Field:
+def ground_texture(cover: LandCover, geometry: GridGeometry, colors: Reflectances, seed: int) -> Float32Array:
     """Reflectance (H, W, 3) of the ground itself at the cells of `geometry`, plants left out.
 
     Strip by strip: a whole site at once takes gigabytes.
@@ -88,7 +85,7 @@ def ground_texture(cover: LandCover, geometry: GridGeometry, colors: Palette, se
     return out
 
 
-def _strip_texture(cover: LandCover, geometry: GridGeometry, colors: Palette, seed: int) -> Field:
+def _strip_texture(cover: LandCover, geometry: GridGeometry, colors: Reflectances, seed: int) -> Float32Array:
     """A part of `ground_texture`.
 
     Classes melt into one another over a few metres along ragged edges; brightness varies from hundreds of metres
@@ -137,7 +134,7 @@ def _strip_texture(cover: LandCover, geometry: GridGeometry, colors: Palette, se
     return np.clip(out, 0.015, 0.75).astype(np.float32)
 
 
-def _cells(cover: LandCover, xs: Array, ys: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _cells(cover: LandCover, xs: Float64Array, ys: Float64Array) -> tuple[Int64Array, Int64Array]:
     row, _ = cover.geometry.cell_of(0.0, ys)
     _, col = cover.geometry.cell_of(xs, 0.0)
     rows, cols = np.meshgrid(

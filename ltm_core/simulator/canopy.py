@@ -6,18 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from ltm_core.grid import GridGeometry
 from ltm_core.simulator.terrain_synthesis import HeightField
 from ltm_core.simulator.vegetation import LATTICE, Placement
-
-Array = NDArray[np.float64]
-Field = NDArray[np.float32]
+from ltm_core.types import Float32Array, Float64Array
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _highest(triangles: Array, first: float, step: float, out: Field) -> None:
+def _highest(triangles: Float64Array, first: float, step: float, out: Float32Array) -> None:
     """Raise `out` (n, n) to the highest triangle over each lattice point (first + col step, first + row step)."""
     n = out.shape[0]
     for k in range(triangles.shape[0]):
@@ -43,15 +40,15 @@ def _highest(triangles: Array, first: float, step: float, out: Field) -> None:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _stamp(
-    heights: Field,
+    heights: Float32Array,
     first: float,
     step: float,
-    at: Array,
-    slopes: Array,
-    ground: Field,
-    ground_frame: Array,
-    out: Field,
-    out_frame: Array,
+    at: Float64Array,
+    slopes: Float64Array,
+    ground: Float32Array,
+    ground_frame: Float64Array,
+    out: Float32Array,
+    out_frame: Float64Array,
 ) -> None:
     """Raise `out` by one plant at each of `at` (N, 3), sheared by `slopes` (N, 2); frames are (x_min, y_max, cell)."""
     n = heights.shape[0]
@@ -83,7 +80,7 @@ def _stamp(
                     out[row, col] = height
 
 
-def canopy_height(placements: Sequence[Placement], ground: HeightField, geometry: GridGeometry) -> Field:
+def canopy_height(placements: Sequence[Placement], ground: HeightField, geometry: GridGeometry) -> Float32Array:
     """Height (H, W) of the plants over the ground in each cell of `geometry` (map frame), 0 where none stands.
 
     A cell holds the highest of the plants over the points of a lattice of LATTICE metres inside it, each above the

@@ -9,12 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from ltm_core.simulator.noise_fields import gradient_noise, gradient_noise_3d, lattice_uniform
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+from ltm_core.types import Float32Array, Float64Array
 
 FADE = 30_000.0  # m over which far clouds fade into the air
 LEVEL = 0.004  # upward slope of a ray under which it counts as level: haze is all that it sees
@@ -34,13 +31,13 @@ def _field_at(x: float, y: float, size: float, seed: int) -> float:
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def field_points(x: Array, y: Array, size: float, seed: int, out: Array) -> None:
+def field_points(x: Float64Array, y: Float64Array, size: float, seed: int, out: Float64Array) -> None:
     for i in range(x.size):
         out[i] = _field_at(x[i], y[i], size, seed)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _strength(x: float, y: float, shape: Array, raster: Image, frame: Array, seed: int) -> float:
+def _strength(x: float, y: float, shape: Float64Array, raster: Float32Array, frame: Float64Array, seed: int) -> float:
     """The strength, bilinear between the raster's points; outside it out of the noise itself."""
     col, row = (x - frame[0]) / frame[2], (y - frame[1]) / frame[2]
     c, r = int(np.floor(col)), int(np.floor(row))
@@ -54,7 +51,15 @@ def _strength(x: float, y: float, shape: Array, raster: Image, frame: Array, see
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _density(
-    x: float, y: float, z: float, slab: Array, shape: Array, raster: Image, frame: Array, seed: int, detail: float
+    x: float,
+    y: float,
+    z: float,
+    slab: Float64Array,
+    shape: Float64Array,
+    raster: Float32Array,
+    frame: Float64Array,
+    seed: int,
+    detail: float,
 ) -> float:
     """Density 0 .. 1 at a point: domes on level bases, or lenses, over the field's hills; billows bitten out of them.
 
@@ -95,11 +100,11 @@ def _depth_to_sun(
     x: float,
     y: float,
     z: float,
-    sun: Array,
-    slab: Array,
-    shape: Array,
-    raster: Image,
-    frame: Array,
+    sun: Float64Array,
+    slab: Float64Array,
+    shape: Float64Array,
+    raster: Float32Array,
+    frame: Float64Array,
     seed: int,
     draw: float,
 ) -> float:
@@ -117,15 +122,15 @@ def _depth_to_sun(
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def march(
-    rays: Array,
-    eye: Array,
-    sun: Array,
-    slab: Array,
-    shape: Array,
-    raster: Image,
-    frame: Array,
+    rays: Float64Array,
+    eye: Float64Array,
+    sun: Float64Array,
+    slab: Float64Array,
+    shape: Float64Array,
+    raster: Float32Array,
+    frame: Float64Array,
     seed: int,
-    out: Image,
+    out: Float32Array,
 ) -> None:
     """Opacity, sunlight and skylight of the slab along each ray: single scattering forward and, as two streams give it,
     what many scatterings leave."""
@@ -166,7 +171,14 @@ def march(
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def shade(
-    points: Array, sun: Array, slab: Array, shape: Array, raster: Image, frame: Array, seed: int, out: Image
+    points: Float64Array,
+    sun: Float64Array,
+    slab: Float64Array,
+    shape: Float64Array,
+    raster: Float32Array,
+    frame: Float64Array,
+    seed: int,
+    out: Float32Array,
 ) -> None:
     """The share of sunlight that the slab lets through to each point: what is scattered forward arrives too."""
     detail = 0.12 * shape[0]

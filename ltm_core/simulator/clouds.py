@@ -9,17 +9,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.pose import Pose
 from ltm_core.simulator.cloud_kernels import FADE, LEVEL, field_points, march, shade
 from ltm_core.simulator.scenario import CloudConfig, SunConfig
 from ltm_core.simulator.sky import sun_direction
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
-Color = NDArray[np.float32]
+from ltm_core.types import Float32Array, Float64Array
 
 _EXTINCTION = {"cumulus": 0.045, "stratus": 0.02}  # 1/m where density is 1: a few hundred droplets a cubic centimetre
 _SOFT = {"cumulus": 0.26, "stratus": 0.6}  # of the strength's range over which an edge thins out
@@ -38,11 +34,11 @@ class CloudLayer:
     """What rays (...,) see of clouds: `opacity`, and of the light in it the parts that come from the `sun` and from the
     `sky`, each relative to a white card that faces it."""
 
-    opacity: Image
-    sun: Image
-    sky: Image
+    opacity: Float32Array
+    sun: Float32Array
+    sky: Float32Array
 
-    def over(self, sky: Image, sun_card: Color, sky_card: Color) -> Image:
+    def over(self, sky: Float32Array, sun_card: Float32Array, sky_card: Float32Array) -> Float32Array:
         """Radiance (..., 3) of the clear `sky` (..., 3) with the clouds before it; the cards' radiance (3,)."""
         body = self.sun[..., None] * _whiter(sun_card) + self.sky[..., None] * _whiter(sky_card)
         return np.asarray(sky * (1 - self.opacity[..., None]) + body, np.float32)
@@ -54,10 +50,10 @@ class Overhead:
     it in their shade, and that light relative to a clear sky's, `factor` (3,)."""
 
     cover: float
-    light: Color
-    factor: Color
+    light: Float32Array
+    factor: Float32Array
 
-    def air(self, clear: Color) -> Color:
+    def air(self, clear: Float32Array) -> Float32Array:
         """The colour (3,) of air under these clouds that is `clear` without them."""
         grey = float(self.light @ _LUMINANCE)
         return np.asarray((1 - self.cover) * clear + self.cover * 0.9 * grey, np.float32)
@@ -66,7 +62,7 @@ class Overhead:
 class Clouds:
     """The clouds of a scenario over ground at `datum` metres, as they stand about map point `eye` (3,)."""
 
-    def __init__(self, config: CloudConfig, datum: float, sun: SunConfig, eye: Array, seed: int) -> None:
+    def __init__(self, config: CloudConfig, datum: float, sun: SunConfig, eye: Float64Array, seed: int) -> None:
         self._config = config
         self._slab = np.array([datum + config.base, config.depth])
         self._veil_height = datum + max(_VEIL_HEIGHT, 2 * config.base)
@@ -90,12 +86,12 @@ class Clouds:
         self._raster = self.strength(x, y).astype(np.float32)
         self._frame = np.array([first[0] * cell, first[1] * cell, cell])
 
-    def strength(self, x: Array, y: Array) -> Array:
+    def strength(self, x: Float64Array, y: Float64Array) -> Float64Array:
         """How strongly clouds form over map points (any shape): none below 0, about 1 in the middle of the largest."""
         flat = _field(np.ravel(np.asarray(x, float)), np.ravel(np.asarray(y, float)), self._config.size, self._seed)
         return np.asarray(((flat - self._shape[1]) / self._shape[2]).reshape(np.shape(x)), np.float64)
 
-    def sunlight(self, points: Array) -> Image:
+    def sunlight(self, points: Float64Array) -> Float32Array:
         """The share of the sun's light that reaches map points (..., 3)."""
         flat = np.ascontiguousarray(points.reshape(-1, 3), np.float64)
         out = np.empty(len(flat), np.float32)
@@ -115,7 +111,7 @@ class Clouds:
             layer = cv2.remap(layer, maps[1], maps[0], cv2.INTER_LINEAR)
         return CloudLayer(layer[..., 0], layer[..., 1], layer[..., 2])
 
-    def overhead(self, sun_card: Color, sky_card: Color) -> Overhead:
+    def overhead(self, sun_card: Float32Array, sky_card: Float32Array) -> Overhead:
         """What these clouds make of a clear sky's light; the cards' radiance (3,)."""
         k = np.arange(_DOME) + 0.5
         flat, turn = np.sqrt(k / _DOME), k * np.pi * (3 - np.sqrt(5))
@@ -124,7 +120,7 @@ class Clouds:
         light = CloudLayer(opacity, sun, sky).over(sky_card[None], sun_card, sky_card)[0]
         return Overhead(float(opacity[0]), light, np.asarray(light / sky_card, np.float32))
 
-    def _along(self, rays: Array) -> Image:
+    def _along(self, rays: Float64Array) -> Float32Array:
         """(H, W, 3): opacity, sunlight and skylight along unit rays (H, W, 3) from the eye."""
         rows, cols = rays.shape[:2]
         out = np.zeros((rows * cols, 3), np.float32)
@@ -136,7 +132,7 @@ class Clouds:
         # What the drawn starts leave of grain
         return np.asarray(cv2.GaussianBlur(layer, (0, 0), 0.8), np.float32) if rows > 1 else layer
 
-    def _before_veil(self, layer: Image, rays: Array) -> Image:
+    def _before_veil(self, layer: Float32Array, rays: Float64Array) -> Float32Array:
         """The layer of low clouds before ice clouds drawn out by the wind up there."""
         up = np.maximum(rays[..., 2], LEVEL)
         t = (self._veil_height - self._eye[2]) / up
@@ -153,22 +149,22 @@ class Clouds:
         behind = np.stack([opacity, opacity * np.minimum(0.35 + 0.25 * forward, 1.2), 0.6 * opacity], axis=-1)
         return np.asarray(layer + (1 - layer[..., :1]) * behind, np.float32)
 
-    def _veil_field(self, x: Array, y: Array, size: float, salt: int) -> Array:
+    def _veil_field(self, x: Float64Array, y: Float64Array, size: float, salt: int) -> Float64Array:
         return _field(np.ravel(x), np.ravel(y), size, self._seed + salt).reshape(x.shape)
 
 
-def _whiter(card: Color) -> Color:
+def _whiter(card: Float32Array) -> Float32Array:
     """A card's colour as many scatterings and a camera's white balance leave it: most of its tint is gone."""
     grey = float(card @ _LUMINANCE)
     return np.asarray(grey * (card / grey) ** 0.4, np.float32)
 
 
-def _phase(cosine: Array, g: float) -> Array:
+def _phase(cosine: Float64Array, g: float) -> Float64Array:
     """Henyey and Greenstein's phase function, times 4 pi."""
     return np.asarray((1 - g * g) / (1 + g * g - 2 * g * cosine) ** 1.5, np.float64)
 
 
-def _field(x: Array, y: Array, size: float, seed: int) -> Array:
+def _field(x: Float64Array, y: Float64Array, size: float, seed: int) -> Float64Array:
     out = np.empty(x.size)
     field_points(np.ascontiguousarray(x), np.ascontiguousarray(y), float(size), seed, out)
     return out

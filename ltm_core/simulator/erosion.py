@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Heights = NDArray[np.float64]
+from ltm_core.types import Float64Array, Int64Array
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _receivers(h: Heights, cell: float, wander: float, seed: int) -> tuple[NDArray[np.int64], Heights]:
+def _receivers(h: Float64Array, cell: float, wander: float, seed: int) -> tuple[Int64Array, Float64Array]:
     """Steepest downhill neighbour of each cell (itself: a pit or the border), and the distance to it.
 
     Slopes are weighted by 1 +- `wander` at random: without it channels lock to the eight directions of the raster.
@@ -44,7 +43,7 @@ def _receivers(h: Heights, cell: float, wander: float, seed: int) -> tuple[NDArr
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _downstream_order(receiver: NDArray[np.int64]) -> NDArray[np.int64]:
+def _downstream_order(receiver: Int64Array) -> Int64Array:
     """Cells sorted so that each one's receiver stands before it (Braun & Willett's stack)."""
     n = receiver.size
     donors_at = np.zeros(n + 1, np.int64)
@@ -75,7 +74,7 @@ def _downstream_order(receiver: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _upstream_area(receiver: NDArray[np.int64], order: NDArray[np.int64], cell: float) -> Heights:
+def _upstream_area(receiver: Int64Array, order: Int64Array, cell: float) -> Float64Array:
     """Upstream area (m^2) of each cell, flat; `order`: downstream cells before those that drain into them."""
     area = np.full(receiver.size, cell * cell)
     for k in range(order.size - 1, -1, -1):
@@ -86,15 +85,15 @@ def _upstream_area(receiver: NDArray[np.int64], order: NDArray[np.int64], cell: 
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def drainage_area(h: Heights, cell: float) -> Heights:
+def drainage_area(h: Float64Array, cell: float) -> Float64Array:
     """Upstream area (m^2) of each cell of ``h``, by steepest descent."""
     receiver, _ = _receivers(h, cell, 0.0, 0)
-    area: Heights = _upstream_area(receiver, _downstream_order(receiver), cell)
+    area: Float64Array = _upstream_area(receiver, _downstream_order(receiver), cell)
     return area.reshape(h.shape)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _relax_hillslopes(h: Heights, cell: float, diffusion: float, repose: float, sweeps: int) -> None:
+def _relax_hillslopes(h: Float64Array, cell: float, diffusion: float, repose: float, sweeps: int) -> None:
     """Explicit diffusion (``diffusion``: D dt / cell^2 a sweep, < 0.25), stronger where the slope is above
     ``repose``."""
     rows, cols = h.shape
@@ -116,10 +115,10 @@ def _relax_hillslopes(h: Heights, cell: float, diffusion: float, repose: float, 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def evolve(
-    h: Heights,
+    h: Float64Array,
     cell: float,
-    uplift: Heights,
-    erodibility: Heights,
+    uplift: Float64Array,
+    erodibility: Float64Array,
     steps: int,
     time_step: float,
     area_exponent: float,

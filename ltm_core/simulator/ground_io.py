@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import RasterError
 from ltm_core.grid import GridGeometry
+from ltm_core.types import BoolArray, Float64Array, Int16Array
 
 _LARGEST = 200_000_000  # cells of a window
 
 
-def read_elevation(path: Path, geometry: GridGeometry) -> NDArray[np.float64]:
+def read_elevation(path: Path, geometry: GridGeometry) -> Float64Array:
     """Elevation (H, W) at the cells of `geometry` (in its CRS), resampled by cubic convolution.
 
     Raises RasterError: no raster, no CRS, no elevation somewhere in the window.
@@ -29,7 +29,7 @@ def read_elevation(path: Path, geometry: GridGeometry) -> NDArray[np.float64]:
     return values
 
 
-def read_codes(path: Path, geometry: GridGeometry) -> NDArray[np.int16]:
+def read_codes(path: Path, geometry: GridGeometry) -> Int16Array:
     """Fuel model numbers (H, W) at the cells of `geometry`, the nearest of the raster; -1 where it has none.
 
     Raises RasterError: no raster, no CRS, nothing in the window.
@@ -40,7 +40,7 @@ def read_codes(path: Path, geometry: GridGeometry) -> NDArray[np.int16]:
     return np.where(missing, -1, values).astype(np.int16)
 
 
-def _resampled(path: Path, geometry: GridGeometry, method: str) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _resampled(path: Path, geometry: GridGeometry, method: str) -> tuple[Float64Array, BoolArray]:
     import rasterio
     from rasterio.enums import Resampling
     from rasterio.vrt import WarpedVRT

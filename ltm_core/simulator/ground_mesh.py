@@ -8,13 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.simulator import noise_fields
-from ltm_core.simulator.appearance import Palette
+from ltm_core.simulator.appearance import Reflectances
 from ltm_core.simulator.terrain_synthesis import HeightField
-
-Array = NDArray[np.float64]
+from ltm_core.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt32Array
 
 _FLATNESS = 0.03  # m that the site's triangles may lie off its bilinear surface
 _MOST_PARTS = 8  # a cell's side is cut into so many at most
@@ -25,17 +23,17 @@ _HORIZON = 70_000.0  # m
 class Triangles:
     """`vertices` (N, 3) metres in the map frame and `faces` (M, 3); per vertex `uv` (N, 2) or `colors` (N, 3)."""
 
-    vertices: NDArray[np.float32]
-    faces: NDArray[np.uint32]
-    uv: NDArray[np.float32] | None = None
-    colors: NDArray[np.float32] | None = None
+    vertices: Float32Array
+    faces: UInt32Array
+    uv: Float32Array | None = None
+    colors: Float32Array | None = None
 
 
-def _drop(x: Array, y: Array, center: Array, bend: float) -> Array:
+def _drop(x: Float64Array, y: Float64Array, center: Float64Array, bend: float) -> Float64Array:
     return np.asarray(bend * ((x - center[0]) ** 2 + (y - center[1]) ** 2), np.float64)
 
 
-def seen_from(eye: Array, center: Array, bend: float) -> Array:
+def seen_from(eye: Float64Array, center: Float64Array, bend: float) -> Float64Array:
     """The transform (4, 4) that takes ground sunk about `center` to ground sunk about `eye` (both at least (x, y)).
 
     The difference of two paraboloids of one curvature is a plane, so that a shear does it exactly.
@@ -47,7 +45,7 @@ def seen_from(eye: Array, center: Array, bend: float) -> Array:
     return m
 
 
-def _grid_faces(keep: NDArray[np.bool_]) -> NDArray[np.uint32]:
+def _grid_faces(keep: BoolArray) -> UInt32Array:
     """Two triangles a quad of an (H, W) vertex grid, where `keep` (H-1, W-1) says so."""
     h, w = keep.shape[0] + 1, keep.shape[1] + 1
     index = np.arange(h * w, dtype=np.uint32).reshape(h, w)
@@ -55,7 +53,7 @@ def _grid_faces(keep: NDArray[np.bool_]) -> NDArray[np.uint32]:
     return np.concatenate([np.stack([a, c, b], axis=1), np.stack([b, c, d], axis=1)])
 
 
-def twist_parts(elevation: NDArray[np.float32]) -> NDArray[np.int64]:
+def twist_parts(elevation: Float32Array) -> Int64Array:
     """Into how many parts (H-1, W-1) a side of each quad must be cut for its triangles to follow the bilinear surface.
 
     Two triangles leave the bilinear surface by a quarter of the quad's twist, n^2 pairs of them by a part of n^2.
@@ -66,7 +64,7 @@ def twist_parts(elevation: NDArray[np.float32]) -> NDArray[np.int64]:
     return np.asarray(np.minimum(2 ** np.ceil(np.log2(least)), _MOST_PARTS), np.int64)
 
 
-def _cut_quads(corners: Array, parts: int, first: int) -> tuple[Array, NDArray[np.uint32]]:
+def _cut_quads(corners: Float64Array, parts: int, first: int) -> tuple[Float64Array, UInt32Array]:
     """Vertices (N * (parts + 1)^2, K) and faces, numbered from `first`, of quads cut into parts x parts pieces.
 
     `corners` (N, 4, K): north-west, north-east, south-west, south-east. A bilinear surface is straight along the
@@ -82,11 +80,11 @@ def _cut_quads(corners: Array, parts: int, first: int) -> tuple[Array, NDArray[n
 
 def field_triangles(
     field: HeightField,
-    keep: NDArray[np.bool_],
-    center: Array,
+    keep: BoolArray,
+    center: Float64Array,
     bend: float,
     sink: float = 0.0,
-    parts: NDArray[np.int64] | None = None,
+    parts: Int64Array | None = None,
 ) -> Triangles:
     """The quads of `field` that `keep` (H-1, W-1) says, `sink` metres lower, each side cut into `parts` (H-1, W-1);
     uv spans the field's extent."""
@@ -109,7 +107,7 @@ def field_triangles(
     return Triangles(merged[:, :3], np.concatenate(faces), uv=merged[:, 3:])
 
 
-def under(wide: HeightField, site: HeightField) -> NDArray[np.bool_]:
+def under(wide: HeightField, site: HeightField) -> BoolArray:
     """The quads (H-1, W-1) of `wide` that lie wholly under `site`, a margin left."""
     x, y = np.meshgrid(*wide.axes())
     margin = 1.5 * wide.geometry.resolution
@@ -118,7 +116,7 @@ def under(wide: HeightField, site: HeightField) -> NDArray[np.bool_]:
     return np.asarray(inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:], np.bool_)
 
 
-def far_ranges(wide: HeightField, colors: Palette, seed: int, center: Array, bend: float) -> Triangles:
+def far_ranges(wide: HeightField, colors: Reflectances, seed: int, center: Float64Array, bend: float) -> Triangles:
     """A plain with mountain ranges from the edge of the surroundings `wide` to 70 km, for the horizon."""
     g = wide.geometry
     middle = np.array([(g.x_min + g.x_max) / 2, (g.y_min + g.y_max) / 2])

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.simulator.camera_setup import ImagingConfig
 from ltm_core.simulator.scenario import AtmosphereConfig
-
-Image = NDArray[np.float32]
-
+from ltm_core.types import BoolArray, Float32Array, UInt8Array
 
 _BOUNCE = np.array([0.52, 0.42, 0.30], np.float32)  # light from sunlit ground near by, relative to the sky's
 
 
-def lit(sun: Image, sky: Image, is_sky: NDArray[np.bool_]) -> Image:
+def lit(sun: Float32Array, sky: Float32Array, is_sky: BoolArray) -> Float32Array:
     """Sun and sky together (H, W, 3), the sky's light smoothed and joined by what sunlit ground throws back."""
     scale = max(float(np.median(sky)), 1e-9)
     root = np.sqrt(np.maximum(sky, 0) / scale)
@@ -25,7 +22,9 @@ def lit(sun: Image, sky: Image, is_sky: NDArray[np.bool_]) -> Image:
     return np.asarray(sun + ambient, np.float32)
 
 
-def add_haze(radiance: Image, lengths: list[Image], air: NDArray[np.float32], config: AtmosphereConfig) -> Image:
+def add_haze(
+    radiance: Float32Array, lengths: list[Float32Array], air: Float32Array, config: AtmosphereConfig
+) -> Float32Array:
     """L exp(-b d) + A (1 - exp(-b d)), a channel its own b; `lengths` are several samples of each pixel's distance
     (H, W)."""
     exponent = (1 + config.blue * np.array([-0.5, 0.0, 0.5])) / config.visibility
@@ -35,20 +34,18 @@ def add_haze(radiance: Image, lengths: list[Image], air: NDArray[np.float32], co
     return np.asarray(radiance * transmittance + air * (1 - transmittance), np.float32)
 
 
-def _tone_curve(x: Image) -> Image:
+def _tone_curve(x: Float32Array) -> Float32Array:
     """Straight in the shadows, rolling off above 0.6 towards 1 (a camera's shoulder)."""
     knee = 0.6
     over = np.maximum(x - knee, 0) / (1 - knee)
     return np.asarray(np.where(x < knee, x, knee + (1 - knee) * (1 - np.exp(-over))), np.float32)
 
 
-def _srgb(x: Image) -> Image:
+def _srgb(x: Float32Array) -> Float32Array:
     return np.asarray(np.where(x < 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-6) ** (1 / 2.4) - 0.055), np.float32)
 
 
-def develop(
-    radiance: Image, camera: Camera, config: ImagingConfig, seed: int, is_sky: NDArray[np.bool_]
-) -> NDArray[np.uint8]:
+def develop(radiance: Float32Array, camera: Camera, config: ImagingConfig, seed: int, is_sky: BoolArray) -> UInt8Array:
     """An sRGB photograph (H, W, 3) uint8: exposed for the land, with vignetting, sharpening and sensor noise
     drawn from `seed`."""
     rng = np.random.default_rng([seed, 3])
@@ -77,7 +74,7 @@ def develop(
     return np.asarray(np.rint(out * 255), np.uint8)
 
 
-def _denoised(image: Image) -> Image:
+def _denoised(image: Float32Array) -> Float32Array:
     """Fireflies of few light paths taken out: a pixel far above its neighbours is set to their median."""
     median = np.stack([cv2.medianBlur(np.ascontiguousarray(image[..., c]), 3) for c in range(3)], axis=-1)
     hot = image.mean(axis=-1) > 2.5 * median.mean(axis=-1) + 0.05

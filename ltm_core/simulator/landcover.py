@@ -13,13 +13,12 @@ from scipy import ndimage
 from ltm_core.grid import GridGeometry
 from ltm_core.simulator import noise_fields
 from ltm_core.simulator.scenario import VegetationConfig
-from ltm_core.simulator.terrain_synthesis import HeightField, Terrain
+from ltm_core.simulator.terrain_synthesis import HeightField, SyntheticTerrain
 from ltm_core.simulator.works import YARD, Houses, hamlet, track
+from ltm_core.types import BoolArray, Float32Array, Int16Array, UInt8Array
 
 SKY, GRASS, SHRUB, TREE, BARE, WATER, BUILT = 0, 1, 2, 3, 4, 5, 6  # ids of config/labels.yaml
 UNLABELLED = 255
-
-Field = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -32,19 +31,19 @@ class Stand:
     what a slide has left. `touched`: which change was the last here, 0 none.
     """
 
-    shrub_height: Field
-    tree_height: Field
-    density: Field
-    conifer: NDArray[np.bool_]
-    char: Field
-    scorch: Field
-    dead: NDArray[np.uint8]
-    rock: NDArray[np.bool_]
-    rubble: NDArray[np.bool_]
-    touched: NDArray[np.uint8]
+    shrub_height: Float32Array
+    tree_height: Float32Array
+    density: Float32Array
+    conifer: BoolArray
+    char: Float32Array
+    scorch: Float32Array
+    dead: UInt8Array
+    rock: BoolArray
+    rubble: BoolArray
+    touched: UInt8Array
 
     @staticmethod
-    def undisturbed(shape: tuple[int, int], conifer: NDArray[np.bool_] | None = None, density: float = 1.0) -> Stand:
+    def undisturbed(shape: tuple[int, int], conifer: BoolArray | None = None, density: float = 1.0) -> Stand:
         """Mature plants, no traces of fire, stone wherever the ground is bare."""
         zeros, ones = np.zeros(shape, np.float32), np.ones(shape, np.float32)
         if conifer is None:
@@ -61,21 +60,21 @@ class LandCover:
     1], 1 steep and facing south.
     """
 
-    classes: NDArray[np.uint8]
-    road: NDArray[np.bool_]
-    moisture: Field
-    exposure: Field
+    classes: UInt8Array
+    road: BoolArray
+    moisture: Float32Array
+    exposure: Float32Array
     geometry: GridGeometry
     stand: Stand
     houses: Houses = field(default_factory=Houses.none)
 
-    def at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.uint8]:
+    def at(self, x: ArrayLike, y: ArrayLike) -> UInt8Array:
         """Class ids at map points; the nearest cell's outside."""
         row, col = self.geometry.cell_of(x, y)
         rows = np.clip(row, 0, self.geometry.height - 1)
         return np.asarray(self.classes[rows, np.clip(col, 0, self.geometry.width - 1)], np.uint8)
 
-    def on_road(self, x: ArrayLike, y: ArrayLike, side: float) -> NDArray[np.bool_]:
+    def on_road(self, x: ArrayLike, y: ArrayLike, side: float) -> BoolArray:
         """Whether the track passes through the square of `side` about each map point, as far as its corners and
         centre tell."""
         h = side / 2
@@ -86,25 +85,25 @@ class LandCover:
             hit |= self.road[rows, np.clip(col, 0, self.geometry.width - 1)]
         return hit
 
-    def sample(self, raster: NDArray[Any], x: ArrayLike, y: ArrayLike) -> Field:
+    def sample(self, raster: NDArray[Any], x: ArrayLike, y: ArrayLike) -> Float32Array:
         """A raster of this geometry at map points, nearest cell."""
         row, col = self.geometry.cell_of(x, y)
         rows = np.clip(row, 0, self.geometry.height - 1)
         return np.asarray(raster[rows, np.clip(col, 0, self.geometry.width - 1)], np.float32)
 
 
-def cover_geometry(terrain: Terrain) -> GridGeometry:
+def cover_geometry(terrain: SyntheticTerrain) -> GridGeometry:
     """The land cover's grid: the surroundings', at half their cell."""
     g = terrain.surroundings.geometry
     return GridGeometry(g.x_min, g.y_max, g.resolution / 2, g.width * 2, g.height * 2)
 
 
 def make_landcover(
-    terrain: Terrain,
+    terrain: SyntheticTerrain,
     config: VegetationConfig,
     seed: int,
-    codes: NDArray[np.int16] | None = None,
-    lakes: Sequence[NDArray[np.bool_]] = (),
+    codes: Int16Array | None = None,
+    lakes: Sequence[BoolArray] = (),
 ) -> LandCover:
     """Give each cell of the terrain's surroundings (half their cell size) a class.
 
@@ -178,8 +177,8 @@ def make_landcover(
 
 
 def _prior_classes(
-    codes: NDArray[np.int16], own: NDArray[np.uint8], patches: Field, xs: Any, ys: Any, g: GridGeometry, seed: int
-) -> NDArray[np.uint8]:
+    codes: Int16Array, own: UInt8Array, patches: Float32Array, xs: Any, ys: Any, g: GridGeometry, seed: int
+) -> UInt8Array:
     """Classes as a fuel map says, along ragged edges; grass-shrub is broken up by noise, unknown keeps `own`."""
     shift = [14.0 * noise_fields.fractal(xs, ys, 60.0, seed + 221 + k, octaves=3, gain=0.6) for k in range(2)]
     rows, cols = np.mgrid[0 : g.height, 0 : g.width]
@@ -197,7 +196,7 @@ def _prior_classes(
     return out
 
 
-def _site_mask(terrain: Terrain, geometry: GridGeometry) -> NDArray[np.bool_]:
+def _site_mask(terrain: SyntheticTerrain, geometry: GridGeometry) -> BoolArray:
     x_min, y_min, x_max, y_max = terrain.site.geometry.bounds
     x, y = geometry.to_map(np.arange(geometry.height)[:, None], np.arange(geometry.width)[None, :])
     return np.asarray((x > x_min) & (x < x_max) & (y > y_min) & (y < y_max), np.bool_)

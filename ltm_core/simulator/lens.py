@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
-
-Map = NDArray[np.float32]
+from ltm_core.types import Float32Array
 
 
 def pinhole_for(camera: Camera, finer: float = 1.0) -> Camera:
@@ -23,7 +22,7 @@ def pinhole_for(camera: Camera, finer: float = 1.0) -> Camera:
     return Camera(width, height, f, f, left, top)
 
 
-def lookup(camera: Camera, pinhole: Camera) -> tuple[Map, Map]:
+def lookup(camera: Camera, pinhole: Camera) -> tuple[Float32Array, Float32Array]:
     """Where each pixel of `camera` lies in the image of `pinhole`: columns and rows, (H, W) each."""
     rays = camera.rays()
     u = pinhole.fx * rays[..., 0] / rays[..., 2] + pinhole.cx
@@ -31,7 +30,7 @@ def lookup(camera: Camera, pinhole: Camera) -> tuple[Map, Map]:
     return u.astype(np.float32), v.astype(np.float32)
 
 
-def through(image: NDArray[Any], maps: tuple[Map, Map], smooth: bool) -> NDArray[Any]:
+def through(image: NDArray[Any], maps: tuple[Float32Array, Float32Array], smooth: bool) -> NDArray[Any]:
     """An image of the pinhole as the lens shows it; `smooth`: interpolated, else the nearest pixel's value."""
     if smooth:
         return np.asarray(cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR))

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ltm_core.types import Float64Array
+
 Rng = np.random.Generator
 
 
@@ -19,9 +19,9 @@ class Soup:
     a crown reads as a soft body, not as a heap of mirrors.
     """
 
-    triangles: Array
-    colors: Array
-    normals: Array
+    triangles: Float64Array
+    colors: Float64Array
+    normals: Float64Array
 
     def moved(self, x: float, y: float, scale: float, turn: float, tint: float = 1.0) -> Soup:
         """Scaled, turned about z (radians), set at (x, y), its colours multiplied by `tint`."""
@@ -42,16 +42,16 @@ class Soup:
         )
 
 
-def _unit(v: Array) -> Array:
+def _unit(v: Float64Array) -> Float64Array:
     return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-12), np.float64)
 
 
-def _faces(triangles: Array) -> Array:
+def _faces(triangles: Float64Array) -> Float64Array:
     """Geometric unit normals (N, 3)."""
     return _unit(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]))
 
 
-def _directions(rng: Rng, n: int, lowest: float) -> Array:
+def _directions(rng: Rng, n: int, lowest: float) -> Float64Array:
     """Unit vectors spread evenly over the sphere's part with z >= lowest."""
     z = lowest + (1 - lowest) * (np.arange(n) + rng.uniform(0.2, 0.8, n)) / n
     angle = np.arange(n) * 2.399963 + rng.uniform(0, 2 * np.pi)
@@ -59,7 +59,9 @@ def _directions(rng: Rng, n: int, lowest: float) -> Array:
     return np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
 
 
-def cards(rng: Rng, center: Array, outward: Array, size: float, color: Array, spread: float = 0.55) -> Soup:
+def cards(
+    rng: Rng, center: Float64Array, outward: Float64Array, size: float, color: Float64Array, spread: float = 0.55
+) -> Soup:
     """Leaf clumps: one ragged quad at each centre, facing about `outward`, brighter the higher it faces."""
     n = len(center)
     normal = outward + spread * rng.normal(size=(n, 3))
@@ -80,7 +82,9 @@ def cards(rng: Rng, center: Array, outward: Array, size: float, color: Array, sp
     return Soup(triangles, np.clip(np.concatenate([tint, tint]), 0.005, 0.9), np.concatenate([shade, shade]))
 
 
-def lump(rng: Rng, radius: tuple[float, float, float], z: float, color: Array, rings: int = 4, sides: int = 7) -> Soup:
+def lump(
+    rng: Rng, radius: tuple[float, float, float], z: float, color: Float64Array, rings: int = 4, sides: int = 7
+) -> Soup:
     """A closed lumpy ellipsoid about (0, 0, z): the dark inside of a crown, or a whole far plant."""
     theta = np.linspace(0, np.pi, rings + 1)
     phi = np.arange(sides) * 2 * np.pi / sides + rng.uniform(0, 1)
@@ -103,7 +107,9 @@ def lump(rng: Rng, radius: tuple[float, float, float], z: float, color: Array, r
     return Soup(np.concatenate(triangles), np.clip(np.concatenate(colors), 0.005, 0.9), _unit(np.concatenate(normals)))
 
 
-def _trunk(height: float, radius: float, color: Array, lean: tuple[float, float] = (0.0, 0.0), sides: int = 5) -> Soup:
+def _trunk(
+    height: float, radius: float, color: Float64Array, lean: tuple[float, float] = (0.0, 0.0), sides: int = 5
+) -> Soup:
     phi = np.arange(sides + 1) * 2 * np.pi / sides
     foot = np.stack([radius * np.cos(phi), radius * np.sin(phi), np.full(sides + 1, -0.6)], axis=1)
     top = np.stack(
@@ -115,7 +121,7 @@ def _trunk(height: float, radius: float, color: Array, lean: tuple[float, float]
     return Soup(triangles, np.broadcast_to(color, (len(triangles), 3)).copy(), _faces(triangles))
 
 
-def shrub(rng: Rng, radius: float, height: float, color: Array, leaves: int) -> Soup:
+def shrub(rng: Rng, radius: float, height: float, color: Float64Array, leaves: int) -> Soup:
     """A chaparral shrub: two to four overlapping domes of leaf clumps over a dark inside, ragged at the rim.
 
     More `leaves` make them smaller; the domes stay the same.
@@ -135,7 +141,7 @@ def shrub(rng: Rng, radius: float, height: float, color: Array, leaves: int) -> 
     return Soup.joined(parts)
 
 
-def oak(rng: Rng, radius: float, height: float, color: Array, leaves: int) -> Soup:
+def oak(rng: Rng, radius: float, height: float, color: Float64Array, leaves: int) -> Soup:
     """A live oak: short trunk, a broad crown of rounded clumps."""
     bark = np.array([0.09, 0.075, 0.06])
     parts = [_trunk(0.45 * height, 0.06 * radius + 0.08, bark, tuple(rng.normal(0, 0.12 * radius, 2)))]
@@ -152,7 +158,7 @@ def oak(rng: Rng, radius: float, height: float, color: Array, leaves: int) -> So
     return Soup.joined(parts)
 
 
-def conifer(rng: Rng, radius: float, height: float, color: Array, leaves: int) -> Soup:
+def conifer(rng: Rng, radius: float, height: float, color: Float64Array, leaves: int) -> Soup:
     """A pine or bigcone fir: a straight trunk and whorls of boughs that droop and shorten upwards, with gaps between
     them."""
     parts = [_trunk(0.97 * height, 0.02 * height, np.array([0.11, 0.08, 0.06]))]
@@ -182,7 +188,14 @@ def conifer(rng: Rng, radius: float, height: float, color: Array, leaves: int) -
     return Soup.joined(parts)
 
 
-def _sprays(rng: Rng, foot: Array, direction: Array, outward: Array, length: Array, colors: Array) -> Soup:
+def _sprays(
+    rng: Rng,
+    foot: Float64Array,
+    direction: Float64Array,
+    outward: Float64Array,
+    length: Float64Array,
+    colors: Float64Array,
+) -> Soup:
     """Needle sprays: a slender kite of two triangles from each foot along `direction`, shaded by `outward`."""
     along = _unit(direction)
     across = _unit(np.cross(along, rng.normal(size=along.shape))) * (0.3 * length)[:, None]
@@ -195,7 +208,7 @@ def _sprays(rng: Rng, foot: Array, direction: Array, outward: Array, length: Arr
     return Soup(triangles, np.concatenate([tint, tint]), np.concatenate([shade, shade]))
 
 
-def tuft(rng: Rng, radius: float, height: float, color: Array, blades: int, width: float = 0.03) -> Soup:
+def tuft(rng: Rng, radius: float, height: float, color: Float64Array, blades: int, width: float = 0.03) -> Soup:
     """A grass tuft: thin blades from a common foot, bent outwards; pale tips."""
     angle = rng.uniform(0, 2 * np.pi, blades)
     out = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -211,7 +224,7 @@ def tuft(rng: Rng, radius: float, height: float, color: Array, blades: int, widt
     return Soup(triangles, np.clip(tint, 0.01, 0.9), normals)
 
 
-def scorched(soup: Soup, share: float, color: Array) -> Soup:
+def scorched(soup: Soup, share: float, color: Float64Array) -> Soup:
     """Foliage below the share `share` of the plant's height browned to `color`; trunks and the inside stay dark."""
     if share <= 0:
         return soup
@@ -223,7 +236,7 @@ def scorched(soup: Soup, share: float, color: Array) -> Soup:
     return Soup(soup.triangles, colors, soup.normals)
 
 
-def _rod(foot: Array, top: Array, radius: float, color: Array) -> Soup:
+def _rod(foot: Float64Array, top: Float64Array, radius: float, color: Float64Array) -> Soup:
     """A three-sided rod that tapers to a third."""
     axis = top - foot
     side = np.cross(axis, (0.31, 0.85, 0.42))
@@ -237,7 +250,7 @@ def _rod(foot: Array, top: Array, radius: float, color: Array) -> Soup:
     return Soup(triangles, np.broadcast_to(color, (len(triangles), 3)).copy(), _faces(triangles))
 
 
-def stems(rng: Rng, radius: float, height: float, color: Array, count: int) -> Soup:
+def stems(rng: Rng, radius: float, height: float, color: Float64Array, count: int) -> Soup:
     """The bare charred stems of a burnt shrub, spreading from one foot."""
     parts = []
     for _ in range(count):
@@ -247,7 +260,7 @@ def stems(rng: Rng, radius: float, height: float, color: Array, count: int) -> S
     return Soup.joined(parts)
 
 
-def snag(rng: Rng, height: float, color: Array, boughs: int = 14) -> Soup:
+def snag(rng: Rng, height: float, color: Float64Array, boughs: int = 14) -> Soup:
     """A tree that fire has killed: a black trunk with the stubs of its boughs."""
     lean = rng.normal(0, 0.03 * height, 2)
     parts = [_trunk(height, 0.03 * height, color * 1.6, (float(lean[0]), float(lean[1])))]
@@ -268,7 +281,7 @@ def house(rng: Rng) -> Soup:
     roofs = ([0.23, 0.1, 0.065], [0.19, 0.17, 0.16], [0.33, 0.31, 0.29], [0.12, 0.115, 0.11])
     roof = np.array(roofs[int(rng.integers(len(roofs)))]) * rng.uniform(0.8, 1.2)
     a, b, over = length / 2, width / 2, 0.45
-    quads: list[tuple[list[tuple[float, float, float]], Array]] = []
+    quads: list[tuple[list[tuple[float, float, float]], Float64Array]] = []
     corners = [(-a, -b), (a, -b), (a, b), (-a, b)]
     for (x0, y0), (x1, y1) in zip(corners, corners[1:] + corners[:1], strict=True):
         quads.append(([(x0, y0, -2.5), (x1, y1, -2.5), (x1, y1, eaves), (x0, y0, eaves)], wall))

@@ -15,16 +15,15 @@ from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError
 from ltm_core.grid import GridGeometry
-from ltm_core.simulator.appearance import Palette, ground_texture, palette
+from ltm_core.simulator.appearance import Reflectances, ground_texture, palette
 from ltm_core.simulator.ground_mesh import Triangles, far_ranges, field_triangles, seen_from, twist_parts, under
 from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, LandCover
 from ltm_core.simulator.prototypes import Prototype
 from ltm_core.simulator.scenario import Scenario
 from ltm_core.simulator.sky import daylight
-from ltm_core.simulator.terrain_synthesis import Terrain
+from ltm_core.simulator.terrain_synthesis import SyntheticTerrain
 from ltm_core.simulator.vegetation import Placement, Planting
-
-Array = NDArray[np.float64]
+from ltm_core.types import Float64Array, UInt32Array
 
 EARTH_RADIUS = 6_371_000.0  # m
 REFRACTION = 0.13
@@ -48,11 +47,11 @@ def mitsuba() -> Any:
 def _mesh(
     name: str,
     vertices: NDArray[Any],
-    faces: NDArray[np.uint32],
+    faces: UInt32Array,
     bsdf: Any,
     colors: NDArray[Any] | None,
     uv: NDArray[Any] | None,
-    normals: Array | None = None,
+    normals: Float64Array | None = None,
 ) -> Any:
     mi = mitsuba()
     properties = mi.Properties()
@@ -79,7 +78,7 @@ def _mesh(
 
 
 @dataclass(frozen=True)
-class View:
+class EyePointScenes:
     """Scenes from one eye point: `full` with its light, `ground` alone, and `kinds` of plants each alone by class id.
 
     `instances`: how many stand in `full`, `near` of them within the detail radius or grown tree by tree.
@@ -98,12 +97,12 @@ class View:
 class SceneBuilder:
     """Builds the scenes of a scenario; what does not depend on the eye (plants, textures) is made once."""
 
-    def __init__(self, scenario: Scenario, terrain: Terrain, cover: LandCover) -> None:
+    def __init__(self, scenario: Scenario, terrain: SyntheticTerrain, cover: LandCover) -> None:
         mi = mitsuba()
         self.scenario = scenario
         self.terrain = terrain
         self.cover = cover
-        self.colors: Palette = palette(scenario.vegetation.green, scenario.seed)
+        self.colors: Reflectances = palette(scenario.vegetation.green, scenario.seed)
         self.planting = Planting(terrain, cover, scenario.vegetation, self.colors, scenario.seed)
         self._leaf = mi.load_dict(
             {
@@ -168,7 +167,7 @@ class SceneBuilder:
             groups.append(mitsuba().load_dict({"type": "shapegroup", "mesh": mesh}))
         return groups
 
-    def _grounds(self, eye: Array) -> dict[str, Any]:
+    def _grounds(self, eye: Float64Array) -> dict[str, Any]:
         """The ground as `eye` sees x."""
         mi = mitsuba()
         turned = mi.ScalarTransform4f(seen_from(eye, self._center, self._bend))
@@ -178,7 +177,7 @@ class SceneBuilder:
             parts[f"ground_{i}"] = mi.load_dict({"type": "instance", "to_world": turned, "group": group})
         return parts
 
-    def _plants(self, placements: list[Placement], eye: Array) -> dict[str, Any]:
+    def _plants(self, placements: list[Placement], eye: Float64Array) -> dict[str, Any]:
         mi = mitsuba()
         transform = mi.ScalarTransform4f
         parts: dict[str, Any] = {}
@@ -192,7 +191,7 @@ class SceneBuilder:
                 parts[f"{name}_{i}"] = mi.load_dict({"type": "instance", "to_world": transform(one), "group": group})
         return parts
 
-    def view(self, eye: Array) -> View:
+    def view(self, eye: Float64Array) -> EyePointScenes:
         """The scenes for a camera at map point `eye` (3,)."""
         mi = mitsuba()
         ground = self._grounds(eye)
@@ -204,7 +203,7 @@ class SceneBuilder:
                 everything |= parts
                 kinds.append((class_id, mi.load_dict({"type": "scene", **parts})))
         near = sum(len(p.transforms) for p in placements if not p.prototype.name.startswith(("far_", "lone_")))
-        return View(
+        return EyePointScenes(
             mi.load_dict({"type": "scene", **everything, **self._light}),
             mi.load_dict({"type": "scene", **ground}),
             kinds,

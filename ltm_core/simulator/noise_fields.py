@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
-Field = NDArray[np.float32]
+from ltm_core.types import Float32Array, Float64Array
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -73,7 +71,14 @@ def gradient_noise_3d(x: float, y: float, z: float, seed: int) -> float:
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _fractal_rows(
-    xs: Float, ys: Float, out: Field, wavelength: float, octaves: int, gain: float, ridged: bool, seed: int
+    xs: Float64Array,
+    ys: Float64Array,
+    out: Float32Array,
+    wavelength: float,
+    octaves: int,
+    gain: float,
+    ridged: bool,
+    seed: int,
 ) -> None:
     for r in range(ys.size):
         for c in range(xs.size):
@@ -93,8 +98,14 @@ def _fractal_rows(
 
 
 def fractal(
-    xs: Float, ys: Float, wavelength: float, seed: int, octaves: int = 4, gain: float = 0.5, ridged: bool = False
-) -> Field:
+    xs: Float64Array,
+    ys: Float64Array,
+    wavelength: float,
+    seed: int,
+    octaves: int = 4,
+    gain: float = 0.5,
+    ridged: bool = False,
+) -> Float32Array:
     """Fractal noise at the grid ``ys`` x ``xs`` (map metres): (len(ys), len(xs)) float32, about [-1, 1].
 
     ``wavelength`` is the longest octave's, in metres; ``ridged`` folds each octave into crests.
@@ -114,7 +125,9 @@ def fractal(
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _fractal_points(x: Float, y: Float, out: Float, wavelength: float, octaves: int, seed: int) -> None:
+def _fractal_points(
+    x: Float64Array, y: Float64Array, out: Float64Array, wavelength: float, octaves: int, seed: int
+) -> None:
     for i in range(x.size):
         a, b = x[i] / wavelength, y[i] / wavelength
         total = 0.0
@@ -130,12 +143,12 @@ def _fractal_points(x: Float, y: Float, out: Float, wavelength: float, octaves: 
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _uniform_points(x: Float, y: Float, out: Float, seed: int) -> None:
+def _uniform_points(x: Float64Array, y: Float64Array, out: Float64Array, seed: int) -> None:
     for i in range(x.size):
         out[i] = lattice_uniform(int(np.floor(x[i] * 100.0)), int(np.floor(y[i] * 100.0)), seed)
 
 
-def at_points(x: Float, y: Float, wavelength: float, seed: int, octaves: int = 2) -> Float:
+def at_points(x: Float64Array, y: Float64Array, wavelength: float, seed: int, octaves: int = 2) -> Float64Array:
     """Fractal noise, about [-1, 1], at scattered map points (N,); `wavelength` is the longest octave's."""
     out = np.empty(x.size)
     _fractal_points(
@@ -149,7 +162,7 @@ def at_points(x: Float, y: Float, wavelength: float, seed: int, octaves: int = 2
     return out
 
 
-def uniform_at(x: Float, y: Float, seed: int) -> Float:
+def uniform_at(x: Float64Array, y: Float64Array, seed: int) -> Float64Array:
     """A uniform number in [0, 1) for each map point (N,), the same whenever that point (to 1 cm) is asked for."""
     out = np.empty(x.size)
     _uniform_points(np.ascontiguousarray(x, np.float64), np.ascontiguousarray(y, np.float64), out, seed & 0x7FFFFFF)

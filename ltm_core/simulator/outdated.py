@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from ltm_core.grid import GridGeometry
 from ltm_core.simulator import noise_fields
-from ltm_core.simulator.scenario import DemConfig
+from ltm_core.simulator.scenario import OutdatedDemConfig
 from ltm_core.simulator.terrain_synthesis import HeightField
+from ltm_core.types import Float32Array
 
 _QUANTUM = 1 / 16  # m; a binary fraction deflates well
 
 
-def outdated_dem(site: HeightField, config: DemConfig, seed: int) -> tuple[NDArray[np.float32], GridGeometry]:
+def outdated_dem(site: HeightField, config: OutdatedDemConfig, seed: int) -> tuple[Float32Array, GridGeometry]:
     """Elevation (H, W) float32 at the resolution of `config`, with its smooth error, shift and bias, and its geometry
     in the map frame.
 

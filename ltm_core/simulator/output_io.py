@@ -26,7 +26,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError
 from ltm_core.raster.raster_io import write_geotiff
@@ -35,6 +34,7 @@ from ltm_core.simulator.rasters import UNKNOWN, SiteRasters, site_change
 from ltm_core.simulator.run import SimulatedFrame, SimulatedSite
 from ltm_core.simulator.scenario import Scenario
 from ltm_core.simulator.sensors import Report
+from ltm_core.types import Float32Array
 
 _COLORS = {
     0: (0, 0, 0),
@@ -70,7 +70,7 @@ def write_truth(out: Path, date: str, scenario: Scenario, site: SimulatedSite, t
     write_geotiff(folder / "fuel_code.tif", truth.fuel_code, truth.coarse, nodata=UNKNOWN)
 
 
-def _to_millimetres(heights: NDArray[np.float32]) -> NDArray[np.float32]:
+def _to_millimetres(heights: Float32Array) -> Float32Array:
     """What is below is noise that does not deflate."""
     return np.asarray(np.rint(heights * np.float32(1024)) / np.float32(1024), np.float32)
 

@@ -5,36 +5,33 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.simulator.landcover import SHRUB, TREE, LandCover
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from ltm_core.types import BoolArray, Float64Array
 
 
 @dataclass(frozen=True)
-class Cells:
+class PlantCells:
     """Square cells of the ground, (N,) each, and what the land cover says of them: `shares` (N, 5) by class."""
 
-    x: Array
-    y: Array
+    x: Float64Array
+    y: Float64Array
     side: float
-    shares: Array
-    density: Array
-    shrub_height: Array
-    tree_height: Array
-    char: Array
-    scorch: Array
-    dead_shrub: Mask
-    dead_tree: Mask
-    rock: Array
-    conifer: Mask
-    rubble: Mask
-    edge: Mask  # a change has ended inside the cell
+    shares: Float64Array
+    density: Float64Array
+    shrub_height: Float64Array
+    tree_height: Float64Array
+    char: Float64Array
+    scorch: Float64Array
+    dead_shrub: BoolArray
+    dead_tree: BoolArray
+    rock: Float64Array
+    conifer: BoolArray
+    rubble: BoolArray
+    edge: BoolArray  # a change has ended inside the cell
 
 
-def describe(cover: LandCover, x: Array, y: Array, side: float, samples: int = 3) -> Cells:
+def describe(cover: LandCover, x: Float64Array, y: Float64Array, side: float, samples: int = 3) -> PlantCells:
     """Shares of each class over square cells, from samples x samples points, and the stand at their centres."""
     stand = cover.stand
     steps = (np.arange(samples) - (samples - 1) / 2) * side / samples
@@ -50,7 +47,7 @@ def describe(cover: LandCover, x: Array, y: Array, side: float, samples: int = 3
     dead = cover.sample(stand.dead, x, y)
     conifer = cover.sample(stand.conifer, x, y) >= 0.5
     rubble = cover.sample(stand.rubble, x, y) >= 0.5
-    return Cells(
+    return PlantCells(
         x, y, side, shares, dead_shrub=dead == SHRUB, dead_tree=dead == TREE, conifer=conifer,
         rubble=rubble, edge=edge, **here,
     )  # fmt: skip

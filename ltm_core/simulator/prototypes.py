@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.simulator import meshes
-from ltm_core.simulator.appearance import Palette
+from ltm_core.simulator.appearance import Reflectances
 from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE
 from ltm_core.simulator.meshes import Soup
+from ltm_core.types import Float64Array
 
-Array = NDArray[np.float64]
 Rng = np.random.Generator
 
 NEAR_PATCH, FAR_PATCH, TUFT_PATCH = 12.0, 24.0, 6.0  # m
@@ -35,7 +34,7 @@ class Prototype:
     soup: Soup
 
 
-def _scatter(rng: Rng, side: float, spacing: float, keep: float) -> Array:
+def _scatter(rng: Rng, side: float, spacing: float, keep: float) -> Float64Array:
     """Jittered-grid points (N, 2) over a square of `side` about the origin, thinned to the share `keep`."""
     n = max(1, round(side / spacing))
     at = (
@@ -44,7 +43,7 @@ def _scatter(rng: Rng, side: float, spacing: float, keep: float) -> Array:
     return np.asarray((at[rng.uniform(size=n * n) < keep] - 0.5) * side, np.float64)
 
 
-def _shrub_kind(rng: Rng, colors: Palette, scrub: bool) -> tuple[Array, float, float]:
+def _shrub_kind(rng: Rng, colors: Reflectances, scrub: bool) -> tuple[Float64Array, float, float]:
     """(colour, radius, height) of one shrub of tall chaparral or of low coastal scrub."""
     draw = rng.uniform()
     if scrub:
@@ -60,7 +59,9 @@ def _shrub_kind(rng: Rng, colors: Palette, scrub: bool) -> tuple[Array, float, f
     return colors.sage, rng.uniform(0.5, 1.0), rng.uniform(0.7, 1.4)
 
 
-def _shrub_patch(rng: Rng, colors: Palette, stage: float, scrub: bool, side: float, cover: float, leaves: int) -> Soup:
+def _shrub_patch(
+    rng: Rng, colors: Reflectances, stage: float, scrub: bool, side: float, cover: float, leaves: int
+) -> Soup:
     """`leaves` > 0: shrubs of leaf clumps; 0: plain domes, for the distance."""
     spacing = 1.25 if scrub else 1.6
     if leaves == 0:
@@ -79,7 +80,7 @@ def _shrub_patch(rng: Rng, colors: Palette, stage: float, scrub: bool, side: flo
     return Soup.joined(parts)
 
 
-def _far_tree(rng: Rng, colors: Palette, conifer: bool) -> Soup:
+def _far_tree(rng: Rng, colors: Reflectances, conifer: bool) -> Soup:
     if conifer:
         h, r = rng.uniform(9, 17), rng.uniform(1.9, 3.2)
         body = meshes.lump(rng, (r, r, 0.5 * h), 0.52 * h, 0.95 * colors.conifer, rings=5, sides=6)
@@ -99,7 +100,7 @@ def _far_tree(rng: Rng, colors: Palette, conifer: bool) -> Soup:
     return Soup.joined(parts)
 
 
-def _tree_patch(rng: Rng, colors: Palette, stage: float, conifer: bool, cover: float, singed: float) -> Soup:
+def _tree_patch(rng: Rng, colors: Reflectances, stage: float, conifer: bool, cover: float, singed: float) -> Soup:
     points = _scatter(rng, FAR_PATCH, 7.0, cover)
     if len(points) == 0:
         points = np.zeros((1, 2))
@@ -107,7 +108,7 @@ def _tree_patch(rng: Rng, colors: Palette, stage: float, conifer: bool, cover: f
     return meshes.scorched(Soup.joined(trees), singed, colors.scorched)
 
 
-def _snag_patch(rng: Rng, colors: Palette, stage: float) -> Soup:
+def _snag_patch(rng: Rng, colors: Reflectances, stage: float) -> Soup:
     return Soup.joined(
         [
             meshes.snag(rng, rng.uniform(6.0, 11.0), colors.char, boughs=5).moved(x, y, 1, 0)
@@ -116,7 +117,7 @@ def _snag_patch(rng: Rng, colors: Palette, stage: float) -> Soup:
     )
 
 
-def _stick_patch(rng: Rng, colors: Palette, stage: float, side: float, spacing: float) -> Soup:
+def _stick_patch(rng: Rng, colors: Reflectances, stage: float, side: float, spacing: float) -> Soup:
     """The charred stems that fire leaves of shrubs."""
     return Soup.joined(
         [
@@ -126,7 +127,7 @@ def _stick_patch(rng: Rng, colors: Palette, stage: float, side: float, spacing: 
     )
 
 
-def _tuft_patch(rng: Rng, colors: Palette, spacing: float, blades: int, width: float) -> Soup:
+def _tuft_patch(rng: Rng, colors: Reflectances, spacing: float, blades: int, width: float) -> Soup:
     return Soup.joined(
         [
             meshes.tuft(
@@ -142,12 +143,12 @@ def _tuft_patch(rng: Rng, colors: Palette, spacing: float, blades: int, width: f
     )
 
 
-def _stone(rng: Rng, size: float, narrow: float, color: Array, rings: int = 3, sides: int = 5) -> Soup:
+def _stone(rng: Rng, size: float, narrow: float, color: Float64Array, rings: int = 3, sides: int = 5) -> Soup:
     """A stone `size` metres long and `narrow` times as wide, a third of it sunk into the ground."""
     return meshes.lump(rng, (size, size * narrow, 0.6 * size), 0.2 * size, color, rings, sides)
 
 
-def _stone_patch(rng: Rng, colors: Palette, side: float, pebbles: int, boulders: int) -> Soup:
+def _stone_patch(rng: Rng, colors: Reflectances, side: float, pebbles: int, boulders: int) -> Soup:
     """Stones and boulders."""
     parts = []
     for k in range(pebbles + boulders):
@@ -158,12 +159,12 @@ def _stone_patch(rng: Rng, colors: Palette, side: float, pebbles: int, boulders:
     return Soup.joined(parts)
 
 
-def _dusty(rng: Rng, colors: Palette) -> Array:
+def _dusty(rng: Rng, colors: Reflectances) -> Float64Array:
     """The colour of a stone that lies in the soil it came down with."""
     return np.asarray((0.6 * colors.soil + 0.4 * colors.rock) * rng.uniform(0.65, 1.1), np.float64)
 
 
-def _rubble_patch(rng: Rng, colors: Palette, side: float, stones: int) -> Soup:
+def _rubble_patch(rng: Rng, colors: Reflectances, side: float, stones: int) -> Soup:
     """What a slide leaves: many small stones in heaps, fewer towards the patch's rim, so that patches overlap
     unseen."""
     heaps = rng.uniform(-0.35, 0.35, (5, 2)) * side
@@ -176,7 +177,7 @@ def _rubble_patch(rng: Rng, colors: Palette, side: float, stones: int) -> Soup:
     return Soup.joined(parts)
 
 
-def _shrub_one(rng: Rng, colors: Palette, stage: float, scrub: bool, leaves: int) -> Soup:
+def _shrub_one(rng: Rng, colors: Reflectances, stage: float, scrub: bool, leaves: int) -> Soup:
     """One shrub, as it stands in a patch."""
     return _shrub_patch(rng, colors, stage, scrub, 0.4, 1.0, leaves)
 
@@ -188,7 +189,7 @@ class Prototypes:
     A name may end in `@` and one of STAGES in percent: the same plants at that share of their mature size.
     """
 
-    def __init__(self, colors: Palette, seed: int) -> None:
+    def __init__(self, colors: Reflectances, seed: int) -> None:
         self._colors = colors
         self._seed = seed
         self._made: dict[str, list[Prototype]] = {}
@@ -208,10 +209,10 @@ class Prototypes:
         return self._made[name]
 
 
-Maker = Callable[[Rng, Palette, float], Soup]
+Maker = Callable[[Rng, Reflectances, float], Soup]
 
 
-def _tree(rng: Rng, colors: Palette, stage: float, conifer: bool, singed: float) -> Soup:
+def _tree(rng: Rng, colors: Reflectances, stage: float, conifer: bool, singed: float) -> Soup:
     """A near tree; crowns below the share `singed` of its height are killed by heat."""
     if conifer:
         color = colors.conifer * rng.uniform(0.85, 1.2)

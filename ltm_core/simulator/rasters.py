@@ -13,9 +13,7 @@ from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, WATER,
 from ltm_core.simulator.terrain_synthesis import HeightField
 from ltm_core.simulator.truth import fuel_truth
 from ltm_core.simulator.vegetation import Planting
-
-Field = NDArray[np.float32]
-Codes = NDArray[np.uint8]
+from ltm_core.types import BoolArray, Float32Array, UInt8Array
 
 SURFACE_CELL, FUEL_CELL = 1.0, 30.0  # m
 TERRAIN_CHANGED, CANOPY_CHANGED, CLASS_CHANGED = 1, 2, 4  # bits of change rasters
@@ -32,16 +30,16 @@ class SiteRasters:
     geometries are in the CRS.
     """
 
-    bare_earth: Field
-    canopy: Field
-    classes: Codes
+    bare_earth: Float32Array
+    canopy: Float32Array
+    classes: UInt8Array
     fine: GridGeometry
-    life_form: Codes
-    fuel_code: Codes
+    life_form: UInt8Array
+    fuel_code: UInt8Array
     coarse: GridGeometry
 
     @property
-    def surface(self) -> Field:
+    def surface(self) -> Float32Array:
         """Bare earth plus canopy, metres."""
         return self.bare_earth + self.canopy
 
@@ -74,7 +72,9 @@ def site_rasters(
     )
 
 
-def fuel_codes(life_form: Codes, cover: LandCover, geometry: GridGeometry, origin: tuple[float, float]) -> Codes:
+def fuel_codes(
+    life_form: UInt8Array, cover: LandCover, geometry: GridGeometry, origin: tuple[float, float]
+) -> UInt8Array:
     """The fuel model (Scott and Burgan 2005) of each 30 m cell, 255 where no life form is known.
 
     Grass GR1/GR2/GR4 by moisture, with a quarter or more of shrub GS1/GS2; shrub SH2 low, SH5 tall and dry, SH7 tall
@@ -97,7 +97,7 @@ def fuel_codes(life_form: Codes, cover: LandCover, geometry: GridGeometry, origi
 
 def _means(
     cover: LandCover, geometry: GridGeometry, origin: tuple[float, float]
-) -> tuple[dict[int, Field], Field, Field, Field]:
+) -> tuple[dict[int, Float32Array], Float32Array, Float32Array, Float32Array]:
     fine = cover.geometry
     x, y = fine.to_map(*np.mgrid[0 : fine.height, 0 : fine.width])
     row, col = geometry.cell_of(x + origin[0], y + origin[1])
@@ -106,7 +106,7 @@ def _means(
     cells = geometry.width * geometry.height
     count = np.maximum(np.bincount(index, minlength=cells), 1)
 
-    def mean(values: NDArray[np.generic]) -> Field:
+    def mean(values: NDArray[np.generic]) -> Float32Array:
         total = np.bincount(index, weights=np.asarray(values, np.float64)[inside], minlength=cells)
         return (total / count).reshape(geometry.shape).astype(np.float32)
 
@@ -118,9 +118,9 @@ def _means(
 class SiteChange:
     """What differs between two dates. `fine` 1 m: TERRAIN_CHANGED, CANOPY_CHANGED, CLASS_CHANGED bits; 30 m masks."""
 
-    fine: Codes
-    life_form: NDArray[np.bool_]
-    fuel_code: NDArray[np.bool_]
+    fine: UInt8Array
+    life_form: BoolArray
+    fuel_code: BoolArray
 
 
 def site_change(before: SiteRasters, after: SiteRasters) -> SiteChange:

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.errors import CameraError
 from ltm_core.pose import Pose
-from ltm_core.simulator.mitsuba_scene import View, mitsuba
-
-Image = NDArray[np.float32]
+from ltm_core.simulator.mitsuba_scene import EyePointScenes, mitsuba
+from ltm_core.types import Float32Array
 
 _NEAR = 0.1  # m
 
@@ -64,11 +62,11 @@ class Radiance:
     """Linear RGB (H, W, 3) without haze, as the sun alone and as the sky alone (light from other ground included) give
     it."""
 
-    sun: Image
-    sky: Image
+    sun: Float32Array
+    sky: Float32Array
 
 
-def render_radiance(view: View, camera: Camera, pose: Pose, samples: int, seed: int) -> Radiance:
+def render_radiance(view: EyePointScenes, camera: Camera, pose: Pose, samples: int, seed: int) -> Radiance:
     """What reaches the lens through clear air; the same seed gives the same image.
 
     Sun and sky are rendered apart: a cloud's shadow takes the sun only, and the sky's light, which is soft but noisy,
@@ -94,7 +92,7 @@ def render_radiance(view: View, camera: Camera, pose: Pose, samples: int, seed: 
     return Radiance(parts[0], parts[1])
 
 
-def render_range(scene: Any, camera: Camera, pose: Pose, shift: tuple[float, float] = (0.0, 0.0)) -> Image:
+def render_range(scene: Any, camera: Camera, pose: Pose, shift: tuple[float, float] = (0.0, 0.0)) -> Float32Array:
     """Range along the ray (H, W) through each pixel's centre plus `shift` pixels; +inf where nothing is hit."""
     mi = mitsuba()
     sensor = _sensor(camera, pose, {"type": "stratified", "sample_count": 1, "jitter": False}, "luminance", shift)
@@ -107,7 +105,7 @@ def render_range(scene: Any, camera: Camera, pose: Pose, shift: tuple[float, flo
     return np.where(t > 0, t + start, np.inf).astype(np.float32)
 
 
-def air_length(ranges: Image, camera: Camera, pose: Pose) -> Image:
+def air_length(ranges: Float32Array, camera: Camera, pose: Pose) -> Float32Array:
     """Metres of the site's haze in front of each pixel (H, W), out of its range.
 
     Sky rays leave the haze through its top, 100 m over the eye; those level or lower see nothing but haze (the
@@ -118,7 +116,7 @@ def air_length(ranges: Image, camera: Camera, pose: Pose) -> Image:
     return np.where(np.isinf(ranges), 100.0 / np.maximum(up, 1e-4), ranges).astype(np.float32)
 
 
-def airlight(view: View, camera: Camera, pose: Pose, pitch_deg: float = 1.0) -> NDArray[np.float32]:
+def airlight(view: EyePointScenes, camera: Camera, pose: Pose, pitch_deg: float = 1.0) -> Float32Array:
     """Radiance (3,) of the sky in the camera's heading, just over the horizon unless told: what haze fades to."""
     azimuth, _, _ = pose.angles_deg
     strip = Camera.from_fov(96, 2, min(camera.hfov_deg, 90.0))
@@ -132,7 +130,7 @@ def airlight(view: View, camera: Camera, pose: Pose, pitch_deg: float = 1.0) -> 
     return np.asarray(np.median(sky.reshape(-1, 3), axis=0), np.float32)
 
 
-def white_cards(view: View, elevation_deg: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def white_cards(view: EyePointScenes, elevation_deg: float) -> tuple[Float32Array, Float32Array]:
     """Radiance (3,) of a perfectly white card in the open: one that faces the sun (at `elevation_deg`) without the
     sky's light, and a level one without the sun's."""
     mi = mitsuba()

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.errors import ConfigError, RasterError
@@ -17,18 +16,19 @@ from ltm_core.simulator.ground_io import read_codes, read_elevation
 from ltm_core.simulator.imaging import add_haze, develop, lit
 from ltm_core.simulator.landcover import UNLABELLED, WATER, LandCover, cover_geometry, make_landcover
 from ltm_core.simulator.lens import lookup, pinhole_for, through
-from ltm_core.simulator.mitsuba_scene import SceneBuilder, View
+from ltm_core.simulator.mitsuba_scene import EyePointScenes, SceneBuilder
 from ltm_core.simulator.rasters import SiteRasters, site_rasters
 from ltm_core.simulator.render import air_length, airlight, render_radiance, render_range, white_cards
 from ltm_core.simulator.scenario import DateConfig, Scenario
 from ltm_core.simulator.sensors import Report, SensorModel
 from ltm_core.simulator.stand import changed_terrain, stand_at
-from ltm_core.simulator.terrain_synthesis import Terrain, make_terrain, surroundings_geometry, terrain_of
+from ltm_core.simulator.terrain_synthesis import SyntheticTerrain, make_terrain, surroundings_geometry, terrain_of
 from ltm_core.simulator.truth import FrameTruth, frame_truth
 from ltm_core.simulator.vegetation import Planting
 from ltm_core.simulator.viewpoints import draw_viewpoints
 from ltm_core.simulator.weather import mirrored, smoke
 from ltm_core.simulator.works import with_lakes
+from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
 
 # Where in a pixel the distances for haze are taken, besides its centre
 _HAZE_SAMPLES = ((-0.25, -0.25), (0.25, 0.25))
@@ -58,7 +58,7 @@ class SimulatedFrame:
     """One rendered frame: `image` (H, W, 3) uint8 sRGB and what is true of it."""
 
     shot: Shot
-    image: NDArray[np.uint8]
+    image: UInt8Array
     truth: FrameTruth
 
 
@@ -66,7 +66,7 @@ class SimulatedFrame:
 class SimulatedSite:
     """The ground and what grows on it."""
 
-    terrain: Terrain
+    terrain: SyntheticTerrain
     cover: LandCover
 
 
@@ -155,7 +155,7 @@ def plan_shots(scenario: Scenario, site: SimulatedSite, date: DateConfig | None 
 
 
 def render_shots(
-    scenario: Scenario, site: SimulatedSite, shots: list[Shot], view: View | None = None
+    scenario: Scenario, site: SimulatedSite, shots: list[Shot], view: EyePointScenes | None = None
 ) -> Iterator[SimulatedFrame]:
     """Render `shots` of one dated site one after another; the scene is rebuilt only where the eye moves. `view`: the
     first eye's, if it is there already.
@@ -164,7 +164,7 @@ def render_shots(
     sensor's noise is its own.
     """
     builder: SceneBuilder | None = None
-    eye: NDArray[np.float64] | None = shots[0].pose.position if shots and view is not None else None
+    eye: Float64Array | None = shots[0].pose.position if shots and view is not None else None
     seen: dict[tuple[Camera, Pose], _Light] = {}
     for k, shot in enumerate(shots):
         over = float(shot.pose.position[2] - site.terrain.site.at(*shot.pose.position[:2]))
@@ -191,12 +191,12 @@ def render_shots(
 
 @dataclass(frozen=True)
 class _Light:
-    radiance: NDArray[np.float32]
-    is_sky: NDArray[np.bool_]
+    radiance: Float32Array
+    is_sky: BoolArray
     truth: FrameTruth
 
 
-def _light(scenario: Scenario, site: SimulatedSite, view: View, shot: Shot, seed: int) -> _Light:
+def _light(scenario: Scenario, site: SimulatedSite, view: EyePointScenes, shot: Shot, seed: int) -> _Light:
     """What reaches the lens, and what is true of it."""
     pose = shot.pose
     distorted = any(shot.camera.distortion)
@@ -247,7 +247,7 @@ def _light(scenario: Scenario, site: SimulatedSite, view: View, shot: Shot, seed
     return _Light(radiance, is_sky, truth)
 
 
-def _truth(view: View, camera: Camera, pose: Pose, cover: LandCover) -> FrameTruth:
+def _truth(view: EyePointScenes, camera: Camera, pose: Pose, cover: LandCover) -> FrameTruth:
     """The truth of `camera`'s pixels; through a distorting lens, of rays within a sixth of a pixel of them."""
     if not any(camera.distortion):
         return frame_truth(view, camera, pose, cover)

@@ -19,7 +19,7 @@ LAST_NS = 2**31 * 10**9 - 1
 _YEAR_NS = 365.2425 * 86_400 * 1e9
 
 
-class TerrainConfig(Strict):
+class GroundConfig(Strict):
     """The ground. Lengths in metres; the site is the square [0, size]^2 of the map frame.
 
     `dem`: a raster of real elevation in any CRS (path relative to the scenario file), whose ground at the scenario's
@@ -117,7 +117,7 @@ class SmokeConfig(Strict):
     puffs: int = Field(260, ge=1)
 
 
-class DemConfig(Strict):
+class OutdatedDemConfig(Strict):
     """The DEM handed to the system: an older, coarser, shifted copy of the first date's true ground."""
 
     resolution: float = Field(5.0, gt=0)
@@ -155,7 +155,7 @@ class Scenario(Strict):
     truth_step: int = Field(4, ge=1)
     curvature: bool = True  # earth curvature with refraction 0.13, as the tracer assumes
     image: ImageSize = ImageSize()
-    terrain: TerrainConfig = TerrainConfig()
+    terrain: GroundConfig = GroundConfig()
     vegetation: VegetationConfig = VegetationConfig()
     sun: SunConfig = SunConfig()
     atmosphere: AtmosphereConfig = AtmosphereConfig()
@@ -163,7 +163,7 @@ class Scenario(Strict):
     clouds: CloudConfig | None = None
     smoke: list[SmokeConfig] = Field([])
     lakes: list[LakeConfig] = Field([])
-    dem: DemConfig = DemConfig()
+    dem: OutdatedDemConfig = OutdatedDemConfig()
     dates: list[DateConfig] = Field([DateConfig(name="now")], min_length=1)
     changes: list[Change] = Field([])
     cameras: list[CameraSetup] = Field([])

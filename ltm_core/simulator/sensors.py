@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.pose import Pose
 from ltm_core.simulator.camera_setup import SensorConfig
+from ltm_core.types import Float64Array
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class Report:
     `stamp_ns` by the camera's clock, `received_ns` when it reaches the network."""
 
     pose: Pose
-    covariance: NDArray[np.float64]
+    covariance: Float64Array
     stamp_ns: int
     received_ns: int
 

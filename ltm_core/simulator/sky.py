@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.simulator.scenario import SunConfig
+from ltm_core.types import Float64Array
 
 
-def sun_direction(sun: SunConfig) -> NDArray[np.float64]:
+def sun_direction(sun: SunConfig) -> Float64Array:
     """Unit vector (3,) towards the sun, map frame."""
     a, e = np.radians(sun.azimuth_deg), np.radians(sun.elevation_deg)
     return np.array([np.sin(a) * np.cos(e), np.cos(a) * np.cos(e), np.sin(e)])

@@ -8,7 +8,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from ltm_core.grid import GridGeometry
@@ -25,10 +24,8 @@ from ltm_core.simulator.changes import (
     Thinning,
 )
 from ltm_core.simulator.landcover import BARE, GRASS, SHRUB, TREE, LandCover, Stand
-from ltm_core.simulator.terrain_synthesis import HeightField, Terrain
-
-Field = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+from ltm_core.simulator.terrain_synthesis import HeightField, SyntheticTerrain
+from ltm_core.types import BoolArray, Float32Array, UInt8Array
 
 _CLASS_OF = {"conifer": TREE, "oak": TREE, "tree": TREE, "shrub": SHRUB, "grass": GRASS, "bare": BARE}
 _HERBS, _RESPROUTS = 0.4, 3.0  # years after a fire
@@ -39,7 +36,7 @@ _TREE_LEAD = _TREE_AGE - _SHRUB_AGE  # trees of an undisturbed site are so much 
 _GONE = 0.3  # density below which a cell is no longer of its plants' class
 
 
-def mask_weights(mask: MaskConfig, geometry: GridGeometry, seed: int) -> Mask:
+def mask_weights(mask: MaskConfig, geometry: GridGeometry, seed: int) -> BoolArray:
     """The cells (H, W) of `geometry` (map frame) that a mask covers, its edge made ragged by seeded noise."""
     xs, _ = geometry.to_map(0, np.arange(geometry.width))
     _, ys = geometry.to_map(np.arange(geometry.height), 0)
@@ -63,7 +60,7 @@ def mask_weights(mask: MaskConfig, geometry: GridGeometry, seed: int) -> Mask:
     return inside
 
 
-def changed_terrain(terrain: Terrain, changes: Sequence[Change], years: float, seed: int) -> Terrain:
+def changed_terrain(terrain: SyntheticTerrain, changes: Sequence[Change], years: float, seed: int) -> SyntheticTerrain:
     """The ground as landslides and cuts up to `years` have left it; the same object where there were none."""
     site = terrain.site
     for change in _past(changes, years):
@@ -79,15 +76,15 @@ def changed_terrain(terrain: Terrain, changes: Sequence[Change], years: float, s
     g = site.geometry
     over = (x > g.x_min) & (x < g.x_max) & (y > g.y_min) & (y < g.y_max)
     elevation = wide.elevation + np.where(over, delta.at(x, y), 0.0)
-    return Terrain(site, HeightField(elevation.astype(np.float32), wide.geometry), terrain.wetness)
+    return SyntheticTerrain(site, HeightField(elevation.astype(np.float32), wide.geometry), terrain.wetness)
 
 
-def _depth_inside(inside: Mask, cell: float) -> Field:
+def _depth_inside(inside: BoolArray, cell: float) -> Float32Array:
     """Metres from the mask's edge (H, W), 0 outside."""
     return np.asarray(cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, 5) * cell, np.float32)
 
 
-def _slide(site: HeightField, inside: Mask, change: Landslide) -> Field:
+def _slide(site: HeightField, inside: BoolArray, change: Landslide) -> Float32Array:
     out = np.zeros(inside.shape, np.float32)
     if not np.any(inside):
         return out
@@ -106,7 +103,7 @@ def _slide(site: HeightField, inside: Mask, change: Landslide) -> Field:
     return out.astype(np.float32)
 
 
-def _cut(site: HeightField, inside: Mask, change: Cut) -> Field:
+def _cut(site: HeightField, inside: BoolArray, change: Cut) -> Float32Array:
     return np.asarray(
         -change.depth * np.clip(_depth_inside(inside, site.geometry.resolution) / change.ramp, 0, 1), np.float32
     )
@@ -141,7 +138,7 @@ def stand_at(
     return replace(cover, classes=state.classes, stand=Stand(shrub_height=shrub, tree_height=tree, **state.fields))
 
 
-def _height(age: Field, time: float, mature: float) -> Field:
+def _height(age: Float32Array, time: float, mature: float) -> Float32Array:
     """Height relative to a mature stand."""
     return np.asarray((1 - np.exp(-np.maximum(age, 0.3) / time)) / (1 - np.exp(-mature / time)), np.float32)
 
@@ -152,26 +149,28 @@ def _past(changes: Sequence[Change], years: float) -> list[Change]:
 
 @dataclass
 class _State:
-    classes: NDArray[np.uint8]
-    shrub_age: Field
-    tree_age: Field
+    classes: UInt8Array
+    shrub_age: Float32Array
+    tree_age: Float32Array
     fields: dict[str, Any]
 
 
-def _growth(s: _State, change: Growth, inside: Mask, since: float, geometry: GridGeometry, seed: int) -> None:
+def _growth(s: _State, change: Growth, inside: BoolArray, since: float, geometry: GridGeometry, seed: int) -> None:
     s.shrub_age[inside] += change.by
     s.tree_age[inside] += change.by
 
 
-def _density(s: _State, change: Density, inside: Mask, since: float, geometry: GridGeometry, seed: int) -> None:
+def _density(s: _State, change: Density, inside: BoolArray, since: float, geometry: GridGeometry, seed: int) -> None:
     s.fields["density"][inside] *= change.factor
 
 
-def _thinning(s: _State, change: Thinning, inside: Mask, since: float, geometry: GridGeometry, seed: int) -> None:
+def _thinning(s: _State, change: Thinning, inside: BoolArray, since: float, geometry: GridGeometry, seed: int) -> None:
     s.fields["density"][inside & np.isin(s.classes, [_CLASS_OF[c] for c in change.of])] *= change.keep
 
 
-def _conversion(s: _State, change: Conversion, inside: Mask, since: float, geometry: GridGeometry, seed: int) -> None:
+def _conversion(
+    s: _State, change: Conversion, inside: BoolArray, since: float, geometry: GridGeometry, seed: int
+) -> None:
     chosen = inside & np.isin(s.classes, [_CLASS_OF[c] for c in change.of])
     s.classes[chosen] = _CLASS_OF[change.to]
     s.shrub_age[chosen] = change.age + since
@@ -183,7 +182,7 @@ def _conversion(s: _State, change: Conversion, inside: Mask, since: float, geome
 
 
 def _earthwork(
-    s: _State, change: Landslide | Cut, inside: Mask, since: float, geometry: GridGeometry, seed: int
+    s: _State, change: Landslide | Cut, inside: BoolArray, since: float, geometry: GridGeometry, seed: int
 ) -> None:
     s.classes[inside] = BARE
     s.fields["density"][inside] = 0.0
@@ -193,7 +192,7 @@ def _earthwork(
     s.fields["rubble"][inside] = isinstance(change, Landslide)
 
 
-def _burn(s: _State, change: Burn, inside: Mask, since: float, geometry: GridGeometry, seed: int) -> None:
+def _burn(s: _State, change: Burn, inside: BoolArray, since: float, geometry: GridGeometry, seed: int) -> None:
     xs, _ = geometry.to_map(0, np.arange(geometry.width))
     _, ys = geometry.to_map(np.arange(geometry.height), 0)
     uneven = noise_fields.fractal(xs, ys, 130.0, seed + 711, octaves=4, gain=0.65)

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from ltm_core.grid import GridGeometry
 from ltm_core.simulator import erosion, noise_fields
-from ltm_core.simulator.scenario import TerrainConfig
-
-Field = NDArray[np.float32]
-Floats = NDArray[np.float64]
+from ltm_core.simulator.scenario import GroundConfig
+from ltm_core.types import Float32Array, Float64Array
 
 _COARSEST = 64.0  # m; evolution starts here and halves the cell four times
 _STEPS = {64.0: 160, 32.0: 40, 16.0: 24, 8.0: 12}
@@ -26,31 +24,31 @@ _AREA_EXPONENT = 0.42
 class HeightField:
     """Elevation (H, W) float32 metres at the cell centres of `geometry` (map frame); bilinear between them."""
 
-    elevation: Field
+    elevation: Float32Array
     geometry: GridGeometry
 
-    def axes(self) -> tuple[Floats, Floats]:
+    def axes(self) -> tuple[Float64Array, Float64Array]:
         """Cell-centre coordinates: xs (W,) eastwards, ys (H,) southwards."""
         g = self.geometry
         xs, _ = g.to_map(0, np.arange(g.width))
         _, ys = g.to_map(np.arange(g.height), 0)
         return xs, ys
 
-    def at(self, x: ArrayLike, y: ArrayLike) -> Floats:
+    def at(self, x: ArrayLike, y: ArrayLike) -> Float64Array:
         """Elevation at map points; the border value outside."""
         row, col = self.geometry.to_grid(x, y)
         at = np.stack([np.ravel(row), np.ravel(col)])
         z = ndimage.map_coordinates(self.elevation, at, np.float64, order=1, mode="nearest")
         return np.asarray(z.reshape(np.shape(row)), np.float64)
 
-    def gradient(self) -> tuple[Field, Field]:
+    def gradient(self) -> tuple[Float32Array, Float32Array]:
         """(dz/dx, dz/dy), positive towards east and north."""
         down, right = np.gradient(self.elevation, self.geometry.resolution)
         return np.asarray(right, np.float32), np.asarray(-down, np.float32)
 
 
 @dataclass(frozen=True)
-class Terrain:
+class SyntheticTerrain:
     """The ground of a scene.
 
     `site`: what the DEM covers, in full detail. `surroundings`: the wider range at a coarser cell, same ground
@@ -59,7 +57,7 @@ class Terrain:
 
     site: HeightField
     surroundings: HeightField
-    wetness: Field
+    wetness: Float32Array
 
 
 def _grid(extent: tuple[float, float, float, float], cell: float) -> GridGeometry:
@@ -67,11 +65,11 @@ def _grid(extent: tuple[float, float, float, float], cell: float) -> GridGeometr
     return GridGeometry(x_min, y_max, cell, round((x_max - x_min) / cell), round((y_max - y_min) / cell))
 
 
-def _axes(geometry: GridGeometry) -> tuple[Floats, Floats]:
+def _axes(geometry: GridGeometry) -> tuple[Float64Array, Float64Array]:
     return HeightField(np.empty((0, 0), np.float32), geometry).axes()
 
 
-def _resample(field: NDArray[np.float64], old: GridGeometry, new: GridGeometry, order: int = 3) -> Floats:
+def _resample(field: Float64Array, old: GridGeometry, new: GridGeometry, order: int = 3) -> Float64Array:
     """`field` on `old` sampled at the cell centres of `new`."""
     rows, _ = old.to_grid(0.0, new.to_map(np.arange(new.height), 0)[1])
     _, cols = old.to_grid(new.to_map(0, np.arange(new.width))[0], 0.0)
@@ -79,12 +77,12 @@ def _resample(field: NDArray[np.float64], old: GridGeometry, new: GridGeometry, 
     return np.asarray(ndimage.map_coordinates(field, grid, order=order, mode="nearest"), np.float64)
 
 
-def make_terrain(config: TerrainConfig, seed: int) -> Terrain:
+def make_terrain(config: GroundConfig, seed: int) -> SyntheticTerrain:
     """Evolve the range that `config` describes; the same seed gives the same ground, bit by bit on one machine."""
     size = config.size
     half = config.surroundings / 2
     extent = (size / 2 - half, size / 2 - half, size / 2 + half, size / 2 + half)
-    height: Floats | None = None
+    height: Float64Array | None = None
     old = _grid(extent, _COARSEST)
     for cell, steps in _STEPS.items():
         geometry = _grid(extent, cell)
@@ -117,23 +115,23 @@ def make_terrain(config: TerrainConfig, seed: int) -> Terrain:
     return terrain_of(height, old, config, seed)
 
 
-def surroundings_geometry(config: TerrainConfig) -> GridGeometry:
+def surroundings_geometry(config: GroundConfig) -> GridGeometry:
     """The grid of a scenario's surroundings in the map frame."""
     a, b = (config.size - config.surroundings) / 2, (config.size + config.surroundings) / 2
     return _grid((a, a, b, b), min(_STEPS))
 
 
-def terrain_of(height: Floats, geometry: GridGeometry, config: TerrainConfig, seed: int) -> Terrain:
+def terrain_of(height: Float64Array, geometry: GridGeometry, config: GroundConfig, seed: int) -> SyntheticTerrain:
     """The terrain of surroundings `height` (H, W) on `geometry`: the site cut out of them, with detail added."""
     old = geometry
     site_geometry = _grid((0.0, 0.0, config.size, config.size), config.resolution)
     wetness = np.log10(erosion.drainage_area(height, old.resolution)).astype(np.float32)
     surroundings = HeightField(height.astype(np.float32), old)
     site = HeightField(_detailed(surroundings, site_geometry, config, seed), site_geometry)
-    return Terrain(site, surroundings, wetness)
+    return SyntheticTerrain(site, surroundings, wetness)
 
 
-def _warped(height: Floats, geometry: GridGeometry, seed: int) -> Floats:
+def _warped(height: Float64Array, geometry: GridGeometry, seed: int) -> Float64Array:
     """`height` with its plan bent smoothly, and broad swells added: takes out what is left of the raster's
     directions."""
     xs, ys = _axes(geometry)
@@ -144,7 +142,7 @@ def _warped(height: Floats, geometry: GridGeometry, seed: int) -> Floats:
     return np.asarray(ndimage.map_coordinates(height, at, order=3, mode="nearest") + swell, np.float64)
 
 
-def _detailed(coarse: HeightField, geometry: GridGeometry, config: TerrainConfig, seed: int) -> Field:
+def _detailed(coarse: HeightField, geometry: GridGeometry, config: GroundConfig, seed: int) -> Float32Array:
     """The evolved ground at the site's own cell, with relief below the evolution's scale: rills, benches, outcrops."""
     base = _resample(coarse.elevation.astype(np.float64), coarse.geometry, geometry)
     xs, ys = _axes(geometry)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SKY, TREE, UNLABELLED, LandCover
-from ltm_core.simulator.mitsuba_scene import View
+from ltm_core.simulator.mitsuba_scene import EyePointScenes
 from ltm_core.simulator.render import render_range
+from ltm_core.types import Float32Array, UInt8Array
 
 
 @dataclass(frozen=True)
@@ -20,13 +20,13 @@ class FrameTruth:
     """Of each pixel of `camera`: `range_surface` to what is seen, `range_ground` to the bare ground behind it (both
     (H, W) float32, slant metres, +inf sky), `labels` (H, W) uint8."""
 
-    range_surface: NDArray[np.float32]
-    range_ground: NDArray[np.float32]
-    labels: NDArray[np.uint8]
+    range_surface: Float32Array
+    range_ground: Float32Array
+    labels: UInt8Array
     camera: Camera
 
 
-def frame_truth(view: View, camera: Camera, pose: Pose, cover: LandCover) -> FrameTruth:
+def frame_truth(view: EyePointScenes, camera: Camera, pose: Pose, cover: LandCover) -> FrameTruth:
     """Cast a ray through every pixel centre of `camera`, at the ground alone and at each kind of plant alone.
 
     The class is the kind that is hit first; the ground itself takes the class map's (under trees grass, about houses
@@ -42,9 +42,7 @@ def frame_truth(view: View, camera: Camera, pose: Pose, cover: LandCover) -> Fra
     return FrameTruth(surface, ground, labels, camera)
 
 
-def _ground_labels(
-    ranges: NDArray[np.float32], camera: Camera, pose: Pose, bend: float, cover: LandCover
-) -> NDArray[np.uint8]:
+def _ground_labels(ranges: Float32Array, camera: Camera, pose: Pose, bend: float, cover: LandCover) -> UInt8Array:
     rays = camera.rays() @ pose.rotation.T
     hit = np.isfinite(ranges)
     points = pose.position + rays * np.where(hit, ranges, 0.0)[..., None]
@@ -56,7 +54,7 @@ def _ground_labels(
     return labels
 
 
-def fuel_truth(cover: LandCover, geometry: GridGeometry, offset: tuple[float, float]) -> NDArray[np.uint8]:
+def fuel_truth(cover: LandCover, geometry: GridGeometry, offset: tuple[float, float]) -> UInt8Array:
     """Majority class of each cell of `geometry` (CRS coordinates; `offset` is the CRS position of map (0, 0)); ties
     go to the lower id."""
     fine = cover.geometry

@@ -5,19 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.simulator import noise_fields
-from ltm_core.simulator.appearance import Palette
+from ltm_core.simulator.appearance import Reflectances
 from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, LandCover
-from ltm_core.simulator.plant_cells import Cells, describe
+from ltm_core.simulator.plant_cells import PlantCells, describe
 from ltm_core.simulator.prototypes import FAR_PATCH, NEAR_PATCH, STAGES, TUFT_PATCH, Prototype, Prototypes
 from ltm_core.simulator.scenario import VegetationConfig
-from ltm_core.simulator.terrain_synthesis import Terrain
+from ltm_core.simulator.terrain_synthesis import SyntheticTerrain
 from ltm_core.simulator.visible_ground import line_of_sight
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from ltm_core.types import BoolArray, Float64Array, Int64Array
 
 LATTICE = 0.25  # m; trees stand on it, so that their heights can be counted on it exactly
 _TREE_SPACING = 8.5  # m, jittered grid
@@ -32,10 +29,10 @@ class Placement:
     """Instances of one prototype: `transforms` (N, 4, 4), prototype to map."""
 
     prototype: Prototype
-    transforms: Array
+    transforms: Float64Array
 
 
-def _keys(x: Array, y: Array) -> NDArray[np.int64]:
+def _keys(x: Float64Array, y: Float64Array) -> Int64Array:
     """One number for each metre's square of the map."""
     return np.asarray(np.rint(x).astype(np.int64) * 2**32 + np.rint(y).astype(np.int64), np.int64)
 
@@ -45,7 +42,7 @@ class Planting:
     detail."""
 
     def __init__(
-        self, terrain: Terrain, cover: LandCover, config: VegetationConfig, colors: Palette, seed: int
+        self, terrain: SyntheticTerrain, cover: LandCover, config: VegetationConfig, colors: Reflectances, seed: int
     ) -> None:
         self._terrain = terrain
         self._cover = cover
@@ -53,14 +50,14 @@ class Planting:
         self._seed = seed
         self._prototypes = Prototypes(colors, seed)
 
-    def ground(self, x: Array, y: Array) -> Array:
+    def ground(self, x: Float64Array, y: Float64Array) -> Float64Array:
         """Height of the ground that is rendered at map points: the site's inside it, the surroundings' outside."""
         g = self._terrain.site.geometry
         half = g.resolution / 2
         inside = (x >= g.x_min + half) & (x <= g.x_max - half) & (y >= g.y_min + half) & (y <= g.y_max - half)
         return np.where(inside, self._terrain.site.at(x, y), self._terrain.surroundings.at(x, y))
 
-    def around(self, eye: Array, bend: float = 0.0) -> list[Placement]:
+    def around(self, eye: Float64Array, bend: float = 0.0) -> list[Placement]:
         """All instances for a camera at map point `eye` (3,) but those that ridges hide from it; `bend`: metres that
         the earth sinks a square metre of distance."""
         x, y = self._centers(FAR_PATCH)
@@ -82,7 +79,7 @@ class Planting:
         placed = self._detailed(x[on_site], y[on_site], None)
         return [p for p in placed if p.prototype.class_id in (SHRUB, TREE, BUILT)]
 
-    def _detailed(self, x: Array, y: Array, eye: Array | None) -> list[Placement]:
+    def _detailed(self, x: Float64Array, y: Float64Array, eye: Float64Array | None) -> list[Placement]:
         """Near patches and single trees over the far cells centred at (x, y)."""
         quarter = np.array([-0.25, 0.25]) * FAR_PATCH
         x_near = (x[:, None] + np.array([quarter[0], quarter[1], quarter[0], quarter[1]])).ravel()
@@ -97,7 +94,7 @@ class Planting:
             x_near, y_near = x_near[open_to_eye & ~close], y_near[open_to_eye & ~close]
         return out + self._patches(describe(self._cover, x_near, y_near, NEAR_PATCH), "")
 
-    def _centers(self, side: float) -> tuple[Array, Array]:
+    def _centers(self, side: float) -> tuple[Float64Array, Float64Array]:
         """Centres of the square cells of `side` over the surroundings, less a margin."""
         g = self._terrain.surroundings.geometry
         xs = np.arange(g.x_min + 2 * side, g.x_max - 2 * side, side)
@@ -105,20 +102,20 @@ class Planting:
         x, y = np.meshgrid(xs, ys)
         return x.ravel(), y.ravel()
 
-    def _noise(self, x: Array, y: Array, wavelength: float, salt: int) -> Array:
+    def _noise(self, x: Float64Array, y: Float64Array, wavelength: float, salt: int) -> Float64Array:
         """Noise in [-1, 1] at scattered points."""
         return noise_fields.at_points(x, y, wavelength, self._seed + salt)
 
-    def _draw(self, x: Array, y: Array, salt: int) -> Array:
+    def _draw(self, x: Float64Array, y: Float64Array, salt: int) -> Float64Array:
         """A uniform draw in [0, 1) that belongs to each place, not to the order of asking."""
         return noise_fields.uniform_at(x, y, self._seed + salt)
 
-    def _dry(self, x: Array, y: Array) -> Mask:
+    def _dry(self, x: Float64Array, y: Float64Array) -> BoolArray:
         """Where low scrub stands in place of tall chaparral."""
         exposure = self._cover.sample(self._cover.exposure, x, y) * 0.6
         return np.asarray(exposure + self._noise(x, y, 320.0, 401) > 0.62 - self._config.scrub, np.bool_)
 
-    def _patches(self, c: Cells, prefix: str) -> list[Placement]:
+    def _patches(self, c: PlantCells, prefix: str) -> list[Placement]:
         dry = self._dry(c.x, c.y)
         grass, bare, tree = c.shares[:, GRASS], c.shares[:, BARE], c.shares[:, TREE] * np.minimum(c.density, 1.0)
         shrubby = (c.shares[:, SHRUB] + 0.35 * c.shares[:, TREE]) * c.density
@@ -155,7 +152,7 @@ class Planting:
             out += self._put("lone_oak", c.x, c.y, c.side, alive & (tree <= 0.2) & self._lone(c))
         return out
 
-    def _inside(self, c: Cells, chosen: Mask, spacing: float, salt: int) -> tuple[Array, Array]:
+    def _inside(self, c: PlantCells, chosen: BoolArray, spacing: float, salt: int) -> tuple[Float64Array, Float64Array]:
         """Points (N,) of a jittered grid of about `spacing` over the chosen cells."""
         n = max(1, round(c.side / spacing))
         steps = ((np.arange(n) + 0.5) / n - 0.5) * c.side
@@ -164,7 +161,7 @@ class Planting:
         stride = 0.9 * c.side / n
         return x + stride * (self._draw(x, y, salt) - 0.5), y + stride * (self._draw(x, y, salt + 1) - 0.5)
 
-    def _singly(self, c: Cells, prefix: str) -> list[Placement]:
+    def _singly(self, c: PlantCells, prefix: str) -> list[Placement]:
         """Shrubs one by one over cells in which a change has ended: whole patches would draw its edge straight."""
         if not np.any(c.edge):
             return []
@@ -184,7 +181,7 @@ class Planting:
                 out += self._put(name, x, y, 0.0, chosen & (stage == i), np.ones(len(x)))
         return out
 
-    def _rubble(self, c: Cells, prefix: str) -> list[Placement]:
+    def _rubble(self, c: PlantCells, prefix: str) -> list[Placement]:
         """The stones of slides: heaps that lie where chance left them, and boulders by a power law of sizes."""
         slid = c.rubble & (c.shares[:, BARE] > 0.3)
         if not np.any(slid):
@@ -204,13 +201,13 @@ class Planting:
         standing = self._cover.at(x, y) == BUILT
         return self._put("house", x, y, 0.0, standing, np.ones(len(x)))
 
-    def _lone(self, c: Cells) -> Mask:
+    def _lone(self, c: PlantCells) -> BoolArray:
         """Single oaks in grass and scrub, fewer in scrub."""
         open_land = c.shares[:, GRASS] + c.shares[:, BARE] * (c.char > 0.1)
         rate = (c.side / FAR_PATCH) ** 2 * (0.16 * open_land + 0.05 * c.shares[:, SHRUB]) * np.minimum(c.density, 1)
         return np.asarray(self._draw(c.x, c.y, 407) < rate, np.bool_)
 
-    def _trees(self, cell_x: Array, cell_y: Array, eye: Array | None) -> list[Placement]:
+    def _trees(self, cell_x: Float64Array, cell_y: Float64Array, eye: Float64Array | None) -> list[Placement]:
         """Single trees over the far cells centred at (cell_x, cell_y)."""
         g = self._terrain.surroundings.geometry
         wanted = _keys(cell_x, cell_y)
@@ -244,7 +241,7 @@ class Planting:
             out += self._put("conifer" + suffix, c.x, c.y, 0.0, state & conifer, size)
         return out
 
-    def _tufts(self, eye: Array) -> list[Placement]:
+    def _tufts(self, eye: Float64Array) -> list[Placement]:
         n = int(self._config.grass_radius / TUFT_PATCH)
         first = np.floor(eye[:2] / TUFT_PATCH) * TUFT_PATCH
         steps = np.arange(-n, n + 1) * TUFT_PATCH
@@ -258,7 +255,7 @@ class Planting:
         some = grass | ((self._draw(x, y, 427) < 0.4) & (self._cover.sample(self._cover.stand.char, x, y) < 0.1))
         return out + self._put("close_tuft", x, y, TUFT_PATCH, some & close_by)
 
-    def _put_by_stage(self, name: str, c: Cells, chosen: Mask, trees: bool = False) -> list[Placement]:
+    def _put_by_stage(self, name: str, c: PlantCells, chosen: BoolArray, trees: bool = False) -> list[Placement]:
         """Patches of `name`, each at the stage of growth nearest to its cell's."""
         height = c.tree_height if trees else c.shrub_height
         stage = np.abs(height[:, None] - np.array(STAGES)).argmin(axis=1)
@@ -268,7 +265,14 @@ class Planting:
         return out
 
     def _put(
-        self, name: str, x: Array, y: Array, side: float, chosen: Mask, size: Array | None = None, turns: int = 0
+        self,
+        name: str,
+        x: Float64Array,
+        y: Float64Array,
+        side: float,
+        chosen: BoolArray,
+        size: Float64Array | None = None,
+        turns: int = 0,
     ) -> list[Placement]:
         """Instances of `name` at the chosen points: sheared onto the slope (side > 0), or upright and scaled by
         `size`. `turns`: the directions that they are turned to, by default as many as cells or lone plants have."""

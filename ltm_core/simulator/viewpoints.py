@@ -5,18 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from ltm_core.simulator.camera_setup import ViewsConfig
 from ltm_core.simulator.terrain_synthesis import HeightField
+from ltm_core.types import Float64Array
 
 
 @dataclass(frozen=True)
 class Viewpoint:
     """One picture to take: eye (3,) in the map frame, angles and horizontal field of view in degrees."""
 
-    eye: NDArray[np.float64]
+    eye: Float64Array
     azimuth_deg: float
     pitch_deg: float
     roll_deg: float

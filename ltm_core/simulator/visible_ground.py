@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from ltm_core.simulator.terrain_synthesis import HeightField
-
-Array = NDArray[np.float64]
+from ltm_core.types import BoolArray, Float64Array
 
 _AZIMUTHS = 2048
 _NEAR = 400.0  # m within which nothing counts as hidden
@@ -21,16 +20,16 @@ _FAR = 1200.0  # m, where a cell begins to look narrow
 
 
 @dataclass(frozen=True)
-class Sight:
+class VisibleGround:
     """Square cells of `side` metres, centred at (x0 + col side, y0 + row side): `seen` (rows, cols) says which may
     show."""
 
-    seen: NDArray[np.bool_]
+    seen: BoolArray
     x0: float
     y0: float
     side: float
 
-    def at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
+    def at(self, x: ArrayLike, y: ArrayLike) -> BoolArray:
         """Whether the cells of map points may show; outside them: no."""
         col = np.rint((np.asarray(x) - self.x0) / self.side).astype(np.int64)
         row = np.rint((np.asarray(y) - self.y0) / self.side).astype(np.int64)
@@ -39,7 +38,7 @@ class Sight:
         return np.asarray(inside & self.seen[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)], np.bool_)
 
 
-def line_of_sight(ground: HeightField, eye: Array, side: float, bend: float) -> Sight:
+def line_of_sight(ground: HeightField, eye: Float64Array, side: float, bend: float) -> VisibleGround:
     """Which cells of `side` metres over `ground` hold something that may show from map point `eye` (3,).
 
     Errs on the side of showing: the ground that hides counts as lower and nearer than it is, what it hides as taller
@@ -68,4 +67,4 @@ def line_of_sight(ground: HeightField, eye: Array, side: float, bend: float) -> 
     over = np.where(away > _FAR, narrow[turn, before], wide[turn, before])
     top = ndimage.maximum_filter(ground.at(x, y), 3) + _STANDING - bend * away**2
     seen = (away < _NEAR) | ((top - eye[2]) / np.maximum(away, 1.0) >= over)
-    return Sight(ndimage.binary_dilation(seen, np.ones((3, 3), bool)), float(xs[0]), float(ys[0]), side)
+    return VisibleGround(ndimage.binary_dilation(seen, np.ones((3, 3), bool)), float(xs[0]), float(ys[0]), side)

@@ -6,15 +6,12 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.pose import Pose
 from ltm_core.simulator import noise_fields
 from ltm_core.simulator.scenario import SmokeConfig
-
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+from ltm_core.types import BoolArray, Float32Array, Float64Array
 
 _TILE = 256  # pixels a side of the pattern of billows in puffs of smoke
 
@@ -24,10 +21,10 @@ def smoke(
     feet: Sequence[float],
     camera: Camera,
     pose: Pose,
-    ranges: Image,
+    ranges: Float32Array,
     sunlight: float,
     seed: int,
-) -> tuple[Image, Image]:
+) -> tuple[Float32Array, Float32Array]:
     """Smoke in front of what a frame shows: its radiance times opacity (H, W, 3), and its opacity (H, W).
 
     `feet`: ground height at each column; `ranges` (H, W) to the surface; `sunlight`: radiance of sunlit white. Puffs
@@ -83,7 +80,9 @@ def smoke(
     return light, alpha
 
 
-def mirrored(radiance: Image, water: NDArray[np.bool_], rays: Array, air: Image, zenith: Image, seed: int) -> Image:
+def mirrored(
+    radiance: Float32Array, water: BoolArray, rays: Float64Array, air: Float32Array, zenith: Float32Array, seed: int
+) -> Float32Array:
     """`radiance` (H, W, 3) with the sky mirrored where `water` (H, W) says; `rays` (H, W, 3) unit, map frame.
 
     Fresnel's reflectance of a rippled surface; the sky runs from `air` over the horizon to `zenith`.

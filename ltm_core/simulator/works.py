@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
 from ltm_core.errors import ConfigError
 from ltm_core.grid import GridGeometry
 from ltm_core.simulator.scenario import LakeConfig
-from ltm_core.simulator.terrain_synthesis import HeightField, Terrain
-
-Mask = NDArray[np.bool_]
+from ltm_core.simulator.terrain_synthesis import HeightField, SyntheticTerrain
+from ltm_core.types import BoolArray, Float64Array
 
 _STEEPEST = 0.22  # tangent of the slope that a house stands on
 _SPACING = 24.0  # m between houses
@@ -26,9 +24,9 @@ YARD = 11.0  # m of bare ground about a house
 class Houses:
     """House centres (N,) on the map and the way each faces (radians)."""
 
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    turn: NDArray[np.float64]
+    x: Float64Array
+    y: Float64Array
+    turn: Float64Array
 
     @staticmethod
     def none() -> Houses:
@@ -36,13 +34,13 @@ class Houses:
         return Houses(np.empty(0), np.empty(0), np.empty(0))
 
 
-def with_lakes(terrain: Terrain, lakes: Sequence[LakeConfig]) -> tuple[Terrain, list[Mask]]:
+def with_lakes(terrain: SyntheticTerrain, lakes: Sequence[LakeConfig]) -> tuple[SyntheticTerrain, list[BoolArray]]:
     """The ground with each lake filled to its level behind an earth dam, and its cells on the surroundings' grid.
 
     Raises ConfigError where a lake lies outside the ground.
     """
     wide, site = terrain.surroundings, terrain.site
-    masks: list[Mask] = []
+    masks: list[BoolArray] = []
     for i, lake in enumerate(lakes):
         row, col = (int(v) for v in wide.geometry.cell_of(lake.x, lake.y))
         if not wide.geometry.contains(row, col):
@@ -56,15 +54,15 @@ def with_lakes(terrain: Terrain, lakes: Sequence[LakeConfig]) -> tuple[Terrain, 
         on_site = near[np.clip(r, 0, near.shape[0] - 1), np.clip(c, 0, near.shape[1] - 1)]
         wide, site = _filled(wide, lake, level, near), _filled(site, lake, level, on_site)
         masks.append(water)
-    return (Terrain(site, wide, terrain.wetness) if lakes else terrain), masks
+    return (SyntheticTerrain(site, wide, terrain.wetness) if lakes else terrain), masks
 
 
-def _reach(field: HeightField, lake: LakeConfig) -> NDArray[np.float64]:
+def _reach(field: HeightField, lake: LakeConfig) -> Float64Array:
     x, y = np.meshgrid(*field.axes())
     return np.asarray(np.hypot(x - lake.x, y - lake.y), np.float64)
 
 
-def _filled(field: HeightField, lake: LakeConfig, level: float, near: Mask) -> HeightField:
+def _filled(field: HeightField, lake: LakeConfig, level: float, near: BoolArray) -> HeightField:
     reach = _reach(field, lake)
     z = field.elevation.astype(np.float64)
     water = near & (z < level) & (reach < lake.radius)
@@ -76,7 +74,9 @@ def _filled(field: HeightField, lake: LakeConfig, level: float, near: Mask) -> H
     return HeightField(z.astype(np.float32), field.geometry)
 
 
-def hamlet(terrain: Terrain, road: Mask, blocked: Mask, geometry: GridGeometry, count: int, seed: int) -> Houses:
+def hamlet(
+    terrain: SyntheticTerrain, road: BoolArray, blocked: BoolArray, geometry: GridGeometry, count: int, seed: int
+) -> Houses:
     """Up to `count` houses in groups on gentle ground within sight of the track (or anywhere, where there is none)."""
     rng = np.random.default_rng([seed, 91])
     g = terrain.site.geometry
@@ -110,7 +110,7 @@ def hamlet(terrain: Terrain, road: Mask, blocked: Mask, geometry: GridGeometry, 
     return Houses(places[:, 0], places[:, 1], (np.pi / 4) * rng.integers(0, 8, len(places)).astype(np.float64))
 
 
-def track(terrain: Terrain, geometry: GridGeometry, seed: int) -> Mask:
+def track(terrain: SyntheticTerrain, geometry: GridGeometry, seed: int) -> BoolArray:
     """A dirt track over the range: the cheapest way between two borders where climbing and cross slopes cost, two
     cells wide."""
     step = 4

@@ -12,6 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ltm_core.raster.tile_store import Field
+from ltm_core.types import RecordArray, UInt8Array
 
 TILE = 64
 """Cells a side of a tile."""
@@ -20,16 +21,15 @@ CELLS = TILE * TILE
 PLACE_BITS = 2 * TILE_BITS
 NO_LABEL = 255
 
-Records = NDArray[np.void]
 
 ESTIMATE = np.dtype(
-    [("dz", "f4"), ("looks", "f4"), ("weight", "f4"), ("sheet_variance", "f4"), ("pose_variance", "f4"),
+    [("dz", "f4"), ("looks", "f4"), ("weight", "f4"), ("relative_variance", "f4"), ("pose_variance", "f4"),
      ("first", "u4"), ("last", "u4"), ("cameras", "u4"), ("base", "f4"), ("c_dz", "f4"), ("c_looks", "f4"),
      ("frames", "u2"), ("label", "u1"), ("kind", "u1")]
 )  # fmt: skip
 """What every observation of a cell reads: 48 bytes."""
 CANDIDATE = np.dtype(
-    [("c_weight", "f4"), ("c_sheet_variance", "f4"), ("c_pose_variance", "f4"), ("c_first", "u4"), ("c_last", "u4"),
+    [("c_weight", "f4"), ("c_relative_variance", "f4"), ("c_pose_variance", "f4"), ("c_first", "u4"), ("c_last", "u4"),
      ("c_cameras", "u4"), ("watched", "u4"), ("c_frames", "u2"), ("_", "u2")]
 )  # fmt: skip
 """What only those do that contradict the estimate, or that are told by labels."""
@@ -37,8 +37,9 @@ DECISION = np.dtype([("shift", "f4"), ("since", "u4"), ("by", "u4")])
 """What no observation does."""
 
 _STORED = (
-    "dz", "looks", "weight", "sheet_variance", "pose_variance", "first", "last", "cameras", "frames", "label", "base",
-    "c_dz", "c_looks", "c_weight", "c_sheet_variance", "c_pose_variance", "c_first", "c_last", "c_cameras", "c_frames",
+    "dz", "looks", "weight", "relative_variance", "pose_variance", "first", "last", "cameras", "frames", "label",
+    "base", "c_dz", "c_looks", "c_weight", "c_relative_variance", "c_pose_variance", "c_first", "c_last", "c_cameras",
+    "c_frames",
     "kind", "shift", "since", "by", "watched",
 )  # fmt: skip
 _BLOCK_OF = {name: i for i, block in enumerate((ESTIMATE, CANDIDATE, DECISION)) for name in block.names or ()}
@@ -47,11 +48,11 @@ FIELDS = {name: Field((ESTIMATE, CANDIDATE, DECISION)[_BLOCK_OF[name]][name]) fo
 CELL_BYTES = ESTIMATE.itemsize + CANDIDATE.itemsize + DECISION.itemsize + 1
 
 
-class Cells(NamedTuple):
+class TileCells(NamedTuple):
     """State of the tiles in memory, (slots, cells of a tile) each.
 
     Of the estimate: `dz` metres above the reference; `looks`, the sum of its observations' shares of a look, and
-    `weight`, that of share / variance; `sheet_variance`, the mean of what they know of a shift of the whole stand,
+    `weight`, that of share / variance; `relative_variance`, the mean of what they know of a shift of the whole stand,
     and `pose_variance`, that of the poses' part; `first`, `last` seen (s), `cameras` (a bit each),
     `frames`, `label` last seen. `base`: the canopy that the first consistent observations found (0 where the
     surface raster is known, NaN before). `watched`: the cameras whose labels have shown for an hour that what stood
@@ -62,13 +63,13 @@ class Cells(NamedTuple):
     looked for in images.
     """
 
-    estimate: Records
-    candidate: Records
-    decision: Records
-    high: NDArray[np.uint8]
+    estimate: RecordArray
+    candidate: RecordArray
+    decision: RecordArray
+    high: UInt8Array
 
     @classmethod
-    def empty(cls, slots: int) -> Cells:
+    def empty(cls, slots: int) -> TileCells:
         """Their content is arbitrary; memory is claimed as it is used."""
         estimate, candidate, decision = (np.empty((slots, CELLS), dtype) for dtype in (ESTIMATE, CANDIDATE, DECISION))
         return cls(estimate, candidate, decision, np.empty((slots, CELLS), np.uint8))

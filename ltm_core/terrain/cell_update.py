@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from ltm_core.terrain.cell_layout import CELLS, NO_LABEL, PLACE_BITS, Cells
+from ltm_core.terrain.cell_layout import CELLS, NO_LABEL, PLACE_BITS, TileCells
 from ltm_core.terrain.frame_sums import FrameSums
 from ltm_core.tracing.prefetch import prefetch
+from ltm_core.types import Int32Array
 
 TALL = 10.0
 """Metres: what rises that high at once is a building or, more often, something that passes before the camera."""
@@ -48,7 +48,7 @@ class Rules(NamedTuple):
     threshold: float
     carve_variance: float
     looked_for: float
-    repeats: float
+    repeated_error_share: float
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -68,12 +68,12 @@ def independent(cameras: int, first: int, last: int, independent_after: float, s
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def mean_variance(looks: float, weight: float, pose_variance: float, cameras: int, repeats: float) -> float:
-    """Of an estimate. `repeats`: of the observations' own variance, what is the same in each look of a camera."""
+def mean_variance(looks: float, weight: float, pose_variance: float, cameras: int, repeated: float) -> float:
+    """Of an estimate. `repeated`: of the observations' own variance, what is the same in each look of a camera."""
     total = looks / weight
     pose = min(pose_variance, total)
     own = total - pose
-    variance: float = (1 - repeats) * own / max(looks, 1.0) + (repeats * own + pose) / max(_bits(cameras), 1)
+    variance: float = (1 - repeated) * own / max(looks, 1.0) + (repeated * own + pose) / max(_bits(cameras), 1)
     return variance
 
 
@@ -97,7 +97,7 @@ def _remembered(seconds: int, last: int, lasting: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def merge(cells: Cells, sums: FrameSums, slots: NDArray[np.int32], seconds: int, bit: int, rules: Rules) -> int:
+def merge(cells: TileCells, sums: FrameSums, slots: Int32Array, seconds: int, bit: int, rules: Rules) -> int:
     """Take a frame into the cells whose tiles are in memory; how many these are. `slots`: of each tile, flat, -1 where
     it is not in memory.
     """
@@ -118,7 +118,9 @@ def merge(cells: Cells, sums: FrameSums, slots: NDArray[np.int32], seconds: int,
             else:
                 weight, moment, pose = one.weight, one.moment, one.pose
             dz, variance, pose = moment / weight, n / weight, pose / n
-            sheet = min(one.sheet / n + pose, variance) if one.off_count <= one.number else variance
+            relative_variance = (
+                min(one.relative_variance / n + pose, variance) if one.off_count <= one.number else variance
+            )
             if one.heard > 0 and one.off_count <= one.number:
                 # Depth and label of the same pixels: two words on one height.
                 by_label, doubt, shared = _told(cells, slot, k, one, seconds, bit, rules)
@@ -126,15 +128,18 @@ def merge(cells: Cells, sums: FrameSums, slots: NDArray[np.int32], seconds: int,
                     wait = max(wait, TOLD_AFTER)
                 dz = (dz * doubt + by_label * variance) / (doubt + variance)
                 pose = min(pose, shared)
-                variance, sheet = max(_both(variance, doubt), pose), max(_both(sheet, doubt), pose)
+                variance, relative_variance = (
+                    max(_both(variance, doubt), pose),
+                    max(_both(relative_variance, doubt), pose),
+                )
         elif one.heard > 0:
             dz, variance, pose = _told(cells, slot, k, one, seconds, bit, rules)
-            sheet, wait = variance, max(wait, TOLD_AFTER)
+            relative_variance, wait = variance, max(wait, TOLD_AFTER)
         else:
             dz, variance, pose = one.lowest, np.float32(rules.carve_variance), np.float32(0.0)
             # That something has gone is no surer than that the ray has passed; how low the cell is then, is.
-            sheet, bounded = max(variance, (dz / one.passed) ** 2), True
-        take(cells, slot, k, dz, variance, sheet, pose, bounded, seconds, bit, wait, rules)
+            relative_variance, bounded = max(variance, (dz / one.passed) ** 2), True
+        update_cell(cells, slot, k, dz, variance, relative_variance, pose, bounded, seconds, bit, wait, rules)
         e = cells.estimate[slot, k]
         if one.label != NO_LABEL:
             e.label = one.label
@@ -151,7 +156,7 @@ def _both(one: float, other: float) -> float:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _told(
-    cells: Cells, slot: int, k: int, one: Any, seconds: int, bit: int, rules: Rules
+    cells: TileCells, slot: int, k: int, one: Any, seconds: int, bit: int, rules: Rules
 ) -> tuple[float, float, float]:
     """Height of a cell in which something stood, its variance and the pose's part of it, by what labels say of that.
 
@@ -177,13 +182,13 @@ def _told(
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def take(
-    cells: Cells,
+def update_cell(
+    cells: TileCells,
     slot: int,
     k: int,
     dz: float,
     variance: float,
-    sheet: float,
+    relative_variance: float,
     pose: float,
     bounded: bool,
     seconds: int,
@@ -191,26 +196,26 @@ def take(
     wait: float,
     rules: Rules,
 ) -> None:
-    """One observation of one cell. `bounded`: the surface is at most `dz`; else it is `dz`. `sheet`: variance of what
-    it knows of whether the stand about the cell is as it was. `wait`: seconds from which on one camera's looks that
-    contradict the estimate are independent.
+    """One observation of one cell. `bounded`: the surface is at most `dz`; else it is `dz`. `relative_variance`:
+    variance of what it knows of whether the stand about the cell is as it was. `wait`: seconds from which on one
+    camera's looks that contradict the estimate are independent.
     """
     e, c = cells.estimate[slot, k], cells.candidate[slot, k]
     known = e.looks > 0
     if known:
         here = e.dz
-        doubt = mean_variance(e.looks, e.weight, e.pose_variance, e.cameras, rules.repeats)
+        doubt = mean_variance(e.looks, e.weight, e.pose_variance, e.cameras, rules.repeated_error_share)
     else:
         base = e.base
         here = np.float32(0.0) if math.isnan(base) else base
         doubt = rules.reference_variance
     miss = dz - here
-    agrees = abs(miss) <= rules.gate * math.sqrt(doubt + max(variance, sheet)) or (bounded and miss > 0)
+    agrees = abs(miss) <= rules.gate * math.sqrt(doubt + max(variance, relative_variance)) or (bounded and miss > 0)
     pending = e.c_looks > 0
     c_miss, c_slack = 0.0, 0.0
     if pending:
         c_miss = dz - e.c_dz
-        c_doubt = mean_variance(e.c_looks, c.c_weight, c.c_pose_variance, c.c_cameras, rules.repeats)
+        c_doubt = mean_variance(e.c_looks, c.c_weight, c.c_pose_variance, c.c_cameras, rules.repeated_error_share)
         c_slack = rules.gate * math.sqrt(c_doubt + variance)
     if agrees:
         if bounded:
@@ -223,7 +228,7 @@ def take(
         looks = kept * e.looks + share
         weight = kept * e.weight + share / variance
         e.dz = here + share / variance / weight * miss if known else dz
-        e.sheet_variance += share / looks * (sheet - e.sheet_variance)
+        e.relative_variance += share / looks * (relative_variance - e.relative_variance)
         e.pose_variance += share / looks * (pose - e.pose_variance)
         if looks > rules.memory:
             weight *= rules.memory / looks
@@ -243,7 +248,7 @@ def take(
         e.c_looks = 1
         c.c_weight = 1 / variance
         # What is off its stand tells of its own cell only.
-        c.c_sheet_variance = max(variance, sheet)
+        c.c_relative_variance = max(variance, relative_variance)
         c.c_pose_variance = pose
         c.c_first = c.c_last = seconds
         c.c_cameras = bit
@@ -254,7 +259,7 @@ def take(
         looks = e.c_looks + share
         weight = c.c_weight + share / variance
         e.c_dz += share / variance / weight * c_miss
-        c.c_sheet_variance += share / looks * (max(variance, sheet) - c.c_sheet_variance)
+        c.c_relative_variance += share / looks * (max(variance, relative_variance) - c.c_relative_variance)
         c.c_pose_variance += share / looks * (pose - c.c_pose_variance)
         e.c_looks, c.c_weight = looks, weight
     c.c_first = min(c.c_first, seconds)
@@ -272,7 +277,7 @@ def take(
         e.dz = e.c_dz
         e.looks = min(e.c_looks, rules.memory)
         e.weight = c.c_weight * e.looks / e.c_looks
-        e.sheet_variance = c.c_sheet_variance
+        e.relative_variance = c.c_relative_variance
         e.pose_variance = c.c_pose_variance
         e.first, e.last = c.c_first, c.c_last
         e.cameras, e.frames = c.c_cameras, c.c_frames

@@ -18,6 +18,7 @@ from ltm_core.terrain.cell_layout import TILE
 from ltm_core.terrain.cell_update import Rules, independent, mean_variance
 from ltm_core.terrain.neighbours import REACH, WIDE, Estimates, mean_of_neighbours, own_shift, regions, stand_rise
 from ltm_core.terrain.reference_surface import Reference
+from ltm_core.types import BoolArray, Float32Array, Int32Array, UInt8Array, UInt32Array
 
 _OWN_SHARE = 0.4
 """Of its neighbours' shift that a cell must show itself: a gap in a felled stand was no tree."""
@@ -26,7 +27,6 @@ _WEAKLY_SURE, _WEAKLY_CHANGED = 0.33, 0.75
 _COMPATIBLE = 2.0
 """Deviations by which a cell's own estimate may miss its neighbours' shift and still not contradict it."""
 
-Floats = NDArray[np.float32]
 Window = tuple[int, int, int, int]
 
 
@@ -48,11 +48,11 @@ class Changed:
     metres.
     """
 
-    rows: NDArray[np.int32]
-    cols: NDArray[np.int32]
-    before: NDArray[np.uint8]
-    kind: NDArray[np.uint8]
-    shift: Floats
+    rows: Int32Array
+    cols: Int32Array
+    before: UInt8Array
+    kind: UInt8Array
+    shift: Float32Array
 
     @classmethod
     def none(cls) -> Changed:
@@ -62,7 +62,7 @@ class Changed:
     def joined(self, other: Changed) -> Changed:
         return Changed(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
 
-    def within(self, mask: NDArray[np.bool_], window: Window) -> Changed:
+    def within(self, mask: BoolArray, window: Window) -> Changed:
         """Only the cells that lie in `mask`, whose first cell is the window's."""
         kept = mask[self.rows - window[0], self.cols - window[1]]
         return Changed(*(getattr(self, f.name)[kept] for f in fields(self)))
@@ -94,7 +94,7 @@ def mosaic(peek: Callable[[Key], Tile | None], window: Window, names: tuple[str,
     return parts
 
 
-_OF_ESTIMATE = ("looks", "weight", "sheet_variance", "pose_variance", "first", "last", "cameras")
+_OF_ESTIMATE = ("looks", "weight", "relative_variance", "pose_variance", "first", "last", "cameras")
 _NEEDED = ("dz", *_OF_ESTIMATE, "base", "kind", "shift", "since", "by", "watched")
 
 
@@ -112,7 +112,7 @@ def decide(
     row, col, height, width = window
     part = slice(row, row + height), slice(col, col + width)
     ground, surface = reference.bare[part], reference.surface[part]
-    variance, sheet, sure = estimate_variance(parts, rules)
+    variance, relative_variance, sure = estimate_variance(parts, rules)
     base = parts["base"]
     if not reference.canopy_known:
         # What consistent views first found is the canopy, unless it is lower than bare earth can be.
@@ -122,11 +122,11 @@ def decide(
     known = np.nan_to_num(base)
     off = np.where(usable, parts["dz"] - known, np.float32(0)).astype(np.float32)
     # Where it is less sure that a cell has changed than how high it is then, that is what its neighbours get of it.
-    weight, sheet_weight = (
+    weight, relative_weight = (
         np.where(usable, 1 / (one + rules.reference_variance), 0).astype(np.float32)
-        for one in (np.maximum(variance, sheet), sheet)
+        for one in (np.maximum(variance, relative_variance), relative_variance)
     )
-    cells = Estimates(off, weight, sheet_weight, usable)
+    cells = Estimates(off, weight, relative_weight, usable)
     stood = surface + known - ground
     standing = stood >= config.threshold
     shift, doubt = mean_of_neighbours(cells, standing, reference.geometry.resolution)
@@ -152,7 +152,7 @@ def decide(
     stands = standing & (kind == ChangeKind.GROWN)
     if stands.any():
         with np.errstate(divide="ignore", invalid="ignore"):
-            level = np.where(usable, np.clip(parts["sheet_variance"] * parts["weight"] / parts["looks"], 0, 1), 0)
+            level = np.where(usable, np.clip(parts["relative_variance"] * parts["weight"] / parts["looks"], 0, 1), 0)
         own = np.where(stands, stand_rise(off, level, stands & usable, own, reference.geometry.resolution), own)
     shift = np.where(kind > 0, own, np.float32(0)).astype(np.float32)
     rows, cols = np.nonzero(new)
@@ -163,15 +163,15 @@ def decide(
 
 
 def _levels(
-    off: Floats,
-    variance: Floats,
-    shift: Floats,
-    doubt: Floats,
-    usable: NDArray[np.bool_],
-    former: NDArray[np.bool_],
-    alone: NDArray[np.bool_],
+    off: Float32Array,
+    variance: Float32Array,
+    shift: Float32Array,
+    doubt: Float32Array,
+    usable: BoolArray,
+    former: BoolArray,
+    alone: BoolArray,
     config: TerrainConfig,
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+) -> tuple[BoolArray, BoolArray]:
     """Cells that are surely changed, and those that are if they touch such. A smoothed shift that the cell's own
     estimate does not show is the neighbours'.
     """
@@ -186,38 +186,38 @@ def _levels(
     return strong, weak | strong
 
 
-def _shows(off: Floats, shift: Floats, threshold: float) -> NDArray[np.bool_]:
+def _shows(off: Float32Array, shift: Float32Array, threshold: float) -> BoolArray:
     """Whether a cell's own estimate shows its neighbours' shift."""
     return np.asarray(off * np.sign(shift) >= np.maximum(threshold / 2, _OWN_SHARE * np.abs(shift)), np.bool_)
 
 
-def estimate_variance(parts: Mapping[str, NDArray[Any]], rules: Rules) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def estimate_variance(parts: Mapping[str, NDArray[Any]], rules: Rules) -> tuple[Float32Array, Float32Array, BoolArray]:
     """Variance of each cell's estimate, that of its word on the stand about it (both infinite where there is none), and
     whether independent views made it.
     """
-    variance, sheet, sure = _summary(*(parts[name] for name in _OF_ESTIMATE), rules)
-    return variance, sheet, sure
+    variance, relative_variance, sure = _summary(*(parts[name] for name in _OF_ESTIMATE), rules)
+    return variance, relative_variance, sure
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _summary(
-    looks: Floats,
-    weight: Floats,
-    sheet_variance: Floats,
-    pose_variance: Floats,
-    first: NDArray[np.uint32],
-    last: NDArray[np.uint32],
-    cameras: NDArray[np.uint32],
+    looks: Float32Array,
+    weight: Float32Array,
+    relative_variance: Float32Array,
+    pose_variance: Float32Array,
+    first: UInt32Array,
+    last: UInt32Array,
+    cameras: UInt32Array,
     rules: Rules,
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+) -> tuple[Float32Array, Float32Array, BoolArray]:
     variance = np.full(looks.shape, np.inf, np.float32)
-    sheet = np.full(looks.shape, np.inf, np.float32)
+    relative = np.full(looks.shape, np.inf, np.float32)
     sure = np.zeros(looks.shape, np.bool_)
     for r in range(looks.shape[0]):
         for c in range(looks.shape[1]):
             n, pose, mask = looks[r, c], pose_variance[r, c], cameras[r, c]
             if n > 0:
-                variance[r, c] = mean_variance(n, weight[r, c], pose, mask, rules.repeats)
-                sheet[r, c] = mean_variance(n, n / sheet_variance[r, c], pose, mask, rules.repeats)
+                variance[r, c] = mean_variance(n, weight[r, c], pose, mask, rules.repeated_error_share)
+                relative[r, c] = mean_variance(n, n / relative_variance[r, c], pose, mask, rules.repeated_error_share)
                 sure[r, c] = independent(mask, first[r, c], last[r, c], rules.independent_after, rules.settle)
-    return variance, sheet, sure
+    return variance, relative, sure

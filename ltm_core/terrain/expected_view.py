@@ -12,21 +12,19 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from ltm_core.terrain.cell_layout import Records, place_of
+from ltm_core.terrain.cell_layout import place_of
 from ltm_core.terrain.reference_kernels import (
     LEAST_INCIDENCE,
-    Floats,
-    Ground,
-    Image,
+    ReferenceGrid,
     cell_at,
     pose_variance,
     slopes_at,
     steepness,
 )
+from ltm_core.types import Float32Array, Float64Array, RecordArray
 
-SIGHT = np.dtype(
+EXPECTED_PIXEL = np.dtype(
     [("expected", "f4"), ("nearest", "f4"), ("farthest", "f4"), ("spread", "f4"), ("place", "i4"), ("incidence", "f4"),
      ("steep", "f4"), ("pose_variance", "f4")]
 )  # fmt: skip
@@ -37,15 +35,15 @@ pose is to blame for.
 """
 
 
-class View(NamedTuple):
+class CameraView(NamedTuple):
     """One frame's camera: rays (H, W, 3) in the optical frame, rotation to the map, position, pose covariance, and the
     bend of a ray over its horizontal range.
     """
 
-    rays: Floats
-    rotation: Floats
-    position: Floats
-    covariance: Floats
+    rays: Float64Array
+    rotation: Float64Array
+    position: Float64Array
+    covariance: Float64Array
     bend: float
 
 
@@ -54,40 +52,40 @@ class Extremes(NamedTuple):
     uncertainty, and within one pixel.
     """
 
-    nearest: Image
-    farthest: Image
-    near: Image
-    far: Image
+    nearest: Float32Array
+    farthest: Float32Array
+    near: Float32Array
+    far: Float32Array
 
 
-class Sights:
+class ExpectedViews:
     """What is kept of views, by a key of each, up to so many bytes but at least one of them. The least recently used
     makes room, and its memory serves the next, apart from all other: such arrays would leave holes among small ones.
     """
 
     def __init__(self, most_bytes: int) -> None:
         self._most = most_bytes
-        self._kept: OrderedDict[Hashable, Records] = OrderedDict()
+        self._kept: OrderedDict[Hashable, RecordArray] = OrderedDict()
 
-    def get(self, key: Hashable) -> Records | None:
-        """Sights (H, W), now the most recently used; None where there are none."""
+    def get(self, key: Hashable) -> RecordArray | None:
+        """ExpectedViews (H, W), now the most recently used; None where there are none."""
         if key in self._kept:
             self._kept.move_to_end(key)
         return self._kept.get(key)
 
-    def put(self, key: Hashable, shape: tuple[int, ...]) -> Records:
-        """Sights of a new view, of arbitrary content: to be filled."""
-        sights, size = None, math.prod(shape) * SIGHT.itemsize
+    def put(self, key: Hashable, shape: tuple[int, ...]) -> RecordArray:
+        """ExpectedViews of a new view, of arbitrary content: to be filled."""
+        sights, size = None, math.prod(shape) * EXPECTED_PIXEL.itemsize
         while self._kept and size + sum(one.nbytes for one in self._kept.values()) > self._most:
             sights = self._kept.popitem(last=False)[1]
         if sights is None or sights.shape != shape:
-            sights = np.frombuffer(mmap.mmap(-1, size), SIGHT).reshape(shape)
+            sights = np.frombuffer(mmap.mmap(-1, size), EXPECTED_PIXEL).reshape(shape)
         self._kept[key] = sights
         return sights
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
-def direction(view: View, v: int, u: int) -> tuple[float, float, float]:
+def direction(view: CameraView, v: int, u: int) -> tuple[float, float, float]:
     """Of a pixel's ray in the map frame, a unit vector."""
     m = view.rotation
     a, b, c = view.rays[v, u, 0], view.rays[v, u, 1], view.rays[v, u, 2]
@@ -99,7 +97,9 @@ def direction(view: View, v: int, u: int) -> tuple[float, float, float]:
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def foresee(ground: Ground, view: View, expected: NDArray[np.float32], extremes: Extremes, sights: Records) -> None:
+def predict_view(
+    ground: ReferenceGrid, view: CameraView, expected: Float32Array, extremes: Extremes, sights: RecordArray
+) -> None:
     """Fill `sights` (H, W)."""
     rows, cols = expected.shape
     x0, y0 = view.position[0], view.position[1]

@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from ltm_core.terrain.cell_layout import CELLS, NO_LABEL, PLACE_BITS, Records
+from ltm_core.terrain.cell_layout import CELLS, NO_LABEL, PLACE_BITS
+from ltm_core.types import Int32Array, Int64Array, RecordArray
 
 SUM = np.dtype(
-    [("place", "i4"), ("number", "f4"), ("weight", "f4"), ("moment", "f4"), ("sheet", "f4"), ("pose", "f4"),
+    [("place", "i4"), ("number", "f4"), ("weight", "f4"), ("moment", "f4"), ("relative_variance", "f4"), ("pose", "f4"),
      ("off_count", "f4"), ("off_weight", "f4"), ("off_moment", "f4"), ("off_pose", "f4"), ("lowest", "f4"),
      ("passed", "f4"), ("stood", "f4"), ("heard", "f4"), ("gone", "f4"), ("stays", "f4"), ("heard_pose", "f4"),
      ("label", "u1"), ("_", "u1", 3)]
@@ -30,11 +30,11 @@ class FrameSums(NamedTuple):
     1 + where its sums are, 0 where it is not seen.
     """
 
-    used: NDArray[np.int64]
-    cells: Records
-    tiles: NDArray[np.int32]
-    number_of: NDArray[np.int32]
-    at: NDArray[np.int32]
+    used: Int64Array
+    cells: RecordArray
+    tiles: Int32Array
+    number_of: Int32Array
+    at: Int32Array
 
     @classmethod
     def empty(cls, most: int, tiles: int) -> FrameSums:
@@ -48,7 +48,7 @@ class FrameSums(NamedTuple):
         )
 
     @property
-    def seen_tiles(self) -> NDArray[np.int32]:
+    def seen_tiles(self) -> Int32Array:
         """Tiles that the frame touches, in row-major order."""
         return np.sort(self.tiles[: self.used[1]])
 
@@ -83,7 +83,7 @@ def sum_of(sums: FrameSums, place: int) -> int:
         found = sums.used[0]
         sums.at[number, k] = found
         one.place = place
-        one.number = one.weight = one.moment = one.sheet = one.pose = 0.0
+        one.number = one.weight = one.moment = one.relative_variance = one.pose = 0.0
         one.off_count = one.off_weight = one.off_moment = one.off_pose = 0.0
         one.lowest = math.inf
         one.stood = one.heard = one.gone = one.stays = one.heard_pose = 0.0

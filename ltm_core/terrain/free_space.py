@@ -10,19 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
-from ltm_core.terrain.cell_layout import CELLS, TILE, Cells
-from ltm_core.terrain.cell_update import Rules, take
+from ltm_core.terrain.cell_layout import CELLS, TILE, TileCells
+from ltm_core.terrain.cell_update import Rules, update_cell
 from ltm_core.terrain.observation_kernel import Pixels
 from ltm_core.tracing.prefetch import prefetch
-
-Image = NDArray[np.float32]
-Indices = NDArray[np.int32]
-Floats = NDArray[np.float64]
+from ltm_core.types import BoolArray, Float32Array, Float64Array, Int32Array
 
 INSIDE = 0.6
 """Of a thing's height above the reference: a point that is well within it. What is lower than the threshold there is
@@ -34,37 +30,37 @@ _WIDER = 1.05
 """Times what a camera sees, in which things are looked up whose pixels are then computed."""
 
 
-class Standing(NamedTuple):
+class ElevatedCells(NamedTuple):
     """Cells in memory where something is held to stand above the reference, (N,) each: slot, cell of the tile, map
     coordinates of a point well inside the thing, how far that is, its height above the reference, and whether it is a
     candidate.
     """
 
-    slot: Indices
-    cell: Indices
-    point: Floats
-    away: Floats
-    dz: Image
-    candidate: NDArray[np.bool_]
+    slot: Int32Array
+    cell: Int32Array
+    point: Float64Array
+    away: Float64Array
+    dz: Float32Array
+    candidate: BoolArray
 
     @classmethod
-    def empty(cls, count: int) -> Standing:
+    def empty(cls, count: int) -> ElevatedCells:
         """With room for so many."""
         point, away = np.empty((count, 3)), np.empty(count)
         dz, candidate = np.empty(count, np.float32), np.empty(count, np.bool_)
         return cls(np.empty(count, np.int32), np.empty(count, np.int32), point, away, dz, candidate)
 
-    def where(self, part: slice | NDArray[np.bool_]) -> Standing:
-        return Standing(*(array[part] for array in self))  # type: ignore[arg-type]
+    def where(self, part: slice | BoolArray) -> ElevatedCells:
+        return ElevatedCells(*(array[part] for array in self))  # type: ignore[arg-type]
 
 
-class Place(NamedTuple):
+class CameraBounds(NamedTuple):
     """Where a camera is and what it sees at most: position, rotation to the map, |x / z| and |y / z| of its rays, and
     the least and greatest distance at which things are looked for.
     """
 
-    position: Floats
-    rotation: Floats
+    position: Float64Array
+    rotation: Float64Array
     aside: float
     upwards: float
     nearest: float
@@ -72,9 +68,9 @@ class Place(NamedTuple):
 
 
 def see_through(
-    cells: Cells,
-    places: Indices,
-    surface: Image,
+    cells: TileCells,
+    places: Int32Array,
+    surface: Float32Array,
     geometry: GridGeometry,
     camera: Camera,
     pose: Pose,
@@ -97,12 +93,12 @@ def see_through(
     rows, cols = (np.append(np.arange(0, n - 1, 16), n - 1) for n in (camera.height, camera.width))
     rays = camera.rays()[np.ix_(rows, cols)]
     aside, upwards = (_WIDER * float(np.abs(rays[..., i] / rays[..., 2]).max()) for i in (0, 1))
-    place = Place(
+    place = CameraBounds(
         np.ascontiguousarray(pose.position), np.ascontiguousarray(pose.rotation), aside, upwards, *map(float, reach)
     )
     corner = geometry.x_min, geometry.y_max, geometry.resolution
     # A few thousand at a time: what is computed of them stays in the processor's caches.
-    room, begin, seen = Standing.empty(_AT_ONCE), 0, 0
+    room, begin, seen = ElevatedCells.empty(_AT_ONCE), 0, 0
     while begin < len(places):
         count, begin = _find(cells, places, begin, surface, corner, rules.looked_for, place, room)
         some = room.where(slice(0, count))
@@ -112,7 +108,7 @@ def see_through(
     return seen
 
 
-def _seen_through(standing: Standing, camera: Camera, pose: Pose, pixels: Pixels, gate: float) -> NDArray[np.bool_]:
+def _seen_through(standing: ElevatedCells, camera: Camera, pose: Pose, pixels: Pixels, gate: float) -> BoolArray:
     at = camera.project(pose.to_optical(standing.point))
     with np.errstate(invalid="ignore"):
         inside = (
@@ -123,7 +119,7 @@ def _seen_through(standing: Standing, camera: Camera, pose: Pose, pixels: Pixels
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _passed(u: Indices, v: Indices, away: Floats, pixels: Pixels, gate: float) -> NDArray[np.bool_]:
+def _passed(u: Int32Array, v: Int32Array, away: Float64Array, pixels: Pixels, gate: float) -> BoolArray:
     """Whether all nine pixels about (u, v), (N,) each and none at the image's edge, surely see farther than `away`."""
     found = np.ones(len(u), np.bool_)
     step = pixels.step
@@ -146,14 +142,14 @@ def _passed(u: Indices, v: Indices, away: Floats, pixels: Pixels, gate: float) -
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _find(
-    cells: Cells,
-    places: Indices,
+    cells: TileCells,
+    places: Int32Array,
     begin: int,
-    surface: Image,
+    surface: Float32Array,
     corner: tuple[float, float, float],
     least: float,
-    place: Place,
-    found: Standing,
+    place: CameraBounds,
+    found: ElevatedCells,
 ) -> tuple[int, int]:
     """Fill `found` with what stands higher than `least` where the camera may see it, from the tile `begin` of
     `places` on: how many, and where to go on. A cell that has both is listed as both; what is no longer high is not
@@ -204,7 +200,7 @@ def _find(
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _apply(cells: Cells, standing: Standing, seconds: int, bit: int, rules: Rules) -> int:
+def _apply(cells: TileCells, standing: ElevatedCells, seconds: int, bit: int, rules: Rules) -> int:
     for i in range(len(standing.slot)):
         slot, k = standing.slot[i], standing.cell[i]
         e = cells.estimate[slot, k]
@@ -216,5 +212,7 @@ def _apply(cells: Cells, standing: Standing, seconds: int, bit: int, rules: Rule
             e.frames = 0
         else:
             limit, own = np.float32(standing.dz[i] * INSIDE), np.float32(rules.carve_variance)
-            take(cells, slot, k, limit, own, own, np.float32(0.0), True, seconds, bit, rules.independent_after, rules)
+            update_cell(
+                cells, slot, k, limit, own, own, np.float32(0.0), True, seconds, bit, rules.independent_after, rules
+            )
     return len(standing.slot)

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.grid import GridGeometry
 from ltm_core.terrain.change import ChangeKind
 from ltm_core.terrain.layers import SurfaceLayers
+from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import Label
 
 LEAST_SHARE = 0.25
@@ -99,7 +99,7 @@ def fuel_changes(layers: SurfaceLayers, fuel: GridGeometry) -> list[FuelCellChan
     return found
 
 
-def cover_after(kind: ChangeKind, shift: float, labels: NDArray[np.uint8]) -> int | None:
+def cover_after(kind: ChangeKind, shift: float, labels: UInt8Array) -> int | None:
     """What stands where a surface has moved by `shift` metres and cameras have labelled it so; None: not known.
 
     Ground that has moved is bare. What has grown is not bare, and not grass from 1 m on, whatever a label says; what

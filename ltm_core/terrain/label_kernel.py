@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from ltm_core.terrain.cell_layout import NO_LABEL, Records
+from ltm_core.terrain.cell_layout import NO_LABEL
 from ltm_core.terrain.frame_sums import FrameSums, sum_of
 from ltm_core.terrain.observation_kernel import Limits, Pixels
-from ltm_core.terrain.reference_kernels import Ground, Image, stood_at
+from ltm_core.terrain.reference_kernels import ReferenceGrid, stood_at
+from ltm_core.types import Float32Array, RecordArray, UInt8Array
 
 _EDGE = 0.5
 """Of the height of what stood, by which a pixel's neighbours may see it differently."""
@@ -21,11 +21,11 @@ _EDGE = 0.5
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def hear(
-    ground: Ground,
-    sights: Records,
-    ids: NDArray[np.uint8],
-    cosines: Image,
-    gone: Image,
+    ground: ReferenceGrid,
+    sights: RecordArray,
+    ids: UInt8Array,
+    cosines: Float32Array,
+    gone: Float32Array,
     depth: Pixels,
     limits: Limits,
     sums: FrameSums,

@@ -12,10 +12,11 @@ from ltm_core.terrain.cell_update import Rules
 from ltm_core.terrain.change import Window, estimate_variance, mosaic
 from ltm_core.terrain.reference_surface import Reference
 from ltm_core.terrain.tile_pool import TilePool
+from ltm_core.types import BoolArray, Float32Array, UInt8Array, UInt32Array
 
 _FIELDS = (
-    "dz", "looks", "weight", "sheet_variance", "pose_variance", "first", "last", "cameras", "frames", "label", "base",
-    "kind", "shift", "since", "by",
+    "dz", "looks", "weight", "relative_variance", "pose_variance", "first", "last", "cameras", "frames", "label",
+    "base", "kind", "shift", "since", "by",
 )  # fmt: skip
 _NO_LABEL = 255
 
@@ -33,19 +34,19 @@ class SurfaceLayers:
     """
 
     geometry: GridGeometry
-    bare: NDArray[np.float32]
-    reference: NDArray[np.float32]
-    height: NDArray[np.float32]
-    estimate: NDArray[np.float32]
-    sigma: NDArray[np.float32]
-    change: NDArray[np.uint8]
-    observed: NDArray[np.bool_]
+    bare: Float32Array
+    reference: Float32Array
+    height: Float32Array
+    estimate: Float32Array
+    sigma: Float32Array
+    change: UInt8Array
+    observed: BoolArray
     frames: NDArray[np.uint16]
-    cameras: NDArray[np.uint8]
-    last_seen: NDArray[np.uint32]
-    since: NDArray[np.uint32]
-    by: NDArray[np.uint32]
-    label: NDArray[np.uint8]
+    cameras: UInt8Array
+    last_seen: UInt32Array
+    since: UInt32Array
+    by: UInt32Array
+    label: UInt8Array
 
 
 def layers_of(pool: TilePool, reference: Reference, window: Window | None, rules: Rules) -> SurfaceLayers:
@@ -85,6 +86,6 @@ def layers_of(pool: TilePool, reference: Reference, window: Window | None, rules
     )
 
 
-def _bit_counts(masks: NDArray[np.uint32]) -> NDArray[np.uint8]:
+def _bit_counts(masks: UInt32Array) -> UInt8Array:
     bits = np.unpackbits(np.ascontiguousarray(masks).view(np.uint8).reshape(*masks.shape, 4), axis=-1)
     return np.asarray(bits.sum(axis=-1), np.uint8)

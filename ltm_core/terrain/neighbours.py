@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+
+from ltm_core.types import BoolArray, Float32Array
 
 SMOOTHING = 1.5
 """Metres: the deviation of the Gaussian over which neighbours speak for each other."""
@@ -26,22 +27,19 @@ _BRIDGED = 2
 _THROUGH = 8
 """Cells of a stand that nobody sees, through which its region goes on: of a wood, cameras see crowns."""
 
-Floats = NDArray[np.float32]
-Mask = NDArray[np.bool_]
-
 
 class Estimates(NamedTuple):
     """Of cells (H, W): shift from the reference in metres; weight, 1 / variance, as a height of that cell;
-    sheet_weight, as a shift of all that stands about it. All 0 where `usable` is False.
+    relative_weight, as a shift of all that stands about it. All 0 where `usable` is False.
     """
 
-    off: Floats
-    weight: Floats
-    sheet_weight: Floats
-    usable: Mask
+    off: Float32Array
+    weight: Float32Array
+    relative_weight: Float32Array
+    usable: BoolArray
 
 
-def mean_of_neighbours(cells: Estimates, standing: Mask, resolution: float) -> tuple[Floats, Floats]:
+def mean_of_neighbours(cells: Estimates, standing: BoolArray, resolution: float) -> tuple[Float32Array, Float32Array]:
     """What each cell's neighbours of its own kind, `standing` or not, say of its shift, and the deviation of that if
     nothing has changed; 0 and infinite where none is near.
     """
@@ -51,7 +49,7 @@ def mean_of_neighbours(cells: Estimates, standing: Mask, resolution: float) -> t
     return np.where(standing, upper[0], lower[0]), np.where(standing, upper[1], lower[1])
 
 
-def _mean(cells: Estimates, kind: Mask, resolution: float) -> tuple[Floats, Floats]:
+def _mean(cells: Estimates, kind: BoolArray, resolution: float) -> tuple[Float32Array, Float32Array]:
     """The nearer neighbours and the wider ones by what they know of the cell's height: where the near ones are unsure,
     as on the steep sides of crowns, the wide ones count the more.
     """
@@ -66,8 +64,8 @@ def _mean(cells: Estimates, kind: Mask, resolution: float) -> tuple[Floats, Floa
     return np.where(known, mean, 0).astype(np.float32), np.where(known, doubt, np.inf).astype(np.float32)
 
 
-def _smoothed(cells: Estimates, kind: Mask, sigma: float) -> tuple[Floats, Floats, Floats]:
-    """The weighted mean of each cell's neighbourhood, its variance, and its deviation as a sheet: both as if the
+def _smoothed(cells: Estimates, kind: BoolArray, sigma: float) -> tuple[Float32Array, Float32Array, Float32Array]:
+    """The weighted mean of each cell's neighbourhood, its variance, and its deviation as a whole: both as if the
     neighbours' errors were one.
     """
     part = kind.astype(np.float32)
@@ -77,11 +75,11 @@ def _smoothed(cells: Estimates, kind: Mask, sigma: float) -> tuple[Floats, Float
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = np.where(known, blurred(weight * cells.off, sigma) / total, np.float32(0))
         variance = np.where(known, count / total, np.float32(np.inf))
-        doubt = np.where(known, np.sqrt(count / blurred(cells.sheet_weight * part, sigma)), np.float32(np.inf))
+        doubt = np.where(known, np.sqrt(count / blurred(cells.relative_weight * part, sigma)), np.float32(np.inf))
     return mean, variance, doubt
 
 
-def own_shift(cells: Estimates, variance: Floats, mean: Floats, resolution: float) -> Floats:
+def own_shift(cells: Estimates, variance: Float32Array, mean: Float32Array, resolution: float) -> Float32Array:
     """Each cell's shift between its own estimate and its neighbours' mean: the more its own, the more neighbours differ
     among each other beyond their noise.
     """
@@ -97,7 +95,9 @@ def own_shift(cells: Estimates, variance: Floats, mean: Floats, resolution: floa
     return np.asarray(mean + gain * (bounded - mean), np.float32)
 
 
-def stand_rise(off: Floats, level: Floats, grown: Mask, shift: Floats, resolution: float) -> Floats:
+def stand_rise(
+    off: Float32Array, level: Float32Array, grown: BoolArray, shift: Float32Array, resolution: float
+) -> Float32Array:
     """By how much stands have grown: the mean of what their level cells show, over WIDE; `shift` where none is near.
 
     Where a crown grows, its face comes nearer by a fraction of that: such cells tell that it has grown and not by how
@@ -112,7 +112,7 @@ def stand_rise(off: Floats, level: Floats, grown: Mask, shift: Floats, resolutio
         return np.where(total > 1e-6, blurred(weight * off, sigma) / total, shift).astype(np.float32)
 
 
-def blurred(values: Floats, sigma: float) -> Floats:
+def blurred(values: Float32Array, sigma: float) -> Float32Array:
     """By a Gaussian of `sigma` cells; what is outside counts as 0."""
     if sigma < 0.3:
         return values
@@ -121,7 +121,7 @@ def blurred(values: Floats, sigma: float) -> Floats:
     return np.asarray(smooth, np.float32)
 
 
-def regions(strong: Mask, weak: Mask, unseen: Mask, least: float) -> Mask:
+def regions(strong: BoolArray, weak: BoolArray, unseen: BoolArray, least: float) -> BoolArray:
     """Cells of `weak` in regions that hold a strong cell and at least `least` cells. A region goes on across a few
     cells, and through those of a stand that nobody sees.
     """

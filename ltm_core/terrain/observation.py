@@ -7,22 +7,19 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.errors import ImageError, PoseError
 from ltm_core.pose import Pose
-from ltm_core.terrain.cell_layout import TILE, Records
-from ltm_core.terrain.expected_view import Extremes, Sights, View, foresee
+from ltm_core.terrain.cell_layout import TILE
+from ltm_core.terrain.expected_view import CameraView, ExpectedViews, Extremes, predict_view
 from ltm_core.terrain.frame_sums import FrameSums, clear
 from ltm_core.terrain.label_kernel import hear
 from ltm_core.terrain.observation_kernel import Limits, Pixels, observe
-from ltm_core.terrain.reference_kernels import Ground
+from ltm_core.terrain.reference_kernels import ReferenceGrid
 from ltm_core.terrain.reference_surface import BLOCK, Reference
 from ltm_core.tracing import TerrainTracer
-
-Image = NDArray[np.float32]
-Covariance = NDArray[np.float64]
+from ltm_core.types import BoolArray, Float32Array, Float64Array, RecordArray, UInt8Array
 
 _WIDEST_WINDOW = 24
 """Pixels: a pose so uncertain that a silhouette may lie farther off says nothing of silhouettes anyway."""
@@ -32,7 +29,7 @@ _WIDEST_WINDOW = 24
 class LabelImage:
     """`ids`: (H, W) uint8 class ids. `camera`: that of an image of their size."""
 
-    ids: NDArray[np.uint8]
+    ids: UInt8Array
     camera: Camera
 
     def __post_init__(self) -> None:
@@ -53,29 +50,29 @@ class DepthFrame:
     ImageError where shapes differ, PoseError for a covariance that is none.
     """
 
-    depth: Image
-    sigma: Image
-    measured: NDArray[np.bool_]
+    depth: Float32Array
+    sigma: Float32Array
+    measured: BoolArray
     camera: Camera
     pose: Pose
     stamp_ns: int
     source: str
-    covariance: Covariance | None = None
-    labels: NDArray[np.uint8] | None = None
-    stable: NDArray[np.bool_] | None = None
+    covariance: Float64Array | None = None
+    labels: UInt8Array | None = None
+    stable: BoolArray | None = None
     told: LabelImage | None = None
 
     @classmethod
     def of_photo(
         cls,
-        depth: Image,
-        sigma: Image,
+        depth: Float32Array,
+        sigma: Float32Array,
         camera: Camera,
         pose: Pose,
         stamp_ns: int,
         source: str,
-        covariance: Covariance | None = None,
-        labels: NDArray[np.uint8] | None = None,
+        covariance: Float64Array | None = None,
+        labels: UInt8Array | None = None,
     ) -> DepthFrame:
         """What was measured in a photo of `camera`, NaN where nothing was, and its labels: each of its own size, edge
         to edge over the photo. Where nothing at all was measured the pose may be suspected; labels are not asked then.
@@ -105,7 +102,7 @@ class DepthFrame:
                 )
 
 
-def assumed_covariance(angle_sigma_deg: float, position_sigma: float) -> Covariance:
+def assumed_covariance(angle_sigma_deg: float, position_sigma: float) -> Float64Array:
     """Of a pose that comes without one."""
     return np.diag([position_sigma**2] * 3 + [math.radians(angle_sigma_deg) ** 2] * 3)
 
@@ -125,11 +122,11 @@ class Observer:
         limits: Limits,
         columns: int,
         views_mb: float = 0.0,
-        gone: Image | None = None,
+        gone: Float32Array | None = None,
     ) -> None:
         geometry = reference.geometry
         tiles = [-(-n // TILE) for n in geometry.shape]
-        self._ground = Ground(
+        self._ground = ReferenceGrid(
             reference.surface,
             reference.bare,
             reference.slopes.east,
@@ -145,9 +142,9 @@ class Observer:
         self._gone = np.zeros(256, np.float32) if gone is None else gone
         self._tiles = tiles[0] * tiles[1]
         self._sums = FrameSums.empty(0, self._tiles)
-        self._views = Sights(int(views_mb * 2**20))
+        self._views = ExpectedViews(int(views_mb * 2**20))
 
-    def observe(self, frame: DepthFrame, covariance: Covariance) -> FrameSums:
+    def observe(self, frame: DepthFrame, covariance: Float64Array) -> FrameSums:
         """What a frame says of each cell, valid until the next call. Raises PoseError as the tracer does."""
         camera, told = self.sampled(frame), frame.told if self._gone.any() else None
         view = self._view(camera, frame, covariance)
@@ -166,8 +163,8 @@ class Observer:
             hear(self._ground, sights, ids, camera.cosines(), self._gone, pixels, self._limits, self._sums)
         return self._sums
 
-    def _view(self, camera: Camera, frame: DepthFrame, covariance: Covariance) -> View:
-        return View(
+    def _view(self, camera: Camera, frame: DepthFrame, covariance: Float64Array) -> CameraView:
+        return CameraView(
             camera.rays(),
             np.ascontiguousarray(frame.pose.rotation),
             np.ascontiguousarray(frame.pose.position),
@@ -194,7 +191,7 @@ class Observer:
             self.sampled(frame).cosines(),
         )
 
-    def _sights(self, camera: Camera, frame: DepthFrame, view: View) -> Records:
+    def _sights(self, camera: Camera, frame: DepthFrame, view: CameraView) -> RecordArray:
         """What the reference has for the pixels in use (H, W), which it need not be asked twice."""
         key = (camera, view.rotation.tobytes(), view.position.tobytes(), view.covariance.tobytes())
         sights = self._views.get(key)
@@ -206,11 +203,11 @@ class Observer:
             near, far = _extremes(known, 1)
             widest = (near, far) if window == 1 else _extremes(known, window)
             sights = self._views.put(key, expected.shape)
-            foresee(self._ground, view, expected, Extremes(*widest, near, far), sights)
+            predict_view(self._ground, view, expected, Extremes(*widest, near, far), sights)
         return sights
 
 
-def _block_maxima(surface: Image) -> Image:
+def _block_maxima(surface: Float32Array) -> Float32Array:
     """Of BLOCK x BLOCK cells and those around them; -inf where nothing is known."""
     height, width = surface.shape
     starts = np.arange(0, width, BLOCK)
@@ -224,13 +221,13 @@ def _block_maxima(surface: Image) -> Image:
     return np.where(np.isnan(found), np.float32(-np.inf), found)
 
 
-def _least_around(depth: Image) -> Image:
+def _least_around(depth: Float32Array) -> Float32Array:
     """Of each pixel and its eight neighbours, as far as they are known."""
     known = np.where(np.isnan(depth), np.float32(np.inf), depth)
     return np.asarray(cv2.erode(known, np.ones((3, 3), np.uint8)), np.float32)
 
 
-def _extremes(ranges: Image, radius: int) -> tuple[Image, Image]:
+def _extremes(ranges: Float32Array, radius: int) -> tuple[Float32Array, Float32Array]:
     """Least and greatest range within `radius` pixels."""
     kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
     return np.asarray(cv2.erode(ranges, kernel), np.float32), np.asarray(cv2.dilate(ranges, kernel), np.float32)

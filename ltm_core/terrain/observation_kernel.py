@@ -12,7 +12,7 @@ The incidence factor |n.d| / n_z (n: normal of the surface, d: the ray's directi
 metres of height; it is taken over blocks of cells, since a crown's own slopes say nothing of how the canopy is met.
 What it cannot tell, it does not claim to know: on the steep side of a crown a small error along the ray is a large one
 of height, so the variance takes the slope of the cell itself where that is the steeper one. Whether the stand is as it
-was, such a pixel tells far better than how high its cell is: its *sheet variance* is that of the slope of the block.
+was, such a pixel tells far better than how high its cell is: its *relative variance* is that of the slope of the block.
 """
 
 from __future__ import annotations
@@ -22,22 +22,19 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from ltm_core.terrain.cell_layout import NO_LABEL, Records, place_of
-from ltm_core.terrain.expected_view import View, direction
+from ltm_core.terrain.cell_layout import NO_LABEL, place_of
+from ltm_core.terrain.expected_view import CameraView, direction
 from ltm_core.terrain.frame_sums import FrameSums, sum_of
 from ltm_core.terrain.reference_kernels import (
     LEAST_INCIDENCE,
-    Ground,
-    Image,
+    ReferenceGrid,
     cell_at,
     height_at,
     pose_variance,
     slopes_at,
 )
-
-Kinds = NDArray[np.uint8]
+from ltm_core.types import Float32Array, RecordArray, UInt8Array
 
 SKY_SEEN_THROUGH = 40.0
 """Metres behind a vanished skyline that a ray into the sky has certainly passed."""
@@ -79,23 +76,23 @@ class Pixels(NamedTuple):
     depth / slant range.
     """
 
-    depth: Image
-    sigma: Image
-    informs: Kinds
-    labels: Kinds
+    depth: Float32Array
+    sigma: Float32Array
+    informs: UInt8Array
+    labels: UInt8Array
     step: int
-    cosines: Image
+    cosines: Float32Array
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
-def _above(ground: Ground, ray: Ray, t: float) -> float:
+def _above(ground: ReferenceGrid, ray: Ray, t: float) -> float:
     """Height of a ray over the reference surface after `t` metres."""
     z: float = ray.z + ray.dz * t + ray.bend * t * t - height_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)
     return z
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _likeliest(ground: Ground, ray: Ray, r: float, sigma: float, first: float, last: float) -> float:
+def _likeliest(ground: ReferenceGrid, ray: Ray, r: float, sigma: float, first: float, last: float) -> float:
     """Where along its ray, from `first` to `last`, a thing stands that is not where the reference has it: small changes
     are likelier than large ones, so that a crown has grown rather than the gap before it has filled to the crown's
     height, and what stood behind a felled stand is seen where it stands.
@@ -125,7 +122,7 @@ def _likeliest(ground: Ground, ray: Ray, r: float, sigma: float, first: float, l
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _leaves_known(ground: Ground, ray: Ray, begin: float, end: float) -> bool:
+def _leaves_known(ground: ReferenceGrid, ray: Ray, begin: float, end: float) -> bool:
     """Whether the terrain is not known all along under a ray between two ranges."""
     steps = max(int((end - begin) / (ground.block * ground.resolution)), 1)
     for i in range(steps + 1):
@@ -137,7 +134,7 @@ def _leaves_known(ground: Ground, ray: Ray, begin: float, end: float) -> bool:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _carve(
-    ground: Ground, ray: Ray, begin: float, end: float, below: float, r: float, sigma: float, sums: FrameSums
+    ground: ReferenceGrid, ray: Ray, begin: float, end: float, below: float, r: float, sigma: float, sums: FrameSums
 ) -> None:
     """Cap the cells over which a ray is `below` metres above the reference, or lower, from one range to another; cell
     by cell, but for blocks of cells that it passes above all of. `r`, `sigma`: what the ray has measured, so how surely
@@ -160,7 +157,7 @@ def _carve(
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
-def _steps_within(ground: Ground, ray: Ray, t: float, row: int, col: int, stride: float) -> int:
+def _steps_within(ground: ReferenceGrid, ray: Ray, t: float, row: int, col: int, stride: float) -> int:
     """Steps of a ray from range t, in a cell, until it leaves the cell's block; at least one."""
     side = ground.block * ground.resolution
     left = math.inf
@@ -180,7 +177,7 @@ def _lowest(ray: Ray, begin: float, end: float) -> float:
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
-def _cap(ground: Ground, ray: Ray, t: float, below: float, passed: float, sums: FrameSums) -> None:
+def _cap(ground: ReferenceGrid, ray: Ray, t: float, below: float, passed: float, sums: FrameSums) -> None:
     above = _above(ground, ray, t)
     if above < below:
         row, col = cell_at(ground, ray.x + ray.dx * t, ray.y + ray.dy * t)
@@ -192,7 +189,13 @@ def _cap(ground: Ground, ray: Ray, t: float, below: float, passed: float, sums: 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def observe(
-    ground: Ground, view: View, sights: Records, pixels: Pixels, beside: Image, limits: Limits, sums: FrameSums
+    ground: ReferenceGrid,
+    view: CameraView,
+    sights: RecordArray,
+    pixels: Pixels,
+    beside: Float32Array,
+    limits: Limits,
+    sums: FrameSums,
 ) -> None:
     """Add a frame's observations up by cell. What finds no room in `sums` is left out. `beside`: of the pixels in use
     (H, W), the least depth among each and those around it.
@@ -244,7 +247,7 @@ def observe(
                 one.number += 1.0
                 one.weight += w
                 one.moment += w * ((expected - r) * incidence)
-                one.sheet += (sigma * incidence) ** 2 + aside
+                one.relative_variance += (sigma * incidence) ** 2 + aside
                 one.pose += sight.pose_variance
                 if one.label == NO_LABEL:
                     one.label = label

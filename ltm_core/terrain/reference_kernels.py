@@ -7,28 +7,25 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from ltm_core.terrain.cell_layout import CELLS, PLACE_BITS, TILE, TILE_BITS
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.float32]
+from ltm_core.types import Float32Array, Float64Array
 
 LEAST_INCIDENCE = 0.1
 """Of the incidence factor: a grazing ray's height does not depend on its range, but it is not exact either."""
 
 
-class Ground(NamedTuple):
+class ReferenceGrid(NamedTuple):
     """`surface`, `bare`: (H, W) metres, with what stands on the ground and without; `east`, `north`: rise per metre of
     blocks of `block` cells a side, `highest`: of what is known of each and the cells around it, -inf where nothing is;
     `across`: tiles.
     """
 
-    surface: Image
-    bare: Image
-    east: Image
-    north: Image
-    highest: Image
+    surface: Float32Array
+    bare: Float32Array
+    east: Float32Array
+    north: Float32Array
+    highest: Float32Array
     block: int
     x_min: float
     y_max: float
@@ -37,7 +34,7 @@ class Ground(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
-def height_at(ground: Ground, x: float, y: float) -> float:
+def height_at(ground: ReferenceGrid, x: float, y: float) -> float:
     """Bilinear; NaN outside the outermost cell centres."""
     col = (x - ground.x_min) / ground.resolution - 0.5
     row = (ground.y_max - y) / ground.resolution - 0.5
@@ -55,7 +52,7 @@ def height_at(ground: Ground, x: float, y: float) -> float:
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
-def cell_at(ground: Ground, x: float, y: float) -> tuple[int, int]:
+def cell_at(ground: ReferenceGrid, x: float, y: float) -> tuple[int, int]:
     """Row and column; -1, -1 outside."""
     col = math.floor((x - ground.x_min) / ground.resolution)
     row = math.floor((ground.y_max - y) / ground.resolution)
@@ -66,7 +63,7 @@ def cell_at(ground: Ground, x: float, y: float) -> tuple[int, int]:
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
-def stood_at(ground: Ground, place: int) -> float:
+def stood_at(ground: ReferenceGrid, place: int) -> float:
     """Metres of what stands in a cell."""
     tile, k = place >> PLACE_BITS, place & (CELLS - 1)
     row = ((tile // ground.across) << TILE_BITS) + (k >> TILE_BITS)
@@ -76,13 +73,13 @@ def stood_at(ground: Ground, place: int) -> float:
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def slopes_at(ground: Ground, row: int, col: int) -> tuple[float, float]:
+def slopes_at(ground: ReferenceGrid, row: int, col: int) -> tuple[float, float]:
     r, c = row // ground.block, col // ground.block
     return np.float64(ground.east[r, c]), np.float64(ground.north[r, c])
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def steepness(ground: Ground, r: int, c: int, dx: float, dy: float, dz: float) -> float:
+def steepness(ground: ReferenceGrid, r: int, c: int, dx: float, dy: float, dz: float) -> float:
     """The incidence factor on the cell's own slope; 0 where that is not known."""
     height, width = ground.surface.shape
     z, step = ground.surface, 2 * ground.resolution
@@ -93,7 +90,7 @@ def steepness(ground: Ground, r: int, c: int, dx: float, dy: float, dz: float) -
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def pose_variance(covariance: Floats, east: float, north: float, px: float, py: float, pz: float) -> float:
+def pose_variance(covariance: Float64Array, east: float, north: float, px: float, py: float, pz: float) -> float:
     """Variance of the height of a surface with these slopes, seen at (px, py, pz) from the camera: the row of the
     camera's shift o and turn w in n.(o + w x p) / n_z is [n, p x n] / n_z, with n / n_z = (-east, -north, 1).
     """

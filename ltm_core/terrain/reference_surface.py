@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError
 from ltm_core.grid import GridGeometry
-
-Heights = NDArray[np.float32]
+from ltm_core.types import Float32Array, Float64Array
 
 BLOCK = 8
 """Cells a side over which the slope of the surface is taken: crowns and boulders have slopes, but no incidence."""
@@ -27,14 +26,14 @@ class Elevations(Protocol):
     @property
     def geometry(self) -> GridGeometry: ...
 
-    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]: ...
+    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Float64Array: ...
 
 
 class Slopes(NamedTuple):
     """Rise per metre to the east and to the north of blocks of BLOCK x BLOCK cells, (h, w) each; 0 where unknown."""
 
-    east: Heights
-    north: Heights
+    east: Float32Array
+    north: Float32Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +45,8 @@ class Reference:
     canopy, and only what contradicts those, or lies below bare earth, is change.
     """
 
-    bare: Heights
-    surface: Heights
+    bare: Float32Array
+    surface: Float32Array
     geometry: GridGeometry
     slopes: Slopes
 
@@ -89,7 +88,7 @@ class Reference:
         return cls(ground, top, geometry, _slopes(top, cell))
 
 
-def _sampled(source: Elevations, geometry: GridGeometry) -> Heights:
+def _sampled(source: Elevations, geometry: GridGeometry) -> Float32Array:
     elevation = getattr(source, "elevation", None)
     if isinstance(elevation, np.ndarray) and source.geometry == geometry:
         return np.asarray(elevation, np.float32)
@@ -108,7 +107,7 @@ def _sampled(source: Elevations, geometry: GridGeometry) -> Heights:
     return heights
 
 
-def _slopes(surface: Heights, resolution: float) -> Slopes:
+def _slopes(surface: Float32Array, resolution: float) -> Slopes:
     """Differences between the means of neighbouring blocks."""
     height, width = (max(1, -(-n // BLOCK)) for n in surface.shape)
     means = np.full((height, width), np.nan, np.float32)

@@ -13,7 +13,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ltm_core.errors import PoseError
@@ -23,8 +22,7 @@ from ltm_core.terrain.observation_kernel import Limits
 from ltm_core.terrain.reference_kernels import LEAST_INCIDENCE
 from ltm_core.terrain.reference_surface import BLOCK, Reference
 from ltm_core.tracing import TerrainTracer
-
-Floats = NDArray[np.float64]
+from ltm_core.types import BoolArray, Float32Array, Float64Array
 
 OPEN_BELOW = 0.5
 """Metres of canopy on what counts as open ground."""
@@ -46,7 +44,7 @@ class Registration:
 
     turned_deg: float
     pose: Pose
-    covariance: Floats
+    covariance: Float64Array
     samples: int
     residual: tuple[float, float]
 
@@ -56,7 +54,7 @@ class Registration:
 
 
 def register(
-    frame: DepthFrame, covariance: Floats, reference: Reference, tracer: TerrainTracer, limits: Limits
+    frame: DepthFrame, covariance: Float64Array, reference: Reference, tracer: TerrainTracer, limits: Limits
 ) -> Registration | None:
     """Turn a frame; None where the pose is too certain to matter, where too little open ground is in view, or where no
     turn helps. Open ground: where the known canopy is low, or where the frame says so. Raises PoseError as the tracer
@@ -108,15 +106,15 @@ def register(
 
 
 def _residuals(
-    expected: NDArray[np.float32],
-    ranges: NDArray[np.float32],
-    sigmas: NDArray[np.float32],
-    measured: NDArray[np.bool_],
-    rays: Floats,
+    expected: Float32Array,
+    ranges: Float32Array,
+    sigmas: Float32Array,
+    measured: BoolArray,
+    rays: Float64Array,
     pose: Pose,
     reference: Reference,
     limits: Limits,
-) -> tuple[Floats, Floats, Floats]:
+) -> tuple[Float64Array, Float64Array, Float64Array]:
     """Heights by which open ground is off (N,), their sigmas (N,), and what a turn does to them (N, 3)."""
     with np.errstate(invalid="ignore"):
         used = measured & np.isfinite(expected) & (expected < limits.max_range) & (ranges > limits.min_range)

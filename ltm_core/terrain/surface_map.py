@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError
 from ltm_core.pose import Pose
@@ -23,6 +22,7 @@ from ltm_core.terrain.reference_surface import Reference
 from ltm_core.terrain.registration import Registration, register
 from ltm_core.terrain.tile_pool import TilePool, schema_of
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import Float32Array, Float64Array, Int32Array
 
 CAMERAS = 32
 """A site's cameras at most: a bit each in every cell."""
@@ -51,7 +51,7 @@ class _Turn:
     """How the frame of a camera of `stamp_ns` with this pose was turned; None: it was not."""
 
     pose: Pose
-    covariance: NDArray[np.float64]
+    covariance: Float64Array
     stamp_ns: int
     turn: Registration | None
 
@@ -79,7 +79,7 @@ class SurfaceMap:
         store: TileStore | None = None,
         curvature: bool = True,
         refraction: float = 0.13,
-        gone: NDArray[np.float32] | None = None,
+        gone: Float32Array | None = None,
     ) -> None:
         if len(cameras) > CAMERAS:
             raise ConfigError(f"a terrain tells {CAMERAS} cameras apart, this site has {len(cameras)}; split the site")
@@ -105,7 +105,7 @@ class SurfaceMap:
             config.threshold,
             _CARVE_SIGMA**2,
             config.threshold / INSIDE,
-            config.repeats,
+            config.repeated_error_share,
         )
         self._pool = TilePool(
             store if store is not None else TileStore.in_memory(schema_of(reference.geometry)),
@@ -189,7 +189,7 @@ class SurfaceMap:
         bottom, right = (max(k[0] for k in keys) + 1) * TILE, (max(k[1] for k in keys) + 1) * TILE
         return row, col, min(bottom, height) - row, min(right, width) - col
 
-    def heights_at(self, changed: Changed) -> NDArray[np.float32]:
+    def heights_at(self, changed: Changed) -> Float32Array:
         """The updated surface at changed cells, (N,) metres."""
         surface = self.reference.surface[changed.rows, changed.cols]
         if self.reference.canopy_known:
@@ -218,7 +218,7 @@ class SurfaceMap:
             (self.config.min_range, self.config.max_range),
         )
 
-    def _registered(self, frame: DepthFrame, covariance: NDArray[np.float64]) -> Registration | None:
+    def _registered(self, frame: DepthFrame, covariance: Float64Array) -> Registration | None:
         """A camera that has not moved keeps its turn for a time: one image more would add little, and its reference is
         traced already.
         """
@@ -235,7 +235,7 @@ class SurfaceMap:
         self._turns[frame.source] = _Turn(frame.pose, covariance, frame.stamp_ns, turn)
         return turn
 
-    def _nearest(self, tiles: NDArray[np.int32], frame: DepthFrame) -> tuple[list[Key], int]:
+    def _nearest(self, tiles: Int32Array, frame: DepthFrame) -> tuple[list[Key], int]:
         """These tiles, the nearest of them where there are more than fit into memory."""
         rows, cols = np.divmod(tiles, self._pool.slots.shape[1])
         most = self._pool.capacity

@@ -6,11 +6,11 @@ from collections import OrderedDict
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import CellChanges, FrameRecord, Key, StoreSchema, Tile, TileStore
-from ltm_core.terrain.cell_layout import CELL_BYTES, FIELDS, NO_LABEL, TILE, Cells
+from ltm_core.terrain.cell_layout import CELL_BYTES, FIELDS, NO_LABEL, TILE, TileCells
+from ltm_core.types import Int32Array
 
 KIND, VERSION = "terrain", 4
 
@@ -31,7 +31,7 @@ class TilePool:
         self.capacity = capacity
         rows, cols = store.schema.tiles
         self.slots = np.full((rows, cols), -1, np.int32)
-        self.cells = Cells.empty(capacity)
+        self.cells = TileCells.empty(capacity)
         self._fresh_base = np.float32(0.0 if canopy_known else np.nan)
         self._used: OrderedDict[Key, int] = OrderedDict()
         self._free = list(range(capacity - 1, -1, -1))
@@ -54,7 +54,7 @@ class TilePool:
     def in_memory(self) -> int:
         return len(self._used)
 
-    def places(self) -> NDArray[np.int32]:
+    def places(self) -> Int32Array:
         """Slot, tile row and tile column of the tiles in memory, (N, 3) by slot."""
         found = sorted((slot, *key) for key, slot in self._used.items())
         return np.array(found, np.int32).reshape(-1, 3)
@@ -63,7 +63,7 @@ class TilePool:
     def uncommitted(self) -> int:
         return len(self._frames)
 
-    def require(self, keys: Sequence[Key]) -> NDArray[np.int32]:
+    def require(self, keys: Sequence[Key]) -> Int32Array:
         """Slots of tiles, which are brought into memory; no more than `capacity` at a time. Raises StoreError."""
         wanted = set(keys)
         for key in keys:

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+
+from ltm_core.types import Float64Array
 
 COLUMNS = 64
 PER_MAJOR, T, SLOPE, FACE, WEDGE, HINT, NEAR = range(0, 7 * COLUMNS, COLUMNS)
@@ -18,6 +19,6 @@ MEETS_NOTHING, BY_PYRAMID, ANSWERED = -1.0, -2.0, -3.0
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def new_block() -> NDArray[np.float64]:
+def new_block() -> Float64Array:
     """A block before its first row."""
     return np.zeros(7 * COLUMNS)

@@ -16,7 +16,6 @@ import math
 
 import numpy as np
 from numba import njit, prange
-from numpy.typing import NDArray
 
 from ltm_core.tracing.cell_intersection import FASTMATH, clearance, first_root, meets, ray_height, surface
 from ltm_core.tracing.column_block import (
@@ -42,9 +41,8 @@ from ltm_core.tracing.pyramid_traversal import (
     PLUMB_SINE,
     START_LEVEL,
     WHOLE,
-    Floats,
-    Ground,
-    Stage,
+    RasterStage,
+    TerrainRaster,
     finished,
     height_at,
     hit_between,
@@ -52,6 +50,7 @@ from ltm_core.tracing.pyramid_traversal import (
     stretch,
 )
 from ltm_core.tracing.sweep_lanes import first_cells, more_cells, no_rays, turn_lanes
+from ltm_core.types import Float32Array, Float64Array, Int32Array, Int64Array
 
 _MANY_WAIT, _FEW_WAIT = 64, 16
 _MOST_CELLS = 48
@@ -63,12 +62,12 @@ HIT, LEFT, OPEN = 0, 1, 2
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH, parallel=True, nogil=True)  # type: ignore[untyped-decorator]
 def sweep_image(
-    ground: Ground,
-    stage: Stage,
+    ground: TerrainRaster,
+    stage: RasterStage,
     wedges: Wedges,
-    rotation: Floats,
-    rays: Floats,
-    out: NDArray[np.float32],
+    rotation: Float64Array,
+    rays: Float64Array,
+    out: Float32Array,
     by_lanes: bool,
 ) -> None:
     """Take an image of rays through one stage.
@@ -93,12 +92,12 @@ def sweep_image(
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def _sweep_tile(
-    ground: Ground,
-    stage: Stage,
+    ground: TerrainRaster,
+    stage: RasterStage,
     wedges: Wedges,
-    rotation: Floats,
-    rays: Floats,
-    out: NDArray[np.float32],
+    rotation: Float64Array,
+    rays: Float64Array,
+    out: Float32Array,
     width: int,
     height: int,
     first: int,
@@ -128,7 +127,9 @@ def _sweep_tile(
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
-def turn(rays: Floats, at: int, begin: int, end: int, rotation: Floats, resolution: float, block: Floats) -> None:
+def turn(
+    rays: Float64Array, at: int, begin: int, end: int, rotation: Float64Array, resolution: float, block: Float64Array
+) -> None:
     """Turn rays `begin` to `end` of a block into the grid; they lie flat in `rays`, that of column 0 at index `at`."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = -rotation[1, 0], -rotation[1, 1], -rotation[1, 2]
@@ -156,15 +157,15 @@ def turn(rays: Floats, at: int, begin: int, end: int, rotation: Floats, resoluti
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def enter(
-    highest: NDArray[np.float32],
-    entries: NDArray[np.int32],
-    starts: NDArray[np.int64],
-    tangents: NDArray[np.float32],
-    strips: NDArray[np.int32],
-    outer: NDArray[np.float32],
+    highest: Float32Array,
+    entries: Int32Array,
+    starts: Int64Array,
+    tangents: Float32Array,
+    strips: Int32Array,
+    outer: Float32Array,
     last: bool,
     count: int,
-    block: Floats,
+    block: Float64Array,
 ) -> None:
     """Find the entries of a block's rays, in the fields of `Wedges`; `last`: no stage comes after this one."""
     for i in range(count):
@@ -181,7 +182,7 @@ def enter(
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def prefetch_starts(nodes: NDArray[np.float32], width: int, stage: Stage, count: int, block: Floats) -> None:
+def prefetch_starts(nodes: Float32Array, width: int, stage: RasterStage, count: int, block: Float64Array) -> None:
     """Fetch the first cells of a block's rays."""
     for i in range(count):
         node, t = int(block[NEAR + i]), block[T + i]
@@ -200,16 +201,16 @@ def prefetch_starts(nodes: NDArray[np.float32], width: int, stage: Stage, count:
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def one_by_one(
-    ground: Ground,
-    nodes: NDArray[np.float32],
+    ground: TerrainRaster,
+    nodes: Float32Array,
     width: int,
     height: int,
-    stage: Stage,
-    outer: NDArray[np.float32],
+    stage: RasterStage,
+    outer: Float32Array,
     count: int,
-    block: Floats,
+    block: Float64Array,
     at: int,
-    out: NDArray[np.float32],
+    out: Float32Array,
 ) -> None:
     """Answer those of a block's rays that are not yet answered; `at`: flat index of the first pixel."""
     columns, rows = width - 1, height - 1
@@ -267,7 +268,7 @@ def one_by_one(
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
-def straight(ground: Ground, stage: Stage, slope: float) -> float:
+def straight(ground: TerrainRaster, stage: RasterStage, slope: float) -> float:
     """Range of a plumb ray, by the sign of its slope; NaN of one that is none."""
     if slope > 0.0:
         return np.inf
@@ -275,7 +276,7 @@ def straight(ground: Ground, stage: Stage, slope: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def first_reaching(tangents: NDArray[np.float32], start: int, count: int, hint: int, slope: float) -> int:
+def first_reaching(tangents: Float32Array, start: int, count: int, hint: int, slope: float) -> int:
     """Place of the first of `count` increasing tangents (from `start`) that is at least `slope`; `count` where none is.
 
     The search widens from `hint` by doubling steps.
@@ -310,7 +311,7 @@ def first_reaching(tangents: NDArray[np.float32], start: int, count: int, hint: 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def cell_hit(
-    nodes: NDArray[np.float32],
+    nodes: Float32Array,
     o_major: float,
     o_minor: float,
     oz: float,

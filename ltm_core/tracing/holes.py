@@ -20,24 +20,22 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Heights = NDArray[np.float32]
-Ints = NDArray[np.int64]
+from ltm_core.types import Float32Array, Float64Array, Int64Array
 
 
 class Holes(NamedTuple):
     """Runs of NaN nodes of enclosed holes, in the order of their flat indices."""
 
-    hole_first: Ints
+    hole_first: Int64Array
     """Flat index (row * width + column) of a run's first node."""
-    hole_end: Ints
+    hole_end: Int64Array
     """One past its last."""
-    hole_ceiling: Heights
+    hole_ceiling: Float32Array
     """Of the hole that the run belongs to."""
 
 
-def find_holes(elevation: Heights) -> Holes:
+def find_holes(elevation: Float32Array) -> Holes:
     """The enclosed holes of (H, W) float32 elevations, NaN where nodata."""
     row, first, end = _runs(elevation, _count_runs(elevation))
     hole = _joined(row, first, end)
@@ -50,7 +48,7 @@ def find_holes(elevation: Heights) -> Holes:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def filled_at(nodes: Heights, holes: Holes, at: int) -> float:
+def filled_at(nodes: Float32Array, holes: Holes, at: int) -> float:
     """Height of the node with flat index `at`; of one in an enclosed hole, the hole's ceiling; NaN in an outer hole.
 
     `holes`: anything with the fields of `Holes`.
@@ -71,7 +69,7 @@ def filled_at(nodes: Heights, holes: Holes, at: int) -> float:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _count_runs(elevation: Heights) -> int:
+def _count_runs(elevation: Float32Array) -> int:
     count = 0
     for i in range(elevation.shape[0]):
         before = False
@@ -83,7 +81,7 @@ def _count_runs(elevation: Heights) -> int:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _runs(elevation: Heights, count: int) -> tuple[Ints, Ints, Ints]:
+def _runs(elevation: Float32Array, count: int) -> tuple[Int64Array, Int64Array, Int64Array]:
     """Row, first column and one past the last column of each run of NaN, row after row."""
     row, first, end = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
     k = 0
@@ -104,7 +102,7 @@ def _runs(elevation: Heights, count: int) -> tuple[Ints, Ints, Ints]:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _joined(row: Ints, first: Ints, end: Ints) -> Ints:
+def _joined(row: Int64Array, first: Int64Array, end: Int64Array) -> Int64Array:
     """For each run the index of one run that stands for all of its hole: runs that touch, at corners too, are one."""
     hole = np.arange(row.size)
     above = 0
@@ -122,7 +120,7 @@ def _joined(row: Ints, first: Ints, end: Ints) -> Ints:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _root(hole: Ints, k: int) -> int:
+def _root(hole: Int64Array, k: int) -> int:
     while hole[k] != k:
         hole[k] = hole[hole[k]]
         k = hole[k]
@@ -130,7 +128,9 @@ def _root(hole: Ints, k: int) -> int:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _ceilings(elevation: Heights, row: Ints, first: Ints, end: Ints, hole: Ints) -> NDArray[np.float64]:
+def _ceilings(
+    elevation: Float32Array, row: Int64Array, first: Int64Array, end: Int64Array, hole: Int64Array
+) -> Float64Array:
     """By the index of `hole`: its highest known neighbour, +inf of one that reaches the raster's edge."""
     height, width = elevation.shape
     ceiling = np.full(row.size, -np.inf)

@@ -19,11 +19,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
-from numpy.typing import NDArray
 
 from ltm_core.tracing.holes import filled_at
 from ltm_core.tracing.pyramid import LEAF
-from ltm_core.tracing.pyramid_traversal import AFTER, Floats, Ground, Stage
+from ltm_core.tracing.pyramid_traversal import AFTER, RasterStage, TerrainRaster
+from ltm_core.types import BoolArray, Float32Array, Float64Array, Int32Array, Int64Array
 
 WEDGES_A_FACE = 3072
 SECTOR = 64
@@ -40,17 +40,17 @@ _FINE_CELLS = 700.0
 class Wedges(NamedTuple):
     """Profiles of the wedges built so far; index: face * WEDGES_A_FACE + wedge."""
 
-    start: NDArray[np.int64]
+    start: Int64Array
     """Where a wedge's entries begin."""
-    entries: NDArray[np.int32]
+    entries: Int32Array
     """How many it has; -1 where it is not built."""
-    outer: NDArray[np.float32]
+    outer: Float32Array
     """Distance at which the wedge first touches an outer hole; +inf where it does not."""
-    highest: NDArray[np.float32]
+    highest: Float32Array
     """The last of a wedge's tangents; +inf where it is not built."""
-    tangent: NDArray[np.float32]
+    tangent: Float32Array
     """Entries: the highest tangent up to the end of a strip, increasing within a wedge."""
-    node: NDArray[np.int32]
+    node: Int32Array
     """Entries: node line at which that strip begins."""
 
 
@@ -67,7 +67,7 @@ def no_wedges() -> Wedges:
     )
 
 
-def extended(wedges: Wedges, wanted: NDArray[np.int64], ground: Ground, stage: Stage) -> Wedges:
+def extended(wedges: Wedges, wanted: Int64Array, ground: TerrainRaster, stage: RasterStage) -> Wedges:
     """`wedges` with those of the `wanted` indices built that were not, over the stage's part of the raster."""
     missing = wanted[wedges.entries[wanted] < 0]
     if missing.size == 0:
@@ -93,11 +93,11 @@ def extended(wedges: Wedges, wanted: NDArray[np.int64], ground: Ground, stage: S
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _compact(
-    tangent: NDArray[np.float32],
-    node: NDArray[np.int32],
-    begin: NDArray[np.int64],
-    tangents: NDArray[np.float32],
-    nodes: NDArray[np.int32],
+    tangent: Float32Array,
+    node: Int32Array,
+    begin: Int64Array,
+    tangents: Float32Array,
+    nodes: Int32Array,
 ) -> None:
     for k in range(tangent.shape[0]):
         n = begin[k + 1] - begin[k]
@@ -107,13 +107,13 @@ def _compact(
 
 @njit(cache=True, error_model="numpy", parallel=True, nogil=True)  # type: ignore[untyped-decorator]
 def _walk_wedges(
-    ground: Ground,
-    stage: Stage,
-    wanted: NDArray[np.int64],
-    tangent: NDArray[np.float32],
-    node: NDArray[np.int32],
-    count: NDArray[np.int32],
-    outer: NDArray[np.float32],
+    ground: TerrainRaster,
+    stage: RasterStage,
+    wanted: Int64Array,
+    tangent: Float32Array,
+    node: Int32Array,
+    count: Int32Array,
+    outer: Float32Array,
 ) -> None:
     tasks = (wanted.size + 15) // 16
     for task in prange(tasks):
@@ -123,7 +123,7 @@ def _walk_wedges(
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _walk_wedge(
-    ground: Ground, stage: Stage, index: int, tangent: NDArray[np.float32], node: NDArray[np.int32]
+    ground: TerrainRaster, stage: RasterStage, index: int, tangent: Float32Array, node: Int32Array
 ) -> tuple[int, float]:
     """Fill the entries of one wedge; returns their number and the distance of the first outer hole."""
     oz, bend = stage.oz, stage.bend
@@ -188,7 +188,7 @@ def _walk_wedge(
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _least_exit(stage: Stage, along_x: bool, forward: bool, t0: float, t1: float) -> float:
+def _least_exit(stage: RasterStage, along_x: bool, forward: bool, t0: float, t1: float) -> float:
     """The least major distance at which a ray of the wedge t0 to t1 leaves the next finer raster."""
     if along_x:
         major, low, high = (stage.finer_east if forward else -stage.finer_west), stage.finer_north, stage.finer_south
@@ -204,7 +204,7 @@ def _least_exit(stage: Stage, along_x: bool, forward: bool, t0: float, t1: float
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _highest(ground: Ground, along_x: bool, level: int, major: int, j0: int, j1: int) -> tuple[float, bool]:
+def _highest(ground: TerrainRaster, along_x: bool, level: int, major: int, j0: int, j1: int) -> tuple[float, bool]:
     """Bound on the ground in a strip at cell `major`, minor cells j0 to j1; -inf where all of it is an outer hole.
 
     Also whether an outer hole is among it.
@@ -256,7 +256,7 @@ def wedge_of(along_x: bool, forward: bool, t: float) -> int:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
-def mark_sectors(rays: Floats, rotation: Floats, every: int, marked: NDArray[np.bool_]) -> None:
+def mark_sectors(rays: Float64Array, rotation: Float64Array, every: int, marked: BoolArray) -> None:
     """Mark the sectors that an image (H, W, 3) of rays looks into, from each `every`-th pixel and some margin.
 
     It may miss one: a ray in a wedge that is not built is traced without it.

@@ -15,11 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from ltm_core.tracing.holes import Holes, filled_at
-
-Heights = NDArray[np.float32]
+from ltm_core.types import Float32Array, Int64Array
 
 LEAF = 2
 """The lowest level stored: level 1 alone would cost a quarter of the elevations' memory, and saves little time."""
@@ -32,9 +30,9 @@ class MaximumPyramid(NamedTuple):
     of both are unused.
     """
 
-    bounds: Heights
-    offsets: NDArray[np.int64]
-    widths: NDArray[np.int64]
+    bounds: Float32Array
+    offsets: Int64Array
+    widths: Int64Array
 
     @property
     def top_level(self) -> int:
@@ -42,7 +40,7 @@ class MaximumPyramid(NamedTuple):
         return len(self.offsets) - 1
 
 
-def build_pyramid(nodes: Heights, holes: Holes) -> MaximumPyramid:
+def build_pyramid(nodes: Float32Array, holes: Holes) -> MaximumPyramid:
     """Pyramid over the cells between (H, W) nodes, NaN in holes (see `holes.find_holes`); H and W at least 2."""
     heights, widths, offsets = [nodes.shape[0] - 1], [nodes.shape[1] - 1], [0]
     total = 0
@@ -62,7 +60,7 @@ def build_pyramid(nodes: Heights, holes: Holes) -> MaximumPyramid:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _bounds_from_nodes(nodes: Heights, holes: Holes, bounds: Heights) -> None:
+def _bounds_from_nodes(nodes: Float32Array, holes: Holes, bounds: Float32Array) -> None:
     """Level LEAF: the bound of a block of cells from its nodes."""
     n_rows, n_cols = nodes.shape
     flat = nodes.ravel()
@@ -89,7 +87,7 @@ def _bounds_from_nodes(nodes: Heights, holes: Holes, bounds: Heights) -> None:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _all_cells_outer(nodes: Heights, holes: Holes, row0: int, row_end: int, col0: int, col_end: int) -> bool:
+def _all_cells_outer(nodes: Float32Array, holes: Holes, row0: int, row_end: int, col0: int, col_end: int) -> bool:
     width, flat = nodes.shape[1], nodes.ravel()
     for row in range(row0, row_end):
         for col in range(col0, col_end):
@@ -102,7 +100,7 @@ def _all_cells_outer(nodes: Heights, holes: Holes, row0: int, row_end: int, col0
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _bounds_from_bounds(below: Heights, bounds: Heights) -> None:
+def _bounds_from_bounds(below: Float32Array, bounds: Float32Array) -> None:
     """A level from the one below: the maximum of up to 2 x 2 blocks."""
     for i in range(bounds.shape[0]):
         row_end = min(2 * i + 2, below.shape[0])

@@ -17,13 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
-from numpy.typing import NDArray
 
 from ltm_core.tracing.cell_intersection import FASTMATH, clearance, first_root, meets, ray_height, surface
 from ltm_core.tracing.holes import filled_at
 from ltm_core.tracing.pyramid import LEAF
-
-Floats = NDArray[np.float64]
+from ltm_core.types import Float32Array, Float64Array, Int64Array
 
 # Below this a ray is taken to be plumb: 10 km down it is then off by 10 micrometres.
 PLUMB_SINE = 1e-9
@@ -34,21 +32,21 @@ _CHUNK = 2048
 _TASKS = 128
 
 
-class Ground(NamedTuple):
+class TerrainRaster(NamedTuple):
     """What the kernels know of one raster."""
 
-    nodes: NDArray[np.float32]
+    nodes: Float32Array
     """(height * width) elevations, row-major, NaN in holes."""
-    hole_first: NDArray[np.int64]
+    hole_first: Int64Array
     """The enclosed `Holes` among them, as are the next two."""
-    hole_end: NDArray[np.int64]
-    hole_ceiling: NDArray[np.float32]
+    hole_end: Int64Array
+    hole_ceiling: Float32Array
     width: int
     height: int
-    bounds: NDArray[np.float32]
+    bounds: Float32Array
     """The `MaximumPyramid` of the nodes, as are the next two."""
-    offsets: NDArray[np.int64]
-    widths: NDArray[np.int64]
+    offsets: Int64Array
+    widths: Int64Array
     top: float
     """The highest elevation of this raster and the coarser ones around it."""
 
@@ -57,7 +55,7 @@ WHOLE, BEFORE, AFTER = 0, 1, 2
 """Which part of a ray's way over a raster counts: all of it, or what lies before or after the next finer raster."""
 
 
-class Stage(NamedTuple):
+class RasterStage(NamedTuple):
     """One raster's part in the ways of all rays from one position."""
 
     ox: float
@@ -118,13 +116,13 @@ def _crossing(west: float, north: float, east: float, south: float, cx: float, c
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
-def over_raster(stage: Stage, cx: float, cy: float) -> tuple[float, float]:
+def over_raster(stage: RasterStage, cx: float, cy: float) -> tuple[float, float]:
     """Ranges (q_in, q_out) between which a ray is over a stage's raster; q_in > q_out where it never is."""
     return _crossing(stage.west, stage.north, stage.east, stage.south, cx, cy)
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
-def stretch(stage: Stage, cx: float, cy: float) -> tuple[float, float]:
+def stretch(stage: RasterStage, cx: float, cy: float) -> tuple[float, float]:
     """Ranges between which a ray's way belongs to a stage; start > end where none of it does."""
     start, end = over_raster(stage, cx, cy)
     if stage.part == WHOLE:
@@ -138,7 +136,7 @@ def stretch(stage: Stage, cx: float, cy: float) -> tuple[float, float]:
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
-def finished(stage: Stage, cx: float, cy: float, s: float, bend: float, q: float) -> float:
+def finished(stage: RasterStage, cx: float, cy: float, s: float, bend: float, q: float) -> float:
     """The answer of the last stage: what a ray that has met nothing gives, +inf where it leaves climbing, else NaN."""
     if not (stage.last and q < 0.0):
         return q
@@ -156,8 +154,8 @@ def finished(stage: Stage, cx: float, cy: float, s: float, bend: float, q: float
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def hit_between(
-    ground: Ground,
-    stage: Stage,
+    ground: TerrainRaster,
+    stage: RasterStage,
     cx: float,
     cy: float,
     s: float,
@@ -271,7 +269,7 @@ def hit_between(
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def cell_ceiling(ground: Ground, at: int) -> float:
+def cell_ceiling(ground: TerrainRaster, at: int) -> float:
     """Ceiling of the cell whose north-west node is `at`; NaN where it belongs to an outer hole."""
     highest = -np.inf
     for node in (at, at + 1, at + ground.width, at + ground.width + 1):
@@ -292,7 +290,7 @@ def lowest(oz: float, s: float, bend: float, q0: float, q1: float) -> float:
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
-def height_at(ground: Ground, x: float, y: float) -> float:
+def height_at(ground: TerrainRaster, x: float, y: float) -> float:
     """Bilinear height at grid position (x, y); NaN outside the nodes and in holes."""
     nodes, width, height = ground.nodes, ground.width, ground.height
     if not (0.0 <= x <= width - 1 and 0.0 <= y <= height - 1):
@@ -312,7 +310,12 @@ def height_at(ground: Ground, x: float, y: float) -> float:
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH, parallel=True, nogil=True)  # type: ignore[untyped-decorator]
 def trace_directions(
-    ground: Ground, stage: Stage, rotation: Floats, rays: Floats, first: bool, out: NDArray[np.float32]
+    ground: TerrainRaster,
+    stage: RasterStage,
+    rotation: Float64Array,
+    rays: Float64Array,
+    first: bool,
+    out: Float32Array,
 ) -> None:
     """Take rays from one origin through one stage.
 

@@ -11,15 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
 from ltm_core.errors import RasterError
 from ltm_core.tracing.holes import filled_at, find_holes
 from ltm_core.tracing.pyramid import build_pyramid
-from ltm_core.tracing.pyramid_traversal import AFTER, BEFORE, WHOLE, Ground, Stage
-
-Floats = NDArray[np.float64]
+from ltm_core.tracing.pyramid_traversal import AFTER, BEFORE, WHOLE, RasterStage, TerrainRaster
+from ltm_core.types import Float32Array, Float64Array
 
 
 class _Window(NamedTuple):
@@ -31,9 +29,9 @@ class _Window(NamedTuple):
     south: float
 
 
-def grounds(dem: Dem) -> tuple[Ground, ...]:
+def grounds(dem: Dem) -> tuple[TerrainRaster, ...]:
     """What the kernels know of each level, finest first. Raises RasterError for infinite heights."""
-    made: list[Ground] = []
+    made: list[TerrainRaster] = []
     top = -np.inf
     for level in reversed(dem.levels):
         elevation = level.elevation
@@ -45,17 +43,17 @@ def grounds(dem: Dem) -> tuple[Ground, ...]:
         pyramid = build_pyramid(elevation, holes)
         height, width = elevation.shape
         top = max(top, float(np.fmax.reduce(elevation, axis=None)))
-        made.append(Ground(elevation.ravel(), *holes, width, height, *pyramid, top))
+        made.append(TerrainRaster(elevation.ravel(), *holes, width, height, *pyramid, top))
     return tuple(reversed(made))
 
 
-def stages(dem: Dem, position: Floats, bend: float) -> list[tuple[int, Stage]]:
+def stages(dem: Dem, position: Float64Array, bend: float) -> list[tuple[int, RasterStage]]:
     """Levels and their stages in the order in which rays from `position` (3,) come to them; `bend` in 1/m."""
     windows = [_window(level, position) for level in dem.levels]
     last = len(windows) - 1
     stands_on = next((k for k, w in enumerate(windows) if _is_inside(w)), last)
 
-    def stage(k: int, part: int) -> tuple[int, Stage]:
+    def stage(k: int, part: int) -> tuple[int, RasterStage]:
         geometry = dem.levels[k].geometry
         resolution = geometry.resolution
         own = windows[k]
@@ -65,13 +63,15 @@ def stages(dem: Dem, position: Floats, bend: float) -> list[tuple[int, Stage]]:
             finer = _Window(*(edge * scale for edge in windows[k - 1]))
         ends = k == last and part != BEFORE
         grid_bend = bend * resolution**2
-        return k, Stage(-own.west, -own.north, float(position[2]), resolution, grid_bend, *own, *finer, part, ends)
+        return k, RasterStage(
+            -own.west, -own.north, float(position[2]), resolution, grid_bend, *own, *finer, part, ends
+        )
 
     inwards = [stage(k, BEFORE) for k in range(stands_on, 0, -1)]
     return [*inwards, stage(0, WHOLE), *(stage(k, AFTER) for k in range(1, last + 1))]
 
 
-def filled_corners(dem: Dem, ground: Ground, position: Floats) -> NDArray[np.float32] | None:
+def filled_corners(dem: Dem, ground: TerrainRaster, position: Float64Array) -> Float32Array | None:
     """Heights of the four nodes around a position over one raster, with the ceilings of enclosed holes; None where it
     is not over the raster.
     """
@@ -83,7 +83,7 @@ def filled_corners(dem: Dem, ground: Ground, position: Floats) -> NDArray[np.flo
     return np.array([filled_at(ground.nodes, ground, node) for node in nodes], np.float32)
 
 
-def _window(dem: Dem, position: Floats) -> _Window:
+def _window(dem: Dem, position: Float64Array) -> _Window:
     row, col = (float(v) for v in dem.geometry.to_grid(position[0], position[1]))
     height, width = dem.elevation.shape
     return _Window(0.0 - col, 0.0 - row, width - 1 - col, height - 1 - row)
@@ -94,7 +94,7 @@ def _is_inside(window: _Window) -> bool:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _first_infinite(elevation: NDArray[np.float32]) -> int:
+def _first_infinite(elevation: Float32Array) -> int:
     for at, height in enumerate(elevation.ravel()):
         if np.isinf(height):
             return at

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from ltm_core.tracing.cell_intersection import FASTMATH, clearance, first_root, meets, ray_height, surface
 from ltm_core.tracing.column_block import (
@@ -46,13 +45,13 @@ from ltm_core.tracing.lanes import (
 from ltm_core.tracing.pyramid_traversal import (
     OVER_KNOWN,
     PLUMB_SINE,
-    Floats,
-    Ground,
-    Stage,
+    RasterStage,
+    TerrainRaster,
     finished,
     hit_between,
     over_raster,
 )
+from ltm_core.types import Float32Array, Float64Array
 
 FIRST_STEPS, MORE_STEPS, MOST_ROUNDS = 4, 8, 6
 """Cells that a group goes through at once: at first, from the list, and how often the latter."""
@@ -68,13 +67,15 @@ _UNCHANGED = (_CX, _CY, _S, _BEND, _SCALE, _PLACE)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def no_rays() -> Floats:
+def no_rays() -> Float64Array:
     """An empty list of rays."""
     return np.empty(10 * _ROOM)
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
-def turn_lanes(rays: Floats, at: int, groups: int, rotation: Floats, resolution: float, block: Floats) -> None:
+def turn_lanes(
+    rays: Float64Array, at: int, groups: int, rotation: Float64Array, resolution: float, block: Float64Array
+) -> None:
     """Turn `groups` of flat rays, from index `at` on, into the grid; see `sweep.turn`."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
@@ -103,16 +104,16 @@ def turn_lanes(rays: Floats, at: int, groups: int, rotation: Floats, resolution:
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def first_cells(
-    nodes: NDArray[np.float32],
+    nodes: Float32Array,
     width: int,
     height: int,
-    stage: Stage,
-    outers: NDArray[np.float32],
+    stage: RasterStage,
+    outers: Float32Array,
     groups: int,
-    block: Floats,
+    block: Float64Array,
     at: int,
-    out: NDArray[np.float32],
-    waiting: Floats,
+    out: Float32Array,
+    waiting: Float64Array,
     count: int,
 ) -> int:
     """Take `groups` of rays through their first cells, and answer those that hit or meet only sky.
@@ -181,7 +182,7 @@ def first_cells(
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def through_cells(
-    nodes: NDArray[np.float32],
+    nodes: Float32Array,
     width: int,
     height: int,
     ox: float,
@@ -254,13 +255,13 @@ def through_cells(
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def more_cells(
-    ground: Ground,
-    nodes: NDArray[np.float32],
+    ground: TerrainRaster,
+    nodes: Float32Array,
     width: int,
     height: int,
-    stage: Stage,
-    out: NDArray[np.float32],
-    waiting: Floats,
+    stage: RasterStage,
+    out: Float32Array,
+    waiting: Float64Array,
     count: int,
     leave: int,
 ) -> int:
@@ -290,7 +291,9 @@ def more_cells(
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
-def _answer(ground: Ground, stage: Stage, waiting: Floats, k: int, hit: bool, out: NDArray[np.float32]) -> None:
+def _answer(
+    ground: TerrainRaster, stage: RasterStage, waiting: Float64Array, k: int, hit: bool, out: Float32Array
+) -> None:
     """Write the range of a ray that waits no more; one that has not hit goes on by the pyramid."""
     q = waiting[_Q + k]
     if not hit:

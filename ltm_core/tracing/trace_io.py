@@ -21,6 +21,7 @@ from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.site import CalibrationConfig, Config
+from ltm_core.types import UInt8Array, UInt32Array
 
 
 class PlaceConfig(Config):
@@ -111,7 +112,7 @@ def _in_crs(x: float, y: float, source: str | None, target: str) -> tuple[float,
     return float(x_target), float(y_target)
 
 
-def read_photo(path: Path | str, camera: Camera) -> NDArray[np.uint8]:
+def read_photo(path: Path | str, camera: Camera) -> UInt8Array:
     """A photo upright as its EXIF says, (H, W, 3) uint8 RGB. Raises ImageError: not readable, not the camera's size."""
     from PIL import Image, ImageOps, UnidentifiedImageError
 
@@ -133,7 +134,7 @@ def read_photo(path: Path | str, camera: Camera) -> NDArray[np.uint8]:
     return photo
 
 
-def cell_counts(traced: RangeImage) -> NDArray[np.uint32]:
+def cell_counts(traced: RangeImage) -> UInt32Array:
     """How many pixels see each DEM cell, (H, W) of the raster."""
     if traced.geometry is None:
         raise ImageError("this range image was made without a raster, so it has no cells")

@@ -34,7 +34,7 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -48,6 +48,7 @@ from ltm_core.tracing.column_sweep import sweep_image
 from ltm_core.tracing.horizon_profile import SECTOR, WEDGES_A_FACE, Wedges, extended, mark_sectors, no_wedges
 from ltm_core.tracing.pyramid_traversal import FRESH, OVER_KNOWN, trace_directions
 from ltm_core.tracing.raster_stages import filled_corners, grounds, stages
+from ltm_core.types import Float32Array, Float64Array
 
 # Numba's fallback threading layer dies when two threads launch parallel kernels at once.
 _ONE_LAUNCH = threading.Lock()
@@ -83,7 +84,7 @@ class TerrainTracer:
         self.by_lanes = lanes.fast_here() if by_lanes is None else by_lanes
         self._grounds = grounds(dem)
         self._profiles = BoundedCache[Profile](_PROFILE_BYTES, lambda levels: sum(a.nbytes for w in levels for a in w))
-        self._frames = BoundedCache[NDArray[np.float32]](_FRAME_BYTES, lambda ranges: ranges.nbytes)
+        self._frames = BoundedCache[Float32Array](_FRAME_BYTES, lambda ranges: ranges.nbytes)
         self._counts = TracerStatistics()
 
     @property
@@ -121,7 +122,7 @@ class TerrainTracer:
             )
         return RangeImage(ranges, camera, pose, self.bend, self.dem.geometry)
 
-    def _trace_image(self, camera: Camera, pose: Pose, way: Way) -> tuple[bool, NDArray[np.float32]]:
+    def _trace_image(self, camera: Camera, pose: Pose, way: Way) -> tuple[bool, Float32Array]:
         """Whether the profile was there, and the ranges (H, W)."""
         rays = camera.rays()
         place = (pose.position.tobytes(), self.bend)
@@ -146,12 +147,12 @@ class TerrainTracer:
             self._profiles.put(place, tuple(profile))
         return whole, ranges
 
-    def _stands_over_known_ground(self, position: NDArray[np.float64]) -> bool:
+    def _stands_over_known_ground(self, position: Float64Array) -> bool:
         """Whether a position is over the finest raster, and in no outer hole."""
         filled = filled_corners(self.dem.levels[0], self._grounds[0], position)
         return filled is not None and not np.isnan(filled).any()
 
-    def trace_rays(self, origin: ArrayLike, directions: ArrayLike) -> NDArray[np.float32]:
+    def trace_rays(self, origin: ArrayLike, directions: ArrayLike) -> Float32Array:
         """Slant range in metres of rays from one origin, (N,) float32.
 
         Args:
@@ -177,9 +178,7 @@ class TerrainTracer:
         x, y, z = pose.position
         return float(z - self.dem.elevation_at(x, y))
 
-    def _trace(
-        self, origin: NDArray[np.float64], rotation: NDArray[np.float64], rays: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
+    def _trace(self, origin: Float64Array, rotation: Float64Array, rays: Float64Array) -> Float32Array:
         ranges = np.full(len(rays), FRESH, np.float32)
         turned = np.ascontiguousarray(rotation, np.float64)
         with _ONE_LAUNCH:
@@ -187,7 +186,7 @@ class TerrainTracer:
                 trace_directions(self._grounds[level], stage, turned, rays, number == 0, ranges)
         return ranges
 
-    def _check(self, origin: NDArray[np.float64], rotation: NDArray[np.float64]) -> None:
+    def _check(self, origin: Float64Array, rotation: Float64Array) -> None:
         if origin.shape != (3,) or not np.isfinite(origin).all() or not np.isfinite(rotation).all():
             raise PoseError(f"camera pose is not finite: position {origin.tolist()}, rotation {rotation.tolist()}")
         x, y, z = (float(v) for v in origin)
@@ -204,7 +203,7 @@ class TerrainTracer:
                 f"the highest ground around it ({ceiling:.2f} m): fill the hole, or raise the camera above it"
             )
 
-    def _hole_ceiling(self, position: NDArray[np.float64]) -> float | None:
+    def _hole_ceiling(self, position: Float64Array) -> float | None:
         """Ceiling of the enclosed hole under a position; None where there is none."""
         for dem, ground in zip(self.dem.levels, self._grounds, strict=True):
             filled = filled_corners(dem, ground, position)

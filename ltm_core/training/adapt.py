@@ -11,7 +11,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import torch
 from pydantic import Field
 from torch.nn import functional
@@ -24,6 +23,7 @@ from ltm_core.training.labelled_frames import UNKNOWN, Frame
 from ltm_core.training.landscape_network import LandscapeNetwork
 from ltm_core.training.loop import device, normalised
 from ltm_core.training.losses import Batch, depth_loss
+from ltm_core.types import Float32Array, UInt8Array
 
 _HEAD = ("depth.", "inverse.")
 
@@ -92,12 +92,12 @@ def depth_error(network: LandscapeNetwork, frames: list[Frame], config: AdaptCon
     return float(np.median(errors)) if errors else float("nan")
 
 
-def _sized(image: npt.NDArray[np.uint8], config: AdaptConfig) -> npt.NDArray[np.uint8]:
+def _sized(image: UInt8Array, config: AdaptConfig) -> UInt8Array:
     size = (config.width, config.height)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def frame_of(image: npt.NDArray[np.uint8], depth: npt.NDArray[np.float32], name: str, width: int) -> Frame:
+def frame_of(image: UInt8Array, depth: Float32Array, name: str, width: int) -> Frame:
     """A frame to learn from, `width` wide or less, of a photo (H, W, 3) and its traced depth (H, W), metres along the
     optical axis, +inf sky, NaN unknown."""
     height, full = image.shape[:2]

@@ -14,13 +14,10 @@ from ltm_core.training.borrow import land_of, photo_skies, photo_sky, with_lake
 from ltm_core.training.config import AugmentConfig
 from ltm_core.training.labelled_frames import UNKNOWN, Frame
 from ltm_core.training.random_fields import fractal_noise, soft_mask
+from ltm_core.types import Float32Array, Float64Array, UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label
 
-Image = npt.NDArray[np.float32]
-Labels = npt.NDArray[np.uint8]
 Rng = np.random.Generator
-Looks = npt.NDArray[np.float32]
-"""Of each photo (N, 2, 3): mean and standard deviation of its land in CIE L*a*b*."""
 
 _LAND_LEAST = 0.1  # of a picture: with less land than this there is no look of it
 
@@ -28,8 +25,8 @@ _LAND_LEAST = 0.1  # of a picture: with less land than this there is no look of 
 class Lent(NamedTuple):
     """What the real photos among the training frames lend to all: looks of land, and skies."""
 
-    looks: Looks
-    skies: list[npt.NDArray[np.uint8]]
+    looks: Float32Array
+    skies: list[UInt8Array]
 
     @classmethod
     def by(cls, frames: Iterable[Frame]) -> "Lent":
@@ -39,7 +36,7 @@ class Lent(NamedTuple):
 
 def augmented(
     frame: Frame, size: tuple[int, int], chances: AugmentConfig, rng: Rng, lent: Lent | None = None
-) -> tuple[npt.NDArray[np.uint8], Labels, Image]:
+) -> tuple[UInt8Array, UInt8Array, Float32Array]:
     """A changed copy of a frame at `size` (height, width): photo, labels, inverse depth (NaN where unknown).
 
     Pixels that a window has from outside its frame are UNKNOWN. `lent`: by photos; rendered land may take on their
@@ -92,7 +89,7 @@ def augmented(
     return result, labels, inverse
 
 
-def _window(shape: tuple[int, ...], size: tuple[int, int], rng: Rng, rescale: bool) -> npt.NDArray[np.float64]:
+def _window(shape: tuple[int, ...], size: tuple[int, int], rng: Rng, rescale: bool) -> Float64Array:
     """Matrix (2, 3) from the pixels of a window of `size` to those of a frame of `shape`: anywhere in it; with
     `rescale` of another scale, aspect and slight tilt.
 
@@ -117,13 +114,13 @@ def _window(shape: tuple[int, ...], size: tuple[int, int], rng: Rng, rescale: bo
     return np.column_stack([linear, offset])
 
 
-def _warped(values: npt.NDArray[Any], matrix: npt.NDArray[np.float64], size: tuple[int, int], outside: float) -> Any:
+def _warped(values: npt.NDArray[Any], matrix: Float64Array, size: tuple[int, int], outside: float) -> Any:
     """Nearest values of a frame at the pixels of a window; `outside` beyond its edges."""
     flags = cv2.WARP_INVERSE_MAP | cv2.INTER_NEAREST
     return cv2.warpAffine(values, matrix, size[::-1], flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=outside)
 
 
-def _new_sky(photo: Image, labels: Labels, rng: Rng) -> Image:
+def _new_sky(photo: Float32Array, labels: UInt8Array, rng: Rng) -> Float32Array:
     """Another sky: a vertical gradient between two sky colours under fractal clouds, from clear to overcast."""
     height, width = labels.shape
     blue = np.array([rng.uniform(0.15, 0.55), rng.uniform(0.35, 0.7), rng.uniform(0.6, 1.0)])
@@ -143,13 +140,13 @@ def _new_sky(photo: Image, labels: Labels, rng: Rng) -> Image:
     return _under_sky(photo, labels, np.asarray(new, np.float32))
 
 
-def _skyline(labels: Labels) -> int:
+def _skyline(labels: UInt8Array) -> int:
     """Row below the lowest sky."""
     rows = np.flatnonzero((labels == Label.SKY).any(axis=1))
     return int(rows[-1]) + 1 if rows.size else 0
 
 
-def _under_sky(photo: Image, labels: Labels, new: Image) -> Image:
+def _under_sky(photo: Float32Array, labels: UInt8Array, new: Float32Array) -> Float32Array:
     """The picture with the pixels of `new` (H, W, 3) for its sky."""
     sky = labels == Label.SKY
     if not sky.any():
@@ -164,7 +161,7 @@ def _under_sky(photo: Image, labels: Labels, new: Image) -> Image:
     return np.asarray(np.clip(photo * (1.0 - weight) + new * weight, 0.0, 1.0), np.float32)
 
 
-def photo_looks(frames: Iterable[Frame]) -> Looks:
+def photo_looks(frames: Iterable[Frame]) -> Float32Array:
     """The looks of the real photos among frames: those whose depth is a teacher's order."""
     looks = []
     for frame in frames:
@@ -175,7 +172,7 @@ def photo_looks(frames: Iterable[Frame]) -> Looks:
     return np.array(looks, np.float32).reshape(-1, 2, 3)
 
 
-def _photo_look(photo: Image, labels: Labels, look: Looks, rng: Rng) -> Image:
+def _photo_look(photo: Float32Array, labels: UInt8Array, look: Float32Array, rng: Rng) -> Float32Array:
     """Rendered land with a part of the mean colour and contrast of a real photo's land (Reinhard et al. 2001): film,
     season and light of the world, while what grows there differs among itself as before."""
     land = land_of(labels)
@@ -191,11 +188,11 @@ def _photo_look(photo: Image, labels: Labels, look: Looks, rng: Rng) -> Image:
     return np.asarray(photo * (1.0 - weight) + new * weight, np.float32)
 
 
-def _lab(photo: Image) -> Image:
+def _lab(photo: Float32Array) -> Float32Array:
     return np.asarray(cv2.cvtColor(photo, cv2.COLOR_RGB2LAB), np.float32)
 
 
-def _ground_tint(photo: Image, labels: Labels, rng: Rng) -> Image:
+def _ground_tint(photo: Float32Array, labels: UInt8Array, rng: Rng) -> Float32Array:
     """Each ground class with its own shift of colour and contrast, patchy: other species, soils and seasons."""
     # One row for each value that a label image can hold; ones and zeros leave a pixel as it is.
     first, second = np.ones((256, 3), np.float32), np.ones((256, 3), np.float32)
@@ -216,7 +213,7 @@ def _ground_tint(photo: Image, labels: Labels, rng: Rng) -> Image:
     return np.asarray(np.clip((photo * contrast[labels] + level) * tint, 0.0, 1.0), np.float32)
 
 
-def _snow(photo: Image, labels: Labels, rng: Rng) -> Image:
+def _snow(photo: Float32Array, labels: UInt8Array, rng: Rng) -> Float32Array:
     """Patches of snow on bare ground (still `bare`: it is not sky, and nothing burns on it)."""
     bare = labels == Label.BARE
     cover = fractal_noise((labels.shape[0], labels.shape[1]), rng, coarsest=5) < rng.uniform(0.3, 0.9)
@@ -226,7 +223,7 @@ def _snow(photo: Image, labels: Labels, rng: Rng) -> Image:
     return np.asarray(photo * (1.0 - weight) + white * weight, np.float32)
 
 
-def _haze(photo: Image, labels: Labels, rng: Rng) -> Image:
+def _haze(photo: Float32Array, labels: UInt8Array, rng: Rng) -> Float32Array:
     """Air light that grows towards the skyline: without a depth image, height in the picture stands for distance."""
     height = labels.shape[0]
     sky_rows = np.flatnonzero((labels == Label.SKY).mean(axis=1) > 0.5)
@@ -238,7 +235,7 @@ def _haze(photo: Image, labels: Labels, rng: Rng) -> Image:
     return np.asarray(photo * (1.0 - strength) + air * strength, np.float32)
 
 
-def _light(photo: Image, rng: Rng) -> Image:
+def _light(photo: Float32Array, rng: Rng) -> Float32Array:
     """Exposure, gamma, colour temperature, contrast, saturation and vignetting of another camera and hour."""
     temperature, green = rng.normal(0.0, 0.12), rng.normal(0.0, 0.05)
     gains = np.exp(np.array([temperature, green, -temperature]) + rng.normal(0.0, 0.22))

@@ -11,16 +11,14 @@ from collections.abc import Iterable
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from ltm_core.training.labelled_frames import LAND, UNKNOWN, Frame
 from ltm_core.training.random_fields import fractal_noise, soft_mask
+from ltm_core.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.labels import Label
 
-Image = npt.NDArray[np.float32]
-Labels = npt.NDArray[np.uint8]
 Rng = np.random.Generator
-Window = tuple[npt.NDArray[np.uint8], Labels, Image]
+Window = tuple[UInt8Array, UInt8Array, Float32Array]
 """Photo (H, W, 3) uint8, its labels, its inverse depth."""
 
 _SKY_LEAST = 0.15  # of a photo's height that must be sky from side to side, for it to lend its sky
@@ -28,7 +26,7 @@ _LAND_MOST = 0.02  # of a row of such a sky that may be something else
 _PATCH_LEAST = 0.01  # of a window: a smaller patch of ground is not worth its edge
 
 
-def photo_skies(frames: Iterable[Frame]) -> list[npt.NDArray[np.uint8]]:
+def photo_skies(frames: Iterable[Frame]) -> list[UInt8Array]:
     """The upper parts of real photos that are sky from side to side, clouds and all; (h, W, 3) uint8."""
     skies = []
     for frame in frames:
@@ -41,7 +39,7 @@ def photo_skies(frames: Iterable[Frame]) -> list[npt.NDArray[np.uint8]]:
     return skies
 
 
-def photo_sky(size: tuple[int, int], bottom: int, sky: npt.NDArray[np.uint8], rng: Rng) -> Image:
+def photo_sky(size: tuple[int, int], bottom: int, sky: UInt8Array, rng: Rng) -> Float32Array:
     """A photo's sky stretched over the rows above `bottom` of a picture of `size`, mirrored by chance; (H, W, 3)."""
     height, width = size
     part = rng.uniform(0.6, 1.0)  # of its width
@@ -53,7 +51,7 @@ def photo_sky(size: tuple[int, int], bottom: int, sky: npt.NDArray[np.uint8], rn
     return np.asarray(np.concatenate([new, np.broadcast_to(new[-1:], (height - rows, width, 3))]))
 
 
-def with_lake(photo: Image, labels: Labels, rng: Rng) -> tuple[Image, Labels]:
+def with_lake(photo: Float32Array, labels: UInt8Array, rng: Rng) -> tuple[Float32Array, UInt8Array]:
     """A lake or river across the land: it mirrors what stands above its far shore, through ripples, in a water colour.
 
     Labels become WATER there. A picture with little land keeps as it is.
@@ -119,6 +117,6 @@ def with_ground(host: Window, donor: Window, rng: Rng) -> Window:
     return mixed, np.where(patch, donor[1], labels), np.where(patch, np.float32(np.nan), inverse)
 
 
-def land_of(labels: Labels) -> npt.NDArray[np.bool_]:
+def land_of(labels: UInt8Array) -> BoolArray:
     """Pixels that are ground of any kind, or of unknown class."""
     return np.asarray((labels != Label.SKY) & (labels != UNKNOWN))

@@ -6,16 +6,15 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import log_softmax
 
 from ltm_core.errors import ImageError
-from ltm_core.fuel.cell_appearance_model import SEEN, CellLook, at_incidence, what_is_seen
+from ltm_core.fuel.cell_appearance_model import SEEN, CellAppearanceModel, at_incidence, what_is_seen
 from ltm_core.fuel.life_form import FORMS, form_counts
 from ltm_core.fuel.votes import CellVotes
+from ltm_core.types import Float64Array, Int64Array, UInt8Array
 
-Floats = NDArray[np.float64]
 INCIDENCE = (0.05, 0.5)
 """Cosines: from 3 degrees over the ground to 30."""
 LEAST_PIXELS_LEARNT = 3
@@ -32,39 +31,39 @@ class SeenCells:
     (N,) cosine of incidence.
     """
 
-    rows: NDArray[np.int64]
-    cols: NDArray[np.int64]
-    true: NDArray[np.int64]
-    seen: NDArray[np.float64]
-    cosine: NDArray[np.float64]
+    rows: Int64Array
+    cols: Int64Array
+    true: Int64Array
+    seen: Float64Array
+    cosine: Float64Array
 
 
 def seen_cells(
-    frames: Iterable[CellVotes], truth: NDArray[np.uint8], forms: NDArray[np.int64], least: int = LEAST_PIXELS_LEARNT
+    frames: Iterable[CellVotes], truth: UInt8Array, forms: Int64Array, least: int = LEAST_PIXELS_LEARNT
 ) -> SeenCells:
     """The cells of one site's frames that have `least` pixels. `truth`: (H, W) life forms on the votes' grid. `forms`:
-    of the labels (`life_form.label_forms`). Raises ImageError for votes without a sighting.
+    of the labels (`life_form.label_forms`). Raises ImageError for votes without a visibility.
     """
-    parts: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Floats, Floats]] = []
+    parts: list[tuple[Int64Array, Int64Array, Int64Array, Float64Array, Float64Array]] = []
     for votes in frames:
-        if votes.sighting is None:
+        if votes.visibility is None:
             raise ImageError(f"votes of {votes.source} do not tell how each cell is seen")
         counts = form_counts(votes.counts, forms)
         pixels = counts.sum(axis=1)
         votes, counts, pixels = votes.only(pixels > 0), counts[pixels > 0], pixels[pixels > 0]
-        assert votes.sighting is not None
+        assert votes.visibility is not None
         rows, cols = votes.rows.astype(np.int64), votes.cols.astype(np.int64)
-        seen = what_is_seen(rows, cols, counts / pixels[:, None], votes.sighting.bearing, votes.confidence)
+        seen = what_is_seen(rows, cols, counts / pixels[:, None], votes.visibility.bearing, votes.confidence)
         true = truth[rows, cols].astype(np.int64) - 1
         good = (pixels >= least) & (true >= 0) & (true < FORMS)
-        cosine = votes.sighting.cos_incidence.astype(np.float64)
+        cosine = votes.visibility.cos_incidence.astype(np.float64)
         parts.append((rows[good], cols[good], true[good], seen[good], cosine[good]))
     if not parts:
         raise ImageError("no frame to learn the looks of cells from")
     return SeenCells(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def fit_look(sites: Sequence[SeenCells]) -> CellLook:
+def fit_cell_appearance(sites: Sequence[SeenCells]) -> CellAppearanceModel:
     """Logistic regression over the cells of all sites; each form weighs the same.
 
     Raises ImageError where fewer than two forms have cells enough.
@@ -82,7 +81,7 @@ def fit_look(sites: Sequence[SeenCells]) -> CellLook:
     weight = len(true) / len(known) / cells[true]
     shape = inputs.shape[1], len(known)
 
-    def loss(flat: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def loss(flat: Float64Array) -> tuple[float, Float64Array]:
         weights = flat.reshape(shape)
         log_p = log_softmax(inputs @ weights, axis=1)
         value = -float(weight @ (is_form * log_p).sum(axis=1)) + _RIDGE / 2 * float((weights**2).sum())
@@ -92,4 +91,4 @@ def fit_look(sites: Sequence[SeenCells]) -> CellLook:
     found = minimize(loss, np.zeros(shape).ravel(), jac=True, method="L-BFGS-B", options={"maxiter": 300})
     weights = np.full((FORMS, len(knots), SEEN), np.nan)
     weights[known] = found.x.reshape(shape).T.reshape(len(known), len(knots), SEEN)
-    return CellLook(knots, weights)
+    return CellAppearanceModel(knots, weights)

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from ltm_core.errors import ConfigError
 
 
-class Stage(NamedTuple):
+class BlockRow(NamedTuple):
     """A row of blocks: the first has `stride`, each widens its input `expansion` times inside."""
 
     kernel: int
@@ -23,13 +23,13 @@ class Stage(NamedTuple):
 
 # Tan and Le 2019, table 1; the Lite form has no squeeze-and-excitation, ReLU6, and a stem that never scales.
 STAGES = (
-    Stage(3, 1, 1, 16, 1),
-    Stage(3, 2, 6, 24, 2),
-    Stage(5, 2, 6, 40, 2),
-    Stage(3, 2, 6, 80, 3),
-    Stage(5, 1, 6, 112, 3),
-    Stage(5, 2, 6, 192, 4),
-    Stage(3, 1, 6, 320, 1),
+    BlockRow(3, 1, 1, 16, 1),
+    BlockRow(3, 2, 6, 24, 2),
+    BlockRow(5, 2, 6, 40, 2),
+    BlockRow(3, 2, 6, 80, 3),
+    BlockRow(5, 1, 6, 112, 3),
+    BlockRow(5, 2, 6, 192, 4),
+    BlockRow(3, 1, 6, 320, 1),
 )
 STEM = 32
 TAPS = {0: 16, 2: 24, 4: 40, 10: 112, 15: 320}
@@ -40,7 +40,7 @@ _EPSILON = 1e-3  # of batch normalisation, as the weights were trained
 class MobileBlock(nn.Module):  # type: ignore[misc]  # torch is not typed for us
     """Expand, filter each channel, project; with a shortcut where the shape stays (Sandler et al. 2018)."""
 
-    def __init__(self, inputs: int, stage: Stage, stride: int) -> None:
+    def __init__(self, inputs: int, stage: BlockRow, stride: int) -> None:
         super().__init__()
         wide = inputs * stage.expansion
         self.shortcut = stride == 1 and inputs == stage.outputs

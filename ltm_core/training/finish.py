@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 
 from ltm_core.evaluation.metrics.confidence import CalibrationScore
 from ltm_core.evaluation.metrics.segmentation import SegmentationScore
 from ltm_core.training.labelled_frames import Frame
 from ltm_core.training.temperature_scaling import balanced, fit_temperature
+from ltm_core.types import Float32Array, UInt8Array
 from ltm_core.vision.label_calibration_io import Calibration, calibration_path, write_calibration
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmenter
@@ -77,7 +77,7 @@ def score_sets(segmenter: Segmenter, frames: list[Frame]) -> dict[str, SetScore]
 
 def _pixels(
     segmenter: Segmenter, frame: Frame, count: int, rng: np.random.Generator
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8]]:
+) -> tuple[Float32Array, UInt8Array]:
     """Logits (N, K) and true labels (N,) of random labelled pixels, each at the nearest place of the network's grid."""
     logits = segmenter.logits(frame.image)
     rows, cols = np.nonzero(frame.labels < len(segmenter.labels))

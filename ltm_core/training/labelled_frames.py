@@ -18,6 +18,7 @@ import numpy.typing as npt
 from ltm_core.camera import Camera
 from ltm_core.errors import ImageError, RecordingError
 from ltm_core.training.config import SplitConfig
+from ltm_core.types import Float32Array, UInt8Array
 from ltm_core.vision.labels import UNLABELLED
 
 LABELS_SUFFIX = "_labels.png"
@@ -35,10 +36,10 @@ class Frame:
     tell near from far and nothing more. None where nothing is known of any pixel.
     """
 
-    image: npt.NDArray[np.uint8]
-    labels: npt.NDArray[np.uint8]
+    image: UInt8Array
+    labels: UInt8Array
     path: Path
-    inverse: npt.NDArray[np.float32] | None = field(default=None, repr=False)
+    inverse: Float32Array | None = field(default=None, repr=False)
     ordinal: bool = False
 
 
@@ -100,9 +101,7 @@ def _read(photo: Path, truth: Path, classes: int, sampled: bool, camera: Camera 
     return Frame(rgb, np.asarray(labels, np.uint8), photo, inverse, ordinal)
 
 
-def _inverse_depth(
-    photo: Path, camera: Camera | None, size: tuple[int, int]
-) -> tuple[npt.NDArray[np.float32] | None, bool]:
+def _inverse_depth(photo: Path, camera: Camera | None, size: tuple[int, int]) -> tuple[Float32Array | None, bool]:
     """What the files beside a photo say of its depth, at the photo's size, and whether it is an order only."""
     base = photo.with_suffix("")
     truth, depth, order = (base.with_name(f"{base.name}_{kind}.npz") for kind in ("truth", "depth", "order"))
@@ -120,18 +119,18 @@ def _inverse_depth(
     return None, False
 
 
-def _inverse(depth: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+def _inverse(depth: npt.NDArray[Any]) -> Float32Array:
     known = np.isfinite(depth) & (depth > 0)
     return np.asarray(np.divide(1.0, depth, out=np.full(depth.shape, np.nan), where=known), np.float32)
 
 
-def _at_size(inverse: npt.NDArray[np.float32], size: tuple[int, int]) -> npt.NDArray[np.float32]:
+def _at_size(inverse: Float32Array, size: tuple[int, int]) -> Float32Array:
     if inverse.shape == size:
         return inverse
     return np.asarray(cv2.resize(inverse, size[::-1], interpolation=cv2.INTER_NEAREST), np.float32)
 
 
-def _spread(labels: npt.NDArray[np.uint8], height: int, width: int) -> npt.NDArray[np.uint8]:
+def _spread(labels: UInt8Array, height: int, width: int) -> UInt8Array:
     """Labels of every n-th pixel put at their places in a full image; any other shape is left as it is."""
     step = -(-height // labels.shape[0])
     full = np.full((height, width), UNLABELLED, np.uint8)

@@ -11,7 +11,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -24,6 +23,7 @@ from ltm_core.training.config import OptimiserConfig, TrainingConfig
 from ltm_core.training.labelled_frames import Frame, Split
 from ltm_core.training.landscape_network import LandscapeNetwork, for_inference
 from ltm_core.training.losses import Batch, total_loss
+from ltm_core.types import UInt8Array
 
 # ImageNet's, as the encoder's weights expect; the exported manifest states the same.
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -198,13 +198,13 @@ def score(network: LandscapeNetwork, frames: list[Frame], config: TrainingConfig
     return result
 
 
-def normalised(photos: list[npt.NDArray[np.uint8]]) -> Tensor:
+def normalised(photos: list[UInt8Array]) -> Tensor:
     """Photos (H, W, 3) of one size -> the network's input (N, 3, H, W)."""
     unit = torch.from_numpy(np.stack(photos)).float() / 255.0
     return ((unit - torch.tensor(MEAN)) / torch.tensor(STD)).permute(0, 3, 1, 2)  # channels last in memory
 
 
-def _at_size(image: npt.NDArray[np.uint8], size: tuple[int, int]) -> npt.NDArray[np.uint8]:
+def _at_size(image: UInt8Array, size: tuple[int, int]) -> UInt8Array:
     if image.shape[1::-1] == size:
         return image
     shrinks = size[0] <= image.shape[1] and size[1] <= image.shape[0]  # as the segmenter resizes

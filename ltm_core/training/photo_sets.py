@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from ltm_core.strict_model import StrictModel
 from ltm_core.training.teachers import TAG_LABELS
+from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label
 
 
@@ -41,7 +41,7 @@ class PhotoSets(StrictModel):
                     )
         return self
 
-    def by_hand(self, name: str) -> npt.NDArray[np.uint8]:
+    def by_hand(self, name: str) -> UInt8Array:
         """What a person says of a photo's pixels, (height, width) uint8; 255 where nothing."""
         width, height = self.size
         labels = np.full((height, width), UNLABELLED, np.uint8)

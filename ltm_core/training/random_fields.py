@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-Image = npt.NDArray[np.float32]
+from ltm_core.types import BoolArray, Float32Array
 
 
 def fractal_noise(
     size: tuple[int, int], rng: np.random.Generator, coarsest: int = 4, octaves: int = 5, fall: float = 0.55
-) -> Image:
+) -> Float32Array:
     """Smooth noise (H, W) in 0..1: `octaves` grids of random values, each twice as fine and `fall` times as strong."""
     height, width = size
     total = np.zeros(size, np.float32)
@@ -23,6 +22,6 @@ def fractal_noise(
     return np.asarray((total - low) / max(float(high - low), 1e-6), np.float32)
 
 
-def soft_mask(mask: npt.NDArray[np.bool_]) -> Image:
+def soft_mask(mask: BoolArray) -> Float32Array:
     """A mask with its edge softened over about two pixels, as a lens would; (H, W, 1)."""
     return np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 0.7), np.float32)[..., None]

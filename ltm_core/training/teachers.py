@@ -12,13 +12,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from ltm_core.errors import ConfigError
 from ltm_core.training.labelled_frames import LAND, UNKNOWN
+from ltm_core.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label
-
-Plane = npt.NDArray[np.float32]
 
 TAG_LABELS = {"G": Label.GRASS, "S": Label.SHRUB, "T": Label.TREE, "B": Label.BARE, "-": LAND}
 _SKY_SURE = 0.25  # probability of sky: below and above 1 - this the sky network is believed
@@ -33,13 +31,13 @@ class Opinions:
     """What teachers say of each pixel of a photo, all (H, W) float32 in 0..1: `sky` of the sky network; of the scene
     network its own sky, `slope` (mountain) and `classes`, the probability of each of our labels that it knows."""
 
-    sky: Plane
-    scene_sky: Plane
-    slope: Plane
-    classes: dict[Label, Plane]
+    sky: Float32Array
+    scene_sky: Float32Array
+    slope: Float32Array
+    classes: dict[Label, Float32Array]
 
 
-def teach(image: npt.NDArray[np.uint8], opinions: Opinions, tag: str = "--") -> npt.NDArray[np.uint8]:
+def teach(image: UInt8Array, opinions: Opinions, tag: str = "--") -> UInt8Array:
     """Labels (H, W) to train on, of a photo (H, W, 3) uint8 RGB. Raises ConfigError for a tag of other letters."""
     if len(tag) != 2 or set(tag) - set(TAG_LABELS):
         raise ConfigError(f"tag {tag!r}: expected two of {', '.join(TAG_LABELS)}, of the slope's bright and dark part")
@@ -55,7 +53,7 @@ def teach(image: npt.NDArray[np.uint8], opinions: Opinions, tag: str = "--") -> 
     return labels
 
 
-def _slope_cover(image: npt.NDArray[np.uint8], slope: npt.NDArray[np.bool_], tag: str) -> npt.NDArray[np.uint8]:
+def _slope_cover(image: UInt8Array, slope: BoolArray, tag: str) -> UInt8Array:
     """Bright and dark parts of the slope, split by Otsu's threshold of its own brightness."""
     bright_label, dark_label = (TAG_LABELS[letter] for letter in tag)
     if not slope.any() or bright_label == dark_label:
@@ -72,7 +70,7 @@ def _slope_cover(image: npt.NDArray[np.uint8], slope: npt.NDArray[np.bool_], tag
     return cover
 
 
-def _disputed(opinions: Opinions) -> npt.NDArray[np.bool_]:
+def _disputed(opinions: Opinions) -> BoolArray:
     """Pixels away from the skyline of which one teacher says sky and the other is sure that it is not."""
     sky = (opinions.sky >= 0.5).astype(np.uint8)
     size = 2 * max(1, round(_NEAR_EDGE * sky.shape[1])) + 1

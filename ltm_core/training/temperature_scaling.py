@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
 from ltm_core.errors import ImageError
+from ltm_core.types import Float32Array, Float64Array, Int64Array, UInt8Array
 
 _RANGE = (0.2, 8.0)  # of temperatures; at either end something other than the temperature is wrong
 _ENOUGH = 0.02  # of a set's pixels: a class of fewer is known the less from that set
 _PRIOR = 1e-3  # of a row of the confusion matrix, given to each entry: what was never seen is not impossible
 
 
-def fit_temperature(logits: NDArray[np.float32], labels: NDArray[np.uint8]) -> float:
+def fit_temperature(logits: Float32Array, labels: UInt8Array) -> float:
     """The temperature T for which softmax(logits / T) explains the labels best (Guo et al. 2017).
 
     `logits` (N, K) of pixels whose true label (N,) is known, below K. Raises ImageError where there are none.
@@ -35,7 +35,7 @@ def fit_temperature(logits: NDArray[np.float32], labels: NDArray[np.uint8]) -> f
     return float(np.exp(optimize.minimize_scalar(cost, bounds=bounds, method="bounded").x))
 
 
-def balanced(confusions: Sequence[NDArray[np.int64]]) -> NDArray[np.float64]:
+def balanced(confusions: Sequence[Int64Array]) -> Float64Array:
     """P(label given | true label), (K, K), rows sum to 1, from the confusion matrices of several sets.
 
     Each set that holds a class counts alike in its row, whatever its number of pixels, less one of which the class is

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.pose import Pose
-from ltm_core.visibility.line_of_sight import sight_vectors
-
-Floats = NDArray[np.float64]
+from ltm_core.types import Float64Array
+from ltm_core.visibility.line_of_sight import line_of_sight_vectors
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,12 +19,12 @@ class Footprints:
     sideways; +inf where the ground faces away, NaN where it is not known. `area`: (N,) square metres.
     """
 
-    along: Floats
-    across: Floats
-    area: Floats
+    along: Float64Array
+    across: Float64Array
+    area: Float64Array
 
 
-def ground_normals(dem: Dem, x: Floats, y: Floats) -> Floats:
+def ground_normals(dem: Dem, x: Float64Array, y: Float64Array) -> Float64Array:
     """Upward unit normals (..., 3) of the ground at map points, from height differences over one cell, or over half of
     one where the other half is unknown; NaN where neither is known.
     """
@@ -38,20 +36,20 @@ def ground_normals(dem: Dem, x: Floats, y: Floats) -> Floats:
     return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True), np.float64)
 
 
-def _slope(before: Floats, here: Floats, after: Floats, step: float) -> Floats:
+def _slope(before: Float64Array, here: Float64Array, after: Float64Array, step: float) -> Float64Array:
     whole = (after - before) / (2 * step)
     half = np.where(np.isnan(after), here - before, after - here) / step
     return np.where(np.isnan(whole), half, whole)
 
 
-def arrival_directions(position: Floats, points: Floats, bend: float) -> Floats:
+def arrival_directions(position: Float64Array, points: Float64Array, bend: float) -> Float64Array:
     """Unit directions (..., 3) in which rays from `position` arrive at the points, bent by curvature."""
-    arriving = sight_vectors(position, points, bend)
+    arriving = line_of_sight_vectors(position, points, bend)
     arriving[..., 2] += 2 * bend * (arriving[..., 0] ** 2 + arriving[..., 1] ** 2)
     return np.asarray(arriving / np.linalg.norm(arriving, axis=-1, keepdims=True), np.float64)
 
 
-def sideways(directions: Floats) -> Floats:
+def sideways(directions: Float64Array) -> Float64Array:
     """Unit horizontal vectors (..., 3) to the right of the directions; of a plumb one, east."""
     right = np.stack([directions[..., 1], -directions[..., 0], np.zeros_like(directions[..., 0])], axis=-1)
     length = np.linalg.norm(right, axis=-1, keepdims=True)
@@ -62,7 +60,9 @@ def sideways(directions: Floats) -> Floats:
     return np.asarray(right, np.float64)
 
 
-def ground_footprints(camera: Camera, pose: Pose, points: Floats, normals: Floats, bend: float) -> Footprints:
+def ground_footprints(
+    camera: Camera, pose: Pose, points: Float64Array, normals: Float64Array, bend: float
+) -> Footprints:
     """Footprints of the pixels that see the ground points (N, 3) with upward normals (N, 3).
 
     To first order: the inverse of the projection's Jacobian over the plane at each point, distortion included.
@@ -75,8 +75,8 @@ def ground_footprints(camera: Camera, pose: Pose, points: Floats, normals: Float
     a = np.cross(normals, b)
     step = 1e-4 * np.linalg.norm(points - pose.position, axis=-1, keepdims=True)
 
-    def pixels(moved: Floats) -> Floats:
-        return camera.project(sight_vectors(pose.position, moved, bend) @ pose.rotation)
+    def pixels(moved: Float64Array) -> Float64Array:
+        return camera.project(line_of_sight_vectors(pose.position, moved, bend) @ pose.rotation)
 
     per_a = (pixels(points + step * a) - pixels(points - step * a)) / (2 * step)
     per_b = (pixels(points + step * b) - pixels(points - step * b)) / (2 * step)

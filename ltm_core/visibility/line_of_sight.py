@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ltm_core.camera import Camera
+from ltm_core.types import Float64Array
 
-Floats = NDArray[np.float64]
 
-
-def sight_vectors(origin: ArrayLike, points: ArrayLike, bend: float) -> Floats:
+def line_of_sight_vectors(origin: ArrayLike, points: ArrayLike, bend: float) -> Float64Array:
     """The directions, at the camera, of the rays that meet the points: (..., 3), metres, map axes.
 
     A ray of slope s stands at z0 + s r + bend r^2 over horizontal range r (`geodesy.ray_bend`), so a point seems lower
@@ -27,7 +26,7 @@ def sight_vectors(origin: ArrayLike, points: ArrayLike, bend: float) -> Floats:
     return vectors
 
 
-def pixel_rays(camera: Camera, pixels: ArrayLike) -> Floats:
+def pixel_rays(camera: Camera, pixels: ArrayLike) -> Float64Array:
     """Unit viewing rays, optical frame, through the sub-pixel places (u, v): (N, 3) from (N, 2).
 
     NaN where the distortion cannot be inverted, as in `Camera.rays`.

@@ -13,13 +13,10 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from ltm_core.tracing.pyramid import LEAF
-from ltm_core.tracing.pyramid_traversal import TOUCH, Ground, Stage, cell_ceiling, height_at, stretch
-
-Floats = NDArray[np.float64]
-Bits = NDArray[np.uint8]
+from ltm_core.tracing.pyramid_traversal import TOUCH, RasterStage, TerrainRaster, cell_ceiling, height_at, stretch
+from ltm_core.types import Float64Array, UInt8Array
 
 BY_CEILING, LEFT_KNOWN, OVER_KNOWN, BEYOND = 1, 2, 4, 8
 """What a way has come to: an enclosed hole's ceiling stands highest; an outer hole after known ground; known ground;
@@ -27,7 +24,14 @@ the terrain ends before the target."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def raise_slopes(ground: Ground, stage: Stage, first: bool, targets: Floats, slopes: Floats, came_to: Bits) -> None:
+def raise_slopes(
+    ground: TerrainRaster,
+    stage: RasterStage,
+    first: bool,
+    targets: Float64Array,
+    slopes: Float64Array,
+    came_to: UInt8Array,
+) -> None:
     """Take the ways to targets (N, 3: column, row of the stage's raster, z) through one stage.
 
     `slopes`: (N,) m/m, the greatest slope f of the ground so far, or the target's own where that is greater; NaN for a
@@ -54,7 +58,7 @@ def raise_slopes(ground: Ground, stage: Stage, first: bool, targets: Floats, slo
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def blocking_slope(
-    ground: Ground, stage: Stage, cx: float, cy: float, q_end: float, least: float
+    ground: TerrainRaster, stage: RasterStage, cx: float, cy: float, q_end: float, least: float
 ) -> tuple[float, np.uint8]:
     """The greatest slope f(q) of the ground over the stage's part of 0 < q <= q_end, or `least` if that is greater; and
     what the way has come to there.

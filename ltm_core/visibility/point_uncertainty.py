@@ -11,15 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ltm_core.dem import Dem
 from ltm_core.errors import PoseError
 from ltm_core.range_image import RangeImage
+from ltm_core.types import BoolArray, Float32Array, Float64Array
 from ltm_core.visibility.footprint import arrival_directions, ground_footprints, ground_normals, sideways
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 GRAZING_DEG = 2.0
 """Between ray and ground: below it the first order no longer holds, and the point may jump to other ground."""
@@ -37,17 +35,17 @@ class TracedUncertainty:
     bounds of what can go wrong, and +inf where the ground's plane faces away.
     """
 
-    along: Image
-    across: Image
-    over: Image
-    footprint_along: Image
-    footprint_across: Image
-    grazing: NDArray[np.bool_]
+    along: Float32Array
+    across: Float32Array
+    over: Float32Array
+    footprint_along: Float32Array
+    footprint_across: Float32Array
+    grazing: BoolArray
 
     @property
-    def total(self) -> Image:
+    def total(self) -> Float32Array:
         squares = self.along.astype(np.float64) ** 2 + self.across.astype(np.float64) ** 2
-        total: Image = np.sqrt(squares + self.over.astype(np.float64) ** 2).astype(np.float32)
+        total: Float32Array = np.sqrt(squares + self.over.astype(np.float64) ** 2).astype(np.float32)
         return total
 
 
@@ -94,8 +92,8 @@ def traced_uncertainty(
 
 
 def _propagated(
-    traced: RangeImage, places: Floats, normals: Floats, covariance: Floats, dem_sigma: float
-) -> tuple[tuple[Floats, Floats, Floats], Floats]:
+    traced: RangeImage, places: Float64Array, normals: Float64Array, covariance: Float64Array, dem_sigma: float
+) -> tuple[tuple[Float64Array, Float64Array, Float64Array], Float64Array]:
     """Sigmas along, across and over, and the sine of the angle between ray and ground, (N,) each."""
     position = traced.pose.position
     arriving = arrival_directions(position, places, traced.bend)
@@ -118,7 +116,7 @@ def _propagated(
     return (first, second, third), facing
 
 
-def checked_covariance(covariance: ArrayLike) -> Floats:
+def checked_covariance(covariance: ArrayLike) -> Float64Array:
     """The covariance of a pose as a (6, 6) matrix. Raises PoseError for one that is none."""
     matrix = np.asarray(covariance, np.float64)
     if matrix.shape != (6, 6) or not np.isfinite(matrix).all():

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -16,10 +16,9 @@ from ltm_core.errors import PoseError
 from ltm_core.geodesy import ray_bend
 from ltm_core.pose import Pose
 from ltm_core.tracing.raster_stages import grounds, stages
-from ltm_core.visibility.line_of_sight import sight_vectors
+from ltm_core.types import BoolArray, Float64Array, UInt8Array
+from ltm_core.visibility.line_of_sight import line_of_sight_vectors
 from ltm_core.visibility.occlusion_kernels import BEYOND, BY_CEILING, LEFT_KNOWN, OVER_KNOWN, raise_slopes
-
-Floats = NDArray[np.float64]
 
 TOLERANCE = 0.01
 """Metres by which a point may lie too low and still count as visible: a point on the ground is never exactly on it."""
@@ -45,16 +44,16 @@ class Visibility:
     edges do not matter for it.
     """
 
-    pixels: Floats
-    states: NDArray[np.uint8]
-    lifts: Floats
+    pixels: Float64Array
+    states: UInt8Array
+    lifts: Float64Array
 
     @property
-    def visible(self) -> NDArray[np.bool_]:
+    def visible(self) -> BoolArray:
         return np.asarray(self.states == PointState.VISIBLE)
 
 
-class SightLines:
+class PointVisibility:
     """Lines of sight over one DEM. Surface, rays and holes are those of `tracing.TerrainTracer`.
 
     Args:
@@ -69,7 +68,7 @@ class SightLines:
         self.bend = ray_bend(curvature, refraction)
         self._grounds = grounds(dem)
 
-    def lifts(self, origin: ArrayLike, points: ArrayLike) -> tuple[Floats, NDArray[np.bool_]]:
+    def lifts(self, origin: ArrayLike, points: ArrayLike) -> tuple[Float64Array, BoolArray]:
         """How far points must be raised to be seen from `origin`, (N,) metres, 0 where they are seen; and where that
         hangs on unknown ground: a hole's ceiling is in the way, or nothing known is but the way leaves the DEM.
 
@@ -117,12 +116,12 @@ class SightLines:
         return Visibility(pixels, states, lift)
 
 
-def project(camera: Camera, pose: Pose, points: ArrayLike, bend: float) -> Floats:
+def project(camera: Camera, pose: Pose, points: ArrayLike, bend: float) -> Float64Array:
     """Pixels (..., 2) of map points (..., 3) under curvature and refraction; NaN behind the camera."""
-    return camera.project(sight_vectors(pose.position, points, bend) @ pose.rotation)
+    return camera.project(line_of_sight_vectors(pose.position, points, bend) @ pose.rotation)
 
 
-def in_image(camera: Camera, pixels: Floats) -> NDArray[np.bool_]:
+def in_image(camera: Camera, pixels: Float64Array) -> BoolArray:
     """Which places (..., 2) lie on the image, its outermost pixels' outer edges included; NaN does not."""
     u, v = pixels[..., 0], pixels[..., 1]
     inside = (u >= -0.5) & (v >= -0.5) & (u <= camera.width - 0.5) & (v <= camera.height - 0.5)

@@ -7,24 +7,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.errors import PoseError, RasterError
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
+from ltm_core.types import BoolArray, Float32Array, Float64Array, Int16Array
 from ltm_core.visibility.footprint import arrival_directions, ground_footprints, ground_normals
-from ltm_core.visibility.line_of_sight import sight_vectors
-from ltm_core.visibility.point_visibility import TOLERANCE, SightLines, in_image, project
-
-Floats = NDArray[np.float64]
+from ltm_core.visibility.line_of_sight import line_of_sight_vectors
+from ltm_core.visibility.point_visibility import TOLERANCE, PointVisibility, in_image, project
 
 _CELLS = 1 << 18
 """Cells at a time: bounds memory."""
 
 
 @dataclass(frozen=True)
-class View:
+class PosedCamera:
     """One camera of a network, in the map frame."""
 
     name: str
@@ -43,9 +41,9 @@ class Coverage:
     """
 
     geometry: GridGeometry
-    count: NDArray[np.int16]
-    footprint: NDArray[np.float32]
-    height: NDArray[np.float32]
+    count: Int16Array
+    footprint: Float32Array
+    height: Float32Array
 
     @property
     def known(self) -> int:
@@ -57,8 +55,8 @@ class Coverage:
 
 
 def viewshed(
-    sight: SightLines,
-    views: Sequence[View],
+    sight: PointVisibility,
+    views: Sequence[PosedCamera],
     resolution: float | None = None,
     target_height: float = 0.0,
     max_range: float = math.inf,
@@ -111,14 +109,14 @@ def viewshed(
 
 
 def _from_one(
-    sight: SightLines,
-    view: View,
-    places: Floats,
-    normals: Floats,
+    sight: PointVisibility,
+    view: PosedCamera,
+    places: Float64Array,
+    normals: Float64Array,
     target_height: float,
     max_range: float,
     all_round: bool,
-) -> tuple[NDArray[np.bool_], Floats, Floats]:
+) -> tuple[BoolArray, Float64Array, Float64Array]:
     """Whether one camera sees the targets over ground `places` (N, 3), its footprints there (metres), and the least
     visible height above ground (+inf where it sees none).
     """
@@ -142,7 +140,7 @@ def _from_one(
     return seen, size, least
 
 
-def _may_be_framed(sight: SightLines, view: View, places: Floats) -> NDArray[np.bool_]:
+def _may_be_framed(sight: PointVisibility, view: PosedCamera, places: Float64Array) -> BoolArray:
     """Cells in the sector that the image spans on the map, at any height: spares the others their line of sight."""
     forward = view.pose.rotation[:, 2]
     horizontal = float(np.hypot(forward[0], forward[1]))
@@ -159,20 +157,22 @@ def _may_be_framed(sight: SightLines, view: View, places: Floats) -> NDArray[np.
     )
 
 
-def _border_rays(camera: Camera) -> Floats:
+def _border_rays(camera: Camera) -> Float64Array:
     rays = camera.rays()
     return np.concatenate([rays[0], rays[-1], rays[:, 0], rays[:, -1]])
 
 
-def _framed(sight: SightLines, view: View, places: Floats, above: Floats) -> NDArray[np.bool_]:
+def _framed(sight: PointVisibility, view: PosedCamera, places: Float64Array, above: Float64Array) -> BoolArray:
     raised = places.copy()
     raised[:, 2] += above
     return in_image(view.camera, project(view.camera, view.pose, raised, sight.bend))
 
 
-def _turned_footprint(camera: Camera, position: Floats, places: Floats, normals: Floats, bend: float) -> Floats:
+def _turned_footprint(
+    camera: Camera, position: Float64Array, places: Float64Array, normals: Float64Array, bend: float
+) -> Float64Array:
     """Longer side of the footprint of a central pixel turned towards each place, metres."""
-    distance = np.linalg.norm(sight_vectors(position, places, bend), axis=1)
+    distance = np.linalg.norm(line_of_sight_vectors(position, places, bend), axis=1)
     facing = -np.sum(arrival_directions(position, places, bend) * normals, axis=1)
     with np.errstate(divide="ignore"):
         along = np.where(facing > 0, distance / (camera.fy * facing), np.inf)

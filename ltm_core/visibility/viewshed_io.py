@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
 from ltm_core.geodesy import SiteFrame
 from ltm_core.raster.raster_io import write_geotiff
-from ltm_core.visibility.viewshed import Coverage, View
+from ltm_core.types import UInt8Array
+from ltm_core.visibility.viewshed import Coverage, PosedCamera
 
 BANDS = (
     "cameras that see the cell",
@@ -45,8 +45,8 @@ def write_coverage(path: Path | str, coverage: Coverage, frame: SiteFrame) -> No
 
 
 def coverage_picture(
-    coverage: Coverage, dem: Dem, views: Sequence[View], title: str | None = None
-) -> NDArray[np.uint8]:
+    coverage: Coverage, dem: Dem, views: Sequence[PosedCamera], title: str | None = None
+) -> UInt8Array:
     """The number of cameras that see each cell over shaded relief, RGB (H, W, 3), with the cameras and a legend.
 
     `dem`: in the frame of the coverage.

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ltm_core.config_io import load_yaml
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.strict_model import StrictModel
+from ltm_core.types import Float64Array
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import CALIBRATION_SUFFIX, Manifest
 
@@ -35,7 +35,7 @@ class Calibration(StrictModel):
                 raise ValueError(f"confusion: the row of {name} sums to {sum(row):.4f}, expected 1, none below 0")
         return self
 
-    def matrix(self, labels: LabelSet) -> NDArray[np.float64]:
+    def matrix(self, labels: LabelSet) -> Float64Array:
         """The matrix (K, K) for a label set whose first classes are those of the file; classes appended to the set
         are taken at their word. Raises ModelError for classes in another order."""
         count = len(self.classes)

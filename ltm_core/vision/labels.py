@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from ltm_core.config_io import load_yaml
 from ltm_core.errors import ConfigError
 from ltm_core.resources import config_path
 from ltm_core.strict_model import StrictModel
+from ltm_core.types import BoolArray
 
 UNLABELLED: Final = 255
 
@@ -102,7 +102,7 @@ class LabelSet:
         return self.names[label] if 0 <= label < len(self.names) else "unlabelled"
 
     @cached_property
-    def votes_table(self) -> npt.NDArray[np.bool_]:
+    def votes_table(self) -> BoolArray:
         """(256,) bool: True for ids whose pixels vote for ground cover."""
         table = np.zeros(256, dtype=np.bool_)
         table[: len(self.ground_cover)] = self.ground_cover

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import onnxruntime as ort
 
 from ltm_core.errors import ModelError
+from ltm_core.types import Float32Array
 from ltm_core.vision.manifest import Manifest
 
 _ELEMENT_TYPES = {"float32": "tensor(float)", "uint8": "tensor(uint8)"}
@@ -38,7 +39,7 @@ class OnnxModel:
         self._options = ort.RunOptions()
         self._options.only_execute_path_to_fetches = True
 
-    def run(self, tensor: npt.NDArray[Any], intrinsics: npt.NDArray[np.float32] | None = None) -> npt.NDArray[Any]:
+    def run(self, tensor: npt.NDArray[Any], intrinsics: Float32Array | None = None) -> npt.NDArray[Any]:
         """Run the network on a tensor of the manifest's input shape and dtype; gives its output tensor.
 
         `intrinsics`: (3, 3) camera matrix in pixels of the input, for a manifest that names an input for it. Raises

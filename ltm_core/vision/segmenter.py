@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ltm_core.errors import ImageError, ModelError
+from ltm_core.types import Float32Array, UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.manifest import InputSpec, Manifest
 from ltm_core.vision.onnx_model import OnnxModel
@@ -28,8 +29,8 @@ class Segmentation:
     of that label x 255; 0 where unlabelled; 255 wherever labelled by a network that gives bare ids.
     """
 
-    labels: npt.NDArray[np.uint8]
-    confidence: npt.NDArray[np.uint8]
+    labels: UInt8Array
+    confidence: UInt8Array
 
 
 class Segmenter:
@@ -75,7 +76,7 @@ class Segmenter:
         """The network file in use."""
         return self._model.path
 
-    def segment(self, image: npt.NDArray[np.uint8], zoom: float = 1.0) -> Segmentation:
+    def segment(self, image: UInt8Array, zoom: float = 1.0) -> Segmentation:
         """Label a photo (H, W, 3) uint8 RGB; the result has the photo's size.
 
         With `zoom` above 1 the network looks a second time, at so much larger a scale, at the distant slopes: the
@@ -97,7 +98,7 @@ class Segmenter:
             confidence[labels == UNLABELLED] = 0
         return Segmentation(labels, confidence)
 
-    def _tile_probabilities(self, tile: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+    def _tile_probabilities(self, tile: UInt8Array) -> Float32Array:
         return self._label_probabilities(self._model.run(input_tensor(tile, self.manifest.input)))
 
     def _from_ids(self, output: npt.NDArray[Any], height: int, width: int) -> Segmentation:
@@ -110,7 +111,7 @@ class Segmenter:
         labels = np.asarray(labels, dtype=np.uint8)
         return Segmentation(labels, np.where(labels == UNLABELLED, 0, 255).astype(np.uint8))
 
-    def logits(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+    def logits(self, image: UInt8Array) -> Float32Array:
         """The network's scores (K, h, w) of its classes, with the manifest's offsets and before any temperature, at its
         own resolution.
 
@@ -121,12 +122,12 @@ class Segmenter:
             raise ModelError(f"model {self.manifest.name!r} gives class ids; scores need logits or probabilities")
         return self._scores(self._model.run(input_tensor(image, self.manifest.input)))
 
-    def class_probabilities(self, image: npt.NDArray[np.uint8]) -> dict[str, npt.NDArray[np.float32]]:
+    def class_probabilities(self, image: UInt8Array) -> dict[str, Float32Array]:
         """Probability (h, w) of each of the network's own classes, at its own resolution; raises as `logits` does."""
         probabilities = self._probabilities(self.logits(image))
         return dict(zip(self.classes, probabilities, strict=True))
 
-    def _scores(self, output: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    def _scores(self, output: npt.NDArray[Any]) -> Float32Array:
         """Network output -> (K, h, w), checked."""
         spec = self.manifest.output
         scores = output[0] if spec.layout == "NCHW" else np.moveaxis(output[0], -1, 0)
@@ -139,7 +140,7 @@ class Segmenter:
             scores[self.classes.index(name)] += np.float32(offset)
         return scores if self._text is None else self._text.scores(scores)
 
-    def _probabilities(self, scores: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def _probabilities(self, scores: Float32Array) -> Float32Array:
         """Scores (K, h, w) -> probabilities of the network's classes."""
         if self.manifest.output.kind in ("logits", "embeddings"):
             scores = scores * np.float32(1.0 / self.manifest.output.temperature)
@@ -153,14 +154,14 @@ class Segmenter:
             )
         return np.concatenate([1.0 - scores, scores]) if len(scores) == 1 else scores
 
-    def _label_probabilities(self, output: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    def _label_probabilities(self, output: npt.NDArray[Any]) -> Float32Array:
         """Network output -> (G, h, w) probability of each label that the network knows."""
         probabilities = self._probabilities(self._scores(output))
         count, rows, cols = probabilities.shape
         grouped = self._grouped(probabilities.reshape(count, -1))
         return np.asarray(np.clip(grouped, 0.0, 1.0), dtype=np.float32).reshape(-1, rows, cols)
 
-    def _grouped(self, scores: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def _grouped(self, scores: Float32Array) -> Float32Array:
         """Sums of the classes (K, N) of each label (G, N); no matrix product, whose threads would spin for cores."""
         grouped = np.zeros((len(self._group_labels), scores.shape[1]), np.float32)
         for group, score in zip(self._group_of_class, scores, strict=True):
@@ -168,7 +169,7 @@ class Segmenter:
         return grouped
 
 
-def input_tensor(image: npt.NDArray[np.uint8], spec: InputSpec) -> npt.NDArray[Any]:
+def input_tensor(image: UInt8Array, spec: InputSpec) -> npt.NDArray[Any]:
     """Photo (H, W, 3) uint8 RGB -> the tensor that a network takes, resized without keeping the aspect.
 
     Shrinks by area (no aliasing), enlarges bilinearly.
@@ -191,12 +192,12 @@ def input_tensor(image: npt.NDArray[np.uint8], spec: InputSpec) -> npt.NDArray[A
     return np.ascontiguousarray(tensor[None])
 
 
-def _check(image: npt.NDArray[np.uint8]) -> None:
+def _check(image: UInt8Array) -> None:
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or image.size == 0:
         raise ImageError(f"segment: image is {image.shape} {image.dtype}, expected (H, W, 3) uint8 RGB")
 
 
-def _class_labels(manifest: Manifest, classes: tuple[str, ...], labels: LabelSet) -> npt.NDArray[np.uint8]:
+def _class_labels(manifest: Manifest, classes: tuple[str, ...], labels: LabelSet) -> UInt8Array:
     """Our label id of each of the network's classes, (K,) uint8."""
     for name, label in manifest.mapping.items():
         if label != "unlabelled" and label not in labels.names:

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ModelError
+from ltm_core.types import Float32Array
 from ltm_core.vision.manifest import Manifest
 
 
@@ -17,7 +17,7 @@ class TextEmbeddings:
     """Words and their directions: `names` (K), `vectors` (K, D) float32 of length 1, `scale` of the cosine."""
 
     names: tuple[str, ...]
-    vectors: NDArray[np.float32]
+    vectors: Float32Array
     scale: float
 
     def only(self, words: Sequence[str] | None) -> TextEmbeddings:
@@ -29,7 +29,7 @@ class TextEmbeddings:
             raise ModelError(f"no embedding of {', '.join(absent)}; words: {', '.join(self.names[:40])}")
         return TextEmbeddings(tuple(words), self.vectors[[self.names.index(w) for w in words]], self.scale)
 
-    def scores(self, dense: NDArray[np.float32]) -> NDArray[np.float32]:
+    def scores(self, dense: Float32Array) -> Float32Array:
         """`scale` x cosine of each word with each pixel's embedding: (D, h, w) -> (K, h, w)."""
         length = np.sqrt(np.einsum("dhw,dhw->hw", dense, dense))
         # einsum, not a matrix product: that would start threads of its own beside ONNX Runtime's.

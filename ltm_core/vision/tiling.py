@@ -10,21 +10,20 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-Plane = npt.NDArray[np.float32]
+from ltm_core.types import BoolArray, Float32Array, UInt8Array
 
 _OVERLAP = 0.25  # of a tile's side: neighbours share it, and fade into each other over it
 _ABOVE = 0.25  # of a tile's height that lies above the skyline
 
 
 def with_distant_tiles(
-    image: npt.NDArray[np.uint8],
-    probabilities: Plane,
+    image: UInt8Array,
+    probabilities: Float32Array,
     sky: int,
     zoom: float,
-    look: Callable[[npt.NDArray[np.uint8]], Plane],
-) -> Plane:
+    look: Callable[[UInt8Array], Float32Array],
+) -> Float32Array:
     """Probabilities (K, h', w'), `zoom` times finer than those given (K, h, w) for the whole photo.
 
     `look` gives the probabilities (K, rows, cols) of a part of the photo (H, W, 3); it is asked for tiles of 1 / zoom
@@ -56,7 +55,7 @@ def with_distant_tiles(
     return np.asarray(total / weight, np.float32).reshape(count, *weight.shape)
 
 
-def tile_corners(line: Plane, size: tuple[int, int], zoom: float) -> list[tuple[float, float]]:
+def tile_corners(line: Float32Array, size: tuple[int, int], zoom: float) -> list[tuple[float, float]]:
     """(top, left) of tiles of 1 / zoom of a picture of `size` that cover its skyline (w,), NaN where there is none."""
     rows, cols = size
     tall, wide = rows / zoom, cols / zoom
@@ -77,7 +76,7 @@ def tile_corners(line: Plane, size: tuple[int, int], zoom: float) -> list[tuple[
     return corners
 
 
-def _skyline(sky: npt.NDArray[np.bool_]) -> Plane | None:
+def _skyline(sky: BoolArray) -> Float32Array | None:
     """First row below the sky in each column (w,), NaN where a column does not begin with sky or is sky throughout;
     None where no column has one."""
     row = np.argmin(sky, axis=0).astype(np.float32)
@@ -85,7 +84,7 @@ def _skyline(sky: npt.NDArray[np.bool_]) -> Plane | None:
     return row if np.isfinite(row).any() else None
 
 
-def _fade(size: tuple[int, ...]) -> Plane:
+def _fade(size: tuple[int, ...]) -> Float32Array:
     """Weights (h, w) of a tile: 2 within, down to 0 at its edges over half the overlap."""
     ramps = []
     for length in size:

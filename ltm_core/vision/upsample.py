@@ -2,13 +2,11 @@
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
-Float32 = npt.NDArray[np.float32]
-UInt8 = npt.NDArray[np.uint8]
+from ltm_core.types import Float32Array, Int32Array, UInt8Array
 
 
-def upsampled_winner(probabilities: Float32, height: int, width: int) -> tuple[UInt8, UInt8]:
+def upsampled_winner(probabilities: Float32Array, height: int, width: int) -> tuple[UInt8Array, UInt8Array]:
     """Most probable class of each pixel of a `height` x `width` image, interpolated bilinearly.
 
     `probabilities` is (K, h, w) float32 in 0..1. Both grids cover the same field of view edge to edge (pixel
@@ -32,7 +30,7 @@ def upsampled_winner(probabilities: Float32, height: int, width: int) -> tuple[U
     return winner, confidence
 
 
-def _neighbours(size: int, target: int) -> tuple[npt.NDArray[np.int32], Float32]:
+def _neighbours(size: int, target: int) -> tuple[Int32Array, Float32Array]:
     """For each of `target` samples the index of the first of its two source samples, and the second's weight."""
     centre = (np.arange(target) + 0.5) * (size / target) - 0.5
     centre = np.clip(centre, 0.0, size - 1.0)
@@ -42,13 +40,13 @@ def _neighbours(size: int, target: int) -> tuple[npt.NDArray[np.int32], Float32]
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz"})  # type: ignore[untyped-decorator]
 def _interpolate(
-    probabilities: Float32,
-    row_first: npt.NDArray[np.int32],
-    row_weight: Float32,
-    col_first: npt.NDArray[np.int32],
-    col_weight: Float32,
-    winner: UInt8,
-    confidence: UInt8,
+    probabilities: Float32Array,
+    row_first: Int32Array,
+    row_weight: Float32Array,
+    col_first: Int32Array,
+    col_weight: Float32Array,
+    winner: UInt8Array,
+    confidence: UInt8Array,
 ) -> None:
     classes, rows, cols = probabilities.shape
     height, width = winner.shape

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 from rclpy.serialization import serialize_message
 
 from ltm_core.camera import Camera
@@ -17,6 +16,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.site_io import load_site
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import Float32Array, UInt8Array
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.votes import fitting, votes_to_msg
 
@@ -88,13 +88,13 @@ def _geometry(extent: float) -> GridGeometry:
     return GridGeometry(400_005.0, 3_800_025.0 + cells * _CELL, _CELL, cells, cells, "EPSG:32611")
 
 
-def _terrain(rng: np.random.Generator, cells: int) -> NDArray[np.float32]:
+def _terrain(rng: np.random.Generator, cells: int) -> Float32Array:
     """Mountains by spectral synthesis (Saupe, in The Science of Fractal Images, 2.6)."""
     frequency = np.hypot(np.fft.fftfreq(cells)[:, None], np.fft.rfftfreq(cells)[None])
     frequency[0, 0] = np.inf
     phases = np.exp(2j * np.pi * rng.random(frequency.shape))
     height = np.fft.irfft2(phases * frequency**_ROUGHNESS, (cells, cells))
-    elevation: NDArray[np.float32] = (300 + _RELIEF * (height - height.min()) / np.ptp(height)).astype(np.float32)
+    elevation: Float32Array = (300 + _RELIEF * (height - height.min()) / np.ptp(height)).astype(np.float32)
     return elevation
 
 
@@ -108,7 +108,7 @@ def _high_place(rng: np.random.Generator, dem: Dem) -> tuple[float, float, float
     return float(x[best]), float(y[best]), float(z[best]) + _MAST
 
 
-def _labels_of(points: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.uint8]:
+def _labels_of(points: Float32Array, rng: np.random.Generator) -> UInt8Array:
     """Patches of covers on the ground, a tenth of the pixels mistaken."""
     with np.errstate(invalid="ignore"):
         patch = np.floor(points[..., 0] / _PATCH) * 3 + np.floor(points[..., 1] / _PATCH)

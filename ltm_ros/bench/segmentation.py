@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from numpy.typing import NDArray
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -20,6 +19,7 @@ from sensor_msgs.msg import Image
 
 from ltm_core.errors import LtmError
 from ltm_core.site_io import load_site
+from ltm_core.types import UInt8Array
 from ltm_msgs_py.image import image_to_msg
 from ltm_ros.launching.dds_shutdown import wait_for_quiet
 from ltm_ros.launching.graph import Graph, describe
@@ -45,7 +45,7 @@ class NodeRate:
 
 
 def run_segmentation(
-    model: str, threads: int, photo: NDArray[np.uint8], frames: int, domain_id: int | None = None
+    model: str, threads: int, photo: UInt8Array, frames: int, domain_id: int | None = None
 ) -> NodeRate:
     """One node that labels `photo` (H, W, 3) so many times. Raises LtmError where it does not start or answer."""
     apply_to_process(domain_id)
@@ -70,7 +70,7 @@ def run_segmentation(
 class _Exchange:
     """Sends photos and waits for their labels; no more than IN_FLIGHT are on their way."""
 
-    def __init__(self, photo: NDArray[np.uint8]) -> None:
+    def __init__(self, photo: UInt8Array) -> None:
         self._photo = photo
         self._context = Context()
         rclpy.init(context=self._context)

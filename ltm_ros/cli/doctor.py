@@ -13,13 +13,18 @@ def doctor(json: Annotated[bool, typer.Option("--json", help="Print the findings
     from rich.markup import escape
     from rich.table import Table
 
-    from ltm_ros.doctor import State, as_json, examine, healthy, summed_up
+    from ltm_ros.doctor import Condition, as_json, examine, healthy, summed_up
 
     findings = examine()
     if json:
         typer.echo(as_json(findings))
         raise typer.Exit(0 if healthy(findings) else 1)
-    styles = {State.OK: "green", State.OPTIONAL: "dim", State.WARNING: "yellow", State.MISSING: "bold red"}
+    styles = {
+        Condition.OK: "green",
+        Condition.OPTIONAL: "dim",
+        Condition.WARNING: "yellow",
+        Condition.MISSING: "bold red",
+    }
     table = Table("", "", "what", "found")
     area = ""
     for finding in summed_up(findings):
@@ -39,6 +44,6 @@ def doctor(json: Annotated[bool, typer.Option("--json", help="Print the findings
     for finding in findings:
         if finding.remedy:
             typer.echo(f"{finding.state} {finding.name}: {finding.remedy}")
-    missing = [finding.name for finding in findings if finding.state is State.MISSING]
+    missing = [finding.name for finding in findings if finding.state is Condition.MISSING]
     typer.echo(f"missing: {', '.join(missing)}" if missing else "nothing required is missing")
     raise typer.Exit(1 if missing else 0)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 
 from ltm_core.camera import Camera
@@ -17,6 +16,7 @@ from ltm_core.evaluation.metrics.segmentation import score_labels
 from ltm_core.evaluation.segmentation.network_score import score_segmenter, segment_milliseconds
 from ltm_core.pictures import label_legend, overlay_labels, to_jpeg, with_legend
 from ltm_core.training.labelled_frames import read_frames
+from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import Label
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.segmenter import Segmenter
@@ -86,7 +86,7 @@ def check_depth(console: Console, manifest: Manifest, threads: int, images: Path
         console.print(f"{path.name}: {found.kind} {spread}, {milliseconds:.0f} ms -> {target}")
 
 
-def trial_scene() -> NDArray[np.uint8]:
+def trial_scene() -> UInt8Array:
     """A sky over two ridges and a meadow, (360, 640, 3): enough for a trial where no photo is at hand."""
     rng = np.random.default_rng(5)
     height, width = 360, 640
@@ -107,7 +107,7 @@ def _describe(console: Console, manifest: Manifest, path: Path) -> None:
     console.print(f"input {spec.layout} {spec.dtype} {spec.shape}; output {manifest.output.kind}", markup=False)
 
 
-def _depth_colors(found: NetworkDepth, size: tuple[int, ...]) -> NDArray[np.uint8]:
+def _depth_colors(found: NetworkDepth, size: tuple[int, ...]) -> UInt8Array:
     """Ranks of a depth image as colours: a network's own scale means nothing to the eye."""
     values = found.values if found.kind == "relative_inverse" else -found.values
     ranks = np.searchsorted(np.sort(values[np.isfinite(values)]), values) / values.size * 255.0
@@ -115,9 +115,7 @@ def _depth_colors(found: NetworkDepth, size: tuple[int, ...]) -> NDArray[np.uint
     return np.ascontiguousarray(cv2.applyColorMap(np.asarray(large, np.uint8), cv2.COLORMAP_TURBO)[..., ::-1])
 
 
-def _overlay(
-    console: Console, segmenter: Segmenter, photo: NDArray[np.uint8], path: Path, out: Path, zoom: float
-) -> None:
+def _overlay(console: Console, segmenter: Segmenter, photo: UInt8Array, path: Path, out: Path, zoom: float) -> None:
     labels = segmenter.segment(photo, zoom).labels
     shares = np.bincount(labels.ravel(), minlength=256) / labels.size
     seen = [int(label) for label in np.argsort(-shares) if shares[label] >= 0.01]
@@ -152,7 +150,7 @@ def _photos(images: Path) -> list[Path]:
     return photos
 
 
-def _read(path: Path) -> NDArray[np.uint8]:
+def _read(path: Path) -> UInt8Array:
     image = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if image is None:
         raise ImageError(f"{path}: cannot be read as a picture")

@@ -9,8 +9,8 @@ import typer
 
 if TYPE_CHECKING:
     from ltm_core.geodesy import SiteFrame
-    from ltm_core.visibility.point_visibility import SightLines
-    from ltm_core.visibility.viewshed import View
+    from ltm_core.visibility.point_visibility import PointVisibility
+    from ltm_core.visibility.viewshed import PosedCamera
 
 
 def viewshed(
@@ -87,16 +87,16 @@ def viewshed(
         console.print(f"  {path}", highlight=False)
 
 
-def _title(views: list[View], target_height: float) -> str:
+def _title(views: list[PosedCamera], target_height: float) -> str:
     what = "the ground" if target_height == 0 else f"{target_height:g} m above the ground"
     return f"cameras that see {what}" if len(views) > 1 else f"{what}, seen from {views[0].name}"
 
 
-def _from_site(path: Path) -> tuple[SightLines, SiteFrame, list[View], list[str]]:
+def _from_site(path: Path) -> tuple[PointVisibility, SiteFrame, list[PosedCamera], list[str]]:
     from ltm_core.errors import ConfigError
     from ltm_core.site_io import load_site
-    from ltm_core.visibility.point_visibility import SightLines
-    from ltm_core.visibility.viewshed import View
+    from ltm_core.visibility.point_visibility import PointVisibility
+    from ltm_core.visibility.viewshed import PosedCamera
 
     site = load_site(path)
     terrain = site.open_dem()
@@ -105,19 +105,19 @@ def _from_site(path: Path) -> tuple[SightLines, SiteFrame, list[View], list[str]
         if camera.calibration is None or camera.pose is None:
             skipped.append(name)
         else:
-            views.append(View(name, camera.calibration.camera(), camera.pose.pose(terrain, site.frame)))
+            views.append(PosedCamera(name, camera.calibration.camera(), camera.pose.pose(terrain, site.frame)))
     if not views:
         raise ConfigError(f"{path}: no camera has both calibration and pose ({', '.join(skipped)} come as topics)")
-    return SightLines(terrain, site.curvature, site.refraction), site.frame, views, skipped
+    return PointVisibility(terrain, site.curvature, site.refraction), site.frame, views, skipped
 
 
-def _from_pose(path: Path, dem: list[Path], crs: str | None) -> tuple[SightLines, SiteFrame, list[View]]:
+def _from_pose(path: Path, dem: list[Path], crs: str | None) -> tuple[PointVisibility, SiteFrame, list[PosedCamera]]:
     from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.tracing.trace_io import load_picture_config, set_up_picture
-    from ltm_core.visibility.point_visibility import SightLines
-    from ltm_core.visibility.viewshed import View
+    from ltm_core.visibility.point_visibility import PointVisibility
+    from ltm_core.visibility.viewshed import PosedCamera
 
     config = load_picture_config(path)
     setup = set_up_picture(config, open_terrain([(dem[0], crs), *((raster, None) for raster in dem[1:])]))
-    sight = SightLines(setup.dem, config.curvature, config.refraction)
-    return sight, setup.frame, [View(path.stem, setup.camera, setup.pose)]
+    sight = PointVisibility(setup.dem, config.curvature, config.refraction)
+    return sight, setup.frame, [PosedCamera(path.stem, setup.camera, setup.pose)]

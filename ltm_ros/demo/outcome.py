@@ -8,22 +8,21 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
 from ltm_core.fuel.coverage import CoverageMap
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.grid import GridGeometry
 from ltm_core.pictures import MapCamera, RangeScale, fuel_map_picture, overlay_depth, overlay_labels, panel, to_png
-from ltm_core.pictures.fuel_maps import Place
+from ltm_core.pictures.fuel_maps import CameraMark
 from ltm_core.pictures.fuel_sheets import change_sheet, coverage_sheet, fuel_sheet
 from ltm_core.site import Site
+from ltm_core.types import BoolArray, RgbImage, UInt8Array
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.evaluation.run_report import CameraPictures, Sheet
 from ltm_ros.fuel_map.pictures import canvas_of, seen_window
 from ltm_ros.recordings.recorded_frames import RecordedFrame
 
-Rgb = NDArray[np.uint8]
 HEADING_STEP_DEG = 20.0
 """Frames of a camera that look into directions at least so far apart are shown, the first of each."""
 
@@ -65,14 +64,14 @@ def camera_pictures(frames: Sequence[RecordedFrame], labels: LabelSet, scale: Ra
 
 
 def map_picture(
-    classes: NDArray[np.uint8],
+    classes: UInt8Array,
     geometry: GridGeometry,
     site: Site,
     dem: Dem,
     frames: Sequence[RecordedFrame],
     labels: LabelSet,
-    changed: NDArray[np.bool_] | None = None,
-) -> Rgb:
+    changed: BoolArray | None = None,
+) -> RgbImage:
     """The fuel map over relief with the cameras and the sectors that they looked into, changed cells outlined."""
     named: set[str] = set()
     cameras = []
@@ -94,7 +93,9 @@ def fuel_sheets(
     palette: LabelSet,
 ) -> dict[str, Sheet]:
     """What the fuel map says and how surely, what has changed in it, and who saw what of it, by file name."""
-    spots = {f.camera_name: Place(f.camera_name, float(f.pose.position[0]), float(f.pose.position[1])) for f in frames}
+    spots = {
+        f.camera_name: CameraMark(f.camera_name, float(f.pose.position[0]), float(f.pose.position[1])) for f in frames
+    }
     places, seen = list(spots.values()), coverage.count() > 0
     whole = canvas_of(site, dem, coverage.geometry, places)
     part = canvas_of(site, dem, coverage.geometry, places, seen_window(coverage.geometry, seen, places))
@@ -121,7 +122,7 @@ def fuel_sheets(
 def write_pictures(
     folder: Path,
     frames: Sequence[RecordedFrame],
-    fuel_map: Rgb,
+    fuel_map: RgbImage,
     labels: LabelSet,
     scale: RangeScale,
     title: str = "fuel map of all frames and cameras",
@@ -150,7 +151,7 @@ def _depth_span(frame: RecordedFrame) -> float:
     return float(np.log2(high / low))
 
 
-def _overview(sheet: Sequence[tuple[str, Rgb]], fuel_map: Rgb, title: str, width: int = 640) -> Rgb:
+def _overview(sheet: Sequence[tuple[str, RgbImage]], fuel_map: RgbImage, title: str, width: int = 640) -> RgbImage:
     """The sheet's pictures in a column, and beside them the map at the same height."""
     left = panel(sheet, columns=1, width=width)
     titled = panel([(title, fuel_map)], columns=1, width=width)
@@ -161,7 +162,7 @@ def _overview(sheet: Sequence[tuple[str, Rgb]], fuel_map: Rgb, title: str, width
     return np.hstack([_padded(left, height), _padded(right, height)])
 
 
-def _padded(picture: Rgb, height: int) -> Rgb:
+def _padded(picture: RgbImage, height: int) -> RgbImage:
     missing = height - picture.shape[0]
     return np.pad(picture, ((0, missing), (0, 0), (0, 0)), mode="edge")
 

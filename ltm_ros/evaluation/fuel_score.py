@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ltm_core.errors import LtmError, RecordingError
 from ltm_core.evaluation.fuel.label_correlation import label_correlation
 from ltm_core.evaluation.fuel.map_score import MapScore, score_map
@@ -20,6 +17,7 @@ from ltm_core.fuel.majority import UNSEEN, MajorityFuelMap
 from ltm_core.fuel.site_map import site_evidence_map, site_label_errors
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.resources import config_path
+from ltm_core.types import Int64Array
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.recordings.recorded_run import FUEL_TRUTH, Recorded, recorded_votes
 
@@ -41,7 +39,7 @@ class FuelBagScore:
     errors: LabelErrors
     correlation: LabelCorrelation | None
     lacking: str
-    cells: NDArray[np.int64] | None
+    cells: Int64Array | None
 
 
 def score_fuel_bag(recorded: Recorded, repeat_hours: float = 0.0) -> FuelBagScore:

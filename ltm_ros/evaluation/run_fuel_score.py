@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import LtmError, RecordingError
 from ltm_core.evaluation.fuel.map_score import MapScore, score_map
@@ -14,6 +13,7 @@ from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.majority import UNSEEN, MajorityFuelMap
 from ltm_core.fuel.site_map import site_evidence_map
+from ltm_core.types import UInt8Array
 from ltm_msgs_py.votes import msg_to_votes
 from ltm_ros.recordings.frame_stream import StreamedFrame
 from ltm_ros.recordings.recorded_map import last_fuel_map
@@ -72,7 +72,7 @@ class FuelTally:
             truth, grid = read_fuel_map(file)
             classes, vote, prior, changes = self._classes, None, None, None
 
-            def scored(values: NDArray[np.uint8]) -> FuelScore:
+            def scored(values: UInt8Array) -> FuelScore:
                 return score_fuel(values, self._geometry, truth, grid, len(self._labels))
 
             if self._counted:

@@ -11,13 +11,13 @@ from typing import Any
 
 import jinja2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.evaluation.metrics.depth import DepthScore
 from ltm_core.evaluation.metrics.fuel import FuelScore
 from ltm_core.evaluation.metrics.segmentation import SegmentationScore
 from ltm_core.pictures import RangeScale, fit, overlay_depth, overlay_labels, range_legend, to_jpeg
-from ltm_core.pictures.class_palette import Labels, Palette, Rgb
+from ltm_core.pictures.class_palette import ClassPalette
+from ltm_core.types import Float32Array, Int64Array, RgbImage, UInt8Array
 from ltm_ros.evaluation.run_page import PAGE
 
 MAX_WIDTH = 1280
@@ -60,19 +60,19 @@ class CameraPictures:
     """One frame of one camera, drawn: photo, depth, labels, (H, W, 3) each."""
 
     camera: str
-    photo: Rgb
-    depth: Rgb
-    labels: Rgb
+    photo: RgbImage
+    depth: RgbImage
+    labels: RgbImage
     caption: str = ""
 
     @classmethod
     def of(
         cls,
         camera: str,
-        photo: Rgb,
-        ranges: NDArray[np.float32],
-        labels: Labels,
-        label_set: Palette,
+        photo: RgbImage,
+        ranges: Float32Array,
+        labels: UInt8Array,
+        label_set: ClassPalette,
         caption: str = "",
         scale: RangeScale | None = None,
     ) -> CameraPictures:
@@ -96,7 +96,7 @@ class Sheet:
     """A picture under a heading of its own."""
 
     title: str
-    picture: Rgb
+    picture: RgbImage
     caption: str
 
 
@@ -114,12 +114,12 @@ class ReportData:
     conditions: Sequence[tuple[str, str]]
     nodes: Sequence[NodeRow]
     cameras: Sequence[CameraPictures] = ()
-    fuel_map: Rgb | None = None
+    fuel_map: RgbImage | None = None
     sheets: Sequence[Sheet] = ()
     depth: Sequence[DepthScore] = ()
     labels: SegmentationScore | None = None
     fuel: FuelScore | None = None
-    label_set: Palette | None = None
+    label_set: ClassPalette | None = None
     scale: RangeScale | None = None
     tables: Sequence[Table] = ()
     recording: str | None = None
@@ -176,7 +176,7 @@ def _tiles(data: ReportData) -> list[tuple[str, str, str]]:
     return tiles
 
 
-def _confusion(counts: NDArray[np.int64], names: Sequence[str]) -> dict[str, Any]:
+def _confusion(counts: Int64Array, names: Sequence[str]) -> dict[str, Any]:
     """The classes that occur, as rows of (count, share of its row, is right); more columns than rows: unlabelled."""
     classes, predicted = counts.shape
     names = [*names, *map(str, range(len(names), classes))]
@@ -197,7 +197,7 @@ def _bin_name(score: DepthScore) -> str:
     return f"over {score.near:,.0f} m" if math.isinf(score.far) else f"{score.near:,.0f} to {score.far:,.0f} m"
 
 
-def _picture(picture: Rgb) -> str:
+def _picture(picture: RgbImage) -> str:
     shown = fit(picture, MAX_WIDTH) if picture.shape[1] > MAX_WIDTH else picture
     return "data:image/jpeg;base64," + base64.b64encode(to_jpeg(shown, 88)).decode("ascii")
 

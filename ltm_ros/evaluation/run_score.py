@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.errors import LtmError
@@ -22,6 +21,7 @@ from ltm_core.evaluation.metrics.segmentation import SegmentationScore
 from ltm_core.evaluation.metrics.skyline import SkylineScore, SkylineTally, depth_skyline, skyline
 from ltm_core.resources import config_path
 from ltm_core.site import Site
+from ltm_core.types import Float32Array
 from ltm_core.vision.labels import Label, LabelSet
 from ltm_ros.evaluation.run_fuel_score import FuelTally
 from ltm_ros.evaluation.terrain_score import TerrainScore, score_terrain
@@ -144,7 +144,7 @@ def score_bag(recorded: Recorded, folders: Sequence[DepthMapFolder] = ()) -> Bag
 
 
 def _add_shared(
-    tallies: dict[tuple[str, str], DepthTally], found: dict[str, NDArray[np.float32]], truth: NDArray[np.float32]
+    tallies: dict[tuple[str, str], DepthTally], found: dict[str, Float32Array], truth: Float32Array
 ) -> None:
     everywhere = np.all([np.isfinite(metres) for metres in found.values()], axis=0)
     for name, metres in found.items():
@@ -158,16 +158,14 @@ def kind_of(source: str, folders: Sequence[DepthMapFolder]) -> DepthKind:
     return "metric"
 
 
-def in_metres(
-    depth: NDArray[np.float32], kind: DepthKind, truth: NDArray[np.float32], image: tuple[int, int]
-) -> NDArray[np.float32]:
+def in_metres(depth: Float32Array, kind: DepthKind, truth: Float32Array, image: tuple[int, int]) -> Float32Array:
     """A depth image at the truth's pixels, in metres; one without a scale is fitted to the truth."""
     return fit_to_truth(at_pixels_of(depth, image, truth.shape), truth, kind)
 
 
 def estimates(
     frame: StreamedFrame, folders: Sequence[DepthMapFolder], image: tuple[int, int]
-) -> list[tuple[str, NDArray[np.float32]]]:
+) -> list[tuple[str, Float32Array]]:
     """The depths that there are of a frame, by the name of their source, each in its own kind and size."""
     found = [(name, frame.take(name)) for name in DEPTH_SOURCES if name in frame]
     camera: Camera | None = frame.take("camera") or frame.take("depth_camera")

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -31,12 +30,12 @@ from ltm_core.pictures import (
     terrain_colors,
     terrain_map_picture,
 )
-from ltm_core.pictures.class_palette import Labels, Rgb
 from ltm_core.pictures.error_colors import error_colors, error_legend
 from ltm_core.pictures.legend import PAPER
 from ltm_core.pictures.maps import fuel_map_picture
 from ltm_core.pose import Pose
 from ltm_core.site import Site
+from ltm_core.types import Float32Array, RgbImage, UInt8Array
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmenter
 from ltm_ros.evaluation.run_score import estimates, in_metres, kind_of
@@ -51,17 +50,17 @@ _PANEL, _WIDE = 640, 860
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class ScoredView:
     """One heading of one camera: what went in, what came out, what is true."""
 
     camera_name: str
     camera: Camera
     pose: Pose
-    photo: Rgb
-    labels: Labels | None
-    truth_depth: NDArray[np.float32] | None
-    truth_labels: Labels | None
-    depths: dict[str, NDArray[np.float32]]
+    photo: RgbImage
+    labels: UInt8Array | None
+    truth_depth: Float32Array | None
+    truth_labels: UInt8Array | None
+    depths: dict[str, Float32Array]
     """Name of each source -> metres at the truth's pixels, or as it is where there is no truth."""
 
     @property
@@ -69,9 +68,9 @@ class View:
         return f"{self.camera_name}, {self.pose.angles_deg[0]:.0f}°"
 
 
-def views(stream: FrameStream, site: Site, folders: Sequence[DepthMapFolder] = (), most: int = 2) -> list[View]:
+def views(stream: FrameStream, site: Site, folders: Sequence[DepthMapFolder] = (), most: int = 2) -> list[ScoredView]:
     """The first frame of each heading of each camera, at most `most` a camera, in the site's order of cameras."""
-    found: list[View] = []
+    found: list[ScoredView] = []
     headings: dict[str, list[float]] = {}
     for frame in stream.frames(["camera", "pose", "photo"]):
         pose: Pose = frame.take("pose")
@@ -84,14 +83,14 @@ def views(stream: FrameStream, site: Site, folders: Sequence[DepthMapFolder] = (
     return sorted(found, key=lambda view: order.index(view.camera_name))
 
 
-def _view(frame: StreamedFrame, site: Site, folders: Sequence[DepthMapFolder]) -> View:
+def _view(frame: StreamedFrame, site: Site, folders: Sequence[DepthMapFolder]) -> ScoredView:
     truth = frame.take("truth_depth")
     image = image_shape(frame, site)
     depths = {
         name: depth if truth is None else in_metres(depth, kind_of(name, folders), truth, image)
         for name, depth in estimates(frame, folders, image)
     }
-    return View(
+    return ScoredView(
         frame.camera_name,
         frame.take("camera"),
         frame.take("pose"),
@@ -103,19 +102,19 @@ def _view(frame: StreamedFrame, site: Site, folders: Sequence[DepthMapFolder]) -
     )
 
 
-def terrain_2d(dem: Dem, cameras: Sequence[MapCamera]) -> Rgb:
+def terrain_2d(dem: Dem, cameras: Sequence[MapCamera]) -> RgbImage:
     """The raster as the system holds it: tinted relief with the cameras and the heights of the tints."""
     picture = terrain_map_picture(dem, cameras=cameras, bounds=dem.geometry.bounds, width=1200)
     return np.concatenate([picture, height_legend(dem, picture.shape[1])])
 
 
-def terrain_3d(dem: Dem, pins: Sequence[Pin], draped: Rgb | None = None) -> Rgb:
+def terrain_3d(dem: Dem, pins: Sequence[Pin], draped: RgbImage | None = None) -> RgbImage:
     """The same raster as a block, with its own tints or `draped` colours."""
     return block_picture(_at_most(dem, 1000), terrain_colors(_at_most(dem, 1000)) if draped is None else draped,
                          BlockView(), pins)  # fmt: skip
 
 
-def fuel_3d(dem: Dem, classes: Labels, geometry: GridGeometry, labels: LabelSet, pins: Sequence[Pin]) -> Rgb:
+def fuel_3d(dem: Dem, classes: UInt8Array, geometry: GridGeometry, labels: LabelSet, pins: Sequence[Pin]) -> RgbImage:
     """The fuel map lying on the block."""
     coarse = _at_most(dem, 1000)
     colors = labelled_shade(classes, geometry, labels, coarse, coarse.geometry)
@@ -138,13 +137,16 @@ def _at_most(dem: Dem, cells: int) -> Dem:
 
 
 def segmentation_pairs(
-    simulated: Sequence[View], photos: Sequence[tuple[str, Rgb]], segmenter: Segmenter | None, labels: LabelSet
-) -> Rgb:
+    simulated: Sequence[ScoredView],
+    photos: Sequence[tuple[str, RgbImage]],
+    segmenter: Segmenter | None,
+    labels: LabelSet,
+) -> RgbImage:
     """Rows of picture and labels: real photos first, then simulated frames with the network's labels and the true."""
-    cells: list[tuple[str, Rgb]] = []
+    cells: list[tuple[str, RgbImage]] = []
     shown: set[int] = set()
 
-    def add(name: str, photo: Rgb, ids: Labels) -> None:
+    def add(name: str, photo: RgbImage, ids: UInt8Array) -> None:
         shown.update(np.unique(ids[ids != UNSEEN]).tolist())
         cells.append((name, overlay_labels(photo, ids, labels, opacity=0.62)))
 
@@ -162,7 +164,7 @@ def segmentation_pairs(
     return np.concatenate([sheet, _legend(sheet.shape[1], labels, shown)])
 
 
-def _middle(photo: Rgb, shape: tuple[int, int] | None) -> tuple[slice, slice]:
+def _middle(photo: RgbImage, shape: tuple[int, int] | None) -> tuple[slice, slice]:
     """The middle of a photo in the proportions of `shape`, so that rows of a sheet are of one height."""
     height, width = photo.shape[:2]
     if shape is None:
@@ -172,9 +174,9 @@ def _middle(photo: Rgb, shape: tuple[int, int] | None) -> tuple[slice, slice]:
     return slice(top, top + rows), slice(left, left + cols)
 
 
-def truth_and_labels(simulated: Sequence[View], labels: LabelSet) -> Rgb | None:
+def truth_and_labels(simulated: Sequence[ScoredView], labels: LabelSet) -> RgbImage | None:
     """Photo, true classes and the network's labels of each view; None without truth."""
-    cells: list[tuple[str, Rgb]] = []
+    cells: list[tuple[str, RgbImage]] = []
     shown: set[int] = set()
     for view in simulated:
         if view.labels is None or view.truth_labels is None:
@@ -190,11 +192,11 @@ def truth_and_labels(simulated: Sequence[View], labels: LabelSet) -> Rgb | None:
     return np.concatenate([sheet, _legend(sheet.shape[1], labels, shown)])
 
 
-def depth_panels(view: View) -> Rgb:
+def depth_panels(view: ScoredView) -> RgbImage:
     """Photo and truth, then a row for every source of depth: in the truth's colours, and how far it is off."""
     arrays = list(view.depths.values()) + ([view.truth_depth] if view.truth_depth is not None else [])
     scale = RangeScale.of(np.concatenate([array[::4, ::4].ravel() for array in arrays]))
-    cells: list[tuple[str, Rgb]] = [(view.name, view.photo)]
+    cells: list[tuple[str, RgbImage]] = [(view.name, view.photo)]
     truth = view.truth_depth
     if truth is not None:
         cells.append(("true depth of the visible surface", depth_colors(truth, scale)))
@@ -213,20 +215,20 @@ def depth_panels(view: View) -> Rgb:
 
 
 def fuel_maps(
-    rows: Sequence[tuple[str, dict[str, Labels]]],
-    around: dict[str, Labels],
+    rows: Sequence[tuple[str, dict[str, UInt8Array]]],
+    around: dict[str, UInt8Array],
     geometry: GridGeometry,
     dem: Dem,
     cameras: Sequence[MapCamera],
     labels: LabelSet,
-) -> Rgb:
+) -> RgbImage:
     """Fuel maps of 1,500 x 1,500 m, a row a camera (two) and a column a state: (name, class ids by camera).
 
     `around`: what is seen, by camera: the square lies around it.
     """
     names = list(dict.fromkeys(camera.name for camera in cameras if camera.name))[:2]
     bounds = _square(list(around.values()), geometry, cameras, dem)
-    cells: list[tuple[str, Rgb]] = []
+    cells: list[tuple[str, RgbImage]] = []
     for name in names:
         places = {camera.position for camera in cameras if camera.name == name}
         own = [camera for camera in cameras if camera.position in places]
@@ -237,7 +239,7 @@ def fuel_maps(
 
 
 def _square(
-    maps: Sequence[Labels], geometry: GridGeometry, cameras: Sequence[MapCamera], dem: Dem
+    maps: Sequence[UInt8Array], geometry: GridGeometry, cameras: Sequence[MapCamera], dem: Dem
 ) -> tuple[float, float, float, float]:
     """1,500 m a side around what is seen, moved to hold the cameras where it can, and to lie on the terrain."""
     seen = np.any([classes != UNSEEN for classes in maps], axis=0)
@@ -259,7 +261,7 @@ def _square(
     return float(x0), float(y0), float(x1), float(y1)
 
 
-def map_cameras(seen: Sequence[View], reach: float = 900.0) -> list[MapCamera]:
+def map_cameras(seen: Sequence[ScoredView], reach: float = 900.0) -> list[MapCamera]:
     """Where the cameras stand and look: every heading of every camera, named once."""
     named: set[str] = set()
     found = []
@@ -271,13 +273,13 @@ def map_cameras(seen: Sequence[View], reach: float = 900.0) -> list[MapCamera]:
     return found
 
 
-def pins(seen: Sequence[View]) -> list[Pin]:
+def pins(seen: Sequence[ScoredView]) -> list[Pin]:
     """Each camera once."""
     places = {view.camera_name: tuple(float(v) for v in view.pose.position) for view in seen}
     return [Pin(name, place) for name, place in places.items()]  # type: ignore[arg-type]
 
 
-def camera_maps(recorded: Recorded, geometry: GridGeometry, labels: LabelSet) -> dict[str, Labels]:
+def camera_maps(recorded: Recorded, geometry: GridGeometry, labels: LabelSet) -> dict[str, UInt8Array]:
     """The majority map of each camera's own votes in a bag, on the site's fuel grid (map frame)."""
     from ltm_core.fuel.majority import MajorityFuelMap
 
@@ -287,7 +289,7 @@ def camera_maps(recorded: Recorded, geometry: GridGeometry, labels: LabelSet) ->
     return {name: map_.classes() for name, map_ in maps.items()}
 
 
-def real_photos(folder: Path, most: int) -> list[tuple[str, Rgb]]:
+def real_photos(folder: Path, most: int) -> list[tuple[str, RgbImage]]:
     """Pictures of a folder, evenly spread over their names, at most 1,280 pixels wide."""
     from ltm_core.evaluation.sim2real.picture_folder_io import pictures_in
 
@@ -297,17 +299,17 @@ def real_photos(folder: Path, most: int) -> list[tuple[str, Rgb]]:
     return [(name, fit(np.ascontiguousarray(bgr[..., ::-1]), 1280)) for name, bgr in loaded if bgr is not None]
 
 
-def _legend(width: int, labels: LabelSet, shown: set[int]) -> Rgb:
+def _legend(width: int, labels: LabelSet, shown: set[int]) -> RgbImage:
     """The classes shown, in letters that do not grow with a wide sheet."""
     narrow = label_legend(min(width, 1000), labels, shown)
     return _padded(narrow, narrow.shape[0], width)
 
 
-def _lower(legend: Rgb, height: int) -> Rgb:
+def _lower(legend: RgbImage, height: int) -> RgbImage:
     return _padded(legend, height, legend.shape[1])
 
 
-def _padded(picture: Rgb, height: int, width: int) -> Rgb:
+def _padded(picture: RgbImage, height: int, width: int) -> RgbImage:
     sheet = np.full((height, width, 3), PAPER, np.uint8)
     sheet[: picture.shape[0], : picture.shape[1]] = picture
     return sheet

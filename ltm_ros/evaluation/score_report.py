@@ -18,10 +18,10 @@ from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.fuel.majority import UNSEEN
 from ltm_core.grid import GridGeometry
 from ltm_core.pictures import MapCamera, fit, to_jpeg, to_png
-from ltm_core.pictures.class_palette import Labels, Rgb
-from ltm_core.pictures.fuel_maps import Place
+from ltm_core.pictures.fuel_maps import CameraMark
 from ltm_core.pictures.fuel_sheets import change_sheet, coverage_sheet
 from ltm_core.resources import config_path
+from ltm_core.types import RgbImage, UInt8Array
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmenter
 from ltm_ros.evaluation import score_figures as draw
@@ -44,7 +44,7 @@ class Figure:
 
     section: str
     file: str
-    picture: Rgb
+    picture: RgbImage
     caption: str
 
 
@@ -143,7 +143,7 @@ def _fuel_figures(
     inputs: ReportInputs,
     labels: LabelSet,
     grid: GridGeometry,
-    seen: Sequence[draw.View],
+    seen: Sequence[draw.ScoredView],
     lacking: list[str],
 ) -> list[Figure]:
     site, dem = recorded.site, recorded.site.open_dem()
@@ -194,7 +194,7 @@ def _fuel_figures(
 
 def _change_figures(recorded: Recorded, inputs: ReportInputs, dem: Dem, cameras: Sequence[MapCamera]) -> list[Figure]:
     """What has changed in the map, since the earlier run or from the prior on, and what each camera saw of it."""
-    places = [Place(camera.name, *camera.position) for camera in cameras if camera.name]
+    places = [CameraMark(camera.name, *camera.position) for camera in cameras if camera.name]
     figures: list[Figure] = []
     with FuelSource.open(recorded.bag, recorded.site) as now:
         grid, before, name = recorded.site.in_map(now.geometry), now.empty, "the prior map"
@@ -221,7 +221,7 @@ def _change_figures(recorded: Recorded, inputs: ReportInputs, dem: Dem, cameras:
 
 def _truth_rows(
     recorded: Recorded, name: str, cameras: Sequence[str], grid: GridGeometry
-) -> list[tuple[str, dict[str, Labels]]]:
+) -> list[tuple[str, dict[str, UInt8Array]]]:
     """The true classes of all cells, for each camera; none where no truth lies beside the bag."""
     file = recorded.life_forms
     if file is None:
@@ -241,7 +241,7 @@ def _extents(geometry: GridGeometry) -> list[tuple[float, float]]:
     return [(x_min, x_max), (y_min, y_max)]
 
 
-def _one_a_camera(seen: Sequence[draw.View], most: int = 2) -> list[draw.View]:
+def _one_a_camera(seen: Sequence[draw.ScoredView], most: int = 2) -> list[draw.ScoredView]:
     """The first view of each camera."""
     return list({view.camera_name: view for view in reversed(seen)}.values())[::-1][:most]
 
@@ -264,6 +264,6 @@ def _render(recorded: Recorded, score: BagScore, figures: Sequence[Figure], lack
     )
 
 
-def _picture(picture: Rgb) -> str:
+def _picture(picture: RgbImage) -> str:
     fitted = fit(picture, WIDEST) if picture.shape[1] > WIDEST else picture
     return "data:image/jpeg;base64," + base64.b64encode(to_jpeg(fitted, 90)).decode("ascii")

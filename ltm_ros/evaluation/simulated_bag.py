@@ -11,12 +11,12 @@ from zipfile import BadZipFile
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.errors import RecordingError
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
+from ltm_core.types import Float32Array
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
@@ -108,7 +108,7 @@ def _write_frame(bag: BagWriter, folder: Path, entry: dict[str, Any], site: str,
     write(TRUTH_LABELS, image_to_msg(labels, "mono8", stamp, optical))
 
 
-def _rounded(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+def _rounded(depth: Float32Array) -> Float32Array:
     """Depth to 13 bits of mantissa, 6e-5 of itself: far below what it scores, and a third smaller when compressed."""
     bits = depth.view(np.uint32)
     rounded = ((bits + 0x200) & ~np.uint32(0x3FF)).view(np.float32)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
 from ltm_core.errors import RecordingError
@@ -16,6 +15,7 @@ from ltm_core.evaluation.metrics.change import ChangeScore, score_change
 from ltm_core.evaluation.metrics.heights import SurfaceScore, cell_means, score_surface
 from ltm_core.grid import GridGeometry
 from ltm_core.site import Site
+from ltm_core.types import Float32Array
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.grid import UNKNOWN, msg_to_classes
 from ltm_msgs_py.pointcloud import msg_to_columns, take
@@ -79,7 +79,7 @@ def _last(reader: BagReader, topic: str) -> Any:
     return None if last is None else reader.decode(last)
 
 
-def _updates(reader: BagReader, topic: str, geometry: GridGeometry) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _updates(reader: BagReader, topic: str, geometry: GridGeometry) -> tuple[Float32Array, Float32Array]:
     """The newest height and shift of each cell of the grid, (H, W); NaN where none was sent."""
     heights, shifts = (np.full(geometry.shape, np.nan, np.float32) for _ in range(2))
     for message in reader.messages([topic]):
@@ -92,6 +92,6 @@ def _updates(reader: BagReader, topic: str, geometry: GridGeometry) -> tuple[NDA
     return heights, shifts
 
 
-def _truth(path: Path, site: Site, geometry: GridGeometry) -> NDArray[np.float32]:
+def _truth(path: Path, site: Site, geometry: GridGeometry) -> Float32Array:
     dem = Dem.open(path).in_frame(site.frame)
     return cell_means(dem.elevation, dem.geometry, geometry)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ltm_core.fuel.evidence import EvidenceMap, Window
 from ltm_core.fuel.stored_map import JOURNALED
 from ltm_core.raster.tile_store import CellChanges, TileStore
+from ltm_core.types import Int16Array, UInt8Array
 
 
 class ShownLayers:
@@ -19,8 +20,8 @@ class ShownLayers:
     def __init__(self, evidence: EvidenceMap) -> None:
         self._evidence = evidence
         layers = evidence.layers()
-        self.life_form: NDArray[np.uint8] = layers.life_form
-        self.code: NDArray[np.int16] = layers.code
+        self.life_form: UInt8Array = layers.life_form
+        self.code: Int16Array = layers.code
 
     def refresh(self, windows: Sequence[Window]) -> list[CellChanges]:
         """Decide these parts of the map anew; what has changed there."""

@@ -45,7 +45,7 @@ class Counted:
     window: Window | None
 
 
-class FuelKeeper:
+class FuelMapPersistence:
     """Counts frames into a map and keeps it in a store.
 
     `settle` writes what was counted since the last time, in one transaction, and returns it: acknowledged is what

@@ -7,7 +7,6 @@ from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, PoseError, RasterError
@@ -16,12 +15,13 @@ from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.stored_map import JOURNALED
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
-from ltm_core.pictures.fuel_maps import FuelCanvas, Place
+from ltm_core.pictures.fuel_maps import CameraMark, FuelCanvas
 from ltm_core.raster.tile_store import TileStore
 from ltm_core.site import Site
+from ltm_core.types import BoolArray, Float32Array
 
 
-def places_of(site: Site, dem: Dem) -> list[Place]:
+def places_of(site: Site, dem: Dem) -> list[CameraMark]:
     """The cameras whose place the site file gives, in the map frame."""
     found = []
     for name, camera in site.cameras.items():
@@ -30,7 +30,7 @@ def places_of(site: Site, dem: Dem) -> list[Place]:
                 x, y, _ = camera.pose.pose(dem, site.frame).position
             except PoseError:
                 continue
-            found.append(Place(name, float(x), float(y)))
+            found.append(CameraMark(name, float(x), float(y)))
     return found
 
 
@@ -38,7 +38,7 @@ def canvas_of(
     site: Site,
     dem: Dem,
     geometry: GridGeometry,
-    places: Sequence[Place] | None = None,
+    places: Sequence[CameraMark] | None = None,
     bounds: tuple[float, float, float, float] | None = None,
     width: int = 760,
 ) -> FuelCanvas:
@@ -64,12 +64,12 @@ def layers_as_of(store: TileStore, empty: FuelLayers, until_ns: int) -> FuelLaye
     `empty`: the layers without any evidence.
     """
     found = {name: store.as_of(name, getattr(empty, name), until_ns) for name in JOURNALED}
-    unknown: NDArray[np.float32] = np.full(empty.code.shape, np.nan, np.float32)
+    unknown: Float32Array = np.full(empty.code.shape, np.nan, np.float32)
     return replace(empty, **found, changed=found["code"] != empty.prior, p_max=unknown, entropy=unknown.copy())
 
 
 def seen_window(
-    geometry: GridGeometry, cells: NDArray[np.bool_], places: Sequence[Place]
+    geometry: GridGeometry, cells: BoolArray, places: Sequence[CameraMark]
 ) -> tuple[float, float, float, float]:
     """Bounds of the marked cells (H, W) and the cameras with a margin of five cells; of all where there are none.
 

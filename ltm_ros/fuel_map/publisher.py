@@ -8,7 +8,7 @@ from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
 from ltm_msgs_py.fuel_cells import fuel_cells_to_msg
 from ltm_msgs_py.grid import classes_to_msg, tile_to_msg
-from ltm_ros.fuel_map.persistence import Counted, FuelKeeper
+from ltm_ros.fuel_map.persistence import Counted, FuelMapPersistence
 from ltm_ros.runtime.handler import Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_CELLS, FUEL_MAP_UPDATE
@@ -24,7 +24,9 @@ class FuelPublisher:
 
     publications = (FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_CELLS)
 
-    def __init__(self, outlet: Outlet, health: Health, keeper: FuelKeeper, geometry: GridGeometry, dem: Dem) -> None:
+    def __init__(
+        self, outlet: Outlet, health: Health, keeper: FuelMapPersistence, geometry: GridGeometry, dem: Dem
+    ) -> None:
         self._outlet, self._health, self._keeper, self._geometry = outlet, health, keeper, geometry
         self._heights = dem.elevation_at(*geometry.to_map(*np.indices(geometry.shape)))
         self._since_map = self._since_cells = 0.0

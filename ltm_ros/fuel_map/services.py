@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError, MessageError
 from ltm_core.fuel.codes import FuelSystem, fuel_models
@@ -21,6 +20,7 @@ from ltm_core.fuel.life_form import NODATA
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import Key, Tile, TileStore
 from ltm_core.site import Site
+from ltm_core.types import BoolArray, Int16Array
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.stamp import stamp_of
 
@@ -42,7 +42,7 @@ def answer(evidence: EvidenceMap, store: TileStore | None, classes: LabelSet, x:
     layers = evidence.layers((row, col, 1, 1))
     models = fuel_models()
 
-    def code_of(layer: NDArray[np.int16]) -> dict[str, Any] | None:
+    def code_of(layer: Int16Array) -> dict[str, Any] | None:
         code = int(layer[0, 0])
         return None if code == NODATA else {"code": code, "name": models.name(code)}
 
@@ -68,12 +68,12 @@ def answer(evidence: EvidenceMap, store: TileStore | None, classes: LabelSet, x:
 
 
 @dataclass(frozen=True, eq=False)
-class Region:
+class DrawnRegion:
     """A part of the map that somebody has drawn: `cells` (H, W) whose centres lie inside, one or more; the stamp that
     it came with, 0 none.
     """
 
-    cells: NDArray[np.bool_]
+    cells: BoolArray
     stamp_ns: int
 
     @property
@@ -84,7 +84,7 @@ class Region:
         return top, left, int(rows.max()) - top + 1, int(cols.max()) - left + 1
 
 
-def region_of(message: Any, geometry: GridGeometry) -> Region:
+def region_of(message: Any, geometry: GridGeometry) -> DrawnRegion:
     """The cells in a PolygonStamped. Raises MessageError on another frame, no polygon, or one that holds no cell."""
     corners = [(float(p.x), float(p.y)) for p in message.polygon.points[: MOST_CORNERS + 1]]
     if message.header.frame_id != "map":
@@ -94,10 +94,10 @@ def region_of(message: Any, geometry: GridGeometry) -> Region:
     cells = _cells_in(corners, geometry)
     if not cells.any():
         raise MessageError(f"region from {corners[0]} on holds no cell of the map, {geometry.bounds} in the map frame")
-    return Region(cells, stamp_of(message))
+    return DrawnRegion(cells, stamp_of(message))
 
 
-def _cells_in(polygon: Sequence[tuple[float, float]], geometry: GridGeometry) -> NDArray[np.bool_]:
+def _cells_in(polygon: Sequence[tuple[float, float]], geometry: GridGeometry) -> BoolArray:
     """(H, W): cells whose centres lie inside."""
     from rasterio.features import geometry_mask
 
@@ -106,7 +106,7 @@ def _cells_in(polygon: Sequence[tuple[float, float]], geometry: GridGeometry) ->
     return np.asarray(inside, np.bool_)
 
 
-def burned(evidence: EvidenceMap, cells: NDArray[np.bool_], stamp_ns: int) -> dict[Key, Tile]:
+def burned(evidence: EvidenceMap, cells: BoolArray, stamp_ns: int) -> dict[Key, Tile]:
     """The state of the tiles that hold these cells, burned at that time. Raises MessageError for no such time."""
     try:
         evidence.burn(cells, stamp_ns)
@@ -115,11 +115,11 @@ def burned(evidence: EvidenceMap, cells: NDArray[np.bool_], stamp_ns: int) -> di
     return {key: evidence.tile_state(key) for key in _tiles_of(cells)}
 
 
-def _tiles_of(cells: NDArray[np.bool_]) -> list[Key]:
+def _tiles_of(cells: BoolArray) -> list[Key]:
     return sorted({(int(row) // TILE, int(col) // TILE) for row, col in np.argwhere(cells)})
 
 
-def forgotten(evidence: EvidenceMap, cells: NDArray[np.bool_]) -> dict[Key, Tile]:
+def forgotten(evidence: EvidenceMap, cells: BoolArray) -> dict[Key, Tile]:
     """The state of the tiles that hold these cells, with nothing known of them."""
     tiles = {}
     for row, col in _tiles_of(cells):

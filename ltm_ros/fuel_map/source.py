@@ -8,10 +8,9 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError, RasterError
-from ltm_core.fuel.codes import Region
+from ltm_core.fuel.codes import FuelRegion
 from ltm_core.fuel.coverage import CoverageMap
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes
 from ltm_core.fuel.fuel_map_io import read_fuel_map
@@ -25,6 +24,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import TileStore
 from ltm_core.resources import config_path
 from ltm_core.site import Site
+from ltm_core.types import BoolArray
 from ltm_core.vision.labels import LabelSet
 
 
@@ -64,14 +64,14 @@ class FuelSource:
 
             (classes, grid, _), bag = last_fuel_map(path, site), path
         prior = None if site.fuel.prior is None else load_prior(site.fuel.prior, grid)
-        region = Region.named(site.fuel.region)
+        region = FuelRegion.named(site.fuel.region)
         nothing = np.full(classes.shape, UNSEEN, np.uint8)
         shown, empty = (layers_of_classes(one, prior, region) for one in (classes, nothing))
         return cls(site, labels, grid, prior, shown, empty, bag=bag)
 
     @property
-    def region(self) -> Region:
-        return Region.named(self.site.fuel.region)
+    def region(self) -> FuelRegion:
+        return FuelRegion.named(self.site.fuel.region)
 
     def at(self, moment: str | None) -> FuelLayers:
         """The map now, or as of a moment. Raises ConfigError for no moment, or where there is no history."""
@@ -83,7 +83,7 @@ class FuelSource:
 
         return layers_as_of(self.store, self.empty, when(moment))
 
-    def seen_by(self) -> dict[str, NDArray[np.bool_]]:
+    def seen_by(self) -> dict[str, BoolArray]:
         """The cells that each camera has seen, as far as the store's cells remember."""
         if self.evidence is None or self.store is None:
             raise ConfigError("who has seen a cell is known to a store (.ltm), or a bag with votes")

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import MessageError
 from ltm_core.fuel.stored_map import SURFACE_LAYER
@@ -15,11 +14,12 @@ from ltm_core.fuel.surface_change import SOURCE, UNSEEN, SurfaceNews, news_of, t
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import CellChanges
 from ltm_core.terrain.change import ChangeKind
+from ltm_core.types import BoolArray, UInt8Array
 from ltm_msgs_py.grid import msg_to_classes, tile_window
 from ltm_msgs_py.pointcloud import msg_to_columns, take
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.terrain import msg_to_changed
-from ltm_ros.fuel_map.persistence import FuelKeeper
+from ltm_ros.fuel_map.persistence import FuelMapPersistence
 from ltm_ros.runtime.health import Health
 
 _POINT_BYTES = 64
@@ -38,7 +38,7 @@ class _Heard:
     """A message that was found good."""
 
     stamp_ns: int
-    kinds: NDArray[np.uint8]
+    kinds: UInt8Array
     window: GridGeometry
 
 
@@ -54,7 +54,7 @@ class SurfaceListener:
     """
 
     def __init__(
-        self, grid: GridGeometry, keeper: FuelKeeper, health: Health, refuse_future: Callable[[str, int], bool]
+        self, grid: GridGeometry, keeper: FuelMapPersistence, health: Health, refuse_future: Callable[[str, int], bool]
     ) -> None:
         self._grid, self._keeper, self._health, self._refuse_future = grid, keeper, health, refuse_future
         self._shift = np.zeros(grid.shape, np.float32)  # 0: not known; untouched pages take no memory
@@ -133,7 +133,7 @@ class SurfaceListener:
             self._tell(news, heard.stamp_ns)
         return len(news)
 
-    def forget(self, cells: NDArray[np.bool_]) -> None:
+    def forget(self, cells: BoolArray) -> None:
         """The evidence of these fuel cells, (H, W), is gone. A change that it had shown before the terrain told of it
         is told again: now, or with the terrain's next message. Any other stands in the code that its cell starts from.
         """

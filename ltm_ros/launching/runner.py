@@ -20,7 +20,7 @@ from ltm_core.errors import LtmError
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import Graph, NodeSpec, parameters_yaml
 from ltm_ros.launching.ros_environment import ros_environment
-from ltm_ros.launching.supervisor import Console, NodeProcess, RestartPolicy, State
+from ltm_ros.launching.supervisor import Console, NodeProcess, ProcessState, RestartPolicy
 
 KEPT_RUNS = 10
 """Log folders of former runs that `new_log_folder` leaves."""
@@ -96,7 +96,7 @@ class Runner:
     @property
     def given_up(self) -> list[str]:
         """Labels of the nodes that are not started any more because their configuration cannot work."""
-        return [label for label, process in self.processes.items() if process.state is State.GIVEN_UP]
+        return [label for label, process in self.processes.items() if process.state is ProcessState.GIVEN_UP]
 
     def start(self) -> None:
         """Start every node and return at once. Raises GraphError when the runner has been started before."""

@@ -60,7 +60,7 @@ class Backoff:
         return min(delay, self.policy.maximum_s)
 
 
-class State(Enum):
+class ProcessState(Enum):
     WAITING = "waiting"
     """Not started, or dead and waiting to start again."""
     RUNNING = "running"
@@ -98,7 +98,7 @@ class NodeProcess:
     """Told of every process group that comes (True) and is gone (False)."""
     on_given_up: Callable[[], None] = lambda: None
 
-    state: State = field(default=State.WAITING, init=False)
+    state: ProcessState = field(default=ProcessState.WAITING, init=False)
     pid: int | None = field(default=None, init=False)
     starts: int = field(default=0, init=False)
     last_exit: str = field(default="", init=False)
@@ -118,7 +118,7 @@ class NodeProcess:
 
     @property
     def running(self) -> bool:
-        return self.state is State.RUNNING
+        return self.state is ProcessState.RUNNING
 
     def start(self) -> None:
         self._thread.start()
@@ -162,14 +162,14 @@ class NodeProcess:
             self.last_exit = describe_exit(status)
             delay_s = self._backoff.after(status, uptime_s)
             if delay_s is None:
-                self.state = State.GIVEN_UP
+                self.state = ProcessState.GIVEN_UP
                 reason = next((line for line in reversed(self._tail) if line.strip()), "it said nothing")
                 self._tell(f"given up after {self._backoff.config_errors} starts ({self.last_exit}): {reason}")
                 self.on_given_up()
                 return
             self._tell(f"{self.last_exit} after {uptime_s:.1f} s; starts again in {delay_s:.1f} s")
             self._stopping.wait(delay_s)
-        self.state = State.STOPPED
+        self.state = ProcessState.STOPPED
 
     def _run_once(self) -> int:
         """Start the process and follow it to its end; its exit status as subprocess has it."""
@@ -192,7 +192,7 @@ class NodeProcess:
         with self._lock:
             self.pid = process.pid
             self.starts += 1
-            self.state = State.RUNNING
+            self.state = ProcessState.RUNNING
         assert process.stdout is not None
         reader = threading.Thread(target=self._read, args=(process.stdout,), name=f"read {self.label}", daemon=True)
         reader.start()
@@ -200,7 +200,7 @@ class NodeProcess:
         os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
         with self._lock:
             self.pid = None
-            self.state = State.WAITING
+            self.state = ProcessState.WAITING
             status = process.wait()
         if group_alive(group):
             end_groups([group], grace_s=1.0)

@@ -14,7 +14,7 @@ from pydantic import Field
 from std_msgs.msg import String
 
 from ltm_core.errors import ConfigError, MessageError
-from ltm_core.fuel.cell_visibility import CellSighting
+from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.fuel_map_io import write_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
@@ -30,13 +30,14 @@ from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.label_info import msg_to_model
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.votes import msg_to_votes
-from ltm_ros.fuel_map.persistence import Counting, FuelKeeper
+from ltm_ros.fuel_map.persistence import Counting, FuelMapPersistence
 from ltm_ros.fuel_map.publisher import FuelPublisher
-from ltm_ros.fuel_map.services import Region, answer, burned, forgotten, region_of, write_landscapes
+from ltm_ros.fuel_map.services import DrawnRegion, answer, burned, forgotten, region_of, write_landscapes
 from ltm_ros.fuel_map.terrain_changes import SurfaceListener, terrain_grid
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.stamp_check import StampCheck
 from ltm_ros.runtime.topics import (
     FUEL_MAP_ANSWER,
     FUEL_MAP_INFO,
@@ -81,19 +82,20 @@ class FuelMap(Handler[FuelMapConfig]):
         dem = self._site.open_dem()
         self._geometry = self._site.fuel_geometry(dem)
         self._folder = _folder(config)
-        self._keeper = FuelKeeper(
+        self._keeper = FuelMapPersistence(
             lambda: site_evidence_map(self._site, self._geometry, self._labels),
             self._open_store,
             health,
             durable=self._folder is not None,
         )
         self._publisher = FuelPublisher(outlet, health, self._keeper, self._geometry, dem)
+        self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead)
         self._surface: SurfaceListener | None = None
         if self._site.terrain is not None:
             grid = terrain_grid(dem.geometry, self._site.terrain.resolution)
-            self._surface = SurfaceListener(grid, self._keeper, health, self._is_ahead)
+            self._surface = SurfaceListener(grid, self._keeper, health, self._stamps.refuses)
         self._models: dict[str, str] = {}
-        self._region: Region | None = None
+        self._region: DrawnRegion | None = None
         self._paced = False
 
     @property
@@ -139,7 +141,7 @@ class FuelMap(Handler[FuelMapConfig]):
 
     def on_votes(self, camera: str, message: Any) -> None:
         stamp = stamp_of(message)
-        if self._is_ahead(f"votes of {camera}", stamp):
+        if self._stamps.refuses(f"votes of {camera}", stamp):
             return
         counting = self._keeper.seen(camera, stamp)
         if counting is None:
@@ -227,7 +229,7 @@ class FuelMap(Handler[FuelMapConfig]):
         """Mark the region that came last on `fuel_map/region` as burned at its stamp, or now; it serves once."""
         region = self._take_region()
         stamp = region.stamp_ns or self.outlet.now_ns() or self._keeper.map.newest_ns
-        if self._is_ahead("the burned region", stamp):
+        if self._stamps.refuses("the burned region", stamp):
             raise MessageError(f"the region burned at {stamp} ns, which has not come yet by this node's clock")
         tiles = burned(self._keeper.map, region.cells, stamp)
         self._keeper.replace_tiles(tiles, BURN_SOURCE, stamp, region.window)
@@ -235,21 +237,11 @@ class FuelMap(Handler[FuelMapConfig]):
         self._publisher.send_map()
         return f"{int(region.cells.sum())} cells burned at stamp {stamp} ns"
 
-    def _take_region(self) -> Region:
+    def _take_region(self) -> DrawnRegion:
         if self._region is None:
             raise ConfigError("no region is chosen: publish its corners on fuel_map/region first, in the frame map")
         region, self._region = self._region, None
         return region
-
-    def _is_ahead(self, what: str, stamp: int) -> bool:
-        """Whether a stamp is in the future; it is counted as dropped then."""
-        now = self.outlet.now_ns()
-        ahead = bool(now) and stamp > now + self.config.max_ahead * 1e9
-        if ahead:
-            self.health.drop(
-                "future", f"{what}: {(stamp - now) / 1e9:.0f} s ahead of this node's clock; set the clocks"
-            )
-        return ahead
 
     def _settle(self, write_tiles: bool = False) -> None:
         self._publisher.announce(self._keeper.settle(write_tiles))
@@ -285,7 +277,7 @@ def _compile(labels: LabelSet) -> None:
     one = np.ones(1, np.float32)
     cell, counts = np.zeros(1, np.int32), np.ones((1, len(labels)), np.uint32)
     tiny = GridGeometry(0.0, 60.0, 30.0, 3, 2)
-    votes = CellVotes(tiny, cell, cell, counts, one, 0, "", one, CellSighting(*([100 * one] * 5)))
+    votes = CellVotes(tiny, cell, cell, counts, one, 0, "", one, CellVisibility(*([100 * one] * 5)))
     EvidenceMap(tiny, None, labels).add(votes)
 
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from ltm_core.camera import Camera
@@ -14,6 +13,7 @@ from ltm_core.fuel.votes import VoteCaster
 from ltm_core.pose import Pose
 from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
+from ltm_core.types import Float64Array
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
@@ -92,7 +92,7 @@ class FuelVotes(Handler[FuelVotesConfig]):
             self.health.note("votes_in_turns")
         self.outlet.publish(FUEL_VOTES, votes_to_msg(sent, self._labels.names))
 
-    def _covariance(self, pose: Any) -> NDArray[np.float64]:
+    def _covariance(self, pose: Any) -> Float64Array:
         """Of the pose; zeros say that nothing is known of it."""
         given = np.asarray(pose.pose.covariance, np.float64).reshape(6, 6)
         return given if given.any() else self._assumed

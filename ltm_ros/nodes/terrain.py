@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -38,7 +37,8 @@ from ltm_msgs_py.terrain import change_to_msg, changed_to_msg
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import StampJoin
+from ltm_ros.runtime.stamp_check import StampCheck
+from ltm_ros.runtime.stamp_join import Part, StampJoin
 from ltm_ros.runtime.topics import (
     LABELS_IMAGE,
     MEASURED_DEPTH,
@@ -63,9 +63,8 @@ _PARTS: Mapping[str, Topic] = {
     "pose": POSED_POSE,
 }
 _WAITING = 6
-"""Frames of one camera that wait for their parts."""
-_CLOCKS_SET_NS = 946_684_800_000_000_000
-"""The year 2000: a stamp before it is of a clock that was never set, and would look like a view decades apart."""
+"""Frames of one camera that wait for their parts, and labels that wait for their frame: they come first, where they
+come at all."""
 
 
 class TerrainNodeConfig(NodeConfig):
@@ -113,10 +112,11 @@ class Terrain(Handler[TerrainNodeConfig]):
             site.refraction,
             site_label_errors(site).open_odds(),
         )
+        self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, refuse_unset=True)
+        labels_too: tuple[Part | str, ...] = (*_PARTS, Part("labels", wait_s=0.0, remembered=_WAITING))
         self._joins = {
-            camera: StampJoin(tuple(_PARTS), partial(self._take, camera), health, _WAITING) for camera in site.cameras
+            camera: StampJoin(labels_too, partial(self._take, camera), health, _WAITING) for camera in site.cameras
         }
-        self._labels: dict[str, OrderedDict[int, Any]] = defaultdict(OrderedDict)
         self._paced = self._dirty = False
         self._undecided = 0
         self._untold = Changed.none()
@@ -129,7 +129,7 @@ class Terrain(Handler[TerrainNodeConfig]):
         for camera in self._site.cameras:
             for name, topic in _PARTS.items():
                 found[self._of(camera, topic)] = partial(self._part, camera, name)
-            found[self._of(camera, LABELS_IMAGE)] = partial(self._on_labels, camera)
+            found[self._of(camera, LABELS_IMAGE)] = partial(self._part, camera, "labels")
         return found
 
     @property
@@ -198,26 +198,14 @@ class Terrain(Handler[TerrainNodeConfig]):
     def _part(self, camera: str, name: str, message: Any) -> None:
         self._joins[camera].add(name, stamp_of(message), message)
 
-    def _on_labels(self, camera: str, message: Any) -> None:
-        labels = self._labels[camera]
-        labels[stamp_of(message)] = message
-        if len(labels) > _WAITING:
-            labels.popitem(last=False)
-
-    def _take(self, camera: str, depth: Any, sigma: Any, info: Any, pose: Any) -> None:
+    def _take(self, camera: str, depth: Any, sigma: Any, info: Any, pose: Any, labels: Any) -> None:
         stamp = stamp_of(depth)
-        if stamp < _CLOCKS_SET_NS:
-            self.health.drop("unset_clock", f"a frame of {camera} of stamp {stamp} ns; set the camera's clock")
-            return
-        now = self.outlet.now_ns()
-        if now and stamp > now + self.config.max_ahead * 1e9:
-            self.health.drop("future", f"a frame of {camera} is {(stamp - now) / 1e9:.0f} s ahead; set the clocks")
+        if self._stamps.refuses(f"a frame of {camera}", stamp):
             return
         if self._map.counted(camera, stamp):
             self.health.drop("duplicate", f"a frame of {camera} of stamp {stamp} ns came twice; counted once")
             return
         covariance = np.array(pose.pose.covariance, np.float64).reshape(6, 6)
-        labels = self._labels[camera].pop(stamp, None)
         frame = DepthFrame.of_photo(
             msg_to_depth(depth),
             msg_to_depth(sigma),

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +11,7 @@ from pydantic import Field
 from std_msgs.msg import String
 
 from ltm_core.camera import Camera
-from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.depth.topodepth import FusedDepth, FusionSettings, Verdict, fuse
 from ltm_core.errors import ConfigError, ModelError
@@ -31,7 +29,7 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import StampJoin
+from ltm_ros.runtime.stamp_join import Part, StampJoin
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
     FUSED_DEPTH,
@@ -67,14 +65,6 @@ class TopoDepthConfig(NodeConfig):
     """Of the terrain's heights, metres."""
 
 
-@dataclass
-class _Frame:
-    """A frame whose depth is traced and that waits for its labels."""
-
-    parts: dict[str, Any]
-    waited: float = 0.0
-
-
 class TopoDepth(Handler[TopoDepthConfig]):
     """Joins photo, calibration, pose and traced depth; labels too, where they come in time."""
 
@@ -89,16 +79,16 @@ class TopoDepth(Handler[TopoDepthConfig]):
         model = config.model or site.depth_model
         if not model:
             raise ConfigError(f"{config.site}: no depth network; give `depth_model` a manifest's name or path")
-        self._classes = DepthClasses.of(LabelSet.load(config_path(site.labels)))
+        self._classes = ClassPriors.of(LabelSet.load(config_path(site.labels)))
         self._label_columns = _label_columns(config.label_model or site.model)
         self._network = DepthNetwork.open(model, config.threads)
         # Depth is traced to a surface raster where the site has one; bare ground is then traced here besides.
         self._ground = (
             TerrainTracer(site.open_dem(), site.curvature, site.refraction) if site.surface is not None else None
         )
-        self._join = StampJoin(("image", "info", "pose", "depth"), self._traced, health)
-        self._labels: OrderedDict[int, Any] = OrderedDict()
-        self._waiting: OrderedDict[int, _Frame] = OrderedDict()
+        labels = Part("labels", wait_s=config.label_wait, remembered=2 * config.max_waiting)
+        parts = ("image", "info", "pose", "depth", labels)
+        self._join = StampJoin(parts, self._fuse, health, whole_capacity=config.max_waiting)
         self._frame_id = f"{config.camera}_optical"
         self._compile_kernels()
 
@@ -109,52 +99,24 @@ class TopoDepth(Handler[TopoDepthConfig]):
             POSED_CAMERA_INFO: lambda m: self._join.add("info", stamp_of(m), m),
             POSED_POSE: lambda m: self._join.add("pose", stamp_of(m), m),
             DEPTH_IMAGE: lambda m: self._join.add("depth", stamp_of(m), m),
-            LABELS_IMAGE: self._on_labels,
+            LABELS_IMAGE: lambda m: self._join.add("labels", stamp_of(m), m),
         }
 
     def tick(self, waited: float) -> None:
-        for frame in self._waiting.values():
-            frame.waited += waited
-        while self._waiting and next(iter(self._waiting.values())).waited > self.config.label_wait:
-            self._without_labels()
+        self._join.tick(waited)
 
     def finish(self) -> None:
-        while self._waiting:
-            self._without_labels()
         self._join.finish()
 
-    def _on_labels(self, labels: Any) -> None:
-        stamp = stamp_of(labels)
-        frame = self._waiting.pop(stamp, None)
-        if frame is not None:
-            self._fuse(frame.parts, labels)
-            return
-        self._labels[stamp] = labels
-        if len(self._labels) > 2 * self.config.max_waiting:
-            self._labels.popitem(last=False)
-
-    def _traced(self, **parts: Any) -> None:
-        stamp = stamp_of(parts["image"])
-        labels = self._labels.pop(stamp, None)
-        if labels is not None:
-            self._fuse(parts, labels)
-            return
-        self._waiting[stamp] = _Frame(parts)
-        if len(self._waiting) > self.config.max_waiting:
-            self._without_labels()
-
-    def _without_labels(self) -> None:
-        _, frame = self._waiting.popitem(last=False)
-        self.health.note("unlabelled")
-        self._fuse(frame.parts, None)
-
-    def _fuse(self, parts: dict[str, Any], labels: Any) -> None:
-        camera, pose = msg_to_camera(parts["info"]), msg_to_pose(parts["pose"], "map")
-        stamp, rgb = stamp_of(parts["image"]), msg_to_rgb(parts["image"])
-        traced: RangeImage | DepthImage = DepthImage(msg_to_depth(parts["depth"]), camera, pose)
+    def _fuse(self, image: Any, info: Any, pose: Any, depth: Any, labels: Any) -> None:
+        if labels is None:
+            self.health.note("unlabelled")
+        camera, where = msg_to_camera(info), msg_to_pose(pose, "map")
+        stamp, rgb = stamp_of(image), msg_to_rgb(image)
+        traced: RangeImage | DepthImage = DepthImage(msg_to_depth(depth), camera, where)
         surface = None
         if self._ground is not None:
-            traced, surface = self._ground.trace(camera, pose), traced
+            traced, surface = self._ground.trace(camera, where), traced
         network = None
         try:
             network = self._network.predict(rgb, camera)
@@ -167,7 +129,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
             rgb,
             None if labels is None else msg_to_array(labels, ("mono8",)),
             self._classes,
-            self._settings(parts["pose"]),
+            self._settings(pose),
             surface,
         )
         self._publish(fused, stamp)

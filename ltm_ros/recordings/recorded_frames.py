@@ -6,12 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ltm_core.camera import Camera
 from ltm_core.pose import Pose
 from ltm_core.site import Site
+from ltm_core.types import Float32Array, UInt8Array
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import compressed_to_rgb, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose
@@ -35,10 +33,10 @@ class RecordedFrame:
     stamp_ns: int
     camera: Camera
     pose: Pose
-    photo: NDArray[np.uint8]
-    depth: NDArray[np.float32]
-    labels: NDArray[np.uint8]
-    fused: NDArray[np.float32] | None = None
+    photo: UInt8Array
+    depth: Float32Array
+    labels: UInt8Array
+    fused: Float32Array | None = None
 
 
 _PARTS: Parts = {

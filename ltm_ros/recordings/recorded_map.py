@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ltm_core.errors import RecordingError
 from ltm_core.grid import GridGeometry
 from ltm_core.resources import config_path
 from ltm_core.site import Site
+from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_ros.runtime.topics import FUEL_MAP, site_topic
 
 
-def last_fuel_map(bag: Path, site: Site) -> tuple[NDArray[np.uint8], GridGeometry, LabelSet]:
+def last_fuel_map(bag: Path, site: Site) -> tuple[UInt8Array, GridGeometry, LabelSet]:
     """Class ids (255 unseen), geometry in the site's CRS, and the label set. Raises RecordingError where none is."""
     reader = BagReader(bag)
     topic = site_topic(site.name, FUEL_MAP)

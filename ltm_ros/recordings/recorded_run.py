@@ -7,9 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ltm_core.camera import Camera
 from ltm_core.errors import LtmError, RecordingError
 from ltm_core.fuel.votes import CellVotes
@@ -17,6 +14,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.resources import project_path
 from ltm_core.site import Site
 from ltm_core.site_io import load_site
+from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.camera_info import msg_to_camera
@@ -45,7 +43,7 @@ from ltm_ros.runtime.topics import (
 FUEL_TRUTH = "fuel_truth.tif"
 
 
-def _mono8(message: Any) -> NDArray[np.uint8]:
+def _mono8(message: Any) -> UInt8Array:
     return msg_to_array(message, ("mono8",))
 
 

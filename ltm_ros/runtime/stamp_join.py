@@ -1,51 +1,187 @@
-"""Joins messages of several topics on equal stamps."""
+"""Joins messages of several topics into frames by their stamps."""
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
 from typing import Any
 
-from ltm_ros.runtime.health import Health
+from ltm_core.errors import LtmError
+from ltm_ros.runtime.health import Health, cause_of
+
+REMEMBERED = 1000
+"""Stamps of finished frames that are known again as duplicates; messages of a part that is matched by nearness."""
+
+
+class Match(Enum):
+    """Which message of a part belongs to a frame of a given stamp."""
+
+    EXACT = "the one of equal stamp"
+    NEAREST = "the nearest within a tolerance, once one from after the frame has come"
+    LATEST = "the newest up to the frame's stamp, or the first there is"
+
+
+@dataclass(frozen=True)
+class Part:
+    """What a frame is joined from.
+
+    `tolerance_ns`: of `Match.NEAREST`. `wait_s`: seconds for which a frame that has all else waits for this part before
+    it goes on without; None: a frame needs it. `remembered`: messages kept of a part that begins no frames.
+    """
+
+    name: str
+    match: Match = Match.EXACT
+    tolerance_ns: int = 0
+    wait_s: float | None = None
+    remembered: int = REMEMBERED
+
+    @property
+    def begins(self) -> bool:
+        """Whether a message of this part begins a frame: one that may belong to several, or to none, does not."""
+        return self.match is Match.EXACT and self.wait_s is None
+
+
+@dataclass
+class _Frame:
+    parts: dict[str, Any] = field(default_factory=dict)
+    waited: float = 0.0
+    """Seconds since its first message."""
+    lacking_optional: float = 0.0
+    """Seconds since it had all that it needs."""
+    whole: bool = False
 
 
 class StampJoin:
-    """Collects one message a topic for each stamp and hands complete sets on, each once.
+    """Collects the parts of each frame and hands complete frames on, each once.
 
-    Derived messages carry their source's stamp, so equality is the whole rule. At most `capacity` incomplete sets
-    wait; then the oldest is dropped and counted as `unjoined`, naming what was missing.
+    Derived messages carry their source's stamp, so equality is the rule; a part may be matched otherwise (`Match`), or
+    be missing in the end (`Part.wait_s`). At most `capacity` frames wait, `whole_capacity` of them only for what they
+    can do without, none longer than `max_wait` seconds.
+
+    Args:
+        parts: what a frame is joined from; a name alone is a part that is needed, of equal stamp.
+        complete: takes `**{name: message}`; None for a part that the frame went on without. May raise LtmError.
+        health: counts duplicates, and frames that stay incomplete as `unjoined`.
+        give_up: told instead of `health` of a frame that stays incomplete: its stamp, the parts that it lacks, and why
+            it waits no longer.
     """
 
-    def __init__(self, names: Sequence[str], complete: Callable[..., None], health: Health, capacity: int = 30) -> None:
-        self._names = tuple(names)
-        self._complete = complete
-        self._health = health
-        self._capacity = capacity
-        self._waiting: OrderedDict[int, dict[str, Any]] = OrderedDict()
+    def __init__(
+        self,
+        parts: Sequence[Part | str],
+        complete: Callable[..., None],
+        health: Health,
+        capacity: int = 30,
+        whole_capacity: int = 30,
+        max_wait: float = math.inf,
+        give_up: Callable[[int, list[str], str], None] | None = None,
+    ) -> None:
+        self._parts = {p.name: p for p in (Part(p) if isinstance(p, str) else p for p in parts)}
+        self._complete, self._health = complete, health
+        self._capacity, self._whole_capacity, self._max_wait = capacity, whole_capacity, max_wait
+        self._give_up = self._count_unjoined if give_up is None else give_up
+        self._waiting: OrderedDict[int, _Frame] = OrderedDict()
         self._done: OrderedDict[int, None] = OrderedDict()
+        self._memory: dict[str, OrderedDict[int, Any]] = {
+            name: OrderedDict() for name, part in self._parts.items() if not part.begins
+        }
+
+    def known(self, name: str, stamp_ns: int) -> bool:
+        """Whether a message of this part and stamp would be a duplicate."""
+        frame = self._waiting.get(stamp_ns)
+        return self._parts[name].begins and (stamp_ns in self._done or (frame is not None and name in frame.parts))
 
     def add(self, name: str, stamp_ns: int, message: Any) -> None:
-        """Take a message; calls `complete(**{name: message})` when its set is whole."""
-        if stamp_ns in self._done or name in self._waiting.get(stamp_ns, ()):
+        """Take a message, and complete each frame that it makes whole. Raises the last of their errors, when all are
+        done; those before are counted."""
+        if self.known(name, stamp_ns):
             self._health.drop("duplicate", f"a second {name} of stamp {stamp_ns} ns; stamps must be unique a camera")
             return
-        parts = self._waiting.setdefault(stamp_ns, {})
-        parts[name] = message
-        if len(parts) == len(self._names):
-            del self._waiting[stamp_ns]
-            self._done[stamp_ns] = None
-            if len(self._done) > 4 * self._capacity:
-                self._done.popitem(last=False)
-            self._complete(**parts)
-        elif len(self._waiting) > self._capacity:
-            oldest, parts = self._waiting.popitem(last=False)
-            self._report(oldest, parts)
+        part = self._parts[name]
+        if part.begins:
+            self._waiting.setdefault(stamp_ns, _Frame()).parts[name] = message
+        else:
+            memory = self._memory[name]
+            memory[stamp_ns] = message
+            if len(memory) > part.remembered:
+                memory.popitem(last=False)
+        concerned = [stamp_ns] if part.match is Match.EXACT else sorted(self._waiting)
+        self._complete_ready([stamp for stamp in concerned if stamp in self._waiting])
+
+    def tick(self, waited: float) -> None:
+        """So many seconds have passed: frames that have waited long enough go on without, or are given up."""
+        for stamp, frame in list(self._waiting.items()):
+            frame.waited += waited
+            frame.lacking_optional += waited if frame.whole else 0.0
+            if not frame.whole and frame.waited > self._max_wait:
+                self._drop(stamp, f"waited {self._max_wait} s")
+        self._complete_ready(list(self._waiting))
 
     def finish(self) -> None:
-        """Count what is still incomplete as dropped."""
-        while self._waiting:
-            self._report(*self._waiting.popitem(last=False))
+        """No more messages will come: frames that can do without the rest go on, the others are given up."""
+        self._complete_ready(list(self._waiting), at_once=True)
+        for stamp in list(self._waiting):
+            self._drop(stamp, "the recording or the node ended")
 
-    def _report(self, stamp_ns: int, parts: dict[str, Any]) -> None:
-        missing = ", ".join(name for name in self._names if name not in parts)
-        self._health.drop("unjoined", f"stamp {stamp_ns} ns never got its {missing}")
+    def _complete_ready(self, stamps: Sequence[int], at_once: bool = False) -> None:
+        errors: list[LtmError] = []
+        for stamp in stamps:
+            self._try(stamp, at_once, errors)
+        whole = [stamp for stamp, frame in self._waiting.items() if frame.whole]
+        for stamp in whole[: max(0, len(whole) - self._whole_capacity)]:
+            self._try(stamp, True, errors)
+        incomplete = sorted(stamp for stamp, frame in self._waiting.items() if not frame.whole)
+        for stamp in incomplete[: max(0, len(incomplete) - self._capacity)]:
+            self._drop(stamp, f"{self._capacity} later ones wait too")
+        for earlier in errors[:-1]:
+            self._health.drop(cause_of(earlier), str(earlier))
+        if errors:
+            raise errors[-1]
+
+    def _try(self, stamp: int, at_once: bool, errors: list[LtmError]) -> None:
+        """Complete the frame if it has what it needs, and what it can do without or has waited for `at_once`."""
+        frame = self._waiting[stamp]
+        found = frame.parts | {name: self._matched(name, stamp) for name in self._memory}
+        missing = [name for name in self._parts if found.get(name) is None]
+        frame.whole = all(self._parts[name].wait_s is not None for name in missing)
+        patience = max((self._parts[name].wait_s or 0.0 for name in missing), default=0.0)
+        if not frame.whole or not (at_once or patience == 0.0 or frame.lacking_optional > patience):
+            return
+        del self._waiting[stamp]
+        self._done[stamp] = None
+        if len(self._done) > REMEMBERED:
+            self._done.popitem(last=False)
+        for name, memory in self._memory.items():
+            if self._parts[name].match is Match.EXACT:
+                memory.pop(stamp, None)
+        try:
+            self._complete(**{name: found.get(name) for name in self._parts})
+        except LtmError as error:
+            errors.append(error)
+
+    def _matched(self, name: str, stamp: int) -> Any:
+        part, memory = self._parts[name], self._memory[name]
+        if part.match is Match.LATEST and memory:
+            past = [other for other in memory if other <= stamp]
+            return memory[max(past) if past else min(memory)]
+        if part.match is Match.EXACT or part.tolerance_ns == 0 or stamp in memory or not memory:
+            return memory.get(stamp)
+        # A nearer one may still be on its way until one from after the frame has come.
+        nearest = min(memory, key=lambda other: abs(other - stamp))
+        settled = max(memory) >= stamp
+        return memory[nearest] if settled and abs(nearest - stamp) <= part.tolerance_ns else None
+
+    def _drop(self, stamp: int, why: str) -> None:
+        frame = self._waiting.pop(stamp)
+        lacking = [
+            name
+            for name, part in self._parts.items()
+            if part.wait_s is None and name not in frame.parts and (part.begins or self._matched(name, stamp) is None)
+        ]
+        self._give_up(stamp, lacking, why)
+
+    def _count_unjoined(self, stamp: int, lacking: list[str], why: str) -> None:
+        self._health.drop("unjoined", f"stamp {stamp} ns never got its {', '.join(lacking)} ({why})")

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.pictures import RangeScale, depth_colors, range_legend, to_jpeg, with_legend
-from ltm_core.pictures.class_palette import UNLABELLED, Labels, Palette, Rgb
+from ltm_core.pictures.class_palette import UNLABELLED, ClassPalette
 from ltm_core.pictures.error_colors import error_colors, error_legend
 from ltm_core.pose import Pose
+from ltm_core.types import Float32Array, RgbImage, UInt8Array
 from ltm_ros.viewer.scene_geometry import TexturedMesh
 
 MAX_WIDTH = 960
@@ -26,12 +27,12 @@ def shown_size(width: int, height: int) -> tuple[int, int]:
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
-def photo(rgb: Rgb) -> rr.EncodedImage:
+def photo(rgb: RgbImage) -> rr.EncodedImage:
     """The camera's image (H, W, 3)."""
     return rr.EncodedImage(contents=to_jpeg(_shrunk(rgb, cv2.INTER_AREA), 80), media_type="image/jpeg")
 
 
-def depth_picture(depth: NDArray[np.float32], scale: RangeScale) -> rr.EncodedImage:
+def depth_picture(depth: Float32Array, scale: RangeScale) -> rr.EncodedImage:
     """Depth (H, W), metres, in colours of `scale`, over its legend."""
     # Nearest: a mean over a ridge line would show a depth at which there is nothing.
     colors = depth_colors(_shrunk(depth, cv2.INTER_NEAREST), scale)
@@ -39,14 +40,14 @@ def depth_picture(depth: NDArray[np.float32], scale: RangeScale) -> rr.EncodedIm
     return rr.EncodedImage(contents=to_jpeg(picture, 85), media_type="image/jpeg")
 
 
-def difference_picture(depth: NDArray[np.float32], other: NDArray[np.float32]) -> rr.EncodedImage:
+def difference_picture(depth: Float32Array, other: Float32Array) -> rr.EncodedImage:
     """How far two depths (H, W) lie apart, metres, over the legend."""
     colors = error_colors(_shrunk(depth, cv2.INTER_NEAREST), _shrunk(other, cv2.INTER_NEAREST))
     picture = with_legend(colors, error_legend(colors.shape[1]))
     return rr.EncodedImage(contents=to_jpeg(picture, 85), media_type="image/jpeg")
 
 
-def label_image(labels: Labels) -> rr.SegmentationImage:
+def label_image(labels: UInt8Array) -> rr.SegmentationImage:
     """Class ids (H, W), drawn over the photo."""
     return rr.SegmentationImage(_shrunk(labels, cv2.INTER_NEAREST), opacity=0.55, draw_order=1.0)
 
@@ -83,7 +84,7 @@ def mesh(textured: TexturedMesh) -> rr.Mesh3D:
     )
 
 
-def annotation_context(palette: Palette) -> rr.AnnotationContext:
+def annotation_context(palette: ClassPalette) -> rr.AnnotationContext:
     """Names and colours of the classes; unlabelled is clear."""
     classes: list[tuple[int, str, tuple[int, ...]]] = [
         (label, str(name), tuple(int(c) for c in np.asarray(palette.colors[label])))

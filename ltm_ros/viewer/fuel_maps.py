@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
 from ltm_core.pictures import to_jpeg
-from ltm_core.pictures.class_palette import Palette, Rgb
-from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, FuelCanvas, Place
+from ltm_core.pictures.class_palette import ClassPalette
+from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, CameraMark, FuelCanvas
 from ltm_core.pictures.legend import PAPER
+from ltm_core.types import RgbImage
 
 TITLES = {
     "life_form": "Life form; outlined: no longer the prior map's",
@@ -28,7 +29,7 @@ TITLES = {
 class FuelMaps:
     """Over one fuel grid. The relief is made once, cameras are where they stood at first."""
 
-    def __init__(self, geometry: GridGeometry, dem: Dem, palette: Palette, places: Sequence[Place]) -> None:
+    def __init__(self, geometry: GridGeometry, dem: Dem, palette: ClassPalette, places: Sequence[CameraMark]) -> None:
         self.geometry = geometry
         self._palette = palette
         self._canvas = FuelCanvas(geometry, dem, places)
@@ -50,7 +51,7 @@ class FuelMaps:
         }
 
 
-def _framed(picture: Rgb, height: int) -> Rgb:
+def _framed(picture: RgbImage, height: int) -> RgbImage:
     """Paper below, up to `height`: the viewer takes a row of JPEGs for a video, which may not change its size."""
     below = np.full((max(height - len(picture), 0), picture.shape[1], 3), PAPER, np.uint8)
     return np.concatenate([picture, below])

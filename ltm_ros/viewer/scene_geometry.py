@@ -14,10 +14,8 @@ from ltm_core.dem import Dem
 from ltm_core.errors import RasterError
 from ltm_core.grid import GridGeometry
 from ltm_core.pictures import label_colors, terrain_colors
-from ltm_core.pictures.class_palette import UNLABELLED, Labels, Palette, Rgb
-
-Vertices = NDArray[np.float32]
-Triangles = NDArray[np.uint32]
+from ltm_core.pictures.class_palette import UNLABELLED, ClassPalette
+from ltm_core.types import Float32Array, Float64Array, IndexArray, RgbImage, UInt8Array, UInt32Array
 
 MAX_TRIANGLES = 300_000
 MAX_TEXTURE = 2048
@@ -30,10 +28,10 @@ class TexturedMesh:
     """`vertices` (N, 3) metres, map frame; `triangles` (M, 3) indices; `texcoords` (N, 2), (0, 0) the north-west corner
     of `texture` (h, w, 3)."""
 
-    vertices: Vertices
-    triangles: Triangles
-    texcoords: NDArray[np.float32]
-    texture: Rgb
+    vertices: Float32Array
+    triangles: UInt32Array
+    texcoords: Float32Array
+    texture: RgbImage
 
 
 def decimated(dem: Dem, max_triangles: int = MAX_TRIANGLES) -> Dem:
@@ -73,7 +71,7 @@ def terrain_mesh(dem: Dem, max_triangles: int = MAX_TRIANGLES) -> TexturedMesh:
     return TexturedMesh(vertices, triangles, texcoords.reshape(-1, 2).astype(np.float32), _texture(dem))
 
 
-def _texture(dem: Dem) -> Rgb:
+def _texture(dem: Dem) -> RgbImage:
     colors = terrain_colors(dem)
     height, width = colors.shape[:2]
     scale = MAX_TEXTURE / max(height, width)
@@ -88,15 +86,17 @@ class FuelTile:
     """The seen cells of one tile of the fuel layer: four `vertices` and two `triangles` a cell, a colour a vertex."""
 
     name: str
-    vertices: Vertices
-    triangles: Triangles
-    colors: Rgb
+    vertices: Float32Array
+    triangles: UInt32Array
+    colors: RgbImage
 
 
 class FuelLayer:
     """Fuel cells as flat coloured quads just above the drawn terrain, tile by tile, only what has changed."""
 
-    def __init__(self, dem: Dem, geometry: GridGeometry, palette: Palette, max_triangles: int = MAX_TRIANGLES) -> None:
+    def __init__(
+        self, dem: Dem, geometry: GridGeometry, palette: ClassPalette, max_triangles: int = MAX_TRIANGLES
+    ) -> None:
         self._surface = decimated(dem, max_triangles)
         self._geometry = geometry
         self._palette = palette
@@ -104,7 +104,7 @@ class FuelLayer:
         self._lift = 0.12 * max(geometry.resolution, self._surface.geometry.resolution)
         self._shown = np.full(geometry.shape, UNLABELLED, np.uint8)
 
-    def changed(self, classes: Labels) -> Iterator[FuelTile]:
+    def changed(self, classes: UInt8Array) -> Iterator[FuelTile]:
         """The tiles that differ from the last call. Raises RasterError on classes of another shape."""
         if classes.shape != self._geometry.shape:
             raise RasterError(f"classes of shape {classes.shape} do not fit a fuel grid of {self._geometry.shape}")
@@ -138,7 +138,7 @@ class Eye:
     target: tuple[float, float, float]
 
 
-def overview_eye(dem: Dem, positions: NDArray[np.float64], azimuths_deg: NDArray[np.float64], reach: float) -> Eye:
+def overview_eye(dem: Dem, positions: Float64Array, azimuths_deg: Float64Array, reach: float) -> Eye:
     """An eye that sees all cameras and the ground before them, from behind the cameras and above.
 
     `positions` (N, 3) and `azimuths_deg` (N,) of the cameras, `reach` metres ahead of each as far as the DEM goes; with
@@ -169,7 +169,7 @@ def overview_eye(dem: Dem, positions: NDArray[np.float64], azimuths_deg: NDArray
     return Eye((float(x), float(y), height), (float(centre[0]), float(centre[1]), ground))
 
 
-def thinned(points: NDArray[np.floating], most: int) -> NDArray[np.intp]:
+def thinned(points: NDArray[np.floating], most: int) -> IndexArray:
     """Indices of at most `most` finite points (N, 3), evenly strided."""
     finite = np.nonzero(np.isfinite(points).all(axis=1))[0]
     return finite[:: max(1, math.ceil(len(finite) / most))]

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from ltm_core.grid import GridGeometry
-from ltm_core.pictures.class_palette import UNLABELLED, Labels
+from ltm_core.pictures.class_palette import UNLABELLED
 from ltm_core.terrain.change import ChangeKind
 from ltm_core.terrain.terrain_io import CHANGE_COLORS
+from ltm_core.types import Float32Array, Int32Array, UInt8Array
 
 PICTURE_PIXELS = 1600
 """Longer side of the picture of changes."""
@@ -26,7 +26,7 @@ class ChangeLayer:
 
     _cells: dict[tuple[int, int], tuple[float, float, float, int]] = field(default_factory=dict)
 
-    def update(self, cells: NDArray[np.int32], points: NDArray[np.float32], kinds: NDArray[np.uint8]) -> rr.Points3D:
+    def update(self, cells: Int32Array, points: Float32Array, kinds: UInt8Array) -> rr.Points3D:
         """Take cells (N, 2) row, col with their places (N, 3) and kinds (N,), and draw all that differ by now."""
         for (row, col), place, kind in zip(cells.tolist(), points.tolist(), kinds.tolist(), strict=True):
             if kind == ChangeKind.NONE:
@@ -46,7 +46,7 @@ class ChangeLayer:
 class ChangePicture:
     """Kinds of change, thinned for the screen, and where they lie on the grid under them."""
 
-    kinds: Labels
+    kinds: UInt8Array
     """(h, w) ChangeKind, 255 where independent views have not looked."""
     corner: tuple[float, float]
     """x, y of its north-west corner, in cells of the grid under it."""
@@ -54,7 +54,7 @@ class ChangePicture:
     """Side of a pixel in such cells."""
 
     @classmethod
-    def over(cls, kinds: Labels, geometry: GridGeometry, under: GridGeometry) -> ChangePicture:
+    def over(cls, kinds: UInt8Array, geometry: GridGeometry, under: GridGeometry) -> ChangePicture:
         """`kinds` (H, W) of a window of the terrain's grid."""
         step = max(1, -(-max(geometry.shape) // PICTURE_PIXELS))
         corner = (geometry.x_min - under.x_min) / under.resolution, (under.y_max - geometry.y_max) / under.resolution
@@ -73,7 +73,7 @@ def change_classes() -> rr.AnnotationContext:
     return rr.AnnotationContext([*classes, (UNLABELLED, "not looked at", (0, 0, 0, 0))])
 
 
-def _thinned(kinds: Labels, step: int) -> Labels:
+def _thinned(kinds: UInt8Array, step: int) -> UInt8Array:
     """Every pixel a block of `step` x `step` cells; a change in any cell of a block stands for the block."""
     height, width = kinds.shape
     padded = np.full((-(-height // step) * step, -(-width // step) * step), UNLABELLED, np.uint8)

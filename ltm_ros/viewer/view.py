@@ -18,10 +18,11 @@ from ltm_core.dem import Dem
 from ltm_core.errors import ImageError, PoseError
 from ltm_core.grid import GridGeometry
 from ltm_core.pictures import MapCamera, RangeScale, labelled_shade, to_jpeg
-from ltm_core.pictures.class_palette import UNLABELLED, Labels, Palette, Rgb
-from ltm_core.pictures.fuel_maps import Place
+from ltm_core.pictures.class_palette import UNLABELLED, ClassPalette
+from ltm_core.pictures.fuel_maps import CameraMark
 from ltm_core.pose import Pose
 from ltm_core.site import Site
+from ltm_core.types import Float32Array, Int32Array, RgbImage, UInt8Array
 from ltm_ros.viewer import archetypes, scene_geometry
 from ltm_ros.viewer.blueprint import TIMELINE, MapWindow, Tabs, site_blueprint
 from ltm_ros.viewer.fuel_maps import FuelMaps
@@ -49,7 +50,7 @@ class RerunView:
         application_id: str,
         site: Site,
         dem: Dem,
-        label_set: Palette,
+        label_set: ClassPalette,
         *,
         save: Path | None = None,
         serve: bool = False,
@@ -89,12 +90,12 @@ class RerunView:
             self._recording.set_sinks(*sinks, default_blueprint=self._blueprint())
         self._log_scene()
 
-    def log_image(self, camera: str, stamp_ns: int, rgb: Rgb) -> None:
+    def log_image(self, camera: str, stamp_ns: int, rgb: RgbImage) -> None:
         """The camera's image, (H, W, 3) uint8."""
         with self._at(stamp_ns):
             self._recording.log(f"map/cameras/{camera}/photo", archetypes.photo(rgb))
 
-    def log_depth(self, camera: str, stamp_ns: int, depth: NDArray[np.float32], model: Camera) -> None:
+    def log_depth(self, camera: str, stamp_ns: int, depth: Float32Array, model: Camera) -> None:
         """Depth (H, W) along the optical axis, metres; +inf sky, NaN unknown. Raises ImageError on another size."""
         if depth.shape != (model.height, model.width):
             raise ImageError(f"depth of {camera} is {depth.shape}, its calibration says {model.height} x {model.width}")
@@ -105,9 +106,9 @@ class RerunView:
         self,
         camera: str,
         stamp_ns: int,
-        fused: NDArray[np.float32],
-        traced: NDArray[np.float32],
-        network: NDArray[np.float32] | None = None,
+        fused: Float32Array,
+        traced: Float32Array,
+        network: Float32Array | None = None,
     ) -> None:
         """Fused, traced and network's depth, each (H, W) along the optical axis in metres; the network's may be of
         another size. Raises ImageError where fused and traced differ in size.
@@ -124,7 +125,7 @@ class RerunView:
                 grown = np.asarray(cv2.resize(network, fused.shape[::-1], interpolation=cv2.INTER_NEAREST), np.float32)
                 self._recording.log(f"{entity}/network", archetypes.depth_picture(grown, self._scale))
 
-    def log_labels(self, camera: str, stamp_ns: int, labels: Labels) -> None:
+    def log_labels(self, camera: str, stamp_ns: int, labels: UInt8Array) -> None:
         """Class ids (H, W) uint8, 255 unlabelled, of the size of the image."""
         with self._at(stamp_ns):
             self._recording.log(f"map/cameras/{camera}/labels", archetypes.label_image(labels))
@@ -144,7 +145,7 @@ class RerunView:
                 self._recording.send_blueprint(self._blueprint())
 
     def log_points(
-        self, camera: str, stamp_ns: int, points: NDArray[np.floating], colors: NDArray[np.uint8] | None = None
+        self, camera: str, stamp_ns: int, points: NDArray[np.floating], colors: UInt8Array | None = None
     ) -> None:
         """Points (N, 3) that the camera sees, map frame, with colours (N, 3); thinned to `MAX_POINTS`."""
         kept = scene_geometry.thinned(points, MAX_POINTS)
@@ -158,7 +159,7 @@ class RerunView:
                 ),
             )
 
-    def log_fuel_map(self, stamp_ns: int, classes: Labels, geometry: GridGeometry) -> None:
+    def log_fuel_map(self, stamp_ns: int, classes: UInt8Array, geometry: GridGeometry) -> None:
         """The fuel map (H, W) of class ids, 255 unseen, map frame. Raises RasterError where shapes disagree."""
         with self._at(stamp_ns):
             if geometry != self._fuel_geometry:
@@ -178,20 +179,18 @@ class RerunView:
         """What is known of the cells of the fuel map besides their life form: as of `FuelMaps.draw`."""
         with self._at(stamp_ns):
             if self._fuel_maps is None or self._fuel_maps.geometry != self._fuel_geometry:
-                places = [Place(name, *camera.position) for name, camera in self._cameras.items()]
+                places = [CameraMark(name, *camera.position) for name, camera in self._cameras.items()]
                 self._fuel_maps = FuelMaps(self._fuel_geometry, self._dem, self._palette, places)
             for name, picture in self._fuel_maps.draw(rasters).items():
                 self._recording.log(f"fuel_layers/{name}", picture)
 
-    def log_change(self, stamp_ns: int, kinds: Labels, geometry: GridGeometry) -> None:
+    def log_change(self, stamp_ns: int, kinds: UInt8Array, geometry: GridGeometry) -> None:
         """Kinds of change (H, W) of a window of the terrain's grid, 255 not looked at, map frame."""
         with self._at(stamp_ns):
             picture = ChangePicture.over(kinds, geometry, self._fuel_geometry)
             self._recording.log("terrain/change", *picture.archetypes())
 
-    def log_changed_cells(
-        self, stamp_ns: int, cells: NDArray[np.int32], points: NDArray[np.float32], kinds: Labels
-    ) -> None:
+    def log_changed_cells(self, stamp_ns: int, cells: Int32Array, points: Float32Array, kinds: UInt8Array) -> None:
         """Cells (N, 2) row, col of the terrain's grid whose kind of change (N,) is new, at points (N, 3) of the map."""
         with self._at(stamp_ns):
             self._recording.log("map/change", self._change.update(cells, points, kinds))

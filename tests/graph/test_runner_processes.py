@@ -17,7 +17,7 @@ from leftovers import processes_of_domain, segments_of_process, wait_gone
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import Graph, NodeSpec
 from ltm_ros.launching.runner import GraphError, Runner
-from ltm_ros.launching.supervisor import RestartPolicy, State
+from ltm_ros.launching.supervisor import ProcessState, RestartPolicy
 
 pytestmark = pytest.mark.graph
 
@@ -73,7 +73,7 @@ def test_comes_up_and_stops_in_order(start: Callable[..., Started], tmp_path: Pa
     assert len({*pids.values()}) == 3
     graph.runner.stop()
     for label, process in graph.runner.processes.items():
-        assert (process.state, process.restarts) == (State.STOPPED, 0)
+        assert (process.state, process.restarts) == (ProcessState.STOPPED, 0)
         # Each line bears its node's label, on the console and in a file of its own.
         hello = f"hello from /ridge/{label} pid {pids[label]}"
         assert f"[{label}] {hello}" in graph.lines

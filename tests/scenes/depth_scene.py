@@ -7,7 +7,6 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -16,6 +15,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import BoolArray, Float32Array, UInt8Array
 
 CAMERA = Camera.from_fov(640, 360, 50.0)
 SKY, GRASS, TREE = 0, 1, 3
@@ -28,12 +28,12 @@ class DepthScene:
 
     dem: Dem
     traced: RangeImage
-    truth: NDArray[np.float32]
-    labels: NDArray[np.uint8]
-    photo: NDArray[np.uint8]
+    truth: Float32Array
+    labels: UInt8Array
+    photo: UInt8Array
 
     @property
-    def stand(self) -> NDArray[np.bool_]:
+    def stand(self) -> BoolArray:
         """(H, W): pixels of trees that stand before known ground."""
         return (self.labels == TREE) & np.isfinite(self.traced.range)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltm_core.fuel.cell_visibility import CellSighting
+from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import NODATA
@@ -34,7 +34,7 @@ def votes(
     pixels: int = 40,
     cells: list[tuple[int, int]] | None = None,
     confidence: float | None = None,
-    sighting: CellSighting | None = None,
+    visibility: CellVisibility | None = None,
     grid: GridGeometry = GRID,
 ) -> CellVotes:
     """`pixels` of one label, or of each label the given number, in some cells; in all by default."""
@@ -47,7 +47,7 @@ def votes(
         counts[:] = label
     shown = None if confidence is None else np.full(len(cells), confidence, np.float32)
     z = np.zeros(len(cells), np.float32)
-    return CellVotes(grid, rows, cols, counts, z, int(second * 10**9), source, shown, sighting)
+    return CellVotes(grid, rows, cols, counts, z, int(second * 10**9), source, shown, visibility)
 
 
 def fuel_map(
@@ -59,6 +59,6 @@ def fuel_map(
     return result
 
 
-def sighting(n: int, **columns: float) -> CellSighting:
+def visibility(n: int, **columns: float) -> CellVisibility:
     values = {"cos_incidence": 1.0, "footprint": 0.0, "sigma_along": 0.0, "sigma_across": 0.0, "bearing": 0.0} | columns
-    return CellSighting(*(np.full(n, value, np.float32) for value in values.values()))
+    return CellVisibility(*(np.full(n, value, np.float32) for value in values.values()))

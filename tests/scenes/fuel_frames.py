@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 
 from ltm_core.dem import Dem
-from ltm_core.fuel.cell_visibility import CellSighting
+from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.site_io import load_site
@@ -67,9 +67,9 @@ def votes(number: int, grid: GridGeometry, stamp_ns: int | None = None) -> CellV
     def column(low: float, high: float) -> Any:
         return rng.uniform(low, high, len(seen)).astype(np.float32)
 
-    sighting = CellSighting(column(0.1, 0.9), column(1, 40), column(0, 60), column(0, 30), column(0, 6.2))
+    visibility = CellVisibility(column(0.1, 0.9), column(1, 40), column(0, 60), column(0, 30), column(0, 6.2))
     stamp = stamp_of_frame(number) if stamp_ns is None else stamp_ns
-    return CellVotes(grid, rows, cols, counts, column(300, 380), stamp, camera_of(number), column(0.3, 1), sighting)
+    return CellVotes(grid, rows, cols, counts, column(300, 380), stamp, camera_of(number), column(0.3, 1), visibility)
 
 
 def message(number: int, grid: GridGeometry, stamp_ns: int | None = None) -> Any:

@@ -8,14 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
+from ltm_core.types import Float64Array
 
-Floats = NDArray[np.float64]
-Surface = Callable[[Floats, Floats], Floats]
+Surface = Callable[[Float64Array, Float64Array], Float64Array]
 
 
 @dataclass(frozen=True)
@@ -100,13 +99,13 @@ def with_holes(dem: Dem, seed: int, enclosed: int = 12, specks: int = 60, margin
     return Dem(elevation, dem.geometry)
 
 
-def standing(dem: Dem, row: float, col: float, above: float) -> Floats:
+def standing(dem: Dem, row: float, col: float, above: float) -> Float64Array:
     """A position (3,) `above` metres over the ground at fractional (row, col)."""
     x, y = dem.geometry.to_map(row, col)
     return np.array([float(x), float(y), float(dem.elevation_at(x, y)) + above])
 
 
-def directions(rng: np.random.Generator, count: int, low_deg: float = -25.0, high_deg: float = 12.0) -> Floats:
+def directions(rng: np.random.Generator, count: int, low_deg: float = -25.0, high_deg: float = 12.0) -> Float64Array:
     """Unit vectors (count, 3) with azimuth and elevation angle uniform at random."""
     azimuth = rng.uniform(0, 2 * np.pi, count)
     elevation = np.radians(rng.uniform(low_deg, high_deg, count))

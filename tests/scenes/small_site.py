@@ -21,6 +21,7 @@ from ltm_core.pose import Pose
 from ltm_core.site import Site
 from ltm_core.site_io import load_site
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import UInt8Array
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
@@ -99,7 +100,7 @@ class SmallSite:
         x, y = 560.0, 470.0
         return Pose.from_angles((x, y, float(self.dem.elevation_at(x, y)) + 45.0), azimuth_deg, -14.0, 1.5)
 
-    def photo(self, frame: Frame) -> NDArray[np.uint8]:
+    def photo(self, frame: Frame) -> UInt8Array:
         """(H, W, 3) uint8: the painted ground as the camera sees it."""
         points = self.tracer.trace(frame.camera, frame.pose).points()
         image = np.empty((*points.shape[:2], 3), np.uint8)
@@ -129,7 +130,7 @@ class SmallSite:
         return path
 
 
-def paint_at(x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.uint8]:
+def paint_at(x: NDArray[np.floating], y: NDArray[np.floating]) -> UInt8Array:
     """Cover of the ground at (x, y) of the map frame."""
     with np.errstate(invalid="ignore"):
         odd = (np.floor(x / SQUARE) + np.floor(y / SQUARE)) % 2 == 1

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import BoolArray, UInt8Array
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
@@ -50,7 +50,7 @@ def sunk(small: SmallSite) -> Dem:
     return Dem(small.dem.elevation - 9.0 * ((row // 12 + col // 12) % 2 == 0), small.dem.geometry)
 
 
-def block_cells(small: SmallSite) -> NDArray[np.bool_]:
+def block_cells(small: SmallSite) -> BoolArray:
     """(H, W) of the site's DEM: where the block stands."""
     row, col = (int(v) for v in small.dem.geometry.cell_of(*BLOCK_AT))
     cells = np.zeros(small.dem.elevation.shape, np.bool_)
@@ -70,7 +70,7 @@ def mast_pose(small: SmallSite) -> Pose:
     return standing.pose(small.dem, small.site.frame)
 
 
-def photo_of_depth(surface: Dem, camera: Camera, pose: Pose) -> NDArray[np.uint8]:
+def photo_of_depth(surface: Dem, camera: Camera, pose: Pose) -> UInt8Array:
     """(H, W, 3): inverse depth in green, sky blue."""
     depth = TerrainTracer(surface).trace(camera, pose).depth()
     land = np.isfinite(depth)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -15,6 +14,7 @@ from ltm_core.raster.tile_store import TileStore
 from ltm_core.site import TerrainConfig
 from ltm_core.terrain import DepthFrame, Reference, SurfaceMap
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import BoolArray, Float64Array
 
 GEOMETRY = GridGeometry(0.0, 230.0, 1.0, 300, 230)
 CAMERA = Camera.from_fov(320, 180, 55.0)
@@ -26,14 +26,14 @@ RULES = TerrainConfig(register_frames=False, threshold=1.0)
 SURE = np.diag([1e-6] * 3 + [1e-12] * 3)
 
 
-def hillside() -> NDArray[np.float64]:
+def hillside() -> Float64Array:
     row, col = np.mgrid[0:230, 0:300]
     y = 229.5 - row
     rolling = 2.0 * np.sin(col / 31.0) + 1.5 * np.cos(row / 23.0)
     return np.asarray(400.0 + 0.45 * np.maximum(y - 60.0, 0.0) + rolling)
 
 
-def dem(heights: NDArray[np.float64]) -> Dem:
+def dem(heights: Float64Array) -> Dem:
     return Dem(heights.astype(np.float32), GEOMETRY)
 
 
@@ -43,14 +43,14 @@ PATCH[70:100, 130:170] = True
 
 
 def surface_map(
-    given: NDArray[np.float64] | None = None, rules: TerrainConfig = RULES, store: TileStore | None = None
+    given: Float64Array | None = None, rules: TerrainConfig = RULES, store: TileStore | None = None
 ) -> SurfaceMap:
     reference = Reference.of(dem(BARE), None if given is None else dem(given))
     return SurfaceMap(reference, rules, tuple(PLACES), store)
 
 
 def frame(
-    heights: NDArray[np.float64], source: str = "west", hours: float = 0.0, noise: float = 0.3, **changes: object
+    heights: Float64Array, source: str = "west", hours: float = 0.0, noise: float = 0.3, **changes: object
 ) -> DepthFrame:
     """What a camera measures of a surface, with sigma `noise` metres."""
     x, y, azimuth = PLACES[source]
@@ -71,7 +71,7 @@ def frame(
     return replace(whole, **changes)
 
 
-def changed_share(surface: SurfaceMap, where: NDArray[np.bool_] = PATCH) -> float:
+def changed_share(surface: SurfaceMap, where: BoolArray = PATCH) -> float:
     """Of the cells of a patch that independent views have seen."""
     layers = surface.layers()
     return float((layers.change[where & layers.observed] > 0).mean())

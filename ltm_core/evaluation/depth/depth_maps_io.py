@@ -9,7 +9,6 @@ from typing import Any, Literal, Self
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ltm_core.camera import Camera
@@ -17,6 +16,7 @@ from ltm_core.config_io import load_yaml
 from ltm_core.errors import ImageError
 from ltm_core.evaluation.metrics.depth_fit import DepthKind
 from ltm_core.site import Config
+from ltm_core.types import Float32Array
 
 SUFFIXES = (".npy", ".png", ".tif", ".tiff")
 CONFIG = "depth_maps.yaml"
@@ -58,7 +58,7 @@ class DepthMapFolder:
 
     def of_frame(
         self, camera_name: str, stamp_ns: int, image: tuple[int, int], camera: Camera | None
-    ) -> NDArray[np.float32] | None:
+    ) -> Float32Array | None:
         """The map of a frame whose image has `image` (rows, columns): (h, w) in the folder's own kind, along the
         optical axis, NaN unknown; None where there is none.
 
@@ -90,7 +90,7 @@ class DepthMapFolder:
                     return file
         return None
 
-    def _load(self, file: Path) -> NDArray[np.float32]:
+    def _load(self, file: Path) -> Float32Array:
         try:
             values: Any = (
                 np.load(file, allow_pickle=False)
@@ -110,5 +110,5 @@ class DepthMapFolder:
             raise ImageError(
                 f"{file}: integers say no unit: write metres_per_unit (0.001 for millimetres) to {self.path / CONFIG}"
             )
-        depth: NDArray[np.float32] = values.astype(np.float32) * np.float32(self.config.metres_per_unit or 1)
+        depth: Float32Array = values.astype(np.float32) * np.float32(self.config.metres_per_unit or 1)
         return np.where(values == 0, np.float32(np.nan), depth) if values.dtype.kind in "iu" else depth

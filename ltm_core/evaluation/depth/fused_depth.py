@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
-from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.topodepth import FusedDepth, FusionSettings, fuse
 from ltm_core.errors import ConfigError
@@ -22,8 +21,7 @@ from ltm_core.evaluation.truth_frames_io import TruthFrame
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
-
-Image = NDArray[np.float32]
+from ltm_core.types import BoolArray, Float32Array, UInt8Array
 
 _OPEN = 0.005  # relative: closer to bare ground than this (and 0.5 m) nothing stands before it
 
@@ -72,7 +70,7 @@ class Condition:
         across, up = self.pose_error_deg * np.cos(angle), self.pose_error_deg * np.sin(angle)
         return Pose.from_angles(pose.position, azimuth + float(across), pitch + float(up), roll)
 
-    def photo(self, photo: NDArray[np.uint8], rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    def photo(self, photo: UInt8Array, rng: np.random.Generator) -> tuple[UInt8Array, BoolArray]:
         """The photo with dark leafy discs over `occluded` of it, and where they are, (H, W)."""
         hidden = np.zeros(photo.shape[:2], np.uint8)
         height, width = photo.shape[0], photo.shape[1]
@@ -124,7 +122,7 @@ class Given:
     many columns these were made (0: one for each of the photo)."""
 
     network: NetworkDepth
-    labels: NDArray[np.uint8] | None
+    labels: UInt8Array | None
     label_columns: int = 0
 
 
@@ -136,7 +134,7 @@ class DepthEvaluation:
         self,
         condition: Condition,
         dem: Dem,
-        classes: DepthClasses,
+        classes: ClassPriors,
         bend_curvature: bool = True,
         surface: Dem | None = None,
     ) -> None:
@@ -151,13 +149,13 @@ class DepthEvaluation:
         self._covered = Counter[str]()
         self._true = 0
 
-    def seen(self, frame: TruthFrame) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    def seen(self, frame: TruthFrame) -> tuple[UInt8Array, BoolArray]:
         """The photo that networks get of a frame under this condition, and which pixels of it are hidden."""
         return self.condition.photo(frame.photo, np.random.default_rng(frame.stamp_ns % 2**32))
 
     def add(
-        self, frame: TruthFrame, photo: NDArray[np.uint8], hidden: NDArray[np.bool_], given: Given
-    ) -> tuple[FusedDepth, dict[str, Image]]:
+        self, frame: TruthFrame, photo: UInt8Array, hidden: BoolArray, given: Given
+    ) -> tuple[FusedDepth, dict[str, Float32Array]]:
         """Score one frame; its fused depth, and every source at the truth's pixels."""
         rng = np.random.default_rng(frame.stamp_ns % 2**32 + 1)
         pose = self.condition.pose(frame.pose, rng)
@@ -207,13 +205,13 @@ class DepthEvaluation:
         return ConditionScore(self.condition, frames, dict(self._verdicts), self._checked, inliers, coverage, rows)
 
 
-def upsampled_labels(labels: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+def upsampled_labels(labels: UInt8Array, size: tuple[int, int]) -> UInt8Array:
     """Sampled true labels (h, w) for every pixel of a photo of `size`, nearest."""
     step = round(size[1] / labels.shape[1])
     return np.ascontiguousarray(np.repeat(np.repeat(labels, step, 0), step, 1)[: size[0], : size[1]])
 
 
-def _network_alone(fused: FusedDepth, network: NetworkDepth, frame: TruthFrame, size: tuple[int, int]) -> Image:
+def _network_alone(fused: FusedDepth, network: NetworkDepth, frame: TruthFrame, size: tuple[int, int]) -> Float32Array:
     """The network's metres at the truth's pixels: fitted to the terrain, and where that failed to the truth itself."""
     shape = frame.surface.shape
     if fused.fit is None or fused.fit.trouble:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
@@ -16,6 +15,7 @@ from ltm_core.errors import ModelError
 from ltm_core.evaluation.metrics.depth import RANGE_BINS
 from ltm_core.evaluation.metrics.depth_fit import at_pixels_of
 from ltm_core.training.labelled_frames import Frame
+from ltm_core.types import Float64Array
 
 _PAIRS = 4000  # of pixels of a frame, whose order of near and far is compared
 _CLEAR = 1.5  # ratio of true depths from which a pair has an order to be told
@@ -75,7 +75,7 @@ def score_relative_depth(network: DepthNetwork, frames: Iterable[Frame], seed: i
     )
 
 
-def _metres(found: NetworkDepth, x: NDArray[np.float64], true: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def _metres(found: NetworkDepth, x: Float64Array, true: Float64Array) -> Float64Array | None:
     """The network's depth in metres by the line that most pixels agree on in relative error; held between the true
     extremes. None where there is no such line, or it runs against the truth."""
     inverse = found.kind == "relative_inverse"
@@ -87,9 +87,7 @@ def _metres(found: NetworkDepth, x: NDArray[np.float64], true: NDArray[np.float6
     return 1.0 / fitted if inverse else fitted
 
 
-def _order(
-    found: NetworkDepth, x: NDArray[np.float64], true: NDArray[np.float64], rng: np.random.Generator
-) -> tuple[int, int]:
+def _order(found: NetworkDepth, x: Float64Array, true: Float64Array, rng: np.random.Generator) -> tuple[int, int]:
     """Pairs that have an order to be told, and those that the network has right."""
     if not len(x):
         return 0, 0

@@ -3,7 +3,7 @@
 Of two looks at cells of one life form, what they show agrees beyond chance by the intraclass correlation. It is
 estimated by moments: the mean product of what two looks show beyond what their form lets expect, by that of a look
 with itself (Donner, International Statistical Review 54, 1986). A look is a pixel's label, expected with the shares
-that are known of the network; or what a whole cell looks like, where that is known (`cell_look`).
+that are known of the network; or what a whole cell looks like, where that is known (`cell_appearance_model`).
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.special import log_softmax
 
 from ltm_core.errors import ImageError
-from ltm_core.fuel.cell_appearance_model import CellLook
+from ltm_core.fuel.cell_appearance_model import CellAppearanceModel
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import FORMS, form_counts
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.training.cell_appearance_fit import seen_cells
+from ltm_core.types import Float64Array, Int64Array, UInt8Array
 
 LEAST_PIXELS_MEASURED = 10
 """Of a cell in a frame that is measured."""
@@ -36,20 +36,20 @@ class FrameErrors:
     """
 
     source: str
-    rows: NDArray[np.int64]
-    cols: NDArray[np.int64]
-    true: NDArray[np.int64]
-    beyond: NDArray[np.float64]
-    within: NDArray[np.float64]
+    rows: Int64Array
+    cols: Int64Array
+    true: Int64Array
+    beyond: Float64Array
+    within: Float64Array
 
 
 def label_correlation(
     frames: Sequence[CellVotes],
-    truth: NDArray[np.uint8],
-    forms: NDArray[np.int64],
+    truth: UInt8Array,
+    forms: Int64Array,
     errors: LabelErrors,
     reach: float,
-) -> tuple[LabelCorrelation, NDArray[np.int64]]:
+) -> tuple[LabelCorrelation, Int64Array]:
     """The correlations of errors, and the cells that frames see by [true form, commonest label], (FORMS, FORMS).
 
     `truth`: (H, W) life forms on the votes' grid. `forms`: of the labels (`life_form.label_forms`). `errors`: what is
@@ -75,14 +75,14 @@ def label_correlation(
         place = rows.astype(np.int64), cols.astype(np.int64)
         labelled.append(FrameErrors(votes.source, *place, true, share - expected, within))
         spread = 1 - (table**2).sum(axis=1)
-    if errors.look is not None and all(votes.sighting is not None for votes in frames):
-        return look_correlation([(looks(frames, truth, forms, errors.look), truth.shape)], reach), cells
+    if errors.appearance is not None and all(votes.visibility is not None for votes in frames):
+        return look_correlation([(looks(frames, truth, forms, errors.appearance), truth.shape)], reach), cells
     sums = _pairs(labelled, truth.shape, spread, reach)
     return _correlation(sums), cells
 
 
 def looks(
-    frames: Iterable[CellVotes], truth: NDArray[np.uint8], forms: NDArray[np.int64], look: CellLook
+    frames: Iterable[CellVotes], truth: UInt8Array, forms: Int64Array, look: CellAppearanceModel
 ) -> list[FrameErrors]:
     """Of each frame the log likelihoods of its cells' looks, of the forms that are known, in the mean 0."""
     result = []
@@ -114,16 +114,14 @@ def look_correlation(sites: Sequence[tuple[list[FrameErrors], tuple[int, ...]]],
     return _correlation(total)
 
 
-def _pairs(
-    frames: Iterable[FrameErrors], shape: tuple[int, ...], spread: NDArray[np.float64], reach: float
-) -> NDArray[np.float64]:
+def _pairs(frames: Iterable[FrameErrors], shape: tuple[int, ...], spread: Float64Array, reach: float) -> Float64Array:
     """(4, 2) of each kind of pair: the sum of products, and of what a look has with itself, `spread` (FORMS,)."""
     kinds = np.zeros((len(_KINDS), 2))
     cell, stand, view, network = kinds
     chance, frames_seen, total = np.zeros(shape), np.zeros(shape), np.zeros((*shape, FORMS))
-    sums: dict[str, NDArray[np.float64]] = {}
-    squares: dict[str, NDArray[np.float64]] = {}
-    seen: dict[str, NDArray[np.float64]] = {}
+    sums: dict[str, Float64Array] = {}
+    squares: dict[str, Float64Array] = {}
+    seen: dict[str, Float64Array] = {}
     for frame in frames:
         at, name = (frame.rows, frame.cols), frame.source
         chance[at] = spread[frame.true]
@@ -144,9 +142,7 @@ def _pairs(
     return kinds
 
 
-def _between_cells(
-    frame: FrameErrors, shape: tuple[int, ...], spread: NDArray[np.float64], reach: float
-) -> NDArray[np.float64]:
+def _between_cells(frame: FrameErrors, shape: tuple[int, ...], spread: Float64Array, reach: float) -> Float64Array:
     """(2,) of pairs of cells of one form in one frame: sum of products, and of what one look has with itself."""
     side = 2 * int(2 * reach + 1) + 1
     impulse = np.zeros((side, side))
@@ -165,7 +161,7 @@ def _between_cells(
     return np.array([product, base])
 
 
-def _correlation(kinds: NDArray[np.float64]) -> LabelCorrelation:
+def _correlation(kinds: Float64Array) -> LabelCorrelation:
     missing = [kind for kind, (_, base) in zip(_KINDS, kinds, strict=True) if base < _LEAST_PAIRS]
     if missing:
         raise ImageError(

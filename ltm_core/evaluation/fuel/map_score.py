@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.fuel.life_form import LifeForm, forms_of
 from ltm_core.fuel.majority import UNSEEN
+from ltm_core.types import BoolArray, Int16Array, UInt8Array
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class MapScore:
 
 def score_map(
     name: str,
-    life_form: NDArray[np.uint8],
-    truth: NDArray[np.uint8],
-    prior: NDArray[np.int16] | None,
-    seen: NDArray[np.bool_],
+    life_form: UInt8Array,
+    truth: UInt8Array,
+    prior: Int16Array | None,
+    seen: BoolArray,
 ) -> MapScore:
     """(H, W) each; `prior`: fuel codes, None: there is none, and nothing is a change then."""
     cells = seen & (truth >= 1) & (truth <= len(LifeForm))
@@ -71,5 +71,5 @@ def score_map(
     )
 
 
-def _share(chosen: NDArray[np.bool_], among: NDArray[np.bool_]) -> Share:
+def _share(chosen: BoolArray, among: BoolArray) -> Share:
     return Share(int((chosen & among).sum()), int(among.sum()))

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ltm_core.errors import RecordingError
 from ltm_core.evaluation.truth_frames_io import is_curved, open_dem, read_truth_frames, scenario_name, site_frame
 from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.site import FuelConfig
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmenter
 
@@ -24,7 +22,7 @@ class SimulatedVotes:
 
     scenario: str
     votes: list[CellVotes]
-    truth: NDArray[np.uint8]
+    truth: UInt8Array
 
 
 def simulated_votes(folder: Path, segmenter: Segmenter, labels: LabelSet) -> SimulatedVotes:

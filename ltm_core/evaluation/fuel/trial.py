@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.special import ndtr
 
@@ -24,6 +23,7 @@ from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import Float32Array, Float64Array, UInt8Array
 from ltm_core.vision.labels import LabelSet
 
 TUNING_SEEDS = (101, 102)
@@ -130,12 +130,12 @@ class _Network:
         self._order = np.argsort(-table, axis=1, kind="stable")
         self._cumulative = np.cumsum(np.take_along_axis(table, self._order, axis=1), axis=1)
         self._entropy = int(rng.integers(2**31))
-        self._stands: dict[str, NDArray[np.float32]] = {}
+        self._stands: dict[str, Float32Array] = {}
         cell = world.geometry.resolution / SUBCELLS
         rows, cols = world.fine.shape
         self._geometry = GridGeometry(world.geometry.x_min, world.geometry.y_max, cell, cols, rows)
 
-    def labels(self, points: NDArray[np.float32], camera: str) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    def labels(self, points: Float32Array, camera: str) -> tuple[UInt8Array, UInt8Array]:
         """Label and confidence images of what the pixels see, (H, W, 3) map points."""
         seen = np.isfinite(points[..., 0])
         row, col = self._geometry.cell_of(np.where(seen, points[..., 0], 0), np.where(seen, points[..., 1], 0))
@@ -159,7 +159,7 @@ class _Network:
         confidence = np.clip(0.95 - 0.5 * chance + 0.05 * own, 0.3, 1.0)
         return np.where(seen, shown + 1, 0).astype(np.uint8), (confidence * 255).astype(np.uint8)
 
-    def _stand(self, camera: str) -> NDArray[np.float32]:
+    def _stand(self, camera: str) -> Float32Array:
         """Where a camera, or whoever looks (no camera), errs by stands, on the grid of subcells."""
         if camera not in self._stands:
             rng = np.random.default_rng([self._entropy, zlib.crc32(camera.encode())])
@@ -169,11 +169,11 @@ class _Network:
         return self._stands[camera]
 
 
-def _normalised(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def _normalised(values: Float32Array) -> Float32Array:
     return np.asarray(values / values.std(), np.float32)
 
 
-def _in_the_field(errors: LabelErrors, relative: float, rng: np.random.Generator) -> NDArray[np.float64]:
+def _in_the_field(errors: LabelErrors, relative: float, rng: np.random.Generator) -> Float64Array:
     """(FORMS, FORMS) shares that differ from what is known of the network."""
     table = np.where(np.isnan(errors.shares), np.eye(len(errors.shares)), errors.shares)
     wrong = table * np.exp(rng.normal(0, 2 * relative, table.shape))

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
+from ltm_core.types import Float64Array
 
 _CONTEXT_M = 90.0
 """Standard deviation of the Gaussian by which the evidence weighs the cells about a cell, metres."""
@@ -55,18 +55,18 @@ def clumping_of(errors: LabelErrors) -> Clumping:
     return Clumping(latent[0], latent[1] - latent[0], latent[2] - latent[1], max(float(stand_m), 10.0))
 
 
-def _table(errors: LabelErrors) -> NDArray[np.float64]:
+def _table(errors: LabelErrors) -> Float64Array:
     return np.where(np.isnan(errors.shares), np.eye(len(errors.shares)), errors.shares)
 
 
-def _latent(table: NDArray[np.float64], intraclass: float) -> float:
+def _latent(table: Float64Array, intraclass: float) -> float:
     top = 0.995
     if intraclass >= _intraclass(table, top):
         return top
     return float(brentq(lambda share: _intraclass(table, share) - intraclass, 0.0, top, xtol=1e-4))
 
 
-def _intraclass(table: NDArray[np.float64], latent: float) -> float:
+def _intraclass(table: Float64Array, latent: float) -> float:
     """Correlation of two labels of one form, whose Gaussian variables share `latent` of their variance."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(60)
     bounds = ndtri(np.clip(np.cumsum(-np.sort(-table, axis=1), axis=1), 0.0, 1.0))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from ltm_core.camera import Camera
@@ -17,6 +16,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.simulator import noise_fields
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import BoolArray, Int16Array, UInt8Array
 
 SUBCELLS = 3
 """Of the truth, a side of a fuel cell: cells are mixed."""
@@ -38,9 +38,9 @@ class World:
 
     dem: Dem
     geometry: GridGeometry
-    fine: NDArray[np.uint8]
-    truth: NDArray[np.uint8]
-    patch: NDArray[np.bool_]
+    fine: UInt8Array
+    truth: UInt8Array
+    patch: BoolArray
     prior: FuelPrior
     towers: tuple[tuple[float, float, float], ...]
 
@@ -84,7 +84,7 @@ def make_world(seed: int, prior_wrong: float, dem: Dem | None = None) -> World:
     return World(dem, geometry, fine, truth, patch, prior, towers)
 
 
-def majority_of(fine: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def majority_of(fine: UInt8Array) -> UInt8Array:
     """The commonest life form of each cell's subcells, the first of equals."""
     height, width = fine.shape
     blocks = fine.reshape(height // SUBCELLS, SUBCELLS, width // SUBCELLS, SUBCELLS)
@@ -110,7 +110,7 @@ def _terrain(seed: int) -> Dem:
     return Dem((height + 600).astype(np.float32), geometry)
 
 
-def _plants(geometry: GridGeometry, seed: int) -> NDArray[np.uint8]:
+def _plants(geometry: GridGeometry, seed: int) -> UInt8Array:
     xs = geometry.to_map(np.zeros(geometry.width), np.arange(geometry.width))[0]
     ys = geometry.to_map(np.arange(geometry.height), np.zeros(geometry.height))[1]
     tree, grass, bare = (
@@ -139,7 +139,7 @@ def _towers(dem: Dem, geometry: GridGeometry) -> tuple[tuple[float, float, float
 
 
 def _patch_centre(
-    dem: Dem, geometry: GridGeometry, towers: tuple[tuple[float, float, float], ...], plants: NDArray[np.uint8]
+    dem: Dem, geometry: GridGeometry, towers: tuple[tuple[float, float, float], ...], plants: UInt8Array
 ) -> tuple[int, int]:
     """Where shrubs are most on ground that the towers see, the better placed the rather."""
     tracer = TerrainTracer(dem)
@@ -151,15 +151,15 @@ def _patch_centre(
         pose = Pose.from_angles(position, azimuth, pitch)
         ranges = tracer.trace(CAMERA, pose).range
         votes = caster.cast(ranges, CAMERA, pose, ones, 0, name, covariance=turns, along_axis=False)
-        if votes.sighting is not None:
-            quality[votes.rows, votes.cols] += votes.sighting.placement(geometry.resolution)
+        if votes.visibility is not None:
+            quality[votes.rows, votes.cols] += votes.visibility.placement(geometry.resolution)
     shrubs = majority_of(plants) == LifeForm.SHRUB
     score = ndimage.uniform_filter(quality * shrubs, 2 * PATCH_CELLS, mode="constant")
     row, col = np.unravel_index(score.argmax(), score.shape)
     return int(row), int(col)
 
 
-def _wrong_in_patches(forms: NDArray[np.uint8], share: float, rng: np.random.Generator) -> NDArray[np.int16]:
+def _wrong_in_patches(forms: UInt8Array, share: float, rng: np.random.Generator) -> Int16Array:
     """Codes of life forms, that many of them another form's."""
     table = np.full(256, NODATA, np.int16)
     for form, code in CODE_OF_FORM.items():

@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
 from ltm_core.evaluation.fuel.trial import Trial, frames
@@ -17,6 +16,7 @@ from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.majority import UNSEEN, MajorityFuelMap
 from ltm_core.fuel.rules import FusionRules
+from ltm_core.types import BoolArray, UInt8Array
 from ltm_core.vision.labels import LabelSet
 
 
@@ -74,7 +74,7 @@ def run_trial(
     flipped = layers.changed & (layers.life_form == LifeForm.TREE)
     wrong = layers.changed & (layers.life_form != world.truth)
 
-    def right(forms: NDArray[np.uint8], cells: NDArray[np.bool_]) -> float:
+    def right(forms: UInt8Array, cells: BoolArray) -> float:
         return float((forms == world.truth)[cells].mean()) if cells.any() else float("nan")
 
     kept = (layers.code == layers.prior)[~layers.changed] if trial.has_prior else np.ones(1, bool)
@@ -96,5 +96,5 @@ def run_trial(
     )
 
 
-def _share(chosen: NDArray[np.bool_], among: NDArray[np.bool_]) -> float:
+def _share(chosen: BoolArray, among: BoolArray) -> float:
     return float(chosen[among].mean()) if among.any() else float("nan")

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import RasterError
+from ltm_core.types import BoolArray
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,7 @@ class ChangeScore:
         return _ratio(self.hits, self.hits + self.false_alarms + self.misses)
 
 
-def score_change(
-    found: NDArray[np.bool_], truth: NDArray[np.bool_], observed: NDArray[np.bool_] | None = None
-) -> ChangeScore:
+def score_change(found: BoolArray, truth: BoolArray, observed: BoolArray | None = None) -> ChangeScore:
     """Score a mask (H, W) on the cells that are `observed` (default: all). Raises RasterError on other shapes."""
     looked = np.ones(truth.shape, np.bool_) if observed is None else observed
     if not found.shape == truth.shape == looked.shape:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError
+from ltm_core.types import Float64Array, UInt8Array
 
 BINS = 15
 
@@ -17,17 +17,15 @@ class CalibrationScore:
     """Labelled pixels of known truth in bins of confidence (equal widths over 0..1): `pixels`, `right` and the sum of
     `confidence`, each (BINS,) float64."""
 
-    pixels: NDArray[np.float64]
-    right: NDArray[np.float64]
-    confidence: NDArray[np.float64]
+    pixels: Float64Array
+    right: Float64Array
+    confidence: Float64Array
 
     @classmethod
     def empty(cls) -> CalibrationScore:
         return cls(*(np.zeros(BINS) for _ in range(3)))
 
-    def plus(
-        self, truth: NDArray[np.uint8], predicted: NDArray[np.uint8], confidence: NDArray[np.uint8], classes: int
-    ) -> CalibrationScore:
+    def plus(self, truth: UInt8Array, predicted: UInt8Array, confidence: UInt8Array, classes: int) -> CalibrationScore:
         """With one more image: labels (H, W) and confidence x 255. Raises ImageError where shapes differ."""
         if not truth.shape == predicted.shape == confidence.shape:
             raise ImageError(

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError
+from ltm_core.types import Float32Array, Float64Array
 
 RANGE_BINS = (0.0, 100.0, 300.0, 1000.0, np.inf)
 """Edges of the range bins that depth is scored in, metres of true depth."""
@@ -30,7 +30,7 @@ class DepthScore:
     """Mean of estimate minus truth."""
 
 
-def score_depth(estimate: Sequence[NDArray[np.float32]], truth: Sequence[NDArray[np.float32]]) -> list[DepthScore]:
+def score_depth(estimate: Sequence[Float32Array], truth: Sequence[Float32Array]) -> list[DepthScore]:
     """Scores by range bin, then over all, of images in pairs of one shape.
 
     Pixels count where both are finite. Raises ImageError on a pair of different shapes.
@@ -46,7 +46,7 @@ def score_depth(estimate: Sequence[NDArray[np.float32]], truth: Sequence[NDArray
     return [_score(error[(true >= near) & (true < far)], near, far) for near, far in bins]
 
 
-def _score(error: NDArray[np.float64], near: float, far: float) -> DepthScore:
+def _score(error: Float64Array, near: float, far: float) -> DepthScore:
     if len(error) == 0:
         return DepthScore(near, far, 0, np.nan, np.nan, np.nan, np.nan)
     size = np.abs(error)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError
+from ltm_core.types import Float32Array, Int64Array
 
 Value = TypeVar("Value", bound=np.generic)
 
@@ -15,7 +16,7 @@ DepthKind = Literal["relative_inverse", "affine_invariant", "metric"]
 """Inverse depth but for scale and shift; depth but for scale and shift; metres."""
 
 
-def fit_to_truth(values: NDArray[np.float32], truth: NDArray[np.float32], kind: DepthKind) -> NDArray[np.float32]:
+def fit_to_truth(values: Float32Array, truth: Float32Array, kind: DepthKind) -> Float32Array:
     """`values` (H, W) as metres: scale and shift by least squares over the pixels of finite truth.
 
     The protocol by which networks of relative depth are compared (Ranftl et al. 2020, "Towards robust monocular depth
@@ -55,6 +56,6 @@ def at_pixels_of(depth: NDArray[Value], image: tuple[int, int], shape: tuple[int
     return np.asarray(depth[rows[:, None], cols])
 
 
-def _nearest(places: NDArray[np.int64], size: int, other: int) -> NDArray[np.int64]:
+def _nearest(places: Int64Array, size: int, other: int) -> Int64Array:
     """The pixels of a row of `other` pixels that lie where `places` lie in one of `size`."""
     return np.asarray(np.clip(np.floor((places + 0.5) * other / size), 0, other - 1), np.int64)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError
 from ltm_core.evaluation.metrics.depth import RANGE_BINS, DepthScore
+from ltm_core.types import Float32Array, Float64Array, Int64Array
 
 # Sizes of error, metres, in bins 0.6 % wide: a median read from them is off by less than half of that.
 _SMALLEST, _LARGEST, _PER_DECADE = 1e-4, 1e6, 400
@@ -28,7 +28,7 @@ class DepthTally:
         self._sums = np.zeros((3, bins))  # of error, its size, its square
         self._sizes = np.zeros((bins, len(_EDGES) + 1), np.int64)
 
-    def add(self, estimate: NDArray[np.float32], truth: NDArray[np.float32]) -> None:
+    def add(self, estimate: Float32Array, truth: Float32Array) -> None:
         """Count one pair of depth images (H, W), metres; pixels count where both are finite.
 
         Raises ImageError on different shapes.
@@ -68,14 +68,14 @@ class DepthTally:
         return [*rows, whole]
 
 
-def _score(near: float, far: float, count: np.int64, sums: NDArray[np.float64], sizes: NDArray[np.int64]) -> DepthScore:
+def _score(near: float, far: float, count: np.int64, sums: Float64Array, sizes: Int64Array) -> DepthScore:
     if count == 0:
         return DepthScore(near, far, 0, np.nan, np.nan, np.nan, np.nan)
     bias, mae, square = sums / count
     return DepthScore(near, far, int(count), float(np.sqrt(square)), float(mae), _median(sizes), float(bias))
 
 
-def _median(sizes: NDArray[np.int64]) -> float:
+def _median(sizes: Int64Array) -> float:
     """The middle of a histogram over `_EDGES`, placed inside its bin by the share of it that lies below the middle."""
     below = np.cumsum(sizes)
     middle = below[-1] / 2

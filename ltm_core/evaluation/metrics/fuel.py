@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS
 
 from ltm_core.errors import RasterError
 from ltm_core.fuel.majority import UNSEEN
 from ltm_core.grid import GridGeometry
+from ltm_core.types import Int64Array, UInt8Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,13 +23,13 @@ class FuelScore:
     cells: int
     seen: int
     right: int
-    confusion: NDArray[np.int64]
+    confusion: Int64Array
 
 
 def score_fuel(
-    classes: NDArray[np.uint8],
+    classes: UInt8Array,
     geometry: GridGeometry,
-    truth: NDArray[np.uint8],
+    truth: UInt8Array,
     truth_geometry: GridGeometry,
     class_count: int,
 ) -> FuelScore:
@@ -45,7 +45,7 @@ def score_fuel(
     return FuelScore(classes.size, int(both.sum()), int(np.trace(confusion)), confusion)
 
 
-def on_grid(truth: NDArray[np.uint8], truth_geometry: GridGeometry, geometry: GridGeometry) -> NDArray[np.uint8]:
+def on_grid(truth: UInt8Array, truth_geometry: GridGeometry, geometry: GridGeometry) -> UInt8Array:
     """Classes of `truth_geometry` at the cells of `geometry`, UNSEEN where it has none.
 
     Raises RasterError where the grids' cells do not coincide, or their CRSs differ.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ltm_core.errors import RasterError
 from ltm_core.grid import GridGeometry
+from ltm_core.types import BoolArray, Float32Array
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class SurfaceScore:
 
 
 def score_surface(
-    estimate: NDArray[np.floating[Any]], truth: NDArray[np.floating[Any]], where: NDArray[np.bool_] | None = None
+    estimate: NDArray[np.floating[Any]], truth: NDArray[np.floating[Any]], where: BoolArray | None = None
 ) -> SurfaceScore:
     """Score heights of one shape where both are finite (and `where` holds). Raises RasterError on other shapes."""
     if estimate.shape != truth.shape or (where is not None and where.shape != truth.shape):
@@ -42,7 +43,7 @@ def score_surface(
     return SurfaceScore(error.size, rmse, float(size.mean()), float(np.median(size)), float(error.mean()))
 
 
-def cell_means(values: NDArray[np.float32], geometry: GridGeometry, onto: GridGeometry) -> NDArray[np.float32]:
+def cell_means(values: Float32Array, geometry: GridGeometry, onto: GridGeometry) -> Float32Array:
     """Means of a raster over the cells of another that is as coarse or coarser, (H, W); NaN where none is known.
 
     Both in one frame. A cell is the mean of the raster at n x n places spread evenly in it, n so that no cell of the

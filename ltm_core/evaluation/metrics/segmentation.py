@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError
+from ltm_core.types import Float64Array, Int64Array, UInt8Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,13 +19,13 @@ class SegmentationScore:
     occur in the truth (for F1 and IoU: nor in the prediction) are NaN.
     """
 
-    confusion: NDArray[np.int64]
+    confusion: Int64Array
 
     @classmethod
     def empty(cls, classes: int) -> SegmentationScore:
         return cls(np.zeros((classes, classes + 1), np.int64))
 
-    def plus(self, truth: NDArray[np.uint8], predicted: NDArray[np.uint8]) -> SegmentationScore:
+    def plus(self, truth: UInt8Array, predicted: UInt8Array) -> SegmentationScore:
         """With one more pair of label images (H, W). Raises ImageError where their shapes differ."""
         if truth.shape != predicted.shape:
             raise ImageError(f"labels of shape {predicted.shape} cannot be scored against truth of {truth.shape}")
@@ -42,35 +42,35 @@ class SegmentationScore:
         return int(self.confusion.sum())
 
     @property
-    def right(self) -> NDArray[np.int64]:
+    def right(self) -> Int64Array:
         return np.diagonal(self.confusion)
 
     @property
-    def true(self) -> NDArray[np.int64]:
+    def true(self) -> Int64Array:
         """(K,) pixels of each class in the truth."""
         return np.asarray(self.confusion.sum(axis=1))
 
     @property
-    def predicted(self) -> NDArray[np.int64]:
+    def predicted(self) -> Int64Array:
         """(K,) pixels given to each class."""
         return np.asarray(self.confusion[:, :-1].sum(axis=0))
 
     @property
-    def iou(self) -> NDArray[np.float64]:
+    def iou(self) -> Float64Array:
         """(K,) intersection over union."""
         return _ratio(self.right, self.true + self.predicted - self.right)
 
     @property
-    def f1(self) -> NDArray[np.float64]:
+    def f1(self) -> Float64Array:
         """(K,) harmonic mean of precision and recall."""
         return _ratio(2 * self.right, self.true + self.predicted)
 
     @property
-    def precision(self) -> NDArray[np.float64]:
+    def precision(self) -> Float64Array:
         return _ratio(self.right, self.predicted)
 
     @property
-    def recall(self) -> NDArray[np.float64]:
+    def recall(self) -> Float64Array:
         return _ratio(self.right, self.true)
 
     @property
@@ -100,11 +100,11 @@ class SegmentationScore:
         return float(np.mean(present)) if present else float("nan")
 
 
-def score_labels(truth: NDArray[np.uint8], predicted: NDArray[np.uint8], classes: int) -> SegmentationScore:
+def score_labels(truth: UInt8Array, predicted: UInt8Array, classes: int) -> SegmentationScore:
     """Score of one label image (H, W) uint8; truth of 255 is not counted."""
     return SegmentationScore.empty(classes).plus(truth, predicted)
 
 
-def _ratio(part: object, whole: object) -> NDArray[np.float64]:
+def _ratio(part: object, whole: object) -> Float64Array:
     part, whole = np.asarray(part, np.float64), np.asarray(whole, np.float64)
     return np.asarray(np.divide(part, whole, out=np.full(part.shape, np.nan), where=whole > 0), np.float64)

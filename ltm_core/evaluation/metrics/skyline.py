@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError
+from ltm_core.types import BoolArray, Float32Array
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class SkylineScore:
     resolution: int
 
 
-def skyline(sky: NDArray[np.bool_], unknown: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
+def skyline(sky: BoolArray, unknown: BoolArray | None = None) -> Float32Array:
     """The first row below the sky in each column of a mask (H, W), (W,) float32.
 
     NaN in columns that do not begin with sky, are sky throughout, or whose sky ends at a pixel that is `unknown`.
@@ -41,7 +41,7 @@ def skyline(sky: NDArray[np.bool_], unknown: NDArray[np.bool_] | None = None) ->
     return np.where(usable, row, np.nan).astype(np.float32)
 
 
-def depth_skyline(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+def depth_skyline(depth: Float32Array) -> Float32Array:
     """The skyline of a depth or range image (H, W): sky is +inf, unknown NaN."""
     return skyline(np.isposinf(depth), np.isnan(depth))
 
@@ -50,11 +50,11 @@ class SkylineTally:
     """Skyline errors gathered frame by frame, in columns that the truth samples."""
 
     def __init__(self) -> None:
-        self._errors: list[NDArray[np.float32]] = []
+        self._errors: list[Float32Array] = []
         self._missed = 0
         self._step = 1
 
-    def add(self, estimate: NDArray[np.float32], truth: NDArray[np.float32], step: int = 1) -> None:
+    def add(self, estimate: Float32Array, truth: Float32Array, step: int = 1) -> None:
         """Count one pair of skylines (W,): the estimate of every column, truth of every `step`-th, in its own rows.
 
         The truth says that the skyline lies between two of its rows; the middle is taken. Raises ImageError where

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
 from ltm_core.errors import ImageError
-from ltm_core.pictures.class_palette import Rgb
 from ltm_core.pictures.legend import INK, PAPER
 from ltm_core.pictures.text import Anchor, draw_texts
+from ltm_core.types import BoolArray, Float32Array, RgbImage
 
 _WALL = np.array([150, 138, 124], np.float32)
 _FINER = 2  # pixels a side are drawn at, and then averaged
@@ -44,8 +43,8 @@ class BlockView:
 
 
 def block_picture(
-    dem: Dem, colors: Rgb, view: BlockView | None = None, pins: Sequence[Pin] = (), width: int = 1400
-) -> Rgb:
+    dem: Dem, colors: RgbImage, view: BlockView | None = None, pins: Sequence[Pin] = (), width: int = 1400
+) -> RgbImage:
     """The DEM with `colors` (its shape, RGB) on top, walls down to its lowest height, and pins, (h, `width`, 3).
 
     Every pixel is found exactly: along a column of the picture the ground comes towards the viewer from far to near,
@@ -110,7 +109,7 @@ class _Block:
         self._levels = top - (np.arange(int((top - bottom) / self._pixel)) + 0.5) * self._pixel
         self._shape = dem.elevation.shape
 
-    def hits(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
+    def hits(self) -> tuple[Float32Array, Float32Array, BoolArray]:
         """DEM row and column (h, w) that each pixel shows, NaN none; and which pixels show a wall."""
         size = (len(self._levels), len(self._first))
         rows, cols = np.full(size, np.nan, np.float32), np.full(size, np.nan, np.float32)
@@ -123,7 +122,7 @@ class _Block:
         wall = (self._levels[:, None] < self._lip) & (self._levels[:, None] >= self._foot) & self._any
         return rows, cols, wall
 
-    def wall_colors(self) -> NDArray[np.float32]:
+    def wall_colors(self) -> Float32Array:
         """(h, w, 3): each side of the block in a tone of its own, darker towards the foot."""
         index = np.arange(len(self._first))
         row, col = self._row[index, self._first], self._col[index, self._first]
@@ -142,7 +141,7 @@ class _Block:
         return float(u), float((self._top - level) / self._pixel)
 
 
-def _pinned(picture: Rgb, block: _Block, pins: Sequence[Pin]) -> Rgb:
+def _pinned(picture: RgbImage, block: _Block, pins: Sequence[Pin]) -> RgbImage:
     size = max(13, round(picture.shape[1] / 60))
     texts: list[tuple[str, float, float, Anchor]] = []
     for pin in pins:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.depth.topodepth import FusedDepth, Source
-from ltm_core.pictures.class_palette import Rgb
 from ltm_core.pictures.legend import range_legend, with_legend
 from ltm_core.pictures.panel import fit, panel
 from ltm_core.pictures.ranges import RangeScale, depth_colors
+from ltm_core.types import Float32Array, RgbImage
 
 _SOURCE_COLORS = {
     Source.UNKNOWN: (70, 70, 74),
@@ -25,15 +24,15 @@ _LARGEST = 0.5  # relative error at the end of the colour scale
 
 def depth_sheet(
     title: str,
-    photo: Rgb,
-    sources: Mapping[str, NDArray[np.float32]],
-    truth: NDArray[np.float32],
+    photo: RgbImage,
+    sources: Mapping[str, Float32Array],
+    truth: Float32Array,
     fused: FusedDepth,
     width: int = 640,
-) -> Rgb:
+) -> RgbImage:
     """A sheet of three columns. `sources`: traced, network and fused depth at the pixels of `truth` (h, w)."""
     scale = RangeScale.of(truth)
-    pictures: list[tuple[str, Rgb]] = [(title, photo)]
+    pictures: list[tuple[str, RgbImage]] = [(title, photo)]
     true = fit(depth_colors(truth, scale), width)
     pictures.append(("true depth of the visible surface", with_legend(true, range_legend(width, scale))))
     colors = np.zeros((len(Source), 3), np.uint8)
@@ -47,7 +46,7 @@ def depth_sheet(
     return panel(pictures, columns=3, width=width)
 
 
-def residual(depth: NDArray[np.float32], truth: NDArray[np.float32]) -> Rgb:
+def residual(depth: Float32Array, truth: Float32Array) -> RgbImage:
     """Relative error (h, w) as colour: white none, red too far, blue too near, grey where either is not finite."""
     with np.errstate(invalid="ignore"):
         error = (depth - truth) / truth

@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 
 from ltm_core.dem import Dem
-from ltm_core.pictures.class_palette import Rgb
 from ltm_core.pictures.legend import INK, PAPER
 from ltm_core.pictures.relief import hypsometric
 from ltm_core.pictures.text import Anchor, draw_texts
+from ltm_core.types import RgbImage
 
 
-def height_legend(dem: Dem, width: int) -> Rgb:
+def height_legend(dem: Dem, width: int) -> RgbImage:
     """The tints that `terrain_colors` gives this DEM, with their heights in metres, (h, `width`, 3)."""
     size = max(11, min(22, round(width / 60)))
     known = dem.elevation[np.isfinite(dem.elevation)]

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
 from ltm_core.errors import RasterError
 from ltm_core.grid import GridGeometry
-from ltm_core.pictures.class_palette import Floats, Rgb
 from ltm_core.pictures.legend import INK, PAPER
 from ltm_core.pictures.maps import scale_bar
 from ltm_core.pictures.panel import fit, panel
 from ltm_core.pictures.relief import hillshade
 from ltm_core.pictures.text import draw_texts, text_width
+from ltm_core.types import BoolArray, Float32Array, Float64Array, RgbImage, UInt8Array
 
 KIND_NAMES = ("unchanged", "removed", "grown", "ground lowered")
 KIND_COLORS = np.array([(255, 255, 255), (208, 52, 38), (30, 138, 66), (122, 62, 178)], np.uint8)
@@ -22,33 +21,35 @@ SCORE_NAMES = ("found", "false", "missed")
 SCORE_COLORS = np.array([(30, 138, 66), (208, 52, 38), (38, 96, 200)], np.uint8)
 
 
-def shaded(heights: Floats, geometry: GridGeometry) -> Rgb:
+def shaded(heights: Float32Array, geometry: GridGeometry) -> RgbImage:
     """Light grey relief (H, W, 3); paper where there is no height."""
     shade = hillshade(Dem(heights, geometry))
     grey = np.where(np.isfinite(shade), np.clip(40 + 225 * np.nan_to_num(shade), 0, 255), PAPER[0])
     return np.repeat(grey.round().astype(np.uint8)[..., None], 3, axis=-1)
 
 
-def change_picture(change: NDArray[np.uint8], seen: NDArray[np.bool_], heights: Floats, geometry: GridGeometry) -> Rgb:
+def change_picture(change: UInt8Array, seen: BoolArray, heights: Float32Array, geometry: GridGeometry) -> RgbImage:
     """Kinds of change over the shaded surface, (H, W, 3); what nobody has seen is darker."""
     picture = _dimmed(shaded(heights, geometry), seen)
     return _mixed(picture, KIND_COLORS[np.minimum(change, len(KIND_COLORS) - 1)], change > 0)
 
 
 def score_picture(
-    found: NDArray[np.bool_],
-    truth: NDArray[np.bool_],
-    seen: NDArray[np.bool_],
-    heights: Floats,
+    found: BoolArray,
+    truth: BoolArray,
+    seen: BoolArray,
+    heights: Float32Array,
     geometry: GridGeometry,
-) -> Rgb:
+) -> RgbImage:
     """Found, false and missed change over the shaded surface; true change that nobody saw stays as it is."""
     picture = _dimmed(shaded(heights, geometry), seen)
     verdict = np.where(found & truth, 0, np.where(found, 1, 2))
     return _mixed(picture, SCORE_COLORS[verdict], (found | truth) & seen)
 
 
-def values_picture(values: Floats, limit: float, heights: Floats, geometry: GridGeometry, signed: bool) -> Rgb:
+def values_picture(
+    values: Float32Array, limit: float, heights: Float32Array, geometry: GridGeometry, signed: bool
+) -> RgbImage:
     """Metres over the shaded surface: signed from -limit (red) over white to limit (blue), or from 0 (pale) to
     `limit` (dark); bare relief where NaN.
     """
@@ -57,7 +58,7 @@ def values_picture(values: Floats, limit: float, heights: Floats, geometry: Grid
     return _mixed(shaded(heights, geometry), _ramp(np.clip(share, -1.0 if signed else 0.0, 1.0), signed), known, 0.75)
 
 
-def values_legend(width: int, limit: float, signed: bool, unit: str = "m") -> Rgb:
+def values_legend(width: int, limit: float, signed: bool, unit: str = "m") -> RgbImage:
     """The ramp of `values_picture` with its ends, (h, `width`, 3)."""
     size = _text_size(width)
     strip = np.full((round(size * 3.0), width, 3), PAPER, np.uint8)
@@ -68,7 +69,7 @@ def values_legend(width: int, limit: float, signed: bool, unit: str = "m") -> Rg
     return draw_texts(strip, [(text, x, y, "mt") for text, x, y in texts], size, INK)
 
 
-def names_legend(width: int, names: tuple[str, ...], colors: NDArray[np.uint8]) -> Rgb:
+def names_legend(width: int, names: tuple[str, ...], colors: UInt8Array) -> RgbImage:
     """A swatch and a name for each, in one row, (h, `width`, 3)."""
     size = _text_size(width)
     strip = np.full((round(size * 2.4), width, 3), PAPER, np.uint8)
@@ -83,15 +84,15 @@ def names_legend(width: int, names: tuple[str, ...], colors: NDArray[np.uint8]) 
 
 
 def surface_sheet(
-    heights: Floats,
-    sigma: Floats,
-    shift: Floats,
-    change: NDArray[np.uint8],
-    seen: NDArray[np.bool_],
+    heights: Float32Array,
+    sigma: Float32Array,
+    shift: Float32Array,
+    change: UInt8Array,
+    seen: BoolArray,
     geometry: GridGeometry,
-    truth: NDArray[np.bool_] | None = None,
+    truth: BoolArray | None = None,
     width: int = 760,
-) -> Rgb:
+) -> RgbImage:
     """One sheet: shift of the surface, sigma, kinds of change, and the change against the truth where that is known.
 
     All (H, W) of `geometry`. Raises RasterError on other shapes.
@@ -103,7 +104,7 @@ def surface_sheet(
     doubt = float(max(np.ceil(np.nanpercentile(sigma, 90)) if np.isfinite(sigma).any() else 1.0, 1.0))
     view = GridGeometry(0.0, 0.0, geometry.width * geometry.resolution / width, width, 1)
 
-    def finished(picture: Rgb, legend: Rgb) -> Rgb:
+    def finished(picture: RgbImage, legend: RgbImage) -> RgbImage:
         return np.concatenate([fit(picture, width), legend], axis=0)
 
     moved = np.where(change > 0, shift, np.float32(np.nan)).astype(np.float32)
@@ -140,7 +141,7 @@ def surface_sheet(
     return np.concatenate([sheet, strip], axis=0)
 
 
-def _ramp(share: NDArray[np.float64], signed: bool) -> Rgb:
+def _ramp(share: Float64Array, signed: bool) -> RgbImage:
     if signed:
         stops = np.array([-1, -0.5, 0, 0.5, 1])
         colors = np.array([(150, 20, 30), (232, 130, 92), (247, 247, 245), (104, 168, 212), (16, 68, 140)])
@@ -151,14 +152,14 @@ def _ramp(share: NDArray[np.float64], signed: bool) -> Rgb:
     return np.asarray(np.stack(bands, axis=-1).round(), np.uint8)
 
 
-def _mixed(picture: Rgb, colors: Rgb, where: NDArray[np.bool_], opacity: float = 0.82) -> Rgb:
+def _mixed(picture: RgbImage, colors: RgbImage, where: BoolArray, opacity: float = 0.82) -> RgbImage:
     """Colours over relief, shaded by it, so that steep ground keeps its shape."""
     tinted = np.clip(colors * (0.4 + 0.62 * picture[..., :1] / 255.0), 0, 255)
     mixed = (picture * (1 - opacity) + tinted * opacity).round().astype(np.uint8)
     return np.asarray(np.where(where[..., None], mixed, picture), np.uint8)
 
 
-def _dimmed(picture: Rgb, seen: NDArray[np.bool_]) -> Rgb:
+def _dimmed(picture: RgbImage, seen: BoolArray) -> RgbImage:
     return np.where(seen[..., None], picture, (picture * 0.62).astype(np.uint8))
 
 

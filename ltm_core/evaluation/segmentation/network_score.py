@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ltm_core.evaluation.metrics.confidence import CalibrationScore
 from ltm_core.evaluation.metrics.segmentation import SegmentationScore
 from ltm_core.evaluation.metrics.skyline import SkylineScore, SkylineTally, skyline
 from ltm_core.training.labelled_frames import Frame
+from ltm_core.types import Float64Array, UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.segmenter import Segmenter
 
@@ -43,7 +43,7 @@ class LabelScore:
         """All figures, JSON-ready; None for what does not occur."""
         score = self.labels
 
-        def by_class(values: npt.NDArray[np.float64]) -> dict[str, float | None]:
+        def by_class(values: Float64Array) -> dict[str, float | None]:
             return {name: _known(float(values[k])) for k, name in enumerate(names)}
 
         return {
@@ -84,9 +84,7 @@ def score_frames(segmenter: Segmenter, frames: Sequence[Frame], zoom: float = 1.
     return LabelScore(labels, calibration, tally.score(), float(np.median(times)))
 
 
-def score_segmenter(
-    segmenter: Segmenter, pairs: Iterable[tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]]
-) -> SegmentationScore:
+def score_segmenter(segmenter: Segmenter, pairs: Iterable[tuple[UInt8Array, UInt8Array]]) -> SegmentationScore:
     """Score over pairs of photo (H, W, 3) uint8 RGB and true labels (H, W) uint8 (255: truth unknown)."""
     score = SegmentationScore.empty(len(segmenter.labels))
     for image, truth in pairs:
@@ -94,9 +92,7 @@ def score_segmenter(
     return score
 
 
-def segment_milliseconds(
-    segmenter: Segmenter, images: Sequence[npt.NDArray[np.uint8]], repeats: int = 5
-) -> npt.NDArray[np.float64]:
+def segment_milliseconds(segmenter: Segmenter, images: Sequence[UInt8Array], repeats: int = 5) -> Float64Array:
     """Wall time of `segment` in ms, of each call on each image, after one call that is not counted."""
     segmenter.segment(images[0])
     times = []
@@ -108,7 +104,7 @@ def segment_milliseconds(
     return np.array(times)
 
 
-def _truth_step(labels: npt.NDArray[np.uint8]) -> int:
+def _truth_step(labels: UInt8Array) -> int:
     """Rows between those that hold truth: 1, or n where only every n-th pixel is labelled."""
     rows = np.flatnonzero((labels != UNLABELLED).any(axis=1))
     return int(np.diff(rows).min()) if len(rows) > 1 else 1

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError
 from ltm_core.evaluation.sim2real.distribution import (
@@ -21,6 +20,7 @@ from ltm_core.evaluation.sim2real.distribution import (
 from ltm_core.evaluation.sim2real.lpips import Backbone, Lpips
 from ltm_core.evaluation.sim2real.perceptual_io import INCEPTION_SIZE, Inception, read_lpips
 from ltm_core.evaluation.sim2real.picture_folder_io import read_square
+from ltm_core.types import Float32Array, Float64Array, UInt8Array
 
 PAPER = {"SSIM": 0.3614, "LPIPS": 0.4437, "FID": 354.3967}
 """Table "Sim-to-real evaluation" of the paper: pairs not aligned, N, weights and pairing not stated."""
@@ -126,7 +126,7 @@ def advice(real: int, simulated: int) -> str | None:
     )
 
 
-def ssim(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
+def ssim(a: UInt8Array, b: UInt8Array) -> float:
     """Mean SSIM of two pictures (H, W, 3): Gaussian windows of sigma 1.5, each channel by itself.
 
     Wang et al. 2004, "Image quality assessment"; by scikit-image.
@@ -146,9 +146,7 @@ def _drawn(first: Sequence[Path], second: Sequence[Path], count: int, seed: int)
     return tuple((first[int(i) // len(second)], second[int(i) % len(second)]) for i in chosen)
 
 
-def _pairwise(
-    pairs: Sequence[Pair], lpips: Lpips, side: int, progress: Callable[[int, int], None]
-) -> NDArray[np.float64]:
+def _pairwise(pairs: Sequence[Pair], lpips: Lpips, side: int, progress: Callable[[int, int], None]) -> Float64Array:
     """(2, N): SSIM and LPIPS of each pair."""
     values = np.empty((2, len(pairs)))
     for i, (a, b) in enumerate(pairs):
@@ -160,7 +158,7 @@ def _pairwise(
 
 def _features(
     network: Inception, paths: Sequence[Path], progress: Callable[[int, int], None], batch: int = 8
-) -> NDArray[np.float32]:
+) -> Float32Array:
     """(N, 2048), read and run a batch at a time."""
     rows = []
     for start in range(0, len(paths), batch):

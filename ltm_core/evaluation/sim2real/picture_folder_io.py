@@ -6,9 +6,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ImageError
+from ltm_core.types import UInt8Array
 
 SUFFIXES = (".jpg", ".jpeg", ".png")
 NOT_PICTURES = ("_labels", "_mask", "_depth")
@@ -27,7 +27,7 @@ def pictures_in(folder: Path) -> list[Path]:
     return found
 
 
-def read_square(path: Path, side: int) -> NDArray[np.uint8]:
+def read_square(path: Path, side: int) -> UInt8Array:
     """The middle square of a picture at `side` x `side` pixels, RGB. Raises ImageError on what is no picture."""
     stored = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if stored is None:
@@ -35,7 +35,7 @@ def read_square(path: Path, side: int) -> NDArray[np.uint8]:
     return middle_square(np.asarray(stored[..., ::-1], np.uint8), side)
 
 
-def middle_square(picture: NDArray[np.uint8], side: int) -> NDArray[np.uint8]:
+def middle_square(picture: UInt8Array, side: int) -> UInt8Array:
     """The middle square of a picture (H, W, 3) at `side` x `side` pixels, by area means where it shrinks."""
     height, width = picture.shape[:2]
     edge = min(height, width)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from ltm_core.camera import Camera
@@ -21,6 +20,7 @@ from ltm_core.geodesy import SiteFrame
 from ltm_core.grid import GridGeometry
 from ltm_core.pose_estimation.control_points import ControlPoints
 from ltm_core.pose_estimation.resection import Resection, resect
+from ltm_core.types import Float32Array, UInt8Array
 
 FRAME = SiteFrame("EPSG:26949", 227_000.0, 622_000.0)
 SURVEYS = ("111006", "121004", "130922", "140925", "150924")
@@ -47,7 +47,7 @@ class Canyon:
     surveys: dict[str, Dem]
     resection: Resection
 
-    def photo(self, date: str, step: int) -> NDArray[np.uint8]:
+    def photo(self, date: str, step: int) -> UInt8Array:
         """Every step-th pixel of a date's photo."""
         with Image.open(self.folder / PHOTOS[date]) as image:
             return np.ascontiguousarray(np.asarray(image.convert("RGB"))[::step, ::step])
@@ -72,7 +72,7 @@ def _common(dems: list[Dem]) -> GridGeometry:
     return GridGeometry(float(x_min), float(y_max), 1.0, round(x_max - x_min), round(y_max - y_min), FRAME.crs)
 
 
-def _on(dem: Dem, grid: GridGeometry) -> NDArray[np.float32]:
+def _on(dem: Dem, grid: GridGeometry) -> Float32Array:
     """The nodes of all surveys coincide: a copy into the larger grid."""
     heights = np.full(grid.shape, np.nan, np.float32)
     row, col = round(grid.y_max - dem.geometry.y_max), round(dem.geometry.x_min - grid.x_min)

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
-from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import FusionSettings, fuse
 from ltm_core.evaluation.metrics.change import ChangeScore, score_change
@@ -23,12 +22,13 @@ from ltm_core.terrain.observation import DepthFrame
 from ltm_core.terrain.reference_surface import Reference
 from ltm_core.terrain.surface_map import SurfaceMap
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import BoolArray
 
 BEFORE, AFTER = "121004", "150924"
 STEP = 2
 """Of the photos."""
 RULES = TerrainConfig(threshold=0.5, columns=1000, max_range=600.0, min_area=10.0, register_frames=False)
-OF_SURVEYS = RULES.model_copy(update={"repeats": 0.0, "alone": RULES.confidence})
+OF_SURVEYS = RULES.model_copy(update={"repeated_error_share": 0.0, "alone": RULES.confidence})
 """Noise that is new each time, and has no heavy tails."""
 _SECOND = 1_000_000_000
 
@@ -48,10 +48,10 @@ class CanyonScore:
     measured: float
     verdicts: tuple[str, ...]
     layers: SurfaceLayers
-    truth: NDArray[np.bool_]
+    truth: BoolArray
 
 
-def score_canyon(canyon: Canyon, network: DepthNetwork | None, classes: DepthClasses) -> CanyonScore:
+def score_canyon(canyon: Canyon, network: DepthNetwork | None, classes: ClassPriors) -> CanyonScore:
     """Start from the survey of BEFORE and look at the photos of three later dates.
 
     `network`: its depth of the photos, fitted to BEFORE's terrain, with the resected pose and its covariance; None:
@@ -87,7 +87,7 @@ def score_canyon(canyon: Canyon, network: DepthNetwork | None, classes: DepthCla
 
 
 def _frames(
-    canyon: Canyon, network: DepthNetwork | None, classes: DepthClasses
+    canyon: Canyon, network: DepthNetwork | None, classes: ClassPriors
 ) -> Iterator[tuple[DepthFrame, float, str]]:
     rng = np.random.default_rng(22)
     camera, pose = canyon.resection.camera.scaled(STEP), canyon.resection.pose

@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.dem import Dem
-from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import FusionSettings, fuse
 from ltm_core.evaluation.metrics.change import ChangeScore, score_change
@@ -28,6 +27,7 @@ from ltm_core.terrain.observation import DepthFrame
 from ltm_core.terrain.reference_surface import Reference
 from ltm_core.terrain.surface_map import SurfaceMap
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import BoolArray, Float32Array
 from ltm_core.vision.segmenter import Segmenter
 
 HOUR_NS = 3_600_000_000_000
@@ -51,7 +51,7 @@ class FrameScore:
     tails: tuple[float, float]
     verdicts: Counter[str]
     layers: SurfaceLayers
-    truth: NDArray[np.bool_]
+    truth: BoolArray
 
 
 def score_frames(
@@ -62,7 +62,7 @@ def score_frames(
     measure: Measure,
     config: TerrainConfig,
     looks: int = 1,
-    gone: NDArray[np.float32] | None = None,
+    gone: Float32Array | None = None,
     earlier: Iterable[TruthFrame] = (),
 ) -> FrameScore:
     """Let the map look at frames, an hour apart whatever their stamps say, and compare with the true surface `now`.
@@ -96,7 +96,7 @@ def score_frames(
     )
 
 
-def _tails(errors: NDArray[np.float32]) -> tuple[float, float]:
+def _tails(errors: Float32Array) -> tuple[float, float]:
     if not len(errors):
         return float("nan"), float("nan")
     return float((np.abs(errors) > 3).mean()), float((np.abs(errors) > 5).mean())
@@ -119,7 +119,7 @@ def alike(photos: Mapping[str, Sequence[TruthFrame]], measure: Measure) -> float
     return 1 - differences / squares if count and squares > 0 else float("nan")
 
 
-def _errors(frame: TruthFrame, seen: DepthFrame) -> NDArray[np.float32]:
+def _errors(frame: TruthFrame, seen: DepthFrame) -> Float32Array:
     """At the truth's pixels, in sigmas, NaN where nothing is measured."""
     image = frame.camera.height, frame.camera.width
     depth, sigma = (at_pixels_of(part, image, frame.surface.shape) for part in (seen.depth, seen.sigma))
@@ -147,7 +147,7 @@ def true_depth(noise: Noise, seed: int = 1) -> Measure:
 
 
 def network_depth(
-    ground: Dem, before: Dem, network: DepthNetwork, segmenter: Segmenter, classes: DepthClasses
+    ground: Dem, before: Dem, network: DepthNetwork, segmenter: Segmenter, classes: ClassPriors
 ) -> Measure:
     """What a network measures in the frame's photo, fitted to the terrain as it was, bare and with what grew there, as
     the graph does it; where fusion suspects the pose, nothing.

@@ -6,13 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import BoolArray, Float64Array
 
 SIZE = (820, 1000)
 """Rows and columns, cells of 1 m."""
@@ -31,12 +31,12 @@ _SIGHT_LINE = 50.0
 class Trees:
     """Stems: x, y, height, crown radius, (N,) each."""
 
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    height: NDArray[np.float64]
-    radius: NDArray[np.float64]
+    x: Float64Array
+    y: Float64Array
+    height: Float64Array
+    radius: Float64Array
 
-    def where(self, kept: NDArray[np.bool_]) -> Trees:
+    def where(self, kept: BoolArray) -> Trees:
         return Trees(self.x[kept], self.y[kept], self.height[kept], self.radius[kept])
 
     def joined(self, other: Trees) -> Trees:
@@ -44,7 +44,7 @@ class Trees:
         return Trees(*(np.concatenate(pair) for pair in pairs))
 
 
-def overlooked_hillside(rng: np.random.Generator) -> NDArray[np.float64]:
+def overlooked_hillside(rng: np.random.Generator) -> Float64Array:
     """The first hillside whose middle both towers see: towers are built where they overlook what they watch."""
     x, y = np.meshgrid(CENTRE[0] + np.linspace(-40, 40, 9), CENTRE[1] + np.linspace(-40, 40, 9))
     while True:
@@ -60,7 +60,7 @@ def overlooked_hillside(rng: np.random.Generator) -> NDArray[np.float64]:
             return bare
 
 
-def _hillside(rng: np.random.Generator) -> NDArray[np.float64]:
+def _hillside(rng: np.random.Generator) -> Float64Array:
     """A slope that faces the towers, with spurs and gullies; gentle where the towers stand."""
     row, col = np.mgrid[0 : SIZE[0], 0 : SIZE[1]]
     _, y = GEOMETRY.to_map(row, col)
@@ -97,7 +97,7 @@ def stands(rng: np.random.Generator) -> Trees:
     return Trees(x, y, tall, 0.9 + 0.12 * tall).where(kept)
 
 
-def shrubs(rng: np.random.Generator) -> NDArray[np.float64]:
+def shrubs(rng: np.random.Generator) -> Float64Array:
     """Brush up to 2 m, in patches."""
     patch = ndimage.gaussian_filter(rng.standard_normal(SIZE), 18, mode="reflect")
     lump = ndimage.gaussian_filter(rng.standard_normal(SIZE), 1.5, mode="reflect")
@@ -105,7 +105,7 @@ def shrubs(rng: np.random.Generator) -> NDArray[np.float64]:
     return np.asarray(np.where(patch > np.quantile(patch, 0.7), height.clip(0, 2.0), 0.0))
 
 
-def canopy(trees: Trees) -> NDArray[np.float64]:
+def canopy(trees: Trees) -> Float64Array:
     """Height of the crowns over the ground, (H, W): paraboloids on their stems."""
     canopy = np.zeros(SIZE)
     rows, cols = GEOMETRY.to_grid(trees.x, trees.y)
@@ -122,7 +122,7 @@ def canopy(trees: Trees) -> NDArray[np.float64]:
     return canopy
 
 
-def coarse(heights: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
+def coarse(heights: Float64Array, factor: int) -> Float64Array:
     """As a raster `factor` times as coarse has it, bilinear between its cells."""
     rows, cols = SIZE[0] // factor, SIZE[1] // factor
     means = heights[: rows * factor, : cols * factor].reshape(rows, factor, cols, factor).mean(axis=(1, 3))

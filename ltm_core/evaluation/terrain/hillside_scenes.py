@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from ltm_core.camera import Camera
@@ -33,8 +32,7 @@ from ltm_core.evaluation.terrain.hillside_ground import (
 from ltm_core.pose import Pose
 from ltm_core.terrain.observation import DepthFrame
 from ltm_core.tracing import TerrainTracer
-
-Heights = NDArray[np.float32]
+from ltm_core.types import Float32Array
 
 BEGIN_NS = 1_700_000_000_000_000_000
 HOUR_NS = 3_600_000_000_000
@@ -65,7 +63,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Conditions:
+class SceneConditions:
     """`pose_error_deg`: sigma of each of a frame's three angles, which the frame's covariance states. `occluded`: share
     of the image that something nearer hides, elsewhere in every frame. `looks`: images of each tower, two hours apart.
     `width`, `height`: of the camera; only every `pixel_step`-th row and column is made, since the map takes no others.
@@ -84,7 +82,7 @@ class Conditions:
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class HillsideScene:
     """`bare`, `given`: bare earth and surface as the map gets them. `true_before`, `true_now`: the real surface. Change
     is what `true_now` differs from `given`.
     """
@@ -96,7 +94,7 @@ class Trial:
     true_now: Dem
 
 
-def trial(name: str, seed: int = 1) -> Trial:
+def trial(name: str, seed: int = 1) -> HillsideScene:
     """One of SCENES. Raises ConfigError for another name."""
     if name not in SCENES:
         raise ConfigError(f"no scene {name!r}; there are {', '.join(SCENES)}")
@@ -141,15 +139,15 @@ def trial(name: str, seed: int = 1) -> Trial:
     elif name == "shifted":
         given_bare, given = (np.asarray(ndimage.shift(a, (1.0, -2.0), order=1, mode="nearest")) for a in (bare, before))
     as_dem = [Dem(np.asarray(a, np.float32), GEOMETRY) for a in (given_bare, given, before, now)]
-    return Trial(name, *as_dem)
+    return HillsideScene(name, *as_dem)
 
 
-def frames(scene: Trial, conditions: Conditions) -> Iterator[DepthFrame]:
+def frames(scene: HillsideScene, conditions: SceneConditions) -> Iterator[DepthFrame]:
     """What the towers measure of the surface as it is now."""
     yield from frames_of(scene.true_now, conditions, BEGIN_NS)
 
 
-def frames_of(surface: Dem, conditions: Conditions, begin_ns: int) -> Iterator[DepthFrame]:
+def frames_of(surface: Dem, conditions: SceneConditions, begin_ns: int) -> Iterator[DepthFrame]:
     """What the towers measure of a surface, from `begin_ns` on."""
     rng = np.random.default_rng((conditions.seed, begin_ns // HOUR_NS))
     camera = Camera.from_fov(conditions.width, conditions.height, conditions.hfov_deg).scaled(conditions.pixel_step)
@@ -167,12 +165,12 @@ def frames_of(surface: Dem, conditions: Conditions, begin_ns: int) -> Iterator[D
 
 
 def _measured(
-    depth: Heights,
+    depth: Float32Array,
     camera: Camera,
     true: Pose,
-    lasting: Heights,
+    lasting: Float32Array,
     rng: np.random.Generator,
-    conditions: Conditions,
+    conditions: SceneConditions,
     name: str,
     stamp_ns: int,
 ) -> DepthFrame:
@@ -198,7 +196,7 @@ def _measured(
     return DepthFrame(measured.astype(np.float32), sigma, informs, camera, told, stamp_ns, name, covariance)
 
 
-def _correlated(rng: np.random.Generator, camera: Camera, length: float) -> Heights:
+def _correlated(rng: np.random.Generator, camera: Camera, length: float) -> Float32Array:
     """Unit noise of that correlation length in pixels, made at a third of it."""
     step = max(1, int(length / 3))
     small = rng.standard_normal((camera.height // step + 3, camera.width // step + 3))

@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from ltm_core.evaluation.metrics.change import ChangeScore, score_change
 from ltm_core.evaluation.metrics.heights import score_surface
 from ltm_core.evaluation.terrain.hillside_ground import TOWERS
-from ltm_core.evaluation.terrain.hillside_scenes import Conditions, Trial, frames, trial
+from ltm_core.evaluation.terrain.hillside_scenes import HillsideScene, SceneConditions, frames, trial
 from ltm_core.site import TerrainConfig
 from ltm_core.terrain.layers import SurfaceLayers
 from ltm_core.terrain.reference_surface import Reference
@@ -23,7 +23,7 @@ BESIDE = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class TrialScore:
+class HillsideScore:
     """What a scene gave. `change`: by cell, of the cells that independent views have seen; true change is a
     difference of at least the map's threshold between the surface as given and as it is. `away`: falsely changed cells
     that are not beside a true change, but more than BESIDE from any. `covered`: share of truly
@@ -32,7 +32,7 @@ class TrialScore:
     """
 
     scene: str
-    conditions: Conditions
+    conditions: SceneConditions
     change: ChangeScore
     away: int
     covered: float
@@ -40,7 +40,7 @@ class TrialScore:
     rmse_after: float
     frame_ms: float
     decide_ms: float
-    trial: Trial
+    trial: HillsideScene
     layers: SurfaceLayers
 
     @property
@@ -72,12 +72,12 @@ class TrialScore:
         }
 
 
-def score_trial(name: str, conditions: Conditions, config: TerrainConfig | None = None) -> TrialScore:
+def score_trial(name: str, conditions: SceneConditions, config: TerrainConfig | None = None) -> HillsideScore:
     """Let the towers look at a scene, and compare. Raises ConfigError for an unknown scene."""
     config = config or TerrainConfig()
     # Trials make those pixels only that the map would take of a whole image. The map is told, as it is of sigma, what
     # of the noise each look repeats, and that it has a normal distribution's tails.
-    told = {"repeats": conditions.noise.repeats, "alone": config.confidence}
+    told = {"repeated_error_share": conditions.noise.repeats, "alone": config.confidence}
     config = config.model_copy(update=told)
     scene = trial(name, conditions.seed)
     surface = SurfaceMap(Reference.of(scene.bare, scene.given), config, tuple(TOWERS))
@@ -93,7 +93,7 @@ def score_trial(name: str, conditions: Conditions, config: TerrainConfig | None 
     truth = np.abs(scene.true_now.elevation - scene.given.elevation) >= config.threshold
     seen = truth & layers.observed
     away = (layers.change > 0) & layers.observed & (distance_transform_edt(~truth) > BESIDE)
-    return TrialScore(
+    return HillsideScore(
         name,
         conditions,
         score_change(layers.change > 0, truth, layers.observed),

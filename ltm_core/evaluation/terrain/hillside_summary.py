@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
-from ltm_core.evaluation.terrain.hillside_score import TrialScore
+from ltm_core.evaluation.terrain.hillside_score import HillsideScore
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class TrialSummary:
     ratio: Spread
 
     @classmethod
-    def of(cls, scores: Sequence[TrialScore]) -> TrialSummary:
+    def of(cls, scores: Sequence[HillsideScore]) -> TrialSummary:
         """Of at least one trial."""
         return cls(
             len(scores),

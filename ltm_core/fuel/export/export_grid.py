@@ -11,7 +11,7 @@ from pyproj import Transformer
 
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError
-from ltm_core.fuel.codes import FuelSystem, Region
+from ltm_core.fuel.codes import FuelRegion, FuelSystem
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.export.landscape import Landscape, canopy_bands, surface_codes, terrain_bands
 from ltm_core.fuel.life_form import NODATA
@@ -19,6 +19,7 @@ from ltm_core.fuel.majority import UNSEEN
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geodesy import SiteFrame
 from ltm_core.grid import GridGeometry
+from ltm_core.types import Float64Array
 
 _MOST_SAMPLES = 8
 """Of the DEM, a side of a fuel cell, for its mean height."""
@@ -63,7 +64,7 @@ class GridTransfer:
         codes = self.layer(prior.codes, NODATA)
         return replace(prior, codes=codes, geometry=self.target, canopy=canopy, fbfm13=beside)
 
-    def heights(self, dem: Dem, frame: SiteFrame) -> NDArray[np.float64]:
+    def heights(self, dem: Dem, frame: SiteFrame) -> Float64Array:
         """Mean heights (H + 2, W + 2) of the target's cells and of a border of one cell about it, from a DEM in the map
         frame; NaN where it is not known.
         """
@@ -89,7 +90,7 @@ def make_landscape(
     dem: Dem,
     frame: SiteFrame,
     source: GridGeometry,
-    region: Region,
+    region: FuelRegion,
     system: FuelSystem,
     target: GridGeometry | None = None,
 ) -> Landscape:

@@ -7,15 +7,13 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError
 from ltm_core.grid import GridGeometry
+from ltm_core.types import UInt8Array
 
 
-def write_kmz(
-    path: Path, picture: NDArray[np.uint8], geometry: GridGeometry, name: str, legend: NDArray[np.uint8]
-) -> None:
+def write_kmz(path: Path, picture: UInt8Array, geometry: GridGeometry, name: str, legend: UInt8Array) -> None:
     """`picture` (n H, n W, 3) of a grid (H, W), warped to longitude and latitude, transparent outside; `legend`
     (h, w, 3) stays in the screen's corner.
 

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.errors import RasterError
-from ltm_core.fuel.codes import FuelSystem, Region
+from ltm_core.fuel.codes import FuelRegion, FuelSystem
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.grid import GridGeometry
+from ltm_core.types import Float64Array, Int16Array
 
 LANDSCAPE_BANDS: Final = (
     "elevation",
@@ -39,7 +40,7 @@ class Landscape:
     `geometry` names its CRS. Raises RasterError where it does not, or shapes disagree.
     """
 
-    bands: NDArray[np.int16]
+    bands: Int16Array
     geometry: GridGeometry
     system: FuelSystem = FuelSystem.FBFM40
 
@@ -52,11 +53,11 @@ class Landscape:
         if self.geometry.crs is None:
             raise RasterError("a landscape needs a CRS, but this grid is in a bare map frame")
 
-    def band(self, name: str) -> NDArray[np.int16]:
+    def band(self, name: str) -> Int16Array:
         return np.asarray(self.bands[LANDSCAPE_BANDS.index(name)])
 
 
-def slope_and_aspect(elevation: NDArray[np.floating], cell: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def slope_and_aspect(elevation: NDArray[np.floating], cell: float) -> tuple[Float64Array, Float64Array]:
     """Degrees (H - 2, W - 2) of an elevation raster (H, W) with square cells, without its border.
 
     Source: Horn (1981), Hill shading and the reflectance map, as gdaldem. Aspect is downhill, clockwise from grid
@@ -74,7 +75,7 @@ def slope_and_aspect(elevation: NDArray[np.floating], cell: float) -> tuple[NDAr
     return np.where(unknown, np.nan, slope), np.where(unknown, np.nan, aspect)
 
 
-def terrain_bands(padded: NDArray[np.floating], cell: float) -> NDArray[np.int16]:
+def terrain_bands(padded: NDArray[np.floating], cell: float) -> Int16Array:
     """Elevation, slope and aspect (3, H, W) of heights (H + 2, W + 2) with a border of one cell; NODATA where unknown.
 
     Where the border is not known, the slope inside goes on to it.
@@ -92,7 +93,7 @@ def terrain_bands(padded: NDArray[np.floating], cell: float) -> NDArray[np.int16
     return np.where(np.isnan(bands), NODATA, bands).astype(np.int16)
 
 
-def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, region: Region) -> NDArray[np.int16]:
+def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegion) -> Int16Array:
     """Cover, height, base height and bulk density (4, H, W) that go with the layers' codes.
 
     The prior's stay where its code stays. Cells that have become trees get the median of the prior's own cells of
@@ -120,7 +121,7 @@ def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, region: Region) ->
     return np.round(bands).astype(np.int16)
 
 
-def surface_codes(layers: FuelLayers, prior: FuelPrior | None, region: Region, system: FuelSystem) -> NDArray[np.int16]:
+def surface_codes(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegion, system: FuelSystem) -> Int16Array:
     """The layers' codes in a system; FBFM13 of unchanged cells from the map that came with the prior, where one did.
 
     Raises RasterError for FBFM40 of an FBFM13 prior: 13 models do not tell which of 40.

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
 from ltm_core.errors import ConfigError
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, Landscape
 from ltm_core.fuel.life_form import NODATA
+from ltm_core.types import Int16Array
 
 HEADER_BYTES: Final = 7316
 _WITH_CROWN: Final = 21
@@ -65,7 +65,7 @@ def lcp_header(landscape: Landscape, description: str = "") -> bytes:
     return b"".join(parts)
 
 
-def _classes(band: NDArray[np.int16]) -> bytes:
+def _classes(band: Int16Array) -> bytes:
     """Least and greatest value, how many there are, and their list: 412 bytes. Nodata is no value."""
     values = np.unique(band[band != NODATA]).astype(int).tolist()
     if not values:

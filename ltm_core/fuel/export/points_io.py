@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import LifeForm, life_form_labels
 from ltm_core.grid import GridGeometry
+from ltm_core.types import Float64Array, Int16Array, UInt8Array
 from ltm_core.vision.labels import LabelSet
 
 _LAS_CLASS: Final = {
@@ -31,16 +31,14 @@ _LAS_CLASS: Final = {
 class FuelPoints:
     """`xyz`: (N, 3) float64 in `crs`, metres. `life_form`: (N,) uint8. `code`: (N,) int16. `rgb`: (N, 3) uint8."""
 
-    xyz: NDArray[np.float64]
-    life_form: NDArray[np.uint8]
-    code: NDArray[np.int16]
-    rgb: NDArray[np.uint8]
+    xyz: Float64Array
+    life_form: UInt8Array
+    code: Int16Array
+    rgb: UInt8Array
     crs: str
 
 
-def fuel_points(
-    layers: FuelLayers, heights: NDArray[np.float64], geometry: GridGeometry, labels: LabelSet
-) -> FuelPoints:
+def fuel_points(layers: FuelLayers, heights: Float64Array, geometry: GridGeometry, labels: LabelSet) -> FuelPoints:
     """The cells whose life form and height (H, W) are known, at their centres. Raises ConfigError where none is."""
     known = np.isfinite(heights) & (layers.life_form <= len(LifeForm)) & (layers.life_form > 0)
     if not known.any() or geometry.crs is None:

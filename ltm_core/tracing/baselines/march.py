@@ -15,15 +15,16 @@ import math
 
 import numpy as np
 from numba import njit, prange
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import PoseError
 from ltm_core.pose import Pose
+from ltm_core.types import Float32Array, Float64Array
 
 
-def proportional_rays(camera: Camera, pose: Pose) -> NDArray[np.float64]:
+def proportional_rays(camera: Camera, pose: Pose) -> Float64Array:
     """The paper's ray F(theta, phi, u, v): angles in proportion to the pixel's offset; (H, W, 3) unit vectors, map
     frame.
 
@@ -47,7 +48,7 @@ def proportional_rays(camera: Camera, pose: Pose) -> NDArray[np.float64]:
     )
 
 
-def march(dem: Dem, origin: ArrayLike, directions: ArrayLike, step: float = 1.0) -> NDArray[np.float32]:
+def march(dem: Dem, origin: ArrayLike, directions: ArrayLike, step: float = 1.0) -> Float32Array:
     """The paper's depth, horizontal metres, of each ray, (N,) float32; +inf where it leaves the raster, NaN at nodata.
 
     Args:
@@ -69,7 +70,7 @@ def march(dem: Dem, origin: ArrayLike, directions: ArrayLike, step: float = 1.0)
     return depth
 
 
-def march_arrays(dem: Dem, origin: ArrayLike, directions: ArrayLike, step: float = 1.0) -> NDArray[np.float32]:
+def march_arrays(dem: Dem, origin: ArrayLike, directions: ArrayLike, step: float = 1.0) -> Float32Array:
     """The same march in plain NumPy, all rays a step at a time: what the paper's algorithm costs without a compiler."""
     start = np.asarray(origin, np.float64)
     rays = np.asarray(directions, np.float64)
@@ -92,7 +93,7 @@ def march_arrays(dem: Dem, origin: ArrayLike, directions: ArrayLike, step: float
     return depth
 
 
-def march_image(dem: Dem, camera: Camera, pose: Pose, step: float = 1.0) -> NDArray[np.float32]:
+def march_image(dem: Dem, camera: Camera, pose: Pose, step: float = 1.0) -> Float32Array:
     """Algorithm 1 for a whole image with the paper's proportional rays: horizontal distance, (H, W) float32 metres."""
     rays = proportional_rays(camera, pose).reshape(-1, 3)
     return march(dem, pose.position, rays, step).reshape(camera.height, camera.width)
@@ -100,14 +101,14 @@ def march_image(dem: Dem, camera: Camera, pose: Pose, step: float = 1.0) -> NDAr
 
 @njit(cache=True, parallel=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _march(
-    elevation: NDArray[np.float32],
+    elevation: Float32Array,
     x_min: float,
     y_max: float,
     resolution: float,
-    start: NDArray[np.float64],
-    rays: NDArray[np.float64],
+    start: Float64Array,
+    rays: Float64Array,
     step: float,
-    depth: NDArray[np.float32],
+    depth: Float32Array,
 ) -> None:
     n_rows, n_cols = elevation.shape
     for k in prange(rays.shape[0]):

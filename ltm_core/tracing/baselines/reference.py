@@ -10,20 +10,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
-
-Floats = NDArray[np.float64]
+from ltm_core.types import BoolArray, Float32Array, Float64Array
 
 TOUCH = 1e-9
 """Crossings of grid lines closer than this, in cells, are one: the ray goes through a node."""
 _TOUCHING = np.ones((3, 3), dtype=bool)
 
 
-def trace_reference(dem: Dem, origin: Floats, directions: Floats, bend: float) -> Floats:
+def trace_reference(dem: Dem, origin: Float64Array, directions: Float64Array, bend: float) -> Float64Array:
     """Slant ranges in metres, (N,): finite, +inf sky, NaN unknown.
 
     Args:
@@ -41,7 +39,7 @@ def trace_reference(dem: Dem, origin: Floats, directions: Floats, bend: float) -
     return ranges
 
 
-def with_ceilings(elevation: NDArray[np.float32]) -> NDArray[np.float32]:
+def with_ceilings(elevation: Float32Array) -> Float32Array:
     """(H, W) elevations in which each NaN node of an enclosed hole holds the hole's ceiling (see `holes`); NaN nodes of
     outer holes stay NaN.
     """
@@ -64,9 +62,7 @@ def with_ceilings(elevation: NDArray[np.float32]) -> NDArray[np.float32]:
 class _Raster:
     """One raster and where the camera stands on it."""
 
-    def __init__(
-        self, nodes: NDArray[np.float32], filled: NDArray[np.float32], geometry: GridGeometry, origin: Floats
-    ) -> None:
+    def __init__(self, nodes: Float32Array, filled: Float32Array, geometry: GridGeometry, origin: Float64Array) -> None:
         self.nodes, self.filled, self.resolution = nodes, filled, geometry.resolution
         self.oy, self.ox = (float(v) for v in geometry.to_grid(origin[0], origin[1]))
 
@@ -103,7 +99,7 @@ class _Raster:
         corners = [nodes[i, j], nodes[i, j + 1], nodes[i + 1, j], nodes[i + 1, j + 1]]
         north_west, north_east, south_west, south_east = (c.astype(np.float64) for c in corners)
 
-        def above(q: Floats) -> Floats:
+        def above(q: Float64Array) -> Float64Array:
             u, v = self.ox + cx * q - j, self.oy + cy * q - i
             north = (1 - u) * north_west + u * north_east
             south = (1 - u) * south_west + u * south_east
@@ -130,10 +126,10 @@ class _Parabola:
     slope: float
     bend: float
 
-    def at(self, r: Floats) -> Floats:
+    def at(self, r: Float64Array) -> Float64Array:
         return np.asarray(self.z + self.slope * r + self.bend * r * r)
 
-    def lowest(self, start: Floats, end: Floats) -> Floats:
+    def lowest(self, start: Float64Array, end: Float64Array) -> Float64Array:
         lowest = np.minimum(self.at(start), self.at(end))
         if self.bend > 0:
             bottom = -self.slope / (2 * self.bend)
@@ -147,11 +143,11 @@ class _Pieces:
     over an outer hole; the horizontal metres of the hit; and whether it begins below the ground.
     """
 
-    hit: NDArray[np.bool_]
-    blocked: NDArray[np.bool_]
-    outer: NDArray[np.bool_]
-    place: Floats
-    below: NDArray[np.bool_]
+    hit: BoolArray
+    blocked: BoolArray
+    outer: BoolArray
+    place: Float64Array
+    below: BoolArray
 
 
 def _horizontal_range(
@@ -195,7 +191,7 @@ def _horizontal_range(
     return float(place[first])
 
 
-def _first_roots(f0: Floats, f_half: Floats, f1: Floats) -> Floats:
+def _first_roots(f0: Float64Array, f_half: Float64Array, f1: Float64Array) -> Float64Array:
     """First place in [0, 1] where the parabola through (0, f0), (1/2, f_half), (1, f1) is not positive; NaN where
     none is.
     """

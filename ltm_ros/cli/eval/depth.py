@@ -59,7 +59,7 @@ def depth(
     from rich.console import Console
 
     from ltm_core.dem import Dem
-    from ltm_core.depth.class_priors import DepthClasses
+    from ltm_core.depth.class_priors import ClassPriors
     from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
     from ltm_core.errors import RecordingError
     from ltm_core.evaluation.depth.depth_maps_io import DepthMapFolder
@@ -88,7 +88,7 @@ def depth(
         dem, frames = recorded.site.open_dem(), recorded_truth_frames(place, recorded.site)
         curved, frame_of_map = recorded.site.curvature, recorded.site.frame
     over = None if surface is None else with_surface(dem, Dem.open(surface).in_frame(frame_of_map))
-    classes = DepthClasses.of(LabelSet.load())
+    classes = ClassPriors.of(LabelSet.load())
     network = None if depth_maps is not None else DepthNetwork.open(model)
     folder = None if depth_maps is None else DepthMapFolder.open(depth_maps.name, depth_maps)
     segmenter = Segmenter.open(name) if labels is Labels.model else None

@@ -81,11 +81,11 @@ def terrain(
         return
     from dataclasses import replace
 
-    from ltm_core.evaluation.terrain.hillside_scenes import SCENES, Conditions, Noise
+    from ltm_core.evaluation.terrain.hillside_scenes import SCENES, Noise, SceneConditions
 
     errors = _numbers(pose_errors, "pose-errors", 10)
     shares = _numbers(occluded, "occluded", 0.9)
-    base = Conditions(looks=looks or 3, noise=Noise(share=share, lasting=lasting))
+    base = SceneConditions(looks=looks or 3, noise=Noise(share=share, lasting=lasting))
     runs = [
         replace(base, pose_error_deg=error, occluded=part)
         for part in shares

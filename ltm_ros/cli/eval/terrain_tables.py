@@ -8,24 +8,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from ltm_core.bench.measure import conditions as machine
-from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.evaluation.metrics.change import ChangeScore
 from ltm_core.evaluation.metrics.heights import SurfaceScore
 from ltm_core.evaluation.pictures.surface_change import surface_sheet
-from ltm_core.evaluation.terrain.hillside_scenes import Conditions
-from ltm_core.evaluation.terrain.hillside_score import TrialScore, score_trial
+from ltm_core.evaluation.terrain.hillside_scenes import SceneConditions
+from ltm_core.evaluation.terrain.hillside_score import HillsideScore, score_trial
 from ltm_core.evaluation.terrain.hillside_summary import Spread, TrialSummary
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.pictures import to_png
 from ltm_core.resources import config_path
 from ltm_core.site import TerrainConfig
 from ltm_core.terrain.layers import SurfaceLayers
+from ltm_core.types import BoolArray
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.evaluation.figures_io import write_figures
 
@@ -33,7 +33,7 @@ SHEET_WIDTH = 520
 
 
 def scenes(
-    names: Sequence[str], runs: Sequence[Conditions], seeds: Sequence[int], pictures: Path | None, out: Path | None
+    names: Sequence[str], runs: Sequence[SceneConditions], seeds: Sequence[int], pictures: Path | None, out: Path | None
 ) -> None:
     """Each scene under each of `runs`, over `seeds`; a sheet of pictures of the first seed of each."""
     console, state, rules, base = Console(), machine(("numpy", "numba", "scipy")), TerrainConfig(), runs[0]
@@ -53,10 +53,10 @@ def scenes(
     with console.status("looking") as status:
         for name in names:
             for run in runs:
-                scores: list[TrialScore] = []
+                scores: list[HillsideScore] = []
                 for seed in seeds:
                     status.update(f"{name}, pose error {run.pose_error_deg:g} deg, {run.occluded:.0%}, seed {seed}")
-                    score = score_trial(name, Conditions(**{**vars(run), "seed": seed}), rules)
+                    score = score_trial(name, SceneConditions(**{**vars(run), "seed": seed}), rules)
                     rows.append(score.row())
                     if pictures is not None and not scores:
                         now, given = score.trial.true_now.elevation, score.trial.given.elevation
@@ -157,7 +157,8 @@ def simulated_frames(
     ground, before, now = raster(known[0], "bare_earth"), raster(known[0], "surface"), raster(date, "surface")
     rules = TerrainConfig(resolution=max(given.geometry.resolution / 5, before.geometry.resolution))
     noise, console = Noise(share=share), Console()
-    measures = [("true depth", true_depth(noise), rules.model_copy(update={"repeats": 0.0, "alone": rules.confidence}))]
+    exact = rules.model_copy(update={"repeated_error_share": 0.0, "alone": rules.confidence})
+    measures = [("true depth", true_depth(noise), exact)]
     segmenter, classes = Segmenter.open(DEFAULT_MODEL), _classes()
     gone = LabelErrors.of_model(DEFAULT_MODEL).open_odds()
     measures += [
@@ -193,8 +194,9 @@ def simulated_frames(
     console.print(
         f"{folder}; cells of {rules.resolution:g} m, change: {rules.threshold:g} m or more; each photo looked at "
         f"{looks} times{before_that}, looks taken as an hour apart; true depth with sigma {noise.constant:g} m + "
-        f"{share:.1%} of range, new in each look; a network's depth fitted to the terrain, {rules.repeats:.0%} of its "
-        f"variance taken as alike in each look of a camera, with labels of {segmenter.manifest.name}; "
+        f"{share:.1%} of range, new in each look; a network's depth fitted to the terrain, "
+        f"{rules.repeated_error_share:.0%} of its variance taken as alike in each look of a camera, with labels of "
+        f"{segmenter.manifest.name}; "
         "exact poses; RMSE on truly changed cells that independent "
         "views have seen; off: seen cells that have not changed, of their estimate's sigma"
     )
@@ -258,8 +260,8 @@ def recorded_run(bag: Path, site: Path | None, truth: Path | None, date: str, ou
            | _figures(change, score.reference, score.updated))  # fmt: skip
 
 
-def _classes() -> DepthClasses:
-    return DepthClasses.of(LabelSet.load(config_path("labels.yaml")))
+def _classes() -> ClassPriors:
+    return ClassPriors.of(LabelSet.load(config_path("labels.yaml")))
 
 
 def _table(title: str, *columns: str) -> Table:
@@ -279,7 +281,7 @@ def _figures(change: ChangeScore, before: SurfaceScore, after: SurfaceScore) -> 
     return asdict(change) | ratios | {"rmse_before_m": before.rmse, "rmse_after_m": after.rmse}
 
 
-def _draw(place: Path, layers: SurfaceLayers, truth: NDArray[np.bool_], width: int = SHEET_WIDTH) -> None:
+def _draw(place: Path, layers: SurfaceLayers, truth: BoolArray, width: int = SHEET_WIDTH) -> None:
     place.parent.mkdir(parents=True, exist_ok=True)
     shift = layers.height - layers.reference
     sheet = surface_sheet(

@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 from ltm_ros.cli.train.adapt import adapt
-from ltm_ros.cli.train.appearance import look
+from ltm_ros.cli.train.appearance import appearance
 from ltm_ros.cli.train.blend import blend
 from ltm_ros.cli.train.photos import photos
 
@@ -86,5 +86,5 @@ train = typer.Typer(cls=TrainGroup, no_args_is_help=True, help="Train the networ
 train.command(WHOLE)(run)
 train.command()(adapt)
 train.command()(photos)
-train.command()(look)
+train.command()(appearance)
 train.command()(blend)

@@ -1,4 +1,4 @@
-"""`ltm train look`: what a fuel cell of each life form looks like to a network, for the fuel map."""
+"""`ltm train appearance`: what a fuel cell of each life form looks like to a network, for the fuel map."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 
-def look(
+def appearance(
     frames: Annotated[list[Path], typer.Argument(help="Folders of `ltm simulate`: two sites or more, of one date.")],
     model: Annotated[str, typer.Option(help="The network: name or manifest.")] = "landscape_lite0",
     out: Annotated[
@@ -22,7 +22,7 @@ def look(
     from ltm_core.evaluation.fuel.simulated_votes import simulated_votes
     from ltm_core.fuel.life_form import LifeForm
     from ltm_core.resources import config_path
-    from ltm_core.training.cell_appearance_io import learn_look, write_look
+    from ltm_core.training.cell_appearance_io import learn_cell_appearance, write_cell_appearance
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.segmenter import Segmenter
 
@@ -35,12 +35,12 @@ def look(
             status.update(f"{folder}: labels and votes")
             sites.append(simulated_votes(folder, segmenter, labels))
         status.update("learning")
-        learnt = learn_look(sites, labels)
+        learnt = learn_cell_appearance(sites, labels)
     count = sum(len(site.votes) for site in sites)
     places = ", ".join(site.scenario for site in sites)
-    source = f"ltm train look on {count} frames of {places}; network {name} {segmenter.manifest.sha256[:12]}"
+    source = f"ltm train appearance on {count} frames of {places}; network {name} {segmenter.manifest.sha256[:12]}"
     file = out or config_path("fuel/label_errors") / f"{name}.yaml"
-    write_look(file, learnt, source)
+    write_cell_appearance(file, learnt, source)
     for form, right, voted in learnt.right:
         console.print(
             f"cells of {LifeForm(form).name.lower()} on a site that taught nothing: told rightly {right:.0%}, "

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+from ltm_core.types import Float32Array, UInt8Array
 
+if TYPE_CHECKING:
     from ltm_core.training.teachers import Opinions
     from ltm_core.vision.segmenter import Segmenter
 
@@ -65,7 +64,7 @@ def photos(
     print(f"{len(sets.photos)} photos in {out}")
 
 
-def _write(base: Path, photo: NDArray[np.uint8], labels: NDArray[np.uint8]) -> None:
+def _write(base: Path, photo: UInt8Array, labels: UInt8Array) -> None:
     import cv2
 
     base.parent.mkdir(parents=True, exist_ok=True)
@@ -73,18 +72,18 @@ def _write(base: Path, photo: NDArray[np.uint8], labels: NDArray[np.uint8]) -> N
     cv2.imwrite(f"{base}_labels.png", labels)
 
 
-def _opinions(sky: Segmenter, scene: Segmenter, photo: NDArray[np.uint8], size: tuple[int, int]) -> Opinions:
+def _opinions(sky: Segmenter, scene: Segmenter, photo: UInt8Array, size: tuple[int, int]) -> Opinions:
     import cv2
     import numpy as np
 
     from ltm_core.training.teachers import Opinions
     from ltm_core.vision.labels import Label
 
-    def at_size(plane: NDArray[np.float32]) -> NDArray[np.float32]:
+    def at_size(plane: Float32Array) -> Float32Array:
         return np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR), np.float32)
 
     probabilities, mapping = scene.class_probabilities(photo), scene.manifest.mapping
-    by_label: dict[Label, NDArray[np.float32]] = {}
+    by_label: dict[Label, Float32Array] = {}
     for name, probability in probabilities.items():
         label = mapping.get(name, "unlabelled").upper()
         if label in Label.__members__:

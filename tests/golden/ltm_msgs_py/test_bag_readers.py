@@ -19,7 +19,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
 from ltm_core.camera import Camera
-from ltm_core.fuel.codes import Region
+from ltm_core.fuel.codes import FuelRegion
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
@@ -63,7 +63,7 @@ def every_message() -> dict[str, Any]:
     status = DiagnosticStatus(level=DiagnosticStatus.WARN, name="depth: é", message="1 drop", hardware_id="")
     status.values = [KeyValue(key="rate", value="9.98"), KeyValue(key="drops", value="1")]
     diagnostics.status = [status]
-    layers = replace(layers_of_classes(classes, None, Region.named("dry")), last_seen=np.full(classes.shape, T0))
+    layers = replace(layers_of_classes(classes, None, FuelRegion.named("dry")), last_seen=np.full(classes.shape, T0))
     return {
         "/ridge/east/image_raw": image_to_msg(rgb, "rgb8", T0, "east_optical"),
         "/ridge/east/image_raw/compressed": compressed_to_msg(encode_rgb(rgb), "jpeg", T0, "east_optical"),

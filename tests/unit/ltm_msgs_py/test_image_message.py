@@ -14,6 +14,7 @@ from PIL import Image as PillowImage
 from sensor_msgs.msg import CompressedImage, Image
 
 from ltm_core.errors import ImageError
+from ltm_core.types import UInt8Array
 from ltm_msgs_py.image import (
     ENCODINGS,
     compressed_to_msg,
@@ -182,7 +183,7 @@ def test_an_unknown_encoding_cannot_be_written() -> None:
         image_to_msg(pixels("rgb8"), "yuv422", 0, "")
 
 
-def smooth() -> NDArray[np.uint8]:
+def smooth() -> UInt8Array:
     v, u = np.mgrid[0:48, 0:80]
     return np.stack([u * 3, v * 5, 255 - u * 2], axis=-1).astype(np.uint8)
 

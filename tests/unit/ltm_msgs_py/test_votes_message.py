@@ -11,7 +11,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 
 from ltm_core.errors import MessageError
-from ltm_core.fuel.cell_visibility import CellSighting
+from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_msgs_py.votes import MAX_BYTES, fitting, msg_to_votes, votes_to_msg
@@ -27,7 +27,7 @@ VOTES = CellVotes(
     8_000_000_123,
     "east",
     np.array([1.0, 0.0, 0.5, 0.2], np.float32),
-    CellSighting(
+    CellVisibility(
         *(
             np.array(column, np.float32)
             for column in (
@@ -81,23 +81,23 @@ def test_votes_round_trip() -> None:
 def test_how_well_cells_are_seen_survives_to_the_wire_s_precision() -> None:
     back = msg_to_votes(message(), GRID, NAMES, "east")
     assert back.confidence is not None
-    assert back.sighting is not None
+    assert back.visibility is not None
     np.testing.assert_allclose(back.confidence, [1.0, 0.0, 0.5, 0.2], atol=0.5 / 255 + 1e-6)
-    np.testing.assert_allclose(back.sighting.cos_incidence, [1.0, 0.0, 0.4, 0.6], atol=0.5 / 255 + 1e-6)
+    np.testing.assert_allclose(back.visibility.cos_incidence, [1.0, 0.0, 0.4, 0.6], atol=0.5 / 255 + 1e-6)
     # What the field does not hold, and what is not known, is the worst that it holds.
-    np.testing.assert_allclose(back.sighting.footprint, [0.0, 31.3, 6553.5, 6553.5], rtol=1e-6)
-    np.testing.assert_allclose(back.sighting.sigma_along, [1.0, 22.2, 0.3, 6553.5], rtol=1e-6)
-    np.testing.assert_allclose(back.sighting.sigma_across, [0.1, 3.3, 9.9, 6553.5], rtol=1e-6)
-    np.testing.assert_allclose(np.degrees(back.sighting.bearing), [182, 0, 86, 178], atol=1e-4)
-    assert {column.dtype for column in (back.confidence, *back.sighting.columns())} == {np.dtype(np.float32)}
+    np.testing.assert_allclose(back.visibility.footprint, [0.0, 31.3, 6553.5, 6553.5], rtol=1e-6)
+    np.testing.assert_allclose(back.visibility.sigma_along, [1.0, 22.2, 0.3, 6553.5], rtol=1e-6)
+    np.testing.assert_allclose(back.visibility.sigma_across, [0.1, 3.3, 9.9, 6553.5], rtol=1e-6)
+    np.testing.assert_allclose(np.degrees(back.visibility.bearing), [182, 0, 86, 178], atol=1e-4)
+    assert {column.dtype for column in (back.confidence, *back.visibility.columns())} == {np.dtype(np.float32)}
 
 
 def test_what_is_not_known_is_not_sent() -> None:
-    plain = replace(VOTES, confidence=None, sighting=None)
+    plain = replace(VOTES, confidence=None, visibility=None)
     msg = votes_to_msg(plain, NAMES)
     assert [f.name for f in msg.fields] == ["x", "y", "z", *NAMES]
     back = msg_to_votes(msg, GRID, NAMES, "east")
-    assert (back.confidence, back.sighting) == (None, None)
+    assert (back.confidence, back.visibility) == (None, None)
 
 
 def test_classes_without_a_pixel_are_not_sent() -> None:
@@ -122,8 +122,8 @@ def far_view(cells: int) -> CellVotes:
     rows, cols = (index.astype(np.int32) for index in np.divmod(np.arange(cells), grid.width))
     counts = np.full((cells, 3), (5, 2, 1), np.uint32)
     length = np.linspace(1, 500, cells).astype(np.float32)
-    sighting = CellSighting(np.ones(cells, np.float32), length, length, length, length)
-    return CellVotes(grid, rows, cols, counts, length, 1, "east", np.ones(cells, np.float32), sighting)
+    visibility = CellVisibility(np.ones(cells, np.float32), length, length, length, length)
+    return CellVotes(grid, rows, cols, counts, length, 1, "east", np.ones(cells, np.float32), visibility)
 
 
 def test_message_of_a_wide_view_keeps_its_bound_and_leaves_no_cell_out_for_good() -> None:

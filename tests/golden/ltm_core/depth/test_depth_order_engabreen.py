@@ -11,7 +11,7 @@ import pytest
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
-from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.depth.topodepth import Verdict, fuse
 from ltm_core.evaluation.metrics.depth_order import depth_order
@@ -44,7 +44,7 @@ def test_the_order_of_surveyed_points(shared_data: Path, shared_models: Path, mo
     dem = Dem.open(folder / "dem_3m_f64.tif").in_frame(SiteFrame("EPSG:32633", 446_000.0, 7_396_000.0))
     traced = TerrainTracer(dem).trace(camera, pose)
     network = DepthNetwork.open("tcmonodepth").predict(photo, camera)
-    fused = fuse(traced, network, photo, None, DepthClasses.of(LabelSet.load()))
+    fused = fuse(traced, network, photo, None, ClassPriors.of(LabelSet.load()))
 
     cols, rows = pixels.round().astype(int).T
     true = pose.to_optical(surveyed)[:, 2]

@@ -11,7 +11,7 @@ from rasterio.warp import Resampling, reproject
 
 from ltm_core.dem import Dem
 from ltm_core.errors import RasterError
-from ltm_core.fuel.codes import FuelSystem, Region
+from ltm_core.fuel.codes import FuelRegion, FuelSystem
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape, snapped_grid
 from ltm_core.fuel.export.landscape_io import write_landscape
@@ -56,7 +56,7 @@ def test_the_tubbs_pair(shared_data: Path, tmp_path: Path) -> None:
     assert np.abs(ours - golden).sum() < 0.002 * both.sum()
     assert ours.reshape(7, 7)[0, 1:].sum() > 0
 
-    region = Region.named("dry")
+    region = FuelRegion.named("dry")
     for name, own in (("early", early_grid), ("later", grid)):
         names = {"early": EARLIER, "later": LATER}
         dem = Dem.open((folder / names[name]).parent / "dem.tif")
@@ -89,9 +89,9 @@ def test_a_landfire_download(shared_data: Path) -> None:
     np.testing.assert_array_equal(prior.canopy[2:], NODATA)  # the download has cover and height alone
     assert prior.fbfm13 is not None
     known = prior.codes != NODATA
-    agreeing = (Region.named("humid").to_fbfm13(prior.codes) == prior.fbfm13)[known].mean()
+    agreeing = (FuelRegion.named("humid").to_fbfm13(prior.codes) == prior.fbfm13)[known].mean()
     assert agreeing > 0.95  # SH3 has two partners, and 39 % of its cells the other one
-    assert (Region.named("dry").to_fbfm13(prior.codes) == prior.fbfm13)[known].mean() < agreeing
+    assert (FuelRegion.named("dry").to_fbfm13(prior.codes) == prior.fbfm13)[known].mean() < agreeing
     assert (grid.x_min % 30, grid.y_max % 30) == (15, 15)
     snapped = snapped_grid(
         GridGeometry(grid.x_min, grid.y_max, 30.0, grid.width, grid.height, "EPSG:5070"), "EPSG:5070"

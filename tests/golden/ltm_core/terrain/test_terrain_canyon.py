@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.evaluation.terrain.canyon_io import read_canyon
 from ltm_core.evaluation.terrain.canyon_score import score_canyon
 from ltm_core.resources import config_path
@@ -19,7 +19,7 @@ def test_the_later_survey_is_approached_where_depth_is_good(shared_data: Path) -
     print(f"resection: median {np.median(fit.residual_px):.0f} px of {len(fit.points.names)} points, {fit.sigmas}")
     # What the source's own author reached with these points: median 66 px.
     assert np.median(fit.residual_px) < 66
-    score = score_canyon(canyon, None, DepthClasses.of(LabelSet.load(config_path("labels.yaml"))))
+    score = score_canyon(canyon, None, ClassPriors.of(LabelSet.load(config_path("labels.yaml"))))
     print(score.change, score.before, score.after)
     assert score.change.cells > 1000
     assert score.change.precision > 0.75

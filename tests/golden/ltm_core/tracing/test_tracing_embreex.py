@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes.rasters import Floats, directions, rough_terrain, standing
+from scenes.rasters import directions, rough_terrain, standing
 
 from ltm_core.dem import Dem
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import Float64Array
 
 embreex = pytest.importorskip("embreex")
 
 
-def embree_ranges(dem: Dem, origin: Floats, rays: Floats) -> Floats:
+def embree_ranges(dem: Dem, origin: Float64Array, rays: Float64Array) -> Float64Array:
     """Range of the first triangle on each ray; +inf where there is none."""
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-from numpy.typing import NDArray
 from scenes.rasters import rough_terrain
 
 from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
-from ltm_core.visibility.point_visibility import TOLERANCE, SightLines
+from ltm_core.types import BoolArray
+from ltm_core.visibility.point_visibility import TOLERANCE, PointVisibility
 
 pytestmark = pytest.mark.slow
 
 
-def gdal_seen(dem: Dem, row: int, col: int, above: float, folder: Path) -> NDArray[np.bool_]:
+def gdal_seen(dem: Dem, row: int, col: int, above: float, folder: Path) -> BoolArray:
     """What GDAL sees from `above` metres over a cell's centre, (H, W). Its -cc is 1 - k."""
     program = shutil.which("gdal_viewshed")
     if program is None:
@@ -47,17 +47,17 @@ def gdal_seen(dem: Dem, row: int, col: int, above: float, folder: Path) -> NDArr
     ]
     subprocess.run([program, *options, str(folder / "dem.tif"), str(folder / "seen.tif")], check=True)
     with rasterio.open(folder / "seen.tif") as source:
-        seen: NDArray[np.bool_] = source.read(1) > 0
+        seen: BoolArray = source.read(1) > 0
     assert seen.shape == dem.geometry.shape
     return seen
 
 
-def our_seen(dem: Dem, row: int, col: int, above: float, curvature: bool = True) -> NDArray[np.bool_]:
+def our_seen(dem: Dem, row: int, col: int, above: float, curvature: bool = True) -> BoolArray:
     rows, cols = np.mgrid[0 : dem.geometry.height, 0 : dem.geometry.width]
     x, y = dem.geometry.to_map(rows, cols)
     points = np.stack([x, y, dem.elevation], axis=-1).reshape(-1, 3)
     origin = points[row * dem.geometry.width + col] + (0, 0, above)
-    lift, unknown = SightLines(dem, curvature).lifts(origin, points)
+    lift, unknown = PointVisibility(dem, curvature).lifts(origin, points)
     return ((lift <= TOLERANCE) & ~unknown).reshape(dem.geometry.shape)
 
 

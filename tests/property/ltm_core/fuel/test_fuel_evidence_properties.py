@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from ltm_core.fuel.cell_visibility import CellSighting
+from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.evidence import EPOCH_S, EVIDENCE_FIELDS, EvidenceMap
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import NODATA, forms_of
@@ -39,7 +39,7 @@ def frames(draw: st.DrawFn) -> CellVotes:
     counts = np.zeros((n, len(LABELS)), np.uint32)
     counts[np.arange(n), rng.integers(0, len(LABELS), n)] = rng.choice([1, 3, 40, 100_000, 2**31], n)
     counts[np.arange(n), rng.integers(0, len(LABELS), n)] += rng.choice([0, 2, 500], n).astype(np.uint32)
-    sighting = None
+    visibility = None
     if draw(st.booleans()):
         columns = (
             rng.uniform(0, 1, n),
@@ -48,13 +48,13 @@ def frames(draw: st.DrawFn) -> CellVotes:
             rng.choice([0.0, 20.0, 299.0], n),
             rng.uniform(-7, 7, n),
         )
-        sighting = CellSighting(*(column.astype(np.float32) for column in columns))
+        visibility = CellVisibility(*(column.astype(np.float32) for column in columns))
     confidence = rng.uniform(0, 1, n).astype(np.float32) if draw(st.booleans()) else None
     second = BEGIN + draw(st.integers(0, 12)) * draw(st.sampled_from([1, 3600, EPOCH_S]))
     rows, cols = (np.array(index, np.int32) for index in zip(*cells, strict=True))
     z = np.zeros(n, np.float32)
     source = draw(st.sampled_from(["north", "east", "south"]))
-    return CellVotes(GRID, rows, cols, counts, z, second * 10**9, source, confidence, sighting)
+    return CellVotes(GRID, rows, cols, counts, z, second * 10**9, source, confidence, visibility)
 
 
 def errors(cell: float, view: float) -> LabelErrors:
@@ -64,7 +64,7 @@ def errors(cell: float, view: float) -> LabelErrors:
 
 LOOKING = LabelErrors.of_model("landscape_lite0")
 """A network that knows what cells look like: cells are judged by their neighbours in the frame too."""
-assert LOOKING.look is not None
+assert LOOKING.appearance is not None
 networks = st.sampled_from([ASSUMED, errors(0.0, 0.0), errors(0.3, 0.1), errors(1.0, 1.0), LOOKING])
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import TileStore
 from ltm_core.terrain.cell_layout import FIELDS
-from ltm_core.terrain.cell_update import Rules, independent, mean_variance, take
+from ltm_core.terrain.cell_update import Rules, independent, mean_variance, update_cell
 from ltm_core.terrain.tile_pool import TilePool, schema_of
 
 RULES = Rules(3.0, 0.09, 3600.0, 600.0, 8.0, 3.2e7, 1.5, 0.25, 2.5, 0.5)
@@ -38,7 +38,9 @@ def seen_by(looks: Sequence[Look], canopy_known: bool = True) -> TilePool:
         one.cells.field(name)[0, 0] = (0.0 if canopy_known else np.nan) if name == "base" else 0
     for seconds, bit, dz, variance, bounded in looks:
         own, pose = np.float32(variance), np.float32(0.0)
-        take(one.cells, 0, 0, np.float32(dz), own, own, pose, bounded, seconds, bit, RULES.independent_after, RULES)
+        update_cell(
+            one.cells, 0, 0, np.float32(dz), own, own, pose, bounded, seconds, bit, RULES.independent_after, RULES
+        )
     return one
 
 
@@ -133,30 +135,43 @@ def test_what_a_camera_repeats_falls_with_cameras_only(
     assert mean_variance(looks, looks / variance, pose, cameras, repeats) == pytest.approx(expected, rel=1e-6)
 
 
-def passed_below(sheet: float) -> TilePool:
-    """A cell 8 m below whose surface the rays of two cameras have passed, four times; `sheet`: variance of that."""
+def passed_below(relative_variance: float) -> TilePool:
+    """A cell 8 m below whose surface the rays of two cameras have passed, four times; `relative_variance`: of that."""
     one = pool(True)
     for name in FIELDS:
         one.cells.field(name)[0, 0] = 0
     dz, least, exact = np.float32(-8.0), np.float32(0.25), np.float32(0)
     for number in range(4):
         when, camera = BEGIN + 3600 * number, 1 + number % 2
-        take(one.cells, 0, 0, dz, least, np.float32(sheet), exact, True, when, camera, RULES.independent_after, RULES)
+        update_cell(
+            one.cells,
+            0,
+            0,
+            dz,
+            least,
+            np.float32(relative_variance),
+            exact,
+            True,
+            when,
+            camera,
+            RULES.independent_after,
+            RULES,
+        )
     return one
 
 
 def test_something_is_gone_no_surer_than_the_ray_has_passed() -> None:
     """Two cameras whose rays passed 8 m below the crowns, by 4 sigmas of range: how low the cell is, is known, and that
     its stand has gone is known by 4 sigmas, less what two cameras and their looks make of them."""
-    one = passed_below(sheet=4.0)
+    one = passed_below(relative_variance=4.0)
     c = one.cells.estimate[0, 0]
     assert believed(one)
     assert c["dz"] == pytest.approx(-8.0)
     assert c["looks"] / c["weight"] == pytest.approx(0.25)
-    assert c["sheet_variance"] == pytest.approx(4.0)
+    assert c["relative_variance"] == pytest.approx(4.0)
 
 
 def test_a_ray_that_may_not_have_passed_contradicts_nothing() -> None:
-    one = passed_below(sheet=(8.0 / 2.9) ** 2)
+    one = passed_below(relative_variance=(8.0 / 2.9) ** 2)
     assert not believed(one)
     assert one.cells.estimate[0, 0]["c_looks"] == 0

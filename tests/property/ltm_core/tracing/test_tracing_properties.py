@@ -6,12 +6,12 @@ import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from scenes.rasters import Floats
 
 from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.baselines.reference import trace_reference
+from ltm_core.types import Float64Array
 
 ROWS, COLS = 7, 12
 heights = st.floats(0, 40, width=32)
@@ -26,12 +26,12 @@ def dem_of(elevation: np.ndarray) -> Dem:
     return Dem(elevation, GridGeometry(0.0, float(ROWS), 1.0, COLS, ROWS))
 
 
-def above(dem: Dem, position: tuple[float, float, float]) -> Floats:
+def above(dem: Dem, position: tuple[float, float, float]) -> Float64Array:
     x, y, height = position
     return np.array([x, y, float(dem.elevation_at(x, y)) + height])
 
 
-def ray(heading_deg: float, slope: float) -> Floats:
+def ray(heading_deg: float, slope: float) -> Float64Array:
     direction = np.array([[np.sin(np.radians(heading_deg)), np.cos(np.radians(heading_deg)), slope]])
     return direction / np.linalg.norm(direction)
 

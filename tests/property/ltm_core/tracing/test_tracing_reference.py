@@ -6,17 +6,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes.rasters import Floats, directions, rough_terrain, standing, with_holes
+from scenes.rasters import directions, rough_terrain, standing, with_holes
 
 from ltm_core.dem import Dem
 from ltm_core.errors import PoseError
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.baselines.reference import trace_reference
+from ltm_core.types import Float64Array
 
 RAYS_A_POSE = 500
 
 
-def compare(dem: Dem, origin: Floats, rays: Floats, bend: float | None = None) -> np.ndarray:
+def compare(dem: Dem, origin: Float64Array, rays: Float64Array, bend: float | None = None) -> np.ndarray:
     """Assert that both tracers agree on every ray; returns the fast tracer's ranges."""
     tracer = TerrainTracer(dem)
     if bend is not None:
@@ -33,9 +34,9 @@ def compare(dem: Dem, origin: Floats, rays: Floats, bend: float | None = None) -
     return fast
 
 
-def poses(dem: Dem, rng: np.random.Generator, count: int) -> list[Floats]:
+def poses(dem: Dem, rng: np.random.Generator, count: int) -> list[Float64Array]:
     """Positions above known ground, 0.3 to 40 m high."""
-    found: list[Floats] = []
+    found: list[Float64Array] = []
     while len(found) < count:
         row, col = (rng.uniform(0, n - 1) for n in dem.elevation.shape)
         position = standing(dem, row, col, float(rng.choice([0.3, 2.0, 10.0, 40.0])))

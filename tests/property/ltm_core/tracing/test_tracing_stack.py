@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes.rasters import Floats, directions, rough_terrain, sampled, with_holes
+from scenes.rasters import directions, rough_terrain, sampled, with_holes
 from scenes.traced_terrain import assert_same
 
 from ltm_core.camera import Camera
@@ -15,11 +15,12 @@ from ltm_core.pose import Pose
 from ltm_core.raster.dem_stack import DemStack
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.baselines.reference import trace_reference
-from ltm_core.visibility.line_of_sight import sight_vectors
-from ltm_core.visibility.point_visibility import SightLines
+from ltm_core.types import Float64Array
+from ltm_core.visibility.line_of_sight import line_of_sight_vectors
+from ltm_core.visibility.point_visibility import PointVisibility
 
 
-def sampled_from(dem: Dem, x: Floats, y: Floats) -> np.ndarray:
+def sampled_from(dem: Dem, x: Float64Array, y: Float64Array) -> np.ndarray:
     return dem.elevation_at(x, y).astype(np.float32)
 
 
@@ -54,9 +55,9 @@ def holed(whole: DemStack, seed: int, margin: bool) -> DemStack:
     return DemStack._of(levels)
 
 
-def positions(dem: DemStack, rng: np.random.Generator, count: int) -> list[Floats]:
+def positions(dem: DemStack, rng: np.random.Generator, count: int) -> list[Float64Array]:
     """Above known ground of each level, and beyond them all."""
-    found: list[Floats] = []
+    found: list[Float64Array] = []
     while len(found) < count:
         x_min, y_min, x_max, y_max = dem.levels[int(rng.integers(len(dem.levels)))].geometry.bounds
         x, y = rng.uniform(x_min - 20, x_max + 20), rng.uniform(y_min - 20, y_max + 20)
@@ -133,7 +134,7 @@ def test_a_plane_has_no_seam() -> None:
     """Both levels sample one plane: every range is the closed form's, across the seam and back."""
     east, north = 0.083, -0.041
 
-    def plane(x: Floats, y: Floats) -> Floats:
+    def plane(x: Float64Array, y: Float64Array) -> Float64Array:
         return 500.0 + east * x + north * y
 
     coarse = sampled(plane, GridGeometry(-3000.0, 2500.0, 30.0, 210, 171)).dem
@@ -169,7 +170,7 @@ def test_no_ray_slips_through_the_seam_and_none_is_caught_above_the_ground() -> 
     met_near = 0
     for px, py, above in ((x_min + 90.3, y_min + 71.1, 55.0), (x_max + 60.0, y_max + 40.0, 70.0)):
         origin = np.array([px, py, float(dem.elevation_at(px, py)) + above])
-        rays = sight_vectors(origin, targets, tracer.bend)
+        rays = line_of_sight_vectors(origin, targets, tracer.bend)
         ranges = tracer.trace_rays(origin, rays).astype(np.float64)
         hit = np.isfinite(ranges)
         unit = rays[hit] / np.linalg.norm(rays[hit], axis=1, keepdims=True)
@@ -187,7 +188,7 @@ def test_no_ray_slips_through_the_seam_and_none_is_caught_above_the_ground() -> 
 
 def test_lines_of_sight_agree_with_the_tracer() -> None:
     dem = three_levels(11)
-    sight, tracer, rng = SightLines(dem), TerrainTracer(dem), np.random.default_rng(11)
+    sight, tracer, rng = PointVisibility(dem), TerrainTracer(dem), np.random.default_rng(11)
     x_min, y_min, x_max, y_max = dem.levels[-1].geometry.bounds
     judged = 0
     for position in positions(dem, rng, 6):
@@ -200,7 +201,7 @@ def test_lines_of_sight_agree_with_the_tracer() -> None:
         hidden = ~unknown & (lift > 1e-3)
         assert hidden.any()
         for shift in (0.02, -0.02):
-            rays = sight_vectors(position, points + np.outer(lift + shift, [0, 0, 1]), sight.bend)
+            rays = line_of_sight_vectors(position, points + np.outer(lift + shift, [0, 0, 1]), sight.bend)
             distance, met = np.linalg.norm(rays, axis=1), tracer.trace_rays(position, rays)
             said = ~np.isnan(met) & ~unknown
             if shift > 0:

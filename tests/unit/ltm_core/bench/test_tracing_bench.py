@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from ltm_core.bench.measure import Cost, least_cost
 from ltm_core.bench.mountains import ridged_terrain
-from ltm_core.bench.peers import PEERS, PeerKind, View
+from ltm_core.bench.peers import PEERS, PeerKind, TracedView
 from ltm_core.bench.summary import growth, rows
 from ltm_core.bench.tracing import SCENES, Measured, bench_pose
 from ltm_core.camera import Camera
@@ -28,7 +28,7 @@ def test_a_peer_sees_what_we_see(kind: PeerKind) -> None:
     dem = ridged_terrain(310)
     summit = bench_pose(dem)
     pose = Pose.from_angles(summit.position, summit.angles_deg[0], -35.0, 4.0)
-    view = View(Camera.from_fov(83, 61, 60.0), pose)
+    view = TracedView(Camera.from_fov(83, 61, 60.0), pose)
     theirs = np.asarray(kind.make(dem).prepare(view)(), np.float64).reshape(61, 83)
     traced = TerrainTracer(dem, curvature=False).trace(view.camera, view.pose)
     ours = traced.horizontal() if "march" in kind.name else traced.range

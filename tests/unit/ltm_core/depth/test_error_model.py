@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scenes.depth_scene import CAMERA, depth_scene
 
-from ltm_core.depth.class_priors import DepthClasses
-from ltm_core.depth.error_model import Answers, meant, octaves, said
+from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.error_model import ErrorModel, expected_prediction, invert, octaves
 from ltm_core.depth.ground_sampling import CROWD, GroundSamples, ground_samples
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.scale_fit import _line, fit_network
+from ltm_core.depth.scale_fit import _line, fit_scale
 from ltm_core.depth.topodepth import Source, Verdict, fuse
+from ltm_core.types import Float64Array
 from ltm_core.vision.labels import LabelSet
 
-CLASSES = DepthClasses.of(LabelSet.load())
+CLASSES = ClassPriors.of(LabelSet.load())
 SIZE = (360, 640)
 
 
@@ -26,7 +26,7 @@ def spread_samples(count: int = 4000, seed: int = 2) -> GroundSamples:
     return GroundSamples(rows, cols, depth, 0.005 * depth)
 
 
-def misread(depth: NDArray[np.float64]) -> NDArray[np.float64]:
+def misread(depth: Float64Array) -> Float64Array:
     """Inverse depth of a network for which all beyond 1000 m is at 500 m."""
     return 1.0 / np.where(depth > 1000.0, 500.0, depth)
 
@@ -34,10 +34,10 @@ def misread(depth: NDArray[np.float64]) -> NDArray[np.float64]:
 def test_a_slow_error_of_depth_is_learnt_and_is_no_noise() -> None:
     samples = spread_samples()
     noise = 1 + 0.05 * np.random.default_rng(5).standard_normal(len(samples))
-    answers = Answers.of(misread(samples.depth) * noise, samples, SIZE)
+    answers = ErrorModel.of(misread(samples.depth) * noise, samples, SIZE)
     row, col = answers.shift.shape[0] // 2, answers.shift.shape[1] // 3
     for depth in (60.0, 200.0, 2000.0):
-        less, sigma = said(row, col, np.float32(1 / depth), answers.shift, answers.factor)
+        less, sigma = expected_prediction(row, col, np.float32(1 / depth), answers.shift, answers.factor)
         assert 1 / depth - less == pytest.approx(float(misread(np.array(depth))), rel=0.08)
         assert sigma < 0.35 / (depth if depth < 1000 else 500.0)
 
@@ -48,9 +48,9 @@ def test_what_hides_most_of_the_far_ground_is_no_error_of_the_network() -> None:
     rng = np.random.default_rng(9)
     hidden = (samples.depth > 360.0) & (rng.random(len(samples)) < 0.55)
     seen = np.where(hidden, 250.0, samples.depth) * (1 + 0.01 * rng.standard_normal(len(samples)))
-    answers = Answers.of(1.0 / seen, samples, SIZE)
+    answers = ErrorModel.of(1.0 / seen, samples, SIZE)
     for depth in (400.0, 1000.0, 3000.0):
-        less, sigma = said(17, 30, np.float32(1 / depth), answers.shift, answers.factor)
+        less, sigma = expected_prediction(17, 30, np.float32(1 / depth), answers.shift, answers.factor)
         assert abs(less) * depth < 0.05
         assert sigma * depth < 0.1
 
@@ -63,17 +63,17 @@ def test_far_ground_between_near_trees_does_not_make_the_network_a_bad_one() -> 
     among = (samples.depth > 300.0) & (rng.random(len(samples)) < 0.9)
     crowns = 45.0 * np.exp(0.5 * rng.standard_normal(len(samples)))
     read = np.where(among, 1.0 / crowns, 1.0 / samples.depth) * (1 + 0.1 * rng.standard_normal(len(samples)))
-    answers = Answers.of(read, samples, SIZE)
+    answers = ErrorModel.of(read, samples, SIZE)
     for depth in (600.0, 1500.0):
-        less, sigma = said(17, 30, np.float32(1 / depth), answers.shift, answers.factor)
+        less, sigma = expected_prediction(17, 30, np.float32(1 / depth), answers.shift, answers.factor)
         assert (1 / 45.0 - 1 / depth + less) / sigma > 3.0
 
 
 def test_what_is_said_and_what_is_meant_are_inverse_to_each_other() -> None:
     samples = spread_samples()
-    answers = Answers.of(0.8 / samples.depth, samples, SIZE)
-    less, _ = said(3, 4, np.float32(1 / 300.0), answers.shift, answers.factor)
-    true, sigma = meant(3, 4, np.float32(1 / 300.0) - less, answers.shift, answers.factor)
+    answers = ErrorModel.of(0.8 / samples.depth, samples, SIZE)
+    less, _ = expected_prediction(3, 4, np.float32(1 / 300.0), answers.shift, answers.factor)
+    true, sigma = invert(3, 4, np.float32(1 / 300.0) - less, answers.shift, answers.factor)
     assert 1 / true == pytest.approx(300.0, rel=0.02)
     assert 0 < sigma * 300.0 < 0.1
 
@@ -81,7 +81,7 @@ def test_what_is_said_and_what_is_meant_are_inverse_to_each_other() -> None:
 def test_beyond_all_samples_a_network_is_believed_less() -> None:
     samples = spread_samples()
     near = samples.part(samples.depth < 400.0)
-    answers = Answers.of(1.0 / near.depth * (1 + 0.05 * np.sin(near.depth)), near, SIZE)
+    answers = ErrorModel.of(1.0 / near.depth * (1 + 0.05 * np.sin(near.depth)), near, SIZE)
     assert answers.factor[0, 0, octaves(np.array(6000.0))] > 4 * answers.factor[0, 0, octaves(np.array(200.0))]
 
 
@@ -109,7 +109,7 @@ def test_a_shift_needs_evidence() -> None:
     sigma = np.full_like(ground, 1.0)
     some = np.where((ground > 150) & (ground < 400), ground, np.nan).astype(np.float32)
     samples = ground_samples(some, sigma, None, CLASSES.ground, CAMERA.fy)
-    fit = fit_network(NetworkDepth(noisy, "relative_inverse"), samples, SIZE)
+    fit = fit_scale(NetworkDepth(noisy, "relative_inverse"), samples, SIZE)
     assert fit.trouble == ""
     assert fit.line is not None
     assert fit.line.shift == 0.0

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from scenes.depth_scene import CAMERA, depth_scene
 
-from ltm_core.depth.class_priors import DepthClasses
-from ltm_core.depth.error_model import Answers
+from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.error_model import ErrorModel
 from ltm_core.depth.expected_surface import expected_surface
-from ltm_core.depth.guided_upsampling import SeenDepth
-from ltm_core.depth.occlusion_boundaries import raise_silhouettes
-from ltm_core.depth.scale_fit import NetworkFit
+from ltm_core.depth.guided_upsampling import NetworkView
+from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries
+from ltm_core.depth.scale_fit import ScaleFit
 from ltm_core.vision.labels import Label, LabelSet
 
-CLASSES = DepthClasses.of(LabelSet.load())
+CLASSES = ClassPriors.of(LabelSet.load())
 
 
 def test_cover_brings_the_surface_nearer_by_its_height() -> None:
@@ -62,7 +62,9 @@ def test_an_edge_moves_to_where_the_photo_has_it() -> None:
     photo = np.where(grown[..., None], (90, 80, 40), (170, 180, 200)) + rng.normal(0, 8, (height, width, 1))
     surface, sigma = ground.copy(), np.full_like(ground, 2.0)
     camera = replace(CAMERA, width=width, height=height, fx=1200.0, fy=1200.0)
-    edges = raise_silhouettes(np.clip(photo, 0, 255).astype(np.uint8), ground, surface, sigma, None, CLASSES, camera)
+    edges = refine_occlusion_boundaries(
+        np.clip(photo, 0, 255).astype(np.uint8), ground, surface, sigma, None, CLASSES, camera
+    )
     assert (np.abs(edges.raised - 5) <= 1).mean() > 0.9
     strip = grown & (rows < crest)
     assert (surface[strip] == 400.0).mean() > 0.85
@@ -84,10 +86,10 @@ def test_of_a_raised_strip_a_network_and_labels_take_back_what_is_not_the_crests
         photo at `seen_at` metres; what is between both says so."""
         inverse = np.full((25, 30), 1 / seen_at, np.float32)
         inverse[14:] = 1 / 400
-        fit = NetworkFit(inverse, inverse, inverse, Answers.none(), 0.05, None, "")
+        fit = ScaleFit(inverse, inverse, inverse, ErrorModel.none(), 0.05, None, "")
         surface, sigma = ground.copy(), np.full_like(ground, 2.0)
         labels = np.full(ground.shape, label, np.uint8)
-        raise_silhouettes(photo, ground, surface, sigma, labels, CLASSES, camera, SeenDepth.of(fit, photo))
+        refine_occlusion_boundaries(photo, ground, surface, sigma, labels, CLASSES, camera, NetworkView.of(fit, photo))
         torn = strip & (surface > 400) & (surface < 1500)
         assert np.all(surface + 3 * sigma >= 1500, where=torn)
         assert np.all(surface - 3 * sigma <= 400, where=torn)

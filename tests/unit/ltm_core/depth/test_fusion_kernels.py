@@ -5,27 +5,38 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
-from ltm_core.depth.class_priors import DepthClasses
-from ltm_core.depth.depth_discontinuities import Edges
-from ltm_core.depth.error_model import OCTAVES, Answers, pairs, said, said_at
+from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
+from ltm_core.depth.error_model import (
+    OCTAVES,
+    ErrorModel,
+    expected_prediction,
+    expected_predictions,
+    interpolation_table,
+)
 from ltm_core.depth.expected_surface import JUMP
-from ltm_core.depth.fusion_rows import average
+from ltm_core.depth.fusion_rows import average_row
 from ltm_core.depth.guided_filter import guided_coefficients
-from ltm_core.depth.guided_upsampling import SeenDepth, see, see_row
-from ltm_core.depth.occlusion_prior import OPEN, Standing, either, foot_of, grounded, stands
+from ltm_core.depth.guided_upsampling import NetworkView, upsample_pixel, upsample_row
+from ltm_core.depth.occlusion_prior import (
+    OPEN,
+    OcclusionPrior,
+    ground_contact,
+    mixture_moments,
+    occlusion_log_odds,
+    snap_to_contact,
+)
 from ltm_core.depth.pixel_fusion import _HEARD, _OWN, _likely, _surely_terrain
-from ltm_core.depth.scale_fit import NetworkFit
-from ltm_core.depth.unknown_regions import clear_beyond
+from ltm_core.depth.scale_fit import ScaleFit
+from ltm_core.depth.unknown_regions import clear_unenclosed
 from ltm_core.pose import Pose
+from ltm_core.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.labels import Label, LabelSet
 
-Image = NDArray[np.float32]
 
-
-def beyond_by_components(ground: NDArray[np.float32]) -> NDArray[np.bool_]:
+def beyond_by_components(ground: Float32Array) -> BoolArray:
     """(H, W) of unknown regions that touch sky or the image's edge, by OpenCV's components."""
     unknown = np.isnan(ground)
     _, regions = cv2.connectedComponents(unknown.astype(np.uint8), connectivity=8)
@@ -42,7 +53,7 @@ def test_land_beyond_is_what_components_say(share: float) -> None:
         ground[rng.random(ground.shape) < share] = np.nan
         ground[rng.random(ground.shape) < 0.01] = np.inf
         depth, sigma, source = np.ones_like(ground), np.ones_like(ground), np.ones(ground.shape, np.uint8)
-        clear_beyond(ground, depth, sigma, source)
+        clear_unenclosed(ground, depth, sigma, source)
         expected = beyond_by_components(ground)
         np.testing.assert_array_equal(np.isnan(depth), expected)
         np.testing.assert_array_equal(np.isnan(sigma), expected)
@@ -57,9 +68,11 @@ def test_a_row_of_pixels_is_told_what_each_would_be() -> None:
     inverse = np.concatenate([1 / depth, [0.0]]).astype(np.float32)
     col = rng.integers(0, 5, len(inverse)).astype(np.int32)
     less, sigma, part = (np.empty_like(inverse) for _ in range(3))
-    said_at(inverse, pairs(shift, factor)[1], col, np.empty(len(inverse), np.int32), part, less, sigma)
+    expected_predictions(
+        inverse, interpolation_table(shift, factor)[1], col, np.empty(len(inverse), np.int32), part, less, sigma
+    )
     for u in range(len(inverse)):
-        one = said(1, int(col[u]), inverse[u], shift, factor)
+        one = expected_prediction(1, int(col[u]), inverse[u], shift, factor)
         # Both logarithms are near ones: a fiftieth of a half octave.
         assert less[u] == pytest.approx(one[0], abs=0.02 * float(inverse[u]) + 1e-7)
         assert sigma[u] == pytest.approx(one[1], rel=0.03)
@@ -73,7 +86,7 @@ def test_a_network_is_enlarged_as_opencv_enlarges(size: tuple[int, int]) -> None
     inverse = np.exp(cv2.GaussianBlur(rng.normal(-5, 3, size), (0, 0), 3.0)).astype(np.float32)
     near, back = inverse * np.float32(1.2), inverse * np.float32(0.8)
     inverse[3:6, 4:9] = np.nan
-    seen = SeenDepth.of(NetworkFit(inverse, near, back, Answers.none(), 0.01, None, ""), rgb)
+    seen = NetworkView.of(ScaleFit(inverse, near, back, ErrorModel.none(), 0.01, None, ""), rgb)
     grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
     gain, offset, near, back = (
         cv2.resize(a, (200, 120), interpolation=cv2.INTER_LINEAR)
@@ -85,7 +98,7 @@ def test_a_network_is_enlarged_as_opencv_enlarges(size: tuple[int, int]) -> None
     row, out = np.empty((4, size[1]), np.float32), np.empty((3, 200), np.float32)
     found = np.empty((120, 200), np.float32)
     for v in range(120):
-        see_row(seen.cells, seen.grey, seen.columns, seen.parts, v, row, out)
+        upsample_row(seen.cells, seen.grey, seen.columns, seen.parts, v, row, out)
         found[v] = out[0]
         np.testing.assert_allclose(out[1], near[v], rtol=1e-4)
         np.testing.assert_allclose(out[2], back[v], rtol=1e-4)
@@ -96,7 +109,7 @@ def test_a_network_is_enlarged_as_opencv_enlarges(size: tuple[int, int]) -> None
     both = known & ~np.isnan(found)
     np.testing.assert_allclose(found[both], expected[both], rtol=2e-3)
     for v, u in ((0, 0), (119, 199), (57, 101), (20, 150)):
-        one = see(seen.cells, seen.grey, seen.columns, seen.parts, v, u)
+        one = upsample_pixel(seen.cells, seen.grey, seen.columns, seen.parts, v, u)
         assert one == pytest.approx(found[v, u], rel=1e-5, nan_ok=True)
 
 
@@ -106,7 +119,7 @@ def test_edges_are_where_depth_leaps_from_below_to_above(share: float) -> None:
     ground = np.full((41, 203), 100.0, np.float32)
     other = rng.random(ground.shape) < share
     ground[other] = rng.choice([50.0, 120.0, 126.0, 900.0, np.inf, np.nan], int(other.sum()))
-    edges = Edges.of(ground)
+    edges = DepthDiscontinuities.of(ground)
     leaps = np.isfinite(ground[1:]) & ~(ground[:-1] < np.float32(JUMP) * ground[1:])
     rows, cols = np.nonzero(leaps[::-1])
     np.testing.assert_array_equal(edges.rows, len(leaps) - rows)
@@ -114,7 +127,7 @@ def test_edges_are_where_depth_leaps_from_below_to_above(share: float) -> None:
     assert (len(edges) > 0) == (share > 0)
 
 
-def plain_ground(rows: int = 120, columns: int = 200, focal: float = 150.0, height: float = 30.0) -> Image:
+def plain_ground(rows: int = 120, columns: int = 200, focal: float = 150.0, height: float = 30.0) -> Float32Array:
     """Depth over a plain, seen level from `height` metres above: sky in the upper half."""
     below = np.arange(rows) - (rows - 1) / 2
     with np.errstate(divide="ignore"):
@@ -123,20 +136,22 @@ def plain_ground(rows: int = 120, columns: int = 200, focal: float = 150.0, heig
 
 
 def standing_of(
-    labels: NDArray[np.uint8] | None, cells: tuple[int, int], pitch: float = 0.0, roll: float = 0.0
-) -> Standing:
+    labels: UInt8Array | None, cells: tuple[int, int], pitch: float = 0.0, roll: float = 0.0
+) -> OcclusionPrior:
     """Over that plain."""
     camera = Camera(200, 120, 150.0, 150.0, 99.5, 59.5)
     pose = Pose.from_angles((0.0, 0.0, 30.0), 20.0, pitch, roll)
-    return Standing.of(plain_ground(), labels, DepthClasses.of(LabelSet.load()), camera, pose, cells)
+    return OcclusionPrior.of(plain_ground(), labels, ClassPriors.of(LabelSet.load()), camera, pose, cells)
 
 
-def odds_at(standing: Standing, row: int, near: float, true: float, edge: float = 0.0, odds: float = 0.0) -> float:
+def odds_at(
+    standing: OcclusionPrior, row: int, near: float, true: float, edge: float = 0.0, odds: float = 0.0
+) -> float:
     """Log odds of something at depth `near` metres before ground at `true`, in the middle of a photo."""
     column = standing.feet[len(standing.feet) // 2]
     place = np.float32(odds), np.float32(1 / near), np.float32(1 / true), np.float32(edge)
-    foot = foot_of(place[1], column, row)
-    return float(stands(*place, column, row, foot, np.float32(standing.focal)))
+    foot = ground_contact(place[1], column, row)
+    return float(occlusion_log_odds(*place, column, row, foot, np.float32(standing.focal)))
 
 
 def test_the_nearer_a_thing_the_likelier_it_stands_before_the_ground_and_the_higher_the_less() -> None:
@@ -172,9 +187,9 @@ def test_a_tree_behind_a_crest_stands_on_it() -> None:
     column = np.where(rows < 60, 900.0, 180.0 - (rows - 60.0)).astype(np.float32)
     for seen, place, doubt in ((250.0, 180.0, 0.4), (600.0, 180.0, 0.4), (150.0, 148.0, 0.4), (100.0, 100.0, 0.0)):
         near, t = np.float32(1 / seen), np.float32(1e-4)
-        foot = foot_of(near, column, 40)
+        foot = ground_contact(near, column, 40)
         assert foot == (len(column) if seen == 100 else np.flatnonzero(column <= seen)[0])
-        inverse, sigma = grounded(near, t, column, foot)
+        inverse, sigma = snap_to_contact(near, t, column, foot)
         assert inverse == pytest.approx(0.2 / seen + 0.8 / place, rel=1e-4)
         assert sigma == pytest.approx(np.hypot(1e-4, doubt * (1 / place - 1 / seen)), rel=1e-3)
 
@@ -187,25 +202,25 @@ def test_of_a_camera_on_its_side_or_that_looks_down_no_height_is_asked(looks: tu
     assert everywhere == pytest.approx([everywhere[0]] * len(everywhere))
     near, t = np.float32(1 / 100), np.float32(1e-4)
     for row in (0, 60, 119):
-        assert grounded(near, t, standing.feet[3], foot_of(near, standing.feet[3], row)) == (near, t)
+        assert snap_to_contact(near, t, standing.feet[3], ground_contact(near, standing.feet[3], row)) == (near, t)
 
 
 def test_labels_are_heard_about_a_place() -> None:
     """In the middle of a meadow nothing stands; beside a wood, on either side, it may; sky says nothing."""
-    classes = DepthClasses.of(LabelSet.load())
+    classes = ClassPriors.of(LabelSet.load())
     labels = np.full((120, 200), Label.GRASS, np.uint8)
     labels[:, 80:] = Label.TREE
     labels[:40] = Label.SKY
     odds = standing_of(labels, (24, 40)).odds
-    grass, tree = classes.standing[int(Label.GRASS)], classes.standing[int(Label.TREE)]
+    grass, tree = classes.occluder_log_odds[int(Label.GRASS)], classes.occluder_log_odds[int(Label.TREE)]
     np.testing.assert_allclose(odds[9:, :12], grass, rtol=1e-5)
     np.testing.assert_allclose(odds[9:, 20:], tree, rtol=1e-5)
     assert np.all(np.diff(odds[15, 12:20]) > 0)
     assert odds[15, 15] == pytest.approx((4 * grass + 3 * tree) / 7, rel=1e-4)
     np.testing.assert_allclose(odds[8], odds[15], atol=1e-4)  # beside the sky
     unlabelled = standing_of(None, (24, 40)).odds
-    assert np.unique(unlabelled).tolist() == [classes.standing[255]]
-    one = cv2.blur(classes.standing[np.where(labels == Label.SKY, Label.GRASS, labels)], (35, 35))[2::5, 2::5]
+    assert np.unique(unlabelled).tolist() == [classes.occluder_log_odds[255]]
+    one = cv2.blur(classes.occluder_log_odds[np.where(labels == Label.SKY, Label.GRASS, labels)], (35, 35))[2::5, 2::5]
     assert np.abs(one - odds)[12:20].max() < 0.2  # as the photo's own labels, smoothed
 
 
@@ -223,7 +238,7 @@ def test_what_is_passed_over_would_not_have_been_taken() -> None:
         if _surely_terrain(odds, near, true, off, joint, spread):
             passed += 1
             # As high as nothing: at its foot.
-            known = stands(odds, near, true, np.float32(0.0), standing.feet[3], 116, 29, np.float32(150.0))
+            known = occlusion_log_odds(odds, near, true, np.float32(0.0), standing.feet[3], 116, 29, np.float32(150.0))
             gross = np.float32(1e-6)
             assert _likely(near, off, joint, spread, gross, known, np.float32(_HEARD)) < OPEN
     assert 400 < passed < 3600
@@ -234,7 +249,7 @@ def test_a_depth_that_may_be_either_of_two_has_their_mean_and_all_of_their_sprea
     """As many draws from both say."""
     rng = np.random.default_rng(4)
     draws = np.where(rng.random(400_000) < likely, rng.normal(90, 9, 400_000), rng.normal(700, 30, 400_000))
-    mean, sigma = either(*np.array([700, 30, 90, 9, likely], np.float32))
+    mean, sigma = mixture_moments(*np.array([700, 30, 90, 9, likely], np.float32))
     assert mean == pytest.approx(draws.mean(), rel=0.01)
     assert sigma == pytest.approx(draws.std(), rel=0.01)
 
@@ -246,7 +261,7 @@ def test_a_terrain_that_is_torn_between_two_depths_is_not_averaged() -> None:
     off = true * np.array([0.05, 0.9, 0.05], np.float32)
     joint = own**2 + (0.1 * true) ** 2
     depth, sigma, kind = 1 / true, own / true**2, np.ones(3, np.uint8)
-    average(depth, sigma, kind, true, own, off, joint, np.empty(3, np.float32))
+    average_row(depth, sigma, kind, true, own, off, joint, np.empty(3, np.float32))
     np.testing.assert_allclose(depth, [500 / 1.025, 500, 500], rtol=1e-5)
     np.testing.assert_allclose(sigma, [0.1 * np.sqrt(0.5) * 500 / 1.025**2, 50, 100], rtol=1e-4)
     np.testing.assert_array_equal(kind, [3, 1, 1])

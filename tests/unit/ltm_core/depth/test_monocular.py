@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scenes.networks import (
     COLORS,
     HEIGHT,
@@ -21,20 +20,21 @@ from scenes.networks import (
 from ltm_core.camera import Camera
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.errors import ImageError, ModelError
+from ltm_core.types import Float32Array, UInt8Array
 from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, Manifest
 from ltm_core.vision.segmenter import Segmenter
 
 CAMERA = Camera(WIDTH * 3, HEIGHT * 2, 120.0, 100.0, 70.0, 33.0)
 
 
-def photo() -> NDArray[np.uint8]:
+def photo() -> UInt8Array:
     """Green grows to the right and downwards, unevenly."""
     rows, cols = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
     green = 20 + cols + rows // 2
     return np.stack([np.full_like(green, 90), green, np.full_like(green, 7)], axis=-1).astype(np.uint8)
 
 
-def green_at_network() -> NDArray[np.float32]:
+def green_at_network() -> Float32Array:
     blocks = photo()[..., 1].reshape(HEIGHT, 2, WIDTH, 3).astype(np.float64)
     return np.asarray(blocks.mean(axis=(1, 3)) / 255.0, np.float32)
 

@@ -5,20 +5,20 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scenes.depth_scene import depth_scene
 
-from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.topodepth import FusedDepth, fuse
+from ltm_core.types import BoolArray
 from ltm_core.vision.labels import Label, LabelSet
 
-CLASSES = DepthClasses.of(LabelSet.load())
+CLASSES = ClassPriors.of(LabelSet.load())
 NEAR = 150.0
 
 
 @pytest.fixture(scope="module")
-def seen() -> tuple[FusedDepth, NDArray[np.bool_]]:
+def seen() -> tuple[FusedDepth, BoolArray]:
     """Fused, where a network sees ground at NEAR on a patch of far grass; and that patch, (h, w) of the network."""
     scene = depth_scene()
     values = scene.network(noise=0.05).values.copy()
@@ -31,7 +31,7 @@ def seen() -> tuple[FusedDepth, NDArray[np.bool_]]:
     return fuse(scene.traced, NetworkDepth(values, "relative_inverse"), scene.photo, labels, CLASSES), patch
 
 
-def test_it_tells_what_it_sees_where_the_terrain_says_otherwise(seen: tuple[FusedDepth, NDArray[np.bool_]]) -> None:
+def test_it_tells_what_it_sees_where_the_terrain_says_otherwise(seen: tuple[FusedDepth, BoolArray]) -> None:
     fused, patch = seen
     inside = cv2.erode(patch.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     measured = fused.measured()
@@ -43,7 +43,7 @@ def test_it_tells_what_it_sees_where_the_terrain_says_otherwise(seen: tuple[Fuse
     assert np.median(fused.depth[2::4, 2::4][inside]) > 1.4 * NEAR
 
 
-def test_at_the_edge_between_two_depths_it_is_unsure(seen: tuple[FusedDepth, NDArray[np.bool_]]) -> None:
+def test_at_the_edge_between_two_depths_it_is_unsure(seen: tuple[FusedDepth, BoolArray]) -> None:
     fused, patch = seen
     inside = cv2.erode(patch.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     edge = patch & ~(cv2.erode(patch.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
@@ -52,7 +52,7 @@ def test_at_the_edge_between_two_depths_it_is_unsure(seen: tuple[FusedDepth, NDA
     assert np.median(np.nan_to_num(sigma[edge], nan=np.inf)) > 1.5 * np.median(sigma[inside])
 
 
-def test_sky_and_what_is_as_good_as_unknown_are_no_measurement(seen: tuple[FusedDepth, NDArray[np.bool_]]) -> None:
+def test_sky_and_what_is_as_good_as_unknown_are_no_measurement(seen: tuple[FusedDepth, BoolArray]) -> None:
     measured = seen[0].measured()
     sky = ~np.isfinite(seen[0].ground[2::4, 2::4])
     assert sky.any()

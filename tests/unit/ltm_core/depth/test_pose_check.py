@@ -9,12 +9,12 @@ import pytest
 from scenes.depth_scene import CAMERA, SKY, TREE, depth_scene
 
 from ltm_core.camera import Camera
-from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.pose_check import PoseCheck, check_pose
 from ltm_core.depth.topodepth import FusionSettings
 from ltm_core.vision.labels import LabelSet
 
-CLASSES = DepthClasses.of(LabelSet.load())
+CLASSES = ClassPriors.of(LabelSet.load())
 SETTINGS = FusionSettings()
 
 

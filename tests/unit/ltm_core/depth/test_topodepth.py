@@ -7,30 +7,30 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scenes.depth_scene import CAMERA, STAND_HEIGHT, DepthScene, depth_scene
 
-from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.expected_surface import expected_surface
 from ltm_core.depth.ground_sampling import ground_samples
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.pose_check import check_pose
-from ltm_core.depth.scale_fit import fit_network
+from ltm_core.depth.scale_fit import fit_scale
 from ltm_core.depth.topodepth import FusedDepth, FusionSettings, Source, Verdict, fuse
 from ltm_core.errors import ConfigError, ImageError
 from ltm_core.range_image import DepthImage, RangeImage
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.labels import Label, LabelSet
 
-CLASSES = DepthClasses.of(LabelSet.load())
+CLASSES = ClassPriors.of(LabelSet.load())
 SETTINGS = FusionSettings()
 
 
-def fused(scene: DepthScene, network: NetworkDepth | None, labels: NDArray[np.uint8] | None = None) -> FusedDepth:
+def fused(scene: DepthScene, network: NetworkDepth | None, labels: UInt8Array | None = None) -> FusedDepth:
     return fuse(scene.traced, network, scene.photo, labels, CLASSES)
 
 
-def rmse(depth: NDArray[np.float32], truth: NDArray[np.float32], where: NDArray[np.bool_]) -> float:
+def rmse(depth: Float32Array, truth: Float32Array, where: BoolArray) -> float:
     counted = where & np.isfinite(depth) & np.isfinite(truth)
     return float(np.sqrt(np.mean((depth[counted] - truth[counted]) ** 2)))
 
@@ -154,7 +154,7 @@ def test_a_fit_holds_while_forty_percent_of_the_ground_is_something_else() -> No
         ground, scene.labels, CLASSES.cover, CAMERA, scene.traced.pose, SETTINGS.angle_sigma, SETTINGS.dem_sigma
     )
     samples = ground_samples(surface, sigma, scene.labels, CLASSES.ground, CAMERA.fy)
-    fit = fit_network(NetworkDepth(near.astype(np.float32), network.kind), samples, (CAMERA.height, CAMERA.width))
+    fit = fit_scale(NetworkDepth(near.astype(np.float32), network.kind), samples, (CAMERA.height, CAMERA.width))
     assert fit.trouble == ""
     assert fit.line is not None
     assert fit.line.scale == pytest.approx(1 / 40.0, rel=0.03)
@@ -252,9 +252,9 @@ def test_sizes_that_differ_and_heights_that_are_none_are_refused() -> None:
     with pytest.raises(ImageError, match=r"photo of \(359, 640\)"):
         fuse(scene.traced, None, scene.photo[1:], None, CLASSES)
     with pytest.raises(ConfigError, match="cover height of tree is -1 m"):
-        DepthClasses.of(LabelSet.load(), {"tree": -1})
+        ClassPriors.of(LabelSet.load(), {"tree": -1})
     with pytest.raises(ConfigError, match="no label is called 'palm'"):
-        DepthClasses.of(LabelSet.load(), {"palm": 3.0})
+        ClassPriors.of(LabelSet.load(), {"palm": 3.0})
 
 
 def test_what_is_published_of_a_frame_is_plain_json() -> None:
@@ -271,6 +271,6 @@ def test_a_range_image_of_sky_alone_has_no_samples() -> None:
     sky = np.full((CAMERA.height, CAMERA.width), np.inf, np.float32)
     samples = ground_samples(sky, sky, None, CLASSES.ground, CAMERA.fy)
     assert len(samples) == 0
-    fit = fit_network(depth_scene().network(), samples, sky.shape)
+    fit = fit_scale(depth_scene().network(), samples, sky.shape)
     assert "0 pixels of trustworthy ground" in fit.trouble
     assert isinstance(RangeImage(sky, CAMERA, depth_scene().traced.pose).depth(), np.ndarray)

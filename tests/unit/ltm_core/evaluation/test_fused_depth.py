@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scenes.depth_scene import CAMERA, STAND_HEIGHT, depth_scene
 
-from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.errors import ConfigError
 from ltm_core.evaluation.depth.fused_depth import Condition, DepthEvaluation, Given, conditions, upsampled_labels
 from ltm_core.evaluation.truth_frames_io import TruthFrame
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 
-CLASSES = DepthClasses.of(LabelSet.load())
+CLASSES = ClassPriors.of(LabelSet.load())
 
 
 def frame(step: int = 2) -> TruthFrame:

@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from ltm_core.camera import Camera
@@ -17,6 +16,7 @@ from ltm_core.depth.monocular import DepthKind, DepthNetwork, NetworkDepth
 from ltm_core.errors import ModelError
 from ltm_core.evaluation.depth.relative_depth import bin_names, score_relative_depth
 from ltm_core.training.labelled_frames import Frame
+from ltm_core.types import Float64Array, UInt8Array
 from ltm_ros.cli import main
 
 SHAPE = (60, 100)
@@ -25,15 +25,15 @@ SHAPE = (60, 100)
 class Known(DepthNetwork):
     """Answers with values that a test gives it."""
 
-    def __init__(self, values: NDArray[np.float64], kind: DepthKind) -> None:
+    def __init__(self, values: Float64Array, kind: DepthKind) -> None:
         self.manifest = SimpleNamespace(name="known")  # type: ignore[assignment]
         self._answer = NetworkDepth(values.astype(np.float32), kind)
 
-    def predict(self, rgb: NDArray[np.uint8], camera: Camera) -> NetworkDepth:
+    def predict(self, rgb: UInt8Array, camera: Camera) -> NetworkDepth:
         return self._answer
 
 
-def _depth() -> NDArray[np.float64]:
+def _depth() -> Float64Array:
     """20 m at the foot to 3 km at row 10; sky above."""
     rows = np.arange(SHAPE[0])[:, None] + 0.2 * np.sin(np.arange(SHAPE[1]) / 9.0)[None]
     depth = 20.0 * (3000.0 / 20.0) ** ((SHAPE[0] - 1 - rows) / (SHAPE[0] - 11))
@@ -41,7 +41,7 @@ def _depth() -> NDArray[np.float64]:
     return np.asarray(depth)
 
 
-def _frame(depth: NDArray[np.float64], ordinal: bool = False) -> Frame:
+def _frame(depth: Float64Array, ordinal: bool = False) -> Frame:
     inverse = np.where(np.isfinite(depth), 1.0 / depth, np.nan).astype(np.float32)
     photo = np.zeros((*SHAPE, 3), np.uint8)
     return Frame(photo, np.zeros(SHAPE, np.uint8), Path("oak/0001.png"), inverse, ordinal)

@@ -9,8 +9,8 @@ from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.evaluation.metrics.change import ChangeScore
 from ltm_core.evaluation.terrain.frame_score import alike, score_frames, true_depth
-from ltm_core.evaluation.terrain.hillside_scenes import Conditions, Noise
-from ltm_core.evaluation.terrain.hillside_score import TrialScore
+from ltm_core.evaluation.terrain.hillside_scenes import Noise, SceneConditions
+from ltm_core.evaluation.terrain.hillside_score import HillsideScore
 from ltm_core.evaluation.terrain.hillside_summary import TrialSummary
 from ltm_core.evaluation.truth_frames_io import TruthFrame
 from ltm_core.grid import GridGeometry
@@ -20,8 +20,8 @@ from ltm_core.terrain.observation import DepthFrame
 from ltm_core.tracing import TerrainTracer
 
 
-def scored(change: ChangeScore, before: float, after: float) -> TrialScore:
-    return TrialScore("growth", Conditions(), change, 3, 0.5, before, after, 1.0, 1.0, None, None)  # type: ignore[arg-type]
+def scored(change: ChangeScore, before: float, after: float) -> HillsideScore:
+    return HillsideScore("growth", SceneConditions(), change, 3, 0.5, before, after, 1.0, 1.0, None, None)  # type: ignore[arg-type]
 
 
 def test_the_worst_seed_is_told_beside_the_mean() -> None:

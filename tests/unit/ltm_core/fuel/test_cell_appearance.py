@@ -12,16 +12,16 @@ from scenes.fuel_frames import LABELS
 from ltm_core.errors import ConfigError, ImageError
 from ltm_core.evaluation.fuel.label_correlation import label_correlation
 from ltm_core.evaluation.fuel.simulated_votes import SimulatedVotes
-from ltm_core.fuel.cell_appearance_model import SEEN, CellLook, CellLookFile, what_is_seen
-from ltm_core.fuel.cell_visibility import CellSighting
+from ltm_core.fuel.cell_appearance_model import SEEN, CellAppearanceFile, CellAppearanceModel, what_is_seen
+from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.frame_evidence import frame_evidence
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import FORMS, LifeForm, label_forms
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
-from ltm_core.training.cell_appearance_fit import LEAST_CELLS, fit_look, seen_cells
-from ltm_core.training.cell_appearance_io import learn_look, write_look
+from ltm_core.training.cell_appearance_fit import LEAST_CELLS, fit_cell_appearance, seen_cells
+from ltm_core.training.cell_appearance_io import learn_cell_appearance, write_cell_appearance
 
 HEIGHT, WIDTH = 31, 44
 GRID = GridGeometry(0.0, 30.0 * HEIGHT, 30.0, WIDTH, HEIGHT)
@@ -53,7 +53,7 @@ def test_likelihood_between_two_incidences() -> None:
     weights = np.full((FORMS, 2, SEEN), np.nan)
     weights[SHRUB], weights[TREE] = 0.0, 0.0
     weights[TREE, :, 1 + TREE] = 1.0, 3.0  # of the share of pixels called tree
-    look = CellLook(np.array([0.1, 0.5]), weights)
+    look = CellAppearanceModel(np.array([0.1, 0.5]), weights)
     seen = what_is_seen(np.array([3]), np.array([5]), one_hot(TREE), np.zeros(1), None)
     for cosine, expected in ((0.0, 1.0), (0.1, 1.0), (0.2, 1.5), (0.5, 3.0), (0.9, 3.0)):
         found = look.log_likelihood(seen, np.array([cosine]))[0]
@@ -83,10 +83,10 @@ def seen_from(camera: str, bearing: float, truth: np.ndarray, seed: int) -> Cell
     counts[hidden] //= 4
     counts[hidden, LifeForm.TREE] += 30
     flat = np.full(rows.size, 0.1, np.float32)
-    sighting = CellSighting(flat, flat, flat * 0, flat * 0, np.full(rows.size, bearing, np.float32))
+    visibility = CellVisibility(flat, flat, flat * 0, flat * 0, np.full(rows.size, bearing, np.float32))
     place = rows.astype(np.int32), cols.astype(np.int32)
     return CellVotes(
-        GRID, *place, counts, np.zeros(rows.size, np.float32), 10**18 + seed, camera, flat * 0 + 0.7, sighting
+        GRID, *place, counts, np.zeros(rows.size, np.float32), 10**18 + seed, camera, flat * 0 + 0.7, visibility
     )
 
 
@@ -98,45 +98,45 @@ def site(seed: int) -> SimulatedVotes:
 
 def test_learnt_looks_see_behind_what_stands_before() -> None:
     """On a site that taught nothing, cells behind trees are told where most of their labels are wrong."""
-    learnt = learn_look([site(1), site(2)], LABELS)
+    learnt = learn_cell_appearance([site(1), site(2)], LABELS)
     other = site(3)
     cells = seen_cells(other.votes, other.truth, FORM_IDS)
-    told = learnt.look.log_likelihood(cells.seen, cells.cosine).argmax(axis=1) == cells.true
+    told = learnt.appearance.log_likelihood(cells.seen, cells.cosine).argmax(axis=1) == cells.true
     voted = cells.seen[:, 1 : 1 + FORMS].argmax(axis=1) == cells.true
     assert told.mean() > voted.mean() + 0.05
-    assert not np.isfinite(learnt.look.weights[[LifeForm.BARE - 1, LifeForm.WATER - 1]]).any()
+    assert not np.isfinite(learnt.appearance.weights[[LifeForm.BARE - 1, LifeForm.WATER - 1]]).any()
     assert [form for form, _, _ in learnt.right] == [1, 2, 3]
     found, _ = label_correlation(
-        other.votes, other.truth, FORM_IDS, replace(LabelErrors.assumed(), look=learnt.look), 3.0
+        other.votes, other.truth, FORM_IDS, replace(LabelErrors.assumed(), appearance=learnt.appearance), 3.0
     )
     assert found.cell == 1.0
     assert found.view < 0.9  # each frame's pixels are drawn anew
 
 
 def test_a_file_and_back(tmp_path: Path) -> None:
-    learnt = learn_look([site(1), site(2)], LABELS)
-    write_look(tmp_path / "net.yaml", learnt, "drawn")
+    learnt = learn_cell_appearance([site(1), site(2)], LABELS)
+    write_cell_appearance(tmp_path / "net.yaml", learnt, "drawn")
     errors = LabelErrors.load(tmp_path / "net.yaml")
-    assert errors.look is not None
+    assert errors.appearance is not None
     assert errors.source == "drawn"
     assert errors.correlation == learnt.correlation
-    np.testing.assert_allclose(errors.look.weights, learnt.look.weights, atol=0.006, equal_nan=True)
+    np.testing.assert_allclose(errors.appearance.weights, learnt.appearance.weights, atol=0.006, equal_nan=True)
 
 
 def test_evidence_is_of_the_look_and_of_labels_it_does_not_know() -> None:
     other = site(4)
-    learnt = learn_look([site(1), site(2)], LABELS)
+    learnt = learn_cell_appearance([site(1), site(2)], LABELS)
     votes = other.votes[0]
     water = votes.counts.copy()
     water[:50] = 0
     water[:50, LifeForm.WATER] = 40
     votes = replace(votes, counts=water)
-    errors = replace(LabelErrors.assumed(), look=learnt.look, correlation=learnt.correlation)
+    errors = replace(LabelErrors.assumed(), appearance=learnt.appearance, correlation=learnt.correlation)
     rules = FusionRules(context=0.0)
     found = frame_evidence(votes, FORM_IDS, errors, rules)
     assert (found.amounts[:50].argmax(axis=1) == LifeForm.WATER - 1).all()
-    seen = what_is_seen(found.rows, found.cols, _shares(votes), votes.sighting.bearing, votes.confidence)  # type: ignore[union-attr]
-    expected = learnt.look.log_likelihood(seen, np.full(len(votes), 0.1))
+    seen = what_is_seen(found.rows, found.cols, _shares(votes), votes.visibility.bearing, votes.confidence)  # type: ignore[union-attr]
+    expected = learnt.appearance.log_likelihood(seen, np.full(len(votes), 0.1))
     rest = found.amounts[50:]
     np.testing.assert_array_equal(rest.argmax(axis=1), expected[50:].argmax(axis=1))
     assert rest.sum(axis=1) == pytest.approx(rules.frame_cap, rel=1e-3)  # nothing is taken away for doubt: p tells it
@@ -152,13 +152,13 @@ def _shares(votes: CellVotes) -> np.ndarray:
 
 def test_too_little_to_learn_from_and_files_that_do_not_fit() -> None:
     with pytest.raises(ConfigError, match="two sites"):
-        learn_look([site(1)], LABELS)
+        learn_cell_appearance([site(1)], LABELS)
     with pytest.raises(ImageError, match=f"{LEAST_CELLS} cells"):
-        fit_look([seen_cells(site(1).votes, np.full((HEIGHT, WIDTH), 2, np.uint8), FORM_IDS)])
+        fit_cell_appearance([seen_cells(site(1).votes, np.full((HEIGHT, WIDTH), 2, np.uint8), FORM_IDS)])
     with pytest.raises(ImageError, match="how each cell is seen"):
-        seen_cells([replace(site(1).votes[0], sighting=None)], site(1).truth, FORM_IDS)
+        seen_cells([replace(site(1).votes[0], visibility=None)], site(1).truth, FORM_IDS)
     good = {"incidence": [0.1, 0.5], "weights": {"shrub": [[0.0] * SEEN] * 2, "tree": [[1.0] * SEEN] * 2}}
-    CellLookFile(**good)
+    CellAppearanceFile(**good)
     for wrong in (
         good | {"incidence": [0.5, 0.1]},
         good | {"weights": {"shrub": [[0.0] * SEEN] * 2}},
@@ -166,4 +166,4 @@ def test_too_little_to_learn_from_and_files_that_do_not_fit() -> None:
         good | {"weights": good["weights"] | {"tree": [[0.0] * SEEN]}},  # type: ignore[operator]
     ):
         with pytest.raises(ValueError, match=r"incidence|weights"):
-            CellLookFile(**wrong)
+            CellAppearanceFile(**wrong)

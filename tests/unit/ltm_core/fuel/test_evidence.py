@@ -19,7 +19,7 @@ from scenes.evidence_scene import (
     TRUSTED,
     YEAR,
     fuel_map,
-    sighting,
+    visibility,
     votes,
 )
 
@@ -170,7 +170,7 @@ def test_cells_of_two_forms_keep_the_usual_one_until_another_is_sure() -> None:
 
 
 def looks_of(bearing: float, source: str, second: float = NOW) -> CellVotes:
-    return votes(Label.TREE, second, source, sighting=sighting(6, bearing=bearing))
+    return votes(Label.TREE, second, source, visibility=visibility(6, bearing=bearing))
 
 
 def test_two_cameras_of_one_tower_are_one_view_and_two_sides_are_two() -> None:
@@ -199,7 +199,7 @@ def test_systematic_errors_of_one_view_never_change_a_cell() -> None:
     """However long one tower says so, the prior stands, where errors correlate as they are assumed to."""
     errors = LabelErrors(ASSUMED.shares, LabelCorrelation(cell=0.78, stand=0.33, view=0.78, network=0.34))
     shrub_or_tree = [0, 0, 12, 28, 0, 0, 0]
-    frames = [votes(shrub_or_tree, NOW + k * HOUR, sighting=sighting(6)) for k in range(30)]
+    frames = [votes(shrub_or_tree, NOW + k * HOUR, visibility=visibility(6)) for k in range(30)]
     assert not fuel_map(*frames, errors=errors).layers().changed[0, 0]
     assert fuel_map(*frames).layers().changed[0, 0]
 

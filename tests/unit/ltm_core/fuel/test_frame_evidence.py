@@ -13,7 +13,7 @@ from scenes.evidence_scene import (
     PRIOR,
     TRUSTED,
     fuel_map,
-    sighting,
+    visibility,
     votes,
 )
 
@@ -61,7 +61,7 @@ def test_low_confidence_weighs_less() -> None:
 
 
 def test_coarse_pixels_weigh_less() -> None:
-    coarse = fuel_map(votes(Label.TREE, sighting=sighting(6, footprint=30.0))).layers()
+    coarse = fuel_map(votes(Label.TREE, visibility=visibility(6, footprint=30.0))).layers()
     np.testing.assert_allclose(coarse.evidence, FRAME_CAP / np.sqrt(2), rtol=1e-3)
 
 
@@ -72,14 +72,30 @@ def test_a_cell_that_may_be_another_one_is_evidence_of_both() -> None:
     exact = evidence_of(frame, 0, 1)
     # 30 m sideways (the camera looks north), nothing along: the middle cell may be either neighbour.
     placed = CellVotes(
-        GRID, frame.rows, frame.cols, frame.counts, frame.z, frame.stamp_ns, "north", None, sighting(3, sigma_across=30)
+        GRID,
+        frame.rows,
+        frame.cols,
+        frame.counts,
+        frame.z,
+        frame.stamp_ns,
+        "north",
+        None,
+        visibility(3, sigma_across=30),
     )
     spread = evidence_of(placed, 0, 1)
     assert exact[LifeForm.TREE - 1] < 0.1 * exact.sum()
     assert spread[LifeForm.TREE - 1] > 0.15 * spread.sum()
     assert spread.sum() < 0.9 * exact.sum()  # part of where it may lie is not in the frame
     lost = CellVotes(
-        GRID, frame.rows, frame.cols, frame.counts, frame.z, frame.stamp_ns, "north", None, sighting(3, sigma_along=900)
+        GRID,
+        frame.rows,
+        frame.cols,
+        frame.counts,
+        frame.z,
+        frame.stamp_ns,
+        "north",
+        None,
+        visibility(3, sigma_along=900),
     )
     assert EvidenceMap(GRID, PRIOR, LABELS).add(lost) is None
 

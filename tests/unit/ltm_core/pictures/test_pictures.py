@@ -277,10 +277,10 @@ def test_the_north_arrow_makes_way_for_a_name() -> None:
 def test_panel_places_pictures_row_by_row() -> None:
     colors = [(200, 10, 10), (10, 200, 10), (10, 10, 200)]
     pictures = [(str(i), np.full((40, 80, 3), color, np.uint8)) for i, color in enumerate(colors)]
-    sheet = panel(pictures, columns=2, width=160)
+    relative_variance = panel(pictures, columns=2, width=160)
     centres = []
     for color in colors:
-        rows, cols = np.nonzero((sheet == np.array(color)).all(axis=-1))
+        rows, cols = np.nonzero((relative_variance == np.array(color)).all(axis=-1))
         assert len(rows) == 80 * 160
         centres.append((rows.mean(), cols.mean()))
     assert centres[0][0] == centres[1][0] < centres[2][0]

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scenes.rasters import rough_terrain
 from scipy.spatial.transform import Rotation
 
@@ -21,11 +20,10 @@ from ltm_core.pose_estimation.control_points import ControlPoints
 from ltm_core.pose_estimation.resection import resect
 from ltm_core.pose_estimation.resection_io import read_control_points
 from ltm_core.tracing.trace_io import load_picture_config
-from ltm_core.visibility.line_of_sight import pixel_rays, sight_vectors
+from ltm_core.types import Float64Array
+from ltm_core.visibility.line_of_sight import line_of_sight_vectors, pixel_rays
 from ltm_ros.cli.pose import pose as pose_command
 from ltm_ros.cli.trace import trace as trace_command
-
-Floats = NDArray[np.float64]
 
 CAMERA = Camera(1600, 1100, 1850.0, 1850.0, 801.0, 547.0, (-0.12, 0.0, 0.0, 0.0, 0.0))
 START = replace(CAMERA, fx=1500.0, fy=1500.0, distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
@@ -34,7 +32,7 @@ BEND = ray_bend(True, 0.13)
 
 
 def marked(
-    pixels: Floats, distances: Floats, camera: Camera = CAMERA, pose: Pose = POSE, bend: float = BEND
+    pixels: Float64Array, distances: Float64Array, camera: Camera = CAMERA, pose: Pose = POSE, bend: float = BEND
 ) -> ControlPoints:
     """Points at slant distances behind pixels; the curved ray's height is the straight one's plus bend r^2."""
     ways = pixel_rays(camera, pixels) @ pose.rotation.T * distances[:, None]
@@ -181,7 +179,7 @@ def test_position_is_held_where_the_points_lie_in_one_line() -> None:
     start = POSE.position + 900 * POSE.rotation @ [-0.35, 0.1, 1]
     end = POSE.position + 1500 * POSE.rotation @ [0.35, -0.1, 1]
     places = start + at * (end - start)
-    pixels = CAMERA.project(sight_vectors(POSE.position, places, BEND) @ POSE.rotation)
+    pixels = CAMERA.project(line_of_sight_vectors(POSE.position, places, BEND) @ POSE.rotation)
     points = ControlPoints(tuple("abcdefg"), places, pixels)
     result = resect(points, CAMERA, POSE.position, free=("position",), bend=BEND)
     assert "one line" in result.held["position"]

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 pytest.importorskip("mitsuba", reason="needs the extra `sim`: pip install 'ltm[sim]'")
 
@@ -21,7 +20,8 @@ from ltm_core.simulator.output_io import write_frame, write_index, write_site
 from ltm_core.simulator.render import render_range
 from ltm_core.simulator.run import SimulatedSite, plan_shots, rasters_at, render_shots
 from ltm_core.simulator.scenario import Scenario
-from ltm_core.simulator.terrain_synthesis import HeightField, Terrain
+from ltm_core.simulator.terrain_synthesis import HeightField, SyntheticTerrain
+from ltm_core.types import Float64Array, UInt8Array
 
 SLOPE_X, SLOPE_Y, HEIGHT = 0.12, -0.2, 300.0
 CAMERAS = [
@@ -31,7 +31,7 @@ CAMERAS = [
 ]
 
 
-def plane_site(classes: NDArray[np.uint8] | None = None, size: float = 600.0) -> SimulatedSite:
+def plane_site(classes: UInt8Array | None = None, size: float = 600.0) -> SimulatedSite:
     """A tilted plane of one class, or striped as `classes` (H, W) says; every length in metres."""
     fields = []
     for geometry in (
@@ -48,7 +48,7 @@ def plane_site(classes: NDArray[np.uint8] | None = None, size: float = 600.0) ->
         cols = np.arange(grid.width) * classes.shape[1] // grid.width
         cover = classes[rows[:, None], cols[None, :]].astype(np.uint8)
     zeros = np.zeros(grid.shape, np.float32)
-    terrain = Terrain(fields[0], fields[1], np.full(wide.shape, 3.0, np.float32))
+    terrain = SyntheticTerrain(fields[0], fields[1], np.full(wide.shape, 3.0, np.float32))
     return SimulatedSite(
         terrain, LandCover(cover, zeros.astype(bool), zeros, zeros, grid, Stand.undisturbed(grid.shape))
     )
@@ -76,7 +76,7 @@ def scenario(**changes: Any) -> Scenario:
     return Scenario(**(values | changes))
 
 
-def plane_range(camera: Camera, pose: Pose, bend: float) -> NDArray[np.float64]:
+def plane_range(camera: Camera, pose: Pose, bend: float) -> Float64Array:
     """Slant range r sqrt(1 + s^2) to where z(r) = oz + s r + bend r^2 first meets the plane; +inf where it does not."""
     d = camera.rays() @ pose.rotation.T
     flat = np.hypot(d[..., 0], d[..., 1])

@@ -17,14 +17,14 @@ from ltm_core.simulator.erosion import drainage_area
 from ltm_core.simulator.imaging import add_haze, develop
 from ltm_core.simulator.landcover import BARE, GRASS, SHRUB, TREE, LandCover, Stand, make_landcover
 from ltm_core.simulator.outdated import outdated_dem
-from ltm_core.simulator.scenario import AtmosphereConfig, DemConfig, TerrainConfig
+from ltm_core.simulator.scenario import AtmosphereConfig, GroundConfig, OutdatedDemConfig
 from ltm_core.simulator.scenario import VegetationConfig as Vegetation
 from ltm_core.simulator.scenario_io import load_scenario
-from ltm_core.simulator.terrain_synthesis import HeightField, Terrain, make_terrain
+from ltm_core.simulator.terrain_synthesis import HeightField, SyntheticTerrain, make_terrain
 from ltm_core.simulator.truth import fuel_truth
 from ltm_core.simulator.viewpoints import draw_viewpoints
 
-SMALL = TerrainConfig(size=512.0, surroundings=1024.0, relief=180.0, base_elevation=300.0)
+SMALL = GroundConfig(size=512.0, surroundings=1024.0, relief=180.0, base_elevation=300.0)
 
 MINIMAL = """
 name: small
@@ -35,7 +35,7 @@ cameras:
 
 
 @pytest.fixture(scope="module")
-def terrain() -> Terrain:
+def terrain() -> SyntheticTerrain:
     return make_terrain(SMALL, seed=5)
 
 
@@ -111,26 +111,26 @@ def test_drainage_gathers_downhill() -> None:
     assert area[7, 2] == area[:8].max()
 
 
-def test_terrain_is_a_function_of_its_seed(terrain: Terrain) -> None:
+def test_terrain_is_a_function_of_its_seed(terrain: SyntheticTerrain) -> None:
     again = make_terrain(SMALL, seed=5)
     np.testing.assert_array_equal(terrain.site.elevation, again.site.elevation)
     other = make_terrain(SMALL, seed=6)
     assert np.abs(other.site.elevation - terrain.site.elevation).mean() > 5.0
 
 
-def test_terrain_has_the_relief_asked_for(terrain: Terrain) -> None:
+def test_terrain_has_the_relief_asked_for(terrain: SyntheticTerrain) -> None:
     assert terrain.site.geometry.bounds == (0.0, 0.0, 512.0, 512.0)
     assert np.ptp(terrain.site.elevation) == pytest.approx(180.0, rel=0.06)
     assert terrain.site.elevation.min() == pytest.approx(300.0, abs=8.0)
 
 
-def test_surroundings_are_the_same_ground(terrain: Terrain) -> None:
+def test_surroundings_are_the_same_ground(terrain: SyntheticTerrain) -> None:
     x, y = np.meshgrid(np.linspace(30, 480, 21), np.linspace(40, 470, 17))
     difference = terrain.site.at(x, y) - terrain.surroundings.at(x, y)
     assert np.abs(difference).max() < 6.0
 
 
-def test_landcover_holds_the_shares_wished_for(terrain: Terrain) -> None:
+def test_landcover_holds_the_shares_wished_for(terrain: SyntheticTerrain) -> None:
     wish = Vegetation(tree=0.25, grass=0.3, bare=0.1, road=False)
     cover = make_landcover(terrain, wish, seed=5)
     g = cover.geometry
@@ -140,7 +140,7 @@ def test_landcover_holds_the_shares_wished_for(terrain: Terrain) -> None:
     np.testing.assert_allclose(share[[TREE, GRASS, BARE, SHRUB]], [0.25, 0.3, 0.1, 0.35], atol=0.01)
 
 
-def test_track_crosses_the_site(terrain: Terrain) -> None:
+def test_track_crosses_the_site(terrain: SyntheticTerrain) -> None:
     cover = make_landcover(terrain, Vegetation(), seed=5)
     rows, cols = np.nonzero(cover.road)
     x, y = cover.geometry.to_map(rows, cols)
@@ -150,11 +150,11 @@ def test_track_crosses_the_site(terrain: Terrain) -> None:
     assert np.all(cover.on_road(x, y, 4.0))
 
 
-def test_outdated_dem_is_coarse_and_wrong_by_its_sigma(terrain: Terrain) -> None:
-    elevation, geometry = outdated_dem(terrain.site, DemConfig(resolution=5.0, sigma=0.7), seed=5)
+def test_outdated_dem_is_coarse_and_wrong_by_its_sigma(terrain: SyntheticTerrain) -> None:
+    elevation, geometry = outdated_dem(terrain.site, OutdatedDemConfig(resolution=5.0, sigma=0.7), seed=5)
     assert geometry.resolution == 5.0
     assert geometry.shape == (102, 102)
-    exact, _ = outdated_dem(terrain.site, DemConfig(resolution=5.0, sigma=0.0), seed=5)
+    exact, _ = outdated_dem(terrain.site, OutdatedDemConfig(resolution=5.0, sigma=0.0), seed=5)
     error = elevation - exact
     assert error.mean() == pytest.approx(0.0, abs=0.02)
     assert error.std() == pytest.approx(0.7, abs=0.03)
@@ -167,14 +167,14 @@ def test_outdated_dem_of_a_plane_is_the_plane() -> None:
     flat = HeightField(np.zeros((100, 100), np.float32), geometry)
     x, y = np.meshgrid(*flat.axes())
     slope = HeightField((50 + 0.25 * x - 0.125 * y).astype(np.float32), geometry)
-    elevation, g = outdated_dem(slope, DemConfig(resolution=10.0, sigma=0.0), seed=1)
+    elevation, g = outdated_dem(slope, OutdatedDemConfig(resolution=10.0, sigma=0.0), seed=1)
     x, y = g.to_map(*np.mgrid[0 : g.height, 0 : g.width])
     np.testing.assert_allclose(elevation[1:-1, 1:-1], (50 + 0.25 * x - 0.125 * y)[1:-1, 1:-1], atol=1 / 32 + 1e-4)
 
 
-def test_outdated_dem_is_shifted_and_biased_as_told(terrain: Terrain) -> None:
-    exact, _ = outdated_dem(terrain.site, DemConfig(sigma=0.0), seed=5)
-    wrong, _ = outdated_dem(terrain.site, DemConfig(sigma=0.0, shift=(10.0, -15.0), bias=2.0), seed=5)
+def test_outdated_dem_is_shifted_and_biased_as_told(terrain: SyntheticTerrain) -> None:
+    exact, _ = outdated_dem(terrain.site, OutdatedDemConfig(sigma=0.0), seed=5)
+    wrong, _ = outdated_dem(terrain.site, OutdatedDemConfig(sigma=0.0, shift=(10.0, -15.0), bias=2.0), seed=5)
     # Content 10 m east is 2 columns right, 15 m south is 3 rows down
     np.testing.assert_allclose(wrong[8:90, 8:90], exact[5:87, 6:88] + 2.0, atol=0.07)
 
@@ -195,7 +195,7 @@ def test_fuel_truth_is_the_majority_in_snapped_cells() -> None:
     assert larger.tolist() == [[255, 255, 255, 255], [TREE, GRASS, SHRUB, 255], [SHRUB, SHRUB, SHRUB, 255]]
 
 
-def test_viewpoints_are_seeded_and_above_ground(terrain: Terrain) -> None:
+def test_viewpoints_are_seeded_and_above_ground(terrain: SyntheticTerrain) -> None:
     wish = ViewsConfig(positions=3, views=4, mast=(5.0, 9.0), pitch_deg=(-12.0, -2.0))
     places = draw_viewpoints(terrain.site, wish, seed=8)
     assert [len(p) for p in places] == [4, 4, 4]

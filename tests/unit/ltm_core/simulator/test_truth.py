@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scenes.small_scenario import small_scenario
 from scipy import ndimage
 
@@ -20,6 +19,7 @@ from ltm_core.simulator.render import render_range
 from ltm_core.simulator.run import SimulatedSite, make_site, plan_shots, rasters_at, render_shots, site_at
 from ltm_core.simulator.vegetation import LATTICE, Placement, Planting
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import Float64Array
 
 CONFIG = small_scenario()
 
@@ -39,7 +39,7 @@ def natural() -> SimulatedSite:
     return make_site(small_scenario(lakes=[]))
 
 
-def _errors(site: SimulatedSite, resolution: float) -> NDArray[np.float64]:
+def _errors(site: SimulatedSite, resolution: float) -> Float64Array:
     """|rendered - traced| range of bare ground (N,) away from silhouettes, the tracer's DEM at `resolution`."""
     shot = plan_shots(CONFIG, site)[0]
     view = SceneBuilder(CONFIG, site.terrain, site.cover).view(shot.pose.position)
@@ -75,7 +75,7 @@ def test_the_bare_earth_raster_is_that_ground(natural: SimulatedSite) -> None:
     assert error.max() < 0.3
 
 
-def _soup(placements: list[Placement]) -> NDArray[np.float64]:
+def _soup(placements: list[Placement]) -> Float64Array:
     return np.concatenate(
         [p.prototype.soup.triangles @ m[:3, :3].T + m[:3, 3] for p in placements for m in p.transforms]
     )
@@ -114,7 +114,7 @@ def test_edges_are_planted_shrub_by_shrub_and_slides_strewn_with_stones(slid: Si
     planting = Planting(slid.terrain, slid.cover, CONFIG.vegetation, palette(0.2, 1), CONFIG.seed)
     placed = planting.around(np.array([180.0, 180.0, 600.0]))
 
-    def places(*words: str) -> NDArray[np.float64]:
+    def places(*words: str) -> Float64Array:
         chosen = [p.transforms for p in placed if any(word in p.prototype.name for word in words)]
         return np.concatenate([np.zeros((0, 4, 4)), *chosen])
 

@@ -13,7 +13,7 @@ from ltm_core.pose import Pose
 from ltm_core.site import TerrainConfig
 from ltm_core.terrain import DepthFrame, Reference, SurfaceMap
 from ltm_core.terrain.change import ChangeKind
-from ltm_core.terrain.expected_view import SIGHT, Sights
+from ltm_core.terrain.expected_view import EXPECTED_PIXEL, ExpectedViews
 from ltm_core.tracing import TerrainTracer
 
 
@@ -47,7 +47,7 @@ def test_blocks_that_a_ray_passes_above_hold_nothing_that_it_caps(monkeypatch: p
 
 
 def test_the_views_that_are_kept_are_bounded_and_the_oldest_goes() -> None:
-    room = Sights(3 * 6 * 5 * SIGHT.itemsize)
+    room = ExpectedViews(3 * 6 * 5 * EXPECTED_PIXEL.itemsize)
     for key in "abc":
         room.put(key, (6, 5))["place"] = ord(key)
     assert room.get("a") is not None

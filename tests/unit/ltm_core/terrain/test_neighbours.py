@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from ltm_core.terrain.neighbours import (
     SMOOTHING,
@@ -16,23 +15,24 @@ from ltm_core.terrain.neighbours import (
     regions,
     stand_rise,
 )
+from ltm_core.types import BoolArray, Float64Array
 
 SHAPE = (50, 70)
 
 
-def estimates(off: NDArray[np.float64], sigma: float, sheet: float, usable: NDArray[np.bool_]) -> Estimates:
-    weight, even = (np.where(usable, 1 / s**2, 0).astype(np.float32) for s in (sigma, sheet))
+def estimates(off: Float64Array, sigma: float, relative_variance: float, usable: BoolArray) -> Estimates:
+    weight, even = (np.where(usable, 1 / s**2, 0).astype(np.float32) for s in (sigma, relative_variance))
     return Estimates(np.where(usable, off, 0).astype(np.float32), weight, even, usable)
 
 
 @pytest.fixture
-def stand() -> NDArray[np.bool_]:
+def stand() -> BoolArray:
     inside = np.zeros(SHAPE, np.bool_)
     inside[8:40, 20:61] = True
     return inside
 
 
-def test_open_ground_beside_a_stand_takes_no_part_in_its_growth(stand: NDArray[np.bool_]) -> None:
+def test_open_ground_beside_a_stand_takes_no_part_in_its_growth(stand: BoolArray) -> None:
     cells = estimates(np.where(stand, 4.0, 0.25), 2.0, 0.5, np.ones(SHAPE, np.bool_))
     shift, _ = mean_of_neighbours(cells, stand, 1.0)
     np.testing.assert_allclose(shift, np.where(stand, 4.0, 0.25), atol=1e-4)
@@ -102,7 +102,7 @@ def test_a_region_without_a_sure_cell_or_too_small_is_left_out() -> None:
     assert regions(strong, weak, np.zeros(SHAPE, np.bool_), 12.0).sum() == 12
 
 
-def test_a_stand_has_grown_by_what_its_level_cells_show(stand: NDArray[np.bool_]) -> None:
+def test_a_stand_has_grown_by_what_its_level_cells_show(stand: BoolArray) -> None:
     """Faces, a slope four times the block's, show a quarter of it; what is not grown takes no part."""
     top = stand & (np.add.outer(np.arange(SHAPE[0]), 2 * np.arange(SHAPE[1])) % 3 == 0)
     off = np.where(top, 4.0, np.where(stand, 1.0, -9.0)).astype(np.float32)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scenes.terrain_hillside import (
     BARE,
     BEGIN,
@@ -34,6 +33,7 @@ from ltm_core.site import TerrainConfig
 from ltm_core.terrain import Reference, SurfaceMap
 from ltm_core.terrain.change import ChangeKind
 from ltm_core.terrain.tile_pool import TilePool, schema_of
+from ltm_core.types import Float64Array
 
 
 def test_two_cameras_move_the_surface_and_are_named() -> None:
@@ -70,7 +70,7 @@ def test_bare_earth_that_sinks_is_lowered_without_a_surface_raster() -> None:
 
 
 @pytest.mark.parametrize("changed", [RAISED, LOWERED], ids=["raised", "lowered"])
-def test_a_single_view_changes_nothing_however_often_it_comes(changed: NDArray[np.float64]) -> None:
+def test_a_single_view_changes_nothing_however_often_it_comes(changed: Float64Array) -> None:
     surface = surface_map(BARE.copy())
     surface.add(frame(BARE, "east", 0.0))
     for minute in range(12):
@@ -96,8 +96,8 @@ def test_what_a_camera_errs_alike_in_each_look_is_never_believed_of_it_alone() -
     nearer = np.zeros((180, 320), np.float32)
     nearer[60:110, 140:200] = 6.0
     found = {}
-    for repeats in (RULES.repeats, 0.0):
-        surface = surface_map(BARE, RULES.model_copy(update={"repeats": repeats}))
+    for repeats in (RULES.repeated_error_share, 0.0):
+        surface = surface_map(BARE, RULES.model_copy(update={"repeated_error_share": repeats}))
         for hour in range(8):
             seen = frame(BARE, "west", 3.0 * hour, 0.01)
             surface.add(replace(seen, depth=seen.depth - nearer, sigma=np.full_like(seen.depth, 2.2)))
@@ -105,7 +105,7 @@ def test_what_a_camera_errs_alike_in_each_look_is_never_believed_of_it_alone() -
         layers = surface.layers()
         found[repeats] = (layers.change > 0).sum()
         assert layers.observed.sum() > 5000
-    assert found[RULES.repeats] == 0
+    assert found[RULES.repeated_error_share] == 0
     assert found[0.0] > 100
 
 

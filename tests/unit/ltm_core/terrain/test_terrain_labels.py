@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scenes.terrain_hillside import BARE, CAMERA, PATCH, PLACES, RULES, changed_share, dem, frame
 
 from ltm_core.errors import ImageError
@@ -14,20 +13,21 @@ from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.terrain import DepthFrame, LabelImage, Reference, SurfaceMap
 from ltm_core.terrain.change import ChangeKind
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import BoolArray, Float32Array, Int64Array, UInt8Array
 from ltm_core.vision.labels import Label
 
 HEIGHT = 8.0
 STAND = BARE + HEIGHT * PATCH
 GONE = LabelErrors.of_model("landscape_lite0").open_odds()
-SEEN: dict[str, tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
+SEEN: dict[str, tuple[Int64Array, Int64Array]] = {}
 """Row and column of the cell that each pixel of a camera would see if the stand stood."""
 
 
-def stand_map(gone: NDArray[np.float32] | None = GONE) -> SurfaceMap:
+def stand_map(gone: Float32Array | None = GONE) -> SurfaceMap:
     return SurfaceMap(Reference.of(dem(BARE), dem(STAND)), RULES, tuple(PLACES), gone=gone)
 
 
-def shown(source: str, cells: NDArray[np.bool_] = PATCH) -> NDArray[np.bool_]:
+def shown(source: str, cells: BoolArray = PATCH) -> BoolArray:
     """Pixels in which a camera would see these cells if the stand stood."""
     if source not in SEEN:
         points = np.nan_to_num(TerrainTracer(dem(STAND)).trace(CAMERA, frame(STAND, source).pose).points())
@@ -37,7 +37,7 @@ def shown(source: str, cells: NDArray[np.bool_] = PATCH) -> NDArray[np.bool_]:
     return np.asarray(cells[SEEN[source]], np.bool_)
 
 
-def shown_cells(source: str) -> NDArray[np.bool_]:
+def shown_cells(source: str) -> BoolArray:
     """(H, W) of the grid: cells of the stand that a camera has told of."""
     surface = stand_map()
     for hours in (0.0, 2.0):
@@ -45,14 +45,14 @@ def shown_cells(source: str) -> NDArray[np.bool_]:
     return np.asarray(surface.layers().observed & PATCH, np.bool_)
 
 
-def labelled(source: str, hours: float, labels: NDArray[np.uint8], **changes: object) -> DepthFrame:
+def labelled(source: str, hours: float, labels: UInt8Array, **changes: object) -> DepthFrame:
     """A frame in which nothing is measured but for what `changes` say."""
     nowhere = np.zeros(labels.shape, np.bool_)
     told = LabelImage(labels, CAMERA)
     return frame(STAND, source, hours, **{"measured": nowhere, "told": told} | changes)
 
 
-def felled(source: str, hours: float, cells: NDArray[np.bool_] = PATCH) -> DepthFrame:
+def felled(source: str, hours: float, cells: BoolArray = PATCH) -> DepthFrame:
     """Grass in place of these cells of the stand."""
     labels = np.where(shown(source) & ~shown(source, cells), Label.TREE, Label.GRASS)
     return labelled(source, hours, labels.astype(np.uint8))

@@ -14,7 +14,7 @@ from scenes.small_scenario import small_scenario
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
-from ltm_core.depth.class_priors import DepthClasses
+from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.depth.topodepth import fuse
 from ltm_core.fuel.label_errors import LabelErrors
@@ -31,6 +31,7 @@ from ltm_core.simulator.clouds import Clouds
 from ltm_core.simulator.run import make_site, plan_shots, rasters_at, render_shots
 from ltm_core.simulator.scenario import CloudConfig, SmokeConfig, SunConfig
 from ltm_core.simulator.weather import smoke
+from ltm_core.types import Float32Array, Float64Array, UInt8Array
 
 pytestmark = pytest.mark.slow
 
@@ -53,8 +54,8 @@ class Look:
     name: str
     camera: Camera
     pose: Pose
-    radiance: NDArray[np.float64]
-    range: NDArray[np.float32]
+    radiance: Float64Array
+    range: Float32Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +93,7 @@ def slope() -> Slope:
     return Slope(Dem(rasters.bare_earth, frame), Dem(rasters.surface, frame), looks)
 
 
-def photo(radiance: NDArray[np.floating]) -> NDArray[np.uint8]:
+def photo(radiance: NDArray[np.floating]) -> UInt8Array:
     return (np.clip(radiance, 0, 1) ** (1 / 2.2) * 255).round().astype(np.uint8)
 
 
@@ -114,7 +115,7 @@ def veil(slope: Slope, look: Look, number: int) -> Veil:
     return Veil(light, hidden, float(np.hypot(x - look.pose.position[0], y - look.pose.position[1])))
 
 
-def smoky(slope: Slope, look: Look, number: int) -> tuple[NDArray[np.uint8], float]:
+def smoky(slope: Slope, look: Look, number: int) -> tuple[UInt8Array, float]:
     """Its photo with smoke before it, and the share of the land which that hides."""
     before = veil(slope, look, number)
     land = np.isfinite(look.range)
@@ -123,7 +124,7 @@ def smoky(slope: Slope, look: Look, number: int) -> tuple[NDArray[np.uint8], flo
     )
 
 
-def shaded(slope: Slope, look: Look, number: int) -> tuple[NDArray[np.uint8], float]:
+def shaded(slope: Slope, look: Look, number: int) -> tuple[UInt8Array, float]:
     """Its photo under clouds elsewhere at each look, and the share of the land in their shade."""
     land = np.isfinite(look.range)
     rays = look.camera.rays() @ look.pose.rotation.T
@@ -134,7 +135,7 @@ def shaded(slope: Slope, look: Look, number: int) -> tuple[NDArray[np.uint8], fl
     return photo(look.radiance * (0.3 + 0.7 * lit[..., None])), float((lit[land] < 0.5).mean())
 
 
-Weather = Callable[[Slope, Look, int], tuple[NDArray[np.uint8], float]]
+Weather = Callable[[Slope, Look, int], tuple[UInt8Array, float]]
 
 
 class SharpEyes:
@@ -143,7 +144,7 @@ class SharpEyes:
 
     def __init__(self) -> None:
         self._rng = np.random.default_rng(5)
-        self._next: NDArray[np.float64] = np.zeros((2, 2))
+        self._next: Float64Array = np.zeros((2, 2))
 
     def look(self, look: Look, before: Veil | None) -> None:
         """What `predict` shall see next."""
@@ -153,7 +154,7 @@ class SharpEyes:
             inverse = (1 - before.hidden) * inverse + before.hidden / (before.away * cosines)
         self._next = inverse[::2, ::2]
 
-    def predict(self, rgb: NDArray[np.uint8], camera: Camera) -> NetworkDepth:
+    def predict(self, rgb: UInt8Array, camera: Camera) -> NetworkDepth:
         noise = 1 + 0.02 * self._rng.standard_normal(self._next.shape)
         return NetworkDepth((self._next * noise).astype(np.float32), "relative_inverse")
 
@@ -165,10 +166,10 @@ class Watch:
 
     given: tuple[Dem, Dem]
     segmenter: Segmenter
-    classes: DepthClasses
+    classes: ClassPriors
 
     def changed(
-        self, photos: Iterable[tuple[Look, NDArray[np.uint8]]], network: DepthNetwork | SharpEyes
+        self, photos: Iterable[tuple[Look, UInt8Array]], network: DepthNetwork | SharpEyes
     ) -> tuple[set[tuple[int, int]], int]:
         """Cells that the map takes for changed after photos two hours apart, and how many it has looked at."""
         bare, surface = (TerrainTracer(dem) for dem in self.given)
@@ -189,7 +190,7 @@ class Watch:
 
 @pytest.fixture(scope="module")
 def watch(slope: Slope) -> Watch:
-    return Watch((slope.bare, slope.surface), Segmenter.open(DEFAULT_MODEL), DepthClasses.of(LabelSet.load()))
+    return Watch((slope.bare, slope.surface), Segmenter.open(DEFAULT_MODEL), ClassPriors.of(LabelSet.load()))
 
 
 @pytest.fixture(scope="module")
@@ -197,7 +198,7 @@ def shipped() -> DepthNetwork:
     return DepthNetwork.open("landscape_lite0_depth")
 
 
-def sharply(slope: Slope, network: SharpEyes, in_smoke: bool) -> Iterator[tuple[Look, NDArray[np.uint8]]]:
+def sharply(slope: Slope, network: SharpEyes, in_smoke: bool) -> Iterator[tuple[Look, UInt8Array]]:
     """Photos, clear or with smoke elsewhere each time, as the network gets to see them."""
     for number in range(LOOKS):
         for look in slope.looks:
@@ -211,7 +212,7 @@ def test_weather_before_the_shipped_network_changes_nothing(
 ) -> None:
     shares: list[float] = []
 
-    def photos() -> Iterator[tuple[Look, NDArray[np.uint8]]]:
+    def photos() -> Iterator[tuple[Look, UInt8Array]]:
         for number in range(LOOKS):
             for look in slope.looks:
                 rgb, share = weather(slope, look, number)

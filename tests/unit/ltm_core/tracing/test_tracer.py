@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from scenes.rasters import RIDGE_X, RIDGE_Z, Floats, cone, directions, ridge, rough_terrain, tilted_plane
+from scenes.rasters import RIDGE_X, RIDGE_Z, cone, directions, ridge, rough_terrain, tilted_plane
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -15,12 +15,13 @@ from ltm_core.geodesy import ray_bend
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import Float64Array
 
 CAMERA = Camera(width=161, height=97, fx=120.0, fy=124.0, cx=77.0, cy=50.5, distortion=(-0.12, 0.03, 1e-3, -5e-4, 0.0))
 MILLIMETRE = 1e-3
 
 
-def assert_ranges(actual: np.ndarray, expected: Floats) -> None:
+def assert_ranges(actual: np.ndarray, expected: Float64Array) -> None:
     """Equal kinds (sky, unknown), and ranges within 1 mm + float32 rounding."""
     np.testing.assert_array_equal(np.isposinf(actual), np.isposinf(expected))
     np.testing.assert_array_equal(np.isnan(actual), np.isnan(expected))
@@ -29,7 +30,7 @@ def assert_ranges(actual: np.ndarray, expected: Floats) -> None:
     assert (error <= MILLIMETRE + np.spacing(expected[hit].astype(np.float32))).all(), f"off by up to {error.max()} m"
 
 
-def first_positive_root(a: Floats, b: Floats, c: Floats) -> Floats:
+def first_positive_root(a: Float64Array, b: Float64Array, c: Float64Array) -> Float64Array:
     """Least r > 0 with a r^2 + b r + c = 0, where c > 0; +inf where there is none."""
     with np.errstate(invalid="ignore", divide="ignore"):
         discriminant = b * b - 4 * a * c

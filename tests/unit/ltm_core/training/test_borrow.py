@@ -5,19 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.training.augment import Lent, augmented
 from ltm_core.training.borrow import photo_skies, photo_sky, with_ground, with_lake
 from ltm_core.training.config import AugmentConfig
 from ltm_core.training.labelled_frames import UNKNOWN, Frame
+from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import Label
 
 SIZE = (64, 96)
 NONE = dict.fromkeys(AugmentConfig.model_fields, 0.0)
 
 
-def _scene(ground: int, colour: tuple[int, int, int], skyline: int = 24) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+def _scene(ground: int, colour: tuple[int, int, int], skyline: int = 24) -> tuple[UInt8Array, UInt8Array]:
     """Blue sky, brighter to the right, above ground of one class and colour, darker downwards."""
     photo = np.empty((*SIZE, 3), np.float32)
     photo[:] = np.array([90, 140, 200]) + np.linspace(0, 40, SIZE[1])[None, :, None]

@@ -7,13 +7,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError, ImageError, RecordingError
 from ltm_core.training.augment import Lent, augmented, photo_looks
 from ltm_core.training.config import AugmentConfig, NetworkConfig, OptimiserConfig, SplitConfig, TrainingConfig
 from ltm_core.training.labelled_frames import LAND, UNKNOWN, Frame, read_frames, read_split
 from ltm_core.training.random_fields import fractal_noise
+from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.segmenter import Segmenter
 
@@ -21,7 +21,7 @@ SIZE = (64, 96)
 COLORS = np.array([(140, 190, 235), (200, 190, 90), (110, 90, 50), (20, 70, 30), (160, 150, 140)], np.uint8)
 
 
-def _frame(seed: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+def _frame(seed: int) -> tuple[UInt8Array, UInt8Array]:
     """Sky over patches of grass, shrub, tree and bare ground, each in its own colour."""
     rng = np.random.default_rng(seed)
     labels = (1 + np.minimum(fractal_noise(SIZE, rng, octaves=2) * 4, 3)).astype(np.uint8)
@@ -30,7 +30,7 @@ def _frame(seed: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     return np.clip(COLORS[labels] + noise, 0, 255).astype(np.uint8), labels
 
 
-def _write(folder: Path, seed: int, labels: NDArray[np.uint8] | None = None) -> None:
+def _write(folder: Path, seed: int, labels: UInt8Array | None = None) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     image, truth = _frame(seed)
     cv2.imwrite(str(folder / f"{seed:04d}.png"), image[..., ::-1])

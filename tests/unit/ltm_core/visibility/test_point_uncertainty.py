@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scenes.rasters import rough_terrain, standing, tilted_plane
 from scipy.spatial.transform import Rotation
 
@@ -15,8 +14,6 @@ from ltm_core.range_image import RangeImage
 from ltm_core.tracing import TerrainTracer
 from ltm_core.visibility.footprint import ground_normals
 from ltm_core.visibility.point_uncertainty import TracedUncertainty, traced_uncertainty
-
-Floats = NDArray[np.float64]
 
 LEVEL = tilted_plane(0.0, 0.0, 400.0).dem
 HEIGHT = 40.0

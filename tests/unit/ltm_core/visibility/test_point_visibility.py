@@ -12,8 +12,8 @@ from ltm_core.errors import PoseError, RasterError
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
-from ltm_core.visibility.line_of_sight import pixel_rays, sight_vectors
-from ltm_core.visibility.point_visibility import PointState, SightLines
+from ltm_core.visibility.line_of_sight import line_of_sight_vectors, pixel_rays
+from ltm_core.visibility.point_visibility import PointState, PointVisibility
 
 CAMERA = Camera(160, 120, 150.0, 150.0, 79.0, 60.0, (-0.08, 0.0, 0.0, 0.0, 0.0))
 
@@ -21,7 +21,7 @@ CAMERA = Camera(160, 120, 150.0, 150.0, 79.0, 60.0, (-0.08, 0.0, 0.0, 0.0, 0.0))
 def test_behind_a_ridge_the_lift_follows_from_its_crest() -> None:
     scene = ridge()
     origin = np.array([-390.0, 10.0, float(scene.dem.elevation_at(-390.0, 10.0)) + 2.0])
-    sight = SightLines(scene.dem, curvature=False)
+    sight = PointVisibility(scene.dem, curvature=False)
     points = np.array([[300.0, 10.0, 40.0], [500.0, 10.0, 40.0], [-100.0, 10.0, 220.0]])
     lift, unknown = sight.lifts(origin, points)
     # Foot and crest: the whole rise lies below the line from the camera over the crest.
@@ -35,14 +35,14 @@ def test_curvature_hides_what_lies_beyond_the_horizon() -> None:
     dem = Dem(np.full((60, 500), 50.0, np.float32), GridGeometry(0.0, 6000.0, 100.0, 500, 60))
     origin = np.array([1000.0, 3000.0, 70.0])
     points = np.array([[1000.0 + r, 3000.0, 50.0] for r in (5000.0, 15_000.0, 30_000.0, 40_000.0)])
-    sight = SightLines(dem)
+    sight = PointVisibility(dem)
     lift, _ = sight.lifts(origin, points)
     horizon = np.sqrt(20.0 / sight.bend)
     assert 15_000 < horizon < 18_000
     # Behind the horizon a point must reach the line that touches the plain there.
     expected = [0.0, 0.0, sight.bend * (30_000 - horizon) ** 2, sight.bend * (40_000 - horizon) ** 2]
     assert lift == pytest.approx(expected, abs=1e-3)
-    assert not SightLines(dem, curvature=False).lifts(origin, points)[0].any()
+    assert not PointVisibility(dem, curvature=False).lifts(origin, points)[0].any()
 
 
 @pytest.mark.parametrize("holes", [False, True])
@@ -50,7 +50,7 @@ def test_agrees_with_the_tracer(holes: bool) -> None:
     dem = rough_terrain(5, (181, 263))
     if holes:
         dem = with_holes(dem, 3)
-    sight, tracer = SightLines(dem), TerrainTracer(dem)
+    sight, tracer = PointVisibility(dem), TerrainTracer(dem)
     rng = np.random.default_rng(1)
     judged = 0
     for row, col, above in ((90.5, 120.2, 3.0), (20.0, 215.7, 15.0), (133.3, 95.0, 0.5)):
@@ -64,7 +64,7 @@ def test_agrees_with_the_tracer(holes: bool) -> None:
         hidden = ~unknown & (lift > 1e-3)
         for shift in (0.01, -0.01):
             raised = points + np.outer(np.maximum(lift, 0) + shift, [0, 0, 1])
-            sights = sight_vectors(origin, raised, sight.bend)
+            sights = line_of_sight_vectors(origin, raised, sight.bend)
             distance = np.linalg.norm(sights, axis=1)
             met = tracer.trace_rays(origin, sights)
             # The tracer's NaN may lie behind the point (the ray leaves the DEM), so it says nothing of it.
@@ -82,7 +82,7 @@ def test_agrees_with_a_dense_walk() -> None:
     origin = standing(dem, 31.0, 40.5, 2.0)
     x, y = dem.geometry.to_map(*np.random.default_rng(4).uniform(0, [[60], [86]], (2, 200)))
     points = np.column_stack([x, y, dem.elevation_at(x, y)])
-    sight = SightLines(dem)
+    sight = PointVisibility(dem)
     lift, _ = sight.lifts(origin, points)
     for point, expected in zip(points, lift, strict=True):
         share = np.linspace(0, 1, 20_001)[1:]
@@ -98,7 +98,7 @@ def test_traced_points_are_visible_at_their_pixels() -> None:
     traced = TerrainTracer(dem).trace(CAMERA, pose)
     seen = np.isfinite(traced.range)
     assert seen.mean() > 0.5
-    result = SightLines(dem).visible(CAMERA, pose, traced.points()[seen], tolerance=0.02)
+    result = PointVisibility(dem).visible(CAMERA, pose, traced.points()[seen], tolerance=0.02)
     assert result.visible.all()
     rows, cols = np.nonzero(seen)
     assert np.abs(result.pixels - np.column_stack([cols, rows])).max() < 0.02
@@ -117,7 +117,7 @@ def test_states() -> None:
             [-389.0, 10.0, 90.0],  # below the ground, at the foot of the mast
         ]
     )
-    result = SightLines(scene.dem).visible(CAMERA, pose, points)
+    result = PointVisibility(scene.dem).visible(CAMERA, pose, points)
     expected = ["VISIBLE", "HIDDEN", "OUTSIDE", "OUTSIDE", "UNKNOWN", "OUTSIDE"]
     assert [PointState(s).name for s in result.states] == expected
     assert np.isnan(result.pixels[2]).all()
@@ -128,7 +128,7 @@ def test_tolerance_is_a_height() -> None:
     plane = tilted_plane(0.0, 0.0).dem
     pose = Pose.from_angles((-200.0, 0.0, 440.0), 90.0, -10.0)
     sunk = np.array([[0.0, 0.0, 420.0 - 0.3]])
-    sight = SightLines(plane, curvature=False)
+    sight = PointVisibility(plane, curvature=False)
     assert sight.visible(CAMERA, pose, sunk).states[0] == PointState.HIDDEN
     # The ray to a point under the ground meets it before the point: lifting to the ground is what counts.
     assert sight.visible(CAMERA, pose, sunk, tolerance=0.31).states[0] == PointState.VISIBLE
@@ -137,7 +137,7 @@ def test_tolerance_is_a_height() -> None:
 def test_plumb_points() -> None:
     plane = tilted_plane(0.0, 0.0).dem
     origin = (3.0, 5.0, 440.0)
-    lift, unknown = SightLines(plane).lifts(origin, [[3.0, 5.0, 420.0], [3.0, 5.0, 415.0], [3.0, 5.0, 500.0]])
+    lift, unknown = PointVisibility(plane).lifts(origin, [[3.0, 5.0, 420.0], [3.0, 5.0, 415.0], [3.0, 5.0, 500.0]])
     assert lift == pytest.approx([0.0, 5.0, 0.0], abs=1e-4)
     assert not unknown.any()
 
@@ -149,7 +149,7 @@ def test_a_hole_on_the_way_leaves_it_unknown() -> None:
     dem = Dem(elevation, GridGeometry(0.0, 0.0, 1.0, 83, 41))
     origin = standing(dem, 20.0, 10.0, 20.0)
     x, y = dem.geometry.to_map([20.0, 20.0, 5.0], [70.0, 30.0, 70.0])
-    lift, unknown = SightLines(dem).lifts(origin, np.column_stack([x, y, [100.0, 100.0, 100.0]]))
+    lift, unknown = PointVisibility(dem).lifts(origin, np.column_stack([x, y, [100.0, 100.0, 100.0]]))
     assert unknown.tolist() == [True, False, False]
     assert lift[0] > 30.0
 
@@ -164,7 +164,7 @@ def test_sub_pixel_rays_project_back() -> None:
 
 def test_bad_input() -> None:
     plane = tilted_plane(0.0, 0.0).dem
-    sight = SightLines(plane)
+    sight = PointVisibility(plane)
     with pytest.raises(PoseError, match="under the ground"):
         sight.lifts((0.0, 0.0, 400.0), [[1.0, 2.0, 3.0]])
     with pytest.raises(PoseError, match=r"\(N, 3\)"):
@@ -174,7 +174,7 @@ def test_bad_input() -> None:
     elevation = plane.elevation.copy()
     elevation[3, 4] = np.inf
     with pytest.raises(RasterError, match="infinite"):
-        SightLines(Dem(elevation, plane.geometry))
+        PointVisibility(Dem(elevation, plane.geometry))
     lift, unknown = sight.lifts((0.0, 0.0, 440.0), [[np.nan, 2.0, 3.0]])
     assert np.isnan(lift[0])
     assert unknown[0]

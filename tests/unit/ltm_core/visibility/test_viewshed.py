@@ -16,8 +16,8 @@ from ltm_core.errors import ConfigError, PoseError, RasterError
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
-from ltm_core.visibility.point_visibility import SightLines
-from ltm_core.visibility.viewshed import View, viewshed
+from ltm_core.visibility.point_visibility import PointVisibility
+from ltm_core.visibility.viewshed import PosedCamera, viewshed
 from ltm_ros.cli.viewshed import viewshed as command
 
 CAMERA = Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
@@ -32,11 +32,11 @@ def test_cells_that_an_image_hits_are_covered() -> None:
     row, col = dem.geometry.to_grid(points[..., 0], points[..., 1])
     close = np.isfinite(row) & (np.hypot(row - np.rint(row), col - np.rint(col)) < 0.02)
     rows, cols = np.rint(row[close]).astype(int), np.rint(col[close]).astype(int)
-    coverage = viewshed(SightLines(dem), [View("one", CAMERA, pose)], target_height=0.1)
+    coverage = viewshed(PointVisibility(dem), [PosedCamera("one", CAMERA, pose)], target_height=0.1)
     assert len(rows) > 100
     assert (coverage.count[rows, cols] == 1).mean() > 0.99
     # The other way round: a cell that is seen with several pixels on it is met by one.
-    exactly = viewshed(SightLines(dem), [View("one", CAMERA, pose)])
+    exactly = viewshed(PointVisibility(dem), [PosedCamera("one", CAMERA, pose)])
     hit = np.zeros(dem.geometry.shape, bool)
     cells = traced.cells()
     seen = cells[cells[..., 0] >= 0]
@@ -48,10 +48,12 @@ def test_cells_that_an_image_hits_are_covered() -> None:
 
 def test_counts_add_up_and_the_best_footprint_wins() -> None:
     dem = rough_terrain(5, (181, 263))
-    sight = SightLines(dem)
+    sight = PointVisibility(dem)
     views = [
-        View("a", CAMERA, Pose.from_angles(standing(dem, 100.0, 60.0, 25.0), 80.0, -15.0)),
-        View("b", Camera(320, 200, 150.0, 150.0, 159.5, 99.5), Pose.from_angles(standing(dem, 20, 200, 9), 215.0)),
+        PosedCamera("a", CAMERA, Pose.from_angles(standing(dem, 100.0, 60.0, 25.0), 80.0, -15.0)),
+        PosedCamera(
+            "b", Camera(320, 200, 150.0, 150.0, 159.5, 99.5), Pose.from_angles(standing(dem, 20, 200, 9), 215.0)
+        ),
     ]
     both = viewshed(sight, views)
     alone = [viewshed(sight, [view]) for view in views]
@@ -65,13 +67,13 @@ def test_counts_add_up_and_the_best_footprint_wins() -> None:
 def test_footprints_of_a_plane() -> None:
     plane = tilted_plane(0.0, 0.0).dem
     pose = Pose.from_angles((1.0, 1.0, 470.0), 0.0, -30.0)
-    sight = SightLines(plane, curvature=False)
-    coverage = viewshed(sight, [View("one", CAMERA, pose)])
+    sight = PointVisibility(plane, curvature=False)
+    coverage = viewshed(sight, [PosedCamera("one", CAMERA, pose)])
     row, col = (int(v) for v in plane.geometry.cell_of(1.0, 1.0 + 50.0 / np.tan(np.radians(30.0))))
     _, y = plane.geometry.to_map(row, col)
     distance = float(np.hypot(50.0, y - 1.0))
     assert coverage.footprint[row, col] == pytest.approx(distance / 600 * distance / 50, rel=0.01)
-    turned = viewshed(sight, [View("one", CAMERA, pose)], all_round=True)
+    turned = viewshed(sight, [PosedCamera("one", CAMERA, pose)], all_round=True)
     assert (turned.count == 1).all()
     assert np.isfinite(turned.footprint).all()
     assert turned.footprint[row, col] == pytest.approx(distance / 600 * distance / 50, rel=1e-4)
@@ -80,16 +82,16 @@ def test_footprints_of_a_plane() -> None:
 def test_heights_behind_a_ridge() -> None:
     scene = ridge()
     pose = Pose.from_angles((-390.0, 10.0, 140.0), 90.0)
-    sight = SightLines(scene.dem, curvature=False)
-    coverage = viewshed(sight, [View("one", CAMERA, pose)])
+    sight = PointVisibility(scene.dem, curvature=False)
+    coverage = viewshed(sight, [PosedCamera("one", CAMERA, pose)])
     row, col = (int(v) for v in scene.dem.geometry.cell_of(300.0, 10.0))
     x, _ = scene.dem.geometry.to_map(row, col)
     over = 140.0 + (260.0 - 140.0) / 390.0 * (float(x) + 390.0)
     assert coverage.count[row, col] == 0
     assert coverage.height[row, col] == pytest.approx(over - 40.0, abs=0.5)
     high = float(coverage.height[row, col])
-    assert viewshed(sight, [View("one", CAMERA, pose)], target_height=high + 0.5).count[row, col] == 1
-    assert viewshed(sight, [View("one", CAMERA, pose)], target_height=high - 0.5).count[row, col] == 0
+    assert viewshed(sight, [PosedCamera("one", CAMERA, pose)], target_height=high + 0.5).count[row, col] == 1
+    assert viewshed(sight, [PosedCamera("one", CAMERA, pose)], target_height=high - 0.5).count[row, col] == 0
     behind = scene.dem.geometry.cell_of(-398.0, 10.0)
     assert np.isnan(coverage.height[behind])
 
@@ -99,8 +101,8 @@ def test_range_resolution_and_unknown_ground() -> None:
     elevation = plane.elevation.copy()
     elevation[:20] = np.nan
     dem = Dem(elevation, plane.geometry)
-    view = View("one", CAMERA, Pose.from_angles((1.0, 1.0, 470.0), 0.0, -30.0))
-    near = viewshed(SightLines(dem), [view], resolution=8.0, max_range=100.0, all_round=True)
+    view = PosedCamera("one", CAMERA, Pose.from_angles((1.0, 1.0, 470.0), 0.0, -30.0))
+    near = viewshed(PointVisibility(dem), [view], resolution=8.0, max_range=100.0, all_round=True)
     assert near.geometry.shape == (53, 75)
     row, col = np.mgrid[0:53, 0:75]
     x, y = near.geometry.to_map(row, col)
@@ -110,8 +112,8 @@ def test_range_resolution_and_unknown_ground() -> None:
 
 
 def test_bad_arguments() -> None:
-    sight = SightLines(tilted_plane(0.0, 0.0).dem)
-    view = View("one", CAMERA, Pose.from_angles((1.0, 1.0, 470.0), 0.0))
+    sight = PointVisibility(tilted_plane(0.0, 0.0).dem)
+    view = PosedCamera("one", CAMERA, Pose.from_angles((1.0, 1.0, 470.0), 0.0))
     with pytest.raises(PoseError, match="at least one camera"):
         viewshed(sight, [])
     with pytest.raises(PoseError, match="0 or more metres"):

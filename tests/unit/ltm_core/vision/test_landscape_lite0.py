@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -19,13 +18,14 @@ from ltm_core.geodesy import SiteFrame
 from ltm_core.pose import Pose
 from ltm_core.resources import config_path
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import UInt8Array
 from ltm_core.vision.label_calibration_io import load_calibration
 from ltm_core.vision.labels import Label, LabelSet
 from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, Manifest
 from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
 
 
-def _photo(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
+def _photo(path: Path, size: tuple[int, int]) -> UInt8Array:
     return np.ascontiguousarray(cv2.resize(cv2.imread(str(path)), size, interpolation=cv2.INTER_AREA)[..., ::-1])
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scenes.networks import COLORS, changed, write_classifier
 
 from ltm_core.errors import ImageError, ModelError
 from ltm_core.evaluation.metrics.segmentation import score_labels
+from ltm_core.types import BoolArray, UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, InputSpec
 from ltm_core.vision.segmenter import Segmenter, input_tensor
@@ -20,7 +20,7 @@ from ltm_core.vision.upsample import upsampled_winner
 SIZE = (110, 170)  # of the photos: no multiple of the network's size
 
 
-def _photo(size: tuple[int, int] = SIZE) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+def _photo(size: tuple[int, int] = SIZE) -> tuple[UInt8Array, UInt8Array]:
     """Blue above, below it red at the left and lime at the right, a white patch in a corner; and its labels."""
     height, width = size
     photo = np.empty((height, width, 3), np.uint8)
@@ -37,7 +37,7 @@ def _photo(size: tuple[int, int] = SIZE) -> tuple[NDArray[np.uint8], NDArray[np.
     return photo, labels
 
 
-def _away_from_edges(labels: NDArray[np.uint8], pixels: int) -> NDArray[np.bool_]:
+def _away_from_edges(labels: UInt8Array, pixels: int) -> BoolArray:
     kernel = np.ones((2 * pixels + 1, 2 * pixels + 1), np.uint8)
     return np.asarray(cv2.dilate(labels, kernel) == cv2.erode(labels, kernel))
 
@@ -164,7 +164,7 @@ def test_a_tie_goes_to_the_lower_index() -> None:
         np.zeros((0, 6, 3), np.uint8),
     ],
 )
-def test_what_is_no_rgb_photo_is_refused(tmp_path: Path, photo: NDArray[np.uint8]) -> None:
+def test_what_is_no_rgb_photo_is_refused(tmp_path: Path, photo: UInt8Array) -> None:
     segmenter = Segmenter.open(write_classifier(tmp_path))
     with pytest.raises(ImageError, match=r"expected \(H, W, 3\) uint8 RGB"):
         segmenter.segment(photo)

@@ -31,7 +31,7 @@ def test_towers_send_votes_that_the_map_takes(tmp_path: Path) -> None:
             assert stamp_of(message) == stamp
             votes = msg_to_votes(message, grid, LabelSet.load().names, name)
             assert len(votes) > 5
-            assert votes.sighting is not None
+            assert votes.visibility is not None
             assert len(cdr) <= MAX_BYTES
             sizes.append(len(cdr))
     assert traffic.bytes == pytest.approx(sum(sizes) / 4)

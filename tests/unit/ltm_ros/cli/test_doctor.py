@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from ltm_ros import doctor
 from ltm_ros.cli.doctor import doctor as command
-from ltm_ros.doctor import Finding, State
+from ltm_ros.doctor import Condition, Finding
 from ltm_ros.launching import shared_memory
 
 ANSWER = '{"rmw": "rmw_fastrtps_cpp", "segment_bytes": [70255136, 549408]}'
@@ -55,12 +55,12 @@ def test_package_absent_or_too_old(monkeypatch: pytest.MonkeyPatch) -> None:
     findings = list(doctor._packages())
     numpy, rich, rerun = findings
     assert (numpy.state, numpy.detail, numpy.remedy) == (
-        State.MISSING,
+        Condition.MISSING,
         "1.20.0, needed >=1.26",
         "pip install 'numpy>=1.26'",
     )
-    assert (rich.state, rich.remedy) == (State.OK, "")
-    assert (rerun.area, rerun.state) == ("packages [view]", State.OPTIONAL)
+    assert (rich.state, rich.remedy) == (Condition.OK, "")
+    assert (rerun.area, rerun.state) == ("packages [view]", Condition.OPTIONAL)
     assert rerun.remedy == "pip install 'rerun-sdk>=0.28'"
     assert not doctor.healthy(findings)
     assert doctor.healthy([rich, rerun])
@@ -90,7 +90,7 @@ def test_requirements_of_an_installed_package(monkeypatch: pytest.MonkeyPatch, t
 def test_no_ros(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     (rclpy,) = doctor._ros()
-    assert rclpy.state is State.MISSING
+    assert rclpy.state is Condition.MISSING
     assert "pip install 'ltm[ros]'" in rclpy.remedy
     assert "apt install ros-jazzy-ros-base" in rclpy.remedy
     assert list(doctor._transport()) == []
@@ -98,27 +98,27 @@ def test_no_ros(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_transport_in_use() -> None:
     findings = list(doctor._transport())
-    assert {finding.state for finding in findings} == {State.OK}
+    assert {finding.state for finding in findings} == {Condition.OK}
     assert found(findings, "participant").detail == "rmw_fastrtps_cpp, shared memory of 70 MB and UDP"
 
 
 def test_profile_that_is_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", "/no/such.xml")
     profile = found(list(doctor._transport()), "profile")
-    assert (profile.state, profile.remedy) == (State.MISSING, "unset FASTRTPS_DEFAULT_PROFILES_FILE")
+    assert (profile.state, profile.remedy) == (Condition.MISSING, "unset FASTRTPS_DEFAULT_PROFILES_FILE")
 
 
 def test_participant_with_too_little_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     answer(monkeypatch, 0, '{"rmw": "rmw_fastrtps_cpp", "segment_bytes": [549408]}')
     participant = found(list(doctor._transport()), "participant")
-    assert participant.state is State.WARNING
+    assert participant.state is Condition.WARNING
     assert "0.5 MB: too small for images" in participant.detail
 
 
 def test_participant_that_does_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
     answer(monkeypatch, 1, "", "Traceback\nRuntimeError: no rmw_zenoh_cpp")
     participant = found(list(doctor._transport()), "participant")
-    assert participant.state is State.MISSING
+    assert participant.state is Condition.MISSING
     assert participant.detail.endswith("RuntimeError: no rmw_zenoh_cpp")
 
 
@@ -126,10 +126,10 @@ def test_small_and_littered_shared_memory(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(shared_memory, "free_bytes", lambda: 64 << 20)
     monkeypatch.setattr(shared_memory, "survey", lambda: shared_memory.SharedMemory(("a",), ("b", "c"), (), 140 << 20))
     room, segments = doctor._shared_memory()
-    assert (room.state, room.detail) == (State.WARNING, "64 MB free, enough for 0 nodes")
+    assert (room.state, room.detail) == (Condition.WARNING, "64 MB free, enough for 0 nodes")
     assert "--shm-size" in room.remedy
     assert segments.detail == "1 in use, 2 objects of dead processes (140 MB)"
-    assert segments.state is State.WARNING
+    assert segments.state is Condition.WARNING
 
 
 def test_numba_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -150,13 +150,16 @@ def test_damaged_model_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(onnx_model, "OnnxModel", damaged)
     default, *others = doctor._models()
-    assert (default.name, default.state) == (DEFAULT_MODEL, State.MISSING)
-    assert all(other.state is State.OPTIONAL for other in others)
+    assert (default.name, default.state) == (DEFAULT_MODEL, Condition.MISSING)
+    assert all(other.state is Condition.OPTIONAL for other in others)
 
 
-@pytest.mark.parametrize(("state", "status"), [(State.MISSING, 1), (State.WARNING, 0), (State.OPTIONAL, 0)])
-def test_exit_code_and_json(monkeypatch: pytest.MonkeyPatch, state: State, status: int) -> None:
-    findings = [Finding("machine", "cores", State.OK, "2"), Finding("ros", "rclpy", state, "[x] not found", "mend it")]
+@pytest.mark.parametrize(("state", "status"), [(Condition.MISSING, 1), (Condition.WARNING, 0), (Condition.OPTIONAL, 0)])
+def test_exit_code_and_json(monkeypatch: pytest.MonkeyPatch, state: Condition, status: int) -> None:
+    findings = [
+        Finding("machine", "cores", Condition.OK, "2"),
+        Finding("ros", "rclpy", state, "[x] not found", "mend it"),
+    ]
     monkeypatch.setattr(doctor, "examine", lambda: findings)
     app = typer.Typer()
     app.command()(command)
@@ -173,10 +176,10 @@ def test_exit_code_and_json(monkeypatch: pytest.MonkeyPatch, state: State, statu
 
 def test_sound_packages_share_a_line() -> None:
     given = [
-        Finding("packages", "numpy", State.OK, "2.4"),
-        Finding("packages", "scipy", State.OK, "1.17"),
-        Finding("packages", "mcap", State.MISSING, "not installed", "pip install mcap"),
-        Finding("packages [view]", "rerun-sdk", State.OK, "0.41"),
+        Finding("packages", "numpy", Condition.OK, "2.4"),
+        Finding("packages", "scipy", Condition.OK, "1.17"),
+        Finding("packages", "mcap", Condition.MISSING, "not installed", "pip install mcap"),
+        Finding("packages [view]", "rerun-sdk", Condition.OK, "0.41"),
     ]
     assert [line.detail for line in doctor.summed_up(given)] == [
         "numpy 2.4, scipy 1.17",

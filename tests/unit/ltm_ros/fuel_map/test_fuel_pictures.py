@@ -17,14 +17,23 @@ from typer.testing import CliRunner
 
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, ImageError
-from ltm_core.fuel.codes import Region, fuel_models
+from ltm_core.fuel.codes import FuelRegion, fuel_models
 from ltm_core.fuel.coverage import CoverageMap
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes
 from ltm_core.fuel.life_form import LifeForm, life_form_labels
 from ltm_core.grid import GridGeometry
 from ltm_core.pictures.axes import round_step, with_axes
 from ltm_core.pictures.fuel_colors import code_color, code_colors, code_names
-from ltm_core.pictures.fuel_maps import CAMERAS, DOUBT, FOOTPRINT, FRAMES, FuelCanvas, Place, Scale, overlay_picture
+from ltm_core.pictures.fuel_maps import (
+    CAMERAS,
+    DOUBT,
+    FOOTPRINT,
+    FRAMES,
+    CameraMark,
+    FuelCanvas,
+    Scale,
+    overlay_picture,
+)
 from ltm_core.pictures.fuel_sheets import change_sheet, coverage_sheet, fuel_sheet, seen_sheet
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.resources import config_path
@@ -47,7 +56,7 @@ def flat() -> Dem:
 
 
 def layers(classes: np.ndarray) -> FuelLayers:
-    return layers_of_classes(classes, None, Region.named("dry"))
+    return layers_of_classes(classes, None, FuelRegion.named("dry"))
 
 
 def bare(canvas: FuelCanvas, picture: np.ndarray) -> np.ndarray:
@@ -99,7 +108,7 @@ def test_ticks_stand_where_they_say() -> None:
 
 
 def test_cells_lie_on_their_place_and_changed_ones_are_outlined() -> None:
-    canvas = FuelCanvas(GRID, flat(), [Place("north", 400.0, 500.0)], GRID.bounds, width=720)
+    canvas = FuelCanvas(GRID, flat(), [CameraMark("north", 400.0, 500.0)], GRID.bounds, width=720)
     classes = np.full(GRID.shape, 255, np.uint8)
     classes[3:9, 10:20] = LifeForm.TREE
     classes[5:7, 12:15] = LifeForm.BURNED
@@ -160,7 +169,7 @@ def test_coverage_counts_frames_and_keeps_the_best_footprint(tmp_path: Path) -> 
     best = np.full(grid.shape, np.inf)
     for frame in frames[:2]:
         count[frame.rows, frame.cols] += 1
-        best[frame.rows, frame.cols] = np.minimum(best[frame.rows, frame.cols], frame.sighting.footprint)
+        best[frame.rows, frame.cols] = np.minimum(best[frame.rows, frame.cols], frame.visibility.footprint)
     np.testing.assert_array_equal(north.frames, count)
     np.testing.assert_allclose(north.footprint, np.where(count > 0, best, np.nan))
     np.testing.assert_array_equal(coverage.count(), (count > 0).astype(int) + (coverage.cameras["east"].frames > 0))
@@ -185,7 +194,7 @@ def test_the_shown_part_holds_what_is_seen_and_the_cameras() -> None:
     cells = np.zeros(GRID.shape, bool)
     assert seen_window(GRID, cells, []) == GRID.bounds
     cells[8, 10] = True
-    west, south, east, north = seen_window(GRID, cells, [Place("a", 500.0, 600.0)])
+    west, south, east, north = seen_window(GRID, cells, [CameraMark("a", 500.0, 600.0)])
     assert (west, east, south, north) == (265.0, 650.0, 450.0, 795.0)
 
 

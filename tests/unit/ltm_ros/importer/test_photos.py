@@ -9,7 +9,6 @@ import numpy as np
 import pillow_heif
 import pytest
 import yaml
-from numpy.typing import NDArray
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -21,6 +20,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.site import Site
 from ltm_core.site_io import load_site
+from ltm_core.types import UInt8Array
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import compressed_to_rgb
@@ -36,7 +36,7 @@ X0, Y0 = 402_000.0, 3_787_000.0
 GROUND = 1500.0
 
 
-def picture() -> NDArray[np.uint8]:
+def picture() -> UInt8Array:
     v, u = np.mgrid[0:H, 0:W]
     return np.stack([u * 3, v * 5, 255 - u * 2], axis=-1).astype(np.uint8)
 
@@ -57,7 +57,7 @@ def phone(**changes: Any) -> dict[str, dict[int, Any]]:
     return {part: {t: v for t, v in tags.items() if v is not None} for part, tags in ifds.items()}
 
 
-def save(path: Path, facts: dict[str, dict[int, Any]] | None = None, pixels: NDArray[np.uint8] | None = None) -> Path:
+def save(path: Path, facts: dict[str, dict[int, Any]] | None = None, pixels: UInt8Array | None = None) -> Path:
     pillow_heif.register_heif_opener()
     image = Image.fromarray(picture() if pixels is None else pixels)
     if facts is None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from ltm_ros.launching.supervisor import EX_CONFIG, Backoff, NodeProcess, RestartPolicy, State, describe_exit
+from ltm_ros.launching.supervisor import EX_CONFIG, Backoff, NodeProcess, ProcessState, RestartPolicy, describe_exit
 
 QUICK = RestartPolicy(initial_s=0.01, maximum_s=0.02, config_tries=2)
 
@@ -84,7 +84,7 @@ def test_output_of_both_kinds_goes_to_console_and_log(tmp_path: Path) -> None:
     assert one.lines[1].startswith("[north/depth] err")
     log = (tmp_path / "logs/north.depth.log").read_text().splitlines()
     assert [line.split(" ", 2)[2][:3] for line in log] == ["out", "err"]
-    assert one.process.state is State.STOPPED
+    assert one.process.state is ProcessState.STOPPED
 
 
 def test_restarts_whatever_way_it_dies(tmp_path: Path) -> None:
@@ -102,7 +102,7 @@ def test_gives_up_a_configuration_error_with_its_last_words(tmp_path: Path) -> N
     given_up: list[str] = []
     one = Supervised(tmp_path, "import sys; print('no such camera'); sys.exit(78)")
     one.process.on_given_up = lambda: given_up.append("north/depth")
-    one.wait_for(lambda: one.process.state is State.GIVEN_UP)
+    one.wait_for(lambda: one.process.state is ProcessState.GIVEN_UP)
     assert one.process.wait_stopped(5.0)
     assert one.process.starts == 2
     assert one.process.last_words()[-1] == "no such camera"

@@ -447,7 +447,7 @@ def test_frames_survive_as_bytes() -> None:
         found, expected = getattr(back, name), getattr(given, name)
         assert found.dtype == expected.dtype
         np.testing.assert_array_equal(found, expected)
-    for found, expected in zip(back.sighting.columns(), given.sighting.columns(), strict=True):
+    for found, expected in zip(back.visibility.columns(), given.visibility.columns(), strict=True):
         np.testing.assert_array_equal(found, expected)
     for payload in (b"", b"x" * 40, votes_to_bytes(given)[:-7]):
         with pytest.raises(ConfigError, match="damaged"):

@@ -13,7 +13,7 @@ from scenes.outlets import Kept
 from scenes.small_site import write_small_site
 
 from ltm_core.errors import MessageError
-from ltm_core.fuel.codes import Region
+from ltm_core.fuel.codes import FuelRegion
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.grid import GridGeometry
@@ -117,7 +117,7 @@ def test_the_layers_of_the_fuel_map_are_shown_with_burned_cells(tmp_path: Path) 
     grid = small.site.fuel_geometry(small.dem)
     classes = np.full(grid.shape, LifeForm.GRASS, np.uint8)
     classes[2:4, 3:5] = LifeForm.BURNED
-    layers = layers_of_classes(classes, None, Region.named("dry"))
+    layers = layers_of_classes(classes, None, FuelRegion.named("dry"))
     seen = replace(layers, last_seen=np.where(classes == LifeForm.BURNED, STAMP, 0))
     cells = fuel_cells_to_msg(seen, np.zeros(grid.shape), grid, STAMP)
     take[site_topic(small.site.name, FUEL_MAP_CELLS)](cells)

@@ -9,7 +9,7 @@ import pytest
 
 from ltm_core.errors import ImageError
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.stamp_join import StampJoin
+from ltm_ros.runtime.stamp_join import REMEMBERED, Match, Part, StampJoin
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def test_oldest_incomplete_set_goes_when_too_many_wait(health: Health) -> None:
     assert health.dropped == {}
     join.add("a", 4, 4)
     assert health.dropped == {"unjoined": 1}
-    assert health.last_error == "unjoined: stamp 1 ns never got its b, c"
+    assert health.last_error == "unjoined: stamp 1 ns never got its b, c (3 later ones wait too)"
     for name in "bc":
         join.add(name, 2, name)
     assert done == [{"a": 2, "b": "b", "c": "c"}]
@@ -71,12 +71,70 @@ def test_oldest_incomplete_set_goes_when_too_many_wait(health: Health) -> None:
 
 def test_stamps_that_are_done_are_forgotten_one_day(health: Health) -> None:
     join, done = join_of(health, ("a",), capacity=2)
-    for stamp in range(100):
+    for stamp in range(REMEMBERED + 2):
         join.add("a", stamp, stamp)
-    join.add("a", 99, "again")
+    join.add("a", REMEMBERED, "again")
     assert health.dropped == {"duplicate": 1}
     join.add("a", 0, "forgotten")
-    assert len(done) == 101
+    assert len(done) == REMEMBERED + 3
+
+
+def test_frames_go_on_without_what_they_can_do_without_when_they_have_waited(health: Health) -> None:
+    done: list[Any] = []
+    parts = ("a", Part("labels", wait_s=2.0, remembered=2))
+    join = StampJoin(parts, lambda **found: done.append(found), health, capacity=3, whole_capacity=2)
+    join.add("labels", 1, "first")  # before its frame
+    join.add("a", 1, "a1")
+    assert done.pop() == {"a": "a1", "labels": "first"}
+    for stamp in (2, 3):
+        join.add("a", stamp, f"a{stamp}")
+    join.add("labels", 3, "third")
+    assert done.pop() == {"a": "a3", "labels": "third"}
+    join.tick(2.0)
+    assert not done
+    join.tick(0.5)
+    assert done.pop() == {"a": "a2", "labels": None}
+    for stamp in (4, 5, 6):  # more than two that wait for labels alone
+        join.add("a", stamp, f"a{stamp}")
+    assert done.pop() == {"a": "a4", "labels": None}
+    join.finish()
+    assert [found["a"] for found in done] == ["a5", "a6"]
+    assert health.dropped == {}
+
+
+def test_frames_wait_no_longer_than_they_are_told(health: Health) -> None:
+    told: list[Any] = []
+    join = StampJoin(
+        ("a", "b"),
+        lambda **_: None,
+        health,
+        max_wait=3.0,
+        give_up=lambda stamp, lacking, why: told.append((stamp, lacking, why)),
+    )
+    join.add("b", 7, "b")
+    join.tick(3.0)
+    assert not told
+    join.tick(0.1)
+    assert told == [(7, ["a"], "waited 3.0 s")]
+    assert health.dropped == {}
+
+
+def test_a_pose_may_be_near_and_a_calibration_of_before(health: Health) -> None:
+    done: list[Any] = []
+    parts = ("image", Part("pose", Match.NEAREST, tolerance_ns=10), Part("info", Match.LATEST))
+    join = StampJoin(parts, lambda **found: done.append(found), health)
+    join.add("image", 100, "photo")
+    join.add("info", 250, "later")
+    join.add("pose", 95, "near")
+    assert not done, "a nearer pose may still come"
+    join.add("info", 40, "earlier")
+    join.add("pose", 103, "nearer")
+    assert done == [{"image": "photo", "pose": "nearer", "info": "earlier"}]
+    join.add("image", 120, "alone")
+    join.add("pose", 140, "too far")
+    join.finish()
+    assert len(done) == 1
+    assert health.last_error == "unjoined: stamp 120 ns never got its pose (the recording or the node ended)"
 
 
 def test_what_the_set_raises_reaches_the_caller_and_the_set_is_done(health: Health) -> None:
