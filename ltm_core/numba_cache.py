@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+import sys
 import tempfile
 from pathlib import Path
 
@@ -19,8 +20,9 @@ _KEPT = 3
 
 
 def use_own_cache(source: Path) -> Path | None:
-    """Point numba, before it is imported, to the cache of this state of `source`; the folder, or None where not ours.
+    """Point numba to the cache of this state of `source`; the folder, or None where not ours.
 
+    Numba reads the variable when it is imported: where somebody has imported it before us, as pytest does, it is told.
     A NUMBA_CACHE_DIR that the user has set is left alone; so is everything where no place can be written to.
     """
     given = os.environ.get(_VARIABLE)
@@ -42,6 +44,8 @@ def use_own_cache(source: Path) -> Path | None:
             continue
         if os.access(folder, os.W_OK):
             os.environ[_VARIABLE] = str(folder)
+            if "numba" in sys.modules:
+                sys.modules["numba"].config.CACHE_DIR = str(folder)
             _forget_former(parent, folder)
             return folder
     return None

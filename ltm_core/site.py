@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from ltm_core.camera import Camera
@@ -17,6 +19,7 @@ from ltm_core.geodesy import SiteFrame, ray_bend
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.raster.dem_stack import open_terrain, with_surface
+from ltm_core.types import Float64Array
 
 
 def _ros_name(name: str) -> str:
@@ -81,6 +84,19 @@ class FuelConfig(Config):
     """What the network takes for what, and how its errors correlate: a YAML file; None: its calibration."""
 
 
+class PoseErrorConfig(Config):
+    """Standard deviations of a pose that comes without a covariance."""
+
+    angle_deg: float = Field(0.3, gt=0)
+    """Of each angle. What surveyed mounts keep; a phone's compass is off by five degrees, and should say so."""
+    position: float = Field(0.5, gt=0)
+    """Metres, of each coordinate."""
+
+    def covariance(self) -> Float64Array:
+        """(6, 6): position, then rotation about the map's axes, in metres and radians."""
+        return np.diag([self.position**2] * 3 + [math.radians(self.angle_deg) ** 2] * 3)
+
+
 class TerrainConfig(Config):
     """The living terrain; a site that has this section runs the node `terrain`. Lengths in metres, times in seconds."""
 
@@ -117,10 +133,6 @@ class TerrainConfig(Config):
     """Time in which a look loses all but 1/e of its weight: over years, plants grow and rivers move their banks."""
     tallest: float = Field(60.0, gt=0)
     """Nothing on the ground is higher: smoke, birds and aircraft are."""
-    pose_sigma_deg: float = Field(0.1, gt=0)
-    """Of the angles of a pose that comes without a covariance."""
-    position_sigma: float = Field(0.3, gt=0)
-    """Of the position of a pose that comes without a covariance."""
     register_frames: bool = True
     """Turn each frame, within its pose's uncertainty, so that it agrees best with the reference."""
     cache_mb: float = Field(100.0, ge=32)
@@ -215,6 +227,7 @@ class Site(Config):
     curvature: bool = True
     refraction: float = Field(0.13, ge=0, lt=1)
     fuel: FuelConfig = FuelConfig()
+    assumed_pose_error: PoseErrorConfig = PoseErrorConfig()
     terrain: TerrainConfig | None = None
     """Where given, the surface is kept up to date from fused depth."""
     labels: str = "labels.yaml"

@@ -60,7 +60,15 @@ class Finding:
 
 def examine() -> list[Finding]:
     """Everything, in the order in which a person would mend it."""
-    return [*_python(), *_packages(), *_ros(), *_transport(), *_shared_memory(), *_models(), *_machine()]
+    return [
+        *check_python(),
+        *check_packages(),
+        *check_ros(),
+        *check_transport(),
+        *check_shared_memory(),
+        *check_models(),
+        *check_machine(),
+    ]
 
 
 def as_json(findings: list[Finding]) -> str:
@@ -103,7 +111,7 @@ def requirements() -> dict[str, list[Requirement]]:
     return by_extra
 
 
-def _python() -> Iterator[Finding]:
+def check_python() -> Iterator[Finding]:
     version = ".".join(map(str, sys.version_info[:3]))
     fine = sys.version_info >= (3, 11)
     yield Finding(
@@ -115,7 +123,7 @@ def _python() -> Iterator[Finding]:
     )
 
 
-def _packages() -> Iterator[Finding]:
+def check_packages() -> Iterator[Finding]:
     for extra, needed in requirements().items():
         for requirement in needed:
             if requirement.marker is not None and not requirement.marker.evaluate({"extra": extra}):
@@ -145,7 +153,7 @@ def _distribution(name: str) -> str | None:
         return None
 
 
-def _ros() -> Iterator[Finding]:
+def check_ros() -> Iterator[Finding]:
     remedy = f"{INSTALL} 'ltm[ros]' (x86-64), or: apt install ros-jazzy-ros-base && source /opt/ros/jazzy/setup.sh"
     spec = importlib.util.find_spec("rclpy")
     if spec is None or spec.origin is None:
@@ -163,7 +171,7 @@ def _ros() -> Iterator[Finding]:
         yield Finding("ros", "messages", Condition.OK, ", ".join(MESSAGE_PACKAGES))
 
 
-def _transport() -> Iterator[Finding]:
+def check_transport() -> Iterator[Finding]:
     if importlib.util.find_spec("rclpy") is None:
         return
     environment = ros_environment()
@@ -214,7 +222,7 @@ def _participant(environment: Mapping[str, str]) -> Finding:
     )
 
 
-def _shared_memory() -> Iterator[Finding]:
+def check_shared_memory() -> Iterator[Finding]:
     free = shared_memory.free_bytes()
     if free is None:
         yield Finding(
@@ -244,7 +252,7 @@ def _shared_memory() -> Iterator[Finding]:
     )
 
 
-def _models() -> Iterator[Finding]:
+def check_models() -> Iterator[Finding]:
     from ltm_core.vision.manifest import Manifest, shipped_names
     from ltm_core.vision.onnx_model import OnnxModel
     from ltm_core.vision.segmenter import DEFAULT_MODEL
@@ -263,7 +271,7 @@ def _models() -> Iterator[Finding]:
         yield Finding("models", name, Condition.OK, f"{model.path}{role}, checksum as its manifest states")
 
 
-def _machine() -> Iterator[Finding]:
+def check_machine() -> Iterator[Finding]:
     cores = available_cores()
     yield Finding(
         "machine",
@@ -280,7 +288,7 @@ def _machine() -> Iterator[Finding]:
         f"{memory:.1f} GB for this process",
         "" if memory >= LEAST_MEMORY_GB else f"give it {LEAST_MEMORY_GB:.0f} GB, or run fewer cameras with --only",
     )
-    folder = _numba_cache()
+    folder = numba_cache()
     yield Finding(
         "machine",
         "numba cache",
@@ -303,7 +311,7 @@ def _memory_gb() -> float:
     return total / 1e9
 
 
-def _numba_cache() -> Path | None:
+def numba_cache() -> Path | None:
     """The folder in which numba keeps compiled kernels: its own order of search; None where none is writable."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     beside = Path(ltm_core.__file__).resolve().parent / "__pycache__"

@@ -13,7 +13,7 @@ from ltm_core.bench.tracing import OURS, Measured, Scene
 def rows(results: list[Measured], scenes: list[Scene]) -> list[dict[str, Any]]:
     """One row a size and scene.
 
-    Keys: size, scene, pixels, `ours_{warm,cold,still,portable}_{cpu,wall}_ms`, `<peer>_{cpu,wall}_ms`,
+    Keys: size, scene, pixels, `ours_{warm,cold,still}_{cpu,wall}_ms`, `<peer>_{cpu,wall}_ms`,
     `ratio_<peer>_{warm,cold}` (the peer's processor time over ours), `<tracer>_setup_cpu_ms`, `<tracer>_memory_mb`.
     What was not measured is null.
     """
@@ -23,7 +23,7 @@ def rows(results: list[Measured], scenes: list[Scene]) -> list[dict[str, Any]]:
         for scene in scenes:
             row: dict[str, Any] = {"size": size, "scene": scene.name, "pixels": scene.width * scene.height}
             ours = by.get((size, OURS))
-            for state in ("warm", "cold", "still", "portable"):
+            for state in ("warm", "cold", "still"):
                 cost = ours.frames[scene.name][state] if ours else None
                 row[f"ours_{state}_cpu_ms"] = cost and cost.cpu_ms
                 row[f"ours_{state}_wall_ms"] = cost and cost.wall_ms

@@ -1,7 +1,7 @@
 """`ltm bench trace`: our tracer beside its peers on the same views of the same mountains, each in a process of its own.
 
-Ours is timed in four states: *cold*, from a position where no camera stood before; *warm*, another view from the
-same position; *still*, the same camera and pose again; and *portable*: warm, by the kernel for any processor.
+Ours is timed in three states: *cold*, from a position where no camera stood before; *warm*, another view from the
+same position; and *still*, the same camera and pose again.
 """
 
 from __future__ import annotations
@@ -185,8 +185,4 @@ def _ours(tracer: TerrainTracer, scene: Scene, pose: Pose, repeats: int, steps: 
     warm = least_cost(lambda: tracer.trace(camera, turned(next(steps))), repeats)
     tracer.trace(camera, pose)
     still = least_cost(lambda: tracer.trace(camera, pose), repeats)
-    chosen, tracer.by_lanes = tracer.by_lanes, False
-    tracer.trace(camera, turned(next(steps)))
-    portable = least_cost(lambda: tracer.trace(camera, turned(next(steps))), repeats)
-    tracer.by_lanes = chosen
-    return {"warm": warm, "cold": cold, "still": still, "portable": portable}
+    return {"warm": warm, "cold": cold, "still": still}

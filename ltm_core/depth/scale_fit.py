@@ -69,7 +69,7 @@ def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, in
     known = np.isfinite(at)
     if known.sum() < 50:
         return _unusable(network, None, f"{int(known.sum())} of {len(samples)} ground samples have a network depth")
-    line = _line(network.kind, at[known], samples.part(known))
+    line = fitted_line(network.kind, at[known], samples.part(known))
     if line is None:
         return _unusable(network, None, "the network's depth is constant over the ground samples")
     if line.inlier_ratio < LEAST_INLIERS:
@@ -120,7 +120,7 @@ def _too_few(samples: GroundSamples) -> str:
     return "" if len(samples) >= 50 else f"{len(samples)} pixels of trustworthy ground are too few to fit a scale to"
 
 
-def _line(kind: str, values: Float64Array, samples: GroundSamples) -> Line | None:
+def fitted_line(kind: str, values: Float64Array, samples: GroundSamples) -> Line | None:
     """Scale and shift. Residuals of inverse depth weigh in proportion to it among the near, evenly among the far, and
     less where the terrain itself is unsure."""
     inverse = 1.0 / samples.depth

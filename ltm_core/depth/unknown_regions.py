@@ -2,6 +2,9 @@
 
 A hole in the DEM has ground all about it, to which the network's scale holds. Land beyond the raster reaches up to the
 sky or the image's edge, at any distance, and a network that was fitted to the near ground knows nothing of it.
+
+A union-find over runs of unknown pixels, and not `cv2.connectedComponents`: with that and the sky's dilation the same
+answer takes 18 ms of a 1080p frame, a third of all fusion, where this takes 0.5 ms (two cores of an AMD EPYC).
 """
 
 from __future__ import annotations
@@ -13,10 +16,9 @@ from ltm_core.types import Float32Array, Int32Array, Int64Array, UInt8Array
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def clear_unenclosed(ground: Float32Array, depth: Float32Array, sigma: Float32Array, source: UInt8Array) -> Int32Array:
+def clear_unenclosed(ground: Float32Array, depth: Float32Array, sigma: Float32Array, source: UInt8Array) -> None:
     """Make unknown in `depth`, `sigma` (H, W) and `source` what regions of NaN in the traced `ground` (H, W) cover that
-    touch sky or the image's edge, by a corner or more; the runs of the others, (N, 3): row, first column, and the one
-    behind the last.
+    touch sky or the image's edge, by a corner or more.
 
     Regions are made of runs of pixels in rows: there are few of them, so that each pixel is looked at once.
     """
@@ -42,18 +44,12 @@ def clear_unenclosed(ground: Float32Array, depth: Float32Array, sigma: Float32Ar
                 open_ended[a] |= open_ended[b]
             j += 1
         open_ended[_root(parent, k)] |= open_ended[k]
-    holes = np.empty((count, 3), np.int32)
-    kept = 0
     for k in range(count):
         if open_ended[_root(parent, k)]:
             v = rows[k]
             for u in range(starts[k], ends[k]):
                 if source[v, u] != 0:
                     depth[v, u], sigma[v, u], source[v, u] = np.float32(np.nan), np.float32(np.nan), 0
-        else:
-            holes[kept] = rows[k], starts[k], ends[k]
-            kept += 1
-    return holes[:kept]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

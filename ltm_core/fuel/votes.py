@@ -15,7 +15,6 @@ from ltm_core.fuel.cell_visibility import CellVisibility, cell_visibility
 from ltm_core.fuel.vote_kernel import sum_pixels
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
-from ltm_core.range_image import RangeImage
 from ltm_core.types import BoolArray, Float32Array, Int32Array, UInt8Array, UInt32Array
 
 FRAME_CAP = 10.0
@@ -174,32 +173,3 @@ class VoteCaster:
         visibility = replace(visibility, bearing=np.arctan2(east, north).astype(np.float32))
         mean = None if confidence is None else (sums.confidence / 255).astype(np.float32)
         return CellVotes(self.geometry, rows, cols, sums.counts, z, stamp_ns, source, mean, visibility)
-
-
-def cast_votes(
-    ranges: RangeImage,
-    labels: UInt8Array,
-    geometry: GridGeometry,
-    dem: Dem,
-    votes_for: BoolArray,
-    stamp_ns: int,
-    source: str,
-    max_range: float = np.inf,
-    confidence: UInt8Array | None = None,
-    covariance: ArrayLike | None = None,
-) -> CellVotes:
-    """The votes of a traced image; see `VoteCaster.cast`."""
-    if labels.shape != ranges.range.shape:
-        raise ImageError(f"labels of {labels.shape} and ranges of {ranges.range.shape} are not of one image")
-    caster = VoteCaster(geometry, dem, votes_for, max_range, ranges.bend)
-    return caster.cast(
-        ranges.range,
-        ranges.camera,
-        ranges.pose,
-        labels,
-        stamp_ns,
-        source,
-        confidence,
-        covariance,
-        along_axis=False,
-    )

@@ -70,7 +70,7 @@ class DemStack(Dem):
 
     def in_frame(self, frame: SiteFrame) -> DemStack:
         """The same stack in a site's map frame; see `Dem.in_frame`."""
-        return DemStack._of([level.in_frame(frame) for level in self.levels])
+        return DemStack.of_fitted([level.in_frame(frame) for level in self.levels])
 
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Float64Array:
         """Bilinear height at map points of the finest level over them; NaN beyond the coarsest and in holes."""
@@ -97,7 +97,8 @@ class DemStack(Dem):
         self._hold(levels)
 
     @classmethod
-    def _of(cls, fitted: list[Dem]) -> DemStack:
+    def of_fitted(cls, fitted: list[Dem]) -> DemStack:
+        """Of levels, finest first, that have been fitted to each other already."""
         stack = cls.__new__(cls)
         stack._hold(fitted)
         return stack
@@ -130,7 +131,7 @@ def with_surface(ground: Dem, surface: Dem) -> Dem:
         return whole
     whole = _within(whole, levels[0])
     lead_over(whole.elevation, whole.geometry, levels[0].elevation, levels[0].geometry)
-    return DemStack._of([whole, *levels])
+    return DemStack.of_fitted([whole, *levels])
 
 
 def _covers(outer: GridGeometry, inner: GridGeometry) -> bool:

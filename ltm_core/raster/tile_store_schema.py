@@ -64,12 +64,6 @@ class StoreSchema:
         """Rows and columns of tiles that cover the grid; those at its south and east edges reach over it."""
         return ceil(self.geometry.height / self.tile), ceil(self.geometry.width / self.tile)
 
-    def keys_of(self, rows: NDArray[Any], cols: NDArray[Any]) -> list[Key]:
-        """The tiles that hold these cells, each once, in row-major order."""
-        across = self.tiles[1]
-        numbers = np.unique(np.asarray(rows, np.int64) // self.tile * across + np.asarray(cols, np.int64) // self.tile)
-        return [(int(n) // across, int(n) % across) for n in numbers]
-
     def described(self) -> str:
         """As the file states it."""
         return json.dumps(

@@ -102,11 +102,6 @@ class DepthFrame:
                 )
 
 
-def assumed_covariance(angle_sigma_deg: float, position_sigma: float) -> Float64Array:
-    """Of a pose that comes without one."""
-    return np.diag([position_sigma**2] * 3 + [math.radians(angle_sigma_deg) ** 2] * 3)
-
-
 class Observer:
     """Turns depth images into observations of a reference surface.
 
@@ -131,7 +126,7 @@ class Observer:
             reference.bare,
             reference.slopes.east,
             reference.slopes.north,
-            _block_maxima(reference.surface),
+            block_maxima(reference.surface),
             BLOCK,
             geometry.x_min,
             geometry.y_max,
@@ -207,7 +202,7 @@ class Observer:
         return sights
 
 
-def _block_maxima(surface: Float32Array) -> Float32Array:
+def block_maxima(surface: Float32Array) -> Float32Array:
     """Of BLOCK x BLOCK cells and those around them; -inf where nothing is known."""
     height, width = surface.shape
     starts = np.arange(0, width, BLOCK)

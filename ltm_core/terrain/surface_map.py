@@ -10,13 +10,13 @@ import numpy as np
 from ltm_core.errors import ConfigError
 from ltm_core.pose import Pose
 from ltm_core.raster.tile_store import CellChanges, FrameRecord, Key, TileStore
-from ltm_core.site import TerrainConfig
+from ltm_core.site import PoseErrorConfig, TerrainConfig
 from ltm_core.terrain.cell_layout import TILE
 from ltm_core.terrain.cell_update import Rules, merge
 from ltm_core.terrain.change import Changed, decide, margin_of
 from ltm_core.terrain.free_space import INSIDE, see_through
 from ltm_core.terrain.layers import SurfaceLayers, layers_of
-from ltm_core.terrain.observation import DepthFrame, Observer, assumed_covariance
+from ltm_core.terrain.observation import DepthFrame, Observer
 from ltm_core.terrain.observation_kernel import Limits
 from ltm_core.terrain.reference_surface import Reference
 from ltm_core.terrain.registration import Registration, register
@@ -30,7 +30,7 @@ _OWN_SIGMA = 0.25
 """Metres: what the height of a cell can mean when a crown or boulder stands in it."""
 _CARVE_SIGMA = 0.5
 """Metres: of the height of a ray that passed over a cell."""
-_CHUNK = 8
+DECIDED_TILES = 8
 """Tiles a side that are decided at once: the rasters of more would be the largest part of the map's memory."""
 
 
@@ -67,6 +67,7 @@ class SurfaceMap:
             kept compressed.
         curvature, refraction: of rays, as the tracer takes them.
         gone: (256,) log odds by label id that what stood in a cell is gone; None: labels say nothing of it.
+        assumed_pose_error: of frames without a covariance; None: the default.
 
     Raises ConfigError for more cameras than a cell can tell apart.
     """
@@ -80,10 +81,12 @@ class SurfaceMap:
         curvature: bool = True,
         refraction: float = 0.13,
         gone: Float32Array | None = None,
+        assumed_pose_error: PoseErrorConfig | None = None,
     ) -> None:
         if len(cameras) > CAMERAS:
             raise ConfigError(f"a terrain tells {CAMERAS} cameras apart, this site has {len(cameras)}; split the site")
         self.reference, self.config, self.cameras = reference, config, tuple(cameras)
+        self._assumed_covariance = (assumed_pose_error or PoseErrorConfig()).covariance()
         self._tracer = TerrainTracer(reference.surface_dem, curvature, refraction)
         self._limits = Limits(
             config.min_range,
@@ -136,7 +139,7 @@ class SurfaceMap:
         config = self.config
         covariance = frame.covariance
         if covariance is None:
-            covariance = assumed_covariance(config.pose_sigma_deg, config.position_sigma)
+            covariance = self._assumed_covariance
         turned = None
         if config.register_frames:
             turned = self._registered(frame, covariance)
@@ -162,10 +165,10 @@ class SurfaceMap:
             core = {
                 key
                 for key in self._undecided
-                if key[0] < first[0] + _CHUNK and first[1] - _CHUNK < key[1] < first[1] + _CHUNK
+                if key[0] < first[0] + DECIDED_TILES and first[1] - DECIDED_TILES < key[1] < first[1] + DECIDED_TILES
             }
             left = min(key[1] for key in core)
-            core = {key for key in core if key[1] < left + _CHUNK}
+            core = {key for key in core if key[1] < left + DECIDED_TILES}
             found = found.joined(self._decide(core))
             self._undecided -= core
         return found

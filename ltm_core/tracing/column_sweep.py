@@ -5,9 +5,6 @@ of the pixel below: the place is kept as a hint. From the strip that the entry n
 of which it takes half a dozen on the average; a ray that needs more, or comes to a hole, is handed to the pyramid
 (`traversal.hit_between`), which holds the rules for what ends a ray. A ray without an entry meets nothing, and the
 terrain is not looked at.
-
-All of this exists for one ray at a time (here: on any processor, and for whatever is rare) and for eight
-(`sweep_lanes`).
 """
 
 from __future__ import annotations
@@ -19,7 +16,6 @@ from numba import njit, prange
 
 from ltm_core.tracing.cell_intersection import FASTMATH, clearance, first_root, meets, ray_height, surface
 from ltm_core.tracing.column_block import (
-    ANSWERED,
     BY_PYRAMID,
     COLUMNS,
     FACE,
@@ -33,14 +29,12 @@ from ltm_core.tracing.column_block import (
     new_block,
 )
 from ltm_core.tracing.horizon_profile import WEDGES_A_FACE, Wedges
-from ltm_core.tracing.lanes import WIDTH
 from ltm_core.tracing.prefetch import prefetch
 from ltm_core.tracing.pyramid_traversal import (
     AFTER,
     OVER_KNOWN,
     PLUMB_SINE,
     START_LEVEL,
-    WHOLE,
     RasterStage,
     TerrainRaster,
     finished,
@@ -49,10 +43,8 @@ from ltm_core.tracing.pyramid_traversal import (
     over_raster,
     stretch,
 )
-from ltm_core.tracing.sweep_lanes import first_cells, more_cells, no_rays, turn_lanes
 from ltm_core.types import Float32Array, Float64Array, Int32Array, Int64Array
 
-_MANY_WAIT, _FEW_WAIT = 64, 16
 _MOST_CELLS = 48
 _ROWS_AHEAD = 4
 """Rows fetched ahead of a ray that goes from row to row, each in memory of its own."""
@@ -68,7 +60,6 @@ def sweep_image(
     rotation: Float64Array,
     rays: Float64Array,
     out: Float32Array,
-    by_lanes: bool,
 ) -> None:
     """Take an image of rays through one stage.
 
@@ -80,14 +71,13 @@ def sweep_image(
         rays: (H, W, 3) float64 unit vectors; a NaN one gives NaN.
         out: (H, W) float32, slant ranges in metres, or the states of rays that have met nothing: on entry before this
             stage, on return after it.
-        by_lanes: eight rays at a time where that can be, else one; which of the two never matters to the answer.
     """
     height, width = rays.shape[0], rays.shape[1]
     flat_rays, flat_out = rays.reshape(-1), out.reshape(-1)
     for tile in prange((width + COLUMNS - 1) // COLUMNS):
         first = tile * COLUMNS
         count = min(COLUMNS, width - first)
-        _sweep_tile(ground, stage, wedges, rotation, flat_rays, flat_out, width, height, first, count, by_lanes)
+        _sweep_tile(ground, stage, wedges, rotation, flat_rays, flat_out, width, height, first, count)
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
@@ -102,39 +92,30 @@ def _sweep_tile(
     height: int,
     first: int,
     count: int,
-    by_lanes: bool,
 ) -> None:
     """Sweep `count` columns from `first` on; rays and out are flat."""
-    # Lanes take whole groups, and only over the raster that the camera stands on.
-    groups = count // WIDTH if by_lanes and stage.part == WHOLE else 0
-    block, waiting, waits = new_block(), no_rays(), 0
+    block = new_block()
     # An array that is read out of a tuple is counted as a reference, by all threads in one place: not in the loop.
     nodes, n_x, n_y = ground.nodes, ground.width, ground.height
     highest, entries, starts, outer = wedges.highest, wedges.entries, wedges.start, wedges.outer
     tangents, strips = wedges.tangent, wedges.node
     for k in range(height):
         at = (height - 1 - k) * width + first
-        turn_lanes(rays, 3 * at, groups, rotation, stage.resolution, block)
-        turn(rays, 3 * at, groups * WIDTH, count, rotation, stage.resolution, block)
+        turn(rays, 3 * at, count, rotation, stage.resolution, block)
         enter(highest, entries, starts, tangents, strips, outer, stage.last, count, block)
         prefetch_starts(nodes, n_x, stage, count, block)
-        if groups > 0:
-            waits = first_cells(nodes, n_x, n_y, stage, outer, groups, block, at, out, waiting, waits)
-            if waits > _MANY_WAIT:
-                waits = more_cells(ground, nodes, n_x, n_y, stage, out, waiting, waits, _FEW_WAIT)
         one_by_one(ground, nodes, n_x, n_y, stage, outer, count, block, at, out)
-    more_cells(ground, nodes, n_x, n_y, stage, out, waiting, waits, 0)
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
 def turn(
-    rays: Float64Array, at: int, begin: int, end: int, rotation: Float64Array, resolution: float, block: Float64Array
+    rays: Float64Array, at: int, count: int, rotation: Float64Array, resolution: float, block: Float64Array
 ) -> None:
-    """Turn rays `begin` to `end` of a block into the grid; they lie flat in `rays`, that of column 0 at index `at`."""
+    """Turn the first `count` rays of a block into the grid; they lie flat in `rays`, that of column 0 at index `at`."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = -rotation[1, 0], -rotation[1, 1], -rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
-    for i in range(begin, end):
+    for i in range(count):
         a, b, c = rays[at + 3 * i], rays[at + 3 * i + 1], rays[at + 3 * i + 2]
         east = r00 * a + r01 * b + r02 * c
         south = r10 * a + r11 * b + r12 * c
@@ -212,11 +193,11 @@ def one_by_one(
     at: int,
     out: Float32Array,
 ) -> None:
-    """Answer those of a block's rays that are not yet answered; `at`: flat index of the first pixel."""
+    """Answer a block's rays that are not yet answered; `at`: flat index of the first pixel."""
     columns, rows = width - 1, height - 1
     for i in range(count):
         near, state = block[NEAR + i], float(out[at + i])
-        if near == ANSWERED or not state < 0.0:
+        if not state < 0.0:
             continue
         s, t, per_major, face = block[SLOPE + i], block[T + i], block[PER_MAJOR + i], int(block[FACE + i])
         if not (per_major <= 1.0 / PLUMB_SINE):

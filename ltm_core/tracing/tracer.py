@@ -22,9 +22,9 @@ which reaches the raster's edge, is outside the DEM (see `holes`).
 
 A camera may stand outside the DEM: space between it and the first known ground counts as free.
 
-**The ways.** `trace` goes by the wedge profile of the camera's position (`profile`, `sweep`), which is kept: a tower
-pays for it once, whatever it pans, tilts and zooms to. Rays where a profile cannot help go by the maximum pyramid
-(`traversal`). Both give the same answer for every ray.
+**The ways.** `trace` goes by the wedge profile of the camera's position (`horizon_profile`, `column_sweep`), which is
+kept: a tower pays for it once, whatever it pans, tilts and zooms to. Rays where a profile cannot help go by the maximum
+pyramid (`pyramid_traversal`). Both give the same answer for every ray.
 """
 
 from __future__ import annotations
@@ -42,7 +42,6 @@ from ltm_core.errors import PoseError
 from ltm_core.geodesy import ray_bend
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
-from ltm_core.tracing import lanes
 from ltm_core.tracing.caches import BoundedCache, TracerStatistics
 from ltm_core.tracing.column_sweep import sweep_image
 from ltm_core.tracing.horizon_profile import SECTOR, WEDGES_A_FACE, Wedges, extended, mark_sectors, no_wedges
@@ -55,8 +54,8 @@ _ONE_LAUNCH = threading.Lock()
 # Fewer pixels than this do not repay the profile of a position that may never be seen again.
 _FEW_PIXELS = 40_000
 _MARK_EVERY = 8  # pixels
-_PROFILE_BYTES = 64 * 2**20
-_FRAME_BYTES = 48 * 2**20
+PROFILE_BYTES = 64 * 2**20
+FRAME_BYTES = 48 * 2**20
 
 Way = Literal["auto", "profile", "pyramid"]
 Profile = tuple[Wedges, ...]
@@ -70,21 +69,16 @@ class TerrainTracer:
         dem: the terrain, in the frame of the poses. Adds a twelfth of its elevations' memory.
         curvature: bend rays for the earth's curvature and refraction.
         refraction: coefficient k; 0.13 is the surveyors' daytime mean.
-        by_lanes: trace eight rays at a time (any processor can, with 512-bit vectors it pays), or one; None: by the
-            processor. The answer is the same.
 
     Raises RasterError for a DEM with infinite heights.
     """
 
-    def __init__(
-        self, dem: Dem, curvature: bool = True, refraction: float = 0.13, by_lanes: bool | None = None
-    ) -> None:
+    def __init__(self, dem: Dem, curvature: bool = True, refraction: float = 0.13) -> None:
         self.dem = dem
         self.bend = ray_bend(curvature, refraction)
-        self.by_lanes = lanes.fast_here() if by_lanes is None else by_lanes
         self._grounds = grounds(dem)
-        self._profiles = BoundedCache[Profile](_PROFILE_BYTES, lambda levels: sum(a.nbytes for w in levels for a in w))
-        self._frames = BoundedCache[Float32Array](_FRAME_BYTES, lambda ranges: ranges.nbytes)
+        self._profiles = BoundedCache[Profile](PROFILE_BYTES, lambda levels: sum(a.nbytes for w in levels for a in w))
+        self._frames = BoundedCache[Float32Array](FRAME_BYTES, lambda ranges: ranges.nbytes)
         self._counts = TracerStatistics()
 
     @property
@@ -141,7 +135,7 @@ class TerrainTracer:
             for level, stage in stages(self.dem, pose.position, self.bend):
                 before = no_wedges() if kept is None else kept[level]
                 profile.append(extended(before, wanted, self._grounds[level], stage))
-                sweep_image(self._grounds[level], stage, profile[-1], rotation, rays, ranges, self.by_lanes)
+                sweep_image(self._grounds[level], stage, profile[-1], rotation, rays, ranges)
         whole = kept is not None and all(a is b for a, b in zip(kept, profile, strict=True))
         if not whole:
             self._profiles.put(place, tuple(profile))

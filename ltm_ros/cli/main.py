@@ -65,6 +65,8 @@ def app() -> None:
             "rerun": "view",
             "mitsuba": "sim",
             "torch": "train",
+            "matplotlib": "train",
+            "jinja2": "report",
             "laspy": "export",
             "rosbags": "eval",
             "skimage": "eval",

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from rich.console import Console
 from rich.table import Table
 
-from ltm_ros.evaluation.run_report import NodeRow
+from ltm_ros.runtime.node_summary import NodeRow
 
 
 def node_rows(summaries: Mapping[str, Mapping[str, str]]) -> list[NodeRow]:

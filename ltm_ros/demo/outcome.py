@@ -21,7 +21,7 @@ from ltm_core.types import BoolArray, RgbImage, UInt8Array
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.evaluation.run_report import CameraPictures, Sheet
 from ltm_ros.fuel_map.pictures import canvas_of, seen_window
-from ltm_ros.recordings.recorded_frames import RecordedFrame
+from ltm_ros.recordings.recorded_run import RecordedFrame
 
 HEADING_STEP_DEG = 20.0
 """Frames of a camera that look into directions at least so far apart are shown, the first of each."""

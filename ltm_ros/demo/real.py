@@ -25,10 +25,11 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.cli.summary import node_rows
 from ltm_ros.demo.outcome import camera_pictures, conditions, map_picture, range_scale, write_pictures
-from ltm_ros.evaluation.run_report import NodeRow, ReportData, Table, write_report
+from ltm_ros.evaluation.run_report import ReportData, Table, write_report
 from ltm_ros.importer.build import import_photos
-from ltm_ros.recordings.recorded_frames import RecordedFrame, recorded_frames
+from ltm_ros.recordings.recorded_run import RecordedFrame, recorded_frames
 from ltm_ros.replay.run import ReplayOptions, run_live
+from ltm_ros.runtime.node_summary import NodeRow
 
 PHOTO = "IMG_8902.jpg"
 CONTROL_POINTS = "gcp8902.csv"

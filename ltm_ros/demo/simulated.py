@@ -26,14 +26,14 @@ from ltm_ros.demo.outcome import (
     range_scale,
     write_pictures,
 )
-from ltm_ros.evaluation.run_report import NodeRow, ReportData, write_report
+from ltm_ros.evaluation.run_report import ReportData, write_report
 from ltm_ros.evaluation.run_score import BagScore, DepthRow, score_bag
 from ltm_ros.evaluation.score_tables import tables
 from ltm_ros.fuel_map.pictures import coverage_of
 from ltm_ros.fuel_map.services import write_landscapes
-from ltm_ros.recordings.recorded_frames import recorded_frames
-from ltm_ros.recordings.recorded_run import Recorded, recorded_votes
+from ltm_ros.recordings.recorded_run import Recorded, recorded_frames, recorded_votes
 from ltm_ros.replay.run import ReplayOptions, run_live
+from ltm_ros.runtime.node_summary import NodeRow
 
 
 @dataclass(frozen=True, eq=False)

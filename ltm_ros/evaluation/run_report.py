@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 
 from ltm_core.evaluation.metrics.depth import DepthScore
@@ -18,41 +17,12 @@ from ltm_core.evaluation.metrics.segmentation import SegmentationScore
 from ltm_core.pictures import RangeScale, fit, overlay_depth, overlay_labels, range_legend, to_jpeg
 from ltm_core.pictures.class_palette import ClassPalette
 from ltm_core.types import Float32Array, Int64Array, RgbImage, UInt8Array
-from ltm_ros.evaluation.run_page import PAGE
+from ltm_ros.evaluation.page import render_page
+from ltm_ros.runtime.node_summary import NodeRow
 
 MAX_WIDTH = 1280
 """Pixels; wider pictures are embedded smaller."""
 NOTHING = "\N{EN DASH}"
-
-
-@dataclass(frozen=True)
-class NodeRow:
-    """What a node reported at the end; latencies from the moment a frame was taken, NaN where it has none."""
-
-    node: str
-    received: int
-    published: int
-    dropped: int
-    latency_p50_ms: float = math.nan
-    latency_p95_ms: float = math.nan
-    work_p50_ms: float = math.nan
-    causes: str = ""
-    """Why messages were dropped: `overload 2, pose 1`."""
-
-    @classmethod
-    def of(cls, node: str, summary: dict[str, str]) -> NodeRow:
-        """From the key -> value texts of a node's `/diagnostics` status."""
-        causes = {key.removeprefix("dropped."): value for key, value in summary.items() if key.startswith("dropped.")}
-        return cls(
-            node,
-            int(summary.get("frames_in", 0)),
-            int(summary.get("frames_out", 0)),
-            int(summary.get("dropped", 0)),
-            float(summary.get("latency_p50_ms", math.nan)),
-            float(summary.get("latency_p95_ms", math.nan)),
-            float(summary.get("work_p50_ms", math.nan)),
-            ", ".join(f"{cause} {count}" for cause, count in causes.items()),
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +74,7 @@ class Sheet:
 class ReportData:
     """Everything the report shows; sections without data are left out.
 
-    `conditions`: what ran, as (name, value). `depth`: as `score_depth` gives it, the last over all ranges.
+    `conditions`: what ran, as (name, value). `depth`: as `DepthTally.scores` gives it, the last over all ranges.
     `label_set`, `scale`: what the pictures were drawn with, for their legends; the confusions are of these classes.
     `recording`: the .rrd file's name, `files`: (name, what it is).
     """
@@ -136,12 +106,11 @@ def write_report(path: Path | str, data: ReportData) -> Path:
 
 def render_report(data: ReportData) -> str:
     """The report's HTML."""
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    environment.filters |= {"picture": _picture, "number": _number, "count": _count, "percent": _percent}
-    environment.tests["numeric"] = lambda value: isinstance(value, int | float) and not isinstance(value, bool)
     names = [str(name) for name in data.label_set.names] if data.label_set is not None else []
     colors = [tuple(int(c) for c in color) for color in data.label_set.colors] if data.label_set is not None else []
-    return environment.from_string(PAGE).render(
+    return render_page(
+        "run_report.html",
+        {"picture": _picture, "number": _number, "count": _count, "percent": _percent},
         data=data,
         classes=list(zip(names, colors, strict=True)),
         range_legend=range_legend(900, data.scale),

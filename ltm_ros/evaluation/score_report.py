@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import jinja2
 import numpy as np
 
 from ltm_core.dem import Dem
@@ -25,9 +24,9 @@ from ltm_core.types import RgbImage, UInt8Array
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmenter
 from ltm_ros.evaluation import score_figures as draw
+from ltm_ros.evaluation.page import render_page
 from ltm_ros.evaluation.run_report import Table
 from ltm_ros.evaluation.run_score import BagScore
-from ltm_ros.evaluation.score_page import PAGE
 from ltm_ros.evaluation.score_tables import shown, tables
 from ltm_ros.fuel_map.pictures import canvas_of, seen_window
 from ltm_ros.fuel_map.source import FuelSource
@@ -247,13 +246,13 @@ def _one_a_camera(seen: Sequence[draw.ScoredView], most: int = 2) -> list[draw.S
 
 
 def _render(recorded: Recorded, score: BagScore, figures: Sequence[Figure], lacking: Sequence[str]) -> str:
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    environment.filters |= {"picture": _picture, "shown": shown}
     sections: dict[str, list[Figure]] = {}
     for figure in figures:
         sections.setdefault(figure.section, []).append(figure)
     parts: list[Table] = [table for table in tables(score) if table.title != "lacking"]
-    return environment.from_string(PAGE).render(
+    return render_page(
+        "score_report.html",
+        {"picture": _picture, "shown": shown},
         title=f"Evaluation of {recorded.site.name}",
         bag=str(recorded.bag),
         score=score,

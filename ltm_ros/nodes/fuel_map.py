@@ -82,18 +82,18 @@ class FuelMap(Handler[FuelMapConfig]):
         dem = self._site.open_dem()
         self._geometry = self._site.fuel_geometry(dem)
         self._folder = _folder(config)
-        self._keeper = FuelMapPersistence(
+        self.persistence = FuelMapPersistence(
             lambda: site_evidence_map(self._site, self._geometry, self._labels),
             self._open_store,
             health,
             durable=self._folder is not None,
         )
-        self._publisher = FuelPublisher(outlet, health, self._keeper, self._geometry, dem)
+        self._publisher = FuelPublisher(outlet, health, self.persistence, self._geometry, dem)
         self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead)
         self._surface: SurfaceListener | None = None
         if self._site.terrain is not None:
             grid = terrain_grid(dem.geometry, self._site.terrain.resolution)
-            self._surface = SurfaceListener(grid, self._keeper, health, self._stamps.refuses)
+            self._surface = SurfaceListener(grid, self.persistence, health, self._stamps.refuses)
         self._models: dict[str, str] = {}
         self._region: DrawnRegion | None = None
         self._paced = False
@@ -143,10 +143,10 @@ class FuelMap(Handler[FuelMapConfig]):
         stamp = stamp_of(message)
         if self._stamps.refuses(f"votes of {camera}", stamp):
             return
-        counting = self._keeper.seen(camera, stamp)
+        counting = self.persistence.seen(camera, stamp)
         if counting is None:
             votes = msg_to_votes(message, self._geometry, self._labels.names, camera)
-            counting = self._keeper.count(votes, self._models.get(camera, ""))
+            counting = self.persistence.count(votes, self._models.get(camera, ""))
         if counting is Counting.DUPLICATE:
             self.health.drop("duplicate", f"votes of {camera} of stamp {stamp} ns came twice; counted once")
         elif counting is Counting.TOO_OLD:
@@ -170,7 +170,7 @@ class FuelMap(Handler[FuelMapConfig]):
         if message.header.frame_id != "map":
             raise MessageError(f"query is given in frame {message.header.frame_id!r}, wanted 'map'")
         point = message.point
-        found = answer(self._keeper.map, self._keeper.store, self._classes, float(point.x), float(point.y))
+        found = answer(self.persistence.map, self.persistence.store, self._classes, float(point.x), float(point.y))
         asked = {"x": float(point.x), "y": float(point.y), "stamp_ns": stamp_of(message)}
         self.outlet.publish(FUEL_MAP_ANSWER, String(data=json.dumps(asked | found)))
 
@@ -189,14 +189,14 @@ class FuelMap(Handler[FuelMapConfig]):
 
     def tick(self, waited: float) -> None:
         self._paced = True
-        self._keeper.wait(waited)
+        self.persistence.wait(waited)
         if self._surface is not None:
             self._surface.retry()
         self._settle()
         self._publisher.tick(waited)
 
     def finish(self) -> None:
-        self._publisher.announce(self._keeper.close())
+        self._publisher.announce(self.persistence.close())
         self._publisher.send_map()
         self._publisher.send_cells()
         if self.config.export_path:
@@ -206,19 +206,19 @@ class FuelMap(Handler[FuelMapConfig]):
         """Write the map to the configured file. Raises ConfigError where none is configured."""
         self._settle(write_tiles=True)
         path = self._write()
-        return f"fuel map of {self._keeper.saved_frames} frames written to {path.name}"
+        return f"fuel map of {self.persistence.saved_frames} frames written to {path.name}"
 
     def export(self) -> str:
         """Write landscapes for fire models into the node's folder. Raises ConfigError where none is configured."""
         if self._folder is None:
             raise ConfigError("no folder is configured for landscapes: set the parameter folder")
-        paths = write_landscapes(self._keeper.map, self._site, self._folder)
-        return f"{' and '.join(path.name for path in paths)} written, as of stamp {self._keeper.map.newest_ns} ns"
+        paths = write_landscapes(self.persistence.map, self._site, self._folder)
+        return f"{' and '.join(path.name for path in paths)} written, as of stamp {self.persistence.map.newest_ns} ns"
 
     def clear(self) -> str:
         """Forget all evidence in the region that came last on `fuel_map/region`; it serves once."""
         cells = self._take_region().cells
-        self._keeper.replace_tiles(forgotten(self._keeper.map, cells))
+        self.persistence.replace_tiles(forgotten(self.persistence.map, cells))
         if self._surface is not None:
             self._surface.forget(cells)
         self._settle(write_tiles=True)
@@ -228,11 +228,11 @@ class FuelMap(Handler[FuelMapConfig]):
     def burn(self) -> str:
         """Mark the region that came last on `fuel_map/region` as burned at its stamp, or now; it serves once."""
         region = self._take_region()
-        stamp = region.stamp_ns or self.outlet.now_ns() or self._keeper.map.newest_ns
+        stamp = region.stamp_ns or self.outlet.now_ns() or self.persistence.map.newest_ns
         if self._stamps.refuses("the burned region", stamp):
             raise MessageError(f"the region burned at {stamp} ns, which has not come yet by this node's clock")
-        tiles = burned(self._keeper.map, region.cells, stamp)
-        self._keeper.replace_tiles(tiles, BURN_SOURCE, stamp, region.window)
+        tiles = burned(self.persistence.map, region.cells, stamp)
+        self.persistence.replace_tiles(tiles, BURN_SOURCE, stamp, region.window)
         self._settle(write_tiles=True)
         self._publisher.send_map()
         return f"{int(region.cells.sum())} cells burned at stamp {stamp} ns"
@@ -244,11 +244,11 @@ class FuelMap(Handler[FuelMapConfig]):
         return region
 
     def _settle(self, write_tiles: bool = False) -> None:
-        self._publisher.announce(self._keeper.settle(write_tiles))
+        self._publisher.announce(self.persistence.settle(write_tiles))
 
     def _write(self) -> Path:
         name = self.config.export_path or (self._folder / "fuel_map.tif" if self._folder is not None else "")
-        layers = self._keeper.map.layers()
+        layers = self.persistence.map.layers()
         return write_fuel_map(name, layers.life_form, self._site.in_crs(self._geometry), self._classes)
 
     def _open_store(self) -> TileStore:

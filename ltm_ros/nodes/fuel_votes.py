@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from ltm_core.camera import Camera
 from ltm_core.fuel.votes import VoteCaster
@@ -34,17 +33,10 @@ from ltm_ros.runtime.topics import (
 )
 
 
-class FuelVotesConfig(NodeConfig):
-    pose_sigma_deg: float = Field(0.3, gt=0)
-    """Of the angles of a pose that comes without a covariance."""
-    position_sigma: float = Field(0.5, gt=0)
-    """Metres, of the position of a pose that comes without a covariance."""
-
-
-class FuelVotes(Handler[FuelVotesConfig]):
+class FuelVotes(Handler[NodeConfig]):
     publications = (FUEL_VOTES,)
 
-    def __init__(self, config: FuelVotesConfig, outlet: Outlet, health: Health) -> None:
+    def __init__(self, config: NodeConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = load_site(config.site)
         site.camera(config.camera)
@@ -52,7 +44,7 @@ class FuelVotes(Handler[FuelVotesConfig]):
         self._labels = LabelSet.load(config_path(site.labels))
         votes_for = self._labels.votes_table[: len(self._labels)]
         self._caster = VoteCaster(site.fuel_geometry(dem), dem, votes_for, site.fuel.max_range, site.bend)
-        self._assumed = np.diag([config.position_sigma**2] * 3 + [np.radians(config.pose_sigma_deg) ** 2] * 3)
+        self._assumed = site.assumed_pose_error.covariance()
         self._frames = 0
         self._join = StampJoin(("depth", "info", "labels", "confidence", "pose"), self._vote, health)
 
@@ -98,7 +90,7 @@ class FuelVotes(Handler[FuelVotesConfig]):
         return given if given.any() else self._assumed
 
 
-NODE = NodeType("fuel_votes", FuelVotesConfig, FuelVotes)
+NODE = NodeType("fuel_votes", NodeConfig, FuelVotes)
 
 
 def main() -> None:

@@ -111,6 +111,7 @@ class Terrain(Handler[TerrainNodeConfig]):
             site.curvature,
             site.refraction,
             site_label_errors(site).open_odds(),
+            site.assumed_pose_error,
         )
         self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, refuse_unset=True)
         labels_too: tuple[Part | str, ...] = (*_PARTS, Part("labels", wait_s=0.0, remembered=_WAITING))

@@ -11,10 +11,11 @@ from ltm_core.camera import Camera
 from ltm_core.errors import LtmError, RecordingError
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
 from ltm_core.resources import project_path
 from ltm_core.site import Site
 from ltm_core.site_io import load_site
-from ltm_core.types import UInt8Array
+from ltm_core.types import Float32Array, UInt8Array
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.camera_info import msg_to_camera
@@ -64,6 +65,21 @@ PARTS: Parts = {
 }
 
 
+@dataclass(frozen=True, eq=False)
+class RecordedFrame:
+    """What went in and what came out: `photo` (H, W, 3), `depth` traced and `labels`, (H, W) each; `fused` depth where
+    the site has a depth network."""
+
+    camera_name: str
+    stamp_ns: int
+    camera: Camera
+    pose: Pose
+    photo: UInt8Array
+    depth: Float32Array
+    labels: UInt8Array
+    fused: Float32Array | None = None
+
+
 @dataclass(frozen=True)
 class Recorded:
     """A bag with the site it is of and the folder that may hold its truth rasters."""
@@ -108,7 +124,24 @@ class Recorded:
         return now, earlier[0] if earlier else None
 
     def stream(self) -> FrameStream:
-        return FrameStream(self.bag, self.site.name, list(self.site.cameras), PARTS)
+        return stream_of(self.bag, self.site)
+
+
+def stream_of(bag: Path, site: Site) -> FrameStream:
+    """The frames of a bag with all parts that any of our nodes or importers writes."""
+    return FrameStream(bag, site.name, list(site.cameras), PARTS)
+
+
+def recorded_frames(bag: Path, site: Site) -> Iterator[RecordedFrame]:
+    """The frames of a recorded run that came out with depth and labels, one camera after the other, in time order.
+
+    A frame is handed out as soon as the bag has given all of it, so a bag of hours needs the memory of a few frames.
+    """
+    stream = stream_of(bag, site)
+    for camera in site.cameras:
+        for frame in stream.frames(("depth_camera", "pose", "photo", "traced", "labels"), [camera]):
+            parts = (frame.take(part) for part in ("depth_camera", "pose", "photo", "traced", "labels", "fused"))
+            yield RecordedFrame(camera, frame.stamp_ns, *parts)
 
 
 def _site_of(bag: Path) -> Path:

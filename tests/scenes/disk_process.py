@@ -63,7 +63,7 @@ def full(site: Path, disk: Path) -> list[dict[str, object]]:
     ballast.unlink()
     node.handler.tick(persistence.RETRY_S)
     states.append(node.state())
-    node.handler._keeper.store.close()  # killed
+    node.handler.persistence.store.close()  # killed
     states.append(Node(site, disk).state())
     return states
 

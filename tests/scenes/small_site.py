@@ -137,8 +137,8 @@ def paint_at(x: NDArray[np.floating], y: NDArray[np.floating]) -> UInt8Array:
     return np.where(odd, BUILT, GRASS).astype(np.uint8)
 
 
-def write_small_site(folder: Path) -> SmallSite:
-    """Write site file, DEM, network and recording into an existing empty folder."""
+def write_small_site(folder: Path, recording: bool = True) -> SmallSite:
+    """Write site file, DEM, network and, unless it is not wanted, the recording into an existing empty folder."""
     rough = rough_terrain(7, shape=(90, 120), resolution=10.0, relief=90.0)
     # The map frame's origin lies on the fuel grid, so the painted squares do too.
     Dem(rough.elevation, GridGeometry(480_015.0, 4_150_915.0, 10.0, 120, 90, "EPSG:26911")).save(folder / "dem.tif")
@@ -170,5 +170,6 @@ def write_small_site(folder: Path) -> SmallSite:
     }
     (folder / "site.yaml").write_text(yaml.safe_dump(site), encoding="utf-8")
     small = SmallSite(folder)
-    small.write_bag(small.bag)
+    if recording:
+        small.write_bag(small.bag)
     return small

@@ -29,19 +29,19 @@ BLOCK_AT = (500.0, 445.0)
 BLOCK_HEIGHT = 20.0
 
 
-def write_terrain_site(folder: Path, **content: Any) -> SmallSite:
+def write_terrain_site(folder: Path, recording: bool = True, **content: Any) -> SmallSite:
     """The small site with a section `terrain`; `content`: more of its file."""
-    small = write_small_site(folder)
+    small = write_small_site(folder, recording)
     whole = yaml.safe_load(small.path.read_text())
     whole["terrain"] = {"threshold": 2.0, "register_frames": False}
     small.path.write_text(yaml.safe_dump(whole | content))
     return SmallSite(small.folder)
 
 
-def write_fusing_site(folder: Path) -> SmallSite:
+def write_fusing_site(folder: Path, recording: bool = True) -> SmallSite:
     """One whose depth network reads inverse depth off the photo's green channel, and whose surface is the DEM."""
     write_depth_network(folder)
-    return write_terrain_site(folder, depth_model="depth.yaml", surface={"path": "dem.tif"})
+    return write_terrain_site(folder, recording, depth_model="depth.yaml", surface={"path": "dem.tif"})
 
 
 def sunk(small: SmallSite) -> Dem:

@@ -1,9 +1,11 @@
-"""Imports run one way: ltm_ros -> ltm_msgs_py -> ltm_core, and ltm_core knows no ROS. Read from the sources, so that
-imports inside functions count too."""
+"""Imports run one way: ltm_ros -> ltm_msgs_py -> ltm_core, ltm_core knows no ROS, and what a tower runs knows nothing
+of what makes, teaches and judges it. Read from the sources, so that imports inside functions count too."""
 
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,21 +17,52 @@ ROS = {
     "rosbag2_py", "sensor_msgs", "geometry_msgs", "nav_msgs", "std_msgs", "std_srvs", "diagnostic_msgs",
     "builtin_interfaces", "rosgraph_msgs", "rcl_interfaces", "cv_bridge", "tf2_ros", "rosbags", "mcap_ros2",
 }  # fmt: skip
-BY_NAME = {"import_module", "importlib.import_module", "__import__"}
+STUDY = {
+    "ltm_core.evaluation", "ltm_core.training", "ltm_core.simulator", "ltm_core.bench", "ltm_core.tracing.baselines",
+    "ltm_ros.evaluation", "ltm_ros.bench", "ltm_ros.demo",
+}  # fmt: skip
+"""The study wing. The command line is the door to both wings: its modules import when a command runs."""
+DOOR = "ltm_ros.cli"
+TOWER = {
+    "numpy", "numba", "llvmlite", "scipy", "cv2", "onnxruntime", "rasterio", "pyproj", "pygeomag", "PIL", "pillow_heif",
+    "pydantic", "pydantic_core", "yaml", "typer", "rich", "mcap", "zstandard", "packaging",
+}  # fmt: skip
+"""Packages of others that runtime may import: those that `pip install ltm` brings."""
+ON_DEMAND = {"rerun": "the viewer", "laspy": "LAS export", "rosbags": "message definitions where no ROS is installed"}
 
 
 def imported(source: str, package: str) -> Iterator[str]:
-    """Top-level names of all modules that a source imports; `package`: what a relative import starts from."""
+    """Whole names of all modules that a source imports; `package`: what a relative import starts from. Of
+    `from a.b import c` both a.b and a.b.c, since c may be a module."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            yield from (alias.name.partition(".")[0] for alias in node.names)
+            yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            yield (node.module or "").partition(".")[0] if node.level == 0 else package
+            base = node.module or "" if node.level == 0 else ".".join(filter(None, (package, node.module)))
+            yield from (base, *(f"{base}.{alias.name}" for alias in node.names))
         elif isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] in (
             "import_module",
             "__import__",
         ):
-            yield from (a.value.partition(".")[0] for a in node.args if isinstance(a, ast.Constant))
+            yield from (a.value for a in node.args if isinstance(a, ast.Constant))
+
+
+def modules(top: str) -> dict[str, Path]:
+    files = sorted((REPOSITORY / top).rglob("*.py"))
+    assert len(files) > 5
+    return {".".join(f.relative_to(REPOSITORY).with_suffix("").parts).removesuffix(".__init__"): f for f in files}
+
+
+def within(module: str, places: set[str]) -> bool:
+    return any(module == place or module.startswith(f"{place}.") for place in places)
+
+
+def runtime() -> Iterator[tuple[str, set[str]]]:
+    """Each module of the runtime wing with all that it imports."""
+    for top in ("ltm_core", "ltm_msgs_py", "ltm_ros"):
+        for module, path in modules(top).items():
+            if not within(module, STUDY | {DOOR}):
+                yield module, set(imported(path.read_text(encoding="utf-8"), module.rpartition(".")[0]))
 
 
 @pytest.mark.parametrize(
@@ -37,15 +70,41 @@ def imported(source: str, package: str) -> Iterator[str]:
     [("ltm_core", ROS | {"ltm_msgs_py", "ltm_ros"}), ("ltm_msgs_py", {"ltm_ros"})],
 )
 def test_nothing_imports_upwards(package: str, forbidden: set[str]) -> None:
-    files = sorted((REPOSITORY / package).rglob("*.py"))
-    assert len(files) > 5
     upwards = {
         f"{path.relative_to(REPOSITORY)} imports {name}"
-        for path in files
+        for path in modules(package).values()
         for name in imported(path.read_text(encoding="utf-8"), package)
-        if name in forbidden
+        if name.partition(".")[0] in forbidden
     }
     assert not upwards
+
+
+def test_runtime_imports_nothing_of_the_study_wing() -> None:
+    crossing = {f"{module} imports {name}" for module, names in runtime() for name in names if within(name, STUDY)}
+    assert not crossing
+
+
+def test_runtime_imports_no_package_that_only_the_study_wing_needs() -> None:
+    own = {"ltm_core", "ltm_msgs_py", "ltm_ros", ""}
+    allowed = TOWER | set(ON_DEMAND) | ROS | own | set(sys.stdlib_module_names)
+    strangers = {f"{m} imports {n}" for m, names in runtime() for n in names if n.partition(".")[0] not in allowed}
+    assert not strangers
+
+
+def test_nodes_load_no_study_package() -> None:
+    """What is really loaded, whoever imports it: also through packages of others."""
+    nodes = [path.stem for path in (REPOSITORY / "ltm_ros/nodes").glob("[a-z]*.py") if path.stem != "viewer"]
+    assert len(nodes) > 5
+    code = f"""
+import importlib, sys
+for node in {nodes}:
+    importlib.import_module(f"ltm_ros.nodes.{{node}}")
+import ltm_ros.launching.runner
+print(*sys.modules, sep="\\n")
+"""
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    study = {"matplotlib", "jinja2", "torch", "mitsuba", "skimage", "onnx", "rosbags", "laspy", "rerun"}
+    assert not {name for name in loaded if within(name, STUDY | study)}
 
 
 def test_every_way_to_import_is_seen() -> None:
@@ -59,4 +118,5 @@ def late():
     importlib.import_module("k.l")
     __import__("m")
 """
-    assert set(imported(source, "own")) == {"a", "c", "e", "own", "i", "importlib", "k", "m"}
+    expected = {"a.b", "c", "e.f", "e.f.g", "own", "own.h", "i", "i.j", "importlib", "k.l", "m"}
+    assert set(imported(source, "own")) == expected

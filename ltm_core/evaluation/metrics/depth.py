@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-
-from ltm_core.errors import ImageError
-from ltm_core.types import Float32Array, Float64Array
 
 RANGE_BINS = (0.0, 100.0, 300.0, 1000.0, np.inf)
 """Edges of the range bins that depth is scored in, metres of true depth."""
@@ -28,27 +23,3 @@ class DepthScore:
     """Median absolute error."""
     bias: float
     """Mean of estimate minus truth."""
-
-
-def score_depth(estimate: Sequence[Float32Array], truth: Sequence[Float32Array]) -> list[DepthScore]:
-    """Scores by range bin, then over all, of images in pairs of one shape.
-
-    Pixels count where both are finite. Raises ImageError on a pair of different shapes.
-    """
-    for a, b in zip(estimate, truth, strict=True):
-        if a.shape != b.shape:
-            raise ImageError(f"depth of {a.shape} cannot be scored against truth of {b.shape}")
-    depth = np.concatenate([a.ravel() for a in estimate]) if estimate else np.empty(0, np.float32)
-    true = np.concatenate([b.ravel() for b in truth]) if truth else np.empty(0, np.float32)
-    both = np.isfinite(depth) & np.isfinite(true)
-    error, true = depth[both].astype(np.float64) - true[both], true[both]
-    bins = [*pairwise(RANGE_BINS), (0.0, np.inf)]
-    return [_score(error[(true >= near) & (true < far)], near, far) for near, far in bins]
-
-
-def _score(error: Float64Array, near: float, far: float) -> DepthScore:
-    if len(error) == 0:
-        return DepthScore(near, far, 0, np.nan, np.nan, np.nan, np.nan)
-    size = np.abs(error)
-    rmse = float(np.sqrt(np.mean(error**2)))
-    return DepthScore(near, far, len(error), rmse, float(size.mean()), float(np.median(size)), float(error.mean()))

@@ -93,12 +93,6 @@ def march_arrays(dem: Dem, origin: ArrayLike, directions: ArrayLike, step: float
     return depth
 
 
-def march_image(dem: Dem, camera: Camera, pose: Pose, step: float = 1.0) -> Float32Array:
-    """Algorithm 1 for a whole image with the paper's proportional rays: horizontal distance, (H, W) float32 metres."""
-    rays = proportional_rays(camera, pose).reshape(-1, 3)
-    return march(dem, pose.position, rays, step).reshape(camera.height, camera.width)
-
-
 @njit(cache=True, parallel=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _march(
     elevation: Float32Array,

@@ -117,7 +117,7 @@ def _scene_table(scene: str, table: list[dict[str, Any]]) -> Any:
     for name in ("cells", "tracer", "processor ms", "wall ms", "over warm", "over cold"):
         shown.add_column(name, justify="left" if name == "tracer" else "right")
     for row in table:
-        for state in ("warm", "cold", "still", "portable"):
+        for state in ("warm", "cold", "still"):
             costs = (_number(row[f"ours_{state}_{clock}_ms"]) for clock in ("cpu", "wall"))
             shown.add_row(f"{row['size']}²", f"ours, {state}", *costs, "", "")
         for name in _NAMES:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
 
 from ltm_core.numba_cache import use_own_cache
@@ -20,24 +21,25 @@ INIT = (
 )
 
 
-def answer(folder: Path) -> str:
+def answer(folder: Path, first: str = "") -> str:
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     paths = [str(folder), *filter(None, sys.path)]
-    code = "from kernels.caller import caller; print(caller(1.0))"
+    code = f"{first}\nfrom kernels.caller import caller; print(caller(1.0))"
     run = [sys.executable, "-c", code]
     environment["PYTHONPATH"] = os.pathsep.join(paths)
     return subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout.strip()
 
 
-def test_a_change_in_a_called_kernel_reaches_its_callers(tmp_path: Path) -> None:
+@pytest.mark.parametrize("first", ["", "import numba"])
+def test_a_change_in_a_called_kernel_reaches_its_callers(tmp_path: Path, first: str) -> None:
     package = tmp_path / "kernels"
     package.mkdir()
     (package / "__init__.py").write_text(INIT)
     (package / "caller.py").write_text(CALLER)
     (package / "called.py").write_text(CALLED.format(term=1.0))
-    assert answer(tmp_path) == "2.0"
+    assert answer(tmp_path, first) == "2.0"
     (package / "called.py").write_text(CALLED.format(term=10.0))
-    assert answer(tmp_path) == "11.0"
+    assert answer(tmp_path, first) == "11.0"
 
 
 def test_a_folder_that_the_user_chose_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -48,6 +50,7 @@ def test_a_folder_that_the_user_chose_is_left_alone(tmp_path: Path, monkeypatch:
 
 def test_one_folder_a_state_of_the_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")  # this process goes on with its own
     (tmp_path / "a.py").write_text("1")
     first = use_own_cache(tmp_path)
     assert first is not None

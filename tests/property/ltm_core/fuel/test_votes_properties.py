@@ -8,11 +8,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scenes.traced_votes import cast_votes
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.fuel.majority import UNSEEN, MajorityFuelMap
-from ltm_core.fuel.votes import cast_votes
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage

@@ -38,13 +38,12 @@ def assert_ways_agree(dem: Dem, seed: int, poses: int, width: int, height: int) 
         except PoseError:  # in a lake, below its rim
             continue
         hit = np.isfinite(slow)
-        for tracer.by_lanes in (True, False):
-            fast = tracer.trace(camera, pose, way="profile").range
-            name = f"{camera} at {pose}, by lanes: {tracer.by_lanes}"
-            wrong = np.argwhere((np.isnan(fast) != np.isnan(slow)) | (np.isinf(fast) != np.isinf(slow)))
-            assert len(wrong) == 0, f"{len(wrong)} pixels, first {wrong[0]} of {name}"
-            off = np.abs(fast[hit] - slow[hit])
-            assert (off <= 1e-4 + np.spacing(slow[hit])).all(), f"range off by up to {off.max()} m for {name}"
+        fast = tracer.trace(camera, pose, way="profile").range
+        name = f"{camera} at {pose}"
+        wrong = np.argwhere((np.isnan(fast) != np.isnan(slow)) | (np.isinf(fast) != np.isinf(slow)))
+        assert len(wrong) == 0, f"{len(wrong)} pixels, first {wrong[0]} of {name}"
+        off = np.abs(fast[hit] - slow[hit])
+        assert (off <= 1e-4 + np.spacing(slow[hit])).all(), f"range off by up to {off.max()} m for {name}"
         hits += int(hit.sum())
         pixels += hit.size
     assert tracer.statistics.profile_bytes > 0
@@ -92,8 +91,7 @@ def test_strongly_bent_rays(bend: float) -> None:
             slow = tracer.trace(camera, pose, way="pyramid").range
         except PoseError:
             continue
-        for tracer.by_lanes in (True, False):
-            np.testing.assert_allclose(tracer.trace(camera, pose, way="profile").range, slow, rtol=1e-6)
+        np.testing.assert_allclose(tracer.trace(camera, pose, way="profile").range, slow, rtol=1e-6)
 
 
 def test_on_node_lines_and_at_the_rim() -> None:
@@ -112,7 +110,6 @@ def test_on_node_lines_and_at_the_rim() -> None:
                 east, north, _ = np.abs(np.moveaxis(camera.rays() @ pose.rotation.T, -1, 0))
                 clear = np.minimum(east, north) > 1e-15
                 assert clear.mean() > 0.95
-                for tracer.by_lanes in (True, False):
-                    fast = tracer.trace(camera, pose, way="profile").range
-                    message = f"{row} {col} {azimuth} {pitch}, by lanes: {tracer.by_lanes}"
-                    np.testing.assert_allclose(fast[clear], slow[clear], rtol=1e-6, err_msg=message)
+                fast = tracer.trace(camera, pose, way="profile").range
+                message = f"{row} {col} {azimuth} {pitch}"
+                np.testing.assert_allclose(fast[clear], slow[clear], rtol=1e-6, err_msg=message)

@@ -56,7 +56,7 @@ def test_ratios_and_growth() -> None:
         return Measured(tracer, size, Cost(1e-6 * size**3, 1.0), 5.0, {s.name: costs for s in SCENES})
 
     results = [
-        *(result("ours", n, warm=n**0.5, cold=2 * n**0.5, still=1.0, portable=9.0) for n in (1000, 4000)),
+        *(result("ours", n, warm=n**0.5, cold=2 * n**0.5, still=1.0) for n in (1000, 4000)),
         *(result("embreex", n, **{"": 10.0 * n}) for n in (1000, 4000)),
     ]
     table = rows(results, list(SCENES))

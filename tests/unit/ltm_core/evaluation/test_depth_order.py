@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scenes.depth_order import depth_order
 
 from ltm_core.errors import ImageError
-from ltm_core.evaluation.metrics.depth_order import depth_order
 
 
 def test_pairs_that_are_clearly_apart_are_counted() -> None:

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from scenes.depth_score import score_depth
 
 from ltm_core.errors import ImageError
-from ltm_core.evaluation.metrics.depth import score_depth
 
 TRUTH = np.array([[10, 99, 100, 299], [500, 5000, np.inf, np.nan], [200, 50, 999, 1000]], np.float32)
 ERROR = np.array([[1, -3, 2, 4], [-10, 20, 0, 0], [np.nan, np.inf, 0, -40]], np.float32)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scenes.depth_score import score_depth
 
 from ltm_core.errors import ImageError
-from ltm_core.evaluation.metrics.depth import score_depth
 from ltm_core.evaluation.metrics.depth_tally import DepthTally
 
 INF = np.float32(np.inf)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scenes.traced_votes import cast_votes
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import ImageError
-from ltm_core.fuel.votes import CellVotes, cast_votes
+from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scenes.small_disk import SmallDisk
 
 from ltm_core.errors import ConfigError, StoreError
 from ltm_core.grid import GridGeometry
@@ -58,8 +59,6 @@ def test_what_is_committed_is_there_after_opening_again(tmp_path: Path) -> None:
 
 def test_tiles_cover_the_grid() -> None:
     assert SCHEMA.tiles == (2, 3)
-    rows, cols = np.array([12, 0, 7, 8, 12]), np.array([20, 15, 16, 0, 17])
-    assert SCHEMA.keys_of(rows, cols) == [(0, 1), (0, 2), (1, 0), (1, 2)]
 
 
 def test_payloads_wait_until_tiles_hold_their_effect(tmp_path: Path) -> None:
@@ -221,18 +220,20 @@ def test_one_writer_and_readers_beside_it(tmp_path: Path) -> None:
     TileStore.open(path, SCHEMA).close()
 
 
-def test_full_disk_loses_nothing_and_goes_on_when_there_is_room(tmp_path: Path) -> None:
+def test_full_disk_loses_nothing_and_goes_on_when_there_is_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "map.ltm"
+    disk = SmallDisk(monkeypatch)
     with TileStore.open(path, SCHEMA) as store:
         store.commit({(0, 0): tile(1)}, [FrameRecord("a", 1)])
-        (pages,) = store._db.execute("PRAGMA page_count").fetchone()
-        store._db.execute(f"PRAGMA max_page_count = {pages + 1}")
+        disk.fill(spare_pages=1)
         for _ in range(3):
             with pytest.raises(StoreError, match=r"map\.ltm.*SQLITE_FULL.*make room"):
                 store.commit({(0, 1): tile(2), (1, 1): tile(3)}, [FrameRecord("a", 2)])
         assert store.keys() == [(0, 0)]
         assert not store.counted("a", 2)
-        store._db.execute("PRAGMA max_page_count = 100000")
+        disk.free()
         store.commit({(0, 1): tile(2), (1, 1): tile(3)}, [FrameRecord("a", 2)])
     with TileStore.open(path, SCHEMA) as store:
         assert_same(store.read((1, 1)), tile(3))

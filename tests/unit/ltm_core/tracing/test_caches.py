@@ -73,8 +73,8 @@ def test_a_new_bend_is_a_new_answer() -> None:
 
 
 def test_a_moving_camera_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ltm_core.tracing.tracer._PROFILE_BYTES", 2_000_000)
-    monkeypatch.setattr("ltm_core.tracing.tracer._FRAME_BYTES", 1_000_000)
+    monkeypatch.setattr("ltm_core.tracing.tracer.PROFILE_BYTES", 2_000_000)
+    monkeypatch.setattr("ltm_core.tracing.tracer.FRAME_BYTES", 1_000_000)
     tracer = TerrainTracer(rough_terrain(14))
     for k in range(20):
         tracer.trace(CAMERA, Pose.from_angles((100.0 + k, -80.0, 880.0), 18.0 * k, -20, 0))

@@ -10,20 +10,20 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scenes.depth_score import score_depth
 
-from ltm_core.evaluation.metrics.depth import score_depth
 from ltm_core.evaluation.metrics.fuel import FuelScore
 from ltm_core.evaluation.metrics.segmentation import SegmentationScore
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.evaluation.run_report import (
     NOTHING,
     CameraPictures,
-    NodeRow,
     ReportData,
     Table,
     render_report,
     write_report,
 )
+from ltm_ros.runtime.node_summary import NodeRow
 
 LABELS = LabelSet.load()
 VOID = {"meta", "img", "input", "br"}
