@@ -15,6 +15,7 @@ from ltm_core.camera import Camera
 from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
 from ltm_core.depth.expected_surface import expected_surface
+from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ground_samples
 from ltm_core.depth.guided_upsampling import NetworkView
 from ltm_core.depth.monocular import NetworkDepth
@@ -54,45 +55,45 @@ class _Frame:
 def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionCost]:
     """Costs for a frame of ridges under a patchwork of covers; the kernels are compiled before."""
     frame, classes, settings = _frame(width, height), ClassPriors.of(LabelSet.load()), FusionSettings()
+    config = FusionConfig()
+    jump, sigmas = config.surface.jump, (settings.angle_sigma, settings.dem_sigma)
     camera, ground = frame.traced.camera, frame.traced.depth()
-    surface, sigma = expected_surface(
-        ground, frame.labels, classes.cover, camera, frame.traced.pose, settings.angle_sigma, settings.dem_sigma
-    )
-    samples = ground_samples(surface, sigma, frame.labels, classes.ground, camera.fy)
-    fit = fit_scale(frame.network, samples, (height, width))
-    seen, edges = NetworkView.of(fit, frame.photo), DepthDiscontinuities.of(ground)
-    standing = OcclusionPrior.of(ground, frame.labels, classes, camera, frame.traced.pose, seen.shape)
+    surface, sigma = expected_surface(ground, frame.labels, classes.cover, camera, frame.traced.pose, *sigmas, config)
+    samples = ground_samples(surface, sigma, frame.labels, classes.ground, camera.fy, config)
+    fit = fit_scale(frame.network, samples, (height, width), config)
+    seen, edges = NetworkView.of(fit, frame.photo, config), DepthDiscontinuities.of(ground, jump)
+    standing = OcclusionPrior.of(ground, frame.labels, classes, camera, frame.traced.pose, seen.shape, config)
 
     def crests() -> None:
         surface, sigma = work
-        of = classes, camera, seen, edges
+        of = classes, camera, config, seen, edges
         refine_occlusion_boundaries(frame.photo, ground, surface, sigma, frame.labels, *of)
 
     def decide() -> None:
         # From the same state each time: a copy's cost is in the figure.
         np.copyto(work[0], surface)
         np.copyto(work[1], sigma)
-        fuse_pixels(work[0], work[1], None, seen, standing, frame.labels, classes, source)
+        fuse_pixels(work[0], work[1], None, seen, standing, frame.labels, classes, source, config)
 
     work, source = np.stack([surface, sigma]), np.empty(surface.shape, np.uint8)
     parts: dict[str, Callable[[], Any]] = {
-        "traced edges": lambda: DepthDiscontinuities.of(ground),
+        "traced edges": lambda: DepthDiscontinuities.of(ground, jump),
         "check of the pose": lambda: check_pose(
-            frame.photo, ground, camera, settings.angle_sigma, settings.dem_sigma, frame.labels, classes, edges=edges
+            frame.photo, ground, camera, *sigmas, config.pose_check, frame.labels, classes, edges=edges
         ),
         "expected surface": lambda: expected_surface(
-            ground, frame.labels, classes.cover, camera, frame.traced.pose, settings.angle_sigma, settings.dem_sigma
+            ground, frame.labels, classes.cover, camera, frame.traced.pose, *sigmas, config
         ),
-        "sampling": lambda: ground_samples(surface, sigma, frame.labels, classes.ground, camera.fy),
-        "RANSAC and regions": lambda: fit_scale(frame.network, samples, (height, width)),
-        "photo's edges for the network": lambda: NetworkView.of(fit, frame.photo),
+        "sampling": lambda: ground_samples(surface, sigma, frame.labels, classes.ground, camera.fy, config),
+        "RANSAC and regions": lambda: fit_scale(frame.network, samples, (height, width), config),
+        "photo's edges for the network": lambda: NetworkView.of(fit, frame.photo, config),
         "what may stand there": lambda: OcclusionPrior.of(
-            ground, frame.labels, classes, camera, frame.traced.pose, seen.shape
+            ground, frame.labels, classes, camera, frame.traced.pose, seen.shape, config
         ),
         "silhouettes": crests,
         "terrain or network": decide,
         "land beyond the raster": lambda: clear_unenclosed(ground, work[0], work[1], source),
-        "the network's own measurement": lambda: NetworkMeasurement.of(fit),
+        "the network's own measurement": lambda: NetworkMeasurement.of(fit, config),
         "whole": lambda: fuse(frame.traced, frame.network, frame.photo, frame.labels, classes, settings).measured(),
     }
     for call in parts.values():

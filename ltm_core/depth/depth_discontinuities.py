@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from ltm_core.depth.expected_surface import JUMP
 from ltm_core.types import Float32Array, Int32Array
 
 _BLOCK = 64  # columns that are searched at once in a row with edges
@@ -22,9 +21,9 @@ class DepthDiscontinuities:
     cols: Int32Array
 
     @classmethod
-    def of(cls, ground: Float32Array) -> DepthDiscontinuities:
-        """Pixels with ground (H, W) above which the next one is farther by a jump, or sky, or unknown."""
-        return cls(*_edges(ground, np.float32(JUMP)))
+    def of(cls, ground: Float32Array, jump: float) -> DepthDiscontinuities:
+        """Pixels with ground (H, W) above which the next one is `jump` times as far or more, or sky, or unknown."""
+        return cls(*_edges(ground, np.float32(jump)))
 
     def __len__(self) -> int:
         return len(self.rows)

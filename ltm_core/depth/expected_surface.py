@@ -9,24 +9,27 @@ across a silhouette (that is `occlusion_boundaries`' work).
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from ltm_core.camera import Camera
+from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.pose import Pose
 from ltm_core.types import Float32Array, UInt8Array
 
-JUMP = 1.25
-"""Ratio of depths of neighbouring pixels from which on they lie on two surfaces."""
-COVER_DOUBT = 0.5
-"""Sigma of a cover height as a part of it."""
-MOST_ROLL_DEG = 20.0
-"""Of a camera whose columns are still about plumb."""
-_PIXEL_DOUBT = 0.3
-"""Pixels by which an edge of the terrain may be misplaced even with perfect pose: pixel grid and DEM cells."""
-_LEAST = 1e-3
-"""Least relative sigma that is ever claimed."""
+
+class _Rules(NamedTuple):
+    """As compiled code takes them. `focal`: pixels; sigmas of direction, radians, and heights, metres."""
+
+    focal: np.float32
+    angle_sigma: np.float32
+    dem_sigma: np.float32
+    jump: np.float32
+    cover_doubt: np.float32
+    pixel_doubt: np.float32
+    least: np.float32
 
 
 def expected_surface(
@@ -37,6 +40,7 @@ def expected_surface(
     pose: Pose,
     angle_sigma: float,
     dem_sigma: float,
+    config: FusionConfig,
 ) -> tuple[Float32Array, Float32Array]:
     """Depth of the visible surface and its sigma, (H, W) float32 metres; +inf and NaN stay as they are in `ground`.
 
@@ -48,20 +52,26 @@ def expected_surface(
         dem_sigma: of the terrain's heights, metres.
 
     Sigma follows from the traced depth's own gradient: what a pixel's neighbour above or below sees is what the pixel
-    would see under another pitch, or over lower or higher ground. A camera rolled by more than 20 degrees gets no
-    cover, since its columns are not plumb.
+    would see under another pitch, or over lower or higher ground. A camera that is rolled gets no cover, since its
+    columns are not plumb.
     """
     surface, sigma = np.empty_like(ground), np.empty_like(ground)
     _, pitch, roll = pose.angles_deg
-    plumb = math.cos(math.radians(pitch)) if abs(roll) <= MOST_ROLL_DEG else 0.0
+    plumb = math.cos(math.radians(pitch)) if abs(roll) <= config.surface.most_roll_deg else 0.0
     _expect(
         ground,
         np.zeros((1, 1), np.uint8) if labels is None else labels,
         labels is not None,
         (cover * plumb).astype(np.float32),
-        np.float32(camera.fy),
-        np.float32(angle_sigma),
-        np.float32(dem_sigma),
+        _Rules(
+            np.float32(camera.fy),
+            np.float32(angle_sigma),
+            np.float32(dem_sigma),
+            np.float32(config.surface.jump),
+            np.float32(config.cover.doubt),
+            np.float32(config.surface.pixel_doubt),
+            np.float32(config.surface.least_sigma),
+        ),
         surface,
         sigma,
     )
@@ -74,19 +84,18 @@ def _expect(
     labels: UInt8Array,
     labelled: bool,
     cover: Float32Array,
-    focal: np.float32,
-    angle_sigma: np.float32,
-    dem_sigma: np.float32,
+    rules: _Rules,
     surface: Float32Array,
     sigma: Float32Array,
 ) -> None:
     """Row by row in short loops without branches, which compilers turn into vector code."""
     height, width = ground.shape
     far, none = np.float32(1e9), np.float32(np.nan)
-    across = np.float32(_PIXEL_DOUBT) / focal
+    focal, angle_sigma, dem_sigma = rules.focal, rules.angle_sigma, rules.dem_sigma
+    across = rules.pixel_doubt / focal
     angle = focal * focal * (angle_sigma * angle_sigma + across * across)
     lift = focal * focal * dem_sigma * dem_sigma
-    least = np.float32(_LEAST) * np.float32(_LEAST)
+    least = rules.least * rules.least
     slope = np.empty(width, np.float32)
     for v in range(height):
         here, above, below = ground[v], ground[max(v - 1, 0)], ground[min(v + 1, height - 1)]
@@ -107,7 +116,7 @@ def _expect(
             total = (steep + flat) * angle + steep * (lift / (d * d)) + least * d * d
             square[u] = total if d < far else none
         if labelled:
-            _cover(ground, v, labels[v], cover, focal, surface, square)
+            _cover(ground, v, labels[v], cover, rules, surface, square)
         else:
             surface[v] = here
         for u in range(width):
@@ -120,7 +129,7 @@ def _cover(
     v: int,
     labels: UInt8Array,
     cover: Float32Array,
-    focal: np.float32,
+    rules: _Rules,
     surface: Float32Array,
     square: Float32Array,
 ) -> None:
@@ -132,7 +141,7 @@ def _cover(
     height, width = ground.shape
     here, above, top = ground[v], surface[max(v - 1, 0)], surface[v]
     flat = ground.reshape(-1)
-    far, least, jump = np.float32(1e9), np.float32(0.01), np.float32(JUMP)
+    far, least, jump, focal = np.float32(1e9), np.float32(0.01), rules.jump, rules.focal
     row, last, lowest = np.float32(v), np.float32(height - 1), np.int32(height - 2)
     for u in range(width):
         d = here[u]
@@ -150,7 +159,7 @@ def _cover(
                 below = flat[i] + (place - np.float32(k)) * (flat[i + np.uint32(width)] - flat[i])
                 if below * jump > d:
                     top[u] = below
-                    doubt = np.float32(COVER_DOUBT) * (d - below)
+                    doubt = rules.cover_doubt * (d - below)
                     square[u] += doubt * doubt
                     break
                 guess = d

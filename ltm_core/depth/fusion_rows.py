@@ -5,61 +5,107 @@ What nearly all pixels need is computed in short loops without branches, which c
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
 from ltm_core.depth.error_model import expected_predictions
+from ltm_core.depth.fusion_config import DecisionConfig
 from ltm_core.types import BoolArray, Float32Array, Int32Array, UInt8Array
 
-_ODD = 0.4  # sigmas, squared, from which on a disagreement is looked at
-_TORN = 0.15  # of its depth: sigma of a terrain that is torn between two surfaces; nothing is at their mean
-_SOFT = 0.15  # of the range of a network's depth among neighbours: how far a pixel between them may be off
+OWN = 4.0
+"""Times a network's own variance up to which a joint variance is bounded beforehand (`DecisionRules.widest`)."""
+
+
+class DecisionRules(NamedTuple):
+    """`DecisionConfig` as compiled code takes it."""
+
+    disagree: np.float32
+    agree: np.float32
+    torn: np.float32
+    soft: np.float32
+    heard: np.float32
+    heard_over: np.float32
+    vanished: np.float32
+    open: np.float32
+    elsewhere: np.float32
+    between: np.float32
+    blurred: np.float32
+    ranges: np.float32
+    sure: np.float32
+    """1 - open."""
+    few: np.float32
+    """Log odds of `open`."""
+    per_heard: np.float32
+    widest: np.float32
+    """Log of the greatest that a likelihood against what stands nearer can be for its exponential."""
+
+    @classmethod
+    def of(cls, config: DecisionConfig) -> DecisionRules:
+        given = (np.float32(getattr(config, name)) for name in cls._fields[:12])
+        few = math.log(config.open / (1.0 - config.open))
+        widest = math.log(config.ranges / math.sqrt(2.0 * math.pi * OWN))
+        more = (np.float32(value) for value in (1.0 - config.open, few, 1.0 / config.heard, widest))
+        return cls(*given, *more)
+
+
+class FusionRow(NamedTuple):
+    """One row of a photo, (W,) each, while it is fused.
+
+    `depth`, `sigma`: in as the terrain's, out as fused; `source`: `topodepth.Source`; `labels`: class ids. `seen`,
+    `nearest`, `farthest`: inverse depth, 1/m, that the network sees, and its neighbours' extremes. `true`: the
+    terrain's inverse depth, 0 for sky and unknown ground, `own` its sigma; `spread` the network's; `less`: by how much
+    less than `true` it would say; `off`: by how much nearer it sees than it would say, with the variance `joint`.
+    `part`: to work in. `asked`: whether the two disagree or the terrain is unknown. `column`: of the error tables.
+    """
+
+    depth: Float32Array
+    sigma: Float32Array
+    source: UInt8Array
+    labels: UInt8Array
+    seen: Float32Array
+    nearest: Float32Array
+    farthest: Float32Array
+    true: Float32Array
+    own: Float32Array
+    less: Float32Array
+    spread: Float32Array
+    off: Float32Array
+    joint: Float32Array
+    part: Float32Array
+    place: Int32Array
+    column: Int32Array
+    asked: BoolArray
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
-def compare_row(
-    d: Float32Array,
-    s: Float32Array,
-    y: Float32Array,
-    near: Float32Array,
-    back: Float32Array,
-    tables: Float32Array,
-    table: Int32Array,
-    place: Int32Array,
-    label: UInt8Array,
-    sky: int,
-    true: Float32Array,
-    own: Float32Array,
-    less: Float32Array,
-    spread: Float32Array,
-    off: Float32Array,
-    joint: Float32Array,
-    part: Float32Array,
-    asked: BoolArray,
-) -> int:
-    """One row of terrain, depth `d` and sigma `s`, beside what the network sees, `y`, `near` and `back`.
+def compare_row(row: FusionRow, tables: Float32Array, sky: int, rules: DecisionRules) -> int:
+    """Hold one row of terrain against what the network sees: fills `true` to `asked`; how many are asked.
 
-    Fills `true`, the terrain's inverse depth, 0 for sky and unknown ground, and `own`, its sigma; `spread`, the
-    network's; `off`, by how much that is nearer than it would say of the terrain, with the variance `joint`; and
-    `asked`, whether the two disagree or the terrain is unknown; how many. Compilers give up on loops that write into
-    several of many arrays: one result a loop.
+    `tables`: (C * D, 4) the row's of `interpolation_table`. Compilers give up on loops that write into several of many
+    arrays: one result a loop.
     """
+    d, s, y, near, back, label = row.depth, row.sigma, row.seen, row.nearest, row.farthest, row.labels
+    true, own, less, spread, off, joint = row.true, row.own, row.less, row.spread, row.off, row.joint
+    asked, soft_share, disagree = row.asked, rules.soft, rules.disagree
     width, far, one, none = len(d), np.float32(1e9), np.float32(1.0), np.float32(0.0)
     for u in range(width):
         true[u] = one / d[u] if d[u] < far else none
     for u in range(width):
         b = s[u] * true[u] * true[u]
         own[u] = b if d[u] < far else none
-    expected_predictions(true, tables, table, place, part, less, spread)
+    expected_predictions(true, tables, row.column, row.place, row.part, less, spread)
     for u in range(width):
         off[u] = y[u] - true[u] + less[u]
     for u in range(width):
         # At an edge the network's depth is the other side's in part.
-        soft = np.float32(_SOFT) * (near[u] - back[u])
+        soft = soft_share * (near[u] - back[u])
         joint[u] = spread[u] * spread[u] + own[u] * own[u] + soft * soft
     count = 0
     for u in range(width):
-        odd = (off[u] * off[u] > np.float32(_ODD) * joint[u]) & ((off[u] > 0) | (d[u] < far))
+        odd = (off[u] * off[u] > disagree * joint[u]) & ((off[u] > 0) | (d[u] < far))
         ask = (label[u] != sky) & (odd | ((d[u] != d[u]) & (y[u] == y[u])))
         asked[u] = ask
         count += ask
@@ -67,23 +113,17 @@ def compare_row(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "arcp", "contract"})  # type: ignore[untyped-decorator]
-def average_row(
-    d: Float32Array,
-    s: Float32Array,
-    kind: UInt8Array,
-    true: Float32Array,
-    own: Float32Array,
-    off: Float32Array,
-    joint: Float32Array,
-    weight: Float32Array,
-) -> None:
-    """Mean by inverse variance, in inverse depth, where both agree within three sigmas and the terrain is one surface;
-    see `compare_row`."""
+def average_row(row: FusionRow, rules: DecisionRules) -> None:
+    """Mean by inverse variance, in inverse depth, where both agree within so many sigmas and the terrain is one
+    surface; see `compare_row`."""
+    d, s, kind = row.depth, row.sigma, row.source
+    true, own, off, joint, weight = row.true, row.own, row.off, row.joint, row.part
+    agree, torn = rules.agree, rules.torn
     width, one = len(d), np.float32(1.0)
     for u in range(width):
         w = own[u] * own[u] / joint[u]
-        fits = (off[u] * off[u] <= np.float32(9.0) * joint[u]) & (true[u] + w * off[u] > np.float32(0.5) * true[u])
-        weight[u] = w if fits & (own[u] > 0) & (own[u] < np.float32(_TORN) * true[u]) else np.float32(-1.0)
+        fits = (off[u] * off[u] <= agree * joint[u]) & (true[u] + w * off[u] > np.float32(0.5) * true[u])
+        weight[u] = w if fits & (own[u] > 0) & (own[u] < torn * true[u]) else np.float32(-1.0)
     for u in range(width):
         d[u] = one / (true[u] + weight[u] * off[u]) if weight[u] >= 0 else d[u]
     for u in range(width):

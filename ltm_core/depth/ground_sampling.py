@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from ltm_core.depth.expected_surface import JUMP
+from ltm_core.depth.fusion_config import FusionConfig, SamplingConfig
 from ltm_core.types import BoolArray, Float32Array, Float64Array, IndexArray, UInt8Array
 
-MOST = 6000
-"""Samples that a fit gets at most."""
-CROWD = 4
-GRAZING_DEG = 4.0
-"""Least angle between ray and ground."""
-UNSURE = 0.3
-"""Relative sigma from which on a depth says nothing of scale. Ground near a low mast is unsure, but a network must not
-be left without what is near."""
-_STEP = 6  # pixels between candidates
-_CLEAR = 5  # pixels within which no silhouette may lie
+
+class _Rules(NamedTuple):
+    """As compiled code takes them. `steep`: relative change of depth over two rows that is grazed."""
+
+    jump: np.float32
+    unsure: np.float32
+    steep: np.float32
+    step: int
+    clear: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,20 +45,29 @@ def ground_samples(
     labels: UInt8Array | None,
     ground: BoolArray,
     focal: float,
+    config: FusionConfig,
 ) -> GroundSamples:
     """Evenly spread pixels with terrain that is no sky, at no silhouette, not grazed, and of a class that is ground.
 
-    `ground`: (256,) which classes are. `focal`: pixels. Sigmas above UNSURE of the depth are left out as well.
+    `ground`: (256,) which classes are. `focal`: pixels. Where sigma is a large part of the depth is left
+    out as well: ground near a low mast is unsure, but a network must not be left without what is near.
     """
+    rules = config.sampling
     rows, cols, depth = _candidates(
         surface,
         sigma,
         np.zeros((1, 1), np.uint8) if labels is None else labels,
         labels is not None,
         ground,
-        np.float32(2.0 / (focal * np.tan(np.radians(GRAZING_DEG)))),
+        _Rules(
+            np.float32(config.surface.jump),
+            np.float32(rules.unsure),
+            np.float32(2.0 / (focal * np.tan(np.radians(rules.grazing_deg)))),
+            rules.step,
+            rules.clear,
+        ),
     )
-    chosen = _even(depth)
+    chosen = _even(depth, rules)
     rows, cols = rows[chosen], cols[chosen]
     return GroundSamples(rows, cols, depth[chosen].astype(np.float64), sigma[rows, cols].astype(np.float64))
 
@@ -70,26 +79,26 @@ def _candidates(
     labels: UInt8Array,
     labelled: bool,
     ground: BoolArray,
-    steep: np.float32,
+    rules: _Rules,
 ) -> tuple[IndexArray, IndexArray, Float32Array]:
-    """Rows, columns and depth of the pixels of a grid that are fit. `steep`: relative change of depth over two rows
-    that is grazed."""
+    """Rows, columns and depth of the pixels of a grid that are fit."""
     height, width = surface.shape
-    down, across = (height - 2 * _CLEAR + _STEP - 1) // _STEP, (width - 2 * _CLEAR + _STEP - 1) // _STEP
+    clear, step = rules.clear, rules.step
+    down, across = (height - 2 * clear + step - 1) // step, (width - 2 * clear + step - 1) // step
     count = max(down, 0) * max(across, 0)
     rows, cols, depth = np.empty(count, np.intp), np.empty(count, np.intp), np.empty(count, np.float32)
-    far, jump, unsure = np.float32(1e9), np.float32(JUMP), np.float32(UNSURE)
+    far, jump, unsure, steep = np.float32(1e9), rules.jump, rules.unsure, rules.steep
     i = 0
-    for v in range(_CLEAR, height - _CLEAR, _STEP):
-        for u in range(_CLEAR, width - _CLEAR, _STEP):
+    for v in range(clear, height - clear, step):
+        for u in range(clear, width - clear, step):
             d = surface[v, u]
             good = d < far and d > 0 and sigma[v, u] < unsure * d and (not labelled or ground[labels[v, u]])
             if good:
                 for beside in (
-                    surface[v + _CLEAR, u],
-                    surface[v - _CLEAR, u],
-                    surface[v, u - _CLEAR],
-                    surface[v, u + _CLEAR],
+                    surface[v + clear, u],
+                    surface[v - clear, u],
+                    surface[v, u - clear],
+                    surface[v, u + clear],
                 ):
                     good &= beside < jump * d and d < jump * beside
                 # The rise of the depth in a pixel's angle is the cotangent of the angle between ray and ground.
@@ -100,17 +109,17 @@ def _candidates(
     return rows[:i], cols[:i], depth[:i]
 
 
-def _even(depth: Float32Array) -> IndexArray:
+def _even(depth: Float32Array, rules: SamplingConfig) -> IndexArray:
     """Which of the samples (N,) to keep, so that what fills most of a photo does not decide for all ranges: no class of
-    ranges gets more than CROWD times the places of a middling one."""
+    ranges gets more than `crowd` times the places of a middling one."""
     if not len(depth):
         return np.empty(0, np.intp)
     octave = np.floor(2.0 * np.log2(depth)).astype(np.intp)
     octave -= octave.min()
     counts = np.bincount(octave)
     filled = counts[counts > 0]
-    most = CROWD * np.median(filled)
-    while np.minimum(filled, most).sum() > MOST:
+    most = rules.crowd * np.median(filled)
+    while np.minimum(filled, most).sum() > rules.most:
         most *= 0.9
     return np.asarray(_evenly(octave, np.minimum(1.0, most / np.maximum(counts, 1))))
 

@@ -2,57 +2,59 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numba
 import numpy as np
 
-from ltm_core.depth.error_model import ErrorModel
+from ltm_core.depth.error_model import ErrorModel, ErrorTables
+from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.guided_filter import guided_coefficients
 from ltm_core.depth.scale_fit import ScaleFit
 from ltm_core.types import Float32Array, Int32Array, UInt8Array
 
 
-@dataclass(frozen=True, eq=False)
-class NetworkView:
-    """A network's view of a photo, kept at the network's size.
+class NetworkView(NamedTuple):
+    """A network's view of a photo, kept at the network's size, as compiled code takes it.
 
     `cells`: (4, h, w) float32 over the photo, edge to edge: gain and offset on the photo's `grey` (H, W), then the
     greatest and the least inverse depth, 1/m, among neighbours. `columns`, `parts`: for each column of the photo the
-    cell to its left, and how far it lies towards the next. For `error_model` and `gross` see `ScaleFit`.
+    cell to its left, and how far it lies towards the next. `tables`: the network's error model. `gross`: see
+    `ScaleFit`. `there`: whether there is a network at all.
     """
 
     cells: Float32Array
     grey: UInt8Array
     columns: Int32Array
     parts: Float32Array
-    error_model: ErrorModel
-    gross: float
+    tables: ErrorTables
+    gross: np.float32
+    there: bool
 
     @classmethod
-    def of(cls, fit: ScaleFit, rgb: UInt8Array) -> NetworkView:
+    def of(cls, fit: ScaleFit, rgb: UInt8Array, config: FusionConfig) -> NetworkView:
         grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-        gain, offset = guided_coefficients(fit.inverse, grey)
+        gain, offset = guided_coefficients(fit.inverse, grey, config.upsampling)
         cells = np.stack([gain, offset, fit.nearest, fit.farthest])
         width = cells.shape[2]
         at = (np.arange(grey.shape[1]) + 0.5) * (width / grey.shape[1]) - 0.5
         columns = np.clip(np.floor(at), 0, width - 2).astype(np.int32)
-        return cls(cells, grey, columns, np.clip(at - columns, 0, 1).astype(np.float32), fit.error_model, fit.gross)
+        parts = np.clip(at - columns, 0, 1).astype(np.float32)
+        return cls(cells, grey, columns, parts, fit.error_model.tables, np.float32(fit.gross), True)
+
+    @classmethod
+    def none(cls) -> NetworkView:
+        """In place of a network that is not there."""
+        grey, column = np.zeros((1, 1), np.uint8), np.zeros(1, np.int32)
+        cells, part = np.zeros((4, 2, 2), np.float32), np.zeros(1, np.float32)
+        return cls(cells, grey, column, part, ErrorModel.none().tables, np.float32(1.0), False)
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the network's depth."""
         _, rows, columns = self.cells.shape
         return rows, columns
-
-    @classmethod
-    def none(cls) -> NetworkView:
-        """In place of a network that is not there, for kernels."""
-        nothing = np.zeros((4, 2, 2), np.float32)
-        return cls(
-            nothing, np.zeros((1, 1), np.uint8), np.zeros(1, np.int32), np.zeros(1, np.float32), ErrorModel.none(), 1.0
-        )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -64,18 +66,11 @@ def _row(v: int, rows: int, height: int) -> tuple[int, np.float32]:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "contract"})  # type: ignore[untyped-decorator]
-def upsample_row(
-    cells: Float32Array,
-    grey: UInt8Array,
-    columns: Int32Array,
-    parts: Float32Array,
-    v: int,
-    row: Float32Array,
-    out: Float32Array,
-) -> None:
+def upsample_row(view: NetworkView, v: int, row: Float32Array, out: Float32Array) -> None:
     """What the network sees in row `v` of the photo, into `out` (3, W): inverse depth, 1/m, NaN where unknown, and the
     greatest and the least that neighbours see. `row`: (4, w), to work in.
     """
+    cells, grey, columns, parts = view.cells, view.grey, view.columns, view.parts
     top, down = _row(v, cells.shape[1], grey.shape[0])
     for k in range(4):
         above, below, between = cells[k, top], cells[k, top + 1], row[k]
@@ -97,12 +92,11 @@ def upsample_row(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def upsample_pixel(
-    cells: Float32Array, grey: UInt8Array, columns: Int32Array, parts: Float32Array, v: int, u: int
-) -> np.float32:
+def upsample_pixel(view: NetworkView, v: int, u: int) -> np.float32:
     """The inverse depth, 1/m, that the network sees in one pixel."""
+    cells, grey = view.cells, view.grey
     top, down = _row(v, cells.shape[1], grey.shape[0])
-    x, part = columns[u], parts[u]
+    x, part = view.columns[u], view.parts[u]
     gain = _between(cells[0], top, x, down, part)
     y = _between(cells[1], top, x, down, part) + gain * np.float32(grey[v, u])
     near, back = _between(cells[2], top, x, down, part), _between(cells[3], top, x, down, part)

@@ -11,13 +11,12 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from ltm_core.depth.error_model import invert
+from ltm_core.depth.error_model import ErrorTables, invert
+from ltm_core.depth.fusion_config import FusionConfig
+from ltm_core.depth.fusion_rows import DecisionRules
 from ltm_core.depth.pixel_fusion import elsewhere
 from ltm_core.depth.scale_fit import ScaleFit
 from ltm_core.types import Float32Array
-
-_SURE = 0.5
-"""Relative sigma from which on a depth measures nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +28,12 @@ class NetworkMeasurement:
     sigma: Float32Array
 
     @classmethod
-    def of(cls, fit: ScaleFit) -> NetworkMeasurement:
+    def of(cls, fit: ScaleFit, config: FusionConfig) -> NetworkMeasurement:
         """From a fit that can be used. What is seen may not be the ground on which the network was fitted, so sigma is
         that of what stands before it."""
         depth, sigma = np.empty_like(fit.inverse), np.empty_like(fit.inverse)
-        _measure(fit.inverse, fit.nearest, fit.farthest, fit.error_model.shift, fit.error_model.factor, depth, sigma)
+        seen, sure = (fit.inverse, fit.nearest, fit.farthest), np.float32(config.decision.measured)
+        _measure(seen, fit.error_model.tables, DecisionRules.of(config.decision), sure, depth, sigma)
         return cls(depth, sigma)
 
     @classmethod
@@ -45,22 +45,24 @@ class NetworkMeasurement:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _measure(
-    inverse: Float32Array,
-    nearest: Float32Array,
-    farthest: Float32Array,
-    shift: Float32Array,
-    factor: Float32Array,
+    seen: tuple[Float32Array, Float32Array, Float32Array],
+    errors: ErrorTables,
+    rules: DecisionRules,
+    sure: np.float32,
     depth: Float32Array,
     sigma: Float32Array,
 ) -> None:
+    """`seen`: (h, w) each, what the network sees, and the greatest and least among neighbours; `sure`: relative sigma
+    from which on a depth measures nothing."""
+    inverse, nearest, farthest = seen
     height, width = inverse.shape
     one, none = np.float32(1.0), np.float32(np.nan)
     for v in range(height):
-        row = v * shift.shape[0] // height
+        row = v * errors.shift.shape[0] // height
         for u in range(width):
             depth[v, u], sigma[v, u] = none, none
             if inverse[v, u] > 0:
-                true, t = invert(row, u * shift.shape[1] // width, inverse[v, u], shift, factor)
-                t = elsewhere(t, nearest[v, u], farthest[v, u])
-                if t < np.float32(_SURE) * true:
+                true, t = invert(row, u * errors.shift.shape[1] // width, inverse[v, u], errors)
+                t = elsewhere(t, nearest[v, u], farthest[v, u], rules)
+                if t < sure * true:
                     depth[v, u], sigma[v, u] = one / true, t / (true * true)

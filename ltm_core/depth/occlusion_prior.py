@@ -11,7 +11,7 @@ leaps there, at a crest, it stands on the crest, wherever behind that a network 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numba
@@ -19,29 +19,37 @@ import numpy as np
 
 from ltm_core.camera import Camera
 from ltm_core.depth.class_priors import ClassPriors
-from ltm_core.depth.expected_surface import MOST_ROLL_DEG
+from ltm_core.depth.fusion_config import FusionConfig, OcclusionConfig
 from ltm_core.pose import Pose
 from ltm_core.types import Float32Array, UInt8Array
+from ltm_core.vision.labels import UNLABELLED
 
-NEARER = 0.69
-"""Log odds that each e-folding of depth between a thing and the ground behind it adds: what is near hides much."""
-MOST_RATIO = 3.0
-"""E-foldings from which on they grow no more."""
-OPEN = 0.1
-"""Chance from which on a depth counts beside the likelier one."""
-_EDGE = 1.16  # what log odds lose at an edge as high as the disagreement, and less by its square
-_METRE = 0.14  # what they lose with each metre of height
-_HIGHEST = 30.0  # metres from which on they lose no more
-_NO_FOOT = 1.0  # what they lose where the image ends above the foot
-_SEEN, _SEEN_DOUBT = 0.8, 0.4  # of the way from where a network sees a thing to where its foot is: its place, sigma
-_ABOUT = 7  # cells, the side of the square whose labels are heard
-_MOST_PITCH_DEG = 60.0
 _STEP = 4  # rows of the photo between those of `feet`
 
 
-@dataclass(frozen=True, eq=False)
-class OcclusionPrior:
-    """What is known of a photo's places before its depth is asked.
+class OcclusionRules(NamedTuple):
+    """`OcclusionConfig` as compiled code takes it."""
+
+    nearer: np.float32
+    most_ratio: np.float32
+    far_ratio: np.float32
+    """e to the power of `most_ratio`."""
+    edge: np.float32
+    metre: np.float32
+    highest: np.float32
+    no_foot: np.float32
+    seen: np.float32
+    seen_doubt: np.float32
+
+    @classmethod
+    def of(cls, config: OcclusionConfig) -> OcclusionRules:
+        values = (getattr(config, name) for name in cls._fields if name != "far_ratio")
+        first, second, *rest = (np.float32(value) for value in values)
+        return cls(first, second, np.float32(np.exp(config.most_ratio)), *rest)
+
+
+class OcclusionPrior(NamedTuple):
+    """What is known of a photo's places before its depth is asked, as compiled code takes it.
 
     `odds`: (h, w) float32 over the photo, log odds that a place shows something which stands before the ground, when
     that is hardly farther and has no height. `feet`: (w, R) float32 depth of the ground, metres, in the columns of
@@ -51,7 +59,8 @@ class OcclusionPrior:
 
     odds: Float32Array
     feet: Float32Array
-    focal: float
+    focal: np.float32
+    rules: OcclusionRules
 
     @classmethod
     def of(
@@ -62,29 +71,33 @@ class OcclusionPrior:
         camera: Camera,
         pose: Pose,
         cells: tuple[int, int],
+        config: FusionConfig,
     ) -> OcclusionPrior:
         """From traced depth of bare ground (H, W) and label ids (H, W), or None. `cells`: (h, w) of the network whose
-        depth will be asked about. Of a camera that is rolled by more than 20 degrees, or looks more than 60 down or up,
-        no foot is asked: nothing stands along its columns."""
+        depth will be asked about. Of a camera that is rolled or looks far down or up no foot is asked: nothing stands
+        along its columns."""
         columns = ((np.arange(cells[1]) + 0.5) * ground.shape[1] / cells[1]).astype(np.intp)
         feet = np.ascontiguousarray(ground[::_STEP, columns].T)
         _, pitch, roll = pose.angles_deg
-        if abs(roll) > MOST_ROLL_DEG or abs(pitch) > _MOST_PITCH_DEG:
+        if abs(roll) > config.surface.most_roll_deg or abs(pitch) > config.surface.most_pitch_deg:
             feet[:] = 0.0
-        focal = camera.fy * math.cos(math.radians(pitch))
+        focal = np.float32(camera.fy * math.cos(math.radians(pitch)))
+        rules, odds = OcclusionRules.of(config.occlusion), classes.occluder_log_odds
         if labels is None:
-            return cls(np.full(cells, classes.occluder_log_odds[255], np.float32), feet, focal)
+            return cls(np.full(cells, odds[UNLABELLED], np.float32), feet, focal, rules)
         ids = cv2.resize(labels, cells[::-1], interpolation=cv2.INTER_NEAREST)
         # The sky says nothing of what stands beside it.
         land = (ids != classes.sky).astype(np.float32)
-        about = cv2.blur(classes.occluder_log_odds[ids] * land, (_ABOUT, _ABOUT))
-        share = np.maximum(cv2.blur(land, (_ABOUT, _ABOUT)), np.float32(1e-3))
-        return cls(np.asarray(about / share, np.float32), feet, focal)
+        window = (config.occlusion.about, config.occlusion.about)
+        about = cv2.blur(odds[ids] * land, window)
+        share = np.maximum(cv2.blur(land, window), np.float32(1e-3))
+        return cls(np.asarray(about / share, np.float32), feet, focal, rules)
 
     @classmethod
     def none(cls) -> OcclusionPrior:
-        """In place of one that is not asked, for kernels."""
-        return cls(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32), 1.0)
+        """In place of one that is not asked."""
+        nothing = np.zeros((1, 1), np.float32)
+        return cls(nothing, nothing, np.float32(1.0), OcclusionRules.of(OcclusionConfig()))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -104,6 +117,7 @@ def ground_contact(near: np.float32, column: Float32Array, row: int) -> int:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def occlusion_log_odds(
+    prior: OcclusionPrior,
     odds: np.float32,
     near: np.float32,
     true: np.float32,
@@ -111,30 +125,37 @@ def occlusion_log_odds(
     column: Float32Array,
     row: int,
     foot: int,
-    focal: np.float32,
 ) -> np.float32:
     """Log odds that something stands at inverse depth `near` before ground at `true`, which may be 0, in a `row` of the
     photo, where an edge is as high as `edge` of the disagreement. For `odds` and `column` see `OcclusionPrior`, for
     `foot` `ground_contact`."""
-    ratio = np.float32(MOST_RATIO)
-    if true * np.float32(np.exp(MOST_RATIO)) > near:
+    rules = prior.rules
+    ratio = rules.most_ratio
+    if true * rules.far_ratio > near:
         ratio = np.log(near / true)
-    odds += np.float32(NEARER) * ratio - np.float32(_EDGE) * edge * edge
+    odds += rules.nearer * ratio - rules.edge * edge * edge
     if foot == len(column):
-        odds -= np.float32(_NO_FOOT)
-    height = np.float32(max(foot * _STEP - row, 0)) / (near * focal)
-    return np.float32(odds - np.float32(_METRE) * min(height, np.float32(_HIGHEST)))
+        odds -= rules.no_foot
+    return np.float32(odds - rules.metre * min(height_above(prior, near, row, foot), rules.highest))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def snap_to_contact(near: np.float32, t: np.float32, column: Float32Array, foot: int) -> tuple[np.float32, np.float32]:
+def height_above(prior: OcclusionPrior, near: np.float32, row: int, foot: int) -> np.float32:
+    """Metres from a `foot` (`ground_contact`) up to a `row` of the photo, at inverse depth `near`."""
+    return np.float32(max(foot * _STEP - row, 0)) / (near * prior.focal)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def snap_to_contact(
+    rules: OcclusionRules, near: np.float32, t: np.float32, column: Float32Array, foot: int
+) -> tuple[np.float32, np.float32]:
     """Inverse depth and its sigma, 1/m, of a thing that a network sees at `near`, with sigma `t`, and whose `foot` is
     known: it stands on the ground that is seen rather than on what a crest hides."""
     if foot == len(column) or not column[foot] > 0:
         return near, t
     nearer = np.float32(1.0) / column[foot] - near
-    hidden = np.float32(_SEEN_DOUBT) * nearer
-    return near + np.float32(_SEEN) * nearer, np.float32(np.sqrt(t * t + hidden * hidden))
+    hidden = rules.seen_doubt * nearer
+    return near + rules.seen * nearer, np.float32(np.sqrt(t * t + hidden * hidden))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

@@ -17,31 +17,20 @@ import numba
 import numpy as np
 
 from ltm_core.camera import Camera
-from ltm_core.depth.class_priors import CREST, ClassPriors
+from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
-from ltm_core.depth.expected_surface import JUMP
+from ltm_core.depth.fusion_config import PoseCheckConfig
 from ltm_core.depth.skyline_check import check_skyline
 from ltm_core.types import BoolArray, Float32Array, Int32Array, UInt8Array
+from ltm_core.vision.labels import UNLABELLED
 
-REACH_DEG = 2.5
-"""How far a wrong pose is looked for."""
-_CELLS = 480  # of the contrast image in a row
-_LEAST_EDGES = 60
-_MOST_EDGES = 1500
-_NEAR_DEG = 0.25  # that cover and the DEM's error may move a silhouette by
-_ALLOWED_DEG = 0.13  # beside three sigmas of the direction
-_COVER = 1.0  # metres that cover raises a crest by
-_BESIDE = 2  # pixels above an edge where the label of what stands on it is read
-_AS_WELL = 0.8  # of the best contrast over the usual: about as good
-_CLEARLY = 0.6  # of the best contrast that the given pose must miss to be suspected
-_SKYLINE_GAIN = 4.0  # times that the skyline must fit better: labels that err fit a little better somewhere
-_CONTRAST, _OUTSTANDING = 1.8, 4.0  # least contrast at the best place, and how many spreads it is above the usual one
+_JUMP = 1.25  # half, in logarithms, of the leap of depth that a photo surely shows
 
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """`edges`: silhouettes looked at; `columns`: of the skyline. `pitch_deg`, `azimuth_deg`: by how much the camera
-    should be turned (up, clockwise) for the terrain to fit the photo best, 0 where not known. `gain`: how many times
+    """`edges`: of the terrain that were looked at; `columns`: of the skyline. `pitch_deg`, `azimuth_deg`: by how much the
+    camera should be turned (up, clockwise) for the terrain to fit the photo best, 0 where not known. `gain`: how many times
     better it fits there. `suspected`, and `reason` in words.
     """
 
@@ -52,11 +41,13 @@ class PoseCheck:
     gain: float
     suspected: bool
     reason: str
+    checked: bool = True
+    """Whether there was enough to tell a wrong pose by."""
 
-    @property
-    def checked(self) -> bool:
-        """Whether there was enough to tell a wrong pose by."""
-        return self.edges >= _LEAST_EDGES or self.columns > 0
+    @classmethod
+    def none(cls) -> PoseCheck:
+        """Of a pose that is not checked."""
+        return cls(0, 0, 0.0, 0.0, 1.0, False, "", False)
 
 
 def check_pose(
@@ -65,6 +56,7 @@ def check_pose(
     camera: Camera,
     angle_sigma: float,
     dem_sigma: float,
+    config: PoseCheckConfig,
     labels: UInt8Array | None = None,
     classes: ClassPriors | None = None,
     label_cell: float = 1.0,
@@ -75,34 +67,46 @@ def check_pose(
     `angle_sigma`, `dem_sigma`: radians and metres that are no surprise. `classes`: what the labels mean. `label_cell`:
     pixels of the photo that one of the labels' network spans. `edges`: of `ground`, where they are known.
     """
-    allowed = _ALLOWED_DEG + 3 * math.degrees(angle_sigma)
-    nearest = (_COVER + dem_sigma) / math.radians(_NEAR_DEG)
-    rows, cols = _silhouettes(ground, DepthDiscontinuities.of(ground) if edges is None else edges, nearest)
+    allowed = config.allowed_deg + 3 * math.degrees(angle_sigma)
+    nearest = (config.cover + dem_sigma) / math.radians(config.near_deg)
+    edges = DepthDiscontinuities.of(ground, _JUMP) if edges is None else edges
+    rows, cols = _far_edges(ground, edges, nearest, config.most_edges)
     if labels is not None and classes is not None:
-        clear_of_trees = _clear_of_trees(rows, cols, ground, labels, classes.crest, dem_sigma)
+        clear_of_trees = _clear_of_trees(rows, cols, ground, labels, classes.crest, dem_sigma, config)
         rows, cols = rows[clear_of_trees], cols[clear_of_trees]
     columns = 0
-    found = _check_edges(rgb, rows, cols, camera, allowed) if len(rows) >= _LEAST_EDGES else None
+    found = _check_edges(rgb, rows, cols, camera, allowed, config) if len(rows) >= config.least_edges else None
     reason = "the photo's edges fit the terrain's silhouettes"
     if labels is not None and classes is not None:
-        reach = math.radians(REACH_DEG)
+        reach = math.radians(config.reach_deg)
         skyline = check_skyline(
-            labels, classes.sky, ground, camera, angle_sigma, dem_sigma, classes.crest, nearest, reach, label_cell
+            labels,
+            classes.sky,
+            ground,
+            camera,
+            angle_sigma,
+            dem_sigma,
+            classes.crest,
+            nearest,
+            reach,
+            config,
+            label_cell,
         )
         columns = 0 if skyline is None else skyline.columns
         # All of a coarse network's edges may lie off by the same half of a cell.
         coarse = math.degrees(0.5 * (label_cell - 1.0) / camera.fy)
-        clear = skyline is not None and skyline.gain >= _SKYLINE_GAIN
+        clear = skyline is not None and skyline.gain >= config.skyline_gain
         if skyline is not None and clear and skyline.least_deg > allowed + coarse and (found is None or not found[3]):
             found = skyline.pitch_deg, skyline.azimuth_deg, skyline.gain, True
             reason = "the labels' skyline fits the terrain's"
+    checked = len(rows) >= config.least_edges or columns > 0
     if found is None:
-        return PoseCheck(len(rows), columns, 0.0, 0.0, 1.0, False, "")
+        return PoseCheck(len(rows), columns, 0.0, 0.0, 1.0, False, "", checked)
     pitch, azimuth, gain, suspected = found
     if suspected:
         reason += f" {gain:.1f} times better with the camera turned by {pitch:+.2f} deg of pitch and "
         reason += f"{azimuth:+.2f} deg of azimuth"
-    return PoseCheck(len(rows), columns, pitch, azimuth, gain, suspected, reason if suspected else "")
+    return PoseCheck(len(rows), columns, pitch, azimuth, gain, suspected, reason if suspected else "", checked)
 
 
 def _clear_of_trees(
@@ -112,19 +116,20 @@ def _clear_of_trees(
     labels: UInt8Array,
     crest: Float32Array,
     dem_sigma: float,
+    config: PoseCheckConfig,
 ) -> BoolArray:
     """Which edges (N,) are no trees', by the labels right above and below them, or so far that trees are not much."""
-    height = np.maximum(crest[labels[np.maximum(rows - _BESIDE, 0), cols]], crest[labels[rows, cols]])
-    far = ground[rows, cols] > (height + dem_sigma) / math.radians(_NEAR_DEG)
-    return np.asarray(far | (height <= CREST))
+    height = np.maximum(crest[labels[np.maximum(rows - config.beside, 0), cols]], crest[labels[rows, cols]])
+    far = ground[rows, cols] > (height + dem_sigma) / math.radians(config.near_deg)
+    return np.asarray(far | (height <= crest[UNLABELLED]))
 
 
 def _check_edges(
-    rgb: UInt8Array, rows: Int32Array, cols: Int32Array, camera: Camera, allowed_deg: float
+    rgb: UInt8Array, rows: Int32Array, cols: Int32Array, camera: Camera, allowed_deg: float, config: PoseCheckConfig
 ) -> tuple[float, float, float, bool]:
     """Pitch and azimuth of the best turn, degrees, its gain, and whether the pose is suspected."""
-    shrink = max(1, round(rgb.shape[1] / _CELLS))  # photo pixels a cell
-    reach = int(math.radians(REACH_DEG) * camera.fy / shrink)
+    shrink = max(1, round(rgb.shape[1] / config.cells))  # photo pixels a cell
+    reach = int(math.radians(config.reach_deg) * camera.fy / shrink)
     scores = _scores(_contrast(rgb, shrink), rows // shrink, cols // shrink, reach)
     v, u = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     usual = float(np.median(scores))
@@ -133,24 +138,26 @@ def _check_edges(
     best = float(scores[place])
     here = float(scores[np.hypot(v, u) <= 1.0].max())
     turns = np.degrees(np.hypot(v, u) * shrink / camera.fy)
-    least = float(turns[scores >= usual + _AS_WELL * (best - usual)].min())
-    clear = best >= max(_CONTRAST, usual + _OUTSTANDING * spread) and here < _CLEARLY * best
+    least = float(turns[scores >= usual + config.as_well * (best - usual)].min())
+    clear = best >= max(config.contrast, usual + config.outstanding * spread) and here < config.clearly * best
     pitch = math.degrees((int(place[0]) - reach) * shrink / camera.fy)
     azimuth = -math.degrees((int(place[1]) - reach) * shrink / camera.fx)
     return pitch, azimuth, best / max(here, 1e-3), bool(clear and least > allowed_deg)
 
 
-def _silhouettes(ground: Float32Array, edges: DepthDiscontinuities, nearest: float) -> tuple[Int32Array, Int32Array]:
+def _far_edges(
+    ground: Float32Array, edges: DepthDiscontinuities, nearest: float, most: int
+) -> tuple[Int32Array, Int32Array]:
     """Pixels (rows, cols) above which is sky or ground farther by twice a jump, every other column, of ground beyond
     `nearest` metres; where known ground merely ends there is no edge to be seen.
     """
     rows, cols = edges.rows, edges.cols
     here, above = ground[rows, cols], ground[rows - 1, cols]
-    kept = (rows % 2 == 1) & (cols % 2 == 0) & (here > nearest) & (above > np.float32(JUMP * JUMP) * here)
+    kept = (rows % 2 == 1) & (cols % 2 == 0) & (here > nearest) & (above > np.float32(_JUMP * _JUMP) * here)
     order = np.argsort(rows[kept], kind="stable")  # from the topmost down
     rows, cols = rows[kept][order], cols[kept][order]
-    if len(rows) > _MOST_EDGES:
-        some = np.linspace(0, len(rows) - 1, _MOST_EDGES).round().astype(np.intp)
+    if len(rows) > most:
+        some = np.linspace(0, len(rows) - 1, most).round().astype(np.intp)
         rows, cols = rows[some], cols[some]
     return rows, cols
 
@@ -191,7 +198,7 @@ def _scores(contrast: Float32Array, rows: Int32Array, cols: Int32Array, reach: i
     """Mean contrast under the edges, shifted by -reach..reach rows and columns."""
     height, width = contrast.shape
     side = 2 * reach + 1
-    # DepthDiscontinuities that leave the image count as no contrast: the rest must not look the better for it.
+    # Edges that leave the image count as no contrast: the rest must not look the better for it.
     wide = np.zeros((height + 2 * reach, width + 2 * reach), np.float32)
     wide[reach : reach + height, reach : reach + width] = contrast
     scores = np.zeros((side, side), np.float32)

@@ -11,29 +11,13 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from ltm_core.depth.error_model import RELATIVE_FLOOR, ErrorModel
+from ltm_core.depth.error_estimation import estimate_errors
+from ltm_core.depth.error_model import ErrorModel
+from ltm_core.depth.fusion_config import FusionConfig, ScaleConfig
 from ltm_core.depth.ground_sampling import GroundSamples
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.robust_regression import WIDTH, Line, robust_line, robust_offset
 from ltm_core.types import BoolArray, Float32Array, Float64Array
-
-LEAST_INLIERS = 0.3
-"""Share of samples below which nothing holds together."""
-LEAST_EXPLAINED = 0.1
-"""Part of the ground's robust spread in inverse depth that a network must take away to be of use."""
-LIKE_TERRAIN = 0.2
-"""Relative noise below which a network is of use even over ground of one depth, where there is nothing to explain."""
-_SHIFT_GAIN = (
-    0.6  # of the residual: a shift that does not bring it there is left out, for it would rule all that is far
-)
-_TYPICAL = 0.1  # relative sigma of the terrain from which on a sample counts for less
-GROSS_SIGMAS = 3.0
-"""Joint sigmas beyond which a network's residual is no noise."""
-COVERED_GROSS = 0.5
-"""Part of the ground that a network sees much too near which is its error, and no cover that the labels missed."""
-LEAST_GROSS, NOISY_GROSS = 0.003, 0.05
-"""Least share of gross errors that a network is believed to make: as much as its relative noise, within these bounds.
-The share among samples is little to go by: one place that a network mistakes is many samples, and places are few."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,9 +43,9 @@ class ScaleFit:
         return 0.0 if self.line is None else self.line.inlier_ratio
 
 
-def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, int]) -> ScaleFit:
+def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, int], config: FusionConfig) -> ScaleFit:
     """Fit a network's depth to ground samples of a photo of `size` (height, width)."""
-    values = network.values
+    values, rules = network.values, config.scale
     trouble = _unfit(values, network.kind) or _too_few(samples)
     if trouble:
         return _unusable(network, None, trouble)
@@ -69,24 +53,24 @@ def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, in
     known = np.isfinite(at)
     if known.sum() < 50:
         return _unusable(network, None, f"{int(known.sum())} of {len(samples)} ground samples have a network depth")
-    line = fitted_line(network.kind, at[known], samples.part(known))
+    line = fitted_line(network.kind, at[known], samples.part(known), rules)
     if line is None:
         return _unusable(network, None, "the network's depth is constant over the ground samples")
-    if line.inlier_ratio < LEAST_INLIERS:
+    if line.inlier_ratio < rules.least_inliers:
         return _unusable(network, line, f"only {line.inlier_ratio:.0%} of the ground samples fit one scale and shift")
     if line.scale <= 0:
         return _unusable(network, line, f"the network's depth runs against the terrain's (scale {line.scale:.3g})")
     inverse = _in_metres(network, line)
     read = sampled(inverse, samples, size)
     explained = _explained(1.0 / samples.depth, read)
-    if explained < LEAST_EXPLAINED and line.sigma > LIKE_TERRAIN:
+    if explained < rules.least_explained and line.sigma > rules.like_terrain:
         return _unusable(network, line, f"the network's depth explains only {explained:.0%} of the terrain's")
-    model = ErrorModel.of(read, samples, size)
+    model = estimate_errors(read, samples, size, config)
     # Ground seldom vanishes, so what is farther than the terrain is an error; what is nearer may be plants as well.
     joint = model.standardized(read, samples, size)
     joint = joint[np.isfinite(joint)]
-    gross = float(np.mean(joint > GROSS_SIGMAS) + COVERED_GROSS * np.mean(joint < -GROSS_SIGMAS))
-    gross = max(gross, LEAST_GROSS, min(line.sigma, NOISY_GROSS))
+    gross = float(np.mean(joint > rules.gross_sigmas) + rules.covered_gross * np.mean(joint < -rules.gross_sigmas))
+    gross = max(gross, rules.least_gross, min(line.sigma, rules.noisy_gross))
     return ScaleFit(inverse, *_neighbours(inverse), model, gross, line, "")
 
 
@@ -120,32 +104,34 @@ def _too_few(samples: GroundSamples) -> str:
     return "" if len(samples) >= 50 else f"{len(samples)} pixels of trustworthy ground are too few to fit a scale to"
 
 
-def fitted_line(kind: str, values: Float64Array, samples: GroundSamples) -> Line | None:
+def fitted_line(kind: str, values: Float64Array, samples: GroundSamples, rules: ScaleConfig) -> Line | None:
     """Scale and shift. Residuals of inverse depth weigh in proportion to it among the near, evenly among the far, and
     less where the terrain itself is unsure."""
     inverse = 1.0 / samples.depth
     relative = samples.sigma / samples.depth
     if kind == "relative_inverse":
-        weight = 1.0 / (np.hypot(inverse, np.median(inverse)) * np.hypot(1.0, relative / _TYPICAL))
-        plain = _through_zero(values, inverse, weight)
-        return _with_shift(plain, values, inverse, weight)
+        weight = 1.0 / (np.hypot(inverse, np.median(inverse)) * np.hypot(1.0, relative / rules.typical_sigma))
+        plain = _through_zero(values, inverse, weight, rules)
+        return _with_shift(plain, rules, values, inverse, weight)
     if kind == "affine_invariant":
-        return robust_line(values, samples.depth, inverse / np.hypot(1.0, relative / _TYPICAL), floor=RELATIVE_FLOOR)
+        return robust_line(
+            values, samples.depth, inverse / np.hypot(1.0, relative / rules.typical_sigma), floor=rules.relative_floor
+        )
     known = values > 0
-    line = robust_offset(np.log(samples.depth[known]) - np.log(values[known]), floor=RELATIVE_FLOOR)
+    line = robust_offset(np.log(samples.depth[known]) - np.log(values[known]), floor=rules.relative_floor)
     return None if line is None else replace(line, inliers=_spread_out(line.inliers, known))
 
 
-def _through_zero(values: Float64Array, inverse: Float64Array, weight: Float64Array) -> Line | None:
+def _through_zero(values: Float64Array, inverse: Float64Array, weight: Float64Array, rules: ScaleConfig) -> Line | None:
     """The line without a shift; None for a network that seldom gives more than 0."""
     positive = values > 0
     if positive.mean() < 0.9:
         return None
-    ratio = robust_offset(np.log(inverse[positive]) - np.log(values[positive]), floor=RELATIVE_FLOOR)
-    return None if ratio is None else _line_of(float(np.exp(ratio.shift)), 0.0, values, inverse, weight)
+    ratio = robust_offset(np.log(inverse[positive]) - np.log(values[positive]), floor=rules.relative_floor)
+    return None if ratio is None else _line_of(float(np.exp(ratio.shift)), 0.0, values, inverse, weight, rules)
 
 
-def _with_shift(plain: Line | None, *given: Float64Array) -> Line | None:
+def _with_shift(plain: Line | None, rules: ScaleConfig, *given: Float64Array) -> Line | None:
     """The line with a shift where that earns its place: one that hardly shows on the ground that was sampled would yet
     decide how near or far all else is.
 
@@ -155,21 +141,28 @@ def _with_shift(plain: Line | None, *given: Float64Array) -> Line | None:
     values, inverse, weight = given
     reach = np.subtract(*np.quantile(inverse, (0.9, 0.1)))
     spread = np.subtract(*np.quantile(values, (0.9, 0.1)))
-    back = robust_line(inverse, values, weight, floor=RELATIVE_FLOOR * float(spread / max(reach, 1e-12)))
+    back = robust_line(inverse, values, weight, floor=rules.relative_floor * float(spread / max(reach, 1e-12)))
     if back is None or (back.scale <= 0 and plain is not None):
         return plain
     if back.scale == 0:
         return None
-    line = _line_of(1.0 / back.scale, -back.shift / back.scale, values, inverse, weight)
+    line = _line_of(1.0 / back.scale, -back.shift / back.scale, values, inverse, weight, rules)
     if plain is None:
         return line
-    fewer = all(off(line, *given) < _SHIFT_GAIN * off(plain, *given) for off in (_off, _off_values))
+    fewer = all(off(line, *given) < rules.shift_gain * off(plain, *given) for off in (_off, _off_values))
     return line if fewer else plain
 
 
-def _line_of(scale: float, shift: float, values: Float64Array, inverse: Float64Array, weight: Float64Array) -> Line:
+def _line_of(
+    scale: float,
+    shift: float,
+    values: Float64Array,
+    inverse: Float64Array,
+    weight: Float64Array,
+    rules: ScaleConfig,
+) -> Line:
     off = np.abs(scale * values + shift - inverse) * weight
-    sigma = max(1.4826 * float(np.median(off)), RELATIVE_FLOOR)
+    sigma = max(1.4826 * float(np.median(off)), rules.relative_floor)
     return Line(scale, shift, sigma, off <= WIDTH * sigma)
 
 

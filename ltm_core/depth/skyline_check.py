@@ -15,18 +15,9 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from ltm_core.camera import Camera
+from ltm_core.depth.fusion_config import PoseCheckConfig
 from ltm_core.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 
-COLUMNS = 480
-"""Of a photo, about, that are looked at."""
-LEAST_SHARE = 0.3
-"""Of the columns that must have a known skyline beyond near crests: a short piece fits at many places."""
-_EDGE = 0.75  # sigma of the labels' edge, in steps between columns or, where these are wider, cells of their network
-_RUN = 3  # rows of land that end the sky
-_MOST = 4.0  # sigmas beyond which a column counts no more: labels err, clouds hide
-_SHARE = 0.6  # of the columns that must still be seen after a shift
-_HOPELESS = 3.0  # mean square of sigmas at the best place: then nothing fits
-_LUCKY = 0.5  # mean square of sigmas below which a fit is no better, but by luck
 _AS_WELL, _AND = 1.25, 0.25  # factor and addend of the best cost that fit about as well
 
 
@@ -53,6 +44,7 @@ def check_skyline(
     crest: Float32Array,
     nearest: float,
     reach: float,
+    config: PoseCheckConfig,
     cell: float = 1.0,
 ) -> SkylineCheck | None:
     """Compare the traced depth's (H, W) skyline with that of the labels (H, W); None where too little is known.
@@ -62,9 +54,9 @@ def check_skyline(
     network spans; it draws the skyline no finer, and what rises and falls within one is drawn at some height of it.
     """
     width = ground.shape[1]
-    step = max(1, round(width / COLUMNS))
+    step = max(1, round(width / config.columns))
     cols = np.arange(step // 2, width, step)
-    observed, top = _tops(labels, sky, ground, cols)
+    observed, top = _tops(labels, sky, ground, cols, config.run)
     edge = top > 0
     depth = np.where(edge, ground[top, cols], 1.0).astype(np.float64)
     pixels = camera.fy / depth  # that a metre spans
@@ -73,16 +65,18 @@ def check_skyline(
     border = np.minimum(observed.astype(np.intp) + 1, len(labels) - 1)
     cover = crest[labels[border, cols]].astype(np.float64)
     open_above = far & np.isposinf(ground[np.maximum(top - 1, 0), cols])
-    if open_above.mean() < LEAST_SHARE or not (observed > 0).any():
+    if open_above.mean() < config.least_share or not (observed > 0).any():
         return None
-    drawn = (_EDGE * max(step, cell)) ** 2 + _within(top.astype(np.float64), max(1, round(cell / step))) ** 2
+    drawn = (config.edge * max(step, cell)) ** 2 + _within(top.astype(np.float64), max(1, round(cell / step))) ** 2
     sigma = np.sqrt(drawn + (angle_sigma * camera.fy) ** 2 + (dem_sigma * pixels) ** 2)
     cells = int(reach * camera.fy / step)
-    costs = _costs(observed, top.astype(np.float64), far, open_above, cover * pixels, sigma, cells, step)
+    costs = _costs(
+        observed, top.astype(np.float64), far, open_above, cover * pixels, sigma, cells, step, config.most, config.share
+    )
     down, right = np.mgrid[-cells : cells + 1, -cells : cells + 1] * step
     best = np.unravel_index(int(np.argmin(costs)), costs.shape)
     lowest = float(costs[best])
-    if lowest > _HOPELESS:
+    if lowest > config.hopeless:
         return None
     turns = np.degrees(np.hypot(down, right) / camera.fy)
     least = float(turns[costs <= _AS_WELL * lowest + _AND].min())
@@ -91,7 +85,7 @@ def check_skyline(
         math.degrees(float(down[best]) / camera.fy),
         -math.degrees(float(right[best]) / camera.fx),
         least,
-        float(costs[cells, cells]) / max(lowest, _LUCKY),
+        float(costs[cells, cells]) / max(lowest, config.lucky),
     )
 
 
@@ -103,8 +97,10 @@ def _within(top: Float64Array, columns: int) -> Float64Array:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _tops(labels: UInt8Array, sky: int, ground: Float32Array, cols: Int64Array) -> tuple[Float64Array, Int64Array]:
-    """Of columns (C,): the first row from which on some rows are no sky, 0 without sky and H without land; and the
+def _tops(
+    labels: UInt8Array, sky: int, ground: Float32Array, cols: Int64Array, land: int
+) -> tuple[Float64Array, Int64Array]:
+    """Of columns (C,): the first row from which on `land` rows are no sky, 0 without sky and H without land; and the
     first row of known ground, 0 without."""
     height, count = labels.shape[0], len(cols)
     observed, top = np.full(count, float(height)), np.zeros(count, np.int64)
@@ -112,10 +108,10 @@ def _tops(labels: UInt8Array, sky: int, ground: Float32Array, cols: Int64Array) 
     left = 2 * count
     for v in range(height):
         for k in range(count):
-            if run[k] < _RUN:
+            if run[k] < land:
                 run[k] = 0 if labels[v, cols[k]] == sky else run[k] + 1
-                if run[k] == _RUN:
-                    observed[k] = v - _RUN + 1
+                if run[k] == land:
+                    observed[k] = v - land + 1
                     left -= 1
             if not found[k]:
                 d = ground[v, cols[k]]
@@ -138,6 +134,8 @@ def _costs(
     sigma: Float64Array,
     cells: int,
     step: int,
+    most: float,
+    share: float,
 ) -> Float64Array:
     """Mean square of sigmas, capped, for every shift by -cells..cells steps down and right."""
     count, side = len(observed), 2 * cells + 1
@@ -161,11 +159,11 @@ def _costs(
                 off = allowed[i] - end
                 over = max(0.0, off - cover[q]) if open_above[q] else 0.0
                 z = (over if off > 0 else off) * weight[q]
-                total[j, i] += min(z * z, _MOST * _MOST)
+                total[j, i] += min(z * z, most * most)
     costs = np.empty((side, side))
     for j in range(side):
-        lost = max(0.0, _SHARE * usable - seen[j])
+        lost = max(0.0, share * usable - seen[j])
         for i in range(side):
             # Columns that leave the photo count as misfits: the rest must not look the better for it.
-            costs[i, j] = (total[j, i] + lost * _MOST * _MOST) / max(seen[j] + lost, 1.0)
+            costs[i, j] = (total[j, i] + lost * most * most) / max(seen[j] + lost, 1.0)
     return costs

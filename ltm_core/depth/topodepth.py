@@ -18,6 +18,7 @@ import numpy as np
 from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
 from ltm_core.depth.expected_surface import expected_surface
+from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ground_samples
 from ltm_core.depth.guided_upsampling import NetworkView
 from ltm_core.depth.monocular import NetworkDepth
@@ -84,13 +85,14 @@ class FusedDepth:
     verdict: Verdict
     reason: str
     pose: PoseCheck
+    config: FusionConfig = field(repr=False)
     fit: ScaleFit | None = field(default=None, repr=False)
 
     def measured(self) -> NetworkMeasurement:
         """What the network alone measures: nothing where it, or the pose, cannot be relied on."""
         if self.fit is None or self.verdict is not Verdict.OK:
             return NetworkMeasurement.none()
-        return NetworkMeasurement.of(self.fit)
+        return NetworkMeasurement.of(self.fit, self.config)
 
     def info(self) -> dict[str, Any]:
         """JSON-ready: what `fused/info` carries."""
@@ -118,6 +120,7 @@ def fuse(
     classes: ClassPriors,
     settings: FusionSettings | None = None,
     surface: RangeImage | DepthImage | None = None,
+    config: FusionConfig | None = None,
 ) -> FusedDepth:
     """Fuse one photo's depths.
 
@@ -129,6 +132,7 @@ def fuse(
         classes: what these mean.
         settings: sigmas of what goes in.
         surface: what the tracer gave over a surface raster (canopy), where there is one.
+        config: the constants, as they were fitted with the network; None: the defaults.
 
     Raises ImageError where sizes differ.
     """
@@ -142,37 +146,43 @@ def fuse(
         if shape != size:
             raise ImageError(f"{what} of {shape} does not fit the traced depth of {size} (rows, columns)")
     settings = FusionSettings() if settings is None else settings
-    camera = traced.camera
+    config = FusionConfig() if config is None else config
+    camera, pose = traced.camera, traced.pose
     cell = max(1.0, size[1] / settings.label_columns) if settings.label_columns else 1.0
-    edges = DepthDiscontinuities.of(ground)
-    check = check_pose(rgb, ground, camera, settings.angle_sigma, settings.dem_sigma, labels, classes, cell, edges)
+    # Whether the terrain lies where the photo has it: if not, nothing below means anything.
+    edges = DepthDiscontinuities.of(ground, config.surface.jump)
+    sigmas = settings.angle_sigma, settings.dem_sigma
+    check = PoseCheck.none()
+    if config.pose_check.enabled:
+        check = check_pose(rgb, ground, camera, *sigmas, config.pose_check, labels, classes, cell, edges)
     # A sample first: where it has ground, as it nearly always does, that is all.
     if not (np.isfinite(ground[::16, ::16]).any() or np.isfinite(ground).any()):
         return _traced_alone(ground, Verdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM", check)
     if check.suspected:
         return _traced_alone(ground, Verdict.POSE_SUSPECTED, check.reason, check)
-    expected, sigma = expected_surface(
-        ground, labels, classes.cover, camera, traced.pose, settings.angle_sigma, settings.dem_sigma
-    )
-    samples = ground_samples(expected, sigma, labels, classes.ground, camera.fy)
-    fit = None if network is None else fit_scale(network, samples, (size[0], size[1]))
-    source = np.empty(size, np.uint8)
-    beside = NetworkView.of(fit, rgb) if fit is not None and not fit.trouble else None
-    standing = None if beside is None else OcclusionPrior.of(ground, labels, classes, camera, traced.pose, beside.shape)
-    refine_occlusion_boundaries(rgb, ground, expected, sigma, labels, classes, camera, beside, edges)
-    fuse_pixels(
-        expected, sigma, None if surface is None else surface.depth(), beside, standing, labels, classes, source
-    )
+    # What the terrain lets expect: bare ground, with the height of what grows there.
+    expected, sigma = expected_surface(ground, labels, classes.cover, camera, pose, *sigmas, config)
+    # Pixel sampling and RANSAC regression: the network's scale from ground that can be trusted, and its errors there.
+    fit, view, standing = None, None, None
+    if network is not None:
+        samples = ground_samples(expected, sigma, labels, classes.ground, camera.fy, config)
+        fit = fit_scale(network, samples, (size[0], size[1]), config)
+    if fit is not None and not fit.trouble:
+        view = NetworkView.of(fit, rgb, config)
+        standing = OcclusionPrior.of(ground, labels, classes, camera, pose, view.shape, config)
+    # Ridges have their edges where the photo has them; then every pixel is the terrain's, the network's or both's.
+    refine_occlusion_boundaries(rgb, ground, expected, sigma, labels, classes, camera, config, view, edges)
+    source, over = np.empty(size, np.uint8), None if surface is None else surface.depth()
+    fuse_pixels(expected, sigma, over, view, standing, labels, classes, source, config)
+    # Where the network alone speaks of land beyond the raster, nothing is known.
     clear_unenclosed(ground, expected, sigma, source)
-    verdict, reason = Verdict.OK, ""
+    verdict, reason, ratio = Verdict.OK, "", 0.0 if fit is None else fit.inlier_ratio
     if fit is not None and fit.trouble:
         verdict, reason = Verdict.NETWORK_UNUSABLE, fit.trouble
-    return FusedDepth(
-        expected, sigma, source, ground, fit.inlier_ratio if fit is not None else 0.0, verdict, reason, check, fit
-    )
+    return FusedDepth(expected, sigma, source, ground, ratio, verdict, reason, check, config, fit)
 
 
 def _traced_alone(ground: Float32Array, verdict: Verdict, reason: str, check: PoseCheck) -> FusedDepth:
     source = np.where(np.isfinite(ground), Source.TERRAIN, np.where(np.isnan(ground), Source.UNKNOWN, Source.SKY))
     sigma = np.full(ground.shape, np.nan, np.float32)
-    return FusedDepth(ground, sigma, source.astype(np.uint8), ground, 0.0, verdict, reason, check)
+    return FusedDepth(ground, sigma, source.astype(np.uint8), ground, 0.0, verdict, reason, check, FusionConfig())

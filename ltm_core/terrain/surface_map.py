@@ -65,7 +65,8 @@ class SurfaceMap:
         cameras: all names, at most 32.
         store: of `tile_pool.schema_of` the grid in the site's CRS; None: what no longer fits the memory for cells is
             kept compressed.
-        curvature, refraction: of rays, as the tracer takes them.
+        curvature: of rays, as the tracer takes it.
+        refraction: likewise.
         gone: (256,) log odds by label id that what stood in a cell is gone; None: labels say nothing of it.
         assumed_pose_error: of frames without a covariance; None: the default.
 

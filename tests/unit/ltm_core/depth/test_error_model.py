@@ -7,15 +7,17 @@ import pytest
 from scenes.depth_scene import CAMERA, depth_scene
 
 from ltm_core.depth.class_priors import ClassPriors
-from ltm_core.depth.error_model import ErrorModel, expected_prediction, invert, octaves
-from ltm_core.depth.ground_sampling import CROWD, GroundSamples, ground_samples
+from ltm_core.depth.error_estimation import estimate_errors
+from ltm_core.depth.error_model import expected_prediction, invert, octaves
+from ltm_core.depth.fusion_config import FusionConfig
+from ltm_core.depth.ground_sampling import GroundSamples, ground_samples
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.scale_fit import _line, fit_scale
+from ltm_core.depth.scale_fit import fit_scale, fitted_line
 from ltm_core.depth.topodepth import Source, Verdict, fuse
 from ltm_core.types import Float64Array
 from ltm_core.vision.labels import LabelSet
 
-CLASSES = ClassPriors.of(LabelSet.load())
+CLASSES, CONFIG = ClassPriors.of(LabelSet.load()), FusionConfig()
 SIZE = (360, 640)
 
 
@@ -34,10 +36,10 @@ def misread(depth: Float64Array) -> Float64Array:
 def test_a_slow_error_of_depth_is_learnt_and_is_no_noise() -> None:
     samples = spread_samples()
     noise = 1 + 0.05 * np.random.default_rng(5).standard_normal(len(samples))
-    answers = ErrorModel.of(misread(samples.depth) * noise, samples, SIZE)
-    row, col = answers.shift.shape[0] // 2, answers.shift.shape[1] // 3
+    answers = estimate_errors(misread(samples.depth) * noise, samples, SIZE, CONFIG)
+    row, col = answers.tables.shift.shape[0] // 2, answers.tables.shift.shape[1] // 3
     for depth in (60.0, 200.0, 2000.0):
-        less, sigma = expected_prediction(row, col, np.float32(1 / depth), answers.shift, answers.factor)
+        less, sigma = expected_prediction(row, col, np.float32(1 / depth), answers.tables)
         assert 1 / depth - less == pytest.approx(float(misread(np.array(depth))), rel=0.08)
         assert sigma < 0.35 / (depth if depth < 1000 else 500.0)
 
@@ -48,9 +50,9 @@ def test_what_hides_most_of_the_far_ground_is_no_error_of_the_network() -> None:
     rng = np.random.default_rng(9)
     hidden = (samples.depth > 360.0) & (rng.random(len(samples)) < 0.55)
     seen = np.where(hidden, 250.0, samples.depth) * (1 + 0.01 * rng.standard_normal(len(samples)))
-    answers = ErrorModel.of(1.0 / seen, samples, SIZE)
+    answers = estimate_errors(1.0 / seen, samples, SIZE, CONFIG)
     for depth in (400.0, 1000.0, 3000.0):
-        less, sigma = expected_prediction(17, 30, np.float32(1 / depth), answers.shift, answers.factor)
+        less, sigma = expected_prediction(17, 30, np.float32(1 / depth), answers.tables)
         assert abs(less) * depth < 0.05
         assert sigma * depth < 0.1
 
@@ -63,17 +65,17 @@ def test_far_ground_between_near_trees_does_not_make_the_network_a_bad_one() -> 
     among = (samples.depth > 300.0) & (rng.random(len(samples)) < 0.9)
     crowns = 45.0 * np.exp(0.5 * rng.standard_normal(len(samples)))
     read = np.where(among, 1.0 / crowns, 1.0 / samples.depth) * (1 + 0.1 * rng.standard_normal(len(samples)))
-    answers = ErrorModel.of(read, samples, SIZE)
+    answers = estimate_errors(read, samples, SIZE, CONFIG)
     for depth in (600.0, 1500.0):
-        less, sigma = expected_prediction(17, 30, np.float32(1 / depth), answers.shift, answers.factor)
+        less, sigma = expected_prediction(17, 30, np.float32(1 / depth), answers.tables)
         assert (1 / 45.0 - 1 / depth + less) / sigma > 3.0
 
 
 def test_what_is_said_and_what_is_meant_are_inverse_to_each_other() -> None:
     samples = spread_samples()
-    answers = ErrorModel.of(0.8 / samples.depth, samples, SIZE)
-    less, _ = expected_prediction(3, 4, np.float32(1 / 300.0), answers.shift, answers.factor)
-    true, sigma = invert(3, 4, np.float32(1 / 300.0) - less, answers.shift, answers.factor)
+    answers = estimate_errors(0.8 / samples.depth, samples, SIZE, CONFIG)
+    less, _ = expected_prediction(3, 4, np.float32(1 / 300.0), answers.tables)
+    true, sigma = invert(3, 4, np.float32(1 / 300.0) - less, answers.tables)
     assert 1 / true == pytest.approx(300.0, rel=0.02)
     assert 0 < sigma * 300.0 < 0.1
 
@@ -81,8 +83,11 @@ def test_what_is_said_and_what_is_meant_are_inverse_to_each_other() -> None:
 def test_beyond_all_samples_a_network_is_believed_less() -> None:
     samples = spread_samples()
     near = samples.part(samples.depth < 400.0)
-    answers = ErrorModel.of(1.0 / near.depth * (1 + 0.05 * np.sin(near.depth)), near, SIZE)
-    assert answers.factor[0, 0, octaves(np.array(6000.0))] > 4 * answers.factor[0, 0, octaves(np.array(200.0))]
+    answers = estimate_errors(1.0 / near.depth * (1 + 0.05 * np.sin(near.depth)), near, SIZE, CONFIG)
+    assert (
+        answers.tables.factor[0, 0, octaves(np.array(6000.0))]
+        > 4 * answers.tables.factor[0, 0, octaves(np.array(200.0))]
+    )
 
 
 def test_far_hills_that_a_network_takes_for_nearer_ones_stay_where_they_are() -> None:
@@ -108,8 +113,8 @@ def test_a_shift_needs_evidence() -> None:
     noisy = (7.0 * inverse * np.exp(0.25 * rng.standard_normal(inverse.shape))).astype(np.float32)
     sigma = np.full_like(ground, 1.0)
     some = np.where((ground > 150) & (ground < 400), ground, np.nan).astype(np.float32)
-    samples = ground_samples(some, sigma, None, CLASSES.ground, CAMERA.fy)
-    fit = fit_scale(NetworkDepth(noisy, "relative_inverse"), samples, SIZE)
+    samples = ground_samples(some, sigma, None, CLASSES.ground, CAMERA.fy, CONFIG)
+    fit = fit_scale(NetworkDepth(noisy, "relative_inverse"), samples, SIZE, CONFIG)
     assert fit.trouble == ""
     assert fit.line is not None
     assert fit.line.shift == 0.0
@@ -127,7 +132,7 @@ def test_noise_over_ground_of_about_one_depth_makes_no_shift(noise: float) -> No
     at = samples.rows * 36 // SIZE[0], samples.cols * 64 // SIZE[1]
     values[at] = 1 / samples.depth / 0.014
     values *= 1 + noise * rng.standard_normal(values.shape)
-    line = _line("relative_inverse", values[at].astype(np.float64), samples)
+    line = fitted_line("relative_inverse", values[at].astype(np.float64), samples, CONFIG.scale)
     assert line is not None
     assert line.shift == 0.0
     assert line.scale == pytest.approx(0.014, rel=0.1)
@@ -137,10 +142,10 @@ def test_no_range_crowds_out_the_others() -> None:
     rows = np.mgrid[0 : SIZE[0], 0 : SIZE[1]][0]
     # Nine tenths of the photo at 30 m, and a slope behind.
     depth = np.where(rows > 36, 30.0 + 0.001 * rows, 400.0 + 20.0 * (36 - rows)).astype(np.float32)
-    samples = ground_samples(depth, np.full_like(depth, 0.5), None, CLASSES.ground, 1e-3)
+    samples = ground_samples(depth, np.full_like(depth, 0.5), None, CLASSES.ground, 1e-3, CONFIG)
     counts = np.unique(np.floor(2 * np.log2(samples.depth)), return_counts=True)[1]
     assert len(counts) > 2
-    assert counts.max() <= 1.1 * CROWD * np.median(counts)
+    assert counts.max() <= 1.1 * CONFIG.sampling.crowd * np.median(counts)
     near = samples.depth < 100
     assert np.ptp(samples.rows[near]) > 0
     assert np.ptp(samples.cols[near]) > 0.9 * SIZE[1]

@@ -11,12 +11,13 @@ from scenes.depth_scene import CAMERA, depth_scene
 from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.error_model import ErrorModel
 from ltm_core.depth.expected_surface import expected_surface
+from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.guided_upsampling import NetworkView
 from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries
 from ltm_core.depth.scale_fit import ScaleFit
 from ltm_core.vision.labels import Label, LabelSet
 
-CLASSES = ClassPriors.of(LabelSet.load())
+CLASSES, CONFIG = ClassPriors.of(LabelSet.load()), FusionConfig()
 
 
 def test_cover_brings_the_surface_nearer_by_its_height() -> None:
@@ -28,7 +29,7 @@ def test_cover_brings_the_surface_nearer_by_its_height() -> None:
     shrubs = np.full(ground.shape, 2, np.uint8)
     cover = np.zeros(256, np.float32)
     cover[2] = 2.0
-    surface, sigma = expected_surface(ground, shrubs, cover, CAMERA, pose, 0.0, 0.5)
+    surface, sigma = expected_surface(ground, shrubs, cover, CAMERA, pose, 0.0, 0.5, CONFIG)
     part = (rows > CAMERA.cy + 30) & (rows < CAMERA.height - 12)
     np.testing.assert_allclose(surface[part], ground[part] * 48.0 / 50.0, rtol=2e-3)
     # Half a metre of the terrain's height is a hundredth of the camera's, and so of the depth; cover is half unsure.
@@ -46,7 +47,7 @@ def test_cover_nearly_as_high_as_the_eye_is_drawn_without_stripes(height: float)
     cover = np.zeros(256, np.float32)
     cover[3] = height
     trees = np.full(ground.shape, 3, np.uint8)
-    surface, _ = expected_surface(ground, trees, cover, CAMERA, pose, 0.0, 0.5)
+    surface, _ = expected_surface(ground, trees, cover, CAMERA, pose, 0.0, 0.5, CONFIG)
     nearer = (ground / surface)[int(CAMERA.cy) + 30 : -60, ::7]
     assert (nearer >= 1).all()
     assert np.abs(np.diff(nearer, axis=0)).max() < 0.03
@@ -63,7 +64,7 @@ def test_an_edge_moves_to_where_the_photo_has_it() -> None:
     surface, sigma = ground.copy(), np.full_like(ground, 2.0)
     camera = replace(CAMERA, width=width, height=height, fx=1200.0, fy=1200.0)
     edges = refine_occlusion_boundaries(
-        np.clip(photo, 0, 255).astype(np.uint8), ground, surface, sigma, None, CLASSES, camera
+        np.clip(photo, 0, 255).astype(np.uint8), ground, surface, sigma, None, CLASSES, camera, CONFIG
     )
     assert (np.abs(edges.raised - 5) <= 1).mean() > 0.9
     strip = grown & (rows < crest)
@@ -89,7 +90,8 @@ def test_of_a_raised_strip_a_network_and_labels_take_back_what_is_not_the_crests
         fit = ScaleFit(inverse, inverse, inverse, ErrorModel.none(), 0.05, None, "")
         surface, sigma = ground.copy(), np.full_like(ground, 2.0)
         labels = np.full(ground.shape, label, np.uint8)
-        refine_occlusion_boundaries(photo, ground, surface, sigma, labels, CLASSES, camera, NetworkView.of(fit, photo))
+        view = NetworkView.of(fit, photo, CONFIG)
+        refine_occlusion_boundaries(photo, ground, surface, sigma, labels, CLASSES, camera, CONFIG, view)
         torn = strip & (surface > 400) & (surface < 1500)
         assert np.all(surface + 3 * sigma >= 1500, where=torn)
         assert np.all(surface - 3 * sigma <= 400, where=torn)

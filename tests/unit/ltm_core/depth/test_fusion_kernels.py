@@ -12,28 +12,32 @@ from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
 from ltm_core.depth.error_model import (
     OCTAVES,
     ErrorModel,
+    ErrorTables,
     expected_prediction,
     expected_predictions,
     interpolation_table,
 )
-from ltm_core.depth.expected_surface import JUMP
-from ltm_core.depth.fusion_rows import average_row
+from ltm_core.depth.fusion_config import FusionConfig
+from ltm_core.depth.fusion_rows import OWN, DecisionRules, FusionRow, average_row
 from ltm_core.depth.guided_filter import guided_coefficients
 from ltm_core.depth.guided_upsampling import NetworkView, upsample_pixel, upsample_row
 from ltm_core.depth.occlusion_prior import (
-    OPEN,
     OcclusionPrior,
+    OcclusionRules,
     ground_contact,
     mixture_moments,
     occlusion_log_odds,
     snap_to_contact,
 )
-from ltm_core.depth.pixel_fusion import _HEARD, _OWN, _likely, _surely_terrain
+from ltm_core.depth.pixel_fusion import network_chance, surely_terrain
 from ltm_core.depth.scale_fit import ScaleFit
 from ltm_core.depth.unknown_regions import clear_unenclosed
 from ltm_core.pose import Pose
 from ltm_core.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.labels import Label, LabelSet
+
+CONFIG = FusionConfig()
+RULES = DecisionRules.of(CONFIG.decision)
 
 
 def beyond_by_components(ground: Float32Array) -> BoolArray:
@@ -64,15 +68,16 @@ def test_a_row_of_pixels_is_told_what_each_would_be() -> None:
     rng = np.random.default_rng(3)
     shift = rng.normal(0, 0.1, (2, 5, OCTAVES)).astype(np.float32).cumsum(axis=2)
     factor = rng.uniform(0.05, 0.2, (2, 5, OCTAVES)).astype(np.float32).cumsum(axis=2)
+    tables = ErrorTables(shift, factor, np.float32(0.25))
     depth = np.exp(rng.uniform(np.log(3.0), np.log(60_000.0), 400)).astype(np.float32)
     inverse = np.concatenate([1 / depth, [0.0]]).astype(np.float32)
     col = rng.integers(0, 5, len(inverse)).astype(np.int32)
     less, sigma, part = (np.empty_like(inverse) for _ in range(3))
     expected_predictions(
-        inverse, interpolation_table(shift, factor)[1], col, np.empty(len(inverse), np.int32), part, less, sigma
+        inverse, interpolation_table(tables)[1], col, np.empty(len(inverse), np.int32), part, less, sigma
     )
     for u in range(len(inverse)):
-        one = expected_prediction(1, int(col[u]), inverse[u], shift, factor)
+        one = expected_prediction(1, int(col[u]), inverse[u], tables)
         # Both logarithms are near ones: a fiftieth of a half octave.
         assert less[u] == pytest.approx(one[0], abs=0.02 * float(inverse[u]) + 1e-7)
         assert sigma[u] == pytest.approx(one[1], rel=0.03)
@@ -86,11 +91,11 @@ def test_a_network_is_enlarged_as_opencv_enlarges(size: tuple[int, int]) -> None
     inverse = np.exp(cv2.GaussianBlur(rng.normal(-5, 3, size), (0, 0), 3.0)).astype(np.float32)
     near, back = inverse * np.float32(1.2), inverse * np.float32(0.8)
     inverse[3:6, 4:9] = np.nan
-    seen = NetworkView.of(ScaleFit(inverse, near, back, ErrorModel.none(), 0.01, None, ""), rgb)
+    seen = NetworkView.of(ScaleFit(inverse, near, back, ErrorModel.none(), 0.01, None, ""), rgb, CONFIG)
     grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
     gain, offset, near, back = (
         cv2.resize(a, (200, 120), interpolation=cv2.INTER_LINEAR)
-        for a in (*guided_coefficients(inverse, grey), near, back)
+        for a in (*guided_coefficients(inverse, grey, CONFIG.upsampling), near, back)
     )
     expected = offset + gain * grey
     expected = np.where(expected > near, near, expected)
@@ -98,7 +103,7 @@ def test_a_network_is_enlarged_as_opencv_enlarges(size: tuple[int, int]) -> None
     row, out = np.empty((4, size[1]), np.float32), np.empty((3, 200), np.float32)
     found = np.empty((120, 200), np.float32)
     for v in range(120):
-        upsample_row(seen.cells, seen.grey, seen.columns, seen.parts, v, row, out)
+        upsample_row(seen, v, row, out)
         found[v] = out[0]
         np.testing.assert_allclose(out[1], near[v], rtol=1e-4)
         np.testing.assert_allclose(out[2], back[v], rtol=1e-4)
@@ -109,7 +114,7 @@ def test_a_network_is_enlarged_as_opencv_enlarges(size: tuple[int, int]) -> None
     both = known & ~np.isnan(found)
     np.testing.assert_allclose(found[both], expected[both], rtol=2e-3)
     for v, u in ((0, 0), (119, 199), (57, 101), (20, 150)):
-        one = upsample_pixel(seen.cells, seen.grey, seen.columns, seen.parts, v, u)
+        one = upsample_pixel(seen, v, u)
         assert one == pytest.approx(found[v, u], rel=1e-5, nan_ok=True)
 
 
@@ -119,8 +124,8 @@ def test_edges_are_where_depth_leaps_from_below_to_above(share: float) -> None:
     ground = np.full((41, 203), 100.0, np.float32)
     other = rng.random(ground.shape) < share
     ground[other] = rng.choice([50.0, 120.0, 126.0, 900.0, np.inf, np.nan], int(other.sum()))
-    edges = DepthDiscontinuities.of(ground)
-    leaps = np.isfinite(ground[1:]) & ~(ground[:-1] < np.float32(JUMP) * ground[1:])
+    edges = DepthDiscontinuities.of(ground, 1.25)
+    leaps = np.isfinite(ground[1:]) & ~(ground[:-1] < np.float32(1.25) * ground[1:])
     rows, cols = np.nonzero(leaps[::-1])
     np.testing.assert_array_equal(edges.rows, len(leaps) - rows)
     np.testing.assert_array_equal(edges.cols, cols)
@@ -141,7 +146,7 @@ def standing_of(
     """Over that plain."""
     camera = Camera(200, 120, 150.0, 150.0, 99.5, 59.5)
     pose = Pose.from_angles((0.0, 0.0, 30.0), 20.0, pitch, roll)
-    return OcclusionPrior.of(plain_ground(), labels, ClassPriors.of(LabelSet.load()), camera, pose, cells)
+    return OcclusionPrior.of(plain_ground(), labels, ClassPriors.of(LabelSet.load()), camera, pose, cells, CONFIG)
 
 
 def odds_at(
@@ -151,7 +156,7 @@ def odds_at(
     column = standing.feet[len(standing.feet) // 2]
     place = np.float32(odds), np.float32(1 / near), np.float32(1 / true), np.float32(edge)
     foot = ground_contact(place[1], column, row)
-    return float(occlusion_log_odds(*place, column, row, foot, np.float32(standing.focal)))
+    return float(occlusion_log_odds(standing, *place, column, row, foot))
 
 
 def test_the_nearer_a_thing_the_likelier_it_stands_before_the_ground_and_the_higher_the_less() -> None:
@@ -184,12 +189,13 @@ def test_a_tree_behind_a_crest_stands_on_it() -> None:
     """Ground at 180 m in rows 60 and below, at 900 m above: what is seen between both has its foot on the crest, what
     is seen before it below that, as far as rows tell; what is nearer than all has none."""
     rows = np.arange(0, 120, 4)
+    rules = OcclusionRules.of(CONFIG.occlusion)
     column = np.where(rows < 60, 900.0, 180.0 - (rows - 60.0)).astype(np.float32)
     for seen, place, doubt in ((250.0, 180.0, 0.4), (600.0, 180.0, 0.4), (150.0, 148.0, 0.4), (100.0, 100.0, 0.0)):
         near, t = np.float32(1 / seen), np.float32(1e-4)
         foot = ground_contact(near, column, 40)
         assert foot == (len(column) if seen == 100 else np.flatnonzero(column <= seen)[0])
-        inverse, sigma = snap_to_contact(near, t, column, foot)
+        inverse, sigma = snap_to_contact(rules, near, t, column, foot)
         assert inverse == pytest.approx(0.2 / seen + 0.8 / place, rel=1e-4)
         assert sigma == pytest.approx(np.hypot(1e-4, doubt * (1 / place - 1 / seen)), rel=1e-3)
 
@@ -202,7 +208,8 @@ def test_of_a_camera_on_its_side_or_that_looks_down_no_height_is_asked(looks: tu
     assert everywhere == pytest.approx([everywhere[0]] * len(everywhere))
     near, t = np.float32(1 / 100), np.float32(1e-4)
     for row in (0, 60, 119):
-        assert snap_to_contact(near, t, standing.feet[3], ground_contact(near, standing.feet[3], row)) == (near, t)
+        foot = ground_contact(near, standing.feet[3], row)
+        assert snap_to_contact(standing.rules, near, t, standing.feet[3], foot) == (near, t)
 
 
 def test_labels_are_heard_about_a_place() -> None:
@@ -225,22 +232,22 @@ def test_labels_are_heard_about_a_place() -> None:
 
 
 def test_what_is_passed_over_would_not_have_been_taken() -> None:
-    """`_surely_terrain` is a short cut: where it says so, no chance is as high as counts."""
+    """`surely_terrain` is a short cut: where it says so, no chance is as high as counts."""
     rng = np.random.default_rng(1)
     standing = standing_of(None, (12, 20))
     passed = 0
     for _ in range(4000):
         true = np.float32(1 / rng.uniform(80, 2000))
         spread = np.float32(true * rng.uniform(0.05, 0.5))
-        joint = np.float32(spread**2 * rng.uniform(1.0, _OWN))
+        joint = np.float32(spread**2 * rng.uniform(1.0, OWN))
         off = np.float32(np.sqrt(joint) * rng.uniform(0.7, 6.0))
         near, odds = np.float32(true + off), np.float32(rng.uniform(-6.0, 3.0))
-        if _surely_terrain(odds, near, true, off, joint, spread):
+        if surely_terrain(odds, near, true, off, joint, spread, standing, RULES):
             passed += 1
             # As high as nothing: at its foot.
-            known = occlusion_log_odds(odds, near, true, np.float32(0.0), standing.feet[3], 116, 29, np.float32(150.0))
+            known = occlusion_log_odds(standing, odds, near, true, np.float32(0.0), standing.feet[3], 116, 29)
             gross = np.float32(1e-6)
-            assert _likely(near, off, joint, spread, gross, known, np.float32(_HEARD)) < OPEN
+            assert network_chance(near, off, joint, spread, gross, known, RULES.heard, RULES) < RULES.open
     assert 400 < passed < 3600
 
 
@@ -261,7 +268,12 @@ def test_a_terrain_that_is_torn_between_two_depths_is_not_averaged() -> None:
     off = true * np.array([0.05, 0.9, 0.05], np.float32)
     joint = own**2 + (0.1 * true) ** 2
     depth, sigma, kind = 1 / true, own / true**2, np.ones(3, np.uint8)
-    average_row(depth, sigma, kind, true, own, off, joint, np.empty(3, np.float32))
+    none, whole = np.empty(3, np.float32), np.empty(3, np.int32)
+    row = FusionRow(
+        depth, sigma, kind, kind, none, none, none, true, own, none, none, off, joint, np.empty(3, np.float32), whole,
+        whole, np.ones(3, np.bool_),
+    )  # fmt: skip
+    average_row(row, RULES)
     np.testing.assert_allclose(depth, [500 / 1.025, 500, 500], rtol=1e-5)
     np.testing.assert_allclose(sigma, [0.1 * np.sqrt(0.5) * 500 / 1.025**2, 50, 100], rtol=1e-4)
     np.testing.assert_array_equal(kind, [3, 1, 1])

@@ -10,12 +10,13 @@ from scenes.depth_scene import CAMERA, SKY, TREE, depth_scene
 
 from ltm_core.camera import Camera
 from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.fusion_config import PoseCheckConfig
 from ltm_core.depth.pose_check import PoseCheck, check_pose
 from ltm_core.depth.topodepth import FusionSettings
 from ltm_core.vision.labels import LabelSet
 
 CLASSES = ClassPriors.of(LabelSet.load())
-SETTINGS = FusionSettings()
+SETTINGS, CONFIG = FusionSettings(), PoseCheckConfig()
 
 
 def checked(turn: float, labels: np.ndarray | None) -> PoseCheck:
@@ -23,7 +24,7 @@ def checked(turn: float, labels: np.ndarray | None) -> PoseCheck:
     scene = depth_scene()
     grey = np.full((CAMERA.height, CAMERA.width, 3), 120, np.uint8)
     traced = scene.traced if turn == 0 else scene.turned(turn)
-    return check_pose(grey, traced.depth(), CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, labels, CLASSES)
+    return check_pose(grey, traced.depth(), CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, CONFIG, labels, CLASSES)
 
 
 @pytest.mark.parametrize("turn", [-0.5, 0.5, 1.0, -2.0])
@@ -57,11 +58,11 @@ def test_labels_of_a_coarse_network_are_no_wrong_pose(cells: int) -> None:
         at = np.minimum((rows // cell + part) * cell, CAMERA.height - 1).astype(int)
         coarse = np.ascontiguousarray(scene.labels[np.ix_(at, cols)])
         given = (coarse, CLASSES, cell)
-        exact = check_pose(grey, scene.traced.depth(), CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, *given)
+        exact = check_pose(grey, scene.traced.depth(), CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, CONFIG, *given)
         assert not exact.suspected
         # What is wrong by clearly more than half a cell is still told.
         wrong = scene.turned(-2.0).depth()
-        told = check_pose(grey, wrong, CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, *given)
+        told = check_pose(grey, wrong, CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, CONFIG, *given)
         assert told.suspected or cell > 20
 
 
@@ -83,7 +84,7 @@ def test_a_wood_along_the_skyline_is_no_wrong_pose() -> None:
     labels = np.where(wooded & ~land, TREE, scene.labels)
     labels[land & np.roll(wooded & ~land, 3, axis=0)] = TREE
     photo = np.repeat(np.where(wooded, 60, 200).astype(np.uint8)[..., None], 3, axis=2)
-    given = photo, scene.traced.depth(), CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma
+    given = photo, scene.traced.depth(), CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, CONFIG
     unlabelled = check_pose(*given)
     assert unlabelled.suspected
     assert unlabelled.pitch_deg == pytest.approx(-0.5, abs=0.15)
@@ -102,7 +103,7 @@ def test_a_straight_ridge_under_high_trees_is_no_wrong_pose(metres: float, suspe
     high[440:] = 17.0 * camera.fy / 560.0
     labels = np.where(rows > crest, 2, np.where(rows > crest - high, TREE, SKY)).astype(np.uint8)
     grey = np.full((200, 480, 3), 120, np.uint8)
-    check = check_pose(grey, ground, camera, SETTINGS.angle_sigma, SETTINGS.dem_sigma, labels, CLASSES)
+    check = check_pose(grey, ground, camera, SETTINGS.angle_sigma, SETTINGS.dem_sigma, CONFIG, labels, CLASSES)
     assert check.columns > 0.9 * 480
     assert check.suspected == suspected
 
@@ -113,5 +114,5 @@ def test_without_a_known_skyline_labels_say_nothing() -> None:
     beyond[np.isinf(beyond)] = np.nan
     grey = np.full((CAMERA.height, CAMERA.width, 3), 120, np.uint8)
     unknown = replace(scene.traced, range=beyond).depth()
-    check = check_pose(grey, unknown, CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, scene.labels, CLASSES)
+    check = check_pose(grey, unknown, CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, CONFIG, scene.labels, CLASSES)
     assert (check.columns, check.suspected) == (0, False)

@@ -11,19 +11,20 @@ from scenes.depth_scene import CAMERA, STAND_HEIGHT, DepthScene, depth_scene
 
 from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.expected_surface import expected_surface
+from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ground_samples
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.pose_check import check_pose
 from ltm_core.depth.scale_fit import fit_scale
 from ltm_core.depth.topodepth import FusedDepth, FusionSettings, Source, Verdict, fuse
-from ltm_core.errors import ConfigError, ImageError
+from ltm_core.errors import ImageError
 from ltm_core.range_image import DepthImage, RangeImage
 from ltm_core.tracing import TerrainTracer
 from ltm_core.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.labels import Label, LabelSet
 
 CLASSES = ClassPriors.of(LabelSet.load())
-SETTINGS = FusionSettings()
+SETTINGS, CONFIG = FusionSettings(), FusionConfig()
 
 
 def fused(scene: DepthScene, network: NetworkDepth | None, labels: UInt8Array | None = None) -> FusedDepth:
@@ -151,10 +152,10 @@ def test_a_fit_holds_while_forty_percent_of_the_ground_is_something_else() -> No
     near = np.where(hidden, 40.0 / rng.uniform(30, 60, hidden.shape) + 0.2, network.values)
     ground = scene.traced.depth()
     surface, sigma = expected_surface(
-        ground, scene.labels, CLASSES.cover, CAMERA, scene.traced.pose, SETTINGS.angle_sigma, SETTINGS.dem_sigma
+        ground, scene.labels, CLASSES.cover, CAMERA, scene.traced.pose, SETTINGS.angle_sigma, SETTINGS.dem_sigma, CONFIG
     )
-    samples = ground_samples(surface, sigma, scene.labels, CLASSES.ground, CAMERA.fy)
-    fit = fit_scale(NetworkDepth(near.astype(np.float32), network.kind), samples, (CAMERA.height, CAMERA.width))
+    samples = ground_samples(surface, sigma, scene.labels, CLASSES.ground, CAMERA.fy, CONFIG)
+    fit = fit_scale(NetworkDepth(near.astype(np.float32), network.kind), samples, (CAMERA.height, CAMERA.width), CONFIG)
     assert fit.trouble == ""
     assert fit.line is not None
     assert fit.line.scale == pytest.approx(1 / 40.0, rel=0.03)
@@ -176,7 +177,9 @@ def test_a_wrong_pose_is_suspected_and_nothing_is_fused(turn: float) -> None:
 
 def test_an_exact_pose_is_not_suspected() -> None:
     scene = depth_scene()
-    check = check_pose(scene.photo, scene.traced.depth(), CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma)
+    check = check_pose(
+        scene.photo, scene.traced.depth(), CAMERA, SETTINGS.angle_sigma, SETTINGS.dem_sigma, CONFIG.pose_check
+    )
     assert check.edges > 100
     assert not check.suspected
 
@@ -251,10 +254,9 @@ def test_sizes_that_differ_and_heights_that_are_none_are_refused() -> None:
         fuse(scene.traced, None, scene.photo, scene.labels[:, 1:], CLASSES)
     with pytest.raises(ImageError, match=r"photo of \(359, 640\)"):
         fuse(scene.traced, None, scene.photo[1:], None, CLASSES)
-    with pytest.raises(ConfigError, match="cover height of tree is -1 m"):
-        ClassPriors.of(LabelSet.load(), {"tree": -1})
-    with pytest.raises(ConfigError, match="no label is called 'palm'"):
-        ClassPriors.of(LabelSet.load(), {"palm": 3.0})
+    for wrong in ({"cover.tree": -1.0}, {"cover.palm": 3.0}, {"decision.open": "often"}):
+        with pytest.raises(ValueError, match=next(iter(wrong)).replace(".", r"\.")):
+            FusionConfig().updated(wrong)
 
 
 def test_what_is_published_of_a_frame_is_plain_json() -> None:
@@ -269,8 +271,8 @@ def test_what_is_published_of_a_frame_is_plain_json() -> None:
 
 def test_a_range_image_of_sky_alone_has_no_samples() -> None:
     sky = np.full((CAMERA.height, CAMERA.width), np.inf, np.float32)
-    samples = ground_samples(sky, sky, None, CLASSES.ground, CAMERA.fy)
+    samples = ground_samples(sky, sky, None, CLASSES.ground, CAMERA.fy, CONFIG)
     assert len(samples) == 0
-    fit = fit_scale(depth_scene().network(), samples, sky.shape)
+    fit = fit_scale(depth_scene().network(), samples, sky.shape, CONFIG)
     assert "0 pixels of trustworthy ground" in fit.trouble
     assert isinstance(RangeImage(sky, CAMERA, depth_scene().traced.pose).depth(), np.ndarray)
