@@ -9,7 +9,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # Build back-ends warn of what a user of this Makefile cannot mend.
 PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -c constraints.txt
 
-.PHONY: demo demo-real test test-all bench lint format clean
+.PHONY: demo demo-real test test-all bench docs lint format clean
 
 $(INSTALLED): pyproject.toml constraints.txt setup.py setup.cfg
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.12")'
@@ -46,6 +46,14 @@ $(FIRE)/.installed: | $(VENV)/.installed-all
 
 test-all: $(VENV)/.installed-all $(FIRE)/.installed
 	LTM_PYRETECHNICS=$(FIRE)/bin/python $(BIN)/python -m pytest -q
+
+$(VENV)/.installed-docs: $(INSTALLED)
+	$(PIP) -e '.[docs]'
+	touch $@
+
+docs: $(VENV)/.installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir out/site
+	! grep -rnE '<(script|link|img)[^>]*(src|href)="(https?:)?//' out/site --include='*.html' # no page asks another host
 
 bench: $(VENV)/.installed-dev
 	$(BIN)/ltm bench trace
