@@ -110,9 +110,7 @@ def _fuse(
                 # edges what neighbours see is but their own place.
                 known = at[cell[u]]
                 edge = (near[u] - y[u]) / off[u]
-                if not edge < one or surely_terrain(
-                    known, near[u], true[u], off[u], joint[u], spread[u], prior, rules
-                ):
+                if not edge < one or surely_terrain(known, near[u], true[u], off[u], joint[u], spread[u], prior, rules):
                     continue
                 other = y[u] if edge < rules.blurred else near[u]
                 below = feet[cell[u]]
@@ -163,8 +161,8 @@ def surely_terrain(
     prior: OcclusionPrior,
     rules: DecisionRules,
 ) -> bool:
-    """Whether a disagreement is surely too small for `network_chance` to find anything before the ground: its odds at their
-    best, without exponential and logarithm."""
+    """Whether a disagreement is surely too small for `network_chance` to find anything before the ground: its odds at
+    their best, without exponential and logarithm."""
     if joint > np.float32(OWN) * spread * spread:
         return False
     ratio = prior.rules.most_ratio

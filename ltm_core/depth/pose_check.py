@@ -29,9 +29,9 @@ _JUMP = 1.25  # half, in logarithms, of the leap of depth that a photo surely sh
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """`edges`: of the terrain that were looked at; `columns`: of the skyline. `pitch_deg`, `azimuth_deg`: by how much the
-    camera should be turned (up, clockwise) for the terrain to fit the photo best, 0 where not known. `gain`: how many times
-    better it fits there. `suspected`, and `reason` in words.
+    """`edges`: of the terrain that were looked at; `columns`: of the skyline. `pitch_deg`, `azimuth_deg`: by how much
+    the camera should be turned (up, clockwise) for the terrain to fit the photo best, 0 where not known. `gain`: how
+    many times better it fits there. `suspected`, and `reason` in words.
     """
 
     edges: int

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from enum import IntEnum, StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -147,7 +147,7 @@ def fuse(
             raise ImageError(f"{what} of {shape} does not fit the traced depth of {size} (rows, columns)")
     settings = FusionSettings() if settings is None else settings
     config = FusionConfig() if config is None else config
-    camera, pose = traced.camera, traced.pose
+    camera = traced.camera
     cell = max(1.0, size[1] / settings.label_columns) if settings.label_columns else 1.0
     # Whether the terrain lies where the photo has it: if not, nothing below means anything.
     edges = DepthDiscontinuities.of(ground, config.surface.jump)
@@ -160,16 +160,7 @@ def fuse(
         return _traced_alone(ground, Verdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM", check)
     if check.suspected:
         return _traced_alone(ground, Verdict.POSE_SUSPECTED, check.reason, check)
-    # What the terrain lets expect: bare ground, with the height of what grows there.
-    expected, sigma = expected_surface(ground, labels, classes.cover, camera, pose, *sigmas, config)
-    # Pixel sampling and RANSAC regression: the network's scale from ground that can be trusted, and its errors there.
-    fit, view, standing = None, None, None
-    if network is not None:
-        samples = ground_samples(expected, sigma, labels, classes.ground, camera.fy, config)
-        fit = fit_scale(network, samples, (size[0], size[1]), config)
-    if fit is not None and not fit.trouble:
-        view = NetworkView.of(fit, rgb, config)
-        standing = OcclusionPrior.of(ground, labels, classes, camera, pose, view.shape, config)
+    expected, sigma, fit, view, standing = expect(traced, network, rgb, labels, classes, settings, config)
     # Ridges have their edges where the photo has them; then every pixel is the terrain's, the network's or both's.
     refine_occlusion_boundaries(rgb, ground, expected, sigma, labels, classes, camera, config, view, edges)
     source, over = np.empty(size, np.uint8), None if surface is None else surface.depth()
@@ -180,6 +171,43 @@ def fuse(
     if fit is not None and fit.trouble:
         verdict, reason = Verdict.NETWORK_UNUSABLE, fit.trouble
     return FusedDepth(expected, sigma, source, ground, ratio, verdict, reason, check, config, fit)
+
+
+class Expectation(NamedTuple):
+    """What is known of a photo's pixels before any of them is decided: depth and sigma (H, W) that the terrain lets
+    expect; the network's fit, its view of the photo, and what may stand before the ground, None without a network."""
+
+    depth: Float32Array
+    sigma: Float32Array
+    fit: ScaleFit | None
+    view: NetworkView | None
+    standing: OcclusionPrior | None
+
+
+def expect(
+    traced: RangeImage | DepthImage,
+    network: NetworkDepth | None,
+    rgb: UInt8Array,
+    labels: UInt8Array | None,
+    classes: ClassPriors,
+    settings: FusionSettings,
+    config: FusionConfig,
+) -> Expectation:
+    """The first half of `fuse`; arguments as there."""
+    ground, camera, pose = traced.depth(), traced.camera, traced.pose
+    # What the terrain lets expect: bare ground, with the height of what grows there.
+    sigmas = settings.angle_sigma, settings.dem_sigma
+    expected, sigma = expected_surface(ground, labels, classes.cover, camera, pose, *sigmas, config)
+    if network is None:
+        return Expectation(expected, sigma, None, None, None)
+    # Pixel sampling and RANSAC regression: the network's scale from ground that can be trusted, and its errors there.
+    samples = ground_samples(expected, sigma, labels, classes.ground, camera.fy, config)
+    fit = fit_scale(network, samples, (ground.shape[0], ground.shape[1]), config)
+    if fit.trouble:
+        return Expectation(expected, sigma, fit, None, None)
+    view = NetworkView.of(fit, rgb, config)
+    standing = OcclusionPrior.of(ground, labels, classes, camera, pose, view.shape, config)
+    return Expectation(expected, sigma, fit, view, standing)
 
 
 def _traced_alone(ground: Float32Array, verdict: Verdict, reason: str, check: PoseCheck) -> FusedDepth:

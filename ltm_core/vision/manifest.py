@@ -17,6 +17,7 @@ DEPTH_KINDS: Final = ("relative_inverse", "affine_invariant", "metric")
 """Kinds of output that are one number a pixel, a depth; the others label pixels."""
 
 CALIBRATION_SUFFIX: Final = "_calibration.yaml"
+FUSION_SUFFIX: Final = "_fusion.yaml"
 """Ends the name of the file beside a manifest that says how the model errs."""
 
 
@@ -244,4 +245,6 @@ def added_names() -> list[str]:
 
 
 def _names(folder: Path) -> list[str]:
-    return sorted(path.stem for path in folder.glob("*.yaml") if not path.name.endswith(CALIBRATION_SUFFIX))
+    return sorted(
+        path.stem for path in folder.glob("*.yaml") if not path.name.endswith((CALIBRATION_SUFFIX, FUSION_SUFFIX))
+    )

@@ -12,6 +12,7 @@ from std_msgs.msg import String
 
 from ltm_core.camera import Camera
 from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.fusion_config_io import load_fusion_config
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.depth.topodepth import FusedDepth, FusionSettings, Verdict, fuse
 from ltm_core.errors import ConfigError, ModelError
@@ -79,7 +80,8 @@ class TopoDepth(Handler[TopoDepthConfig]):
         model = config.model or site.depth_model
         if not model:
             raise ConfigError(f"{config.site}: no depth network; give `depth_model` a manifest's name or path")
-        self._classes = ClassPriors.of(LabelSet.load(config_path(site.labels)))
+        self._config = load_fusion_config(Manifest.find(model))
+        self._classes = ClassPriors.of(LabelSet.load(config_path(site.labels)), self._config)
         self._label_columns = _label_columns(config.label_model or site.model)
         self._network = DepthNetwork.open(model, config.threads)
         # Depth is traced to a surface raster where the site has one; bare ground is then traced here besides.
@@ -131,6 +133,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
             self._classes,
             self._settings(pose),
             surface,
+            self._config,
         )
         self._publish(fused, stamp)
 
@@ -172,7 +175,9 @@ class TopoDepth(Handler[TopoDepthConfig]):
         rgb, labels = np.zeros((64, 96, 3), np.uint8), np.ones((64, 96), np.uint8)
         inverse = (1 / np.minimum(depth, 1e4)).astype(np.float32)
         for given in (labels, None):
-            fuse(traced, NetworkDepth(inverse, "relative_inverse"), rgb, given, self._classes).measured()
+            fuse(
+                traced, NetworkDepth(inverse, "relative_inverse"), rgb, given, self._classes, config=self._config
+            ).measured()
 
 
 def _label_columns(model: str) -> int:

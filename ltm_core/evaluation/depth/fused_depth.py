@@ -11,9 +11,11 @@ import numpy as np
 
 from ltm_core.dem import Dem
 from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.topodepth import FusedDepth, FusionSettings, fuse
 from ltm_core.errors import ConfigError
+from ltm_core.evaluation.depth.ablation import without
 from ltm_core.evaluation.metrics.depth import DepthScore
 from ltm_core.evaluation.metrics.depth_fit import at_pixels_of, fit_to_truth
 from ltm_core.evaluation.metrics.depth_tally import DepthTally
@@ -22,6 +24,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
 from ltm_core.types import BoolArray, Float32Array, UInt8Array
+from ltm_core.vision.labels import LabelSet
 
 _OPEN = 0.005  # relative: closer to bare ground than this (and 0.5 m) nothing stands before it
 
@@ -30,13 +33,14 @@ _OPEN = 0.005  # relative: closer to bare ground than this (and 0.5 m) nothing s
 class Condition:
     """What is done to a frame before it is fused. `pose_error_deg`: turn of the camera in a random direction, and so
     is `shift`, metres, of the DEM. `coarsen`: cells of the DEM, metres. `occluded`: share of the photo behind things
-    that stand before the camera.
+    that stand before the camera. `without`: a stage of fusion that is left out (`ablation.STAGES`).
     """
 
     pose_error_deg: float = 0.0
     occluded: float = 0.0
     coarsen: float = 0.0
     shift: float = 0.0
+    without: str = ""
 
     def __post_init__(self) -> None:
         if not (0 <= self.occluded < 0.9 and min(self.pose_error_deg, self.coarsen, self.shift) >= 0):
@@ -49,6 +53,7 @@ class Condition:
             f"{self.occluded:.0%} occluded" if self.occluded else "",
             f"DEM of {self.coarsen:g} m" if self.coarsen else "",
             f"DEM shifted {self.shift:g} m" if self.shift else "",
+            f"without {self.without}" if self.without else "",
         ]
         return ", ".join(part for part in parts if part) or "exact"
 
@@ -137,8 +142,13 @@ class DepthEvaluation:
         classes: ClassPriors,
         bend_curvature: bool = True,
         surface: Dem | None = None,
+        config: FusionConfig | None = None,
     ) -> None:
         self.condition = condition
+        self._config = FusionConfig() if config is None else config
+        if condition.without:
+            self._config = without(self._config, condition.without)
+            classes = ClassPriors.of(LabelSet.load(), self._config)
         self._classes = classes
         self._tracer = TerrainTracer(condition.dem(dem), bend_curvature)
         self._over = None if surface is None else TerrainTracer(condition.dem(surface), bend_curvature)
@@ -162,7 +172,7 @@ class DepthEvaluation:
         traced = self._tracer.trace(frame.camera, pose)
         settings = FusionSettings(label_columns=given.label_columns)
         over = None if self._over is None else self._over.trace(frame.camera, pose)
-        fused = fuse(traced, given.network, photo, given.labels, self._classes, settings, over)
+        fused = fuse(traced, given.network, photo, given.labels, self._classes, settings, over, self._config)
         size, shape = (frame.camera.height, frame.camera.width), frame.surface.shape
         sources = {
             "traced": at_pixels_of(fused.ground, size, shape),
@@ -226,6 +236,7 @@ def conditions(
     occlusions: Iterable[float] = (),
     coarsen: Iterable[float] = (),
     shifts: Iterable[float] = (),
+    stages: Iterable[str] = (),
 ) -> list[Condition]:
     """The exact condition and each error by itself."""
     exact = Condition()
@@ -235,4 +246,5 @@ def conditions(
         *(replace(exact, occluded=value) for value in occlusions if value),
         *(replace(exact, coarsen=value) for value in coarsen if value),
         *(replace(exact, shift=value) for value in shifts if value),
+        *(replace(exact, without=stage) for stage in stages),
     ]

@@ -47,6 +47,9 @@ def depth(
     occlude: Annotated[str, typer.Option(help="Also with such shares of the photo hidden, with commas.")] = "",
     coarsen: Annotated[str, typer.Option(help="Also with DEM cells of so many metres, with commas.")] = "",
     shift: Annotated[str, typer.Option(help="Also with the DEM shifted by so many metres, with commas.")] = "",
+    without: Annotated[
+        list[str] | None, typer.Option(help="Also without this stage of fusion; repeatable; all: each in turn.")
+    ] = None,
     limit: Annotated[int | None, typer.Option(help="Score at most so many frames.", min=1)] = None,
     pictures: Annotated[Path | None, typer.Option(help="Folder for a sheet of pictures of every frame.")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Also write every figure to this file.")] = None,
@@ -60,8 +63,11 @@ def depth(
 
     from ltm_core.dem import Dem
     from ltm_core.depth.class_priors import ClassPriors
+    from ltm_core.depth.fusion_config import FusionConfig
+    from ltm_core.depth.fusion_config_io import load_fusion_config
     from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
     from ltm_core.errors import RecordingError
+    from ltm_core.evaluation.depth.ablation import STAGES
     from ltm_core.evaluation.depth.depth_maps_io import DepthMapFolder
     from ltm_core.evaluation.depth.fused_depth import DepthEvaluation, Given, conditions, upsampled_labels
     from ltm_core.evaluation.pictures.depth_sheet import depth_sheet
@@ -70,10 +76,12 @@ def depth(
     from ltm_core.raster.dem_stack import with_surface
     from ltm_core.resources import project_path
     from ltm_core.vision.labels import LabelSet
+    from ltm_core.vision.manifest import Manifest
     from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
     from ltm_ros.evaluation.figures_io import write_figures
 
     console = Console()
+    stages = list(STAGES) if without == ["all"] else without or []
     place = source if source is not None else project_path("bags/demo/recording")
     name = segmentation or DEFAULT_MODEL
     if (place / "frames.json").is_file():
@@ -88,13 +96,14 @@ def depth(
         dem, frames = recorded.site.open_dem(), recorded_truth_frames(place, recorded.site)
         curved, frame_of_map = recorded.site.curvature, recorded.site.frame
     over = None if surface is None else with_surface(dem, Dem.open(surface).in_frame(frame_of_map))
-    classes = ClassPriors.of(LabelSet.load())
+    config = FusionConfig() if depth_maps is not None else load_fusion_config(Manifest.find(model))
+    classes = ClassPriors.of(LabelSet.load(), config)
     network = None if depth_maps is not None else DepthNetwork.open(model)
     folder = None if depth_maps is None else DepthMapFolder.open(depth_maps.name, depth_maps)
     segmenter = Segmenter.open(name) if labels is Labels.model else None
     runs = [
-        DepthEvaluation(condition, dem, classes, curved, over)
-        for condition in conditions(*(_numbers(text) for text in (pose_error, occlude, coarsen, shift)))
+        DepthEvaluation(condition, dem, classes, curved, over, config)
+        for condition in conditions(_numbers(pose_error), _numbers(occlude), _numbers(coarsen), _numbers(shift), stages)
     ]
     count = 0
     with console.status("scoring") as status:
@@ -129,12 +138,16 @@ def depth(
     scores = [run.score() for run in runs]
     what = model if depth_maps is None else str(depth_maps)
     for score in scores:
+        if score.condition.without:
+            continue  # one line each, below
         console.print(_table(score, what))
         verdicts = ", ".join(f"{n} {verdict}" for verdict, n in sorted(score.verdicts.items()))
         covered = ", ".join(f"{key} {value:.1%}" for key, value in score.coverage.items())
         console.print(f"{verdicts}; inlier ratio {score.inlier_ratio:.2f}; true depth covered: {covered}")
-    if len(scores) > 1:
-        console.print(_verdicts(scores))
+    if stages:
+        console.print(_ablation(scores))
+    if len(scores) > 1 + len(stages):
+        console.print(_verdicts([score for score in scores if not score.condition.without]))
     console.print(CLAIM)
     state = f"{place}, {count} frames, depth {what}, labels {labels.value if segmenter is None else name}"
     state += f", surface raster {surface}" if surface is not None else ""
@@ -167,6 +180,23 @@ def _table(score: ConditionScore, network: str) -> Table:
                 names = (group, row.source) if first else ("", "")
                 shown.add_row(*names, bin_name(one), f"{one.pixels:,}", *figures)
         shown.add_section()
+    return shown
+
+
+def _ablation(scores: list[ConditionScore]) -> Table:
+    """RMSE of fused depth without each stage, as part of that with all: above 1, the stage gains."""
+    from rich.table import Table
+
+    groups = ("all", "open", "covered", "changed", "covered or changed")
+    shown = Table(title="fused depth without one stage: RMSE over that with all stages")
+    for column in ("without", *groups):
+        shown.add_column(column, justify="left" if column == "without" else "right")
+    whole = scores[0]
+    shown.add_row("nothing, m", *(f"{whole.rmse('fused', group):,.2f}" for group in groups))
+    for score in scores:
+        if score.condition.without:
+            ratios = (score.rmse("fused", group) / whole.rmse("fused", group) for group in groups)
+            shown.add_row(score.condition.without, *(f"{ratio:.3f}" for ratio in ratios))
     return shown
 
 
