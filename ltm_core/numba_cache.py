@@ -1,20 +1,29 @@
-"""Where numba keeps compiled kernels: a folder of its own for each state of the source.
+"""Gives numba's cache of compiled kernels a folder for each state of the source, so that no stale code is loaded.
 
-Numba looks only at the file of the kernel that it loads. When a kernel *called* by it, in another file, has changed,
-the old machine code would be taken and its answers would be wrong without a word.
+Numba checks only the file of the kernel that it loads. When a kernel *called* by it, in another file, has changed, the
+old machine code would be loaded and give wrong results silently.
+
+A process names the state that it finds when it starts, and loads modules later. One that ends and finds the source
+changed meanwhile may have mixed two states: it marks its folder, and nobody is given it again. (One that is killed
+marks nothing: edit, kill, undo the edit to the byte, and only deleting `ltm_core/__pycache__` helps.)
 """
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import hashlib
 import os
 import shutil
+import stat
 import sys
 import tempfile
 from pathlib import Path
 
 _VARIABLE = "NUMBA_CACHE_DIR"
 _PREFIX = "ltm-kernels-"
+_MIXED = "mixed"
+"""A file in a folder that may hold kernels of more than one state."""
 _KEPT = 3
 """Folders of former states of the source that stay, for processes that still run them."""
 
@@ -23,32 +32,56 @@ def use_own_cache(source: Path) -> Path | None:
     """Point numba to the cache of this state of `source`; the folder, or None where not ours.
 
     Numba reads the variable when it is imported: where somebody has imported it before us, as pytest does, it is told.
-    A NUMBA_CACHE_DIR that the user has set is left alone; so is everything where no place can be written to.
+    A NUMBA_CACHE_DIR that the user has set is left alone; so is everything where no place can be written to. What lies
+    there is run as it is, so outside the source a place must be our own: elsewhere anybody could have put it there.
     """
     given = os.environ.get(_VARIABLE)
     if given and not Path(given).name.startswith(_PREFIX):
         return None
-    digest = hashlib.sha256()
-    for file in sorted(source.rglob("*.py")):
-        digest.update(file.relative_to(source).as_posix().encode())
-        digest.update(file.read_bytes())
-    for parent in (
-        source / "__pycache__",
-        Path.home() / ".cache/ltm",
-        Path(tempfile.gettempdir()) / f"ltm-{os.getuid()}",
-    ):
-        folder = parent / f"{_PREFIX}{digest.hexdigest()[:16]}"
+    state = _state(source)
+    beside = source / "__pycache__"
+    for parent in (beside, Path.home() / ".cache/ltm", Path(tempfile.gettempdir()) / f"ltm-{os.getuid()}"):
+        folder = parent / f"{_PREFIX}{state}"
+        while (folder / _MIXED).exists():
+            folder = folder.with_name(f"{folder.name}x")
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            if parent == beside:
+                folder.mkdir(parents=True, exist_ok=True)
+            elif not (_own(parent) and _own(folder)):
+                continue
         except OSError:
             continue
         if os.access(folder, os.W_OK):
             os.environ[_VARIABLE] = str(folder)
             if "numba" in sys.modules:
                 sys.modules["numba"].config.CACHE_DIR = str(folder)
+            atexit.register(_mark_if_changed, source, state, folder)
             _forget_former(parent, folder)
             return folder
     return None
+
+
+def _state(source: Path) -> str:
+    digest = hashlib.sha256()
+    for file in sorted(source.rglob("*.py")):
+        digest.update(file.relative_to(source).as_posix().encode())
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _mark_if_changed(source: Path, state: str, folder: Path) -> None:
+    with contextlib.suppress(OSError):
+        if _state(source) != state:
+            (folder / _MIXED).touch()
+
+
+def _own(folder: Path) -> bool:
+    """Make a folder where there is none; whether it is ours and nobody else gets at what lies in it. A link is not: it
+    may lead elsewhere tomorrow."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    return stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
 
 
 def _forget_former(parent: Path, current: Path) -> None:

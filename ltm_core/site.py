@@ -1,4 +1,4 @@
-"""One site: its terrain, frame, fuel grid and cameras, as typed configuration. Defaults stand here and nowhere else."""
+"""Typed configuration of one site: terrain, frame, fuel grid and cameras. Defaults stand here and nowhere else."""
 
 from __future__ import annotations
 
@@ -97,13 +97,27 @@ class PoseErrorConfig(Config):
         return np.diag([self.position**2] * 3 + [math.radians(self.angle_deg) ** 2] * 3)
 
 
+class Limits(Config):
+    """How large messages may be; what is larger is dropped, and counted as `too_large`, before anything is made of it.
+
+    Within these bounds no node of the cameras' chain takes more than a gigabyte.
+    """
+
+    image_bytes: int = Field(32 << 20, ge=1)
+    """Size of a compressed image."""
+    pixels: int = Field(16_000_000, ge=1)
+    """Number in an image and in a calibration: the depth of a pixel takes 44 bytes while it is traced."""
+    waiting_bytes: int = Field(128 << 20, ge=1)
+    """Size of the image data that waits in a node for the other messages of its frame."""
+
+
 class TerrainConfig(Config):
     """The living terrain; a site that has this section runs the node `terrain`. Lengths in metres, times in seconds."""
 
     resolution: float | None = Field(None, gt=0)
     """Cell size; None: the DEM's."""
     min_range: float = Field(20.0, ge=0)
-    """What is nearer stands before the lens."""
+    """Anything nearer is taken for an object close to the lens and ignored."""
     max_range: float = Field(1500.0, gt=0)
     """Beyond it, depth is too coarse to move a cell."""
     columns: int = Field(960, ge=1)
@@ -237,6 +251,7 @@ class Site(Config):
     depth_model: str = ""
     """Manifest of a depth network, likewise; where given, traced depth is fused with it (`fused/depth`)."""
     cameras: dict[CameraName, CameraConfig] = Field(min_length=1)
+    limits: Limits = Limits()
     nodes: dict[RosName, dict[str, Any]] = {}
     """Parameters a node type: `nodes: {capture: {pose_tolerance: 0.1}}`. Each node refuses what it does not know."""
 

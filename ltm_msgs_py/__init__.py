@@ -1,1 +1,1 @@
-"""Core types <-> standard ROS 2 messages, one module a message family, and the recordings that hold them."""
+"""Converts core types to standard ROS 2 messages and back, one module a message family; reads and writes recordings."""

@@ -1,4 +1,4 @@
-"""Cells of a fuel map that cameras have touched <-> sensor_msgs/PointCloud2.
+"""Fuel map cells that cameras have touched <-> sensor_msgs/PointCloud2.
 
 One point a cell, the labelled 3D points of the map: x, y, z float32 (its centre on the terrain), life_form uint8, prior
 and code int16 (fuel models, -9999 none), p_max, entropy and evidence float32, changed and seen_by uint8. Any ROS tool

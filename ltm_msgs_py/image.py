@@ -183,21 +183,18 @@ def compressed_to_rgb(msg: Any) -> UInt8Array:
     An EXIF orientation tag is left aside: the calibration counts the pixels as they are stored. Raises ImageError with
     format and size when the data is neither, is cut short, or cannot be decoded.
     """
-    return decode_rgb(bytes(memoryview(msg.data)), f"CompressedImage with format {msg.format!r}")
+    return decode_rgb(bytes(memoryview(msg.data)), _named(msg))
+
+
+def compressed_size(msg: Any) -> tuple[int, int]:
+    """(width, height) that a CompressedImage states; nothing of it is decoded. Raises ImageError where none is stated,
+    or the image is cut short."""
+    return _checked_size(bytes(memoryview(msg.data)), _named(msg))[0]
 
 
 def decode_rgb(data: bytes, what: str = "image") -> UInt8Array:
     """JPEG or PNG bytes as (H, W, 3) uint8 RGB; `what` names the image in errors. See `compressed_to_rgb`."""
-    found = _format_of(data)
-    if found is None:
-        raise ImageError(
-            f"{what} ({len(data)} bytes, beginning {data[:8].hex(' ') or 'with nothing'}) is neither jpeg nor png; "
-            "publish one of these, or raw images"
-        )
-    # OpenCV 4 fills the missing part of a cut JPEG with grey and says nothing, so look for its end ourselves.
-    if found == "jpeg" and not _jpeg_is_whole(data):
-        raise ImageError(f"{what} ({len(data)} bytes of jpeg) is cut short: it has no end-of-image marker")
-    width, height = _stated_size(data, f"{what} ({len(data)} bytes of {found})")
+    (width, height), found = _checked_size(data, what)
     if width * height > MAX_PIXELS:
         raise ImageError(
             f"{what} ({len(data)} bytes of {found}) states a size of {width} x {height}: "
@@ -210,6 +207,24 @@ def decode_rgb(data: bytes, what: str = "image") -> UInt8Array:
     if image is None:
         raise ImageError(f"{what} ({len(data)} bytes of {found}) is corrupt: OpenCV cannot decode it")
     return _converted(image, cv2.COLOR_BGR2RGB)
+
+
+def _named(msg: Any) -> str:
+    return f"CompressedImage with format {msg.format!r}"
+
+
+def _checked_size(data: bytes, what: str) -> tuple[tuple[int, int], str]:
+    """(width, height) and format of an image that is whole, as far as its outside shows. Raises ImageError."""
+    found = _format_of(data)
+    if found is None:
+        raise ImageError(
+            f"{what} ({len(data)} bytes, beginning {data[:8].hex(' ') or 'with nothing'}) is neither jpeg nor png; "
+            "publish one of these, or raw images"
+        )
+    # OpenCV 4 fills the missing part of a cut JPEG with grey and says nothing, so look for its end ourselves.
+    if found == "jpeg" and not _jpeg_is_whole(data):
+        raise ImageError(f"{what} ({len(data)} bytes of jpeg) is cut short: it has no end-of-image marker")
+    return _stated_size(data, f"{what} ({len(data)} bytes of {found})"), found
 
 
 def _spec(encoding: str, taken: tuple[str, ...], purpose: str) -> _Encoding:
@@ -231,7 +246,7 @@ def _format_of(data: bytes) -> str | None:
 def _stated_size(data: bytes, what: str) -> tuple[int, int]:
     """(width, height) as the header says, before anything is decoded."""
     try:
-        with PIL.Image.open(io.BytesIO(data)) as header:
+        with PIL.Image.open(io.BytesIO(data), formats=("JPEG", "PNG")) as header:
             return header.size
     except PIL.Image.DecompressionBombError as error:
         raise ImageError(f"{what} is too large to decode: {error}") from error

@@ -1,4 +1,4 @@
-"""Named columns <-> sensor_msgs/PointCloud2: the layout that votes and points share."""
+"""Named columns <-> sensor_msgs/PointCloud2: the field layout that votes and fuel cells share."""
 
 from __future__ import annotations
 

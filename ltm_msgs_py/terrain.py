@@ -1,4 +1,4 @@
-"""Changes of a surface -> sensor_msgs/PointCloud2 and nav_msgs/OccupancyGrid.
+"""Surface changes -> sensor_msgs/PointCloud2 and nav_msgs/OccupancyGrid.
 
 One point a cell whose kind of change is new: x, y, z float32 (its centre on the updated surface), row, col int32 of
 the terrain's grid, change uint8 (0: no longer changed), shift float32 (metres from the reference surface).

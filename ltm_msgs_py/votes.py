@@ -2,8 +2,8 @@
 
 One point a cell: x, y, z float32 (its centre on the terrain), and one uint16 field of pixels for each class that the
 frame saw, named after it. Where they are known: `confidence` of the labels and `cos_incidence`, uint8 x 255;
-`footprint_dm`, `sigma_along_dm`, `sigma_across_dm` in decimetres and `bearing_deg`, uint16. So votes are sparse, say
-themselves what they count, and any ROS tool shows them as points.
+`footprint_dm`, `sigma_along_dm`, `sigma_across_dm` in decimetres and `bearing_deg`, uint16. So votes are sparse and
+name the classes that they count, and any ROS tool shows them as points.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ltm_msgs_py.pointcloud import Columns, columns_to_msg, msg_to_columns, take
 from ltm_msgs_py.stamp import stamp_of
 
 MAX_BYTES = 64_000
-"""Of a frame's votes on the wire."""
+"""Largest message of a frame's votes."""
 _HEADER_BYTES = 1_500
 """Bound of what a message holds besides its points: header, names of fields."""
 _AXES = ("x", "y", "z")

@@ -1,8 +1,9 @@
-"""A map's state in one SQLite file: tiles of arrays, the frames counted in them, who touched what, and every change.
+"""SQLite file that holds the state of a map: tiles of arrays, the frames counted in them, and a journal of changes.
 
-A transaction is in the file whole or not at all, also after a power cut: what `commit` has returned from is kept.
-Frames may be committed before the tiles that hold their effect: their payloads wait in the file, as in a redo log, so
-that a frame costs a small write, and the tiles are written now and then.
+The nodes `fuel_map` and `terrain` keep their maps in it. A transaction is in the file whole or not at all, also after a
+power cut: what `commit` has returned from is kept. Frames may be committed before the tiles that hold their effect:
+their payloads wait in the file, as in a redo log, so that a frame costs a small write, and the tiles are written now
+and then.
 """
 
 from __future__ import annotations
@@ -38,7 +39,12 @@ APPLICATION_ID = 0x4C544D31  # "LTM1"
 LAYOUT = 1
 """Of the tables below, SQLite's user_version."""
 KEPT_FRAMES = 20_000
-"""Stamps remembered of each source, a week of a frame every 30 s; older ones are refused, as nobody knows them."""
+"""Stamps remembered of each source at least, a week of a frame every 30 s; older ones are refused, as nobody knows."""
+KEPT_NS = 7 * 86_400 * 10**9
+"""Up to the newest, in which a source's stamps are remembered however many they are: thousands of one minute push out
+none of the same day."""
+MOST_FRAMES = 1_000_000
+"""Stamps remembered of a source at most, some 30 MB: nobody shall fill the disk."""
 CHECKED_BYTES = 64 << 20
 """Files up to this size are checked whole when they are opened; of larger ones, damage is found where it is read."""
 
@@ -68,13 +74,26 @@ class TileStore:
     """
 
     def __init__(
-        self, database: sqlite3.Connection, schema: StoreSchema, name: str, lock: int | None, kept_frames: int
+        self,
+        database: sqlite3.Connection,
+        schema: StoreSchema,
+        name: str,
+        lock: int | None,
+        kept_frames: int = KEPT_FRAMES,
+        most_frames: int = MOST_FRAMES,
     ) -> None:
         self.schema = schema
-        self._db, self._name, self._lock, self._kept_frames = database, name, lock, kept_frames
+        self._db, self._name, self._lock = database, name, lock
+        self._kept_frames, self._most_frames = kept_frames, most_frames
 
     @classmethod
-    def open(cls, path: Path | str, schema: StoreSchema, kept_frames: int = KEPT_FRAMES) -> TileStore:
+    def open(
+        cls,
+        path: Path | str,
+        schema: StoreSchema,
+        kept_frames: int = KEPT_FRAMES,
+        most_frames: int = MOST_FRAMES,
+    ) -> TileStore:
         """The store in `path`, made where there is none, for this process alone to write.
 
         Raises ConfigError for a file that is no store, is damaged, or was made for other content or another grid:
@@ -92,7 +111,7 @@ class TileStore:
             if differences := schema.differences(stored):
                 database.close()
                 raise ConfigError(f"{path}: not a store of this map: {differences}; move it away or name another file")
-            return cls(database, schema, str(path), lock, kept_frames)
+            return cls(database, schema, str(path), lock, kept_frames, most_frames)
         except BaseException:
             os.close(lock)
             raise
@@ -108,14 +127,16 @@ class TileStore:
         if schema.kind != kind:
             database.close()
             raise ConfigError(f"{path}: holds {schema.kind}, not {kind}")
-        return cls(database, schema, str(path), None, KEPT_FRAMES)
+        return cls(database, schema, str(path), None)
 
     @classmethod
-    def in_memory(cls, schema: StoreSchema, kept_frames: int = KEPT_FRAMES) -> TileStore:
+    def in_memory(
+        cls, schema: StoreSchema, kept_frames: int = KEPT_FRAMES, most_frames: int = MOST_FRAMES
+    ) -> TileStore:
         """A store that ends with the process."""
         database = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
         database.executescript(_TABLES)
-        return cls(database, schema, "memory", None, kept_frames)
+        return cls(database, schema, "memory", None, kept_frames, most_frames)
 
     def close(self) -> None:
         """Idempotent."""
@@ -158,7 +179,7 @@ class TileStore:
         return bool(found and found[0][0])
 
     def forgotten(self, source: str, stamp_ns: int) -> bool:
-        """Whether a frame is older than those that the store remembers of its source, the newest `kept_frames`."""
+        """Whether a frame is older than those that the store remembers of its source (see `_forget`)."""
         found = self._rows("SELECT horizon_ns FROM sources WHERE name = ?", (source,))
         return bool(found and stamp_ns <= found[0][0])
 
@@ -257,20 +278,33 @@ class TileStore:
         )
 
     def _forget(self, db: sqlite3.Connection, source: str) -> None:
-        """Bound what is remembered of a source.
+        """Bound what is remembered of a source: the newest `kept_frames`, and those within `KEPT_NS` of the newest, up
+        to `most_frames`.
 
-        By number and not by age: a camera whose clock was once set to another year shall neither be refused from then
-        on nor be counted twice.
+        Not by age alone: a camera whose clock was once set to another year shall neither be refused from then on nor
+        be counted twice. Not by number alone: whoever sends many frames would make those that are late too old.
         """
         number, kept = db.execute("SELECT id, kept FROM sources WHERE name = ?", (source,)).fetchone()
-        spare = kept - self._kept_frames
-        if spare <= self._kept_frames // 20:
+        (newest,) = db.execute("SELECT max(stamp_ns) FROM frames WHERE source = ?", (number,)).fetchone()
+        old = self._old_among(db, number, kept - self._kept_frames, newest - KEPT_NS)
+        spare = max(old, kept - self._most_frames)
+        if spare <= min(self._kept_frames, self._most_frames) // 20:
             return
         (horizon,) = db.execute(
             "SELECT stamp_ns FROM frames WHERE source = ? ORDER BY stamp_ns LIMIT 1 OFFSET ?", (number, spare - 1)
         ).fetchone()
         db.execute("DELETE FROM frames WHERE source = ? AND stamp_ns <= ?", (number, horizon))
         db.execute("UPDATE sources SET kept = kept - ?, horizon_ns = ? WHERE id = ?", (spare, horizon, number))
+
+    def _old_among(self, db: sqlite3.Connection, number: int, spare: int, limit_ns: int) -> int:
+        """How many of a source's `spare` oldest frames are older than that; counts a bounded number at a time."""
+        if spare <= 0:
+            return 0
+        (old,) = db.execute(
+            "SELECT count(*) FROM (SELECT 1 FROM frames WHERE source = ? AND stamp_ns < ? LIMIT ?)",
+            (number, limit_ns, min(spare, self._kept_frames)),
+        ).fetchone()
+        return int(old)
 
     @contextlib.contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:

@@ -1,4 +1,4 @@
-"""Where the messages of one MCAP file lie: from its summary, or by reading through a file that has none.
+"""Index of the messages in one MCAP file, from its summary, or by reading through a file that has none.
 
 A recorder that is killed leaves a file without a summary, cut inside a record. Everything before the cut is whole, so
 it is read; where reading stopped, and why, is kept in words with the byte offset.

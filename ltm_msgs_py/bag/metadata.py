@@ -1,4 +1,4 @@
-"""rosbag2's metadata.yaml, version 9 (Jazzy)."""
+"""Reads and writes rosbag2's metadata.yaml, version 9 (Jazzy)."""
 
 from __future__ import annotations
 

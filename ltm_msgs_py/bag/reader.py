@@ -1,4 +1,4 @@
-"""Reading a bag: a rosbag2 folder of MCAP files, or one bare MCAP file."""
+"""Reads a bag: a rosbag2 folder of MCAP files, or one bare MCAP file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Message types by name: their Python class, their `ros2msg` definition with all that it depends on, their hash."""
+"""Message types by name: Python class, `ros2msg` definition with all that it depends on, and type hash."""
 
 from __future__ import annotations
 

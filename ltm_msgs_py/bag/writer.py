@@ -1,4 +1,4 @@
-"""Writing a bag: one MCAP file and its metadata.yaml, as rosbag2 lays them out."""
+"""Writes a bag: one MCAP file and its metadata.yaml, as rosbag2 lays them out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A fuel map and its store: what is counted is in memory at once, on disk soon, and acknowledged only then."""
+"""Keeps a fuel map and its store in step: frames count in memory at once and are acknowledged once they are on disk."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ AGE_NS = 3600 * 10**9
 
 
 class Counting(Enum):
-    """What became of a frame."""
+    """Whether a frame was counted, and if not, why."""
 
     COUNTED = "counted"
     EMPTY = "empty"
-    """Counted, but it says nothing of any cell."""
+    """It says nothing of any cell, so there is nothing to keep: of these, any number push out no frame."""
     DUPLICATE = "duplicate"
     TOO_OLD = "too_old"
 
@@ -54,7 +54,7 @@ class FuelMapPersistence:
 
     Args:
         make_map: the site's map without any evidence.
-        open_store: the store. A StoreError of it (disk full, folder not writable) lets the keeper begin in memory; it
+        open_store: the store. A StoreError of it (disk full, folder not writable) lets it begin in memory; it
             tries again, and counts what came meanwhile into what the store holds. A ConfigError ends it.
         durable: whether the store outlives the process; if not, frames and tiles need not be in it.
     """
@@ -110,10 +110,12 @@ class FuelMapPersistence:
             )
         payload = votes_to_bytes(votes) if self._durable and not self._failed else b""
         window = self.map.add(votes)
-        tiles = [self._keys.setdefault(key, key) for key in self.map.tiles_of(window)] if window is not None else []
-        record = FrameRecord(votes.source, votes.stamp_ns, tiles, model, payload if window is not None else b"")
-        self._take(Counted(record, None if window is None else self.map.reached_from(window)))
-        return Counting.EMPTY if window is None else Counting.COUNTED
+        if window is None:
+            return Counting.EMPTY
+        tiles = [self._keys.setdefault(key, key) for key in self.map.tiles_of(window)]
+        record = FrameRecord(votes.source, votes.stamp_ns, tiles, model, payload)
+        self._take(Counted(record, self.map.reached_from(window)))
+        return Counting.COUNTED
 
     def replace_tiles(
         self,

@@ -1,23 +1,26 @@
-"""capture: joins a camera's images, calibration and poses, checks them, and sends them on under one stamp."""
+"""capture: joins a camera's images, calibration and poses, checks them, and republishes them under one stamp."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 from pydantic import Field
 
 from ltm_core.camera import Camera
+from ltm_core.errors import ImageError
 from ltm_core.frame import PosedImage
 from ltm_core.pose import Pose
 from ltm_core.site_io import load_site
 from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
-from ltm_msgs_py.image import compressed_to_rgb, image_to_msg, msg_to_rgb
-from ltm_msgs_py.pose import msg_to_pose, pose_to_msg
+from ltm_msgs_py.image import compressed_size, compressed_to_rgb, image_to_msg, msg_to_rgb
+from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.stamp_check import StampCheck
 from ltm_ros.runtime.stamp_join import Match, Part, StampJoin
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
@@ -59,8 +62,17 @@ class Capture(Handler[CaptureConfig]):
             parts.append(Part("pose", Match.NEAREST, round(config.pose_tolerance * 1e9)))
         if self._fixed_calibration is None:
             parts.append(Part("calibration", Match.LATEST))
+        self._limits = site.limits
+        self._assumed = site.assumed_pose_error.covariance()
+        self._stamps = StampCheck(outlet.now_ns, health)
         self._join = StampJoin(
-            parts, self._send, health, config.max_waiting, max_wait=config.max_wait, give_up=self._give_up
+            parts,
+            self._send,
+            health,
+            config.max_waiting,
+            max_wait=config.max_wait,
+            give_up=self._give_up,
+            capacity_bytes=site.limits.waiting_bytes,
         )
         self._newest = -1
 
@@ -75,17 +87,24 @@ class Capture(Handler[CaptureConfig]):
 
     def on_image(self, message: Any) -> None:
         stamp = stamp_of(message)
+        if self._stamps.refuses(f"an image of {self.config.camera}", stamp) or self._too_large(message):
+            return
         if stamp < self._newest and not self._join.known("image", stamp):
             self.health.note("out_of_order")
         self._newest = max(stamp, self._newest)
         self._join.add("image", stamp, message)
 
     def on_camera_info(self, message: Any) -> None:
-        self._join.add("calibration", stamp_of(message), msg_to_camera(message))
+        if not self._too_many_pixels("camera_info", int(message.width), int(message.height)):
+            self._join.add("calibration", stamp_of(message), msg_to_camera(message))
 
     def on_pose(self, message: Any) -> None:
         pose = msg_to_pose(message, "map")
-        self._join.add("pose", stamp_of(message), (pose, message.pose.covariance))
+        covariance = msg_to_covariance(message)
+        if covariance is None and np.any(message.pose.covariance):
+            self.health.note("unknown_covariance")
+            covariance = msg_to_covariance(message, self._assumed)
+        self._join.add("pose", stamp_of(message), (pose, covariance))
 
     def tick(self, waited: float) -> None:
         self._join.tick(waited)
@@ -99,12 +118,46 @@ class Capture(Handler[CaptureConfig]):
         assert where is not None
         assert camera is not None
         stamp = stamp_of(image)
+        if not self._raw and not self._fits(image, camera):
+            return
         photo = msg_to_rgb(image) if self._raw else compressed_to_rgb(image)
         frame = PosedImage(photo, camera, where, stamp, self.config.camera)
         self.outlet.publish(POSED_CAMERA_INFO, camera_to_msg(frame.camera, stamp, self._frame_id))
-        matrix = None if covariance is None else covariance.reshape(6, 6)
-        self.outlet.publish(POSED_POSE, pose_to_msg(frame.pose, stamp, "map", matrix))
+        self.outlet.publish(POSED_POSE, pose_to_msg(frame.pose, stamp, "map", covariance))
         self.outlet.publish(POSED_IMAGE, image_to_msg(frame.image, "rgb8", stamp, self._frame_id))
+
+    def _too_large(self, message: Any) -> bool:
+        """Whether an image holds more than may wait here; the size that its first bytes state is looked at later."""
+        if self._raw and self._too_many_pixels("image", int(message.width), int(message.height)):
+            return True
+        # Raw, the widest of the encodings that are taken has four bytes a pixel.
+        size, most = len(message.data), 4 * self._limits.pixels if self._raw else self._limits.image_bytes
+        if size > most:
+            key = "pixels" if self._raw else "image_bytes"
+            self._drop_large(f"image of {size} bytes, at most {most} are taken", key)
+        return size > most
+
+    def _too_many_pixels(self, what: str, width: int, height: int) -> bool:
+        if width * height <= self._limits.pixels:
+            return False
+        self._drop_large(f"{what} of {width} x {height} pixels, at most {self._limits.pixels} are taken", "pixels")
+        return True
+
+    def _drop_large(self, what: str, key: str) -> None:
+        self.health.drop("too_large", f"{what}; send less, or raise {key} under `limits:` in the site file")
+
+    def _fits(self, image: Any, camera: Camera) -> bool:
+        """Before an image is decoded: whether it is of a size that can be taken. Raises ImageError where the
+        calibration is for another."""
+        width, height = compressed_size(image)
+        if self._too_many_pixels("image", width, height):
+            return False
+        if (width, height) != (camera.width, camera.height):
+            raise ImageError(
+                f"image of {self.config.camera} is {(height, width, 3)}, its calibration says "
+                f"{(camera.height, camera.width, 3)}; publish a camera_info for the image as it is sent"
+            )
+        return True
 
     def _give_up(self, stamp: int, lacking: list[str], why: str) -> None:
         missing = "pose" if "pose" in lacking else "camera_info"

@@ -1,4 +1,4 @@
-"""depth: traces every pixel of a posed camera to the terrain."""
+"""depth: traces every pixel of a posed camera to the terrain and publishes the depth image."""
 
 from __future__ import annotations
 
@@ -51,6 +51,7 @@ class Depth(Handler[DepthConfig]):
         traced = site.open_surface(ground) if config.surface else ground
         self._tracer = TerrainTracer(traced, site.curvature, site.refraction)
         self._bare = self._tracer if traced is ground else TerrainTracer(ground, site.curvature, site.refraction)
+        self._most_pixels = site.limits.pixels
         self._frame_id = f"{config.camera}_optical"
         self._join = StampJoin(("info", "pose"), self._trace, health)
         _compile_kernels()
@@ -67,6 +68,13 @@ class Depth(Handler[DepthConfig]):
 
     def _trace(self, info: Any, pose: Any) -> None:
         camera, where, stamp = msg_to_camera(info), msg_to_pose(pose, "map"), stamp_of(info)
+        if camera.width * camera.height > self._most_pixels:
+            self.health.drop(
+                "too_large",
+                f"calibration of {camera.width} x {camera.height} pixels, at most {self._most_pixels} are traced; "
+                "raise pixels under `limits:` in the site file",
+            )
+            return
         ranges = self._tracer.trace(camera, where)
         self.outlet.publish(DEPTH_CAMERA_INFO, camera_to_msg(camera, stamp, self._frame_id))
         self.outlet.publish(DEPTH_IMAGE, depth_to_msg(ranges.depth(), stamp, self._frame_id))

@@ -1,4 +1,4 @@
-"""fuel_map: gathers the votes of all cameras of a site into its fuel map, and keeps it."""
+"""fuel_map: fuses the votes of all cameras of a site into its fuel map, and stores it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from ltm_ros.fuel_map.terrain_changes import SurfaceListener, terrain_grid
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_check import StampCheck
+from ltm_ros.runtime.stamp_check import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
 from ltm_ros.runtime.topics import (
     FUEL_MAP_ANSWER,
     FUEL_MAP_INFO,
@@ -62,8 +62,12 @@ class FuelMapConfig(NodeConfig):
     """GeoTIFF that the `save` service and a clean stop write; empty: `fuel_map.tif` in `folder`, on request only."""
     accept_unknown_cameras: bool = False
     """Count votes on any `/<site>/<camera>/fuel/votes`, also of cameras that the site file does not name."""
-    max_ahead: float = Field(600.0, gt=0)
+    allow_clear_and_burn: bool = False
+    """Serve `fuel_map/clear` and `fuel_map/burn`, with which anybody in the graph forgets or burns what it knows."""
+    max_ahead: float = Field(MAX_AHEAD_S, gt=0)
     """Seconds by which a camera's clock may be ahead; frames from the future would make all others old."""
+    max_behind: float = Field(MAX_BEHIND_S, gt=0)
+    """Seconds by which a frame may be late."""
 
 
 class FuelMap(Handler[FuelMapConfig]):
@@ -89,11 +93,11 @@ class FuelMap(Handler[FuelMapConfig]):
             durable=self._folder is not None,
         )
         self._publisher = FuelPublisher(outlet, health, self.persistence, self._geometry, dem)
-        self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead)
+        self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, config.max_behind)
         self._surface: SurfaceListener | None = None
         if self._site.terrain is not None:
             grid = terrain_grid(dem.geometry, self._site.terrain.resolution)
-            self._surface = SurfaceListener(grid, self.persistence, health, self._stamps.refuses)
+            self._surface = SurfaceListener(grid, self.persistence, health, self._stamps.ahead)
         self._models: dict[str, str] = {}
         self._region: DrawnRegion | None = None
         self._paced = False
@@ -217,6 +221,7 @@ class FuelMap(Handler[FuelMapConfig]):
 
     def clear(self) -> str:
         """Forget all evidence in the region that came last on `fuel_map/region`; it serves once."""
+        self._check_allowed("clear")
         cells = self._take_region().cells
         self.persistence.replace_tiles(forgotten(self.persistence.map, cells))
         if self._surface is not None:
@@ -227,15 +232,23 @@ class FuelMap(Handler[FuelMapConfig]):
 
     def burn(self) -> str:
         """Mark the region that came last on `fuel_map/region` as burned at its stamp, or now; it serves once."""
+        self._check_allowed("burn")
         region = self._take_region()
         stamp = region.stamp_ns or self.outlet.now_ns() or self.persistence.map.newest_ns
-        if self._stamps.refuses("the burned region", stamp):
+        if self._stamps.ahead("the burned region", stamp):
             raise MessageError(f"the region burned at {stamp} ns, which has not come yet by this node's clock")
         tiles = burned(self.persistence.map, region.cells, stamp)
         self.persistence.replace_tiles(tiles, BURN_SOURCE, stamp, region.window)
         self._settle(write_tiles=True)
         self._publisher.send_map()
         return f"{int(region.cells.sum())} cells burned at stamp {stamp} ns"
+
+    def _check_allowed(self, service: str) -> None:
+        if not self.config.allow_clear_and_burn:
+            raise ConfigError(
+                f"fuel_map/{service} is off: set `allow_clear_and_burn: true` under `nodes: fuel_map:` in the site "
+                "file, and start the node again"
+            )
 
     def _take_region(self) -> DrawnRegion:
         if self._region is None:

@@ -1,4 +1,4 @@
-"""fuel_votes: turns a camera's depth and labels into votes for the few fuel cells that it sees, and says how well."""
+"""fuel_votes: turns a camera's depth and labels into votes for the fuel cells that it sees, with their geometry."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from ltm_core.fuel.votes import VoteCaster
 from ltm_core.pose import Pose
 from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
-from ltm_core.types import Float64Array
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
-from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.votes import fitting, votes_to_msg
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
@@ -76,18 +75,13 @@ class FuelVotes(Handler[NodeConfig]):
             stamp_of(depth),
             self.config.camera,
             msg_to_array(confidence, ("mono8",)),
-            self._covariance(pose),
+            msg_to_covariance(pose, self._assumed),
         )
         sent = fitting(votes, self._frames)
         self._frames += 1
         if len(sent) < len(votes):
             self.health.note("votes_in_turns")
         self.outlet.publish(FUEL_VOTES, votes_to_msg(sent, self._labels.names))
-
-    def _covariance(self, pose: Any) -> Float64Array:
-        """Of the pose; zeros say that nothing is known of it."""
-        given = np.asarray(pose.pose.covariance, np.float64).reshape(6, 6)
-        return given if given.any() else self._assumed
 
 
 NODE = NodeType("fuel_votes", NodeConfig, FuelVotes)

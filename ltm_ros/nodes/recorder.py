@@ -1,4 +1,4 @@
-"""recorder: writes topics, as they come off the wire, into an MCAP bag."""
+"""recorder: writes the serialised messages of topics into an MCAP bag."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""segmentation: labels every pixel with what covers the ground there."""
+"""segmentation: labels every pixel of a camera's images with its class of cover (grass, shrub, tree, sky, ...)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""terrain: keeps a site's surface up to date from the depth that all its cameras measure, where they agree."""
+"""terrain: updates a site's surface map from the depth that its cameras measure, where several views agree."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
-from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.terrain import change_to_msg, changed_to_msg
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_check import StampCheck
+from ltm_ros.runtime.stamp_check import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
 from ltm_ros.runtime.stamp_join import Part, StampJoin
 from ltm_ros.runtime.topics import (
     LABELS_IMAGE,
@@ -73,8 +73,10 @@ class TerrainNodeConfig(NodeConfig):
     with the node. Never taken from the wire."""
     commit_every: float = Field(10.0, gt=0)
     """Seconds of frames that a power cut may take."""
-    max_ahead: float = Field(600.0, gt=0)
+    max_ahead: float = Field(MAX_AHEAD_S, gt=0)
     """Seconds by which a camera's clock may be ahead."""
+    max_behind: float = Field(MAX_BEHIND_S, gt=0)
+    """Seconds by which a frame may be late."""
     depth_from_elsewhere: bool = False
     """`measured/depth` and `measured/sigma` come from no node of this graph: a range finder's, say, at any size."""
 
@@ -113,7 +115,7 @@ class Terrain(Handler[TerrainNodeConfig]):
             site_label_errors(site).open_odds(),
             site.assumed_pose_error,
         )
-        self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, refuse_unset=True)
+        self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, config.max_behind)
         labels_too: tuple[Part | str, ...] = (*_PARTS, Part("labels", wait_s=0.0, remembered=_WAITING))
         self._joins = {
             camera: StampJoin(labels_too, partial(self._take, camera), health, _WAITING) for camera in site.cameras
@@ -206,7 +208,6 @@ class Terrain(Handler[TerrainNodeConfig]):
         if self._map.counted(camera, stamp):
             self.health.drop("duplicate", f"a frame of {camera} of stamp {stamp} ns came twice; counted once")
             return
-        covariance = np.array(pose.pose.covariance, np.float64).reshape(6, 6)
         frame = DepthFrame.of_photo(
             msg_to_depth(depth),
             msg_to_depth(sigma),
@@ -214,7 +215,7 @@ class Terrain(Handler[TerrainNodeConfig]):
             msg_to_pose(pose, "map"),
             stamp,
             camera,
-            covariance if covariance.any() else None,
+            msg_to_covariance(pose),
             None if labels is None else msg_to_array(labels, ("mono8",)),
         )
         if frame.labels is not None:

@@ -1,4 +1,4 @@
-"""topodepth: fuses traced depth with what a network makes of the photo (TopoDepth)."""
+"""topodepth: fuses traced depth with the depth that a network estimates from the photo (TopoDepth of the paper)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth, msg_to_rgb
-from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
 from ltm_ros.runtime.health import Health
@@ -61,9 +61,9 @@ class TopoDepthConfig(NodeConfig):
     max_waiting: int = Field(4, ge=1)
     """Frames that wait for labels at most."""
     angle_sigma_deg: float = Field(0.03, ge=0)
-    """Of a camera's direction, beside what its pose's covariance says."""
+    """Standard deviation of a camera's direction, beside what its pose's covariance says."""
     dem_sigma: float = Field(1.0, ge=0)
-    """Of the terrain's heights, metres."""
+    """Standard deviation of the terrain's heights, metres."""
 
 
 class TopoDepth(Handler[TopoDepthConfig]):
@@ -139,7 +139,8 @@ class TopoDepth(Handler[TopoDepthConfig]):
 
     def _settings(self, pose: Any) -> FusionSettings:
         """With the camera's direction as sure as its pose's covariance says, where that is given."""
-        known = float(max(pose.pose.covariance[i] for i in (21, 28, 35)))
+        covariance = msg_to_covariance(pose)
+        known = 0.0 if covariance is None else float(covariance.diagonal()[3:].max())
         angle = np.radians(self.config.angle_sigma_deg)
         return FusionSettings(
             float(np.sqrt(angle**2 + max(known, 0.0))), self.config.dem_sigma, label_columns=self._label_columns

@@ -1,1 +1,1 @@
-"""What every node is made of: its handler, its life on DDS, its topics, joins and health."""
+"""Base of every node: handler, DDS node and process, topics, joins of stamps, and health."""

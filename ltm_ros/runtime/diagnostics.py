@@ -1,4 +1,4 @@
-"""A node's health on `/diagnostics`, once a second."""
+"""Publishes a node's health on `/diagnostics` once a second."""
 
 from __future__ import annotations
 

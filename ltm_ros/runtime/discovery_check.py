@@ -1,4 +1,4 @@
-"""Whether the nodes of a graph have found each other: before that, what they send is lost without a trace."""
+"""Checks whether the publishers and subscribers of a graph are matched; messages sent before that are lost silently."""
 
 from __future__ import annotations
 

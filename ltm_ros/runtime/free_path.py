@@ -1,4 +1,4 @@
-"""Where a node writes when it has been restarted: never over what it wrote before."""
+"""Picks an unused path for a node's output, so that a restarted node never overwrites what it wrote before."""
 
 from __future__ import annotations
 

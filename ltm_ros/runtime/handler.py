@@ -1,4 +1,4 @@
-"""A node's work without its transport.
+"""Base class of the nodes' work, without transport: subscriptions, publications, services and their callbacks.
 
 The live node (`runtime.node`) and the offline replay (`replay.offline`) feed the same handlers with the same
 messages, so what a tower computes live is what a researcher recomputes from the recording.

@@ -1,4 +1,4 @@
-"""What a node knows of its own work: rates, latencies, drops by cause, the last error."""
+"""Counters of a node's health: rates, latencies, drops by cause, the last error."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Messages that were sent on a topic and never taken, told from the numbers that the middleware gives them.
+"""Counts messages of a topic that were sent but never received, from the sequence numbers of the middleware.
 
-A reader keeps the newest few messages of a topic: what a slow process does not take in time makes room for the next
-without a word. So does what shared memory had no room for, and bytes that are no message. Only a number that is passed
-over tells of it.
+A reader keeps the newest few messages of a topic: what a slow process does not take in time is replaced by the next,
+and nothing reports it. The same holds for messages for which shared memory had no room, and for bytes that are no
+message. Only a gap in the sequence numbers shows it.
 """
 
 from __future__ import annotations

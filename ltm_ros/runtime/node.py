@@ -1,4 +1,4 @@
-"""The live side of a handler: an rclpy node that feeds it and sends what it makes."""
+"""The live side of a handler: an rclpy node that passes messages to it and publishes its results."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from ltm_core.config_io import checked
 from ltm_core.errors import LtmError
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.runtime.clock_watch import ClockWatch
 from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.discovery_check import LISTENERS, unheard
 from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
@@ -95,6 +96,7 @@ class HandlerNode(Node):  # type: ignore[misc]
         self.health = Health()
         self._publishers_by_topic: dict[Topic, Any] = {}
         self._last_tick = time.monotonic()
+        self._clock_watch = ClockWatch()
         self._results = 0
         self.handler = node_type.handler(config, self, self.health)
         self._taken: set[str] = set()
@@ -183,11 +185,21 @@ class HandlerNode(Node):  # type: ignore[misc]
     def _tick(self) -> None:
         for topic, publisher in self._publishers_by_topic.items():
             self.health.gauge(LISTENERS + topic.name, publisher.get_subscription_count())
+        self._look_at_clock()
         if self._inbox.full():
             return
         now = time.monotonic()
         waited, self._last_tick = now - self._last_tick, now
         self._offer(lambda _: self.handler.tick(waited), None)
+
+    def _look_at_clock(self) -> None:
+        step = self._clock_watch.step_s()
+        if step and not self.get_parameter("use_sim_time").value:
+            self.health.note("clock_step")
+            self.health.trouble(
+                "clock_step",
+                f"this machine's clock was set by {step:+.1f} s; frames from before may look early or late",
+            )
 
     def _look_at_wiring(self) -> None:
         """Tell of topics that somebody publishes and that do not reach this node, once that has lasted."""

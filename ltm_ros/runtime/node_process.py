@@ -1,4 +1,4 @@
-"""Life of a node's process: it starts, spins until it is told to stop, finishes, and leaves."""
+"""Life cycle of a node's process: start, spin until it is told to stop, finish its work, shut down."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a node reported at the end of a run, out of its diagnostics."""
+"""Summary of what a node reported at the end of a run, from its diagnostics."""
 
 from __future__ import annotations
 

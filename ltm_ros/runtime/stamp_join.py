@@ -10,8 +10,10 @@ from enum import Enum
 from typing import Any
 
 from ltm_core.errors import LtmError
+from ltm_core.site import Limits
 from ltm_ros.runtime.health import Health, cause_of
 
+WAITING_BYTES = Limits().waiting_bytes
 REMEMBERED = 1000
 """Stamps of finished frames that are known again as duplicates; messages of a part that is matched by nearness."""
 
@@ -53,13 +55,23 @@ class _Frame:
     """Seconds since it had all that it needs."""
     whole: bool = False
 
+    @property
+    def bytes(self) -> int:
+        return sum(data_bytes(message) for message in self.parts.values())
+
+
+def data_bytes(message: Any) -> int:
+    """Of image data, or of whatever a message carries as `data`."""
+    return len(getattr(message, "data", ()))
+
 
 class StampJoin:
     """Collects the parts of each frame and hands complete frames on, each once.
 
     Derived messages carry their source's stamp, so equality is the rule; a part may be matched otherwise (`Match`), or
     be missing in the end (`Part.wait_s`). At most `capacity` frames wait, `whole_capacity` of them only for what they
-    can do without, none longer than `max_wait` seconds.
+    can do without, none longer than `max_wait` seconds, and all with no more than `capacity_bytes` of data; a message
+    alone always has room.
 
     Args:
         parts: what a frame is joined from; a name alone is a part that is needed, of equal stamp.
@@ -78,10 +90,12 @@ class StampJoin:
         whole_capacity: int = 30,
         max_wait: float = math.inf,
         give_up: Callable[[int, list[str], str], None] | None = None,
+        capacity_bytes: int = WAITING_BYTES,
     ) -> None:
         self._parts = {p.name: p for p in (Part(p) if isinstance(p, str) else p for p in parts)}
         self._complete, self._health = complete, health
         self._capacity, self._whole_capacity, self._max_wait = capacity, whole_capacity, max_wait
+        self._capacity_bytes = capacity_bytes
         self._give_up = self._count_unjoined if give_up is None else give_up
         self._waiting: OrderedDict[int, _Frame] = OrderedDict()
         self._done: OrderedDict[int, None] = OrderedDict()
@@ -106,7 +120,7 @@ class StampJoin:
         else:
             memory = self._memory[name]
             memory[stamp_ns] = message
-            if len(memory) > part.remembered:
+            while len(memory) > part.remembered or (len(memory) > 1 and self._bytes_in(memory) > self._capacity_bytes):
                 memory.popitem(last=False)
         concerned = [stamp_ns] if part.match is Match.EXACT else sorted(self._waiting)
         self._complete_ready([stamp for stamp in concerned if stamp in self._waiting])
@@ -136,10 +150,24 @@ class StampJoin:
         incomplete = sorted(stamp for stamp, frame in self._waiting.items() if not frame.whole)
         for stamp in incomplete[: max(0, len(incomplete) - self._capacity)]:
             self._drop(stamp, f"{self._capacity} later ones wait too")
+        self._make_room()
         for earlier in errors[:-1]:
             self._health.drop(cause_of(earlier), str(earlier))
         if errors:
             raise errors[-1]
+
+    def _make_room(self) -> None:
+        """Give up the oldest, whatever they lack, while too many bytes wait."""
+        held = sum(frame.bytes for frame in self._waiting.values())
+        for stamp in sorted(self._waiting):
+            if held <= self._capacity_bytes or len(self._waiting) <= 1:
+                return
+            held -= self._waiting[stamp].bytes
+            self._drop(stamp, f"later ones with {held >> 20} MB of data wait too")
+
+    @staticmethod
+    def _bytes_in(memory: OrderedDict[int, Any]) -> int:
+        return sum(data_bytes(message) for message in memory.values())
 
     def _try(self, stamp: int, at_once: bool, errors: list[LtmError]) -> None:
         """Complete the frame if it has what it needs, and what it can do without or has waited for `at_once`."""

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bystander import Bystander, wait_for
+from bystander import Bystander
 from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
 from scenes.fuel_frames import CAMERAS, NAME, camera_of, grid_of, message, stamp_of_frame, write_site
+from scenes.waiting import wait_for
 
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.stored_map import STORE_FILE
@@ -41,7 +42,7 @@ from ltm_ros.runtime.topics import (
     site_topic,
 )
 
-pytestmark = pytest.mark.graph
+pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("kernels")]
 
 UPDATE = site_topic(NAME, FUEL_MAP_UPDATE)
 NODE = f"/{NAME}/fuel_map"
@@ -83,7 +84,9 @@ class Living:
 @pytest.fixture
 def living(ros_domain: int, tmp_path: Path) -> Iterator[Living]:
     site, folder = write_site(tmp_path), tmp_path / "kept"
-    parameters: dict[str, Any] = {"fuel_map": {"folder": str(folder), "accept_unknown_cameras": True}}
+    parameters: dict[str, Any] = {
+        "fuel_map": {"folder": str(folder), "accept_unknown_cameras": True, "allow_clear_and_burn": True}
+    }
     whole = describe(load_site(site), site, parameters=parameters)
     runner = Runner(
         Graph(NAME, (whole.node("fuel_map"),)),
@@ -187,7 +190,8 @@ def test_what_the_terrain_finds_comes_out_of_the_fuel_map(ros_domain: int, wood:
     changes, updates = (site_topic(NAME, topic) for topic in (TERRAIN_CHANGE, TERRAIN_UPDATE))
     maps, regions = (site_topic(NAME, topic) for topic in (FUEL_MAP, FUEL_MAP_REGION))
 
-    graph = Graph(NAME, (describe(site, wood, parameters={"fuel_map": {"folder": str(folder)}}).node("fuel_map"),))
+    parameters: dict[str, Any] = {"fuel_map": {"folder": str(folder), "allow_clear_and_burn": True}}
+    graph = Graph(NAME, (describe(site, wood, parameters=parameters).node("fuel_map"),))
     policy = RestartPolicy(initial_s=0.1, maximum_s=1.0)
     runner = Runner(graph, domain_id=ros_domain, log_folder=tmp_path / "log", console=lambda line: None, policy=policy)
     with runner, Bystander() as bystander:

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bystander import Bystander, wait_for
+from bystander import Bystander
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.serialization import serialize_message
 from scenes.small_site import BEGIN_NS, MAST, NAME, TOWER, SmallSite
+from scenes.waiting import wait_for
 
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.vision.labels import LabelSet
@@ -57,6 +58,13 @@ INPUTS = {
 }
 MAP_UPDATE = site_topic(NAME, FUEL_MAP_UPDATE)
 MAST_DEPTH = camera_topic(NAME, "mast", DEPTH_IMAGE)
+
+
+def counted(summary: dict[str, str]) -> dict[str, int]:
+    """Drops and notes, less that stamps jump: a test's go on at another pace than this machine's clock."""
+    counters = {k: int(v) for k, v in summary.items() if k.startswith(("dropped.", "noted."))}
+    counters.pop("noted.stamp_jump", None)
+    return counters
 
 
 class Living:
@@ -116,10 +124,7 @@ class Living:
         names = {label: f"/{NAME}/{label}" for label in NODES}
         wait_for(lambda: self.bystander.summaries.keys() >= {*names.values()}, "diagnostics of every node")
         latest = dict(self.bystander.summaries)
-        return {
-            label: Counter({k: int(v) for k, v in latest[name].items() if k.startswith(("dropped.", "noted."))})
-            for label, name in names.items()
-        }
+        return {label: Counter(counted(latest[name])) for label, name in names.items()}
 
     def pids(self) -> dict[str, int | None]:
         return {label: process.pid for label, process in self.runner.processes.items()}
@@ -216,7 +221,7 @@ def test_broken_raw_images(living: Living, survives: Callable[..., None]) -> Non
         message = living.raw(living.stamp())
         spoil(message)
         living.send(IMAGE_RAW, message)
-    survives({"mast/capture": {"dropped.image": len(ways)}})
+    survives({"mast/capture": {"dropped.image": len(ways) - 1, "dropped.too_large": 1}})
 
 
 def test_no_pose_and_impossible_poses(living: Living, survives: Callable[..., None]) -> None:

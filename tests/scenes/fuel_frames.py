@@ -34,6 +34,7 @@ def write_site(folder: Path, **changes: Any) -> Path:
         "origin": [480_015.0, 4_148_815.0],
         "dem": {"path": "dem.tif"},
         "cameras": {camera: {} for camera in CAMERAS},
+        "nodes": {"fuel_map": {"max_behind": 1e9}},  # frames of years ago are sent to graphs that live today
     }
     path = folder / "site.yaml"
     path.write_text(yaml.safe_dump(site | changes), encoding="utf-8")

@@ -38,6 +38,8 @@ SQUARE = 150.0
 
 BEGIN_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 250_000_000
+YEARS = 1e9
+"""Seconds: frames of `BEGIN_NS` are also sent to graphs that live today."""
 FRAMES = 6
 """Of each camera."""
 
@@ -149,7 +151,7 @@ def write_small_site(folder: Path, recording: bool = True) -> SmallSite:
         "origin": [480_015.0, 4_150_015.0],
         "dem": {"path": "dem.tif"},
         "model": "colors.yaml",
-        "nodes": {"capture": {"max_wait": 1.5}},
+        "nodes": {"capture": {"max_wait": 1.5}, "fuel_map": {"max_behind": YEARS}, "terrain": {"max_behind": YEARS}},
         "cameras": {
             "tower": {},
             "mast": {

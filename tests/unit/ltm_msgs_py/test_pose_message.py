@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
 from ltm_core.errors import PoseError
 from ltm_core.pose import Pose
-from ltm_msgs_py.pose import msg_to_pose, pose_to_msg, pose_to_stamped
+from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg, pose_to_stamped
 
 POSE = Pose.from_angles((722.0, 671.0, 770.0), 230.77, -5.79, -0.77)
 
@@ -77,3 +78,63 @@ def test_an_unset_orientation_is_refused_or_is_the_identity_of_the_message() -> 
 def test_a_pose_in_another_frame_is_refused() -> None:
     with pytest.raises(PoseError, match=r"'odom', wanted 'map'"):
         msg_to_pose(pose_to_msg(POSE, 0, "odom"), "map")
+
+
+ASSUMED = np.diag([0.25] * 3 + [1e-4] * 3)
+UNKNOWN = [99_999.0, 1e6, 1e9, np.finfo(np.float64).max, np.inf]
+
+
+def covariance_msg(matrix: Any) -> Any:
+    msg = pose_to_msg(Pose.from_angles((1.0, 2.0, 3.0), 40.0), 5)
+    msg.pose.covariance = np.asarray(matrix, np.float64).ravel()
+    return msg
+
+
+def test_covariance_comes_back() -> None:
+    factor = np.random.default_rng(2).normal(size=(6, 6)) * np.array([3, 2, 1, 0.01, 0.02, 0.03])[:, None]
+    matrix = factor @ factor.T
+    np.testing.assert_allclose(msg_to_covariance(covariance_msg(matrix)), matrix, rtol=1e-12)
+
+
+@pytest.mark.parametrize("word", UNKNOWN)
+def test_all_words_for_unknown_are_understood(word: float) -> None:
+    assert msg_to_covariance(covariance_msg(np.diag([word] * 6))) is None
+    np.testing.assert_array_equal(msg_to_covariance(covariance_msg(np.diag([word] * 6)), ASSUMED), ASSUMED)
+    # Position from a receiver, direction from nowhere: what is known stays.
+    known = np.diag([4.0, 5.0, 6.0, word, word, word])
+    assert msg_to_covariance(covariance_msg(known)) is None
+    filled = msg_to_covariance(covariance_msg(known), ASSUMED)
+    np.testing.assert_array_equal(filled, np.diag([4.0, 5.0, 6.0, 1e-4, 1e-4, 1e-4]))
+
+
+def test_zeros_and_minus_one_say_that_nothing_is_known() -> None:
+    first = np.zeros((6, 6))
+    assert msg_to_covariance(covariance_msg(first)) is None
+    first[0, 0] = -1.0
+    assert msg_to_covariance(covariance_msg(first)) is None
+    np.testing.assert_array_equal(msg_to_covariance(covariance_msg(first), ASSUMED), ASSUMED)
+
+
+def spoilt(row: int, col: int, value: float) -> Any:
+    matrix = np.diag([4.0, 5.0, 6.0, 0.01, 0.02, 0.03])
+    matrix[row, col] = value
+    return matrix
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        spoilt(2, 2, np.nan),
+        spoilt(0, 4, np.nan),
+        spoilt(0, 4, np.inf),
+        spoilt(4, 4, -0.02),
+        spoilt(4, 4, -1e300),
+        spoilt(0, 1, 1.0),
+        spoilt(5, 0, np.finfo(np.float64).max),
+        np.diag([4.0, 5.0, 6.0, 0.01, 0.02, 0.0]) + 1e-3 * (np.eye(6, k=1) + np.eye(6, k=-1)),  # with what has no error
+        np.kron([[1, 0.9, -0.9], [0.9, 1, 0.9], [-0.9, 0.9, 1]], np.eye(2)),  # each two may go together, not all
+    ],
+)
+def test_what_is_no_covariance_is_refused(matrix: Any) -> None:
+    with pytest.raises(PoseError, match=r"pose covariance .*(unknown|known)"):
+        msg_to_covariance(covariance_msg(matrix))

@@ -19,6 +19,8 @@ from ltm_core.raster.dem_seams import BAND
 from ltm_core.raster.dem_stack import REACH, DemStack, with_surface
 from ltm_core.site_io import load_site
 
+pytestmark = pytest.mark.kernel
+
 UTM = "EPSG:32611"
 
 

@@ -132,6 +132,22 @@ def test_oldest_stamps_are_forgotten_and_refused(tmp_path: Path) -> None:
         assert store.sources() == {"north": 101, "east": 1}
 
 
+def test_a_flood_of_stamps_pushes_out_none_of_the_same_days(tmp_path: Path) -> None:
+    """The attack: 21,050 stamps ten minutes ahead made a camera's true frames too old."""
+    now, minute = 1_800_000_000 * 10**9, 60 * 10**9
+    flood = [FrameRecord("north", now + 10 * minute + n) for n in range(21_050)]
+    with TileStore.open(tmp_path / "map.ltm", SCHEMA) as store:
+        store.commit(frames=flood)
+        assert not store.counted("north", now)
+        assert not store.counted("north", now - 24 * 60 * minute)
+    with TileStore.open(tmp_path / "bounded.ltm", SCHEMA, kept_frames=100, most_frames=1000) as store:
+        for begin in range(0, 2000, 100):
+            store.commit(frames=flood[begin : begin + 100])
+        known = [frame.stamp_ns for frame in flood[:2000] if not store.forgotten("north", frame.stamp_ns)]
+        assert 1000 <= len(known) <= 1100
+        assert known[-1] == flood[1999].stamp_ns
+
+
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [

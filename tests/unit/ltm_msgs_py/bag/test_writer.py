@@ -158,8 +158,10 @@ def test_metadata_appears_only_when_the_bag_is_finished_also_after_an_error(tmp_
 
 def test_a_full_disk_is_reported_as_such(tmp_path: Path) -> None:
     writer = BagWriter(tmp_path / "bag", compression=None, chunk_size=1000)
+    (bag,) = (tmp_path / "bag").glob("*.mcap")
+    (descriptor,) = (int(link.name) for link in Path("/proc/self/fd").iterdir() if os.path.realpath(link) == str(bag))
     with Path("/dev/full").open("wb", buffering=0) as full:
-        os.dup2(full.fileno(), writer._stream.fileno())
+        os.dup2(full.fileno(), descriptor)
         with pytest.raises(RecordingError, match="No space left"):  # noqa: PT012
             for i in range(50):
                 writer.write("/a", String(data="x" * 10_000), i)

@@ -226,7 +226,7 @@ def kept(tmp_path: Path) -> tuple[Path, Path, FuelMap]:
 
 def test_a_store_is_drawn_and_told_as_of_any_date(kept: tuple[Path, Path, FuelMap], tmp_path: Path) -> None:
     site, store, node = kept
-    now = node._keeper.map.layers()
+    now = node.persistence.map.layers()
     for name, arguments in {
         "now.tif": (),
         "first.tif": ("--as-of", "2023-11-15"),

@@ -12,6 +12,7 @@ import pytest
 from geometry_msgs.msg import Point32, PolygonStamped
 from scenes.fuel_frames import BEGIN_NS, grid_of, message, write_site
 from scenes.outlets import Kept
+from scenes.small_disk import SmallDisk
 
 from ltm_core.errors import ConfigError, MessageError, StoreError
 from ltm_core.fuel.life_form import LifeForm
@@ -49,18 +50,17 @@ class Node:
     def __init__(self, site: Path, folder: Path | None = None, now: int = 0) -> None:
         self.outlet, self.health = Kept(FUEL_MAP_CELLS), Health()
         self.outlet.now = now
-        self.handler = FuelMap(
-            FuelMapConfig(site=str(site), folder="" if folder is None else str(folder)), self.outlet, self.health
-        )
+        kept = "" if folder is None else str(folder)
+        config = FuelMapConfig(site=str(site), folder=kept, allow_clear_and_burn=True)
+        self.handler = FuelMap(config, self.outlet, self.health)
         self.handler.start()
-        config = load_site(site)
         self.fuel = grid_of(site)
-        self.terrain = terrain_grid(config.open_dem().geometry, CELL)
+        self.terrain = terrain_grid(load_site(site).open_dem().geometry, CELL)
         self.listens = dict(self.handler.subscriptions)
 
     @property
     def life_form(self) -> np.ndarray:
-        return self.handler._keeper.map.layers().life_form
+        return self.handler.persistence.map.layers().life_form
 
     def hear(self, kinds: np.ndarray, stamp: int = BEGIN_NS) -> None:
         self.listens[TERRAIN_CHANGE](classes_to_msg(kinds, self.terrain, stamp))
@@ -70,7 +70,7 @@ class Node:
 
     def kill(self) -> None:
         """As SIGKILL: what is not in the store is gone."""
-        self.handler._keeper.store.close()
+        self.handler.persistence.store.close()
 
 
 def update(
@@ -108,18 +108,18 @@ def test_a_felled_wood_appears_in_the_map_once(site: Path, tmp_path: Path) -> No
     expected = np.where(mask, LifeForm.GRASS, LifeForm.TREE)
     np.testing.assert_array_equal(node.life_form, expected)
     assert node.outlet.stamps(FUEL_MAP_UPDATE) == [BEGIN_NS]
-    state = node.handler._keeper.map.tile_state((0, 0))
+    state = node.handler.persistence.map.tile_state((0, 0))
     node.hear(kinds)
     node.hear(kinds, BEGIN_NS + DAY)
     assert node.outlet.stamps(FUEL_MAP_UPDATE) == [BEGIN_NS], "the same again is told to nobody"
-    for name, values in node.handler._keeper.map.tile_state((0, 0)).items():
+    for name, values in node.handler.persistence.map.tile_state((0, 0)).items():
         np.testing.assert_array_equal(values, state[name])
     node.handler.tick(5.0)
     np.testing.assert_array_equal(msg_to_classes(node.outlet.on(FUEL_MAP)[-1])[0], expected)
     cells = msg_to_fuel_cells(node.outlet.on(FUEL_MAP_CELLS)[-1], node.fuel)
     np.testing.assert_array_equal(cells.raster("changed", mask.shape, 0), mask)
     assert set(cells.layers["prior"].tolist()) == {TREES}
-    touches = node.handler._keeper.store.touches((0, 0))
+    touches = node.handler.persistence.store.touches((0, 0))
     assert [(t.source, t.frames, t.first_ns) for t in touches] == [("terrain", 1, BEGIN_NS)]
 
 
@@ -128,12 +128,12 @@ def test_kills_neither_lose_nor_repeat_what_was_told(site: Path, tmp_path: Path)
     kinds, mask = felled(node)
     node.handler.on_votes("north", message(0, node.fuel))
     node.hear(kinds)
-    expected, state = node.life_form, node.handler._keeper.map.tile_state((0, 1))
+    expected, state = node.life_form, node.handler.persistence.map.tile_state((0, 1))
     node.kill()
     again = Node(site, tmp_path / "kept")
     np.testing.assert_array_equal(again.life_form, expected)
     again.hear(kinds)
-    for name, values in again.handler._keeper.map.tile_state((0, 1)).items():
+    for name, values in again.handler.persistence.map.tile_state((0, 1)).items():
         np.testing.assert_array_equal(values, state[name], err_msg=name)
     assert again.outlet.on(FUEL_MAP_UPDATE) == []
     kinds[kinds == ChangeKind.REMOVED] = ChangeKind.NONE
@@ -169,11 +169,12 @@ def test_what_comes_while_the_store_is_away_is_told_when_it_is_back(
     assert (Node(site, tmp_path / "kept").life_form[mask] == LifeForm.GRASS).all()
 
 
-def test_a_full_disk_keeps_it_in_memory_until_there_is_room(site: Path, tmp_path: Path) -> None:
+def test_a_full_disk_keeps_it_in_memory_until_there_is_room(
+    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = SmallDisk(monkeypatch)
     node = Node(site, tmp_path / "kept")
-    database = node.handler._keeper.store._db
-    (pages,) = database.execute("PRAGMA page_count").fetchone()
-    database.execute(f"PRAGMA max_page_count = {pages}")
+    disk.fill()
     kinds, mask = felled(node)
     number = 0
     while not node.health.troubled:
@@ -183,7 +184,7 @@ def test_a_full_disk_keeps_it_in_memory_until_there_is_room(site: Path, tmp_path
     assert "SQLITE_FULL" in node.health.last_error
     node.hear(kinds, BEGIN_NS + 1)
     assert BEGIN_NS + 1 not in node.outlet.stamps(FUEL_MAP_UPDATE)
-    database.execute("PRAGMA max_page_count = 1000000")
+    disk.free()
     node.handler.tick(persistence.RETRY_S)
     assert node.outlet.stamps(FUEL_MAP_UPDATE).count(BEGIN_NS + 1) == 1
     expected = node.life_form
@@ -231,7 +232,7 @@ def test_hostile_and_misplaced_changes_move_nothing(site: Path) -> None:
     assert (node.life_form == LifeForm.TREE).all()
     assert node.outlet.on(FUEL_MAP_UPDATE) == []
 
-    cells = np.arange(5), np.arange(7, 12)
+    cells = tuple(part[:5] for part in np.nonzero(kinds == ChangeKind.REMOVED))
     far = update(t, *cells, ChangeKind.GROWN, 4.0)
     far.data[0:4] = array("B", np.float32(9e5).tobytes())
     beyond = update(t, cells[0] + t.height, cells[1], ChangeKind.GROWN, 4.0)
@@ -248,9 +249,12 @@ def test_hostile_and_misplaced_changes_move_nothing(site: Path) -> None:
     }.items():
         with pytest.raises(MessageError, match=complaint):
             node.listens[TERRAIN_UPDATE](bad)
-    assert not node.handler._surface._shift.any()
-
     node.hear(kinds)
+    unharmed = Node(site)
+    unharmed.hear(kinds)
+    told = node.handler.persistence.map.told
+    assert told.any()
+    np.testing.assert_array_equal(told, unharmed.handler.persistence.map.told, err_msg="a bad shift was taken")
     shown = node.life_form
     node.hear(np.full(t.shape, 0, np.uint8), BEGIN_NS - DAY)
     assert node.health.dropped == {"future": 1, "too_old": 1}
@@ -291,14 +295,14 @@ def test_a_burned_region_is_burned_until_it_grows_over(kept: Callable[..., Node]
     node.kill()
     again = kept(now=BEGIN_NS)
     np.testing.assert_array_equal(again.life_form == LifeForm.BURNED, mask)
-    touches = again.handler._keeper.store.touches((0, 1))
+    touches = again.handler.persistence.store.touches((0, 1))
     assert [(t.source, t.first_ns) for t in touches] == [("fuel_map/burn", BEGIN_NS - DAY)]
     again.handler.on_votes("north", message(0, again.fuel, BEGIN_NS + 200 * DAY))  # not yet, by this node's clock
     assert again.health.dropped == {"future": 1}
     again.outlet.now = BEGIN_NS + 200 * DAY
     again.handler.on_votes("north", message(0, again.fuel, BEGIN_NS + 200 * DAY))
     again.handler.idle()
-    grown = again.handler._keeper.map.layers()
+    grown = again.handler.persistence.map.layers()
     assert not (grown.life_form[mask] == LifeForm.BURNED).any()
     assert set(grown.code[mask].tolist()) == {101}
 

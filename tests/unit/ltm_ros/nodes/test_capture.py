@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import io
+import resource
+import tracemalloc
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import PIL.Image
 import pytest
 import yaml
 from scenes.outlets import Kept
@@ -83,6 +87,7 @@ def site(tmp_path: Path) -> Callable[..., Path]:
 def capture_of(site: Callable[..., Path]) -> Callable[..., tuple[Capture, Kept, Health]]:
     def make(camera: dict[str, Any] | None = None, **parameters: Any) -> tuple[Capture, Kept, Health]:
         outlet, health = Kept(), Health()
+        outlet.now = 200 * S  # as a simulation's clock, which begins at zero
         config = CaptureConfig(site=str(site(**(camera or {}))), camera="eye", **parameters)
         return Capture(config, outlet, health), outlet, health
 
@@ -258,3 +263,129 @@ def test_subscribes_to_what_the_site_leaves_open(capture_of: CaptureOf) -> None:
 def test_unknown_camera_is_named(site: Callable[..., Path]) -> None:
     with pytest.raises(ConfigError, match="no camera 'nose'; it has eye"):
         Capture(CaptureConfig(site=str(site()), camera="nose"), Kept(), Health())
+
+
+HUGE = np.finfo(np.float64).max
+
+
+def posed_covariances(capture: Capture, outlet: Kept, *matrices: Any) -> list[Any]:
+    """What leaves for frames whose poses come with these covariances."""
+    capture.on_camera_info(info(0))
+    for number, matrix in enumerate(matrices, start=1):
+        message = pose(number * S)
+        message.pose.covariance = np.asarray(matrix, np.float64).ravel()
+        capture.on_pose(message)
+        capture.on_image(image(number * S))
+    return [message.pose.covariance.reshape(6, 6) for message in outlet.on(POSED_POSE)]
+
+
+def test_covariances_that_say_unknown_leave_as_what_the_site_assumes(capture_of: CaptureOf) -> None:
+    capture, outlet, health = capture_of()
+    partly, minus = np.diag([1.0, 2, 3, HUGE, HUGE, HUGE]), np.zeros((6, 6))
+    minus[0, 0] = -1.0
+    left = posed_covariances(capture, outlet, np.zeros((6, 6)), np.diag([HUGE] * 6), minus, partly)
+    assumed = np.diag([0.5**2] * 3 + [np.radians(0.3) ** 2] * 3)
+    assert not left[0].any(), "zeros go on as they are: every node knows them for unknown"
+    np.testing.assert_allclose(left[1], assumed)
+    np.testing.assert_allclose(left[2], assumed)
+    np.testing.assert_allclose(left[3].diagonal(), [1, 2, 3, *assumed.diagonal()[3:]])
+    assert health.summary()["noted.unknown_covariance"] == "3"
+    assert health.dropped == {}
+
+
+@pytest.mark.parametrize("bad", [np.diag([np.nan] * 6), np.diag([1.0, 1, 1, -2, 1, 1]), np.triu(np.ones((6, 6)))])
+def test_covariances_that_are_none_are_refused_with_their_pose(capture_of: CaptureOf, bad: Any) -> None:
+    capture, outlet, _ = capture_of()
+    with pytest.raises(PoseError, match="pose covariance"):
+        posed_covariances(capture, outlet, bad)
+    assert outlet.sent == []
+
+
+@pytest.fixture
+def grown() -> Iterator[Callable[[], int]]:
+    """The most bytes that Python and NumPy have held since the fixture was made, beyond what they held then."""
+    tracemalloc.start()
+    before = tracemalloc.get_traced_memory()[0]
+    yield lambda: tracemalloc.get_traced_memory()[1] - before
+    tracemalloc.stop()
+
+
+def resident() -> int:
+    """Bytes of this process at most so far: OpenCV's are not Python's."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
+
+
+def test_images_that_state_too_many_pixels_are_not_decoded(capture_of: CaptureOf, grown: Callable[[], int]) -> None:
+    """79 megapixels of one colour, in some hundred kilobytes."""
+    capture, outlet, health = capture_of()
+    grey = PIL.Image.new("L", (10_000, 7_900), 128)
+    for number, kind in enumerate(("jpeg", "png"), start=1):
+        buffer = io.BytesIO()
+        grey.save(buffer, kind)
+        bomb = image(number * S, buffer.getvalue())
+        capture.on_camera_info(info(0))
+        capture.on_pose(pose(number * S))
+        before, peak = grown(), resident()
+        capture.on_image(bomb)
+        assert grown() - before < 4 << 20
+        assert resident() - peak < 32 << 20
+    assert outlet.sent == []
+    assert health.dropped == {"too_large": 2}
+    assert "10000 x 7900 pixels, at most 16000000" in health.last_error
+
+
+def test_images_of_too_many_bytes_do_not_wait(capture_of: CaptureOf, site: Callable[..., Path]) -> None:
+    capture, _, health = capture_of()
+    capture.on_image(image(S, bytes(33 << 20)))
+    assert health.dropped == {"too_large": 1}
+    assert "raise image_bytes under `limits:`" in health.last_error
+    capture.finish()
+    assert health.dropped == {"too_large": 1}, "it waits for nothing"
+    raw, _, health = capture_of({"image": "raw"})
+    vast = image_to_msg(PHOTO, "rgb8", S, "driver_frame")
+    vast.width, vast.height = 12_000, 9_000
+    padded = image_to_msg(PHOTO, "rgb8", S, "driver_frame")
+    padded.data = array("B", bytes(65_000_000))
+    for message in (vast, padded):
+        raw.on_image(message)
+    assert health.dropped == {"too_large": 2}
+
+
+def test_images_of_another_size_are_not_decoded(capture_of: CaptureOf, monkeypatch: pytest.MonkeyPatch) -> None:
+    capture, _, _ = capture_of()
+
+    def decode(*_: object) -> Any:
+        raise AssertionError("decoded")
+
+    monkeypatch.setattr("cv2.imdecode", decode)
+    capture.on_camera_info(camera_to_msg(Camera.from_fov(13, 7, 50.0), S, "x"))
+    capture.on_pose(pose(S))
+    with pytest.raises(ImageError, match=r"\(7, 12, 3\).*calibration says \(7, 13, 3\)"):
+        capture.on_image(image(S))
+
+
+def test_calibrations_of_too_many_pixels_are_dropped(capture_of: CaptureOf) -> None:
+    capture, _, health = capture_of()
+    capture.on_camera_info(camera_to_msg(Camera.from_fov(12_000, 9_000, 50.0), S, "x"))
+    assert health.dropped == {"too_large": 1}
+    assert "camera_info of 12000 x 9000 pixels" in health.last_error
+    capture.on_pose(pose(S))
+    capture.on_image(image(S))
+    capture.finish()
+    assert health.dropped == {"too_large": 1, "no_calibration": 1}
+
+
+def test_images_that_wait_hold_bounded_bytes(capture_of: CaptureOf) -> None:
+    """25 messages of 30 MB whose poses never come."""
+    capture, _, health = capture_of(max_waiting=30)
+    for number in range(1, 26):
+        capture.on_image(image(number * S, bytes(30 << 20)))
+    assert health.dropped == {"no_pose": 21}, "four of 30 MB are within 128 MB"
+    assert "MB of data wait too" in health.last_error
+
+
+def test_clocks_that_were_never_set_are_refused(capture_of: CaptureOf) -> None:
+    capture, outlet, health = capture_of()
+    outlet.now = 1_800_000_000 * S
+    capture.on_image(image(S))
+    assert health.dropped == {"unset_clock": 1}

@@ -10,8 +10,10 @@ import yaml
 from scenes.depth_scene import CAMERA, STAND_HEIGHT, depth_scene
 from scenes.outlets import Kept
 
+from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
+from ltm_core.tracing import TerrainTracer
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import msg_to_depth
 from ltm_msgs_py.pose import pose_to_msg
@@ -76,3 +78,19 @@ def test_without_one_or_when_told_so_both_hits_are_bare_ground(
 
 def test_nothing_is_traced_twice_while_nobody_listens(tmp_path: Path) -> None:
     assert traced(tmp_path, True).on(GROUND_DEPTH) == []
+
+
+def test_calibrations_of_too_many_pixels_are_not_traced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """12,000 x 9,000 from a stranger on the inner topic: tracing it took 4.75 GB."""
+    kept, health = Kept(), Health()
+    node = Depth(DepthConfig(site=str(write_site(tmp_path, False)), camera="mast"), kept, health)
+
+    def trace(*_: object) -> None:
+        raise AssertionError("traced")
+
+    monkeypatch.setattr(TerrainTracer, "trace", trace)
+    node.subscriptions[POSED_CAMERA_INFO](camera_to_msg(Camera.from_fov(12_000, 9_000, 50.0), STAMP, "mast_optical"))
+    node.subscriptions[POSED_POSE](pose_to_msg(depth_scene().traced.pose, STAMP))
+    assert kept.sent == []
+    assert health.dropped == {"too_large": 1}
+    assert "12000 x 9000 pixels, at most 16000000" in health.last_error

@@ -7,6 +7,7 @@ import json
 import sqlite3
 from array import array
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from scenes.fuel_frames import (
     write_site,
 )
 from scenes.outlets import Kept
+from scenes.small_disk import SmallDisk
 
 from ltm_core.errors import ConfigError, LtmError, MessageError, StoreError
 from ltm_core.fuel.evidence import EVIDENCE_FIELDS, EvidenceMap
@@ -33,11 +35,13 @@ from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.life_form import LifeForm, life_form_labels
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import STORE_FILE, open_stored_map, votes_of, votes_to_bytes
+from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import FrameRecord, TileStore
 from ltm_core.site_io import load_site
 from ltm_msgs_py.grid import msg_to_classes
 from ltm_msgs_py.label_info import label_set_to_msg
+from ltm_msgs_py.votes import votes_to_msg
 from ltm_ros.fuel_map import persistence
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
 from ltm_ros.runtime.health import Health
@@ -61,7 +65,7 @@ class Node:
 
     @property
     def map(self) -> EvidenceMap:
-        return self.handler._keeper.map
+        return self.handler.persistence.map
 
     def gauge(self, name: str) -> str:
         return self.health.summary()[name]
@@ -118,7 +122,7 @@ def test_what_was_acknowledged_is_there_without_a_stop(
     assert first.outlet.stamps(FUEL_MAP_UPDATE) == [stamp_of_frame(n) for n in range(11)]
     expected = {name: values.copy() for name, values in state(first.map).items()}
     first.feed(11, 12, idle=False)  # counted in memory, told to nobody
-    first.handler._keeper.store.close()
+    first.handler.persistence.store.close()
     second = kept()
     for name, values in expected.items():
         np.testing.assert_array_equal(state(second.map)[name], values)
@@ -155,8 +159,8 @@ def test_journal_gives_the_map_as_of_any_date(kept: Callable[..., Node], site: P
     node, seen = kept(), {}
     for number in range(0, 900, 30):
         node.feed(number)
-        seen[node.map.newest_ns] = node.handler._keeper.shown.copies()
-    node.handler._keeper.store.close()  # killed
+        seen[node.map.newest_ns] = node.handler.persistence.shown.copies()
+    node.handler.persistence.store.close()  # killed
     node = kept()
     node.feed(900)
     node.handler.finish()
@@ -175,27 +179,30 @@ def test_journal_gives_the_map_as_of_any_date(kept: Callable[..., Node], site: P
     assert (codes[3] != codes[-1]).any()
 
 
-def test_changes_of_code_that_were_not_journaled_before_a_kill_are_found(kept: Callable[..., Node]) -> None:
+def test_changes_of_code_that_were_not_journaled_before_a_kill_are_found(
+    kept: Callable[..., Node], tmp_path: Path
+) -> None:
     node = kept()
     node.feed(0)
-    store = node.handler._keeper.store
-    store._db.execute("DELETE FROM changes")
-    store.close()
+    node.handler.persistence.store.close()  # killed
+    with contextlib.closing(sqlite3.connect(tmp_path / "kept" / STORE_FILE)) as database, database:
+        database.execute("DELETE FROM changes")
     node = kept()
     node.feed(1)
     initial = {"code": node.map.layers().code.copy()}
     initial["code"][:] = -9999
     np.testing.assert_array_equal(
-        node.handler._keeper.store.as_of("code", initial["code"], 2**62), node.handler._keeper.shown.code
+        node.handler.persistence.store.as_of("code", initial["code"], 2**62), node.handler.persistence.shown.code
     )
 
 
-def test_full_disk_map_lives_on_and_catches_up(kept: Callable[..., Node], site: Path) -> None:
+def test_full_disk_map_lives_on_and_catches_up(
+    kept: Callable[..., Node], site: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = SmallDisk(monkeypatch)
     node = kept()
     node.feed(0, 1)
-    database = node.handler._keeper.store._db
-    (pages,) = database.execute("PRAGMA page_count").fetchone()
-    database.execute(f"PRAGMA max_page_count = {pages}")
+    disk.fill()
     for number in range(2, 60):
         node.feed(number, idle=False)
         node.handler.tick(0.5)
@@ -205,18 +212,18 @@ def test_full_disk_map_lives_on_and_catches_up(kept: Callable[..., Node], site: 
     assert "SQLITE_FULL" in node.health.last_error
     assert "frames are in memory only" in node.health.last_error
     assert len(node.outlet.on(FUEL_MAP_UPDATE)) == int(node.gauge("frames")), "only what is saved is told"
-    shown = node.handler._keeper.shown
+    shown = node.handler.persistence.shown
     np.testing.assert_array_equal(msg_to_classes(node.outlet.on(FUEL_MAP)[-1])[0], shown.life_form)
     shown.refresh_all()
     np.testing.assert_array_equal(shown.life_form, node.map.layers().life_form)
     node.feed(5, 59)
     assert node.health.dropped == {"duplicate": 2}
 
-    database.execute("PRAGMA max_page_count = 1000000")
+    disk.free()
     node.handler.tick(persistence.RETRY_S)
     assert (node.gauge("frames"), node.gauge("unsaved_frames"), node.gauge("noted.store_back")) == ("60", "0", "1")
     assert sorted(node.outlet.stamps(FUEL_MAP_UPDATE)) == [stamp_of_frame(n) for n in range(60)]
-    node.handler._keeper.store.close()
+    node.handler.persistence.store.close()
     whole = Node(site)
     whole.feed(*range(60))
     assert_same_state(kept().map, whole.map)
@@ -281,25 +288,81 @@ def test_folder_is_made_but_not_the_way_to_it(site: Path, tmp_path: Path) -> Non
         Node(site, folder="site.yaml")
 
 
-def test_clocks_that_jump(site: Path) -> None:
+def test_clocks_that_jump(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(TileStore, "in_memory", partial(TileStore.in_memory, kept_frames=10, most_frames=10))
+    now, day = BEGIN_NS + 10**15, 86_400 * 10**9
+    node = Node(site, now=now)
+
+    def send(stamp: int, number: int = 0) -> dict[str, int]:
+        node.handler.on_votes("north", message(number, node.map.geometry, stamp))
+        node.handler.idle()
+        return node.health.dropped
+
+    assert send(now + 9 * 10**9) == {}
+    assert send(now + 11 * 10**9) == {"future": 1}
+    assert "11 s ahead" in node.health.last_error
+    assert send(now - 6 * day) == {"future": 1}, "a radio link may have been away for days"
+    assert send(now - 8 * day) == {"future": 1, "past": 1}
+    assert f"{8 * 86400} s behind" in node.health.last_error
+    # A camera that lost its clock says 1970.
+    assert send(7) == {"future": 1, "past": 1, "unset_clock": 1}
+    assert node.gauge("frames") == "2"
+    assert node.gauge("noted.stamp_jump") == "1"
+    for number in range(30):
+        send(now - day + number)
+    assert send(now - 6 * day + 1)["too_old"] == 1
+
+
+def test_a_replay_has_the_time_of_its_recording(site: Path) -> None:
+    """Frames of years ago, with hours between them, while the graph's time is theirs; and before that has begun."""
+    node = Node(site)
+    node.feed(0)
+    for number in range(1, 10):
+        stamp = BEGIN_NS + number * 5 * 3600 * 10**9
+        node.outlet.now = stamp + 10**8
+        node.handler.on_votes("north", message(number, node.map.geometry, stamp))
+    node.handler.idle()
+    assert node.health.dropped == {}
+    assert node.gauge("frames") == "10"
+    assert "noted.stamp_jump" not in node.health.summary()
+
+
+def test_empty_votes_push_out_no_frame(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The attack: more votes that say nothing than a store remembers, each stamped as far ahead as may be."""
+    monkeypatch.setattr(TileStore, "in_memory", partial(TileStore.in_memory, kept_frames=10, most_frames=10))
     now = BEGIN_NS + 10**15
     node = Node(site, now=now)
-    node.handler.on_votes("north", message(0, node.map.geometry, now + 599 * 10**9))
-    node.handler.on_votes("north", message(0, node.map.geometry, now + 601 * 10**9))
-    assert node.health.dropped == {"future": 1}
-    assert "601 s ahead" in node.health.last_error
-    # A camera that lost its clock says 1970: counted as any late frame, once.
-    for stamp in (7, 9, 7):
-        node.handler.on_votes("north", message(0, node.map.geometry, stamp))
-    node.handler.idle()
-    assert node.health.dropped == {"future": 1, "duplicate": 1}
-    assert node.gauge("frames") == "3"
-    node.handler._keeper.store._kept_frames = 10
-    for number in range(30):
-        node.handler.on_votes("north", message(0, node.map.geometry, BEGIN_NS + number))
+    grid = node.map.geometry
+    for number in range(50):
+        none, counts = np.zeros(0, np.int32), np.zeros((0, len(LABELS)), np.uint32)
+        nothing = CellVotes(grid, none, none, counts, none.astype(np.float32), now + 9 * 10**9 + number, "north")
+        node.handler.on_votes("north", votes_to_msg(nothing, LABELS.names))
         node.handler.idle()
-    node.handler.on_votes("north", message(0, node.map.geometry, 8))
-    assert node.health.dropped == {"future": 1, "duplicate": 1, "too_old": 1}
+    assert node.gauge("noted.empty_votes") == "50"
+    node.handler.on_votes("north", message(0, grid, now))
+    node.handler.idle()
+    assert node.health.dropped == {}
+    assert node.gauge("frames") == "1"
+
+
+def test_many_votes_of_a_minute_push_out_none_of_the_day(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(TileStore, "in_memory", partial(TileStore.in_memory, kept_frames=10))
+    now = BEGIN_NS + 10**15
+    node = Node(site, now=now)
+    for number in range(50):
+        node.handler.on_votes("north", message(0, node.map.geometry, now + 9 * 10**9 + number))
+        node.handler.idle()
+    node.handler.on_votes("north", message(0, node.map.geometry, now - 3600 * 10**9))
+    node.handler.idle()
+    assert node.health.dropped == {}
+    assert node.gauge("frames") == "51"
+
+
+def test_clear_and_burn_are_off_unless_the_site_allows_them(site: Path) -> None:
+    node = Node(site)
+    for service, serve in (("clear", node.handler.clear), ("burn", node.handler.burn)):
+        with pytest.raises(ConfigError, match=f"fuel_map/{service} is off: set `allow_clear_and_burn: true`"):
+            serve()
 
 
 def test_hostile_votes_leave_the_map_alone(site: Path) -> None:
@@ -327,7 +390,7 @@ def test_unknown_cameras_only_where_they_are_welcome(site: Path) -> None:
     assert topic.type is FUEL_VOTES.type
     callback(f"/{NAME}/west/fuel/votes", message(0, node.map.geometry))
     node.handler.idle()
-    assert node.handler._keeper.store.sources() == {"west": 1}
+    assert node.handler.persistence.store.sources() == {"west": 1}
     for name in ("fuel_map", "West", "a__;"):
         with pytest.raises(LtmError):
             callback(f"/{NAME}/{name}/fuel/votes", message(1, node.map.geometry))
@@ -370,12 +433,12 @@ def test_network_that_labels_is_kept_with_the_frames(kept: Callable[..., Node]) 
     node.handler.idle()
     seen = votes(0, node.map.geometry)
     key = (int(seen.rows[0]) // 32, int(seen.cols[0]) // 32)
-    found = node.handler._keeper.store.touches(key)
+    found = node.handler.persistence.store.touches(key)
     assert [(t.source, t.model, t.frames) for t in found] == [("north", "", 1), ("north", "spine 0123456789ab", 1)]
 
 
 def test_clearing_a_region(kept: Callable[..., Node], tmp_path: Path) -> None:
-    node = kept()
+    node = kept(allow_clear_and_burn=True)
     node.feed(*range(60))
     with pytest.raises(ConfigError, match="fuel_map/region"):
         node.handler.clear()
@@ -401,7 +464,7 @@ def test_clearing_a_region(kept: Callable[..., Node], tmp_path: Path) -> None:
 
     check(node.map)
     np.testing.assert_array_equal(msg_to_classes(node.outlet.on(FUEL_MAP)[-1])[0], node.map.layers().life_form)
-    node.handler._keeper.store.close()  # killed
+    node.handler.persistence.store.close()  # killed
     again = kept()
     check(again.map)
     again.feed(*range(60))

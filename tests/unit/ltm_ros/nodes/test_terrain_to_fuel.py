@@ -44,12 +44,12 @@ def test_ground_that_has_moved_is_bare_in_the_fuel_map_and_nothing_else_is(tmp_p
         if topic in taken:
             taken[topic](message)
     assert health.dropped == {}
-    layers = fuel._keeper.map.layers()
+    layers = fuel.persistence.map.layers()
     changed = np.argwhere(layers.changed)
     assert len(changed) > 5
     assert set(layers.code[layers.changed].tolist()) == {99}
     kinds, window = msg_to_classes(sent.on(TERRAIN_CHANGE)[-1])
     lowered = np.argwhere(kinds == ChangeKind.LOWERED)
-    row, col = fuel._geometry.cell_of(*window.to_map(lowered[:, 0], lowered[:, 1]))
+    row, col = small.site.fuel_geometry(small.dem).cell_of(*window.to_map(lowered[:, 0], lowered[:, 1]))
     assert {tuple(cell) for cell in changed.tolist()} <= set(zip(row.tolist(), col.tolist(), strict=True))
     assert layers.changed[row, col].mean() > 0.8, "nine cells of the terrain make one of the fuel map"

@@ -147,3 +147,42 @@ def test_what_the_set_raises_reaches_the_caller_and_the_set_is_done(health: Heal
         join.add("b", 1, "y")
     join.add("a", 1, "x")
     assert health.dropped == {"duplicate": 1}
+
+
+class Heavy:
+    """A message with so many bytes."""
+
+    def __init__(self, size: int) -> None:
+        self.data = bytes(size)
+
+
+def test_what_waits_is_bounded_in_bytes() -> None:
+    health = Health()
+    done: list[dict[str, Any]] = []
+    given_up: list[tuple[int, list[str], str]] = []
+    join = StampJoin(
+        ("image", "pose"),
+        lambda **found: done.append(found),
+        health,
+        give_up=lambda *told: given_up.append(told),
+        capacity_bytes=10 << 20,
+    )
+    for stamp in (3, 1, 2):
+        join.add("image", stamp, Heavy(4 << 20))
+    assert given_up == [(1, ["pose"], "later ones with 8 MB of data wait too")], "the oldest goes"
+    join.add("image", 4, Heavy(20 << 20))
+    assert [stamp for stamp, *_ in given_up] == [1, 2, 3], "one alone has room, whatever it holds"
+    join.add("pose", 4, Heavy(0))
+    assert len(done) == 1
+
+
+def test_what_is_remembered_is_bounded_in_bytes() -> None:
+    health = Health()
+    done: list[dict[str, Any]] = []
+    parts = (Part("depth"), Part("labels", wait_s=0.0))
+    join = StampJoin(parts, lambda **found: done.append(found), health, capacity_bytes=10 << 20)
+    for stamp in range(5):
+        join.add("labels", stamp, Heavy(4 << 20))
+    for stamp in range(5):
+        join.add("depth", stamp, Heavy(0))
+    assert [found["labels"] is not None for found in done] == [False, False, False, True, True]
