@@ -77,10 +77,13 @@ def one_frame(recording: Path, site_file: Path, camera_name: str) -> OneFrame:
     segmentation = segmenter.segment(frame.image)
 
     # TopoDepth: a network's depth has no scale of its own; terrain that can be trusted gives it one.
-    network = DepthNetwork.open(site.depth_model).predict(frame.image, frame.camera)
+    depth_network = DepthNetwork.open(site.depth_model)
+    network = depth_network.predict(frame.image, frame.camera)
     direction = np.sqrt(np.radians(0.03) ** 2 + covariance.diagonal()[3:].max())  # of the calibration, and of the pose
     settings = FusionSettings(float(direction), label_columns=segmenter.manifest.label_columns)
-    fused = fuse(depth, network, frame.image, segmentation.labels, ClassPriors.of(labels), settings)
+    constants = depth_network.fusion  # fitted with this network
+    classes = ClassPriors.of(labels, constants)
+    fused = fuse(depth, network, frame.image, segmentation.labels, classes, settings, config=constants)
 
     # Votes take the traced depth: the cell that counts is the one on whose ground the plant stands.
     fuel_grid = site.fuel_geometry(dem)

@@ -1,4 +1,4 @@
-"""Terrain tracing, fuel votes and all other algorithms of LTM, on NumPy arrays; knows no ROS."""
+"""The algorithms of LTM on NumPy arrays: terrain tracing, depth fusion, fuel map, terrain update. Knows no ROS."""
 
 from pathlib import Path
 

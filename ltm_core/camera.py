@@ -1,4 +1,4 @@
-"""Pinhole camera with Brown-Conrady distortion: pixel <-> ray."""
+"""Pinhole camera with Brown-Conrady distortion: projects rays to pixels and back."""
 
 from __future__ import annotations
 

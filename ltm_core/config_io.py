@@ -1,4 +1,4 @@
-"""YAML files -> typed configuration, with errors that name the file, the key and the value."""
+"""Reads YAML files into typed configuration; errors name the file, the key and the value."""
 
 from __future__ import annotations
 

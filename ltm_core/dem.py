@@ -1,4 +1,4 @@
-"""Digital elevation models: opening, sampling, nodata."""
+"""Digital elevation model (DEM): an elevation raster in memory, opened from file and sampled bilinearly."""
 
 from __future__ import annotations
 

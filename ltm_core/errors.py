@@ -1,4 +1,4 @@
-"""Errors that a user or a bad message can cause; anything else is a bug and ends the process."""
+"""Exceptions for bad input (`LtmError` and its children); any other exception is a bug and ends the process."""
 
 
 class LtmError(Exception):

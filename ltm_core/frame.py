@@ -1,4 +1,4 @@
-"""One image of one camera, joined with its calibration and pose."""
+"""One camera image joined with its calibration and pose."""
 
 from __future__ import annotations
 

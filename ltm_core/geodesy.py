@@ -1,6 +1,7 @@
-"""Lon/lat/height <-> the site's map frame; compass, true and grid north; ellipsoidal and orthometric heights.
+"""Conversions between geographic coordinates and the site's map frame, of north references and of height systems.
 
-Compass north, true north and grid north are three things; this is the one place that converts between them.
+Compass north, true north and grid north are three things; this is the one place that converts between them. Heights are
+ellipsoidal or orthometric.
 """
 
 from __future__ import annotations

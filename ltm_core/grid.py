@@ -1,4 +1,4 @@
-"""Raster geometry: the only code that converts row/column <-> x/y."""
+"""Raster geometry: the only code that converts between row/column and x/y."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Camera poses: angles and quaternions <-> rotation."""
+"""Camera poses: position and rotation in the map frame, from and to angles and quaternions."""
 
 from __future__ import annotations
 

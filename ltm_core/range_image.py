@@ -1,4 +1,4 @@
-"""What a camera sees of the terrain: a range for every pixel, and all that follows from it; or its depths alone."""
+"""Result of tracing an image: slant range for every pixel, and the depths, points and DEM cells derived from it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the files of `config/` lie: in a checkout, beside an installed package, or in an ament prefix."""
+"""Finds the files of `config/`: in a checkout, beside an installed package, or in an ament prefix."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading site files."""
+"""Reads site files (`config/sites/*.yaml`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Base of the typed files of this package."""
+"""Base class of the typed configuration files: unknown keys are refused."""
 
 from pydantic import BaseModel, ConfigDict
 

@@ -1,4 +1,4 @@
-"""Array types by their element: the one place where they are named. Shapes and units stand where an array is used."""
+"""Array types by element type, named in this one place. Shapes and units stand where an array is used."""
 
 from __future__ import annotations
 
@@ -17,4 +17,4 @@ Float64Array = NDArray[np.float64]
 RgbImage = UInt8Array
 """(H, W, 3), 0 to 255."""
 RecordArray = NDArray[np.void]
-"""Of a structured dtype."""
+"""An array of a structured dtype."""

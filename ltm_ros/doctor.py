@@ -1,4 +1,4 @@
-"""What is installed, what is in use and what is missing: the findings behind `ltm doctor`."""
+"""Checks behind `ltm doctor`: what is installed, what is in use and what is missing."""
 
 from __future__ import annotations
 

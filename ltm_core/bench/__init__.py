@@ -1,1 +1,1 @@
-"""Measured comparisons with other people's ray tracers, on terrain that anybody can make again."""
+"""Study wing: benchmarks of the tracer against other ray tracers, and of the cost of each step a frame."""

@@ -1,4 +1,4 @@
-"""What a call costs: processor time over all threads, wall time, memory; and on what machine."""
+"""Measures the cost of a call: processor time over all threads, wall time and memory, and describes the machine."""
 
 from __future__ import annotations
 

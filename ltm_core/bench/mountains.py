@@ -1,4 +1,4 @@
-"""Ridged mountains of any size at 1 m, made in seconds: the terrain of the benchmark.
+"""Synthetic mountains of any size at 1 m resolution, made in seconds: the terrain of the benchmarks.
 
 Ridged multifractal of gradient noise (Musgrave, in Ebert et al., Texturing & Modeling, 3rd ed., ch. 16). It is one
 endless field: a larger raster holds more of the same mountains, not larger mountains, so that growth with area is

@@ -1,4 +1,4 @@
-"""What a rendered frame costs: processor time, wall time and memory of one frame and of all that goes before it."""
+"""`ltm bench render`: processor time, wall time and memory of one rendered frame and of setting up its scene."""
 
 from __future__ import annotations
 

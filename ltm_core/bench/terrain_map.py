@@ -1,4 +1,4 @@
-"""What keeping a surface up to date costs: processor time a 1080p frame, and memory on 4 km x 4 km at 1 m."""
+"""`ltm bench terrain`: processor time a 1080p frame, and memory, of updating a surface map of 4 km x 4 km at 1 m."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class _Tower:
         self._place = x, y, float(bare.elevation[row, col]) + 12.0
 
     def frame(self, azimuth: float, look: int) -> DepthFrame:
-        """What it sees, minutes after the last look."""
+        """The depth image that the tower sees, minutes after the last look."""
         pose = Pose.from_angles(self._place, azimuth, -12.0, 1.0)
         depth = self._tracer.trace(self._camera, pose).depth()
         sigma = (0.3 + 0.01 * np.where(np.isfinite(depth), depth, 0)).astype(np.float32)

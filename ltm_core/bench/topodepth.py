@@ -1,4 +1,7 @@
-"""What fusing the depths of one frame costs, part by part, beyond the network that made one of them."""
+"""`ltm bench fusion`: processor time of fusing the traced and network depth of one frame, part by part.
+
+The time of the depth network itself is not counted.
+"""
 
 from __future__ import annotations
 

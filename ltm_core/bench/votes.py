@@ -1,4 +1,4 @@
-"""What forming the votes of a frame costs, and how large their message is."""
+"""`ltm bench votes`: the time to form the fuel votes of a frame, and the size of their message."""
 
 from __future__ import annotations
 

@@ -140,8 +140,6 @@ class BoundaryConfig(StrictModel):
     network_sure: float = chosen(1.0, "log likelihood from which on the network may raise an edge beyond usual cover")
     need: float = chosen(1.0, "log odds by which a cut must be better than none")
     blur: tuple[int, int] = chosen((5, 3), "columns and rows over which the photo's colours are averaged")
-    chain_rows: int = chosen(3, "rows between neighbouring columns of one crest")
-    beside: int = chosen(3, "columns to each side with which a crest's height is smoothed; 0: not at all")
     outline: ClassLogOdds = fitted(
         ClassLogOdds(grass=-0.9, shrub=0.6, tree=1.3, bare=-1.7, water=-1.7, built=1.3, unlabelled=0.4),
         "log odds that a pixel a metre above a crest, which the colours give to it, belongs to it",
@@ -156,14 +154,9 @@ class OcclusionConfig(StrictModel):
         ClassLogOdds(grass=-3.2, shrub=0.2, tree=2.7, bare=-3.2, water=-3.2, built=2.7, unlabelled=0.1),
         "log odds that a place shows what stands before the ground, where all labels about it are of a class",
     )
-    nearer: float = fitted(0.69, "log odds more with each e-folding of depth between it and the ground behind")
-    most_ratio: float = chosen(3.0, "e-foldings from which on they grow no more")
-    edge: float = fitted(1.16, "log odds less at an edge as high as the disagreement, and by its square below")
     metre: float = fitted(0.14, "log odds less with each metre of height")
     highest: float = chosen(30.0, "metres from which on they fall no more")
     no_foot: float = fitted(1.0, "log odds less where the image ends above the foot")
-    seen: float = fitted(0.8, "of the way from where the network sees a thing to where its foot is: its place")
-    seen_doubt: float = fitted(0.4, "sigma of that")
     about: int = chosen(7, "cells of the network's depth, the side of the square whose labels are heard")
 
 
@@ -180,7 +173,6 @@ class DecisionConfig(StrictModel):
         ClassLogOdds(grass=-1.5, shrub=1.1, tree=1.6, bare=-2.6, water=-3.0, built=1.6, unlabelled=0.0),
         "log odds that a canopy raster, and not bare ground, is what shows where the two differ",
     )
-    vanished: float = chosen(-4.6, "log odds that the ground of a pixel is gone, so that something farther shows")
     open: float = chosen(0.1, "chance from which on a depth counts beside the likelier one; 0.5: none does")
     elsewhere: float = chosen(4.0, "times a network's variance on ground: that on what stands before it")
     between: float = chosen(0.3, "of the range of depths among neighbours: sigma of which of them a pixel shows")

@@ -28,7 +28,6 @@ class DecisionRules(NamedTuple):
     soft: np.float32
     heard: np.float32
     heard_over: np.float32
-    vanished: np.float32
     open: np.float32
     elsewhere: np.float32
     between: np.float32
@@ -44,7 +43,7 @@ class DecisionRules(NamedTuple):
 
     @classmethod
     def of(cls, config: DecisionConfig) -> DecisionRules:
-        given = (np.float32(getattr(config, name)) for name in cls._fields[:12])
+        given = (np.float32(getattr(config, name)) for name in cls._fields[:11])
         few = math.log(config.open / (1.0 - config.open))
         widest = math.log(config.ranges / math.sqrt(2.0 * math.pi * OWN))
         more = (np.float32(value) for value in (1.0 - config.open, few, 1.0 / config.heard, widest))
@@ -87,9 +86,9 @@ def compare_row(row: FusionRow, tables: Float32Array, sky: int, rules: DecisionR
     `tables`: (C * D, 4) the row's of `interpolation_table`. Compilers give up on loops that write into several of many
     arrays: one result a loop.
     """
-    d, s, y, near, back, label = row.depth, row.sigma, row.seen, row.nearest, row.farthest, row.labels
+    d, s, y, label = row.depth, row.sigma, row.seen, row.labels
     true, own, less, spread, off, joint = row.true, row.own, row.less, row.spread, row.off, row.joint
-    asked, soft_share, disagree = row.asked, rules.soft, rules.disagree
+    near, back, asked, soft_share, disagree = row.nearest, row.farthest, row.asked, rules.soft, rules.disagree
     width, far, one, none = len(d), np.float32(1e9), np.float32(1.0), np.float32(0.0)
     for u in range(width):
         true[u] = one / d[u] if d[u] < far else none
@@ -100,7 +99,7 @@ def compare_row(row: FusionRow, tables: Float32Array, sky: int, rules: DecisionR
     for u in range(width):
         off[u] = y[u] - true[u] + less[u]
     for u in range(width):
-        # At an edge the network's depth is the other side's in part.
+        # Between its neighbours a pixel of the network is as unsure as they differ, on slopes and at edges.
         soft = soft_share * (near[u] - back[u])
         joint[u] = spread[u] * spread[u] + own[u] * own[u] + soft * soft
     count = 0

@@ -9,6 +9,7 @@ from typing import Literal, cast
 import numpy as np
 
 from ltm_core.camera import Camera
+from ltm_core.depth.fusion_config_io import load_fusion_config
 from ltm_core.errors import ImageError, ModelError
 from ltm_core.types import Float32Array, UInt8Array
 from ltm_core.vision.manifest import DEPTH_KINDS, Manifest
@@ -41,7 +42,8 @@ class NetworkDepth:
 class DepthNetwork:
     """Runs the depth network of a manifest on RGB photos of any size.
 
-    `threads`: CPU threads of ONNX Runtime. Raises ModelError as OnnxModel does, and for a network of labels.
+    `threads`: CPU threads of ONNX Runtime. `fusion`: the constants that were fitted with it. Raises ModelError as
+    OnnxModel does, and for a network of labels; ConfigError for a wrong file of constants.
     """
 
     def __init__(self, manifest: Manifest, threads: int = 1) -> None:
@@ -52,6 +54,7 @@ class DepthNetwork:
             )
         self.manifest = manifest
         self._model = OnnxModel(manifest, threads)
+        self.fusion = load_fusion_config(manifest)
 
     @classmethod
     def open(cls, path_or_name: str | Path, threads: int = 1) -> DepthNetwork:

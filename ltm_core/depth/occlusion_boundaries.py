@@ -20,7 +20,6 @@ import numpy as np
 from ltm_core.camera import Camera
 from ltm_core.depth.class_priors import ClassPriors, LabelView
 from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
-from ltm_core.depth.edge_smoothing import smoothed_edge_heights
 from ltm_core.depth.error_model import ErrorTables, expected_prediction
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.guided_upsampling import NetworkView, upsample_pixel
@@ -104,7 +103,6 @@ def refine_occlusion_boundaries(
     highest = float(classes.crest[255] if labels is None and network is None else classes.crest.max())
     compiled = BoundaryRules.of(config, highest, camera.fy)
     _cut(color, ground, seen, classes.crest, view, compiled, rows, cols, raised)
-    raised = smoothed_edge_heights(rows, cols, raised, ground.shape[1], rules.chain_rows, rules.beside)
     _raise(rows, cols, raised, ground, seen, classes.outline, view, compiled, surface, sigma)
     return Silhouettes(rows, cols, ground[rows, cols], raised)
 

@@ -1,11 +1,9 @@
-"""How likely something stands before the ground: by the labels about a place, by how much nearer it is seen, and by how
-high it would have to be.
+"""How likely something stands before the ground: by the labels about a place, and by how high it would have to be.
 
 Labels are often wrong about single crowns, and their outlines run some cells beside the photo's. So a pixel is not
 judged by its own label but by all those about it: in the middle of a meadow nothing stands, whatever a network of depth
-sees there, and in a wood a pixel of grass may well be a crown. And what stands has its foot on the ground: straight
-below it in the image the terrain is as near as it is, and from there up to the pixel is its height. Where the terrain
-leaps there, at a crest, it stands on the crest, wherever behind that a network sees it.
+sees there, and in a wood a pixel of grass may well be a crown. What stands has its foot on the ground: straight below
+it in the image the terrain is as near as it is, and from there up to the pixel is its height.
 """
 
 from __future__ import annotations
@@ -30,29 +28,20 @@ _STEP = 4  # rows of the photo between those of `feet`
 class OcclusionRules(NamedTuple):
     """`OcclusionConfig` as compiled code takes it."""
 
-    nearer: np.float32
-    most_ratio: np.float32
-    far_ratio: np.float32
-    """e to the power of `most_ratio`."""
-    edge: np.float32
     metre: np.float32
     highest: np.float32
     no_foot: np.float32
-    seen: np.float32
-    seen_doubt: np.float32
 
     @classmethod
     def of(cls, config: OcclusionConfig) -> OcclusionRules:
-        values = (getattr(config, name) for name in cls._fields if name != "far_ratio")
-        first, second, *rest = (np.float32(value) for value in values)
-        return cls(first, second, np.float32(np.exp(config.most_ratio)), *rest)
+        return cls(*(np.float32(getattr(config, name)) for name in cls._fields))
 
 
 class OcclusionPrior(NamedTuple):
     """What is known of a photo's places before its depth is asked, as compiled code takes it.
 
     `odds`: (h, w) float32 over the photo, log odds that a place shows something which stands before the ground, when
-    that is hardly farther and has no height. `feet`: (w, R) float32 depth of the ground, metres, in the columns of
+    that has no height. `feet`: (w, R) float32 depth of the ground, metres, in the columns of
     `odds` and every fourth row of the photo; 0 where it is not asked. `focal`: pixels of the photo that a plumb metre
     spans at a depth of one.
     """
@@ -117,23 +106,11 @@ def ground_contact(near: np.float32, column: Float32Array, row: int) -> int:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def occlusion_log_odds(
-    prior: OcclusionPrior,
-    odds: np.float32,
-    near: np.float32,
-    true: np.float32,
-    edge: np.float32,
-    column: Float32Array,
-    row: int,
-    foot: int,
+    prior: OcclusionPrior, odds: np.float32, near: np.float32, column: Float32Array, row: int
 ) -> np.float32:
-    """Log odds that something stands at inverse depth `near` before ground at `true`, which may be 0, in a `row` of the
-    photo, where an edge is as high as `edge` of the disagreement. For `odds` and `column` see `OcclusionPrior`, for
-    `foot` `ground_contact`."""
-    rules = prior.rules
-    ratio = rules.most_ratio
-    if true * rules.far_ratio > near:
-        ratio = np.log(near / true)
-    odds += rules.nearer * ratio - rules.edge * edge * edge
+    """Log odds that something stands before the ground at inverse depth `near` in a `row` of the photo, where labels
+    give the `odds` of the place; `column`: of `OcclusionPrior.feet`."""
+    foot, rules = ground_contact(near, column, row), prior.rules
     if foot == len(column):
         odds -= rules.no_foot
     return np.float32(odds - rules.metre * min(height_above(prior, near, row, foot), rules.highest))
@@ -143,19 +120,6 @@ def occlusion_log_odds(
 def height_above(prior: OcclusionPrior, near: np.float32, row: int, foot: int) -> np.float32:
     """Metres from a `foot` (`ground_contact`) up to a `row` of the photo, at inverse depth `near`."""
     return np.float32(max(foot * _STEP - row, 0)) / (near * prior.focal)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def snap_to_contact(
-    rules: OcclusionRules, near: np.float32, t: np.float32, column: Float32Array, foot: int
-) -> tuple[np.float32, np.float32]:
-    """Inverse depth and its sigma, 1/m, of a thing that a network sees at `near`, with sigma `t`, and whose `foot` is
-    known: it stands on the ground that is seen rather than on what a crest hides."""
-    if foot == len(column) or not column[foot] > 0:
-        return near, t
-    nearer = np.float32(1.0) / column[foot] - near
-    hidden = rules.seen_doubt * nearer
-    return near + rules.seen * nearer, np.float32(np.sqrt(t * t + hidden * hidden))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

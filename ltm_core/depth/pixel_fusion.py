@@ -2,9 +2,9 @@
 
 If the terrain were right, what would the network say here, and how surely (`error_model`)? Where it says that, both are
 averaged by inverse variance, in inverse depth: far away the terrain decides, since a network's sigma grows with the
-square of the depth. Where it says something else, either something stands before the terrain, or it is gone, or the
-network is wrong; the chance of each, by what the labels about the place say (`occlusion_prior`), decides whether the
-network alone is taken. Where that is nearly open, depth is the mean of both as likely as they are, and sigma owns up to
+square of the depth. Where it sees something nearer, either something stands before the terrain or the network is wrong;
+the chance of each, by what the labels about the place say (`occlusion_prior`), decides whether the network alone is
+taken. Where that is nearly open, depth is the mean of both as likely as they are, and sigma owns up to
 it.
 """
 
@@ -18,13 +18,7 @@ from ltm_core.depth.error_model import expected_prediction, interpolation_table,
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.fusion_rows import OWN, DecisionRules, FusionRow, average_row, begin_row, compare_row
 from ltm_core.depth.guided_upsampling import NetworkView, upsample_row
-from ltm_core.depth.occlusion_prior import (
-    OcclusionPrior,
-    ground_contact,
-    mixture_moments,
-    occlusion_log_odds,
-    snap_to_contact,
-)
+from ltm_core.depth.occlusion_prior import OcclusionPrior, mixture_moments, occlusion_log_odds
 from ltm_core.types import Float32Array, UInt8Array
 
 
@@ -103,25 +97,20 @@ def _fuse(
         if not count:
             continue
         for u in np.flatnonzero(asked):
-            other, likely, foot = y[u], one, 0
+            other, likely = y[u], one
             nearer = kind[u] > 0 and off[u] > 0
+            if kind[u] > 0 and not nearer:
+                continue  # ground seldom vanishes: what is seen farther than it is the network's error
             if nearer:
                 # Something stands there? At a soft edge only where the network is nearer to the near side; away from
                 # edges what neighbours see is but their own place.
                 known = at[cell[u]]
                 edge = (near[u] - y[u]) / off[u]
-                if not edge < one or surely_terrain(known, near[u], true[u], off[u], joint[u], spread[u], prior, rules):
+                if not edge < one or surely_terrain(known, off[u], joint[u], spread[u], rules):
                     continue
                 other = y[u] if edge < rules.blurred else near[u]
-                below = feet[cell[u]]
-                foot = ground_contact(other, below, v)
-                known = occlusion_log_odds(prior, known, other, true[u], edge, below, v, foot)
-                likely = network_chance(other, off[u], joint[u], spread[u], gross, known, rules.heard, rules)
-            elif kind[u]:
-                # Or is something gone? That is not asked at edges, where the far side, or sky, may have leaked in.
-                if not near[u] - back[u] < -off[u]:
-                    continue
-                likely = network_chance(other, off[u], joint[u], spread[u], gross, rules.vanished, one, rules)
+                known = occlusion_log_odds(prior, known, other, feet[cell[u]], v)
+                likely = network_chance(other, off[u], joint[u], spread[u], gross, known, rules)
             if not (likely >= rules.open and other > 0):
                 continue
             inverse, t = invert(i, column[u], other, errors)
@@ -129,11 +118,9 @@ def _fuse(
                 # The shifts were learnt on ground; what stands before it is told by the line alone, and that it is
                 # there is known even where its depth is as good as not.
                 t, inverse = min(t * other / inverse, np.float32(0.99) * other), other
-            if not (t < inverse and (kind[u] == 0 or (inverse > true[u]) == (off[u] > 0))):
+            if not (t < inverse and (kind[u] == 0 or inverse > true[u])):
                 continue
             t = elsewhere(t, near[u], back[u], rules)
-            if nearer:
-                inverse, t = snap_to_contact(prior.rules, inverse, t, feet[cell[u]], foot)
             t /= inverse * inverse
             if d[u] < far and likely < rules.sure:
                 d[u], s[u] = mixture_moments(d[u], s[u], one / inverse, t, likely)
@@ -152,23 +139,13 @@ def elsewhere(t: np.float32, near: np.float32, back: np.float32, rules: Decision
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def surely_terrain(
-    odds: np.float32,
-    near: np.float32,
-    true: np.float32,
-    off: np.float32,
-    joint: np.float32,
-    spread: np.float32,
-    prior: OcclusionPrior,
-    rules: DecisionRules,
+    odds: np.float32, off: np.float32, joint: np.float32, spread: np.float32, rules: DecisionRules
 ) -> bool:
     """Whether a disagreement is surely too small for `network_chance` to find anything before the ground: its odds at
     their best, without exponential and logarithm."""
     if joint > np.float32(OWN) * spread * spread:
         return False
-    ratio = prior.rules.most_ratio
-    if true * (np.float32(1.0) + ratio) > near:
-        ratio = near / true - np.float32(1.0)  # at least the logarithm
-    need = (rules.few - odds - prior.rules.nearer * ratio) * rules.per_heard
+    need = (rules.few - odds) * rules.per_heard
     return bool(off * off < np.float32(2.0) * joint * (need + rules.widest))
 
 
@@ -199,15 +176,15 @@ def network_chance(
     spread: np.float32,
     gross: np.float32,
     odds: np.float32,
-    heard: np.float32,
     rules: DecisionRules,
 ) -> np.float32:
     """Chance that the inverse depth `other` is the network's alone, and not the terrain's word; see `log_against`.
 
-    `odds`: log odds of something that stands there, or is gone; `heard`: the part of the log likelihood that counts.
+    `odds`: log odds of something that stands there. Of the log likelihood only a part counts: a network's errors go on
+    for many pixels.
     """
     against = log_against(other, off, joint, spread, gross, rules)
-    return np.float32(np.float32(1.0) / (np.float32(1.0) + np.exp(heard * against - odds)))
+    return np.float32(np.float32(1.0) / (np.float32(1.0) + np.exp(rules.heard * against - odds)))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

@@ -1,4 +1,4 @@
-"""Simulated frames with true depth, from a folder of `ltm simulate`."""
+"""Reads simulated frames with their true depth from a folder of `ltm simulate`."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The fuel map: votes of one frame, evidence over frames and cameras, and the decision what grows in each cell."""
+"""The fuel map: votes of a frame, evidence over frames and cameras, and the decision on the fuel code of each cell."""

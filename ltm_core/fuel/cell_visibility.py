@@ -1,4 +1,4 @@
-"""How a frame sees each fuel cell: how coarsely, how obliquely, and how well it is known that it is this cell."""
+"""How a frame sees each fuel cell: pixel footprint, angle of incidence, and uncertainty of the traced position."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ltm_core.visibility.footprint import arrival_directions
 from ltm_core.visibility.point_uncertainty import checked_covariance
 
 _LEAST_FACING = 0.02
-"""Sine of about 1 degree: sight along the ground is not taken to be flatter, first order would give infinities."""
+"""Sine of about 1 degree: a flatter line of sight is treated as this one, where first order would give infinities."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +68,10 @@ def cell_visibility(
     bend: float = 0.0,
     covariance: ArrayLike | None = None,
 ) -> CellVisibility:
-    """Sighting of the ground at map points (N,), with its slope taken over the width of a cell.
+    """How a camera sees the ground at map points (N,), with its slope taken over the width of a cell.
 
-    To first order, as `uncertainty.traced_uncertainty`: a camera moved by o and turned by w moves the ray's end by
-    q = o + w x p, and the traced point by q - d (n.q) / (n.d). Raises PoseError for a covariance that is none.
+    To first order, as `point_uncertainty.traced_uncertainty`: a camera moved by o and turned by w moves the ray's end
+    by q = o + w x p, and the traced point by q - d (n.q) / (n.d). Raises PoseError for a covariance that is none.
     """
     ground = np.column_stack([x, y, dem.elevation_at(x, y)])
     if len(ground) == 0:

@@ -1,4 +1,4 @@
-"""The standard fuel models with their parameters, and what a region makes of them."""
+"""The standard surface fuel models with their parameters, and the regional rules that give changed cells a code."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class FuelModel(StrictModel):
     name: str
     description: str
     depth: float = Field(gt=0)
-    """Of the fuel bed, feet."""
+    """Depth of the fuel bed, feet."""
     extinction: float = Field(gt=0)
     """Moisture of dead fuel at which fire dies, %."""
     load: tuple[float, float, float, float, float]

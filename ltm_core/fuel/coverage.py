@@ -1,4 +1,4 @@
-"""Who saw which fuel cell, how often and how finely."""
+"""For each fuel cell and camera, the number of frames that saw the cell and the finest pixel footprint."""
 
 from __future__ import annotations
 

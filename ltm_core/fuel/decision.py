@@ -1,4 +1,4 @@
-"""From evidence to fuel codes: when a cell changes, and into what."""
+"""Rules by which the evidence for life forms changes a cell's fuel code, and the layers of the fuel map."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""The fuel map as evidence: what each cell has been seen to be, by whom and when, over the prior map.
+"""Bayesian fuel map: evidence for the life form of each cell, by view and time, over the prior map.
 
 A cell's life form has a Dirichlet distribution. Its parameters are kappa pi(l | the prior's life form) plus evidence.
 What a frame shows (`frame_evidence`) is kept by view, the direction in which it looks at the cell, and by epoch; of
-each view the newest epochs. What all looks are worth together is a function of that state and of the time of asking,
-and so is the fuel code (`decision`): nothing is decided when a frame comes, so that frames may come late and in any
-order. docs/fuel_map.md has the mathematics.
+each view the newest epochs are kept. What all looks are worth together is a function of that state and of the time of
+asking, and so is the fuel code (`decision`): nothing is decided when a frame comes, so that frames may come late and in
+any order. docs/fuel_map.md has the mathematics.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Compiled loops over the cells of one frame: spreading over where they may lie, and counting them in."""
+"""Compiled loops that spread one frame's votes over neighbouring cells, add them as evidence and pool looks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the votes of one frame say of the life forms of the cells that it sees."""
+"""Evidence for the life form of each cell, from the votes of one frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fuel maps as GeoTIFF files."""
+"""Reads and writes fuel maps of class indices as GeoTIFF files."""
 
 from __future__ import annotations
 

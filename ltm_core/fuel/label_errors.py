@@ -1,6 +1,4 @@
-"""What a network calls the pixels of a cell of each life form: the likelihood of its labels, and how its errors hang
-together.
-"""
+"""Likelihood of a network's labels in a cell of each life form, and the correlation of its errors."""
 
 from __future__ import annotations
 
@@ -52,17 +50,17 @@ class LabelCorrelation(StrictModel):
 
     @property
     def between_cells(self) -> float:
-        """Of what two cells of one stand say of it."""
+        """Correlation of the evidence of two cells of one stand on that stand."""
         return self.stand / self.cell if self.cell > 0 else 0.0
 
     @property
     def between_frames(self) -> float:
-        """Of what two frames of one view say of a cell."""
+        """Correlation of the evidence of two frames of one view on a cell."""
         return self.view / self.cell if self.cell > 0 else 0.0
 
     @property
     def between_views(self) -> float:
-        """Of what two views say of a cell."""
+        """Correlation of the evidence of two views on a cell."""
         return self.network / self.view if self.view > 0 else 0.0
 
 
@@ -116,7 +114,7 @@ class LabelErrors:
 
     @classmethod
     def assumed(cls) -> LabelErrors:
-        """Of a network of which nothing is known."""
+        """The errors that are assumed of a network that nobody has measured."""
         path = _file_of(ASSUMED)
         content = load_yaml(path, _ErrorsFile)
         if content.shares is None or content.correlation is None:

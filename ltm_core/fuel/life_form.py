@@ -1,4 +1,4 @@
-"""Life forms: what a camera can tell of a fuel cell, and what a fuel code says of it."""
+"""Life forms (grass, shrub, tree, ...): what a camera can tell of a fuel cell, and their relation to fuel codes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fuel map that evidence starts from."""
+"""The prior fuel map (such as LANDFIRE) on the fuel grid, from which evidence starts."""
 
 from __future__ import annotations
 

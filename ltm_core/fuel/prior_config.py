@@ -1,4 +1,4 @@
-"""Where a site's prior fuel map lies, as typed configuration."""
+"""Typed configuration of the files that hold a site's prior fuel map."""
 
 from __future__ import annotations
 

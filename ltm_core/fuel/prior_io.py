@@ -1,4 +1,4 @@
-"""Reading prior fuel maps: LANDFIRE GeoTIFFs, LCP and GeoTIFF landscapes, folders of single bands."""
+"""Reads prior fuel maps: LANDFIRE GeoTIFFs, LCP and GeoTIFF landscapes, folders of single bands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How evidence becomes a map: every constant of the fusion, with its reason."""
+"""Typed configuration of the fuel map: every constant of evidence and decision, with its reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The evidence map of a site, as its file describes it."""
+"""Makes the empty evidence map of a site, with its prior and label errors, from the site file."""
 
 from __future__ import annotations
 

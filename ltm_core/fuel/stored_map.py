@@ -1,4 +1,4 @@
-"""The evidence map in a tile store: its schema, frames as bytes, and the way back after a stop of whatever kind."""
+"""Stores an evidence map in a tile store and restores it after any stop: the schema, and frames as bytes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a changed surface tells the fuel map: which fuel cells it concerns, and what stands there now.
+"""Applies changes of the surface map to the fuel map: which fuel cells they concern, and what stands there now.
 
 Where the surface has changed, the prior map no longer holds: such a cell starts from the code of what stands there now,
 and what cameras had seen there before is void, as after a burn. From then on evidence works on it as on any cell.
@@ -217,7 +217,7 @@ def _span(cells: Int64Array, first: int, beyond: int) -> slice:
 
 
 def _cells_told(told: UInt8Array, rows: Int64Array, cols: Int64Array) -> list[tuple[int, int]]:
-    """Those that the window touches."""
+    """Fuel cells told of a change that the window touches."""
     known = np.argwhere(told > 0)
     inside = np.isin(known[:, 0], rows) & np.isin(known[:, 1], cols)
     return [(int(r), int(c)) for r, c in known[inside]]

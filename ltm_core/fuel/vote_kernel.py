@@ -1,4 +1,4 @@
-"""The one pass over a frame's pixels that forms its votes: cell of each pixel, and sums over each cell's pixels."""
+"""Compiled pass over a frame's pixels that forms its votes: each pixel's cell, and sums over each cell's pixels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Votes of one frame: the fuel cells that it sees, how well, and how many of their pixels carry each label."""
+"""Votes of one frame: the fuel cells that it sees, how well it sees them, and their pixels by label."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Axes of maps: round coordinates along two sides, so that a place in a picture can be found on the ground."""
+"""Axes of maps: round easting and northing coordinates along two sides of a map picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Array types of the pictures package, and what it asks of a label set."""
+"""What the drawing functions need of a label set: class names and colours, and the id of unlabelled pixels."""
 
 from __future__ import annotations
 

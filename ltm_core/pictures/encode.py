@@ -1,4 +1,4 @@
-"""RGB arrays to the bytes of picture files."""
+"""Encodes RGB arrays as JPEG or PNG bytes."""
 
 from __future__ import annotations
 

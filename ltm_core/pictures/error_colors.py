@@ -1,4 +1,4 @@
-"""Sizes of depth errors as colours on a logarithmic scale."""
+"""Colours of absolute depth errors on a logarithmic scale, with their legend."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Colours of surface fuel models."""
+"""Colours and names of surface fuel models."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Maps of a fuel map's layers: life forms and fuel models over relief, how sure they are, what has changed, who saw it.
+"""Maps of the fuel map's layers over relief: life forms, fuel models, certainty, changes and coverage by cameras.
 
 The project's own scales are parts of viridis and cividis, which read the same to colour-blind eyes; fuel models have
 LANDFIRE's colours.

@@ -1,4 +1,4 @@
-"""Sheets of a fuel map: what it says and how surely, what has changed, and what each camera sees of it."""
+"""Sheets of several fuel maps: classes with their certainty, changes between dates, and coverage by camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Legends, as strips that go under a picture."""
+"""Legends of colour scales and classes, as strips that go under a picture."""
 
 from __future__ import annotations
 

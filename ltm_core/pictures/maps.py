@@ -1,4 +1,4 @@
-"""Maps: classes over shaded relief, with cameras, legend, scale bar and north arrow."""
+"""Maps of classes or terrain over shaded relief, with cameras, legend, scale bar and north arrow."""
 
 from __future__ import annotations
 

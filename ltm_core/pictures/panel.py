@@ -1,4 +1,4 @@
-"""Several pictures on one sheet."""
+"""Arranges several titled pictures on one sheet."""
 
 from __future__ import annotations
 

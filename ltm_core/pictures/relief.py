@@ -1,4 +1,4 @@
-"""Shaded relief."""
+"""Shaded relief and height tints of elevation rasters."""
 
 from __future__ import annotations
 

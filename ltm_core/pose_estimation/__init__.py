@@ -1,1 +1,1 @@
-"""Camera poses from what a picture shows: resection from surveyed control points."""
+"""Estimates camera poses from images: resection from surveyed control points."""

@@ -1,4 +1,4 @@
-"""Ground control points: places on the map and their marks in an image."""
+"""Ground control points: surveyed map positions with their marked pixels in an image."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Resection: a camera's angles, focal length, k1 and position from ground control points.
 
 The adjustment minimises the distances in the image between the points' marked pixels and their projections. It goes in
-four steps: a coarse search over pairs of points (each pair and focal length gives a rotation) that outlives gross
-errors; a fit with robust loss; least squares over the points that this fit does not call outliers; and a test of
-which parameters the points can bear. Source: Luhmann et al., Close-Range Photogrammetry, 3rd ed., 4.2.3 (space
+four steps: a coarse search over pairs of points (each pair and focal length gives a rotation) that is robust against
+gross errors; a fit with robust loss; least squares over the points that this fit does not call outliers; and a test of
+which parameters the points can determine. Source: Luhmann et al., Close-Range Photogrammetry, 3rd ed., 4.2.3 (space
 resection), 2.4 (adjustment, precision).
 """
 

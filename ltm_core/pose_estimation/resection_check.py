@@ -1,4 +1,4 @@
-"""A resection held against the terrain: where the marked pixels trace to, beside where the points were surveyed."""
+"""Checks a resection against the terrain: traces the marked pixels and compares with the surveyed points."""
 
 from __future__ import annotations
 

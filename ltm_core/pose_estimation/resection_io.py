@@ -1,4 +1,4 @@
-"""Files of `ltm pose`: control points, the guess, the fitted pose file and its report."""
+"""Reads and writes the files of `ltm pose`: control points, initial guess, fitted pose file and report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a resection asks of its control points, and which parameters they can bear."""
+"""Requirements of a resection on its control points, and which parameters the points can determine."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ MAX_MEDIAN_SHARE = 0.02
 """Median residual over the image's diagonal above which no pose explains the points."""
 MAX_ANGLE_SIGMA_DEG = 1.0
 MAX_FOCAL_SIGMA = 0.03
-"""Of the focal length."""
+"""Share of the focal length."""
 MAX_K1_SHIFT = 0.01
-"""Of the image's diagonal: what one sigma of k1 moves at the image's corner."""
+"""Share of the image's diagonal: what one sigma of k1 moves at the image's corner."""
 MAX_POSITION_SIGMA = 0.02
-"""Of the median distance of the points."""
+"""Share of the median distance of the points."""
 
 
 def check_points(points: ControlPoints, camera: Camera, position: Float64Array) -> None:

@@ -1,4 +1,4 @@
-"""Where a resection starts: poses from pairs of control points.
+"""Initial poses of a resection, from pairs of control points.
 
 With the position known, two points and a focal length give a rotation in closed form (TRIAD: Black 1964). All pairs and
 a range of focal lengths are tried and scored by how many points they bring near their marks, so that a start is found

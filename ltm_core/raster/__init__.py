@@ -1,1 +1,1 @@
-"""Elevation rasters read, stacked and written, and the tiled store in which maps keep their state."""
+"""Reads, stacks and writes elevation rasters, and stores maps as tiles in one file."""

@@ -1,4 +1,4 @@
-"""Reading elevation rasters, any that GDAL reads: in a single copy, and warped where their CRS is another."""
+"""Reads elevation rasters of any format that GDAL reads, with a single copy in memory, warped if the CRS differs."""
 
 from __future__ import annotations
 

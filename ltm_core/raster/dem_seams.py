@@ -1,4 +1,4 @@
-"""What the surface is where a fine raster ends and a coarser one goes on, so that there is neither gap nor false wall.
+"""Blends a fine elevation raster into the coarser one around it, without gaps or false steps.
 
 Two surveys of the same ground differ by decimetres to tens of metres (age, datum, smoothing by the coarse cells). The
 fine level is therefore fitted into the coarser one, once, when a stack is made:
@@ -13,8 +13,8 @@ fine level is therefore fitted into the coarser one, once, when a stack is made:
 
 So on the border both surfaces agree at every fine node, to the rounding of float32; between two fine nodes the coarser
 surface may bend where one of its grid lines crosses the border, by at most a quarter of a fine cell times the change of
-slope there. What little step remains is a wall: a ray that comes to it below its upper edge ends there, so none slips
-through.
+slope there. The small step that remains is treated as a wall: a ray that comes to it below its upper edge ends there,
+so none slips through.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Terrain out of several rasters: a fine one where the site is, coarser ones around it as far as ridges are seen.
+"""Terrain from several elevation rasters: a fine one around the site, within coarser ones out to the far ridges.
 
 Fire cameras look at ridges tens of kilometres away, where nobody has, or needs, a raster of 1 m. A stack holds rasters
-of falling resolution, each within the next; a point belongs to the finest that is over it. How they are fitted together
-stands in `dem_seams`. Tracing, lines of sight, footprints and votes take a stack wherever they take a `Dem`.
+of falling resolution, each within the next; a point belongs to the finest that is over it. `dem_seams` says how they
+are fitted together. Tracing, lines of sight, footprints and votes take a stack wherever they take a `Dem`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Writing GeoTIFFs; reading is where each raster's type is defined."""
+"""Writes GeoTIFF files. Reading stands beside each raster's type (for elevation: `dem_io`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a tile store holds: its schema, the records of a transaction, and how arrays become bytes."""
+"""Schema of a tile store, the records of a transaction, and the serialisation of arrays."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class StoreSchema:
         return ceil(self.geometry.height / self.tile), ceil(self.geometry.width / self.tile)
 
     def described(self) -> str:
-        """As the file states it."""
+        """The schema as the JSON text that the file holds."""
         return json.dumps(
             {
                 "kind": self.kind,

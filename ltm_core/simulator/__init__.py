@@ -1,2 +1,4 @@
-"""Simulated sites, cameras and recordings: seeded terrain and vegetation, rendered with Mitsuba, with truth for
-every pixel."""
+"""Study wing: simulated sites, cameras and recordings, rendered with Mitsuba, with truth for every pixel.
+
+Terrain and vegetation are made from a seed; `ltm simulate` runs it.
+"""

@@ -1,4 +1,4 @@
-"""Colours of a southern-Californian hillside: linear reflectances of plants and ground by season."""
+"""Linear reflectances of plants and ground of a southern-Californian hillside, by season."""
 
 from __future__ import annotations
 

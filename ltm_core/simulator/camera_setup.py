@@ -1,4 +1,4 @@
-"""The part of a scenario that is about its cameras: lens and sensor, masts and rounds, what their instruments err."""
+"""Typed configuration of a scenario's cameras: lens and sensor, masts, patrol rounds, errors of their instruments."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The height of what stands on the ground, counted from the very triangles that are rendered."""
+"""Canopy height above ground, computed from the same triangles that are rendered."""
 
 from __future__ import annotations
 

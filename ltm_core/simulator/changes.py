@@ -1,4 +1,4 @@
-"""What happens to a site between its dates: the typed perturbations of a scenario, each with a mask and a time."""
+"""Typed changes of a site between its dates (fire, felling, growth, landslide, ...), each with a mask and a time."""
 
 from __future__ import annotations
 

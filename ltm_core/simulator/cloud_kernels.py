@@ -1,4 +1,4 @@
-"""The compiled loops of `clouds`: how dense they are at a point, and what rays and shadows meet in them.
+"""Compiled loops of `clouds`: cloud density at a point, and light along rays and shadows through it.
 
 A cloudy sky is passed as arrays. `slab`: height of the bases and depth, metres. `shape`: longest wavelength, the
 threshold and the spread of the field, extinction, softness of edges, bite of billows, whether a layer. `raster`: the

@@ -1,9 +1,8 @@
 """Landscape evolution: stream-power incision with uplift and hillslope diffusion.
 
-Incision is the implicit O(n) scheme of Braun & Willett (2013, Geomorphology 180-181) with slope exponent 1;
-hillslopes diffuse, and slopes
-above the angle of repose fail towards their lower neighbours. Ridges, spurs and a connected drainage net come out
-of it by themselves.
+Incision is the implicit O(n) scheme of Braun & Willett (2013, Geomorphology 180-181) with slope exponent 1; hillslopes
+diffuse, and slopes above the angle of repose fail towards their lower neighbours. The result has ridges, spurs and a
+connected drainage net.
 """
 
 from __future__ import annotations

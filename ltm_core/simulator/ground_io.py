@@ -1,4 +1,4 @@
-"""Real ground for a scenario: elevation and fuel codes out of rasters in any CRS."""
+"""Reads real ground for a scenario: elevation and fuel codes from rasters in any CRS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ground of a scene as triangles: the site and its surroundings, and a plain with ranges out to the horizon.
+"""Triangle mesh of a scene's ground: the site, its surroundings, and a plain with ranges out to the horizon.
 
 Earth curvature and refraction are in the shape: everything sinks by `bend` d^2 with its distance d from `center`.
 """

@@ -1,4 +1,4 @@
-"""From radiance to a photograph: haze, exposure, lens fall-off, tone curve, sensor noise."""
+"""Turns rendered radiance into a photograph: haze, exposure, lens fall-off, tone curve, sensor noise."""
 
 from __future__ import annotations
 

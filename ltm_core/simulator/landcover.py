@@ -1,4 +1,4 @@
-"""Where which vegetation stands: the class map of a synthetic site."""
+"""Land cover of a synthetic site: the class map that says where which vegetation stands."""
 
 from __future__ import annotations
 

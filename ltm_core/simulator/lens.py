@@ -1,4 +1,4 @@
-"""Lens distortion: scenes are rendered through a pinhole that sees enough, and looked up along the lens's rays."""
+"""Lens distortion: scenes are rendered through a larger pinhole and resampled along the lens's rays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Procedural plants: triangle soups with a colour a triangle, a metre a unit, z up, standing on z = 0."""
+"""Procedural meshes of plants and houses: triangles with a colour each, in metres, z up, standing on z = 0."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The Mitsuba scene seen from one camera position.
+"""Builds the Mitsuba scene that is seen from one camera position.
 
 Earth curvature and refraction are put into the scene, not into the rays: everything sinks by (1 - k) d^2 / (2 R)
 with its distance d from the eye. A straight ray through the sunk scene is the curved ray z(r) = oz + s r + (1 - k)

@@ -1,4 +1,4 @@
-"""The DEM that the system is given: an older, coarser survey of the true ground."""
+"""Makes the DEM that the system is given: an older, coarser survey of the true ground, with errors."""
 
 from __future__ import annotations
 

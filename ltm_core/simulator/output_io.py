@@ -1,4 +1,4 @@
-"""A simulated recording as files: pictures, truth, frames.json, and the rasters of the site.
+"""Writes a simulated recording as files: pictures, truth, frames.json, and the rasters of the site.
 
 frames.json                 scenario, CRS, origin, dates; of each frame its true pose and time, what its sensors
                                 `reported` of them, and file names

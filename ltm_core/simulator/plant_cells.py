@@ -1,4 +1,4 @@
-"""Square cells of the ground as plants find them: what the land cover says of each."""
+"""Square ground cells in which plants are placed, with the shares of land cover classes in each."""
 
 from __future__ import annotations
 

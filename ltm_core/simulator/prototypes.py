@@ -1,5 +1,4 @@
-"""Plants of a scene as meshes that instances share: single trees, and patches of ground with everything that grows on
-them.
+"""Shared meshes of plants that a scene instances: single trees, and ground patches with all that grows on them.
 
 A patch carries dozens of shrubs and is sheared onto the slope, so that a whole range of chaparral costs tens of
 thousands of instances, not millions.
@@ -207,6 +206,21 @@ class Prototypes:
                 for i in range(variants)
             ]
         return self._made[name]
+
+
+_KEPT = 1
+"""Sets of prototypes, some 300 MB each, that are kept for whoever plants next: dates of one season share theirs."""
+_kept: dict[tuple[int, bytes], Prototypes] = {}
+
+
+def prototypes(colors: Reflectances, seed: int) -> Prototypes:
+    """The prototypes of these colours and this seed, the same ones as long as they are kept: making them takes longer
+    than planting them."""
+    key = seed, b"".join(np.ascontiguousarray(color).tobytes() for color in vars(colors).values())
+    _kept[key] = found = _kept.pop(key, None) or Prototypes(colors, seed)
+    while len(_kept) > _KEPT:
+        _kept.pop(next(iter(_kept)))
+    return found
 
 
 Maker = Callable[[Rng, Reflectances, float], Soup]

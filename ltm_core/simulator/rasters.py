@@ -1,4 +1,4 @@
-"""True rasters of a site at one date, and what has changed between two."""
+"""True rasters of a site at one date, and the changes between two dates."""
 
 from __future__ import annotations
 

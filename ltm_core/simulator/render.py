@@ -1,4 +1,4 @@
-"""Mitsuba sensors out of our cameras: radiance images and ranges through pixel centres."""
+"""Renders with Mitsuba through our cameras: radiance images, and ranges through pixel centres."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scenario rendered frame by frame."""
+"""Renders a scenario frame by frame."""
 
 from __future__ import annotations
 

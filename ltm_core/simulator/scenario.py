@@ -1,4 +1,4 @@
-"""What a simulated recording is made of: the typed scenario behind `ltm simulate SCENARIO.yaml`."""
+"""Typed configuration of a simulated recording: the SCENARIO.yaml of `ltm simulate`."""
 
 from __future__ import annotations
 

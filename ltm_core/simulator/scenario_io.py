@@ -1,4 +1,4 @@
-"""Scenario files: read, and what is wrong in them told with its line."""
+"""Reads scenario files; errors name the line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a camera's own sensors say of a frame: position, attitude and time as phones and towers report them."""
+"""Errors of a camera's own sensors: position, attitude and time as phones and towers report them."""
 
 from __future__ import annotations
 

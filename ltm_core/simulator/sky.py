@@ -1,4 +1,4 @@
-"""Daylight: where the sun stands, and the emitter that goes with it."""
+"""Daylight: the sun's direction, and Mitsuba's sky emitter for it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The state of what grows on a site, cell by cell, and how the years and a scenario's changes act on it."""
+"""State of the vegetation in each cell, aged by years and altered by a scenario's changes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a frame's pixels truly show: ranges, classes, and the site's fuel raster."""
+"""True ranges and classes of a frame's pixels, and the site's true fuel raster."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where plants stand: instances of the prototypes, placed by the land cover and the seed."""
+"""Places plants: instances of the prototypes, by the land cover and the seed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ltm_core.simulator import noise_fields
 from ltm_core.simulator.appearance import Reflectances
 from ltm_core.simulator.landcover import BARE, BUILT, GRASS, SHRUB, TREE, LandCover
 from ltm_core.simulator.plant_cells import PlantCells, describe
-from ltm_core.simulator.prototypes import FAR_PATCH, NEAR_PATCH, STAGES, TUFT_PATCH, Prototype, Prototypes
+from ltm_core.simulator.prototypes import FAR_PATCH, NEAR_PATCH, STAGES, TUFT_PATCH, Prototype, prototypes
 from ltm_core.simulator.scenario import VegetationConfig
 from ltm_core.simulator.terrain_synthesis import SyntheticTerrain
 from ltm_core.simulator.visible_ground import line_of_sight
@@ -48,7 +48,7 @@ class Planting:
         self._cover = cover
         self._config = config
         self._seed = seed
-        self._prototypes = Prototypes(colors, seed)
+        self._prototypes = prototypes(colors, seed)
 
     def ground(self, x: Float64Array, y: Float64Array) -> Float64Array:
         """Height of the ground that is rendered at map points: the site's inside it, the surroundings' outside."""

@@ -1,4 +1,4 @@
-"""Where training pictures are taken from: seeded knolls and slopes of a site."""
+"""Draws camera positions for training pictures: seeded knolls and slopes of a site."""
 
 from __future__ import annotations
 

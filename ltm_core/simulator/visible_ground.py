@@ -1,4 +1,4 @@
-"""What of a landscape an eye can see at all: plants behind ridges need not stand in its scene."""
+"""Finds the ground that is visible from an eye point, so that plants behind ridges are left out of its scene."""
 
 from __future__ import annotations
 

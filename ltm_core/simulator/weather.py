@@ -1,4 +1,4 @@
-"""Columns of smoke over a site, and water that mirrors the sky."""
+"""Smoke columns over a site, and water that mirrors the sky."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What people have built on a site: a dirt track, hamlets beside it, reservoirs."""
+"""Built features of a site: a dirt track, hamlets beside it, reservoirs."""
 
 from __future__ import annotations
 

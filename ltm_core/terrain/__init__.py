@@ -1,7 +1,7 @@
-"""The living terrain: what fused depth says of the surface, and where views agree that it has changed.
+"""The surface map: estimates surface heights from fused depth and detects change on which several views agree.
 
-`observation` turns a depth image into observations of cells, `cell_kernel` keeps a robust recursive estimate of each,
-`change` decides by consensus, `surface_map` holds it together.
+`observation` turns a depth image into observations of cells, `cell_update` keeps a robust recursive estimate of each,
+`change` decides by consensus, and `surface_map` is the class in front of them, which the node `terrain` uses.
 """
 
 from ltm_core.terrain.observation import DepthFrame, LabelImage

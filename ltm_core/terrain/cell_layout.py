@@ -1,4 +1,4 @@
-"""How a map's cells lie in memory: what is read together lies together, so that a cell costs few cache lines.
+"""Memory layout of the surface map's cells: values that are read together lie together, to save cache lines.
 
 A *place* numbers a cell as the tiles do: tile x TILE^2 + the cell in its tile, both in row-major order.
 """
@@ -27,14 +27,14 @@ ESTIMATE = np.dtype(
      ("first", "u4"), ("last", "u4"), ("cameras", "u4"), ("base", "f4"), ("c_dz", "f4"), ("c_looks", "f4"),
      ("frames", "u2"), ("label", "u1"), ("kind", "u1")]
 )  # fmt: skip
-"""What every observation of a cell reads: 48 bytes."""
+"""Fields that every observation of a cell reads: 48 bytes."""
 CANDIDATE = np.dtype(
     [("c_weight", "f4"), ("c_relative_variance", "f4"), ("c_pose_variance", "f4"), ("c_first", "u4"), ("c_last", "u4"),
      ("c_cameras", "u4"), ("watched", "u4"), ("c_frames", "u2"), ("_", "u2")]
 )  # fmt: skip
-"""What only those do that contradict the estimate, or that are told by labels."""
+"""Fields that are read only by observations that contradict the estimate, and by labels."""
 DECISION = np.dtype([("shift", "f4"), ("since", "u4"), ("by", "u4")])
-"""What no observation does."""
+"""Fields that no observation reads: the decision on change."""
 
 _STORED = (
     "dz", "looks", "weight", "relative_variance", "pose_variance", "first", "last", "cameras", "frames", "label",
@@ -44,7 +44,7 @@ _STORED = (
 )  # fmt: skip
 _BLOCK_OF = {name: i for i, block in enumerate((ESTIMATE, CANDIDATE, DECISION)) for name in block.names or ()}
 FIELDS = {name: Field((ESTIMATE, CANDIDATE, DECISION)[_BLOCK_OF[name]][name]) for name in _STORED}
-"""Of a tile in the store, in its order."""
+"""Fields of a tile in the store, in its order."""
 CELL_BYTES = ESTIMATE.itemsize + CANDIDATE.itemsize + DECISION.itemsize + 1
 
 

@@ -1,13 +1,13 @@
-"""A cell's estimate, frame by frame: compiled.
+"""Recursive estimate of each cell's surface height, updated frame by frame in compiled code.
 
 Each cell has an *estimate* of its height above the reference, which consistent observations refine, and at most one
 *candidate*: what contradicts the estimate, until it is contradicted itself or enough independent views confirm it;
-then it becomes the estimate. So a lone view, or whatever moves, changes nothing.
+then it becomes the estimate. So a single view, or a moving object, changes nothing.
 
 Observations of one camera shortly after each other repeat its errors. A camera's weight in a cell therefore grows with
-time: a look an hour, however many frames there are. Of the variance of a mean, what is new in each look falls with the
-number of looks; what a camera repeats, and what poses are to blame for, only with the number of cameras. Looks of years
-ago tell little of today.
+time: one look per hour counts, however many frames there are. Of the variance of a mean, the part that is new in each
+look falls with the number of looks; the part that a camera repeats, and the part due to pose errors, fall only with the
+number of cameras. Looks of years ago tell little of today.
 """
 
 from __future__ import annotations

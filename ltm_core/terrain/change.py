@@ -1,4 +1,4 @@
-"""Where independent views agree that the surface is not what the reference says."""
+"""Detects surface change: cells where independent views agree that the surface differs from the reference."""
 
 from __future__ import annotations
 
@@ -192,8 +192,8 @@ def _shows(off: Float32Array, shift: Float32Array, threshold: float) -> BoolArra
 
 
 def estimate_variance(parts: Mapping[str, NDArray[Any]], rules: Rules) -> tuple[Float32Array, Float32Array, BoolArray]:
-    """Variance of each cell's estimate, that of its word on the stand about it (both infinite where there is none), and
-    whether independent views made it.
+    """Variance of each cell's estimate, its relative variance (as evidence on the stand about the cell; both infinite
+    where there is no estimate), and whether independent views made it.
     """
     variance, relative_variance, sure = _summary(*(parts[name] for name in _OF_ESTIMATE), rules)
     return variance, relative_variance, sure

@@ -1,5 +1,6 @@
-"""What the reference has for each pixel of a view: all that does not depend on the image, so that a camera which stands
-still pays for it once.
+"""Expected view of the reference surface: range, cell and slope for each pixel, before any image is seen.
+
+None of it depends on the image, so it is kept, and a camera that stands still pays for it once.
 """
 
 from __future__ import annotations
@@ -59,8 +60,8 @@ class Extremes(NamedTuple):
 
 
 class ExpectedViews:
-    """What is kept of views, by a key of each, up to so many bytes but at least one of them. The least recently used
-    makes room, and its memory serves the next, apart from all other: such arrays would leave holes among small ones.
+    """Bounded cache of expected views by key, at most so many bytes but at least one view. The least recently used
+    makes room, and its memory is used again for the next: freed arrays of this size would fragment memory.
     """
 
     def __init__(self, most_bytes: int) -> None:
@@ -68,13 +69,13 @@ class ExpectedViews:
         self._kept: OrderedDict[Hashable, RecordArray] = OrderedDict()
 
     def get(self, key: Hashable) -> RecordArray | None:
-        """ExpectedViews (H, W), now the most recently used; None where there are none."""
+        """The view (H, W) of EXPECTED_PIXEL, now the most recently used; None where it is not kept."""
         if key in self._kept:
             self._kept.move_to_end(key)
         return self._kept.get(key)
 
     def put(self, key: Hashable, shape: tuple[int, ...]) -> RecordArray:
-        """ExpectedViews of a new view, of arbitrary content: to be filled."""
+        """The array of a new view, of arbitrary content: to be filled."""
         sights, size = None, math.prod(shape) * EXPECTED_PIXEL.itemsize
         while self._kept and size + sum(one.nbytes for one in self._kept.values()) > self._most:
             sights = self._kept.popitem(last=False)[1]
@@ -100,7 +101,7 @@ def direction(view: CameraView, v: int, u: int) -> tuple[float, float, float]:
 def predict_view(
     ground: ReferenceGrid, view: CameraView, expected: Float32Array, extremes: Extremes, sights: RecordArray
 ) -> None:
-    """Fill `sights` (H, W)."""
+    """Fill `sights` (H, W) of EXPECTED_PIXEL: what each pixel sees of the reference."""
     rows, cols = expected.shape
     x0, y0 = view.position[0], view.position[1]
     for v in range(rows):

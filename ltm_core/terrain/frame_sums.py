@@ -1,4 +1,4 @@
-"""What one frame says of each cell that it sees: sums over its pixels, kept for those cells only."""
+"""Sums of one frame's observations over the pixels of each cell that it sees, kept for those cells only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a changed surface means for the fuel map: the rule by which both maps say the same of a cell.
+"""Rule by which changes of the surface map change fuel cells, so that both maps agree.
 
 A fuel cell takes a change over when enough of what views have seen of it has changed in one way. What stood there and
 is gone leaves ground, or what the camera labels there now; what has grown is what the camera labels there, else by its
@@ -27,7 +27,7 @@ SHRUB_BELOW = 3.0
 
 
 class FuelChange(StrEnum):
-    """What a fuel cell is told."""
+    """Kind of change that a fuel cell takes over from the surface map."""
 
     REMOVED = "removed"
     GROWN = "grown"

@@ -1,7 +1,7 @@
-"""Each label of an image as a word on whether what stood still stands: compiled.
+"""Uses each label of an image as evidence whether vegetation of the reference still stands; compiled.
 
-Where the reference has something that stands, a pixel speaks by its label of the cell that it would see: that it is as
-high as it was, or as low as bare earth. What is surely seen before it hides it.
+Where something stands in the reference, a pixel's label is evidence on the cell that it would see: that the cell is as
+high as it was, or as low as bare earth. Whatever is surely seen in front of it hides it.
 """
 
 from __future__ import annotations

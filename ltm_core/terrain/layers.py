@@ -1,4 +1,4 @@
-"""What a surface map has to say, as rasters."""
+"""The layers of a surface map as rasters: height, sigma, change and their dates."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""What cells say of each other's shift: means over neighbours of one kind, and regions of cells that go together.
+"""Combines each cell's height shift with its neighbours of the same kind, and groups changed cells into regions.
 
 A stand grows or is felled as a whole, and its crowns are seen from the side: each cell of it tells little of its own
-height, all of them together a lot of whether the stand is as it was. Open ground beside it takes no part in that. So
-what stands and what is open are averaged apart.
+height, all of them together a lot of whether the stand is as it was. Open ground beside it takes no part in that.
+Standing vegetation and open ground are therefore averaged separately.
 """
 
 from __future__ import annotations

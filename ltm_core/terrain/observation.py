@@ -1,4 +1,4 @@
-"""Depth images as observations of a surface."""
+"""Turns depth images into observations of surface heights."""
 
 from __future__ import annotations
 

@@ -1,18 +1,18 @@
-"""Each pixel of a depth image as an observation of the surface: compiled.
+"""Compares each pixel of a depth image with the reference surface and forms an observation of a cell; compiled.
 
-A pixel is compared with the range at which its ray would meet the reference surface. Three things can be:
+A pixel's range is compared with that at which its ray would meet the reference surface. There are three cases:
 
-* **It agrees**: it speaks for the cell that the reference says it sees. What it is off by along the ray, times the
-  incidence factor, is what the surface there is off by in height.
-* **It is nearer**: something stands where the reference has air. It speaks for the cell that it lies in.
+* **It agrees**: the observation is of the cell that the reference says it sees. The difference along the ray, times the
+  incidence factor, is the difference of the surface's height there.
+* **It is nearer**: something stands where the reference has air. The observation is of the cell that the point lies in.
 * **It is farther**, and so are all around it: the ray went through what the reference has as solid. All cells that it
-  passed below the surface are capped at the ray's height, and it speaks for the cell that it lies in.
+  passed below the surface are capped at the ray's height, and the observation is of the cell that the point lies in.
 
 The incidence factor |n.d| / n_z (n: normal of the surface, d: the ray's direction) turns metres along the ray into
 metres of height; it is taken over blocks of cells, since a crown's own slopes say nothing of how the canopy is met.
-What it cannot tell, it does not claim to know: on the steep side of a crown a small error along the ray is a large one
-of height, so the variance takes the slope of the cell itself where that is the steeper one. Whether the stand is as it
-was, such a pixel tells far better than how high its cell is: its *relative variance* is that of the slope of the block.
+On the steep side of a crown a small error along the ray is a large one of height, so the variance takes the slope of
+the cell itself where that is the steeper one. Whether the stand is as it was, such a pixel tells far better than how
+high its cell is: its *relative variance* is that of the slope of the block.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The reference surface as compiled code takes it: heights, cells, slopes, and what a pose's error does to a height."""
+"""Compiled access to the reference surface: heights, cells, slopes, and the height variance due to pose errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the surface is taken to be until views agree on something else: bare earth, and what stands on it."""
+"""The reference surface: bare earth and what stands on it, as assumed until views agree on a change."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Reference:
 
     @property
     def surface_dem(self) -> Dem:
-        """What a ray meets first, for the tracer."""
+        """The surface (with what stands on the ground) as a DEM for the tracer."""
         return Dem(self.surface, self.geometry)
 
     @classmethod

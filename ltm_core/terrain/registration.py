@@ -1,4 +1,4 @@
-"""A frame turned, within its pose's uncertainty, so that stable ground lies where the reference has it.
+"""Registers a frame to the reference: corrects its rotation, within the pose's covariance, by its stable ground.
 
 A pose that is off by half a degree moves a kilometre's points by 8.7 m, all of them together: what the frame says of
 unchanged ground tells the error. To first order, turning the camera by the small rotation w about the map's axes moves

@@ -1,4 +1,4 @@
-"""The surface of a site, kept up to date by depth images."""
+"""The surface map of a site, updated by posed depth images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A surface map as GeoTIFFs."""
+"""Writes a surface map as GeoTIFF files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The cells that are in memory: a bounded pool of tiles; the others wait in the store."""
+"""Bounded pool of the surface map's tiles in memory; the other tiles wait in the tile store."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Algorithm 1 of the paper, made exact and fast: what point of the terrain does each pixel see?
+"""Algorithm 1 of the paper, made exact and fast: the point of the terrain that each pixel sees.
 
-`TerrainTracer` is the tracer; `march` keeps the paper's own fixed-step march as a baseline; `reference` is a slow,
-independent float64 tracer that tests hold the fast one against.
+`TerrainTracer` is the tracer; `baselines.march` keeps the paper's own fixed-step march as a baseline;
+`baselines.reference` is a slow, independent float64 tracer that tests hold the fast one against.
 """
 
 from ltm_core.range_image import RangeImage

@@ -1,4 +1,4 @@
-"""What a tracer keeps between frames: the profiles of positions and the ranges of fixed cameras, both bounded."""
+"""Bounded caches of a tracer between frames: horizon profiles of positions, and ranges of fixed cameras."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class BoundedCache(Generic[_Value]):
 
     @property
     def held_bytes(self) -> int:
-        """What the values take now."""
+        """Memory that the values take now."""
         return self._held
 
     def get(self, key: Hashable) -> _Value | None:

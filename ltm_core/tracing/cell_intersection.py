@@ -1,4 +1,4 @@
-"""The maths of one cell: the bilinear surface, and where a bent ray first meets it.
+"""Intersection of a curved ray with the bilinear surface of one DEM cell.
 
 Grid units, as everywhere in the kernels (see `pyramid_traversal`).
 """

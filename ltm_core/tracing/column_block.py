@@ -1,4 +1,4 @@
-"""A block of the sweep: what is known of the rays of neighbouring columns, one row at a time.
+"""State of a block of neighbouring image columns during the column sweep, one row at a time.
 
 A block is one flat float64 array, in which each field has `COLUMNS` places from the index on that stands here.
 """

@@ -1,10 +1,10 @@
-"""The fast path: an image's columns are swept upwards over the wedge profile, and each hit is found cell by cell.
+"""Fast tracing of a whole image: sweeps each column upwards over the horizon profile and finds hits cell by cell.
 
 Going up a column of pixels, rays climb, so that the entry of the profile that a ray needs is a few places after that
 of the pixel below: the place is kept as a hint. From the strip that the entry names, a ray goes through single cells,
 of which it takes half a dozen on the average; a ray that needs more, or comes to a hole, is handed to the pyramid
-(`traversal.hit_between`), which holds the rules for what ends a ray. A ray without an entry meets nothing, and the
-terrain is not looked at.
+(`pyramid_traversal.hit_between`), which holds the rules for what ends a ray. A ray without an entry meets nothing, and
+the terrain is not looked at.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Holes: groups of nodata nodes, and what may be assumed about the ground inside them.
+"""Holes of a DEM: groups of nodata nodes, and what may be assumed about the ground inside them.
 
 A *node* is a DEM cell centre; a *cell* of the tracer is the square between four nodes, on which the surface is
 bilinear. A cell with any NaN node is a hole: its ground is unknown. Two kinds are told apart, because they mean
@@ -32,7 +32,7 @@ class Holes(NamedTuple):
     hole_end: Int64Array
     """One past its last."""
     hole_ceiling: Float32Array
-    """Of the hole that the run belongs to."""
+    """Ceiling of the hole that the run belongs to."""
 
 
 def find_holes(elevation: Float32Array) -> Holes:

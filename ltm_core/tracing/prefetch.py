@@ -1,17 +1,16 @@
-"""A hint to the processor to fetch memory that is needed soon; nothing where the compiler cannot give it."""
+"""A hint to the processor to prefetch memory into its cache; does nothing where compilation is off."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from llvmlite import ir
-from numba import types
+from numba import config, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
 
-@intrinsic  # type: ignore[untyped-decorator]
-def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
+def _prefetch(typing_context: Any, array: Any, index: Any) -> Any:
     """Fetch the cache line of array[index] into all cache levels. An index outside the array is harmless."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -25,3 +24,10 @@ def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
         return context.get_dummy_value()
 
     return types.none(array, index), generate
+
+
+def _nothing(array: Any, index: Any) -> None:
+    """What plain Python can do."""
+
+
+prefetch: Any = _nothing if config.DISABLE_JIT else intrinsic(_prefetch)

@@ -1,4 +1,4 @@
-"""The maximum pyramid: for each block of cells, a height that no ground in the block exceeds.
+"""Maximum pyramid of a DEM: for each block of cells, a height that no ground in the block exceeds.
 
 Level L holds blocks of 2^L x 2^L cells; a block is *closed*: its bound covers all (2^L + 1)^2 nodes, those it shares
 with its neighbours too, so the bilinear surface over the block never rises above it. The lowest level that is stored

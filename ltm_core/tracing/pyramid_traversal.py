@@ -1,4 +1,4 @@
-"""The tracing kernels: the first point at which a ray meets the bilinear surface, by way of the maximum pyramid.
+"""Tracing kernels: the first point at which a ray meets the bilinear surface, found through the maximum pyramid.
 
 Everything here is in *grid units*: x = column, y = row (nodes at integers), horizontal range q in cells, heights in
 metres. A ray leaves (ox, oy, oz) along the horizontal vector (cx, cy), in lengths of which q is counted (1 cell, or
@@ -33,7 +33,7 @@ _TASKS = 128
 
 
 class TerrainRaster(NamedTuple):
-    """What the kernels know of one raster."""
+    """One DEM raster as the kernels take it: nodes, enclosed holes and maximum pyramid."""
 
     nodes: Float32Array
     """(height * width) elevations, row-major, NaN in holes."""

@@ -1,4 +1,4 @@
-"""Files of `ltm trace`: the pose file that it reads, the rasters that it writes."""
+"""Files of `ltm trace`: reads the pose file and writes the rasters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The terrain tracer: pixels to the terrain that they see.
+"""The terrain tracer: intersects the ray of each pixel with the terrain, and gives the range.
 
 Source: Algorithm 1 (pixel-based on-raster ray tracing) of the LTM paper, made exact: instead of sampling the nearest
 DEM cell at fixed steps, each ray is intersected with the bilinear surface, and earth curvature and refraction bend
@@ -22,7 +22,7 @@ which reaches the raster's edge, is outside the DEM (see `holes`).
 
 A camera may stand outside the DEM: space between it and the first known ground counts as free.
 
-**The ways.** `trace` goes by the wedge profile of the camera's position (`horizon_profile`, `column_sweep`), which is
+**The ways.** `trace` goes by the horizon profile of the camera's position (`horizon_profile`, `column_sweep`), which is
 kept: a tower pays for it once, whatever it pans, tilts and zooms to. Rays where a profile cannot help go by the maximum
 pyramid (`pyramid_traversal`). Both give the same answer for every ray.
 """

@@ -1,1 +1,1 @@
-"""Training of the segmentation network on rendered frames (needs the extra `train`)."""
+"""Study wing: training of the segmentation network, and of fitted constants (needs the extra `train`)."""

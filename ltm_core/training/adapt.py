@@ -1,4 +1,4 @@
-"""The terrain as teacher: the depth head of a finished network learns a site's own cameras from traced depth.
+"""Adapts the depth head of a finished network to a site's own cameras, with traced depth as truth.
 
 Only the depth head changes, so the labels of the network stay what they were, pixel for pixel.
 """

@@ -1,4 +1,4 @@
-"""Changes to rendered frames, so that a network trained on them does not take a renderer's look for the world.
+"""Data augmentation of rendered frames, so that a network does not learn the look of the renderer.
 
 All work on float32 RGB (H, W, 3) in 0..1 and labels (H, W) uint8; each draws from the generator it is given.
 """

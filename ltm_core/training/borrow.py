@@ -1,4 +1,4 @@
-"""What real photos lend to training pictures, and rendered frames to photos: skies, a lake's mirror, patches of ground.
+"""Data augmentation that mixes real photos and rendered frames: skies, lake reflections, patches of ground.
 
 Photos of shrubland, lakes and houses are few. A network that sees shrubs in rendered frames alone learns that a photo
 has none; so photos carry rendered ground, rendered frames real skies, and both now and then a lake. Pictures are

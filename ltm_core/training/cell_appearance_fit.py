@@ -1,4 +1,4 @@
-"""Learns what a cell of each life form looks like to a network, from frames of sites whose truth is known."""
+"""Fits the cell appearance model of a network (`fuel.cell_appearance_model`) to frames of sites with known truth."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ltm_core.types import Float64Array, Int64Array, UInt8Array
 INCIDENCE = (0.05, 0.5)
 """Cosines: from 3 degrees over the ground to 30."""
 LEAST_PIXELS_LEARNT = 3
-"""Of a cell in a frame that is learnt from."""
+"""Least pixels that a cell must have in a frame to be learnt from."""
 LEAST_CELLS = 150
 """Of a form, over all frames, before it counts as known."""
 _RIDGE = 3.0

@@ -1,4 +1,4 @@
-"""Learns the looks of cells from simulated sites, tries them on sites that taught nothing, and writes them."""
+"""`ltm train appearance`: fits cell appearance on simulated sites, tests it on held-out sites, and writes it."""
 
 from __future__ import annotations
 

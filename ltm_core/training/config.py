@@ -1,4 +1,4 @@
-"""What a training run is made of; YAML overrides these defaults."""
+"""Typed configuration of a training run; YAML overrides these defaults."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The course of a training run as a picture."""
+"""Draws the loss and validation curves of a training run."""
 
 from __future__ import annotations
 

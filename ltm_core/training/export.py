@@ -1,4 +1,4 @@
-"""A trained network -> ONNX file and manifests, checked against what was trained."""
+"""Exports a trained network to ONNX with its manifests, and checks the file against the trained network."""
 
 from __future__ import annotations
 

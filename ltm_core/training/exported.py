@@ -1,4 +1,4 @@
-"""A network taken back out of the ONNX file that `ltm train` wrote, to adapt it or to train it further."""
+"""Rebuilds a PyTorch network from the ONNX file that `ltm train` wrote, to adapt it or to train it further."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A trained network made ready for use: exported, its confidence calibrated, its confusion measured."""
+"""Finishes a trained network: export, calibration of its confidence, measurement of its confusion matrix."""
 
 from __future__ import annotations
 

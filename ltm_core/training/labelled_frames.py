@@ -1,4 +1,4 @@
-"""Frames with what is known of their pixels: classes, inverse depth, or a teacher's order of near and far.
+"""Reads frames with their labels, inverse depth, or a teacher's relative depth, for training and scoring.
 
 A set is a folder of pictures `NAME.png` or `NAME.jpg`, each with `NAME_labels.png` (uint8 ids). A simulated set has
 `frames.json` and `NAME_truth.npz` too, whose ranges give the true depth; photos may have `NAME_order.npz` with

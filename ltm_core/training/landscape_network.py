@@ -1,4 +1,4 @@
-"""The network: a Lite0 encoder, a light pyramid that brings its maps together, one head each for classes and depth."""
+"""The network: an EfficientNet-Lite0 encoder, a light feature pyramid, one head for classes and one for depth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The training run: the same configuration, frames and seed give the same weights on the same machine type."""
+"""The training loop: the same configuration, frames and seed give the same weights on the same machine type."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a prediction costs: classes and partial knowledge of them, inverse depth of free scale, a teacher's order."""
+"""Loss functions: classes and partial knowledge of them, inverse depth of free scale, a teacher's depth order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which photos are trained on, which are held out, and what a person says of their slopes."""
+"""Typed configuration of the photos to train on or hold out, with a person's tags of the cover of far slopes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Smooth random fields and soft edges, of which changes to training pictures are made."""
+"""Smooth random fields and soft edges, used by the data augmentation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Labels of real photos from networks that know a part: the sky, near classes, and by a person's word far slopes.
+"""Pseudo-labels of real photos from teacher networks (sky, near classes) and from a person's tags of far slopes.
 
 A general scene network calls any far slope `mountain`, whatever grows there. What such a slope carries comes from a
 tag of two letters that a person gives a photo: the cover of the slope's bright part and of its dark part (snow over

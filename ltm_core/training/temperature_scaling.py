@@ -1,4 +1,4 @@
-"""Probabilities that mean something: temperature scaling, and how classes are taken for one another."""
+"""Temperature scaling: calibrates a network's probabilities, and estimates its confusion between classes."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The inverse of tracing: which map points a camera sees, what cameras cover, how well a pixel is placed."""
+"""Visibility: map points in images, occlusion by terrain, viewsheds, and the uncertainty of traced points."""

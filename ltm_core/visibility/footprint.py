@@ -1,4 +1,4 @@
-"""The patch of ground that one pixel covers."""
+"""Footprint of a pixel: the size of the ground patch that it covers."""
 
 from __future__ import annotations
 

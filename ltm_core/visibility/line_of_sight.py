@@ -1,4 +1,4 @@
-"""Lines of sight under curvature and refraction: from map points to the ray that meets them, from pixels to rays."""
+"""Lines of sight under earth curvature and refraction: the ray that meets a map point, and rays through pixels."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""How high the terrain stands before a point, seen from a camera: the greatest slope on the way, by way of the pyramid.
+"""Occlusion kernels: the steepest slope of the terrain between a camera and a point, found by the maximum pyramid.
 
-Grid units as in `tracing.traversal`: x = column, y = row, range q in cells, heights in metres, a ray at
+Grid units as in `tracing.pyramid_traversal`: x = column, y = row, range q in cells, heights in metres, a ray at
 z(q) = oz + s q + bend q^2. Ground of height h at range q meets the ray of slope f(q) = (h(q) - oz) / q - bend q. The
 slope that clears all ground before a point is the supremum of f; in one cell h is a quadratic in q, so f has its
 maximum at an end of the crossing or where its derivative vanishes, in closed form. A block of the maximum pyramid is

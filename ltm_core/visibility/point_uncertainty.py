@@ -1,4 +1,4 @@
-"""How well a traced pixel is placed: what an uncertain pose does to it, and how much ground it covers.
+"""Uncertainty of traced points: propagation of the pose covariance to the ground, and the pixel's footprint.
 
 First order, on the ground's plane at each traced point. With the ray arriving along the unit vector d, the ground's
 normal n, and p the way from camera to point, a camera moved by o and turned by the small rotation w moves the ray's end

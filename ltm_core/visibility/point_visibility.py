@@ -1,4 +1,4 @@
-"""The inverse of tracing: map points to pixels, and whether terrain hides them."""
+"""Projects map points into an image and tests whether terrain hides them: the inverse of tracing."""
 
 from __future__ import annotations
 

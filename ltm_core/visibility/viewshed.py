@@ -1,4 +1,4 @@
-"""What a network of cameras covers: for each cell of the ground, who sees it, how finely, and what stands too low."""
+"""Viewshed of a network of cameras: how many see each ground cell, how finely, and from what height above ground."""
 
 from __future__ import annotations
 

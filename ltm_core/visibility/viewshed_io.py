@@ -1,4 +1,4 @@
-"""The files of `ltm viewshed`: coverage as GeoTIFF and as a picture."""
+"""Writes the files of `ltm viewshed`: coverage as GeoTIFF and as a picture."""
 
 from __future__ import annotations
 

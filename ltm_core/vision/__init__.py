@@ -1,1 +1,1 @@
-"""What a camera sees, pixel by pixel: label taxonomy, networks behind manifests, segmentation, training."""
+"""Inference of image networks: label taxonomy, model manifests, ONNX models and segmentation of photos."""

@@ -1,4 +1,4 @@
-"""Adding a model: its files checked, tried and put where models are found by name."""
+"""Installs a model (`ltm models add`): checks and tries its files and copies them where models are found by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The calibration file beside a model's manifest: `<model>_calibration.yaml`."""
+"""Reads and writes the calibration file beside a model's manifest: `<model>_calibration.yaml`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Model manifests: what a network file is, what goes in, what comes out, and what its classes mean to us."""
+"""Model manifests: a network's file, its input and output tensors, and the labels that its classes stand for."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""One ONNX network in ONNX Runtime: checked when opened, run on one image at a time."""
+"""Runs one ONNX network in ONNX Runtime, on one image at a time; file and tensors are checked when it is opened."""
 
 import hashlib
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Photo -> label image: one network behind its manifest, at any photo size."""
+"""Segments photos of any size into label images with the network of a manifest."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

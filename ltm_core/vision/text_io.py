@@ -1,4 +1,4 @@
-"""Embeddings of words, to be compared with those of pixels: the open-vocabulary half of LSeg and its like."""
+"""Reads word embeddings that are compared with pixel embeddings, for open-vocabulary networks such as LSeg."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A second look at distant slopes: tiles along the skyline, enlarged, averaged into the answer for the whole photo.
+"""Segments distant slopes a second time, in enlarged tiles along the skyline, averaged into the whole photo's result.
 
 A network of 512 x 288 pixels sees a slope of a 4K photo eight times smaller than the sensor did. What lies far lies
 along the skyline; only that strip is worth the second look.

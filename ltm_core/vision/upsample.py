@@ -1,4 +1,4 @@
-"""Class probabilities at a network's resolution -> winning class and its probability at the photo's resolution."""
+"""Upsamples class probabilities to the photo's resolution: the winning class of each pixel and its probability."""
 
 import numba
 import numpy as np

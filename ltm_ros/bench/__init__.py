@@ -1,1 +1,1 @@
-"""Benchmarks of the running graph."""
+"""Study wing: benchmarks of the running graph."""

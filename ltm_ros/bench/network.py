@@ -1,4 +1,7 @@
-"""Many towers, one aggregator: frames a second, latency, processor time, memory and store, through real DDS."""
+"""`ltm bench network`: load test of one fuel map node with the votes of many towers, through real DDS.
+
+Measures frames a second, latency, processor time, memory and the store.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A region with many towers, and the votes that their cameras would send, traced once and sent again and again."""
+"""Makes a region with many towers, and the serialised votes that their cameras send over and over in the load test."""
 
 from __future__ import annotations
 

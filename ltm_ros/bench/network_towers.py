@@ -1,7 +1,8 @@
-"""Towers of a benchmark: `python -m ltm_ros.bench.network_towers FOLDER`, driven by lines of JSON at its stdin.
+"""Process that sends the votes of the load test's towers: `python -m ltm_ros.bench.network_towers FOLDER`.
 
-The first line says what to send, the second (after this process has said that all listeners are there) when to begin.
-Messages are serialised once and only get a new stamp, so that many towers need little processor time.
+It is driven by lines of JSON at its stdin: the first says what to send, the second (after this process has said that
+all listeners are there) when to begin. Messages are serialised once and only get a new stamp, so that many towers need
+little processor time.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A segmentation node as a process: how many photos a second it labels, through real DDS."""
+"""`ltm bench segmentation`: photos a second that a segmentation node labels in its own process, through real DDS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm demo`: see the whole system work on the recording that ships with it."""
+"""`ltm demo`: runs the whole system on the recording that ships with it."""
 
 from __future__ import annotations
 

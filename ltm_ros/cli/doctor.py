@@ -1,4 +1,4 @@
-"""`ltm doctor`: what is installed, what is in use, what is missing and the command that mends it."""
+"""`ltm doctor`: checks the installation; for each thing that is missing, names the command that installs it."""
 
 from __future__ import annotations
 

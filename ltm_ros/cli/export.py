@@ -1,4 +1,4 @@
-"""`ltm export`: the fuel map of a recording, a store or a GeoTIFF, as what fire models and GIS read."""
+"""`ltm export`: writes the fuel map of a recording, a store or a GeoTIFF in formats of fire models and GIS."""
 
 from __future__ import annotations
 

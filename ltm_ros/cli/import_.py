@@ -1,4 +1,4 @@
-"""`ltm import`: photos with a pose file or EXIF become a recording."""
+"""`ltm import`: makes a recording from photos with a pose file or EXIF."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm models`: which networks are at hand, a trial of one of them, and how to add one."""
+"""`ltm models`: lists the installed networks, tries one of them, or adds one."""
 
 from __future__ import annotations
 

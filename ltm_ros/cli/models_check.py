@@ -1,4 +1,4 @@
-"""The trial runs behind `ltm models check`."""
+"""Trial runs of a network for `ltm models check`."""
 
 from __future__ import annotations
 

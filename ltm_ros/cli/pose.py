@@ -1,4 +1,4 @@
-"""`ltm pose`: a camera's pose and calibration from ground control points."""
+"""`ltm pose`: fits a camera's pose and calibration to ground control points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Progress bars and clean interruption for commands that take a while."""
+"""Progress bars and clean interruption for long commands."""
 
 from __future__ import annotations
 

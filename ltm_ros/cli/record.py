@@ -1,4 +1,4 @@
-"""`ltm record`: topics of a running graph into a bag."""
+"""`ltm record`: records topics of a running graph into a bag."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm replay`: a recording through the graph."""
+"""`ltm replay`: replays a recording through the graph."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm run`: a site's graph, until Ctrl-C or SIGTERM."""
+"""`ltm run`: runs a site's graph until Ctrl-C or SIGTERM."""
 
 from __future__ import annotations
 

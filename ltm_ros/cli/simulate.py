@@ -1,4 +1,4 @@
-"""`ltm simulate`: render a scenario to pictures with truth."""
+"""`ltm simulate`: renders a scenario to pictures with truth."""
 
 from __future__ import annotations
 

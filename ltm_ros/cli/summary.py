@@ -1,4 +1,4 @@
-"""The table of what each node took, sent and dropped."""
+"""Table of the messages that each node received, sent and dropped."""
 
 from __future__ import annotations
 

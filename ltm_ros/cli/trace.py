@@ -1,4 +1,4 @@
-"""`ltm trace`: one picture, without ROS."""
+"""`ltm trace`: traces one picture to the terrain, without ROS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm view`: watch a running graph in Rerun, or open a recorded .rrd file."""
+"""`ltm view`: shows a running graph in Rerun, or opens a recorded .rrd file."""
 
 from __future__ import annotations
 

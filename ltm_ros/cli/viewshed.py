@@ -1,4 +1,4 @@
-"""`ltm viewshed`: what one camera or a network of cameras covers."""
+"""`ltm viewshed`: maps what one camera or a network of cameras covers."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The demonstrations behind `make demo` and `make demo-real`: the live graph, scored, with a report to look at."""
+"""`make demo` and `make demo-real`: run the live graph on a recording, score it and write a report."""

@@ -1,4 +1,4 @@
-"""What a demonstration run leaves: pictures, the report, and the conditions under which it ran."""
+"""Results of a demonstration run: pictures, the report, and the conditions under which it ran."""
 
 from __future__ import annotations
 

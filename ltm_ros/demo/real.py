@@ -1,4 +1,4 @@
-"""`make demo-real`: a real photo with surveyed control points through the live graph.
+"""`make demo-real`: runs a real photo with surveyed control points through the live graph.
 
 For each control point: how far the point that the graph traced for its pixel lies from where it was surveyed.
 """

@@ -1,4 +1,4 @@
-"""`make demo`: the recording of two simulated towers through the live graph, scored against its truth."""
+"""`make demo`: runs the recording of two simulated towers through the live graph and scores it against its truth."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Study wing: recorded runs scored against truth, and the reports of it."""
+"""Study wing: scores of recorded runs against truth, and their reports."""

@@ -1,4 +1,4 @@
-"""A command's figures as a JSON file."""
+"""Writes a command's figures as a JSON file."""
 
 from __future__ import annotations
 

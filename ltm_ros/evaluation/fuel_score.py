@@ -1,4 +1,4 @@
-"""The fuel map that a recorded run's votes make, scored beside the paper's vote and the prior alone."""
+"""`ltm eval fuel BAG`: scores the fuel map made from a recording's votes, beside the majority vote and the prior."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""HTML pages out of the templates beside this module: one file each, without any outside resource."""
+"""Renders HTML pages from the templates beside this module: one file each, without any outside resource."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fuel map of a recorded run against truth, beside the paper's majority vote and the map it started from."""
+"""`ltm eval BAG`: scores the fuel map that a recorded run ended with, beside the majority vote and the prior."""
 
 from __future__ import annotations
 

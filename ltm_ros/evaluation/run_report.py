@@ -1,4 +1,4 @@
-"""The report of a run: one HTML file that holds its pictures and needs nothing from the network."""
+"""Report of a run: one HTML file that holds its pictures and needs nothing from the network."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recorded run scored as a whole against truth: depth, labels, skyline, fuel cells, terrain, latency."""
+"""Scores a recorded run as a whole against truth: depth, labels, skyline, fuel cells, terrain, latency."""
 
 from __future__ import annotations
 

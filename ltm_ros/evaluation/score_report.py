@@ -1,4 +1,4 @@
-"""The report of `ltm eval --report`: the paper's figures with a bag's own data, as PNG files and one HTML page."""
+"""Writes the report of `ltm eval --report`: the paper's figures with a bag's own data, as PNG files and HTML."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The scores of a bag as tables, for the terminal and for the report, and as JSON."""
+"""Tables of a bag's scores, for the terminal and for the report, and as JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frames that `ltm simulate` rendered -> a recording for the graph, with truth on topics of its own."""
+"""Converts the frames of `ltm simulate` to a recording for the graph, with truth on topics of its own."""
 
 from __future__ import annotations
 

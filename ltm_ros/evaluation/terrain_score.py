@@ -1,4 +1,4 @@
-"""What a recorded run found changed on the ground, against the true surfaces of the dates."""
+"""Scores the surface changes that a recorded run found against the true surfaces of the dates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frames of a recording with the depth that their pose and the terrain give them."""
+"""Photos of a recording with the depth traced from their poses, for `ltm train adapt`."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The parts of the node `fuel_map`: its store, what it publishes, its services, the terrain's changes."""
+"""Parts of the node `fuel_map` (persistence, publisher, services, changes of the terrain), and pictures of the map."""

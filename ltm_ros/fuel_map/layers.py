@@ -1,4 +1,4 @@
-"""The layers of the fuel map that are shown and whose history is kept."""
+"""Life form and fuel code of the fuel map as of the last refresh: what is shown, and what the journal keeps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of a site's fuel map: what is drawn over what, for exports and reports alike."""
+"""Pictures of a site's fuel map, for exports and reports alike: its layers, cameras, window and past states."""
 
 from __future__ import annotations
 

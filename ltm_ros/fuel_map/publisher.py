@@ -1,4 +1,4 @@
-"""What the fuel map sends: what frames have changed, the map, and all its layers, each at a bounded rate."""
+"""Publishes the fuel map: changed tiles, the whole map, and all its layers, each at a bounded rate."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CELLS_EVERY_S = 2.0
 
 
 class FuelPublisher:
-    """Sends only what the keeper has acknowledged or shows. `geometry`: of the fuel grid over `dem`, map frame."""
+    """Sends only what the persistence has acknowledged or shows. `geometry`: of the fuel grid over `dem`, map frame."""
 
     publications = (FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_CELLS)
 

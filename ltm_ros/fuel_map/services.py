@@ -1,4 +1,4 @@
-"""What people ask of the fuel map besides looking at it: what stands at a point, to forget a region, landscapes."""
+"""Services of the node `fuel_map`: query a point, mark a region burned, forget a region, write landscapes."""
 
 from __future__ import annotations
 

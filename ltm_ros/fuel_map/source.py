@@ -1,4 +1,4 @@
-"""A fuel map to export: of a store, of a bag, or a GeoTIFF of classes."""
+"""Opens a fuel map for export: from a store, a bag, or a GeoTIFF of classes."""
 
 from __future__ import annotations
 

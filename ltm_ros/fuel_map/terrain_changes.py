@@ -1,4 +1,4 @@
-"""The terrain's changes as they come to the fuel map: checked, matched with its cells, told once."""
+"""Receives the terrain's changes for the fuel map: checks them, matches them to fuel cells, applies each once."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class _Heard:
 
 
 class SurfaceListener:
-    """Takes `terrain/update` (how far cells moved) and `terrain/change` (the state of all), and tells the keeper's map.
+    """Applies `terrain/update` (how far cells moved) and `terrain/change` (the state of all) to the fuel map.
 
     `terrain/change` is state and latched: what it says is compared with what fuel cells were told before, as the
     store's journal knows it, so that a message that comes twice, or again after a kill, changes nothing.

@@ -1,1 +1,1 @@
-"""`ltm import`: photos with a pose file or EXIF become a recording that the graph replays."""
+"""`ltm import`: makes a recording that the graph replays from photos with a pose file or EXIF."""

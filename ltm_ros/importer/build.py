@@ -1,4 +1,4 @@
-"""From photos to a bag: what `ltm import` does between its options and its table."""
+"""Builds a bag from photos: the work of `ltm import` between its options and its table."""
 
 from __future__ import annotations
 

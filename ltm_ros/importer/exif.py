@@ -1,4 +1,4 @@
-"""What a photo's EXIF says of where, when and with which lens it was taken."""
+"""Reads a photo's EXIF: position, time, direction and lens."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Photo files: finding them, and their pixels upright as JPEG or PNG bytes."""
+"""Finds photo files, and reads them upright as JPEG or PNG bytes."""
 
 from __future__ import annotations
 

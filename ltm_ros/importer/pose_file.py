@@ -1,4 +1,4 @@
-"""Pose files: what a user knows of each photo, as CSV or YAML. It goes before what EXIF says."""
+"""Reads pose files: what a user knows of each photo, as CSV or YAML. It takes precedence over EXIF."""
 
 from __future__ import annotations
 

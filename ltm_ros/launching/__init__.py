@@ -1,1 +1,1 @@
-"""A site's graph as processes: described, started, watched, ended, and nothing left behind."""
+"""Describes a site's graph and runs it as processes: start, supervision, shutdown and cleanup."""

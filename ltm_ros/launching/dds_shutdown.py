@@ -1,9 +1,9 @@
-"""Ends a process's part in the middleware without the risk to hang there.
+"""Ends a process's DDS participant without the risk of hanging.
 
 The end of a Fast DDS participant waits for a discovery callback that is just running. In the ROS wheels (2.14.5, built
-with GCC's libstdc++ 9 or older) that wait spins with the very lock in its hand that the callback needs: for ever, and
-with the interpreter's own lock besides, so that no Python signal handler runs (Fast-DDS, issue 6513). Callbacks run
-when others come or go, so it meets a graph that stops.
+with GCC's libstdc++ 9 or older) that wait spins while holding the very lock that the callback needs: for ever, and
+holding Python's interpreter lock too, so that no Python signal handler runs (Fast-DDS, issue 6513). Callbacks run when
+other participants come or go, so it happens when a graph stops.
 """
 
 from __future__ import annotations

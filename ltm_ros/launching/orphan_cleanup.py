@@ -1,4 +1,4 @@
-"""Cleans up after a graph whose own process was killed.
+"""Cleans up after a graph whose runner was killed: ends its processes, removes its folders and shared memory.
 
 `python -m ltm_ros.launching.orphan_cleanup` runs beside the runner, which is at its stdin.
 

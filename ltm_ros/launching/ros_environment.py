@@ -1,4 +1,4 @@
-"""The environment of our ROS processes: transport profile, discovery range, threads. What the user has set wins."""
+"""Environment variables of our ROS processes: transport profile, discovery range, threads. The user's settings win."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs a graph without `launch`: every node a process, restarted when it dies, and nothing left behind at the end."""
+"""Runs a graph without `launch`: one process for each node, restarted when it dies, with a clean end of all."""
 
 from __future__ import annotations
 
@@ -309,7 +309,7 @@ class Runner:
         with self._guardian_lock:
             if self._guardian is None or self._guardian.stdin is None:
                 return
-            # A guardian that somebody killed is no reason to stop watching a mountain.
+            # A cleanup process that somebody killed is no reason to stop watching a mountain.
             with contextlib.suppress(OSError, ValueError):
                 self._guardian.stdin.write(line + "\n")
                 self._guardian.stdin.flush()

@@ -1,10 +1,10 @@
-"""Shared memory that Fast DDS leaves in /dev/shm when a process is killed: find it and remove it.
+"""Finds and removes the shared memory that Fast DDS leaves in /dev/shm when a process is killed.
 
 A segment or port of Fast DDS is a file with a lock file beside it (`_el` exclusive, `_sl` shared) on which its owner
 holds a flock for as long as it lives; the kernel lets go of the lock however the owner dies. A port has a semaphore
 besides. Only what no living process owns is removed, so other graphs on the machine are safe.
 
-Standard library only: `guardian` runs this after the graph's own process is gone.
+Standard library only: `orphan_cleanup` runs this after the graph's own process is gone.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""One node of a graph as a supervised process: started, its output told apart, restarted with back-off when it dies."""
+"""Supervises one process of a graph: starts it, labels its output, restarts it with back-off when it dies."""
 
 from __future__ import annotations
 

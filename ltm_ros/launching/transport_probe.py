@@ -1,4 +1,4 @@
-"""What a ROS process of ours gets when it starts, printed as one line of JSON.
+"""Prints the middleware and the shared-memory sizes that a ROS process of ours gets, as one line of JSON.
 
 Asking a real participant is the only sure answer: Fast DDS passes over a profile that it cannot read.
 """

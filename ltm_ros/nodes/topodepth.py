@@ -12,7 +12,6 @@ from std_msgs.msg import String
 
 from ltm_core.camera import Camera
 from ltm_core.depth.class_priors import ClassPriors
-from ltm_core.depth.fusion_config_io import load_fusion_config
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.depth.topodepth import FusedDepth, FusionSettings, Verdict, fuse
 from ltm_core.errors import ConfigError, ModelError
@@ -80,10 +79,10 @@ class TopoDepth(Handler[TopoDepthConfig]):
         model = config.model or site.depth_model
         if not model:
             raise ConfigError(f"{config.site}: no depth network; give `depth_model` a manifest's name or path")
-        self._config = load_fusion_config(Manifest.find(model))
-        self._classes = ClassPriors.of(LabelSet.load(config_path(site.labels)), self._config)
         self._label_columns = _label_columns(config.label_model or site.model)
         self._network = DepthNetwork.open(model, config.threads)
+        self._config = self._network.fusion
+        self._classes = ClassPriors.of(LabelSet.load(config_path(site.labels)), self._config)
         # Depth is traced to a surface raster where the site has one; bare ground is then traced here besides.
         self._ground = (
             TerrainTracer(site.open_dem(), site.curvature, site.refraction) if site.surface is not None else None

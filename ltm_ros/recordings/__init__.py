@@ -1,1 +1,1 @@
-"""Recorded runs read frame by frame."""
+"""Reads recorded runs frame by frame."""

@@ -1,4 +1,4 @@
-"""The frames of a bag, joined by camera and stamp, one in memory after the other.
+"""Streams the frames of a bag, joined by camera and stamp, in bounded memory.
 
 A first pass over the bag reads stamps alone and counts the messages of each frame; the second gives a frame out as soon
 as its last message has come. So memory holds the frames that overlap in time, however long the bag is.

@@ -1,4 +1,4 @@
-"""The fuel map that a recorded run ended with."""
+"""Reads the fuel map that a recorded run ended with."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recorded run: its bag, the site that it is of, its truth rasters, and what its messages hold of each frame."""
+"""Opens a recorded run: its bag, site and truth rasters, and the decoded contents of each frame."""
 
 from __future__ import annotations
 

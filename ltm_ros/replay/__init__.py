@@ -1,4 +1,4 @@
-"""Recordings through the graph: live over DDS, or offline through the same handlers."""
+"""Replays recordings through the graph: live over DDS, or offline through the same handlers."""
 
 from typing import Final
 

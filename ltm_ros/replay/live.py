@@ -1,4 +1,4 @@
-"""Live replay: a recording published over DDS in its own time, with `/clock`."""
+"""Live replay: publishes a recording over DDS at the pace of its stamps, with `/clock`."""
 
 from __future__ import annotations
 

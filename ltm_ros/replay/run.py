@@ -1,4 +1,4 @@
-"""A whole replay: start the graph, play the recording through it, wait until its work is done, stop it."""
+"""Runs a whole replay: start the graph, play the recording through it, wait until its work is done, stop it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which of a bag's messages a replay takes."""
+"""Selects the messages of a bag that a replay plays: a site's input topics, and a span of time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Core types to Rerun archetypes, small enough to stream: pictures at most 960 pixels wide, photos as JPEG."""
+"""Converts core types to Rerun archetypes, small enough to stream: pictures at most 960 pixels wide, photos as JPEG."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The layout of the view. Always explicit: an automatic one would add map views, which fetch tiles from the network."""
+"""The layout (blueprint) of the Rerun view.
+
+It is always explicit: an automatic one would add map views, which fetch tiles from the network.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The layers of the fuel map besides its life forms, drawn: fuel models, doubt, what has changed, who has seen it."""
+"""Maps of the fuel map's layers for the viewer: fuel models, uncertainty, changes, coverage by cameras."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Geometry of the 3D scene: the terrain's mesh, the fuel layer draped on it, and where the eye starts."""
+"""Geometry of the 3D scene: terrain mesh, fuel layer draped on it, and initial viewpoint."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A picture of an .rrd file as the viewer shows it, made without a screen."""
+"""Takes a screenshot of an .rrd file in the Rerun viewer, without a screen."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rerun's viewer and server processes, on loopback only, ended with all their children."""
+"""Starts Rerun's viewer and server processes, on loopback only, and ends them with all their children."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The tabs of a blueprint, in the form in which a running viewer tells it: entity path -> archetype -> field."""
+"""Selects the front tab of a Rerun blueprint, in the form in which a running viewer reports it.
+
+The form is a nested mapping: entity path -> archetype -> field.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the terrain node found changed, drawn: a window over the map, and the changed cells as points."""
+"""Draws the terrain node's changes: a picture of a window of the map, and the changed cells as points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the graph makes, shown in Rerun: live on loopback, or written to an .rrd file, or both."""
+"""Shows the graph's results in Rerun: live on loopback, or written to an .rrd file, or both."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Traced, network and fused depth against true depth."""
+"""Study wing: scores of traced, network and fused depth against true depth."""

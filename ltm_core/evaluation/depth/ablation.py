@@ -1,4 +1,4 @@
-"""What each stage of fusion is worth: the configuration with that stage left out."""
+"""Ablation of depth fusion: the configuration with one stage left out, for `ltm eval depth --without STAGE`."""
 
 from __future__ import annotations
 
@@ -22,20 +22,15 @@ STAGES: Mapping[str, Mapping[str, Any]] = {
     "shift": {"scale.shift_gain": 0.0},
     "photo's edges for the network": {"upsampling.edge": 1e6},
     "occlusion boundaries": {"boundaries.need": 1e9},
-    "smoothed boundaries": {"boundaries.beside": 0},
     "outline odds": {"boundaries.outline": dict.fromkeys(ClassLogOdds.model_fields, 20.0), "boundaries.toward": 0.0},
     "labels of what stands": {"occlusion.standing": _even(_PLAIN.occlusion.standing)},
     "labels about a place": {"occlusion.about": 1},
-    "nearness odds": {"occlusion.nearer": 0.0},
     "height odds": {"occlusion.metre": 0.0, "occlusion.no_foot": 0.0},
-    "ground contact": {"occlusion.seen": 0.0, "occlusion.seen_doubt": 0.0},
-    "edge odds": {"occlusion.edge": 0.0},
     "part of the likelihood": {"decision.heard": 1.0},
     "mean with the terrain": {"decision.agree": 0.0},
     "torn terrain": {"decision.torn": 1e9},
     "soft edges": {"decision.soft": 0.0},
     "mixtures": {"decision.open": 0.5},
-    "vanished ground": {"decision.vanished": -1e9},
 }
 """By name: the constants that leave a stage out."""
 

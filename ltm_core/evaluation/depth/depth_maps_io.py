@@ -1,4 +1,4 @@
-"""Folders of depth maps that others made: UniDepth, Depth Pro, Depth Anything, a lidar."""
+"""Reads folders of depth maps from other sources, such as UniDepth, Depth Pro, Depth Anything or a lidar."""
 
 from __future__ import annotations
 

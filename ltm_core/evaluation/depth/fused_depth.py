@@ -1,4 +1,7 @@
-"""Traced, network and fused depth against truth, under errors of pose, terrain and view that are put in on purpose."""
+"""Scores traced, network and fused depth against truth, under known errors of pose, terrain and view.
+
+The errors are applied on purpose (see `Condition`). `ltm eval depth` prints the scores.
+"""
 
 from __future__ import annotations
 
@@ -101,7 +104,8 @@ class SourceScore:
 @dataclass(frozen=True)
 class ConditionScore:
     """All sources under one condition, on the same pixels: those where every source has a depth. `verdicts`: frames by
-    verdict. `checked`: frames with enough far crests to tell a wrong pose by. `coverage`: share of the pixels of true
+    verdict. `checked`: frames with enough far crests to tell a wrong pose by. `beyond`: share of the fused depths that
+    are off by more than three of their sigmas. `coverage`: share of the pixels of true
     finite depth that traced and fused depth cover.
     """
 
@@ -110,15 +114,23 @@ class ConditionScore:
     verdicts: Mapping[str, int]
     checked: int
     inlier_ratio: float
+    beyond: float
     coverage: Mapping[str, float]
     rows: list[SourceScore]
 
     def rmse(self, source: str, group: str = "all", bin_index: int = -1) -> float:
         """RMSE of a source, metres; NaN where nothing was scored."""
-        for row in self.rows:
-            if (row.source, row.group) == (source, group):
-                return row.scores[bin_index].rmse
-        return float("nan")
+        score = self._of(source, group, bin_index)
+        return float("nan") if score is None else score.rmse
+
+    def median(self, source: str, group: str = "all", bin_index: int = -1) -> float:
+        """Median absolute error of a source, metres; NaN where nothing was scored."""
+        score = self._of(source, group, bin_index)
+        return float("nan") if score is None else score.median
+
+    def _of(self, source: str, group: str, bin_index: int) -> DepthScore | None:
+        found = (row.scores[bin_index] for row in self.rows if (row.source, row.group) == (source, group))
+        return next(found, None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +170,7 @@ class DepthEvaluation:
         self._inliers: list[float] = []
         self._covered = Counter[str]()
         self._true = 0
+        self._told = self._beyond = 0
 
     def seen(self, frame: TruthFrame) -> tuple[UInt8Array, BoolArray]:
         """The photo that networks get of a frame under this condition, and which pixels of it are hidden."""
@@ -197,6 +210,10 @@ class DepthEvaluation:
             for group, pixels in groups.items():
                 tally = self._tallies.setdefault((name, group), DepthTally())
                 tally.add(depth, np.where(pixels, frame.surface, np.nan).astype(np.float32))
+        sigma = at_pixels_of(fused.sigma, size, shape)
+        told = common & np.isfinite(sigma)
+        self._told += int(told.sum())
+        self._beyond += int((np.abs(sources["fused"][told] - frame.surface[told]) > 3 * sigma[told]).sum())
         self._true += int(true.sum())
         self._verdicts[fused.verdict.value] += 1
         self._checked += fused.pose.checked
@@ -212,7 +229,10 @@ class DepthEvaluation:
         coverage = {name: count / max(self._true, 1) for name, count in self._covered.items()}
         frames = sum(self._verdicts.values())
         inliers = float(np.mean(self._inliers)) if self._inliers else float("nan")
-        return ConditionScore(self.condition, frames, dict(self._verdicts), self._checked, inliers, coverage, rows)
+        beyond = self._beyond / max(self._told, 1)
+        return ConditionScore(
+            self.condition, frames, dict(self._verdicts), self._checked, inliers, beyond, coverage, rows
+        )
 
 
 def upsampled_labels(labels: UInt8Array, size: tuple[int, int]) -> UInt8Array:

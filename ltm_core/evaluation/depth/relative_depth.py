@@ -1,4 +1,4 @@
-"""How near a network's relative depth comes to true depth once a robust line has given it scale and shift."""
+"""Scores networks of relative depth against true depth, after a robust fit of scale and shift to the truth."""
 
 from __future__ import annotations
 
@@ -99,6 +99,6 @@ def _order(found: NetworkDepth, x: Float64Array, true: Float64Array, rng: np.ran
 
 
 def bin_names() -> tuple[str, ...]:
-    """What the entries of a score stand for."""
+    """Names of the entries of a score: the range bins, then all."""
     names = [f"{near:g}-{far:g} m" if np.isfinite(far) else f"> {near:g} m" for near, far in pairwise(RANGE_BINS)]
     return (*names, "all")

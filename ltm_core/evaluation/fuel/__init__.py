@@ -1,1 +1,1 @@
-"""The fuel map against truth, on trials whose truth is known and on recorded runs."""
+"""Study wing: scores of the fuel map against truth, in simulated trials and on recorded runs."""

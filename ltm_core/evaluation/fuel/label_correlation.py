@@ -1,9 +1,10 @@
-"""How a network's errors hang together, measured on votes whose truth is known.
+"""Estimates how strongly a network's label errors correlate within a fuel cell, from votes of known truth.
 
-Of two looks at cells of one life form, what they show agrees beyond chance by the intraclass correlation. It is
-estimated by moments: the mean product of what two looks show beyond what their form lets expect, by that of a look
-with itself (Donner, International Statistical Review 54, 1986). A look is a pixel's label, expected with the shares
-that are known of the network; or what a whole cell looks like, where that is known (`cell_appearance_model`).
+For two looks at cells of one life form, the agreement of what they show beyond chance is the intraclass correlation.
+It is estimated by moments: the mean product of what two looks show beyond what their form lets expect, divided by that
+of a look with itself (Donner, International Statistical Review 54, 1986). A look is a pixel's label, expected with the
+shares that are known of the network; or the appearance of a whole cell, where that is known
+(`cell_appearance_model`).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from ltm_core.training.cell_appearance_fit import seen_cells
 from ltm_core.types import Float64Array, Int64Array, UInt8Array
 
 LEAST_PIXELS_MEASURED = 10
-"""Of a cell in a frame that is measured."""
+"""Least pixels that a cell must have in a frame to be measured."""
 _LEAST_PAIRS = 100
 _KINDS = ("cell", "stand", "view", "network")
 

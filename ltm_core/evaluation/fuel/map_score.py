@@ -1,4 +1,4 @@
-"""A fuel map against truth, by what it changed of the prior map: changes found, false ones, right cells by form."""
+"""Scores a fuel map by what it changed of the prior map: changes found, false changes, right cells by life form."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ltm_core.types import BoolArray, Int16Array, UInt8Array
 
 @dataclass(frozen=True)
 class Share:
-    """So many of so many."""
+    """A share as a count out of a total."""
 
     count: int
     of: int

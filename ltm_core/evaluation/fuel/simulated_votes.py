@@ -1,4 +1,4 @@
-"""The votes of simulated frames, formed as the graph forms them, with the true life forms of their cells."""
+"""Votes of simulated frames, formed as the graph forms them, with the true life forms of their cells."""
 
 from __future__ import annotations
 

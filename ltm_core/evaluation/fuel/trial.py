@@ -1,8 +1,8 @@
-"""Trials of the fuel map: a country whose truth is known, cameras that see it through all that goes wrong.
+"""Trials of the fuel map: simulated votes of towers over terrain of known cover, under chosen errors.
 
 Pixels are traced over the terrain with each frame's true pose to find what they show; the network's errors are drawn
-for them; and they are voted with the pose that is believed. Nothing but that is simulated: votes, evidence and majority
-are the system's own.
+for them; and they are voted with the pose that is believed. Only that is simulated: votes, evidence and majority are
+the system's own. `ltm eval fuel` runs the trials.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ SLOPES = Clumping(network=0.2, view=0.2, frame=0.3, stand_m=120.0)
 
 @dataclass(frozen=True)
 class Trial:
-    """What goes wrong.
+    """Errors and conditions of a trial.
 
     `pose_deg`: root mean square of the rotation by which a pose is wrong, about any axis; half of its variance is the
     same in all frames of a view. `clumping`: of the network's errors; None: as its correlations, which are known, say.

@@ -1,4 +1,4 @@
-"""Whose errors a network's wrong labels are in a trial, and what an evaluation of the network tells of that."""
+"""Simulated correlation of label errors in trials, by network, view and frame, and how an evaluation measures it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The countries of the fuel map's trials: terrain, plants, a patch that changed, a prior map in part wrong, towers."""
+"""Terrain, vegetation, a changed patch, a partly wrong prior map and towers for the trials of the fuel map."""
 
 from __future__ import annotations
 

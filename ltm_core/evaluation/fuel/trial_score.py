@@ -1,4 +1,4 @@
-"""Scores of the fuel map and of the majority vote in a trial."""
+"""Runs one trial and scores the evidence map and the majority vote on it."""
 
 from __future__ import annotations
 

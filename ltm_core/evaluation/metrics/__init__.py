@@ -1,1 +1,1 @@
-"""Measures of depth, labels, maps and skylines against truth."""
+"""Study wing: measures of depth, labels, maps and skylines against truth."""

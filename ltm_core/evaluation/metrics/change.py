@@ -1,4 +1,4 @@
-"""Change masks against true ones."""
+"""Precision and recall of change masks against true masks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether confidence means something: how often a label is right that was given with a certain probability."""
+"""Calibration of confidence: how often labels of a given probability are right."""
 
 from __future__ import annotations
 

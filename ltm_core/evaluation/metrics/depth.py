@@ -1,4 +1,4 @@
-"""Depth error against truth, by range."""
+"""Depth errors against truth, by range bin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Depth that lacks a scale, brought to metres by the truth itself: the best that such a depth could do."""
+"""Fits depth without a scale to the true depth, by least squares for scale and shift: its best possible result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Depth error against truth, by range, gathered frame by frame: hours of frames need no more memory than one."""
+"""Depth errors by range bin, summed frame by frame in bounded memory, however many frames there are."""
 
 from __future__ import annotations
 

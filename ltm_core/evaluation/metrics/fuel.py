@@ -1,4 +1,4 @@
-"""A fuel map against the true one, over the cells that were seen."""
+"""Accuracy of a fuel map against the true map, over the cells that were seen."""
 
 from __future__ import annotations
 

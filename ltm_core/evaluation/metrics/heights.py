@@ -1,4 +1,4 @@
-"""Heights against true ones, and rasters of different grids brought together."""
+"""Errors of surface heights against truth, and resampling of one raster to the coarser grid of another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Label images against true ones: confusion, and the scores read from it."""
+"""Confusion matrix of label images against truth, and the scores derived from it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Skylines of images, and how far they lie from the true one."""
+"""Skylines of label and depth images, and their error in rows against the true skyline."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Pictures that only evaluations draw."""
+"""Study wing: pictures that only evaluations draw."""

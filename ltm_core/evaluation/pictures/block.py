@@ -1,4 +1,4 @@
-"""Terrain as a block seen from above at an angle, without perspective: the DEM in 3D."""
+"""Draws a DEM in 3D as a block seen obliquely from above, in parallel projection."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One frame's depths side by side: traced, network, fused, what fused took from where, and the error of each."""
+"""Draws one frame's traced, network and fused depth side by side, with the sources of fusion and the errors."""
 
 from __future__ import annotations
 

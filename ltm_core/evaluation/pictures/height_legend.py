@@ -1,4 +1,4 @@
-"""The legend of height tints."""
+"""Legend of the height tints of a terrain map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of a living surface: its shade, how well it is known, and what has changed on it."""
+"""Pictures of a surface map: shaded relief, sigma, kinds of change, and change against truth."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Label networks against labelled frames."""
+"""Study wing: scores of label networks on labelled frames."""

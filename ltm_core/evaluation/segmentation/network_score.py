@@ -1,4 +1,4 @@
-"""A segmenter on labelled frames, and its time on photos."""
+"""Scores a segmenter on labelled frames, and times it on photos."""
 
 from __future__ import annotations
 

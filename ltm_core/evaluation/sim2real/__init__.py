@@ -1,1 +1,1 @@
-"""How far simulated pictures are from real ones."""
+"""Study wing: distances between simulated and real pictures."""

@@ -1,4 +1,4 @@
-"""Simulated pictures beside real ones: SSIM, LPIPS, FID and KID, each with its conditions and an interval."""
+"""Compares simulated with real pictures by SSIM, LPIPS, FID and KID, each with its conditions and an interval."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""LPIPS: how differently a trained network sees two pictures.
+"""LPIPS: a perceptual distance between two pictures, from the features of a trained network.
 
 Zhang et al. 2018, "The unreasonable effectiveness of deep features as a perceptual metric"; version 0.1, with the
 learned linear weights. The network runs in torch on the weights that `perceptual_io` reads.

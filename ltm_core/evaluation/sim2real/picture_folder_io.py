@@ -1,4 +1,4 @@
-"""Folders of pictures, as squares of one size."""
+"""Reads the pictures of a folder as squares of one size."""
 
 from __future__ import annotations
 

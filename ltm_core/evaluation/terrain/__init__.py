@@ -1,1 +1,1 @@
-"""The surface map against truth: exact hillsides, simulated frames, a real site with later surveys."""
+"""Study wing: scores of the surface map on exact scenes, simulated frames and a real site with later surveys."""

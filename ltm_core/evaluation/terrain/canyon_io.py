@@ -1,4 +1,4 @@
-"""A real site with later surveys: a USGS remote camera over a sandbar in Grand Canyon (data of sandbar_seg, rm22).
+"""Reads a real site with later surveys: a USGS remote camera over a sandbar in Grand Canyon (sandbar_seg, rm22).
 
 One fixed camera whose photos are registered to one view, and topographic surveys of the bar at 1 m on the same dates.
 The control points carry no height: they lie at the bar's edge, and take that of the nearest survey node of their date.

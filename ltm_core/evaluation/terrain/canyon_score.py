@@ -1,4 +1,4 @@
-"""What one real camera finds of the changes that later surveys show."""
+"""Scores the changes that the surface map finds from one real camera against later surveys of the site."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ from ltm_core.terrain.reference_surface import Reference
 from ltm_core.terrain.surface_map import SurfaceMap
 from ltm_core.tracing import TerrainTracer
 from ltm_core.types import BoolArray
+from ltm_core.vision.labels import LabelSet
 
 BEFORE, AFTER = "121004", "150924"
 STEP = 2
-"""Of the photos."""
+"""Factor by which the photos are reduced."""
 RULES = TerrainConfig(threshold=0.5, columns=1000, max_range=600.0, min_area=10.0, register_frames=False)
 OF_SURVEYS = RULES.model_copy(update={"repeated_error_share": 0.0, "alone": RULES.confidence})
 """Noise that is new each time, and has no heavy tails."""
@@ -51,7 +52,7 @@ class CanyonScore:
     truth: BoolArray
 
 
-def score_canyon(canyon: Canyon, network: DepthNetwork | None, classes: ClassPriors) -> CanyonScore:
+def score_canyon(canyon: Canyon, network: DepthNetwork | None) -> CanyonScore:
     """Start from the survey of BEFORE and look at the photos of three later dates.
 
     `network`: its depth of the photos, fitted to BEFORE's terrain, with the resected pose and its covariance; None:
@@ -64,7 +65,7 @@ def score_canyon(canyon: Canyon, network: DepthNetwork | None, classes: ClassPri
     surface = SurfaceMap(reference, OF_SURVEYS if network is None else RULES, ("canyon",))
     errors: list[float] = []
     verdicts: list[str] = []
-    for frame, share, verdict in _frames(canyon, network, classes):
+    for frame, share, verdict in _frames(canyon, network):
         surface.add(frame)
         errors.append(share)
         verdicts.append(verdict)
@@ -86,9 +87,7 @@ def score_canyon(canyon: Canyon, network: DepthNetwork | None, classes: ClassPri
     )
 
 
-def _frames(
-    canyon: Canyon, network: DepthNetwork | None, classes: ClassPriors
-) -> Iterator[tuple[DepthFrame, float, str]]:
+def _frames(canyon: Canyon, network: DepthNetwork | None) -> Iterator[tuple[DepthFrame, float, str]]:
     rng = np.random.default_rng(22)
     camera, pose = canyon.resection.camera.scaled(STEP), canyon.resection.pose
     tracer = TerrainTracer(canyon.surveys[BEFORE])
@@ -102,10 +101,10 @@ def _frames(
         else:
             rgb = canyon.photo(date, STEP)
             covariance = canyon.resection.pose_covariance
+            classes = ClassPriors.of(LabelSet.load(), network.fusion)
             angle = float(np.sqrt(np.diag(covariance)[3:].max()))
-            fused = fuse(
-                tracer.trace(camera, pose), network.predict(rgb, camera), rgb, None, classes, FusionSettings(angle, 0.1)
-            )
+            given = tracer.trace(camera, pose), network.predict(rgb, camera), rgb, None
+            fused = fuse(*given, classes, FusionSettings(angle, 0.1), config=network.fusion)
             seen = fused.measured()
             depth, sigma, verdict = seen.depth, seen.sigma, fused.verdict.value
         seen_at = at_pixels_of(depth, true.shape, true.shape)

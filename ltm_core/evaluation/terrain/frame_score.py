@@ -1,6 +1,6 @@
-"""The surface map scored on frames of a simulated landscape: started from the surface of one date, looking at another.
+"""Scores the surface map on simulated frames: it starts from the surface of one date and sees frames of another.
 
-What cameras measure is the frames' true depth with noise, or what a depth network makes of their photos.
+The depth that it is given is the frames' true depth with noise, or what a depth network measures in their photos.
 """
 
 from __future__ import annotations
@@ -146,14 +146,13 @@ def true_depth(noise: Noise, seed: int = 1) -> Measure:
     return measure
 
 
-def network_depth(
-    ground: Dem, before: Dem, network: DepthNetwork, segmenter: Segmenter, classes: ClassPriors
-) -> Measure:
+def network_depth(ground: Dem, before: Dem, network: DepthNetwork, segmenter: Segmenter) -> Measure:
     """What a network measures in the frame's photo, fitted to the terrain as it was, bare and with what grew there, as
     the graph does it; where fusion suspects the pose, nothing.
     """
     to_ground, to_surface = TerrainTracer(ground), TerrainTracer(before)
     settings = FusionSettings(label_columns=segmenter.manifest.label_columns)
+    classes = ClassPriors.of(segmenter.labels, network.fusion)
     known: dict[tuple[str, int], tuple[DepthFrame, str]] = {}
 
     def measure(frame: TruthFrame) -> tuple[DepthFrame, str]:
@@ -161,7 +160,9 @@ def network_depth(
         if key not in known:
             camera, photo, labels = frame.camera, frame.photo, segmenter.segment(frame.photo).labels
             traced, canopy = (tracer.trace(camera, frame.pose) for tracer in (to_ground, to_surface))
-            fused = fuse(traced, network.predict(photo, camera), photo, labels, classes, settings, canopy)
+            fused = fuse(
+                traced, network.predict(photo, camera), photo, labels, classes, settings, canopy, network.fusion
+            )
             own = fused.measured()
             of = camera, frame.pose, frame.stamp_ns, frame.camera_name, _SURE
             known[key] = DepthFrame.of_photo(own.depth, own.sigma, *of, labels), fused.verdict.value

@@ -1,4 +1,4 @@
-"""The ground of the exact scenes: hillsides that two towers overlook, with woods and brush on them."""
+"""Terrain, trees, shrubs and towers of the exact hillside scenes."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Exact scenes to score the surface map on: hillsides whose surface before and after is known to the cell.
+"""Exact hillside scenes for the surface map: the true surface before and after is known for each cell.
 
 No renderer is needed: what two towers measure is traced on the true surface, with the noise of a fused depth image;
-what the map is given is the surface of before.
+the map is given the surface of before.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The surface map scored on exact scenes."""
+"""Runs the surface map on one exact hillside scene and scores it."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class HillsideScore:
 
     @property
     def away_share(self) -> float:
-        """Those of them that are beside no true change."""
+        """Falsely changed cells beside no true change, of all that were seen."""
         return self.away / max(self.change.cells, 1)
 
     def row(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Trials of one scene and set of conditions over several seeds: their mean, and the worst of them."""
+"""Summary of the trials of one hillside scene over several seeds: mean and worst value of each score."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class TrialSummary:
 
     @classmethod
     def of(cls, scores: Sequence[HillsideScore]) -> TrialSummary:
-        """Of at least one trial."""
+        """Summarise the scores of one trial or more."""
         return cls(
             len(scores),
             sum(score.change.hits + score.change.misses for score in scores),

@@ -1,1 +1,1 @@
-"""Fuel maps as the files that fire models and GIS read."""
+"""Writes fuel maps as files for fire models and GIS."""

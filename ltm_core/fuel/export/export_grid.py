@@ -1,4 +1,4 @@
-"""A site's fuel map and terrain on the grid that a file wants."""
+"""Transfers a site's fuel map and terrain to the grid and CRS of an exported file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A picture of a map laid over the globe: KMZ for Google Earth and its like."""
+"""Writes a map picture as KMZ, for Google Earth and other globe viewers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What fire models read: eight bands of terrain, surface fuel and canopy on one grid."""
+"""The eight bands of a fire model's landscape: elevation, slope, aspect, fuel model and four of canopy, on one grid."""
 
 from __future__ import annotations
 

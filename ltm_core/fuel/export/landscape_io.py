@@ -1,4 +1,4 @@
-"""Writing landscapes as GeoTIFF and as the folder of rasters that ELMFIRE reads."""
+"""Writes landscapes as GeoTIFF (FlamMap, IFTDSS) and as the folder of rasters that ELMFIRE reads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writing LCP files, the landscape format of FARSITE and FlamMap.
+"""Writes LCP files, the landscape format of FARSITE and FlamMap.
 
 Layout: a header of 7316 bytes, then int16 cells, row by row from the north, all bands of a cell together; all
 little-endian. The CRS stands beside it in a .prj file. Source: FlamMap's file format documentation, and GDAL's reader

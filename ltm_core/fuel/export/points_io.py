@@ -1,4 +1,4 @@
-"""The paper's labelled 3D points P(x, y) with L(x, y): a fuel map's cells on the terrain, as PLY and LAS."""
+"""Writes a fuel map's cells as labelled 3D points, PLY or LAS: the paper's points P(x, y) with labels L(x, y)."""
 
 from __future__ import annotations
 

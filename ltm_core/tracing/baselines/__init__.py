@@ -1,1 +1,1 @@
-"""Tracers that ours is held against: the paper's march as printed, and a slow float64 reference."""
+"""Tracers for comparison: the paper's march as printed, and a slow float64 reference."""

@@ -1,4 +1,4 @@
-"""Algorithm 1 of the LTM paper as it is printed: the named baseline.
+"""Algorithm 1 of the LTM paper exactly as printed: the baseline of benchmarks.
 
     x, y, z = X_cam, Y_cam, Cam_elev
     while DEM[x][y] < z:  x += dX(ray);  y += dY(ray);  z += d_elev(ray)

@@ -1,4 +1,4 @@
-"""`ltm bench`: how fast, beside what others have."""
+"""`ltm bench`: measures the cost of each part; `ltm bench trace` compares the tracer with other ray tracers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm bench fusion`: what fusing traced and network depth costs a frame."""
+"""`ltm bench fusion`: processor time of fusing one frame's traced and network depth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm bench render`: what a simulated frame costs."""
+"""`ltm bench render`: the cost of one simulated frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm bench segmentation`: what labels of a photo cost, and how many a second a node gives."""
+"""`ltm bench segmentation`: the cost of labelling a photo, and the photos a second of a segmentation node."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm bench terrain`: what keeping a surface up to date costs."""
+"""`ltm bench terrain`: the cost of updating the surface map."""
 
 from __future__ import annotations
 

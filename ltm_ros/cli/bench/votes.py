@@ -1,4 +1,4 @@
-"""`ltm bench votes`: what the votes of a frame cost to form, and what they weigh on the wire."""
+"""`ltm bench votes`: the cost of forming a frame's votes, and the size of their message."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm eval depth`: traced, network and fused depth against truth, by range."""
+"""`ltm eval depth`: scores traced, network and fused depth against truth, by range."""
 
 from __future__ import annotations
 
@@ -64,7 +64,6 @@ def depth(
     from ltm_core.dem import Dem
     from ltm_core.depth.class_priors import ClassPriors
     from ltm_core.depth.fusion_config import FusionConfig
-    from ltm_core.depth.fusion_config_io import load_fusion_config
     from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
     from ltm_core.errors import RecordingError
     from ltm_core.evaluation.depth.ablation import STAGES
@@ -76,7 +75,6 @@ def depth(
     from ltm_core.raster.dem_stack import with_surface
     from ltm_core.resources import project_path
     from ltm_core.vision.labels import LabelSet
-    from ltm_core.vision.manifest import Manifest
     from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
     from ltm_ros.evaluation.figures_io import write_figures
 
@@ -96,9 +94,9 @@ def depth(
         dem, frames = recorded.site.open_dem(), recorded_truth_frames(place, recorded.site)
         curved, frame_of_map = recorded.site.curvature, recorded.site.frame
     over = None if surface is None else with_surface(dem, Dem.open(surface).in_frame(frame_of_map))
-    config = FusionConfig() if depth_maps is not None else load_fusion_config(Manifest.find(model))
-    classes = ClassPriors.of(LabelSet.load(), config)
     network = None if depth_maps is not None else DepthNetwork.open(model)
+    config = FusionConfig() if network is None else network.fusion
+    classes = ClassPriors.of(LabelSet.load(), config)
     folder = None if depth_maps is None else DepthMapFolder.open(depth_maps.name, depth_maps)
     segmenter = Segmenter.open(name) if labels is Labels.model else None
     runs = [
@@ -189,14 +187,16 @@ def _ablation(scores: list[ConditionScore]) -> Table:
 
     groups = ("all", "open", "covered", "changed", "covered or changed")
     shown = Table(title="fused depth without one stage: RMSE over that with all stages")
-    for column in ("without", *groups):
+    for column in ("without", *groups, "median, m", "beyond 3 sigma"):
         shown.add_column(column, justify="left" if column == "without" else "right")
     whole = scores[0]
-    shown.add_row("nothing, m", *(f"{whole.rmse('fused', group):,.2f}" for group in groups))
+    first = (f"{whole.rmse('fused', group):,.2f}" for group in groups)
+    shown.add_row("nothing, m", *first, f"{whole.median('fused'):.2f}", f"{whole.beyond:.1%}")
     for score in scores:
         if score.condition.without:
             ratios = (score.rmse("fused", group) / whole.rmse("fused", group) for group in groups)
-            shown.add_row(score.condition.without, *(f"{ratio:.3f}" for ratio in ratios))
+            honest = f"{score.median('fused'):.2f}", f"{score.beyond:.1%}"
+            shown.add_row(score.condition.without, *(f"{ratio:.3f}" for ratio in ratios), *honest)
     return shown
 
 
@@ -235,6 +235,7 @@ def _as_json(score: ConditionScore) -> dict[str, Any]:
         "verdicts": dict(score.verdicts),
         "checked": score.checked,
         "inlier_ratio": score.inlier_ratio,
+        "beyond_three_sigmas": score.beyond,
         "coverage": dict(score.coverage),
         "rows": rows,
     }

@@ -1,4 +1,4 @@
-"""What `ltm eval fuel` runs and prints."""
+"""Runs the trials of `ltm eval fuel` and prints their tables."""
 
 from __future__ import annotations
 

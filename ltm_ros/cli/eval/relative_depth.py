@@ -1,4 +1,4 @@
-"""`ltm eval relative-depth`: networks of relative depth on frames of known depth, side by side."""
+"""`ltm eval relative-depth`: compares networks of relative depth on frames of known depth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm eval segmentation`: networks on labelled frames, side by side."""
+"""`ltm eval segmentation`: compares label networks on labelled frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm eval terrain`: what the surface map finds on exact scenes, a real site, frames with truth, or a recorded run."""
+"""`ltm eval terrain`: scores the surface map on exact scenes, a real site, frames with truth, or a recorded run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `ltm eval terrain` prints and draws: exact scenes, a real site, frames with truth, a recorded run."""
+"""Runs the scores of `ltm eval terrain` and prints and draws their results."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from rich.console import Console
 from rich.table import Table
 
 from ltm_core.bench.measure import conditions as machine
-from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork
 from ltm_core.evaluation.metrics.change import ChangeScore
 from ltm_core.evaluation.metrics.heights import SurfaceScore
@@ -22,11 +21,9 @@ from ltm_core.evaluation.terrain.hillside_score import HillsideScore, score_tria
 from ltm_core.evaluation.terrain.hillside_summary import Spread, TrialSummary
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.pictures import to_png
-from ltm_core.resources import config_path
 from ltm_core.site import TerrainConfig
 from ltm_core.terrain.layers import SurfaceLayers
 from ltm_core.types import BoolArray
-from ltm_core.vision.labels import LabelSet
 from ltm_ros.evaluation.figures_io import write_figures
 
 SHEET_WIDTH = 520
@@ -89,7 +86,7 @@ def real_site(folder: Path, networks: Sequence[str], pictures: Path | None, out:
     from ltm_core.evaluation.terrain.canyon_io import read_canyon
     from ltm_core.evaluation.terrain.canyon_score import AFTER, BEFORE, RULES, score_canyon
 
-    site, classes, console = read_canyon(folder), _classes(), Console()
+    site, console = read_canyon(folder), Console()
     fit = site.resection
     console.print(
         f"one camera, resected from {len(fit.points.names)} coarse control points: median residual "
@@ -105,7 +102,7 @@ def real_site(folder: Path, networks: Sequence[str], pictures: Path | None, out:
     )  # fmt: skip
     rows = []
     for network in (None, *networks):
-        score = score_canyon(site, None if network is None else DepthNetwork.open(network), classes)
+        score = score_canyon(site, None if network is None else DepthNetwork.open(network))
         name = "each date's survey" if network is None else f"{network}: {', '.join(score.verdicts)}"
         table.add_row(
             name,
@@ -159,11 +156,9 @@ def simulated_frames(
     noise, console = Noise(share=share), Console()
     exact = rules.model_copy(update={"repeated_error_share": 0.0, "alone": rules.confidence})
     measures = [("true depth", true_depth(noise), exact)]
-    segmenter, classes = Segmenter.open(DEFAULT_MODEL), _classes()
+    segmenter = Segmenter.open(DEFAULT_MODEL)
     gone = LabelErrors.of_model(DEFAULT_MODEL).open_odds()
-    measures += [
-        (name, network_depth(ground, before, DepthNetwork.open(name), segmenter, classes), rules) for name in networks
-    ]
+    measures += [(name, network_depth(ground, before, DepthNetwork.open(name), segmenter), rules) for name in networks]
     table = _table(
         f"terrain update from frames of {date!r} on the surface of {known[0]!r}",
         "depth from", "looks", "seen cells", "changed", "precision", "recall", "false of seen", "RMSE before m",
@@ -221,7 +216,7 @@ def repeated_errors(folder: Path, networks: Sequence[str]) -> None:
         views.setdefault(f"{one.camera_name} {one.pose.angles_deg}", []).append(one)
     segmenter = Segmenter.open(DEFAULT_MODEL)
     for name in networks:
-        measure = network_depth(ground, surfaces[0], DepthNetwork.open(name), segmenter, _classes())
+        measure = network_depth(ground, surfaces[0], DepthNetwork.open(name), segmenter)
         with console.status(name):
             share = alike(views, measure)
         console.print(
@@ -258,10 +253,6 @@ def recorded_run(bag: Path, site: Path | None, truth: Path | None, date: str, ou
     )
     _write(out, {"cells": score.cells, "threshold_m": score.threshold}
            | _figures(change, score.reference, score.updated))  # fmt: skip
-
-
-def _classes() -> ClassPriors:
-    return ClassPriors.of(LabelSet.load(config_path("labels.yaml")))
 
 
 def _table(title: str, *columns: str) -> Table:

@@ -1,7 +1,6 @@
-"""`ltm train`: train the default network, adapt it to a site's own cameras, label photos to train on, learn what fuel
-cells look like to it.
+"""`ltm train`: trains the default network, adapts it to a site's own cameras, and fits constants of fuel and fusion.
 
-`ltm train CONFIG` is short for `ltm train run CONFIG`.
+It also labels photos to train on. `ltm train CONFIG` is short for `ltm train run CONFIG`.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from typer.core import TyperGroup
 from ltm_ros.cli.train.adapt import adapt
 from ltm_ros.cli.train.appearance import appearance
 from ltm_ros.cli.train.blend import blend
+from ltm_ros.cli.train.fusion import fusion
 from ltm_ros.cli.train.photos import photos
 
 if TYPE_CHECKING:
@@ -85,6 +85,7 @@ def _with_steps(settings: TrainingConfig, steps: int) -> TrainingConfig:
 train = typer.Typer(cls=TrainGroup, no_args_is_help=True, help="Train the network, or adapt it to a site's cameras.")
 train.command(WHOLE)(run)
 train.command()(adapt)
+train.command()(fusion)
 train.command()(photos)
 train.command()(appearance)
 train.command()(blend)

@@ -1,4 +1,4 @@
-"""`ltm train adapt`: the terrain teaches the network the depth of a site's own views."""
+"""`ltm train adapt`: adapts a network's depth head to a site's own views, with traced depth as truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm train appearance`: what a fuel cell of each life form looks like to a network, for the fuel map."""
+"""`ltm train appearance`: fits what a fuel cell of each life form looks like to a network, for the fuel map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm train blend`: the mean of two trained networks, one of which went on from the other."""
+"""`ltm train blend`: averages the weights of two networks, of which one was trained on from the other."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ltm train photos`: labels for real photos from networks that know a part, to train on."""
+"""`ltm train photos`: labels real photos with teacher networks, to train on."""
 
 from __future__ import annotations
 

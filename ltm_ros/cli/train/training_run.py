@@ -1,4 +1,4 @@
-"""One training run on the terminal: progress, checkpoint, curve, export, calibration."""
+"""Runs one training on the terminal: progress, checkpoint, curve, export, calibration."""
 
 from __future__ import annotations
 

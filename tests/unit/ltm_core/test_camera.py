@@ -10,6 +10,8 @@ import pytest
 from ltm_core.camera import Camera
 from ltm_core.errors import CameraError
 
+pytestmark = pytest.mark.kernel
+
 BARREL = Camera(64, 40, 40.0, 42.0, 30.0, 21.0, (-0.3, 0.0, 0.0, 0.0, 0.0))
 
 

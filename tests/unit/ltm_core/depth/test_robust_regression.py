@@ -7,6 +7,8 @@ import pytest
 
 from ltm_core.depth.robust_regression import robust_line, robust_offset
 
+pytestmark = pytest.mark.kernel
+
 
 @pytest.mark.parametrize("seed", range(8))
 def test_scale_and_shift_come_back_through_forty_percent_of_outliers(seed: int) -> None:

@@ -104,15 +104,17 @@ def test_what_may_as_well_not_be_there_has_the_mean_of_both_depths_and_says_so()
     inside = cv2.erode(small.astype(np.uint8), np.ones((5, 5), np.uint8)).repeat(4, 0).repeat(4, 1) > 0
     inside &= ground > 270
     assert inside.sum() > 3000
-    for label, near, between in ((Label.TREE, 0.75, 0.25), (Label.SHRUB, 0.0, 0.0)):
+    for label, near, between in ((Label.TREE, 0.62, 0.3), (Label.SHRUB, 0.0, 0.0)):
         labels = np.where(thing, np.uint8(label), scene.labels)
         result = fused(scene, NetworkDepth(values, "relative_inverse"), labels)
         depth, sigma, far = (image[inside] for image in (result.depth, result.sigma, ground))
         torn = (depth > 220) & (depth < 0.75 * far)
-        assert (depth < 220).mean() == pytest.approx(near, abs=0.1)
-        assert torn.mean() == pytest.approx(between, abs=0.1)
-        both = (depth - 2.5 * sigma < 180) & (depth + 2.5 * sigma > far)
-        assert both[torn].sum() >= 0.9 * torn.sum()
+        # Shares of the stand, in rows of the network: how high trees are believed to reach comes from
+        # fitted constants, so that the bound is one such row of fifteen.
+        assert (depth < 220).mean() == pytest.approx(near, abs=1 / 15)
+        assert torn.mean() == pytest.approx(between, abs=1 / 15)
+        both = (depth - 3 * sigma < 180) & (depth + 3 * sigma > far)
+        assert both[torn].all()
 
 
 @pytest.mark.parametrize("kind", ["affine_invariant", "metric"])

@@ -33,6 +33,8 @@ from ltm_core.fuel.votes import FRAME_CAP, CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.vision.labels import Label, LabelSet
 
+pytestmark = pytest.mark.kernel
+
 
 def test_the_prior_alone() -> None:
     layers = fuel_map().layers()

@@ -25,6 +25,8 @@ from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import FRAME_CAP, CellVotes
 from ltm_core.vision.labels import Label
 
+pytestmark = pytest.mark.kernel
+
 
 def test_one_frame_says_at_most_its_cap() -> None:
     layers = fuel_map(votes(Label.TREE, pixels=100_000)).layers()

@@ -12,6 +12,8 @@ from ltm_core.fuel.majority import UNSEEN, MajorityFuelMap
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 
+pytestmark = pytest.mark.kernel
+
 GRID = GridGeometry(15.0, 105.0, 30.0, 4, 3)
 
 

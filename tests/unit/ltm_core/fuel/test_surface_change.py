@@ -15,6 +15,8 @@ from ltm_core.grid import GridGeometry
 from ltm_core.terrain.change import ChangeKind
 from ltm_core.vision.labels import LabelSet
 
+pytestmark = pytest.mark.kernel
+
 LABELS = LabelSet.load()
 FUEL = GridGeometry(-45.0, 1000.0, 30.0, 70, 40)
 NOW = 1_700_000_000

@@ -14,6 +14,8 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
 
+pytestmark = pytest.mark.kernel
+
 # Straight down from 10 m: pixel (row, col) sees (col * 10, -row * 10).
 CAMERA = Camera(3, 2, 1.0, 1.0, 0.0, 0.0)
 DOWN = Pose.from_angles((0.0, 0.0, 10.0), 0.0, -90.0)

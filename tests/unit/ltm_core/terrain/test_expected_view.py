@@ -38,7 +38,7 @@ def test_views_that_are_kept_and_views_that_are_not_give_the_same() -> None:
 def test_blocks_that_a_ray_passes_above_hold_nothing_that_it_caps(monkeypatch: pytest.MonkeyPatch) -> None:
     quick = layers(RULES)
     monkeypatch.setattr(
-        "ltm_core.terrain.observation._block_maxima",
+        "ltm_core.terrain.observation.block_maxima",
         lambda surface: np.full([-(-n // 8) for n in surface.shape], np.inf, np.float32),
     )
     thorough = layers(RULES)

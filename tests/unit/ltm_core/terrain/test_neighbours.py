@@ -17,6 +17,8 @@ from ltm_core.terrain.neighbours import (
 )
 from ltm_core.types import BoolArray, Float64Array
 
+pytestmark = pytest.mark.kernel
+
 SHAPE = (50, 70)
 
 

@@ -247,9 +247,10 @@ def test_state_outlives_the_process(tmp_path: Path) -> None:
 
 def test_memory_is_bounded_and_nothing_is_lost_by_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tiles of two views do not fit together: those of one go to the store and come back."""
-    monkeypatch.setattr("ltm_core.terrain.surface_map._CHUNK", 3)
-    large, small = surface_map(BARE.copy()), surface_map(BARE.copy())
-    small._pool = TilePool(TileStore.in_memory(schema_of(GEOMETRY)), 11, True)
+    monkeypatch.setattr("ltm_core.terrain.surface_map.DECIDED_TILES", 3)
+    large = surface_map(BARE.copy())
+    monkeypatch.setattr(TilePool, "capacity_of", lambda megabytes: 11)
+    small = surface_map(BARE.copy())
     for one in [frame(RAISED, source, hours) for hours in (0.0, 1.5) for source in PLACES]:
         large.add(one)
         assert small.add(one).left_out == 0

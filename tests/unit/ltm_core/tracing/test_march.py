@@ -14,6 +14,8 @@ from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.baselines.march import march, march_arrays, proportional_rays
 
+pytestmark = pytest.mark.kernel
+
 
 def test_depth_on_a_plain_is_the_first_step_below_it() -> None:
     plain = tilted_plane(east=0.0, north=0.0, base=100.0).dem

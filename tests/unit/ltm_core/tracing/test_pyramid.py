@@ -9,6 +9,8 @@ from ltm_core.tracing.baselines.reference import with_ceilings
 from ltm_core.tracing.holes import filled_at, find_holes
 from ltm_core.tracing.pyramid import LEAF, build_pyramid
 
+pytestmark = pytest.mark.kernel
+
 NAN = np.float32(np.nan)
 
 

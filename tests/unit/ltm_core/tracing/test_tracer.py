@@ -17,6 +17,8 @@ from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
 from ltm_core.types import Float64Array
 
+pytestmark = pytest.mark.kernel
+
 CAMERA = Camera(width=161, height=97, fx=120.0, fy=124.0, cx=77.0, cy=50.5, distortion=(-0.12, 0.03, 1e-3, -5e-4, 0.0))
 MILLIMETRE = 1e-3
 

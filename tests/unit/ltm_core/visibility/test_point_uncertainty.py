@@ -15,6 +15,8 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.visibility.footprint import ground_normals
 from ltm_core.visibility.point_uncertainty import TracedUncertainty, traced_uncertainty
 
+pytestmark = pytest.mark.kernel
+
 LEVEL = tilted_plane(0.0, 0.0, 400.0).dem
 HEIGHT = 40.0
 CAMERA = Camera(41, 31, 60.0, 60.0, 20.0, 15.0)

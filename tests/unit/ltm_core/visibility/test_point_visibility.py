@@ -15,6 +15,8 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.visibility.line_of_sight import line_of_sight_vectors, pixel_rays
 from ltm_core.visibility.point_visibility import PointState, PointVisibility
 
+pytestmark = pytest.mark.kernel
+
 CAMERA = Camera(160, 120, 150.0, 150.0, 79.0, 60.0, (-0.08, 0.0, 0.0, 0.0, 0.0))
 
 

@@ -52,7 +52,7 @@ def test_package_absent_or_too_old(monkeypatch: pytest.MonkeyPatch) -> None:
         "requirements",
         lambda: {"": [Requirement("numpy>=1.26"), Requirement("rich")], "view": [Requirement("rerun-sdk>=0.28")]},
     )
-    findings = list(doctor._packages())
+    findings = list(doctor.check_packages())
     numpy, rich, rerun = findings
     assert (numpy.state, numpy.detail, numpy.remedy) == (
         Condition.MISSING,
@@ -89,35 +89,35 @@ def test_requirements_of_an_installed_package(monkeypatch: pytest.MonkeyPatch, t
 
 def test_no_ros(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    (rclpy,) = doctor._ros()
+    (rclpy,) = doctor.check_ros()
     assert rclpy.state is Condition.MISSING
     assert "pip install 'ltm[ros]'" in rclpy.remedy
     assert "apt install ros-jazzy-ros-base" in rclpy.remedy
-    assert list(doctor._transport()) == []
+    assert list(doctor.check_transport()) == []
 
 
 def test_transport_in_use() -> None:
-    findings = list(doctor._transport())
+    findings = list(doctor.check_transport())
     assert {finding.state for finding in findings} == {Condition.OK}
     assert found(findings, "participant").detail == "rmw_fastrtps_cpp, shared memory of 70 MB and UDP"
 
 
 def test_profile_that_is_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", "/no/such.xml")
-    profile = found(list(doctor._transport()), "profile")
+    profile = found(list(doctor.check_transport()), "profile")
     assert (profile.state, profile.remedy) == (Condition.MISSING, "unset FASTRTPS_DEFAULT_PROFILES_FILE")
 
 
 def test_participant_with_too_little_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     answer(monkeypatch, 0, '{"rmw": "rmw_fastrtps_cpp", "segment_bytes": [549408]}')
-    participant = found(list(doctor._transport()), "participant")
+    participant = found(list(doctor.check_transport()), "participant")
     assert participant.state is Condition.WARNING
     assert "0.5 MB: too small for images" in participant.detail
 
 
 def test_participant_that_does_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
     answer(monkeypatch, 1, "", "Traceback\nRuntimeError: no rmw_zenoh_cpp")
-    participant = found(list(doctor._transport()), "participant")
+    participant = found(list(doctor.check_transport()), "participant")
     assert participant.state is Condition.MISSING
     assert participant.detail.endswith("RuntimeError: no rmw_zenoh_cpp")
 
@@ -125,7 +125,7 @@ def test_participant_that_does_not_start(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_small_and_littered_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shared_memory, "free_bytes", lambda: 64 << 20)
     monkeypatch.setattr(shared_memory, "survey", lambda: shared_memory.SharedMemory(("a",), ("b", "c"), (), 140 << 20))
-    room, segments = doctor._shared_memory()
+    room, segments = doctor.check_shared_memory()
     assert (room.state, room.detail) == (Condition.WARNING, "64 MB free, enough for 0 nodes")
     assert "--shm-size" in room.remedy
     assert segments.detail == "1 in use, 2 objects of dead processes (140 MB)"
@@ -134,10 +134,10 @@ def test_small_and_littered_shared_memory(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_numba_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
-    assert doctor._numba_cache() == tmp_path / "kernels"
+    assert doctor.numba_cache() == tmp_path / "kernels"
     (tmp_path / "file").touch()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / "kernels"))
-    assert doctor._numba_cache() is None
+    assert doctor.numba_cache() is None
 
 
 def test_damaged_model_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,7 +149,7 @@ def test_damaged_model_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
         raise ModelError("checksum is not that of its manifest")
 
     monkeypatch.setattr(onnx_model, "OnnxModel", damaged)
-    default, *others = doctor._models()
+    default, *others = doctor.check_models()
     assert (default.name, default.state) == (DEFAULT_MODEL, Condition.MISSING)
     assert all(other.state is Condition.OPTIONAL for other in others)
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import signal
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from scenes.waiting import wait_for
 
 from ltm_ros.launching.supervisor import EX_CONFIG, Backoff, NodeProcess, ProcessState, RestartPolicy, describe_exit
 
@@ -49,7 +49,7 @@ def test_says_how_a_process_ended(status: int, words: str) -> None:
 
 
 class Supervised:
-    def __init__(self, folder: Path, program: str) -> None:
+    def __init__(self, folder: Path, program: str, policy: RestartPolicy = QUICK) -> None:
         self.lines: list[str] = []
         self.groups: list[tuple[int, bool]] = []
         self.process = NodeProcess(
@@ -58,16 +58,13 @@ class Supervised:
             environment={"PATH": "/usr/bin:/bin", "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"},
             log_file=folder / "logs" / "north.depth.log",
             console=self.lines.append,
-            policy=QUICK,
+            policy=policy,
             on_group=lambda group, alive: self.groups.append((group, alive)),
         )
         self.process.start()
 
     def wait_for(self, condition: Callable[[], object]) -> None:
-        deadline = time.monotonic() + 20.0
-        while not condition():
-            assert time.monotonic() < deadline, self.lines
-            time.sleep(0.01)
+        wait_for(condition, "the process", lambda: self.lines)
 
     def end(self) -> None:
         self.process.request_stop()
@@ -112,10 +109,8 @@ def test_gives_up_a_configuration_error_with_its_last_words(tmp_path: Path) -> N
 
 
 def test_stops_while_it_waits_to_restart(tmp_path: Path) -> None:
-    one = Supervised(tmp_path, "raise SystemExit(1)")
-    one.process.policy = QUICK
-    one.process._backoff.policy = RestartPolicy(initial_s=3600.0, maximum_s=3600.0)
-    one.wait_for(lambda: any("starts again in 3600.0 s" in line for line in one.lines) or one.process.starts > 1)
+    one = Supervised(tmp_path, "raise SystemExit(1)", RestartPolicy(initial_s=3600.0, maximum_s=3600.0))
+    one.wait_for(lambda: any("starts again in 3600.0 s" in line for line in one.lines))
     one.process.request_stop()
     assert one.process.wait_stopped(5.0)
 
@@ -126,10 +121,7 @@ def test_command_that_does_not_exist_is_reported_and_tried_again(tmp_path: Path)
     lines: list[str] = []
     process = NodeProcess("x", ["/no/such/python"], {}, tmp_path / "x.log", lines.append, QUICK)
     process.start()
-    deadline = time.monotonic() + 10.0
-    while sum("cannot be started" in line for line in lines) < 2:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_for(lambda: sum("cannot be started" in line for line in lines) >= 2, "two tries", lambda: lines)
     process.request_stop()
     assert process.wait_stopped(5.0)
     process.close()

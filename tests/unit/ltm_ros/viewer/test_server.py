@@ -7,11 +7,11 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 from scenes.rerun_site import LABELS, hills, site
+from scenes.waiting import wait_for
 
 from ltm_core.errors import ConfigError
 
@@ -73,10 +73,7 @@ def test_server_ends_when_its_process_is_killed(ports: tuple[int, int]) -> None:
     finally:
         os.kill(owner.pid, signal.SIGKILL)
         owner.wait()
-    deadline = time.monotonic() + 10
-    while listens(grpc) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not listens(grpc)
+    wait_for(lambda: not listens(grpc), "the server's end")
 
 
 def test_urls_name_the_loopback() -> None:

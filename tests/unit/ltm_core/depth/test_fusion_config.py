@@ -1,0 +1,68 @@
+"""The constants of fusion: each with its origin and meaning, written and read, and left out stage by stage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes.depth_scene import depth_scene
+
+from ltm_core.config_io import load_yaml
+from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.fusion_config import FusionConfig
+from ltm_core.depth.fusion_config_io import fusion_path, load_fusion_config, write_fusion_config
+from ltm_core.depth.topodepth import fuse
+from ltm_core.errors import ConfigError
+from ltm_core.evaluation.depth.ablation import STAGES, without
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.manifest import Manifest
+
+
+def test_every_constant_says_what_it_is_and_where_it_comes_from() -> None:
+    constants = list(FusionConfig().constants())
+    assert len(constants) > 100
+    assert len({name for name, *_ in constants}) == len(constants)
+    for name, _, origin, meaning in constants:
+        assert origin in ("derived", "fitted", "chosen"), name
+        assert len(meaning) > 3, name
+
+
+def test_constants_survive_their_file(tmp_path: Path) -> None:
+    config = FusionConfig().updated({"occlusion.standing.tree": 1.25, "error_model.shrink": (2.0, 9.0)})
+    write_fusion_config(tmp_path / "net_fusion.yaml", config, "a test")
+    text = (tmp_path / "net_fusion.yaml").read_text()
+    assert "a test" in text
+    assert "# fitted; trees" in text
+    assert load_yaml(tmp_path / "net_fusion.yaml", FusionConfig) == config
+
+
+def test_an_unknown_constant_in_the_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "net_fusion.yaml").write_text("decision: {opne: 0.2}\n")
+    with pytest.raises(ConfigError, match="opne"):
+        load_yaml(tmp_path / "net_fusion.yaml", FusionConfig)
+
+
+def test_the_shipped_network_brings_its_own_and_another_takes_the_defaults(tmp_path: Path) -> None:
+    manifest = Manifest.find("landscape_lite0_depth")
+    assert fusion_path(manifest).is_file()
+    assert load_fusion_config(manifest) == load_yaml(fusion_path(manifest), FusionConfig)
+    copy = tmp_path / "other.yaml"
+    copy.write_text((manifest.folder / f"{manifest.name}.yaml").read_text().replace(manifest.name, "other", 1))
+    assert load_fusion_config(Manifest.load(copy)) == FusionConfig()
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_stage_that_is_left_out_is_gone_and_fusion_still_works(stage: str) -> None:
+    scene, labels = depth_scene(), LabelSet.load()
+    config = without(FusionConfig(), stage)
+    assert config != FusionConfig()
+    given = scene.traced, scene.network(), scene.photo, scene.labels
+    fused = fuse(*given, ClassPriors.of(labels, config), config=config)
+    whole = fuse(*given, ClassPriors.of(labels))
+    assert np.isfinite(fused.depth).mean() == pytest.approx(np.isfinite(whole.depth).mean(), abs=0.05)
+
+
+def test_a_stage_that_is_none_is_refused_with_those_there_are() -> None:
+    with pytest.raises(ConfigError, match=r"no stage 'magic'; there are: cover; "):
+        without(FusionConfig(), "magic")
