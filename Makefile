@@ -28,9 +28,12 @@ demo: $(INSTALLED)
 demo-real: $(INSTALLED)
 	$(BIN)/ltm demo --real --out out/demo-real
 
+# By file: the tests of one file may share a graph. The order is that of tests/graph/conftest.py.
+GRAPHS := -n 2 --dist loadfile --no-loadscope-reorder
+
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m "not slow and not graph" -n 2 -q
-	$(BIN)/python -m pytest -m "not slow and graph" -q
+	$(BIN)/python -m pytest -m "not slow and not graph" -n 2 --dist worksteal -q --durations=20
+	$(BIN)/python -m pytest -m "not slow and graph" $(GRAPHS) -q --durations=20
 
 $(VENV)/.installed-all: $(VENV)/.installed-dev
 	$(PIP) -e '.[ros,view,report,sim,eval,train,dev]'
@@ -45,7 +48,9 @@ $(FIRE)/.installed: | $(VENV)/.installed-all
 	touch $@
 
 test-all: $(VENV)/.installed-all $(FIRE)/.installed
-	LTM_PYRETECHNICS=$(FIRE)/bin/python $(BIN)/python -m pytest -q
+	LTM_PYRETECHNICS=$(FIRE)/bin/python $(BIN)/python -m pytest -m "not graph" -q --durations=20
+	$(BIN)/python -m pytest -m graph $(GRAPHS) -q --durations=20
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m kernel -n 2 --dist worksteal -q --durations=20
 
 $(VENV)/.installed-docs: $(INSTALLED)
 	$(PIP) -e '.[docs]'

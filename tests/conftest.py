@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import importlib.util
 from pathlib import Path
 
 import pytest
 
 REPOSITORY = Path(__file__).parents[1]
+LARGE = 300
+"""Tests of a run that uses most kernels."""
 
 
 def _beside(name: str) -> Path:
@@ -14,6 +17,16 @@ def _beside(name: str) -> Path:
     if not path.is_dir():
         pytest.skip(f"needs the real {name} in {path}, which is not part of the repository")
     return path
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _kernels(request: pytest.FixtureRequest) -> None:
+    """A large run beside others compiles the nodes' kernels first, each once; see `scenes.compiled_kernels`."""
+    beside_others = hasattr(request.config, "workerinput")
+    if beside_others and len(request.session.items) > LARGE and importlib.util.find_spec("rclpy") is not None:
+        from scenes.compiled_kernels import compile_kernels
+
+        compile_kernels()
 
 
 @pytest.fixture

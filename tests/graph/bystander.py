@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import defaultdict
-from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
@@ -14,14 +12,13 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from scenes.waiting import PATIENCE_S, wait_for
 from std_srvs.srv import Trigger
 
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.launching.dds_shutdown import wait_for_quiet
 from ltm_ros.runtime.discovery_check import unmatched
 from ltm_ros.runtime.node import stream_qos
-
-PATIENCE_S = 60.0
 
 
 class Bystander:
@@ -116,13 +113,3 @@ class Bystander:
     def _spin(self) -> None:
         while not self._stopping.is_set():
             self._executor.spin_once(timeout_sec=0.1)
-
-
-def wait_for(
-    condition: Callable[[], object], what: str, state: Callable[[], object] = lambda: "", patience_s: float = PATIENCE_S
-) -> None:
-    """Until `condition` holds. Fails with `what` was awaited and the `state` of things."""
-    deadline = time.monotonic() + patience_s
-    while not condition():
-        assert time.monotonic() < deadline, f"waited {patience_s} s for {what}; {state()}"
-        time.sleep(0.05)

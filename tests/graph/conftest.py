@@ -1,4 +1,10 @@
-"""What every test on real ROS processes needs: a domain of its own, and proof that it left nothing behind."""
+"""What every test on real ROS processes needs: a domain of its own, and proof that it left nothing behind.
+
+Tests that start graphs may run beside each other, in the workers of one run and in several runs on one machine. What
+each looks for afterwards is its own alone: processes that have its domain in their environment, ports that DDS numbers
+by it. So that a busy machine makes them slow and not wrong, only so many graphs are up at a time, and all that is
+waited for is a condition.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +17,28 @@ from pathlib import Path
 
 import pytest
 from leftovers import ports_of_domain, processes_of_domain, wait_gone
+from scenes.compiled_kernels import compile_kernels
 from scenes.small_site import SmallSite, write_small_site
+from scenes.waiting import wait_for
 
 from ltm_ros.launching.ros_environment import PROFILE_VARIABLES, ros_environment
 
 DOMAINS = range(100, 201)
+GRAPHS = (os.cpu_count() or 1) + 1
+"""That are up at a time on this machine, of all runs: much of a graph's time is waiting."""
+LONGEST_FIRST = ("test_site_graph.py", "test_hostile_input.py", "test_terrain.py", "test_fuel_map.py")
+"""So that no worker begins with one of these when the others have done their part."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    order = {name: number for number, name in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: order.get(item.path.name, len(order)))
+
+
+@pytest.fixture(scope="session")
+def kernels() -> None:
+    """Those of the nodes are compiled: else each process of a graph would do it for itself, for minutes."""
+    compile_kernels()
 
 
 @pytest.fixture
@@ -37,7 +60,9 @@ def module_ros_domain() -> Iterator[int]:
 
 @contextmanager
 def _own_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    lock, domain = _claim_domain()
+    if not _slots:
+        _slots.append(_claim("slot", range(GRAPHS), patience_s=3600.0)[0])
+    lock, domain = _claim("", DOMAINS, first=os.getpid())
     for name in (*PROFILE_VARIABLES, "RMW_IMPLEMENTATION", "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -49,25 +74,39 @@ def _own_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
         assert not (left := wait_gone(lambda: ports_of_domain(domain))), f"shared memory left behind: {left}"
     finally:
         os.close(lock)
+        if _slots:
+            os.close(_slots.pop())
 
 
 @pytest.fixture(scope="module")
-def small_site(tmp_path_factory: pytest.TempPathFactory) -> SmallSite:
+def small_site(kernels: None, tmp_path_factory: pytest.TempPathFactory) -> SmallSite:
     """The small site with its recording, in a folder of its own."""
     return write_small_site(tmp_path_factory.mktemp("small_site"))
 
 
-def _claim_domain() -> tuple[int, int]:
-    """An open lock file and its domain: other test runs on this machine claim theirs in the same way."""
+_slots: list[int] = []
+"""The lock file that gives this process the right to have a graph; one suffices for all that it has."""
+
+
+def _claim(kind: str, numbers: range, first: int = 0, patience_s: float = 0.0) -> tuple[int, int]:
+    """An open lock file and its number: other processes on this machine claim theirs in the same way. It is free again
+    when the file is closed, in whatever way the process ends."""
     folder = Path(tempfile.gettempdir()) / "ltm-test-domains"
     folder.mkdir(exist_ok=True)
-    start = os.getpid() % len(DOMAINS)
-    for number in [*DOMAINS[start:], *DOMAINS[:start]]:
-        lock = os.open(folder / str(number), os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o666)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            os.close(lock)
-            continue
-        return lock, number
-    raise RuntimeError(f"all ROS domains {DOMAINS} are taken by other test runs")
+    start = first % len(numbers)
+    claimed: list[tuple[int, int]] = []
+
+    def claim() -> bool:
+        for number in [*numbers[start:], *numbers[:start]]:
+            lock = os.open(folder / f"{kind}{number}", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o666)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                os.close(lock)
+                continue
+            claimed.append((lock, number))
+            return True
+        return False
+
+    wait_for(claim, f"one of {numbers} that no other test has", patience_s=patience_s)
+    return claimed[0]

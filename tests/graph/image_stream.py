@@ -11,8 +11,10 @@ import time
 from typing import Any
 
 import rclpy
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
+from std_msgs.msg import Empty
 
 from ltm_ros.launching.dds_shutdown import wait_for_quiet
 
@@ -22,6 +24,11 @@ SUBSCRIBERS = 3
 PATIENCE_S = 20.0
 
 
+def matched(topic: str) -> str:
+    """A topic that each subscriber opens once it has found the publisher; nothing is sent on it."""
+    return f"{topic}/matched"
+
+
 def content(number: int) -> int:
     return (7 * number + 3) % 256
 
@@ -29,18 +36,17 @@ def content(number: int) -> int:
 def publish(node: Any, topic: str, frames: int, rate: float) -> None:
     publisher = node.create_publisher(Image, topic, QOS)
     deadline = time.monotonic() + PATIENCE_S
-    while publisher.get_subscription_count() < SUBSCRIBERS:
-        assert time.monotonic() < deadline, f"only {publisher.get_subscription_count()} subscribers came"
-        time.sleep(0.05)
-    # The subscribers' side of the match may still be under way.
-    time.sleep(1.0)
+    # The subscribers' side of a match may still be under way when this side's is done: their own word is waited for.
+    while min(counts := (publisher.get_subscription_count(), node.count_publishers(matched(topic)))) < SUBSCRIBERS:
+        assert time.monotonic() < deadline, f"of {SUBSCRIBERS} subscribers came, and said so: {counts}"
+        time.sleep(0.02)
     message = Image(height=HEIGHT, width=WIDTH, encoding="rgb8", step=3 * WIDTH)
     start = time.monotonic()
     for number in range(frames):
         message.header.stamp.sec = number
         message.data = bytes([content(number)]) * (HEIGHT * WIDTH * 3)
         publisher.publish(message)
-        time.sleep(max(0.0, start + (number + 1) / rate - time.monotonic()))
+        time.sleep(max(0.0, start + (number + 1) / rate - time.monotonic()))  # the stream's pace
     # A writer that goes takes what a slow reader still lacks with it.
     while publisher.get_subscription_count() > 0 and time.monotonic() < start + frames / rate + PATIENCE_S:
         time.sleep(0.05)
@@ -56,9 +62,14 @@ def subscribe(node: Any, topic: str, frames: int) -> None:
         received.append(f"{number}" if right else f"{number}!")
         last[0] = time.monotonic()
 
-    node.create_subscription(Image, topic, take, QOS)
+    found: list[Any] = []
+    events = SubscriptionEventCallbacks(matched=found.append)
+    node.create_subscription(Image, topic, take, QOS, event_callbacks=events)
     print("ready", flush=True)
     deadline = time.monotonic() + PATIENCE_S
+    while not found and time.monotonic() < deadline:
+        rclpy.spin_once(node, timeout_sec=0.2)
+    node.create_publisher(Empty, matched(topic), 1)
     while len(received) < frames and time.monotonic() < (last[0] + PATIENCE_S / 2 if received else deadline):
         rclpy.spin_once(node, timeout_sec=0.2)
     print(" ".join(received), flush=True)

@@ -34,7 +34,7 @@ class Actor(Node):
         while behaviour in ("stubborn", "slow_to_start"):
             if behaviour == "stubborn":
                 self._diagnose()
-            time.sleep(0.2)
+            time.sleep(0.2)  # it does nothing else, for ever
         if behaviour != "silent":
             self.create_timer(0.2, self._diagnose)
 

@@ -12,6 +12,8 @@ from ltm_core.errors import LtmError
 from ltm_ros.bench.segmentation import run_segmentation
 from ltm_ros.cli.bench.segmentation import segmentation
 
+pytestmark = pytest.mark.graph
+
 
 def test_a_node_labels_as_many_photos_as_it_is_sent(
     ros_domain: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]

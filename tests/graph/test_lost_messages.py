@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from bystander import Bystander, wait_for
+from bystander import Bystander
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from scenes.small_site import BEGIN_NS, NAME, SmallSite
+from scenes.waiting import wait_for
 
 from ltm_msgs_py.image import image_to_msg
 from ltm_ros.launching.graph import Graph, describe

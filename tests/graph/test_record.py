@@ -9,8 +9,9 @@ import time
 from pathlib import Path
 
 import pytest
-from bystander import Bystander, wait_for
+from bystander import Bystander
 from scenes.small_site import BEGIN_NS, NAME, TOWER, SmallSite
+from scenes.waiting import wait_for
 from std_msgs.msg import String
 
 from ltm_msgs_py.bag.reader import BagReader

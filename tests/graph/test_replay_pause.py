@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import time
 
+import pytest
 from scenes.small_site import SmallSite
 
 from ltm_ros.replay.live import LivePlayer
 from ltm_ros.replay.selection import Selection
+
+pytestmark = pytest.mark.graph
 
 
 def test_long_pauses_are_stepped_over(small_site: SmallSite, ros_domain: int) -> None:

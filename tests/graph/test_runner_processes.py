@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from leftovers import processes_of_domain, segments_of_process, wait_gone
+from scenes.waiting import wait_for
 
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import Graph, NodeSpec
@@ -45,11 +46,8 @@ class Started:
         )
         self.runner.start()
 
-    def wait_for(self, condition: Callable[[], object], patience_s: float = 30.0) -> None:
-        deadline = time.monotonic() + patience_s
-        while not condition():
-            assert time.monotonic() < deadline, "\n".join(self.lines)
-            time.sleep(0.05)
+    def wait_for(self, condition: Callable[[], object], what: str) -> None:
+        wait_for(condition, what, lambda: "\n".join(self.lines))
 
 
 @pytest.fixture
@@ -89,7 +87,7 @@ def test_killed_node_comes_back_alone(start: Callable[..., Started]) -> None:
     depth, capture = graph.runner.processes["north/depth"], graph.runner.processes["north/capture"]
     first, other = depth.pid, capture.pid
     assert graph.runner.kill("north/depth")
-    graph.wait_for(lambda: depth.starts == 2 and depth.running)
+    graph.wait_for(lambda: depth.starts == 2 and depth.running, "the node again")
     graph.runner.wait_until_ready(30)
     assert depth.pid != first
     assert depth.last_exit == "killed by SIGKILL"
@@ -134,7 +132,7 @@ def test_ends_what_a_dead_node_had_started(start: Callable[..., Started]) -> Non
     graph.runner.wait_until_ready(30)
     children = [int(found[1]) for line in graph.lines if (found := re.search(r"child (\d+)", line))]
     graph.runner.kill("north/viewer")
-    graph.wait_for(lambda: graph.runner.processes["north/viewer"].starts == 2)
+    graph.wait_for(lambda: graph.runner.processes["north/viewer"].starts == 2, "the viewer again")
     assert len(children) == 1
     assert not Path(f"/proc/{children[0]}").exists()
 
@@ -142,21 +140,21 @@ def test_ends_what_a_dead_node_had_started(start: Callable[..., Started]) -> Non
 @pytest.mark.parametrize("wait_s", [0.0, 0.4, 0.8])
 def test_stops_quietly_at_any_moment_of_the_start(start: Callable[..., Started], wait_s: float) -> None:
     graph = start(spec("depth"), spec("capture"))
-    time.sleep(wait_s)
+    time.sleep(wait_s)  # waits for nothing: it chooses the moment
     graph.runner.stop()
     assert not [line for line in graph.lines if "Traceback" in line or "still running" in line], graph.lines
 
 
 def test_stops_a_node_that_takes_long_to_start(start: Callable[..., Started]) -> None:
     graph = start(spec("depth", behaviour="slow_to_start"))
-    graph.wait_for(lambda: any("hello" in line for line in graph.lines))
+    graph.wait_for(lambda: any("hello" in line for line in graph.lines), "its first line")
     graph.runner.stop()
     assert len(graph.lines) == 1, graph.lines
 
 
 RUN = """
 import sys
-sys.path.insert(0, sys.argv[1])
+sys.path[:0] = [sys.argv[1], sys.argv[1] + "/.."]
 from test_runner_processes import HERE, QUICK, spec
 from ltm_ros.launching.graph import Graph
 from ltm_ros.launching.runner import Runner

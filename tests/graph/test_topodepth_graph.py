@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from bystander import Bystander, wait_for
+from bystander import Bystander
 from scenes.depth_scene import CAMERA, depth_scene
 from scenes.networks import write_depth_network
+from scenes.waiting import wait_for
 
 from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
@@ -33,7 +34,7 @@ from ltm_ros.runtime.topics import (
     camera_topic,
 )
 
-pytestmark = pytest.mark.graph
+pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("kernels")]
 
 NAME = "hollow"
 NETWORKS = {

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 from leftovers import segments_of_process, wait_gone
+from scenes.waiting import wait_for
 
 from ltm_core.resources import config_path
 from ltm_ros.launching import shared_memory
@@ -83,11 +83,11 @@ def test_removes_the_memory_of_the_killed_and_only_that(ros_domain: int) -> None
     for one in (killed, living):
         assert one.stdout is not None
         assert one.stdout.readline() == "ready\n"
-    time.sleep(shared_memory.MIN_AGE_S)
     of_killed, of_living = locked_by(killed.pid), locked_by(living.pid)
     assert of_killed
     assert of_living
-    assert of_killed | of_living <= {*shared_memory.survey().in_use}
+    # What is younger than a second is not judged yet.
+    wait_for(lambda: of_killed | of_living <= {*shared_memory.survey().in_use}, "memory in use", shared_memory.survey)
     killed.kill()
     killed.communicate()
     assert of_living <= {*shared_memory.survey().in_use}

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import pytest
 from scenes.networks import write_classifier
 from scenes.small_site import SmallSite
+from scenes.waiting import wait_for
 
 from ltm_core.site_io import load_site
 from ltm_ros.launching.graph import Graph, describe
@@ -15,7 +15,6 @@ from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy
 
 pytestmark = pytest.mark.graph
-PATIENCE_S = 180.0
 
 
 def test_a_changed_network_file_costs_its_node_alone(small_site: SmallSite, ros_domain: int, tmp_path: Path) -> None:
@@ -30,10 +29,7 @@ def test_a_changed_network_file_costs_its_node_alone(small_site: SmallSite, ros_
     with Runner(
         graph, log_folder=tmp_path / "log", domain_id=ros_domain, console=lines.append, policy=policy
     ) as runner:
-        deadline = time.monotonic() + PATIENCE_S
-        while not runner.given_up:
-            assert time.monotonic() < deadline, "\n".join(lines)
-            time.sleep(0.1)
+        wait_for(lambda: runner.given_up, "the verdict", lambda: "\n".join(lines), patience_s=180.0)
         assert runner.given_up == ["tower/segmentation"]
         assert runner.processes["tower/depth"].running
     (verdict,) = [line for line in lines if "given up" in line]

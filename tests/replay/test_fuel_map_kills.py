@@ -88,9 +88,9 @@ def run_with_kills(site: Path, folder: Path, cycles: int, seed: int) -> int:
                 aggregator.send(following)
                 following += 1
             else:
-                time.sleep(0.0005)
+                time.sleep(0.0005)  # paces the sender
         if cycle < cycles:
-            time.sleep(rng.random() * 0.03)
+            time.sleep(rng.random() * 0.03)  # waits for nothing: it chooses the moment
             aggregator.kill()
         else:
             for number in range(following, following + 3):
@@ -119,7 +119,7 @@ def test_state_is_that_of_a_run_without_kills(tmp_path: Path, cycles: int) -> No
         assert store.frame_count() == frames
         assert sum(store.sources().values()) == frames
         assert store.waiting() == []
-        expected = whole._keeper.map
+        expected = whole.persistence.map
         for row, col in np.ndindex(expected.tiles):
             found, wanted = empty.tile_state((row, col)), expected.tile_state((row, col))
             for name in EVIDENCE_FIELDS:

@@ -19,6 +19,8 @@ from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.vision.labels import LabelSet
 
+pytestmark = pytest.mark.kernel
+
 GRID = GridGeometry(-60.0, 120.0, 30.0, 5, 4)
 LABELS = LabelSet.load()
 CODES = np.array(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -16,6 +17,8 @@ from ltm_core.fuel.majority import UNSEEN, MajorityFuelMap
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
+
+pytestmark = pytest.mark.kernel
 
 CAMERA = Camera(7, 5, 4.0, 4.5, 2.5, 2.0, (-0.05, 0.01, 0.0, 0.001, 0.0))
 DEM = Dem(np.arange(120, dtype=np.float32).reshape(10, 12), GridGeometry(-180.0, 150.0, 30.0, 12, 10))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -12,6 +13,8 @@ from ltm_core.grid import GridGeometry
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.baselines.reference import trace_reference
 from ltm_core.types import Float64Array
+
+pytestmark = pytest.mark.kernel
 
 ROWS, COLS = 7, 12
 heights = st.floats(0, 40, width=32)
