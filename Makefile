@@ -28,8 +28,9 @@ demo: $(INSTALLED)
 demo-real: $(INSTALLED)
 	$(BIN)/ltm demo --real --out out/demo-real
 
-# By file: the tests of one file may share a graph. The order is that of tests/graph/conftest.py.
-GRAPHS := -n 2 --dist loadfile --no-loadscope-reorder
+# By file: the tests of one file may share a graph. The order is that of tests/graph/conftest.py. Three on two cores:
+# graphs wait more than they work.
+GRAPHS := -n 3 --dist loadfile --no-loadscope-reorder
 
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "not slow and not graph" -n 2 --dist worksteal -q --durations=20

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
 import sys
@@ -111,8 +112,11 @@ def removed(names: set[str]) -> list[str]:
 
 def locked_by(pid: int) -> set[str]:
     """Segments and ports that a process owns: it has their lock files open."""
-    targets = [link.readlink() for link in Path(f"/proc/{pid}/fd").iterdir()]
-    return {path.name[:-3] for path in targets if path.name.startswith("fastrtps_") and path.name.endswith("_el")}
+    names = set()
+    for link in Path(f"/proc/{pid}/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):  # one that the process has closed meanwhile
+            names.add(link.readlink().name)
+    return {name[:-3] for name in names if name.startswith("fastrtps_") and name.endswith("_el")}
 
 
 def segments(names: set[str]) -> set[str]:
