@@ -297,3 +297,18 @@ def test_arrays_that_are_no_tile_are_refused(spoil: Any) -> None:
         with pytest.raises(ValueError, match="outside"):
             store.commit({(2, 0): tile(1)})
         assert store.keys() == []
+
+
+def test_a_store_that_knows_its_fields_by_their_former_names_is_read(tmp_path: Path) -> None:
+    """Stores of 0.1 say `witnesses` and `sheet_variance`; a field's place in a tile's bytes is not by name."""
+    fields = {"count": Field(np.uint32), "camera_hashes": Field(np.uint32, (3, 2))}
+    schema = StoreSchema("fuel", 1, SCHEMA.geometry, 8, fields)
+    rng = np.random.default_rng(5)
+    arrays = {name: rng.integers(0, 99, (8, 8, *spec.shape)).astype(spec.dtype) for name, spec in fields.items()}
+    with TileStore.open(tmp_path / "map.ltm", schema) as store:
+        store.commit({(0, 1): arrays}, [FrameRecord("a", 1)])
+    with sqlite3.connect(tmp_path / "map.ltm") as db:
+        db.execute("UPDATE description SET content = replace(content, 'camera_hashes', 'witnesses')")
+    db.close()
+    with TileStore.open(tmp_path / "map.ltm", schema) as store:
+        assert_same(store.read((0, 1)), arrays)
