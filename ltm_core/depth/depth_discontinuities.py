@@ -15,15 +15,17 @@ _BLOCK = 64  # columns that are searched at once in a row with edges
 @dataclass(frozen=True, eq=False)
 class DepthDiscontinuities:
     """`rows`, `cols`: (N,) int32, the topmost pixels of the near surfaces, from the lowest in the image up, and from
-    left to right."""
+    left to right. `jump`: the ratio of depths from which on there is one."""
 
     rows: Int32Array
     cols: Int32Array
+    jump: float
 
     @classmethod
     def of(cls, ground: Float32Array, jump: float) -> DepthDiscontinuities:
         """Pixels with ground (H, W) above which the next one is `jump` times as far or more, or sky, or unknown."""
-        return cls(*_edges(ground, np.float32(jump)))
+        rows, cols = _edges(ground, np.float32(jump))
+        return cls(rows, cols, jump)
 
     def __len__(self) -> int:
         return len(self.rows)

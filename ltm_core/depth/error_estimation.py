@@ -7,6 +7,7 @@ were not taken from.
 from __future__ import annotations
 
 import math
+from statistics import NormalDist
 
 import cv2
 import numpy as np
@@ -20,7 +21,6 @@ from ltm_core.types import Float32Array, Float64Array, IndexArray
 REGIONS = (9, 16)
 """Rows and columns in which samples are gathered."""
 _FINE = 4  # cells of the tables in one region, each way
-_DENSE = 0.5244  # sigmas to each side within which 40 % of a normal distribution lie, its densest part as configured
 
 
 def estimate_errors(
@@ -84,11 +84,13 @@ def _spread(less: Float64Array, terrain: Float64Array, config: FusionConfig) -> 
     """Middle and spread of the densest part of `less` (N,): what stands before the ground in most of the places where
     its range is seen draws a median along, and its own spread into that of the network."""
     ordered = np.sort(less)
-    count = max(2, math.ceil(config.error_model.densest * len(ordered)))
+    densest = config.error_model.densest
+    count = max(2, math.ceil(densest * len(ordered)))
     widths = ordered[count - 1 :] - ordered[: len(ordered) - count + 1]
     start = int(np.argmin(widths))
     middle = float(np.median(ordered[start : start + count]))
-    wide = 0.5 / _DENSE * float(widths[start])
+    # Of a normal distribution, that part lies within so many sigmas.
+    wide = float(widths[start]) / (2.0 * NormalDist().inv_cdf(0.5 + 0.5 * densest))
     return middle, max(wide**2 - float(np.median(terrain)) ** 2, config.scale.relative_floor**2) ** 0.5
 
 

@@ -198,6 +198,8 @@ class PoseCheckConfig(StrictModel):
     contrast: float = chosen(1.8, "least contrast at the best place")
     outstanding: float = chosen(4.0, "spreads by which that is above the usual one")
     skyline_gain: float = chosen(4.0, "times that the skyline must fit better: labels that err fit better somewhere")
+    skyline_as_well: float = chosen(1.25, "times the skyline's best cost: about as good, with a margin")
+    skyline_margin: float = chosen(0.25, "that margin, mean square of sigmas")
     columns: int = chosen(480, "columns, about, in which the skyline is looked at")
     least_share: float = chosen(0.3, "of them with a known skyline beyond near crests: short pieces fit anywhere")
     edge: float = chosen(0.75, "sigma of the labels' edge, in steps between columns or cells of their network")

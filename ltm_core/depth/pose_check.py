@@ -19,12 +19,10 @@ import numpy as np
 from ltm_core.camera import Camera
 from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
-from ltm_core.depth.fusion_config import PoseCheckConfig
+from ltm_core.depth.fusion_config import PoseCheckConfig, SurfaceConfig
 from ltm_core.depth.skyline_check import check_skyline
 from ltm_core.types import BoolArray, Float32Array, Int32Array, UInt8Array
 from ltm_core.vision.labels import UNLABELLED
-
-_JUMP = 1.25  # half, in logarithms, of the leap of depth that a photo surely shows
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,7 @@ def check_pose(
     """
     allowed = config.allowed_deg + 3 * math.degrees(angle_sigma)
     nearest = (config.cover + dem_sigma) / math.radians(config.near_deg)
-    edges = DepthDiscontinuities.of(ground, _JUMP) if edges is None else edges
+    edges = DepthDiscontinuities.of(ground, SurfaceConfig().jump) if edges is None else edges
     rows, cols = _far_edges(ground, edges, nearest, config.most_edges)
     if labels is not None and classes is not None:
         clear_of_trees = _clear_of_trees(rows, cols, ground, labels, classes.crest, dem_sigma, config)
@@ -153,7 +151,7 @@ def _far_edges(
     """
     rows, cols = edges.rows, edges.cols
     here, above = ground[rows, cols], ground[rows - 1, cols]
-    kept = (rows % 2 == 1) & (cols % 2 == 0) & (here > nearest) & (above > np.float32(_JUMP * _JUMP) * here)
+    kept = (rows % 2 == 1) & (cols % 2 == 0) & (here > nearest) & (above > np.float32(edges.jump**2) * here)
     order = np.argsort(rows[kept], kind="stable")  # from the topmost down
     rows, cols = rows[kept][order], cols[kept][order]
     if len(rows) > most:

@@ -18,8 +18,6 @@ from ltm_core.camera import Camera
 from ltm_core.depth.fusion_config import PoseCheckConfig
 from ltm_core.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 
-_AS_WELL, _AND = 1.25, 0.25  # factor and addend of the best cost that fit about as well
-
 
 @dataclass(frozen=True)
 class SkylineCheck:
@@ -79,7 +77,7 @@ def check_skyline(
     if lowest > config.hopeless:
         return None
     turns = np.degrees(np.hypot(down, right) / camera.fy)
-    least = float(turns[costs <= _AS_WELL * lowest + _AND].min())
+    least = float(turns[costs <= config.skyline_as_well * lowest + config.skyline_margin].min())
     return SkylineCheck(
         int(open_above.sum()),
         math.degrees(float(down[best]) / camera.fy),

@@ -142,7 +142,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
         known = 0.0 if covariance is None else float(covariance.diagonal()[3:].max())
         angle = np.radians(self.config.angle_sigma_deg)
         return FusionSettings(
-            float(np.sqrt(angle**2 + max(known, 0.0))), self.config.dem_sigma, label_columns=self._label_columns
+            float(np.sqrt(angle**2 + known)), self.config.dem_sigma, label_columns=self._label_columns
         )
 
     def _publish(self, fused: FusedDepth, stamp: int) -> None:

@@ -8,13 +8,6 @@ from typing import Any
 from ltm_core.depth.fusion_config import ClassLogOdds, FusionConfig
 from ltm_core.errors import ConfigError
 
-
-def _even(odds: ClassLogOdds) -> dict[str, float]:
-    """The same log odds for all classes: those of no label."""
-    return dict.fromkeys(ClassLogOdds.model_fields, odds.unlabelled)
-
-
-_PLAIN = FusionConfig()
 STAGES: Mapping[str, Mapping[str, Any]] = {
     "cover": {"cover.grass": 0.0, "cover.shrub": 0.0, "cover.tree": 0.0},
     "depth-dependent errors": {"error_model.by_depth": False},
@@ -23,7 +16,7 @@ STAGES: Mapping[str, Mapping[str, Any]] = {
     "photo's edges for the network": {"upsampling.edge": 1e6},
     "occlusion boundaries": {"boundaries.need": 1e9},
     "outline odds": {"boundaries.outline": dict.fromkeys(ClassLogOdds.model_fields, 20.0), "boundaries.toward": 0.0},
-    "labels of what stands": {"occlusion.standing": _even(_PLAIN.occlusion.standing)},
+    "labels of what stands": {"occlusion.standing": dict.fromkeys(ClassLogOdds.model_fields, 0.1)},  # that of no label
     "labels about a place": {"occlusion.about": 1},
     "height odds": {"occlusion.metre": 0.0, "occlusion.no_foot": 0.0},
     "part of the likelihood": {"decision.heard": 1.0},
