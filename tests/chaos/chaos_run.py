@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 from chaos.acknowledgements import Acknowledgements
 from chaos.cameras import CAMERAS
@@ -45,6 +46,8 @@ class Outcome:
     """Of cameras that it does not touch: longest time between two acknowledgements."""
     most_pss_kb: int = 0
     most_pss_of: str = ""
+    load: float = 0.0
+    """Processes that wanted a core of this machine over the last minute, on average: what delays may be due to."""
     missed: list[str] = field(default_factory=list)
 
 
@@ -124,6 +127,7 @@ class ChaosRun:
             gap = outcome.gaps[camera] = self._longest_gap(camera, begun, whole)
             if gap > GAP_S + self._arena.cameras.period_s:
                 outcome.missed.append(f"{camera}, which is not touched, paused for {gap:.1f} s")
+        outcome.load = os.getloadavg()[0]
         peaks = self.sampler.take_peaks()
         if peaks:
             outcome.most_pss_of = max(peaks, key=lambda label: peaks[label])
@@ -132,7 +136,7 @@ class ChaosRun:
         return outcome
 
     def _wait_back(self, fault: Fault, former: dict[str, int], over: float, outcome: Outcome) -> None:
-        """Until each camera's frames of after the fault are told of, and processes in place of those that went report."""
+        """Until frames sent after the fault are told of, and those that took the place of ended processes report."""
         outcome.cameras = dict.fromkeys(CAMERAS)
         nodes = list(self._arena.site.nodes) if fault.whole_start else list(fault.restarts)
         outcome.nodes = dict.fromkeys(nodes)
@@ -164,4 +168,4 @@ class ChaosRun:
         times = sorted(at for at in told if at is not None and at <= end)
         before = [at for at in times if at < begun]
         moments = [*before[-1:], *(at for at in times if at >= begun), end]
-        return max((later - earlier for earlier, later in zip(moments, moments[1:], strict=False)), default=0.0)
+        return max((later - earlier for earlier, later in pairwise(moments)), default=0.0)

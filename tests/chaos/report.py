@@ -11,7 +11,7 @@ from chaos.verdict import Verdict
 
 def heading() -> str:
     cameras = "".join(f"{camera:>8}" for camera in CAMERAS)
-    return f"{'at s':>6}  {'fault':<44}{'lasted':>7}{cameras}{'node':>8}{'pause':>8}{'PSS MB':>8}  of"
+    return f"{'at s':>6}  {'fault':<44}{'lasted':>7}{cameras}{'node':>8}{'pause':>8}{'load':>6}{'PSS MB':>8}  of"
 
 
 def line(outcome: Outcome) -> str:
@@ -20,15 +20,16 @@ def line(outcome: Outcome) -> str:
     back = "".join(_seconds(outcome.cameras.get(camera)) for camera in CAMERAS)
     node = _seconds(max(outcome.nodes.values(), key=lambda s: s or 1e9)) if outcome.nodes else _nothing()
     pause = _seconds(max(outcome.gaps.values())) if outcome.gaps else _nothing()
-    row = f"{outcome.begun:6.0f}  {outcome.fault:<44}{outcome.lasted:7.1f}{back}{node}{pause}"
+    row = f"{outcome.begun:6.0f}  {outcome.fault:<44}{outcome.lasted:7.1f}{back}{node}{pause}{outcome.load:6.1f}"
     row += f"{outcome.most_pss_kb >> 10:8d}  {outcome.most_pss_of}"
     return "\n".join([row, *(f"        MISSED: {text}" for text in outcome.missed)])
 
 
 def counts(verdict: Verdict) -> str:
     return (
-        f"{verdict.sent} frames sent, {verdict.stored} in the store, {verdict.told} told of; told of and lost "
-        f"{len(verdict.lost)}, told of twice {len(verdict.told_twice)}, in the store and not told of {len(verdict.untold)}"
+        f"{verdict.sent} frames sent, {verdict.stored} in the store, {verdict.told} told of; told of and "
+        f"lost {len(verdict.lost)}, told of twice {len(verdict.told_twice)}, in the store and not told of "
+        f"{len(verdict.untold)}"
     )
 
 

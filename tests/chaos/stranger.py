@@ -1,8 +1,8 @@
 """Somebody in the graph who sends what no camera should: `python -m chaos.stranger ATTACK CAMERA SECONDS SEED`.
 
-A process of its own, so that it comes and goes as strangers do. Says `ready` once its topics are heard, and ends when
-all is sent. What it sends is never a whole frame of its own, or one that the nodes must refuse: whoever is inside the
-graph can send true ones in a camera's name, which no node can tell (`docs/security.md`).
+A process of its own, so that it comes and goes as strangers do. It says how many messages it sent. None of them makes a
+whole frame that a node could take: whoever is inside the graph can send such in a camera's name, and no node can tell
+(`docs/security.md`).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.stamp import make_header, ns_to_time
 from ltm_msgs_py.votes import votes_to_msg
 from ltm_ros.launching.dds_shutdown import begin_farewell
-from ltm_ros.runtime import topics as T
+from ltm_ros.runtime import topics
 from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.node import stream_qos
 
@@ -42,14 +42,23 @@ LARGE = 60_000_000
 """Bytes of a message that is too large."""
 VAST = (10_264, 7_700)
 """Width and height of a picture of 79 megapixels."""
+LISTENED_S = 0.5
+"""For a topic's listeners to be found; some have none, and that is right."""
 GREATEST = sys.float_info.max
 IMAGE_TOPICS = (
-    *(T.POSED_IMAGE, T.DEPTH_IMAGE, T.LABELS_IMAGE, T.LABELS_CONFIDENCE, T.MEASURED_DEPTH, T.MEASURED_SIGMA),
-    *(T.FUSED_DEPTH, T.NETWORK_DEPTH),
+    *(
+        topics.POSED_IMAGE,
+        topics.DEPTH_IMAGE,
+        topics.LABELS_IMAGE,
+        topics.LABELS_CONFIDENCE,
+        topics.MEASURED_DEPTH,
+        topics.MEASURED_SIGMA,
+    ),
+    *(topics.FUSED_DEPTH, topics.NETWORK_DEPTH),
 )
-CALIBRATIONS = (T.CAMERA_INFO, T.POSED_CAMERA_INFO, T.DEPTH_CAMERA_INFO)
-POSES = (T.POSE, T.POSED_POSE)
-SITE_TOPICS = (T.FUEL_MAP_QUERY, T.FUEL_MAP_REGION, T.TERRAIN_CHANGE, T.TERRAIN_UPDATE)
+CALIBRATIONS = (topics.CAMERA_INFO, topics.POSED_CAMERA_INFO, topics.DEPTH_CAMERA_INFO)
+POSES = (topics.POSE, topics.POSED_POSE)
+SITE_TOPICS = (topics.FUEL_MAP_QUERY, topics.FUEL_MAP_REGION, topics.TERRAIN_CHANGE, topics.TERRAIN_UPDATE)
 
 Messages = Iterator[tuple[Topic, Any]]
 """With the topic that each is for; bytes stand for a message that they may or may not be."""
@@ -60,7 +69,7 @@ class Stranger:
 
     def __init__(self, camera: str, rng: random.Random) -> None:
         self.camera, self.rng = camera, rng
-        self.input = T.IMAGE_RAW if camera == "mast" else T.IMAGE_COMPRESSED
+        self.input = topics.IMAGE_RAW if camera == "mast" else topics.IMAGE_COMPRESSED
         self._lens = MAST if camera == "mast" else TOWER
         self._numbers = np.random.default_rng(rng.randrange(2**32))
 
@@ -81,10 +90,10 @@ class Stranger:
             file = io.BytesIO()
             Picture.new("L", VAST).save(file, form)
             stamp = self.stamp()
-            yield T.POSE, self._pose(stamp)
-            yield T.CAMERA_INFO, camera_to_msg(self._lens, stamp, self._optical)
-            yield T.IMAGE_COMPRESSED, self._compressed(file.getvalue(), stamp, form.lower())
-        for topic in (T.IMAGE_RAW, *IMAGE_TOPICS):
+            yield topics.POSE, self._pose(stamp)
+            yield topics.CAMERA_INFO, camera_to_msg(self._lens, stamp, self._optical)
+            yield topics.IMAGE_COMPRESSED, self._compressed(file.getvalue(), stamp, form.lower())
+        for topic in (topics.IMAGE_RAW, *IMAGE_TOPICS):
             message = image_to_msg(np.zeros((3, 4, 3), np.uint8), "rgb8", self.stamp(), self._optical)
             message.width, message.height = VAST
             message.step = 3 * VAST[0]
@@ -96,20 +105,20 @@ class Stranger:
         compressed = self._compressed(bytes(LARGE), 0)
         raw = image_to_msg(picture, "rgb8", 0, self._optical)
         for topic in (self.input, *IMAGE_TOPICS):
-            message = compressed if topic is T.IMAGE_COMPRESSED else raw
+            message = compressed if topic is topics.IMAGE_COMPRESSED else raw
             message.header.stamp = ns_to_time(self.stamp())
             for _ in range(3 if topic is self.input else 1):
                 yield topic, message
         votes = self._votes(self.stamp(), 1)
         votes.data = array("B", bytes(LARGE))
         votes.width, votes.row_step = LARGE // votes.point_step, LARGE
-        yield T.FUEL_VOTES, votes
+        yield topics.FUEL_VOTES, votes
 
     def vast_calibrations(self) -> Messages:
         """12,000 x 9,000 pixels, with a pose of the same stamp: the depth of them would take 5 GB."""
         for topic in CALIBRATIONS:
             stamp = self.stamp()
-            pose = T.POSED_POSE if topic is T.POSED_CAMERA_INFO else T.POSE
+            pose = topics.POSED_POSE if topic is topics.POSED_CAMERA_INFO else topics.POSE
             yield pose, self._pose(stamp)
             yield topic, camera_to_msg(Camera.from_fov(12_000, 9_000, 62.0), stamp, self._optical)
 
@@ -142,19 +151,19 @@ class Stranger:
         """Votes of clocks that are wrong, empty ones, of no camera's grid: thousands that shall push nothing out."""
         now = time.time_ns()
         for number in range(2000):
-            yield T.FUEL_VOTES, self._votes(now + 600 * 10**9 + number, number % 2)
+            yield topics.FUEL_VOTES, self._votes(now + 600 * 10**9 + number, number % 2)
         for year in (0, 1, 50 * 365):
-            yield T.FUEL_VOTES, self._votes(year * 86_400 * 10**9, 1)
-        yield T.FUEL_VOTES, self._votes(now - 30 * 86_400 * 10**9, 1)
-        yield T.FUEL_VOTES, self._votes(2**31 * 10**9 - 1, 1)
+            yield topics.FUEL_VOTES, self._votes(year * 86_400 * 10**9, 1)
+        yield topics.FUEL_VOTES, self._votes(now - 30 * 86_400 * 10**9, 1)
+        yield topics.FUEL_VOTES, self._votes(2**31 * 10**9 - 1, 1)
         for _ in range(50):
-            yield T.FUEL_VOTES, self._votes(self.stamp(), 0)
-            yield T.FUEL_VOTES, self._votes(self.stamp(), 1, shift=17.0)
+            yield topics.FUEL_VOTES, self._votes(self.stamp(), 0)
+            yield topics.FUEL_VOTES, self._votes(self.stamp(), 1, shift=17.0)
 
     def hostile_strings(self) -> Messages:
         """Bytes that are no text, names that are paths, a megabyte of name, numbers in place of encodings."""
         names = ("../../etc/passwd", "A" * 1_000_000, "\u202e{}%s%n", "map\nmap", "")
-        for topic in (*CALIBRATIONS, *POSES, *IMAGE_TOPICS, self.input, T.FUEL_VOTES):
+        for topic in (*CALIBRATIONS, *POSES, *IMAGE_TOPICS, self.input, topics.FUEL_VOTES):
             for name in names:
                 message = self._any(topic)
                 message.header.frame_id = name
@@ -162,17 +171,17 @@ class Stranger:
             spoilt = self._any(topic)
             spoilt.header.frame_id = "_optical_optical"
             yield topic, serialize_message(spoilt).replace(b"_optical_optical", b"\xff" * 16)
-        for topic in (*IMAGE_TOPICS, T.IMAGE_RAW):
+        for topic in (*IMAGE_TOPICS, topics.IMAGE_RAW):
             for encoding in ("bayer_rggb8", "../rgb8", "8" * 100_000, "32FC9999"):
                 message = self._any(topic)
                 message.encoding = encoding
                 yield topic, message
         for text in ("{", '{"a":' * 5000, "\u0000", "[" * 100_000, '{"crs": 7}'):
-            yield T.FUSED_INFO, T.FUSED_INFO.type(data=text)
+            yield topics.FUSED_INFO, topics.FUSED_INFO.type(data=text)
 
     def noise(self) -> Messages:
         """Messages with bytes changed at random, cut short, or none at all, on every topic."""
-        for topic in (*CALIBRATIONS, *POSES, *IMAGE_TOPICS, self.input, T.FUEL_VOTES):
+        for topic in (*CALIBRATIONS, *POSES, *IMAGE_TOPICS, self.input, topics.FUEL_VOTES):
             whole = bytearray(serialize_message(self._any(topic)))
             yield topic, b"\x00\x01\x00\x00" + self.rng.randbytes(60)
             yield topic, bytes(whole[: len(whole) // 2])
@@ -186,42 +195,44 @@ class Stranger:
     def site_topics(self) -> Messages:
         """What the site's nodes take besides: questions, regions, changes of the surface."""
         for x, frame in ((float("nan"), "map"), (1e300, "map"), (-1.0, "map"), (5.0, "odom")):
-            message = T.FUEL_MAP_QUERY.type()
+            message = topics.FUEL_MAP_QUERY.type()
             message.header.frame_id = frame
             message.point.x = message.point.y = x
-            yield T.FUEL_MAP_QUERY, message
+            yield topics.FUEL_MAP_QUERY, message
         for corners in (0, 2, 50_000):
-            region = T.FUEL_MAP_REGION.type()
+            region = topics.FUEL_MAP_REGION.type()
             region.header.frame_id = "map"
-            region.polygon.points = [Point32(x=float(n % 97), y=float("nan") if n == 3 else 1.0) for n in range(corners)]
-            yield T.FUEL_MAP_REGION, region
+            region.polygon.points = [
+                Point32(x=float(n % 97), y=float("nan") if n == 3 else 1.0) for n in range(corners)
+            ]
+            yield topics.FUEL_MAP_REGION, region
         for width, height, ahead in ((2**31, 2**31, 0), (7, 5, 0), (7, 5, 3600), (0, 0, 0)):
-            change = T.TERRAIN_CHANGE.type()
+            change = topics.TERRAIN_CHANGE.type()
             change.header.frame_id = "map"
             change.header.stamp = ns_to_time(self.stamp() + ahead * 10**9)
             change.info.width, change.info.height, change.info.resolution = width, height, 3.3
             change.data = array("b", bytes(35))
-            yield T.TERRAIN_CHANGE, change
+            yield topics.TERRAIN_CHANGE, change
         update = self._votes(self.stamp(), 1)
-        yield T.TERRAIN_UPDATE, update
+        yield topics.TERRAIN_UPDATE, update
 
     def votes_flood(self) -> Messages:
         """Empty votes, as fast as they go."""
         while True:
-            yield T.FUEL_VOTES, self._votes(self.stamp(), 0)
+            yield topics.FUEL_VOTES, self._votes(self.stamp(), 0)
 
     def poses_flood(self) -> Messages:
         """Poses that belong to no image, as fast as they go."""
         while True:
-            yield T.POSE, self._pose(self.stamp())
+            yield topics.POSE, self._pose(self.stamp())
 
     def questions_flood(self) -> Messages:
         """Questions to the map, as fast as they go."""
-        message = T.FUEL_MAP_QUERY.type()
+        message = topics.FUEL_MAP_QUERY.type()
         message.header.frame_id = "map"
         while True:
             message.point.x, message.point.y = self.rng.uniform(0, 1200), self.rng.uniform(0, 900)
-            yield T.FUEL_MAP_QUERY, message
+            yield topics.FUEL_MAP_QUERY, message
 
     def _votes(self, stamp: int, cells: int, shift: float = 0.0) -> Any:
         """Of so many cells; the grid is none of the site's, so that none of them is counted where it is not refused
@@ -233,7 +244,7 @@ class Stranger:
         return votes_to_msg(CellVotes(grid, where, where, counts, np.zeros(cells, np.float32), stamp, "", None), names)
 
     def _compressed(self, data: bytes, stamp: int, form: str = "jpeg") -> Any:
-        message = T.IMAGE_COMPRESSED.type(header=make_header(stamp, self._optical), format=form)
+        message = topics.IMAGE_COMPRESSED.type(header=make_header(stamp, self._optical), format=form)
         message.data = array("B", data)
         return message
 
@@ -243,9 +254,9 @@ class Stranger:
             return self._pose(stamp)
         if topic in CALIBRATIONS:
             return camera_to_msg(self._lens, stamp, self._optical)
-        if topic is T.FUEL_VOTES:
+        if topic is topics.FUEL_VOTES:
             return self._votes(stamp, 2)
-        if topic is T.IMAGE_COMPRESSED:
+        if topic is topics.IMAGE_COMPRESSED:
             return self._compressed(b"\xff\xd8\xff\xe0" + self.rng.randbytes(3000), stamp)
         return image_to_msg(self._numbers.integers(0, 255, (6, 9, 3), np.uint8), "rgb8", stamp, self._optical)
 
@@ -277,9 +288,9 @@ def main(attack: str, camera: str, seconds: float, seed: int) -> None:
             of_site = topic in SITE_TOPICS
             name = f"/{NAME}/{topic.name}" if of_site else f"/{NAME}/{camera}/{topic.name}"
             publishers[topic] = node.create_publisher(topic.type, name, stream_qos(topic.latched))
-            deadline = time.monotonic() + 1.0
+            deadline = time.monotonic() + LISTENED_S
             while publishers[topic].get_subscription_count() < 1 and time.monotonic() < deadline:
-                time.sleep(0.02)  # some topics have no listener, and that is right
+                time.sleep(0.02)
         return publishers[topic]
 
     make = (ATTACKS | FLOODS)[attack]
