@@ -52,7 +52,9 @@ def votes(small: SmallSite) -> dict[tuple[str, int], Any]:
 class Ran:
     """A fuel map that has counted frames and stopped; `told`: how often it told of each."""
 
-    def __init__(self, small: SmallSite, votes: dict[tuple[str, int], Any], state: Path, frames: Sequence[Sent]) -> None:
+    def __init__(
+        self, small: SmallSite, votes: dict[tuple[str, int], Any], state: Path, frames: Sequence[Sent]
+    ) -> None:
         outlet = Kept()
         node = FuelMap(FuelMapConfig(site=str(small.path), folder=str(state)), outlet, Health())
         for frame in frames:
