@@ -25,6 +25,7 @@ def main() -> None:
     parser.add_argument("--period", type=float, default=1.0, help="seconds between two frames of a camera")
     parser.add_argument("--only", action="append", default=[], help="only this kind of fault; may be given often")
     parser.add_argument("--without", action="append", default=[], help="not this kind of fault; may be given often")
+    parser.add_argument("--slack", type=float, default=1.0, help="by which times may be longer, on a busy machine")
     parser.add_argument("--domain", type=int, default=DOMAIN, help="ROS domain of the graph")
     parser.add_argument("--folder", type=Path, help="for site, state and logs, new; default: a temporary one")
     parser.add_argument("--json", type=Path, help="also write what was found into this file")
@@ -47,7 +48,9 @@ def main() -> None:
                 print("no disks are filled: this user may not mount one")
             print(f"seed {options.seed}: {', '.join(kinds)}")
             rng = random.Random(options.seed)
-            found = play_chaos(folder, options.domain, options.period, options.minutes, kinds, rng, own_disks)
+            found = play_chaos(
+                folder, options.domain, options.period, options.minutes, kinds, rng, own_disks, options.slack
+            )
     if options.json:
         content = {"options": {name: str(value) for name, value in vars(options).items()}, **found.content}
         options.json.write_text(json.dumps(content | {"missed": found.missed}, indent=1), encoding="utf-8")

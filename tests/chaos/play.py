@@ -130,7 +130,14 @@ def on_stage(folder: Path, domain: int, period_s: float, own_disks: bool, found:
 
 
 def play_chaos(
-    folder: Path, domain: int, period_s: float, minutes: float, kinds: list[str], rng: random.Random, own_disks: bool
+    folder: Path,
+    domain: int,
+    period_s: float,
+    minutes: float,
+    kinds: list[str],
+    rng: random.Random,
+    own_disks: bool,
+    slack: float,
 ) -> Found:
     """Faults of these kinds, by chance, for so long."""
     found = Found()
@@ -138,7 +145,7 @@ def play_chaos(
         arena = Arena(stage.site, stage.cameras, stage.disks)
         print(report.heading(), flush=True)
         tell: Callable[[Outcome], None] = lambda outcome: print(report.line(outcome), flush=True)  # noqa: E731
-        run = ChaosRun(arena, stage.acknowledgements, stage.heartbeats, kinds, rng, tell)
+        run = ChaosRun(arena, stage.acknowledgements, stage.heartbeats, kinds, rng, tell, slack)
         run.run(minutes)
     print("counted by the processes that lived at the end:", *report.causes(found.content["counted"]), sep="\n")
     found.content["faults"] = [asdict(outcome) for outcome in run.outcomes]

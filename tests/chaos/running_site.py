@@ -30,7 +30,8 @@ class RunningSite:
         self._command += [] if recording is None else ["--record", str(recording)]
         self._logs = logs
         self._mark = uuid.uuid4().hex
-        self.environment = ros_environment(domain_id=domain) | {_MARK: self._mark}
+        self.environment = ros_environment(domain_id=domain)
+        """Of processes in the same domain."""
         self._process: subprocess.Popen[bytes] | None = None
         self.starts = 0
         self.nodes = tuple(spec.label for spec in self._graph(site, recording))
@@ -52,7 +53,7 @@ class RunningSite:
                 stdin=subprocess.DEVNULL,
                 stdout=console,
                 stderr=subprocess.STDOUT,
-                env=self.environment,
+                env=self.environment | {_MARK: self._mark},
                 start_new_session=True,
             )
         self.starts += 1
