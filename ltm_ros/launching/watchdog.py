@@ -77,8 +77,9 @@ class HangWatch:
         if self._heard and self._idle_s > limits.silent:
             stopped = ", it is stopped (SIGSTOP)" if use.state == "T" else ""
             return f"no sign of life for {self._idle_s:.0f} s{stopped}"
-        if self._heard and self._silent_s > limits.stuck:
-            return f"no sign of life for {self._silent_s:.0f} s, though it computes"
+        if self._silent_s > limits.stuck:
+            computes = ", though it computes" if self._idle_s < self._silent_s else ""
+            return f"no sign of life for {self._silent_s:.0f} s{computes}"
         for age_s, slow, what in self._beat if self.started else ():
             if age_s > (limits.slow if slow else limits.stuck):
                 return f"{what} has not come to an end in {age_s:.0f} s"

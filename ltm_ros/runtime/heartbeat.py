@@ -75,21 +75,25 @@ class Heartbeat:
         return beat
 
     def start(self, descriptor: int, prepare: Callable[[], None], reader_gone: Callable[[], None]) -> None:
-        """Tell whoever reads the pipe. The thread first calls `prepare`, and last `reader_gone`."""
+        """Tell whoever reads the pipe. The thread calls `prepare` before this returns, and last `reader_gone`."""
         os.set_blocking(descriptor, False)
+        prepared = threading.Event()
 
         def run() -> None:
             prepare()
+            prepared.set()
             self._tell(descriptor)
             reader_gone()
 
         threading.Thread(target=run, name="heartbeat", daemon=True).start()
+        prepared.wait()
 
     def _tell(self, descriptor: int) -> None:
         poll = select.poll()
         poll.register(descriptor, 0)  # errors alone: that nobody reads any more
-        last = time.monotonic()
-        while not poll.poll(PERIOD_S * 1000):
+        last, wait_s = time.monotonic(), 0.0
+        while not poll.poll(wait_s * 1000):
+            wait_s = PERIOD_S
             now = time.monotonic()
             # Not longer than it could have been at work: this process, or the whole machine, may have been stopped.
             elapsed_s, last = min(now - last, 2 * PERIOD_S), now
