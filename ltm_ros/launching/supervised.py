@@ -85,6 +85,10 @@ def _wake() -> None:
 def _end() -> None:
     """The runner is gone: end with all that this process has started."""
     signal.alarm(GRACE_S)
+    # Nobody reads its last words, and an error about that shall not keep it from its end.
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for output in (1, 2):
+        os.dup2(nowhere, output)
     os.kill(0, signal.SIGTERM)
     time.sleep(GRACE_S - 2)
     os.kill(0, signal.SIGKILL)
