@@ -292,5 +292,6 @@ class Runner:
             )
 
     def _say(self, line: str) -> None:
-        with self._console_lock:
+        # A console that is gone (`ltm run | head`) ends no graph; the log files have every line.
+        with self._console_lock, contextlib.suppress(OSError):
             self._console(line)

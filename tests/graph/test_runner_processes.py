@@ -18,7 +18,7 @@ from scenes.waiting import wait_for
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import Graph, NodeSpec
 from ltm_ros.launching.runner import GraphError, Runner
-from ltm_ros.launching.supervisor import ProcessState, RestartPolicy
+from ltm_ros.launching.supervisor import Console, ProcessState, RestartPolicy
 
 pytestmark = pytest.mark.graph
 
@@ -38,13 +38,15 @@ def spec(name: str, camera: str = "north", behaviour: str = "well") -> NodeSpec:
 class Started:
     """A runner with its console's lines."""
 
-    def __init__(self, domain: int, logs: Path, *nodes: NodeSpec, stop_s: float = 5.0) -> None:
+    def __init__(
+        self, domain: int, logs: Path, *nodes: NodeSpec, stop_s: float = 5.0, console: Console | None = None
+    ) -> None:
         self.lines: list[str] = []
         self.runner = Runner(
             Graph("ridge", nodes),
             log_folder=logs,
             domain_id=domain,
-            console=self.lines.append,
+            console=console or self.lines.append,
             policy=QUICK,
             stop_s=stop_s,
             environment={"PYTHONPATH": str(HERE)},
@@ -59,8 +61,8 @@ class Started:
 def start(ros_domain: int, tmp_path: Path) -> Iterator[Callable[..., Started]]:
     started: list[Started] = []
 
-    def start(*nodes: NodeSpec, stop_s: float = 5.0) -> Started:
-        started.append(Started(ros_domain, tmp_path / "logs", *nodes, stop_s=stop_s))
+    def start(*nodes: NodeSpec, stop_s: float = 5.0, console: Console | None = None) -> Started:
+        started.append(Started(ros_domain, tmp_path / "logs", *nodes, stop_s=stop_s, console=console))
         return started[-1]
 
     yield start
@@ -98,6 +100,19 @@ def test_killed_node_comes_back_alone(start: Callable[..., Started]) -> None:
     assert depth.last_exit == "killed by SIGKILL"
     assert (capture.pid, capture.restarts) == (other, 0)
     assert any(line.startswith("[north/depth] -- killed by SIGKILL after ") for line in graph.lines)
+
+
+def test_a_console_that_is_gone_ends_no_graph(start: Callable[..., Started], tmp_path: Path) -> None:
+    def gone(line: str) -> None:
+        raise BrokenPipeError
+
+    graph = start(spec("depth"), console=gone)
+    graph.runner.wait_until_ready(30)
+    graph.runner.kill("north/depth")
+    depth = graph.runner.processes["north/depth"]
+    graph.wait_for(lambda: depth.starts == 2 and depth.running, "the node again")
+    graph.runner.wait_until_ready(30)
+    assert "killed by SIGKILL" in (tmp_path / "logs" / "north.depth.log").read_text()
 
 
 def test_wrong_configuration_is_given_up_with_its_reason(start: Callable[..., Started]) -> None:
@@ -235,6 +250,8 @@ def test_runner_and_cleanup_killed_at_once_leave_no_process(ros_domain: int, tmp
     runner.kill()
     runner.communicate()
     assert wait_gone(lambda: processes_of_domain(ros_domain), patience_s=30.0) == []
+    # What those that were just starting have left in shared memory, the next runner removes.
+    wait_for(lambda: not shared_memory.remove_stale().young, "what is left to be old enough")
 
 
 def test_a_cleanup_process_that_dies_is_started_again_and_told_of_all(
