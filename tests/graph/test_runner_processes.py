@@ -231,6 +231,8 @@ def test_killed_runner_leaves_nothing(ros_domain: int, tmp_path: Path, monkeypat
     segments = set().union(*map(segments_of_process, pids.values()))
     assert len(segments) >= 3
     assert list(temporary.glob("ltm-run-*/*.yaml"))
+    (cleanup,) = part_of(ros_domain, "orphan_cleanup")
+    os.kill(cleanup, signal.SIGSTOP)  # it goes on when the runner ends
     runner.kill()
     runner.communicate()
     left = wait_gone(lambda: processes_of_domain(ros_domain), patience_s=30.0)
@@ -266,8 +268,6 @@ def test_a_cleanup_process_that_dies_is_started_again_and_told_of_all(
     assert runner.stdout is not None
     assert any("the cleanup process has died" in line for line in runner.stdout)
     wait_for(lambda: part_of(ros_domain, "orphan_cleanup") not in ([], [first]), "another")
-    (second,) = part_of(ros_domain, "orphan_cleanup")
-    os.kill(second, signal.SIGSTOP)  # it goes on when the runner ends
     runner.kill()
     runner.communicate()
     assert wait_gone(lambda: processes_of_domain(ros_domain), patience_s=30.0) == []
