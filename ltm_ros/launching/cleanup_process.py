@@ -27,12 +27,6 @@ class CleanupProcess:
         # One thread for all its life: Linux tells a process of the end of the thread that started it.
         self._thread = threading.Thread(target=self._keep, name="orphan cleanup", daemon=True)
 
-    @property
-    def pid(self) -> int | None:
-        """None while it does not run."""
-        process = self._process
-        return None if process is None else process.pid
-
     def start(self) -> None:
         self._thread.start()
 
@@ -79,21 +73,31 @@ class CleanupProcess:
 
     def _keep(self) -> None:
         while not self._stopping.is_set():
-            with self._lock:
-                if self._stopping.is_set():
-                    return
-                process = self._process = self._start()
-                os.set_blocking(process.stdin.fileno(), False)  # type: ignore[union-attr]
-                for order in self._listed:
-                    self._send(order)
-            status = process.wait()
-            with self._lock:
-                self._process = None
-                with contextlib.suppress(OSError):
-                    process.stdin.close()  # type: ignore[union-attr]
-            if not self._stopping.is_set():
-                self._tell(f"-- the cleanup process has died (status {status}); another is started")
-                self._stopping.wait(AGAIN_S)
+            try:
+                status = self._run_once()
+            except OSError as error:
+                self._tell(f"-- the cleanup process cannot be started: {error}")
+            else:
+                if not self._stopping.is_set():
+                    self._tell(f"-- the cleanup process has died (status {status}); another is started")
+            self._stopping.wait(AGAIN_S)
+
+    def _run_once(self) -> int:
+        """Start one, tell it of all, wait for its end: its exit status."""
+        with self._lock:
+            if self._stopping.is_set():
+                return 0
+            process = self._process = self._start()
+            assert process.stdin is not None
+            os.set_blocking(process.stdin.fileno(), False)
+            for order in self._listed:
+                self._send(order)
+        status = process.wait()
+        with self._lock:
+            self._process = None
+            with contextlib.suppress(OSError):
+                process.stdin.close()
+        return status
 
     def _start(self) -> subprocess.Popen[bytes]:
         return subprocess.Popen(

@@ -90,8 +90,8 @@ def describe_exit(status: int) -> str:
 class NodeProcess:
     """Runs `command` until `stop`. One thread follows the process, another its output; both end with it.
 
-    A process that hangs is killed with all that it has started, and starts again. It must be a `supervised_command` for
-    that, else only its death is noticed.
+    With a `watchdog`, a process that hangs is killed with all that it has started, and starts again. `command` is then
+    a `supervised_command`: what never tells of itself is taken for hung.
     """
 
     label: str
@@ -101,7 +101,7 @@ class NodeProcess:
     console: Console
     policy: RestartPolicy = field(default_factory=RestartPolicy)
     watchdog: WatchdogConfig | None = None
-    """When it hangs; None: never."""
+    """When it hangs; None: only its death is noticed."""
     on_group: Callable[[int, bool], None] = lambda group, alive: None
     """Told of every process group that comes (True) and is gone (False)."""
     on_given_up: Callable[[], None] = lambda: None
