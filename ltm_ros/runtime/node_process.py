@@ -15,6 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 from ltm_core.errors import LtmError
 from ltm_ros.launching.dds_shutdown import limit_shutdown
 from ltm_ros.launching.supervisor import EX_CONFIG
+from ltm_ros.runtime.heartbeat import HEARTBEAT, STARTING
 
 
 class ClosableNode(Protocol):
@@ -39,9 +40,10 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode]) -> None:
     making = True
 
     def stop(*_: object) -> None:
+        first = not stopping.is_set()
         stopping.set()
         # A node may load and compile for long, and has nothing to finish yet.
-        if making:
+        if making and first:
             raise _StoppedEarly
 
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -64,8 +66,12 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode]) -> None:
         return
     executor = SingleThreadedExecutor()
     executor.add_node(node)
+    activity = HEARTBEAT.activity(name)
+    STARTING.end()
     while rclpy.ok() and not stopping.is_set():
-        executor.spin_once(timeout_sec=0.1)
+        with activity.turn("callback"):
+            executor.spin_once(timeout_sec=0.1)
+    activity.begin("end", slow=True)
     node.close()
     limit_shutdown()
     executor.shutdown()
