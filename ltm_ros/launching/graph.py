@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from ltm_core.errors import ConfigError
-from ltm_core.site import Site
+from ltm_core.site import Site, WatchdogConfig
 
 ParameterValue = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 
@@ -84,6 +84,7 @@ class Graph:
 
     site: str
     nodes: tuple[NodeSpec, ...]
+    watchdog: WatchdogConfig = field(default_factory=WatchdogConfig)
 
     def __post_init__(self) -> None:
         labels = [node.label for node in self.nodes]
@@ -148,7 +149,7 @@ def describe(
         nodes.append(spec("viewer", f"/{site.name}", {}))
     if record is not None:
         nodes.append(spec("recorder", f"/{site.name}", {}))
-    return Graph(site.name, tuple(nodes))
+    return Graph(site.name, tuple(nodes), site.watchdog)
 
 
 def parameters_yaml(parameters: Mapping[str, ParameterValue]) -> str:

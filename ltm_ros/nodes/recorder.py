@@ -25,6 +25,7 @@ from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.free_path import free_path
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.message_loss import LossCounter, loss_report, writers_of
 from ltm_ros.runtime.node import read_parameters
 from ltm_ros.runtime.node_process import run_until_stopped
@@ -115,9 +116,11 @@ class Recorder(Node):  # type: ignore[misc]
         self._queue.put(partial(self._store, topic, type_name, cdr, self.get_clock().now().nanoseconds))
 
     def _write(self) -> None:
+        activity = HEARTBEAT.activity("recorder disk")
         while (work := self._queue.get()) is not None:
             try:
-                work()
+                with activity.turn("write"):
+                    work()
             except LtmError as error:
                 self.health.drop(cause_of(error), str(error))
                 self.get_logger().warning(str(error), throttle_duration_sec=5.0)

@@ -34,11 +34,11 @@ from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.terrain import change_to_msg, changed_to_msg
-from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
+from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_check import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
-from ltm_ros.runtime.stamp_join import Part, StampJoin
+from ltm_ros.runtime.stamp_join import JoinConfig, Part, StampJoin
 from ltm_ros.runtime.topics import (
     LABELS_IMAGE,
     MEASURED_DEPTH,
@@ -67,7 +67,9 @@ _WAITING = 6
 come at all."""
 
 
-class TerrainNodeConfig(NodeConfig):
+class TerrainNodeConfig(JoinConfig):
+    max_wait: float = Field(120.0, gt=0)
+    """Seconds that a frame's pose waits for its measured depth, which has waited in `topodepth` before."""
     folder: str = ""
     """Where the surface is kept from run to run, and written on request; relative to the site file. Empty: it ends
     with the node. Never taken from the wire."""
@@ -118,7 +120,10 @@ class Terrain(Handler[TerrainNodeConfig]):
         self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, config.max_behind)
         labels_too: tuple[Part | str, ...] = (*_PARTS, Part("labels", wait_s=0.0, remembered=_WAITING))
         self._joins = {
-            camera: StampJoin(labels_too, partial(self._take, camera), health, _WAITING) for camera in site.cameras
+            camera: StampJoin(
+                labels_too, partial(self._take, camera), health, _WAITING, max_wait=config.max_wait, camera=camera
+            )
+            for camera in site.cameras
         }
         self._paced = self._dirty = False
         self._undecided = 0
@@ -161,6 +166,8 @@ class Terrain(Handler[TerrainNodeConfig]):
             self._settle()
 
     def tick(self, waited: float) -> None:
+        for join in self._joins.values():
+            join.tick(waited)
         self._paced = True
         self._since_grid += waited
         self._since_commit += waited

@@ -29,6 +29,7 @@ from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.discovery_check import LISTENERS, unheard
 from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
 from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.message_loss import LossCounter, loss_report, writers_of
 from ltm_ros.runtime.node_process import run_until_stopped
 
@@ -114,6 +115,7 @@ class HandlerNode(Node):  # type: ignore[misc]
         self.create_timer(0.5, self._tick, clock=DiagnosticsPublisher.steady_clock())
         self._unheard: dict[str, str] = {}
         self.create_timer(WIRING_S, self._look_at_wiring, clock=DiagnosticsPublisher.steady_clock())
+        self._activity = HEARTBEAT.activity(f"{node_type.name} worker")
         self._worker = threading.Thread(target=self._work, name=f"{node_type.name} worker", daemon=True)
         self._worker.start()
 
@@ -211,6 +213,7 @@ class HandlerNode(Node):  # type: ignore[misc]
         while (item := self._inbox.get()) is not None:
             callback, message = item
             started, results = time.perf_counter(), self._results
+            self._activity.begin("tick or request" if message is None else type(message).__name__)
             try:
                 self._guarded(callback, message)
                 if self._inbox.empty():
@@ -219,6 +222,7 @@ class HandlerNode(Node):  # type: ignore[misc]
                 # A bug: end the whole process at once, with its traceback, and let the graph restart it.
                 sys.excepthook(*sys.exc_info())
                 os._exit(1)
+            self._activity.end()
             # A message that only waits for others to join it tells nothing of the work on a frame.
             if self._results > results or not self.handler.publications:
                 self.health.worked(time.perf_counter() - started)
@@ -238,6 +242,7 @@ class HandlerNode(Node):  # type: ignore[misc]
             outcome: queue.Queue[tuple[bool, str]] = queue.Queue(1)
 
             def act(_: Any) -> None:
+                self._activity.slow = True
                 try:
                     outcome.put((True, action()))
                 except LtmError as error:

@@ -164,7 +164,7 @@ def test_image_waits_so_long_and_is_counted(capture_of: CaptureOf) -> None:
     assert health.dropped == {}
     capture.tick(0.6)
     assert health.dropped == {"no_pose": 1}
-    assert f"image of stamp {S} ns has no pose (waited 2.0 s)" in health.last_error
+    assert f"image of stamp {S} ns has no pose (waited 2 s)" in health.last_error
     capture.on_pose(pose(S))
     capture.on_pose(pose(2 * S))
     assert outlet.stamps(POSED_IMAGE) == [2 * S]

@@ -134,6 +134,19 @@ def test_labels_are_waited_for_and_then_done_without(tmp_path: Path, monkeypatch
     assert node.kept.stamps(FUSED_DEPTH) == [STAMP]
 
 
+def test_a_frame_that_never_gets_its_depth_is_given_up_by_its_age(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = Node(tmp_path, monkeypatch, label_wait=1.0, max_wait=9.0)
+    node.feed("image", "info", "pose", "labels")
+    node.handler.tick(9.0)
+    assert node.health.dropped == {}
+    node.handler.tick(0.5)
+    assert node.health.dropped == {"unjoined": 1}
+    assert node.health.summary()["noted.unjoined.depth"] == "1"
+    assert "never got its depth (waited 9 s)" in node.health.last_error
+
+
 def test_no_more_frames_wait_than_allowed_and_none_is_lost_at_the_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
