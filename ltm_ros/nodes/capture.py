@@ -47,7 +47,7 @@ class CaptureConfig(NodeConfig):
     in_flight: int = Field(2, ge=1)
     """Frames that the camera's nodes work on at most: one is labelled while another is fused."""
     finish_within: float = Field(10.0, gt=0)
-    """Seconds after which a node that has not finished a frame is not waited for, until it finishes one."""
+    """Seconds after which a node that has frames and finishes none is not waited for, until it finishes one."""
     shed: bool = True
     """While so many are in flight, the newest frame waits and those before it are turned away. False, as in a replay:
     all wait in order, up to `waiting_bytes` of the site's limits."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections import defaultdict, deque
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping, Set
 from functools import partial
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -109,8 +109,8 @@ class _Outlet:
     def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
         """Each frame is finished before the next is fed: nobody waits for it."""
 
-    def workers(self, topic: Topic) -> Collection[str]:
-        return ()
+    def workers(self, topic: Topic) -> Set[str]:
+        return frozenset()
 
 
 def replay_offline(

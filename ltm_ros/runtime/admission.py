@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Set
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -15,12 +15,15 @@ FrameT = TypeVar("FrameT")
 
 @dataclass
 class _InFlight:
-    awaited: set[str]
-    """Nodes that have not finished with it."""
+    awaited: dict[str, float]
+    """Workers that have not finished with it: seconds since they were given it or last finished another."""
     whole: bool = True
     """Whether all that were awaited have finished it, as far as is known."""
-    age: float = 0.0
-    """Seconds since it was admitted."""
+
+    def give_up(self, workers: Set[str]) -> None:
+        for worker in self.awaited.keys() & workers:
+            del self.awaited[worker]
+            self.whole = False
 
 
 class Admission(Generic[FrameT]):
@@ -28,8 +31,8 @@ class Admission(Generic[FrameT]):
 
     A frame is in flight until every node has finished it that was known as a worker when it was let in. Nothing is
     asked of who works on it: a worker that goes is not awaited any more, one that finishes a later frame has done with
-    those before, and one that lets a frame grow older than `finish_within` is left out of account until it finishes
-    another. So the slowest worker that lives sets the pace, and where there is none nothing limits.
+    those before, and one that has a frame and finishes none for `finish_within` is left out of account until it does.
+    So the slowest worker that lives sets the pace, and where there is none nothing limits.
 
     Args:
         admit: takes a frame that is let in. May raise LtmError: then it is not in flight.
@@ -46,7 +49,7 @@ class Admission(Generic[FrameT]):
     def __init__(
         self,
         admit: Callable[[FrameT], None],
-        workers: Callable[[], Collection[str]],
+        workers: Callable[[], Set[str]],
         health: Health,
         capacity: int,
         finish_within: float,
@@ -80,35 +83,33 @@ class Admission(Generic[FrameT]):
         """A worker has finished a frame. Raises as `offer`."""
         self._late.discard(worker)
         if stamp_ns in self._in_flight:
+            self._in_flight[stamp_ns].awaited.pop(worker, None)
             for stamp in list(self._in_flight):
-                frame = self._in_flight[stamp]
-                if worker in frame.awaited:
-                    frame.awaited.discard(worker)
-                    frame.whole &= stamp == stamp_ns
                 if stamp == stamp_ns:
                     break
+                self._in_flight[stamp].give_up({worker})
+            for frame in self._in_flight.values():
+                if worker in frame.awaited:
+                    frame.awaited[worker] = 0.0
             self._release()
         self._state(self._let_in())
 
     def tick(self, waited: float) -> None:
         """So many seconds have passed. Raises as `offer`."""
-        there = set(self._workers()) if self._in_flight else set()
+        there = self._workers() if self._in_flight else ()
         for stamp, frame in self._in_flight.items():
-            frame.age += waited
-            if gone := frame.awaited - there:
-                frame.awaited -= gone
-                frame.whole = False
-            if frame.awaited and frame.age > self._finish_within:
-                self._late |= frame.awaited
+            frame.give_up(frame.awaited.keys() - there)
+            frame.awaited = {worker: silent + waited for worker, silent in frame.awaited.items()}
+            late = {worker for worker, silent in frame.awaited.items() if silent > self._finish_within}
+            if late - self._late:
                 self._health.trouble(
                     "unfinished",
-                    f"the frame of stamp {stamp} ns was not finished by {', '.join(sorted(frame.awaited))} within "
+                    f"{', '.join(sorted(late))} did not finish the frame of stamp {stamp} ns, nor any other, within "
                     f"{self._finish_within:g} s; see their diagnostics, or raise finish_within of capture",
                 )
+            self._late |= late
         for frame in self._in_flight.values():
-            if left_out := frame.awaited & self._late:
-                frame.awaited -= left_out
-                frame.whole = False
+            frame.give_up(self._late)
         self._release()
         self._state(self._let_in())
 
@@ -123,7 +124,7 @@ class Admission(Generic[FrameT]):
         while self._waiting and len(self._in_flight) < self._capacity:
             stamp, frame = self._waiting.popitem(last=False)
             self._held -= self._size_of(frame)
-            awaited = set(self._workers()) - self._late
+            awaited = dict.fromkeys(self._workers() - self._late, 0.0)
             try:
                 self._admit(frame)
             except LtmError as error:
@@ -142,7 +143,7 @@ class Admission(Generic[FrameT]):
 
     def _turn_away(self, stamp: int, why: str) -> None:
         self._held -= self._size_of(self._waiting.pop(stamp))
-        awaited = sorted(set().union(*(frame.awaited for frame in self._in_flight.values())))
+        awaited = sorted({worker for frame in self._in_flight.values() for worker in frame.awaited})
         self._health.drop(
             "shed",
             f"the frame of stamp {stamp} ns: {why}, and {len(self._in_flight)} are in flight (at "

@@ -6,7 +6,7 @@ messages, so what a tower computes live is what a researcher recomputes from the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -53,7 +53,7 @@ class Outlet(Protocol):
         """Say that this node has finished a camera's frame; `topic` is one of the handler's `acknowledgements`."""
         ...
 
-    def workers(self, topic: Topic) -> Collection[str]:
+    def workers(self, topic: Topic) -> Set[str]:
         """Full names of the nodes that acknowledge frames on a topic, as known now; none where frames are fed one by
         one."""
         ...

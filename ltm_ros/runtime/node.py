@@ -8,7 +8,7 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Set
 from fnmatch import fnmatchcase
 from functools import partial
 from typing import Any
@@ -141,7 +141,7 @@ class HandlerNode(Node):  # type: ignore[misc]
         """Part of Outlet."""
         self._publishers_by_topic[topic].publish(make_header(stamp_ns, self.get_fully_qualified_name()))
 
-    def workers(self, topic: Topic) -> Collection[str]:
+    def workers(self, topic: Topic) -> Set[str]:
         """Part of Outlet."""
         ends = self.get_publishers_info_by_topic(topic.name)
         # Of one that has just come DDS does not know the name yet.

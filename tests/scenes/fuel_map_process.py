@@ -38,8 +38,8 @@ class Teller:
 
     def acknowledge(self, topic: Topic, stamp_ns: int) -> None: ...
 
-    def workers(self, _: Topic) -> tuple[str, ...]:
-        return ()
+    def workers(self, _: Topic) -> frozenset[str]:
+        return frozenset()
 
 
 def main(site: Path, folder: Path) -> None:

@@ -114,7 +114,7 @@ def test_a_worker_that_hangs_holds_the_camera_up_for_so_long_and_counts_again_wh
     assert door.admitted == [1, 2]
     door.admission.tick(1.0)
     assert door.admitted == [1, 2, 19]
-    assert "stamp 2 ns was not finished by fuse within 10 s" in door.health.last_error
+    assert "fuse did not finish the frame of stamp 1 ns, nor any other, within 10 s" in door.health.last_error
     # The others set the pace now.
     door.offer(20, 21)
     assert door.admitted == [1, 2, 19, 20]
@@ -128,6 +128,21 @@ def test_a_worker_that_hangs_holds_the_camera_up_for_so_long_and_counts_again_wh
     assert door.admitted[-2:] == [30, 31]
     door.finished(30, "fuse")
     assert door.admitted[-1] == 32
+
+
+def test_a_slow_worker_is_waited_for_as_long_as_it_goes_on() -> None:
+    """Two frames of six seconds each."""
+    door = Door(workers={"fuse"})
+    door.offer(1, 2, 3)
+    door.admission.tick(6.0)
+    door.finished(1, "fuse")
+    assert door.admitted == [1, 2, 3]
+    door.offer(4)
+    door.admission.tick(6.0)
+    assert door.admitted == [1, 2, 3]
+    door.finished(2, "fuse")
+    assert door.admitted == [1, 2, 3, 4]
+    assert door.stated("finished", "noted.unfinished") == [2, 0]
 
 
 def test_all_hang_and_frames_go_on() -> None:
