@@ -77,9 +77,9 @@ class GraphResult:
     latency_p95_s: float
     latency_p99_s: float
     latency_max_s: float
-    fused_p50_s: float
-    """From the stamp to `fused/depth`, of the slowest camera; nan without fusion."""
-    fused_p95_s: float
+    fused_p50_s: float | None
+    """From the stamp to `fused/depth`, of the slowest camera; None without fusion."""
+    fused_p95_s: float | None
     cpu_ms_a_frame: dict[str, float]
     """Processor time by job and in `all`, over the frames that were finished; of starting nothing is in it."""
     load_average: float
@@ -194,7 +194,9 @@ def _result(
         name = f"/{NAME}/{camera}/{node}"
         return int(after.get(name, {}).get(key, "0")) - int(before.get(name, {}).get(key, "0"))
 
-    def fused_latency(key: str) -> float:
+    def fused_latency(key: str) -> float | None:
+        if not fusion:
+            return None
         said = [float(after.get(f"/{NAME}/{camera}/topodepth", {}).get(key, "nan")) for camera in sent]
         return max(said) / 1000
 
