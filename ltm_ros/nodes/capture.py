@@ -153,7 +153,7 @@ class Capture(Handler[CaptureConfig]):
         camera = self._fixed_calibration if calibration is None else calibration
         assert where is not None
         assert camera is not None
-        # What can never be admitted takes no other's place at the door.
+        # A JPEG or PNG whose first bytes say that it is not this camera's takes no other's place at the door.
         if self._raw or self._fits(image, camera):
             self._admission.offer(stamp_of(image), _Frame(image, where, covariance, camera))
 
