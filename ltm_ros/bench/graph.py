@@ -78,7 +78,8 @@ class GraphResult:
     latency_p99_s: float
     latency_max_s: float
     fused_p50_s: float | None
-    """From the stamp to `fused/depth`, of the slowest camera; None without fusion."""
+    """From the stamp to `fused/depth`, of the slowest camera, its first frames among them; None without
+    fusion."""
     fused_p95_s: float | None
     cpu_ms_a_frame: dict[str, float]
     """Processor time by job and in `all`, over the frames that were finished; of starting nothing is in it."""
