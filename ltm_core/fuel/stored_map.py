@@ -26,7 +26,7 @@ JOURNALED: Final = ("life_form", "code")
 """Layers whose changes the store's journal holds."""
 _ALWAYS: Final = 2**63 - 1
 SURFACE_LAYER: Final = "surface"
-"""Of the journal: what the changed surface has told each cell (`LivingFuelMap.told`)."""
+"""Of the journal: what is recorded of the changed surface in each cell (`LivingFuelMap.surface_changes`)."""
 _VISIBILITY = ("cos_incidence", "footprint", "sigma_along", "sigma_across", "bearing")
 
 
@@ -45,7 +45,7 @@ def restore(store: TileStore, evidence: LivingFuelMap) -> set[Key]:
     """
     for key, tile in store.tiles():
         evidence.load_tile(key, tile)
-    evidence.recall(store.as_of(SURFACE_LAYER, np.zeros_like(evidence.told), _ALWAYS))
+    evidence.recall(store.as_of(SURFACE_LAYER, np.zeros_like(evidence.surface_changes), _ALWAYS))
     newer: set[Key] = set()
     for frame in store.waiting():
         window = evidence.add(votes_of(frame, evidence.geometry))

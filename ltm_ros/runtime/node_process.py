@@ -13,7 +13,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from ltm_core.errors import LtmError
-from ltm_ros.launching.dds_shutdown import begin_farewell
+from ltm_ros.launching.dds_shutdown import limit_shutdown
 from ltm_ros.launching.supervisor import EX_CONFIG
 
 
@@ -32,7 +32,7 @@ class _StoppedEarly(BaseException):
 def run_until_stopped(name: str, make: Callable[[], ClosableNode]) -> None:
     """Spin the node that `make` makes until SIGINT or SIGTERM, then `close` it while it can still publish.
 
-    The last act of a process: from the return on it has moments left to exit (`begin_farewell`). Exits with EX_CONFIG
+    The last act of a process: from the return on it has moments left to exit (`limit_shutdown`). Exits with EX_CONFIG
     where the configuration cannot work (LtmError), so that the graph does not start it for ever.
     """
     stopping = threading.Event()
@@ -53,13 +53,13 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode]) -> None:
         making = False
     except LtmError as error:
         making = False
-        begin_farewell()
+        limit_shutdown()
         print(f"{name}: cannot start: {error}", file=sys.stderr)
         rclpy.try_shutdown()
         sys.exit(EX_CONFIG)
     except _StoppedEarly:
         making = False
-        begin_farewell()
+        limit_shutdown()
         rclpy.try_shutdown()
         return
     executor = SingleThreadedExecutor()
@@ -67,7 +67,7 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode]) -> None:
     while rclpy.ok() and not stopping.is_set():
         executor.spin_once(timeout_sec=0.1)
     node.close()
-    begin_farewell()
+    limit_shutdown()
     executor.shutdown()
     node.destroy_node()
     rclpy.try_shutdown()

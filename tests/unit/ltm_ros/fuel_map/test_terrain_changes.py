@@ -252,9 +252,11 @@ def test_hostile_and_misplaced_changes_move_nothing(site: Path) -> None:
     node.hear(kinds)
     unharmed = Node(site)
     unharmed.hear(kinds)
-    told = node.handler.persistence.map.told
+    told = node.handler.persistence.map.surface_changes
     assert told.any()
-    np.testing.assert_array_equal(told, unharmed.handler.persistence.map.told, err_msg="a bad shift was taken")
+    np.testing.assert_array_equal(
+        told, unharmed.handler.persistence.map.surface_changes, err_msg="a bad shift was taken"
+    )
     shown = node.life_form
     node.hear(np.full(t.shape, 0, np.uint8), BEGIN_NS - DAY)
     assert node.health.dropped == {"future": 1, "too_old": 1}
