@@ -26,6 +26,7 @@ from ltm_ros.runtime.topics import (
     ALIGNMENT,
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
+    FINISHED,
     GROUND_DEPTH,
     POSED_CAMERA_INFO,
     POSED_POSE,
@@ -42,6 +43,7 @@ class Depth(Handler[DepthConfig]):
     """Needs no image: calibration and pose decide what the terrain looks like."""
 
     publications = (DEPTH_IMAGE, DEPTH_CAMERA_INFO, GROUND_DEPTH, ALIGNMENT)
+    acknowledgements = (FINISHED,)
 
     def __init__(self, config: DepthConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -88,6 +90,7 @@ class Depth(Handler[DepthConfig]):
             self.outlet.publish(ALIGNMENT, image_to_msg(ranges.points(), "32FC3", stamp, "map"))
         for name, count in asdict(self._tracer.statistics).items():
             self.health.gauge(f"tracer.{name}", count)
+        self.outlet.acknowledge(FINISHED, stamp)
 
 
 def _compile_kernels() -> None:

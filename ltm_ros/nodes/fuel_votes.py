@@ -25,6 +25,7 @@ from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
 from ltm_ros.runtime.topics import (
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
+    FINISHED,
     FUEL_VOTES,
     LABELS_CONFIDENCE,
     LABELS_IMAGE,
@@ -34,6 +35,7 @@ from ltm_ros.runtime.topics import (
 
 class FuelVotes(Handler[JoinConfig]):
     publications = (FUEL_VOTES,)
+    acknowledgements = (FINISHED,)
 
     def __init__(self, config: JoinConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -86,6 +88,7 @@ class FuelVotes(Handler[JoinConfig]):
         if len(sent) < len(votes):
             self.health.note("votes_in_turns")
         self.outlet.publish(FUEL_VOTES, votes_to_msg(sent, self._labels.names))
+        self.outlet.acknowledge(FINISHED, stamp_of(depth))
 
 
 NODE = NodeType("fuel_votes", JoinConfig, FuelVotes)

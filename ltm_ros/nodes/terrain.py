@@ -40,6 +40,7 @@ from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_check import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
 from ltm_ros.runtime.stamp_join import JoinConfig, Part, StampJoin
 from ltm_ros.runtime.topics import (
+    FINISHED,
     LABELS_IMAGE,
     MEASURED_DEPTH,
     MEASURED_SIGMA,
@@ -125,6 +126,7 @@ class Terrain(Handler[TerrainNodeConfig]):
             )
             for camera in site.cameras
         }
+        self.acknowledgements = tuple(self._of(camera, FINISHED) for camera in site.cameras)
         self._paced = self._dirty = False
         self._undecided = 0
         self._untold = Changed.none()
@@ -203,7 +205,7 @@ class Terrain(Handler[TerrainNodeConfig]):
         return f"written: {', '.join(path.name for path in files)}"
 
     def _of(self, camera: str, topic: Topic) -> Topic:
-        return Topic(camera_topic(self._site.name, camera, topic), topic.type)
+        return replace(topic, name=camera_topic(self._site.name, camera, topic))
 
     def _part(self, camera: str, name: str, message: Any) -> None:
         self._joins[camera].add(name, stamp_of(message), message)
@@ -237,6 +239,7 @@ class Terrain(Handler[TerrainNodeConfig]):
             self.health.note("tiles_left_out")
         if added.registration is not None:
             self.health.gauge(f"turned_deg.{camera}", f"{added.registration.turned_deg:.3f}")
+        self.outlet.acknowledge(self._of(camera, FINISHED), stamp)
 
     def _settle(self) -> None:
         """Decide what the frames since the last call have changed; what is told of is in the store, whatever comes."""

@@ -32,6 +32,7 @@ from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_join import JoinConfig, Part, StampJoin
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
+    FINISHED,
     FUSED_DEPTH,
     FUSED_INFO,
     FUSED_SIGMA,
@@ -71,6 +72,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
     publications = (
         FUSED_DEPTH, FUSED_SIGMA, FUSED_SOURCE, FUSED_INFO, MEASURED_DEPTH, MEASURED_SIGMA, NETWORK_DEPTH,
     )  # fmt: skip
+    acknowledgements = (FINISHED,)
 
     def __init__(self, config: TopoDepthConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -135,6 +137,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
             self._config,
         )
         self._publish(fused, stamp)
+        self.outlet.acknowledge(FINISHED, stamp)
 
     def _settings(self, pose: Any) -> FusionSettings:
         """With the camera's direction as sure as its pose's covariance says, where that is given."""

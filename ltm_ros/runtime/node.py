@@ -8,7 +8,7 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from fnmatch import fnmatchcase
 from functools import partial
 from typing import Any
@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 from ltm_core.config_io import checked
 from ltm_core.errors import LtmError
 from ltm_msgs_py.bag.schemas import type_name_of
-from ltm_msgs_py.stamp import stamp_of
+from ltm_msgs_py.stamp import make_header, stamp_of
 from ltm_ros.runtime.clock_watch import ClockWatch
 from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.discovery_check import LISTENERS, unheard
@@ -111,6 +111,9 @@ class HandlerNode(Node):  # type: ignore[misc]
             self.create_timer(0.5, self._discover, clock=DiagnosticsPublisher.steady_clock())
         for service, action in self.handler.services.items():
             self.create_service(Trigger, service, self._serve(action))
+        # After the subscriptions: who is known to acknowledge frames also takes them.
+        for topic in self.handler.acknowledgements:
+            self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, _qos(topic))
         self._diagnostics = DiagnosticsPublisher(self, self.health, config.camera)
         self.create_timer(0.5, self._tick, clock=DiagnosticsPublisher.steady_clock())
         self._unheard: dict[str, str] = {}
@@ -135,6 +138,16 @@ class HandlerNode(Node):  # type: ignore[misc]
     def now_ns(self) -> int:
         """Part of Outlet."""
         return int(self.get_clock().now().nanoseconds)
+
+    def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
+        """Part of Outlet."""
+        self._publishers_by_topic[topic].publish(make_header(stamp_ns, self.get_fully_qualified_name()))
+
+    def workers(self, topic: Topic) -> Set[str]:
+        """Part of Outlet."""
+        ends = self.get_publishers_info_by_topic(topic.name)
+        # Of one that has just come DDS does not know the name yet.
+        return {f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends if "UNKNOWN" not in end.node_name}
 
     def close(self) -> None:
         """Let the worker finish what waits, tell the handler, send the last diagnostics."""
@@ -165,7 +178,8 @@ class HandlerNode(Node):  # type: ignore[misc]
         losses = LossCounter(writers_of(self, name))
 
         def take(message: Any, info: Any) -> None:
-            self.health.received(name)
+            if topic.counted:
+                self.health.received(name)
             # Of a latched topic only the last message counts.
             if not topic.latched and (lost := losses.lost(info)):
                 self.health.drop("lost", loss_report(lost, name), lost)

@@ -25,6 +25,7 @@ from ltm_ros.nodes.topodepth import TopoDepth, TopoDepthConfig
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
+    FINISHED,
     FUSED_DEPTH,
     FUSED_INFO,
     FUSED_SIGMA,
@@ -120,6 +121,7 @@ def test_a_frame_comes_out_fused_with_its_stamp(
     assert (info["verdict"], info["camera"], info["stamp_ns"]) == ("ok", "mast", STAMP)
     assert info["inlier_ratio"] > 0.5
     assert node.health.summary()["verdict"] == "ok"
+    assert node.kept.acknowledged == [(FINISHED, STAMP)]
 
 
 def test_labels_are_waited_for_and_then_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
