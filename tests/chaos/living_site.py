@@ -13,6 +13,8 @@ from ltm_core.raster.raster_io import write_geotiff
 
 PRIOR_CODE = 183
 """Of every cell: timber litter, so that grass and houses contradict it."""
+SILENT_S = 8.0
+"""After which a node without a sign of life is given up, so that its camera is back in time."""
 NO_CHANGE = 1000.0
 """Metres by which the surface would have to move: what becomes of the fuel map then is for other tests, and here the
 map shall follow from the votes alone."""
@@ -27,5 +29,6 @@ def write_living_site(folder: Path) -> SmallSite:
     del content["nodes"]
     content["fuel"] = {"prior": "prior.tif"}
     content["terrain"]["threshold"] = NO_CHANGE
+    content["watchdog"] = {"silent": SILENT_S}
     small.path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return SmallSite(folder)
