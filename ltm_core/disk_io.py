@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
@@ -58,7 +60,9 @@ class DiskReserve:
 
     def __init__(self, path: Path, most: int) -> None:
         """`most`: bytes to hold, a quarter of what is free where that is less. Nothing is held yet."""
-        self.path, self._most = path, most
+        self.path, self._wanted = path, most
+        self.most = 0
+        """Bytes that have been held at most."""
 
     @property
     def held(self) -> int:
@@ -72,17 +76,31 @@ class DiskReserve:
         """Hold as much as there is room for; on a disk without any: nothing, and no error."""
         held = self.held
         try:
-            wanted = min(self._most, held + free_bytes(self.path) // 4)
-            if wanted <= held:
-                return
-            descriptor = os.open(self.path, os.O_CREAT | os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
-            try:
-                os.posix_fallocate(descriptor, 0, wanted)
-            finally:
-                os.close(descriptor)
+            wanted = min(self._wanted, (held + free_bytes(self.path)) // 4)
+            if wanted > held:
+                self._grow(wanted)
         except OSError:
             if not held:
                 self.give_up()
+        self.most = max(self.most, self.held)
+
+    def _grow(self, size: int) -> None:
+        descriptor = os.open(self.path, os.O_CREAT | os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+        try:
+            os.posix_fallocate(descriptor, 0, size)
+        finally:
+            os.close(descriptor)
+
+    @contextmanager
+    def lent(self) -> Iterator[None]:
+        """What was held is free for the caller; what it leaves is held again."""
+        held = self.held
+        self.give_up()
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                self._grow(min(held, free_bytes(self.path) * 15 // 16))
 
     def give_up(self) -> None:
         """What was held is free for anybody."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-import logging.handlers
 import os
 import signal
 import subprocess
@@ -16,13 +14,11 @@ from enum import Enum
 from pathlib import Path
 from typing import IO
 
+from ltm_ros.launching.node_log import NodeLog
 from ltm_ros.launching.orphan_cleanup import end_groups, group_alive
 
 EX_CONFIG = 78
 """Exit status of a node whose configuration cannot work (sysexits.h)."""
-
-LOG_BYTES = 4 << 20
-LOG_FILES = 3
 
 Console = Callable[[str], None]
 
@@ -110,7 +106,8 @@ class NodeProcess:
         self._tail: deque[str] = deque(maxlen=12)
         self._backoff = Backoff(self.policy)
         self._thread = threading.Thread(target=self._supervise, name=f"supervise {self.label}", daemon=True)
-        self._log = _open_log(self.log_file)
+        self._log = NodeLog(self.log_file, lambda text: self.console(f"[{self.label}] -- {text}"))
+        self._log_lock = threading.Lock()
 
     @property
     def restarts(self) -> int:
@@ -144,9 +141,7 @@ class NodeProcess:
 
     def close(self) -> None:
         """Close the log file; call when the node has stopped."""
-        for handler in list(self._log.handlers):
-            self._log.removeHandler(handler)
-            handler.close()
+        self._log.close()
 
     def last_words(self) -> list[str]:
         """The newest lines of its output."""
@@ -218,15 +213,6 @@ class NodeProcess:
         self._emit(f"-- {text}")
 
     def _emit(self, line: str) -> None:
-        self._log.info(line)
+        with self._log_lock:
+            self._log.write(line)
         self.console(f"[{self.label}] {line}")
-
-
-def _open_log(path: Path) -> logging.Logger:
-    """A file that cannot fill the disk; stands apart from the process's own logging."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handler = logging.handlers.RotatingFileHandler(path, maxBytes=LOG_BYTES, backupCount=LOG_FILES - 1, delay=True)
-    handler.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
-    log = logging.Logger(f"ltm {path}", logging.INFO)
-    log.addHandler(handler)
-    return log

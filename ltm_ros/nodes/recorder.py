@@ -28,7 +28,7 @@ from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.message_loss import LossCounter, loss_report, writers_of
 from ltm_ros.runtime.node import read_parameters
-from ltm_ros.runtime.node_process import run_until_stopped
+from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
 from ltm_ros.runtime.topics import RECORDED, camera_topic, site_topic
 
 QUEUE_BYTES = 512 << 20
@@ -82,13 +82,14 @@ class Recorder(Node):  # type: ignore[misc]
         self._thread = threading.Thread(target=self._write, name="recorder disk", daemon=True)
         self._thread.start()
 
-    def close(self) -> None:
-        """Write what waits, for `CLOSE_S` at most, and finish the bag."""
+    def close(self) -> int:
+        """Write what waits, for `CLOSE_S` at most, and finish the bag; the process's exit status."""
         self._stop_at = time.monotonic() + CLOSE_S
         self._queue.put(None)
         self._thread.join()
-        self._recording.close()
+        whole = self._recording.close()
         self._diagnostics.publish()
+        return 0 if whole else EX_IOERR
 
     def _discover(self) -> None:
         """Subscribe to topics as they appear; durability and reliability follow what is offered."""

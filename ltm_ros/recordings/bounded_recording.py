@@ -66,6 +66,7 @@ class BoundedRecording:
         self._floor = SpaceFloor(path, limits.floor)
         self._path = path
         self._topics: dict[str, tuple[str, bool]] = {}
+        self._held: dict[str, bytes] = {}
         self._writer: BagWriter | None = None
         self._told: Counter[str] = Counter()
         self._failed = ""
@@ -94,17 +95,23 @@ class BoundedRecording:
     def write(self, topic: str, type_name: str, cdr: bytes, log_time_ns: int) -> None:
         """Take a message. Raises RecordingError on one that can be in no bag."""
         if self._low():
-            self._health.drop("disk_low", self._why_low())
+            self._refuse("disk_low", self._why_low(), topic, cdr)
             return
         if time.monotonic() < self._retry_at:
-            self._health.drop("disk", self._failed)
+            self._refuse("disk", self._failed, topic, cdr)
             return
         try:
             writer = self._writer or self._open()
         except RecordingError as error:
-            self._health.drop("disk", str(error))
+            self._refuse("disk", str(error), topic, cdr)
             self._fail(error)
             return
+        held, self._held = self._held, {}
+        for latched, state in held.items():
+            self._write(writer, latched, self._topics[latched][0], state, log_time_ns)
+        self._write(writer, topic, type_name, cdr, log_time_ns)
+
+    def _write(self, writer: BagWriter, topic: str, type_name: str, cdr: bytes, log_time_ns: int) -> None:
         lost = writer.lost
         try:
             writer.write_raw(topic, type_name, cdr, log_time_ns)
@@ -126,11 +133,11 @@ class BoundedRecording:
         self._health.gauge("disk_free_bytes", self._floor.free)
         self._health.gauge("file_bytes", 0 if self._writer is None else self._writer.file_bytes)
 
-    def close(self) -> None:
-        """Finish the bag."""
-        if self._writer is not None:
-            self._try(self._writer.close)
-            self._account()
+    def close(self) -> bool:
+        """Finish the bag; whether it is whole."""
+        for topic in self._held:
+            self._health.drop("disk", f"the last message of {topic} came while nothing could be recorded")
+        return self._writer is None or self._try(self._writer.close)
 
     def _open(self) -> BagWriter:
         folder = self._ring.new_folder()
@@ -146,6 +153,14 @@ class BoundedRecording:
             self._health.note("files_removed")
         self._health.gauge("recorded_bytes", self._ring.total())
 
+    def _refuse(self, cause: str, why: str, topic: str, cdr: bytes) -> None:
+        """The last message of a latched topic is state, which comes but once: it waits until recording goes on."""
+        latched = topic in self._topics and self._topics[topic][1]
+        if not latched or topic in self._held:
+            self._health.drop(cause, why)
+        if latched:
+            self._held[topic] = cdr
+
     def _low(self) -> bool:
         """Looks at the disk; a recording that stops ends its file, so that it can be read meanwhile."""
         before, low = self._floor.low, self._floor.look()
@@ -158,13 +173,14 @@ class BoundedRecording:
         return low
 
     def _why_low(self) -> str:
-        floor = self._floor
+        free, least, again = (f"{n / 1e6:.0f} MB" for n in (self._floor.free, self._floor.floor, self._floor.again))
         return (
-            f"{floor.free / 1e6:.0f} MB are free on the disk of {self._path}, recording leaves "
-            f"{floor.floor / 1e6:.0f} MB; remove what is not needed (from {floor.again / 1e6:.0f} MB on it goes on), or lower min_free_bytes"
+            f"{free} are free on the disk of {self._path}, recording leaves {least}; remove what is not needed (from "
+            f"{again} on it goes on), or lower min_free_bytes"
         )
 
-    def _try(self, act: Callable[[], None]) -> None:
+    def _try(self, act: Callable[[], None]) -> bool:
+        """False where the disk has failed."""
         writer = self._writer
         assert writer is not None
         lost = writer.lost
@@ -172,7 +188,10 @@ class BoundedRecording:
             act()
         except RecordingError as error:
             self._lose(error, writer.lost - lost)
-        self._account()
+            return False
+        finally:
+            self._account()
+        return True
 
     def _lose(self, error: RecordingError, count: int) -> None:
         if count:
