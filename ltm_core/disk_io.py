@@ -58,9 +58,9 @@ class DiskReserve:
     Whoever fills the disk can then not keep us from one last write. Not safe against others once it is given up.
     """
 
-    def __init__(self, path: Path, most: int) -> None:
-        """`most`: bytes to hold, a quarter of what is free where that is less. Nothing is held yet."""
-        self.path, self._wanted = path, most
+    def __init__(self, path: Path) -> None:
+        """Nothing is held yet."""
+        self.path = path
         self.most = 0
         """Bytes that have been held at most."""
 
@@ -72,13 +72,13 @@ class DiskReserve:
         except OSError:
             return 0
 
-    def hold(self) -> None:
-        """Hold as much as there is room for; on a disk without any: nothing, and no error."""
+    def hold(self, wanted: int) -> None:
+        """Hold so many bytes, or a quarter of what is free where that is less; on a full disk nothing, and no error."""
         held = self.held
         try:
-            wanted = min(self._wanted, (held + free_bytes(self.path)) // 4)
-            if wanted > held:
-                self._grow(wanted)
+            size = min(wanted, (held + free_bytes(self.path)) // 4)
+            if size > held:
+                self._grow(size)
         except OSError:
             if not held:
                 self.give_up()

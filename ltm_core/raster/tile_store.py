@@ -47,8 +47,7 @@ none of the same day."""
 MOST_FRAMES = 1_000_000
 """Stamps remembered of a source at most, some 30 MB: nobody shall fill the disk."""
 RESERVE_BYTES = 32 << 20
-"""Held on the disk beside a store, for transactions on a full one: a frame takes some 20 kB, all tiles of a site a few
-megabytes."""
+"""Held on the disk beside a store, for transactions on a full one; twice the store's size where that is more."""
 CHECKED_BYTES = 64 << 20
 """Files up to this size are checked whole when they are opened; of larger ones, damage is found where it is read."""
 
@@ -103,7 +102,6 @@ class TileStore:
         schema: StoreSchema,
         kept_frames: int = KEPT_FRAMES,
         most_frames: int = MOST_FRAMES,
-        reserve_bytes: int = RESERVE_BYTES,
     ) -> TileStore:
         """The store in `path`, made where there is none, for this process alone to write.
 
@@ -122,9 +120,10 @@ class TileStore:
             if differences := schema.differences(stored):
                 database.close()
                 raise ConfigError(f"{path}: not a store of this map: {differences}; move it away or name another file")
-            reserve = DiskReserve(path.with_name(f".{path.name}.reserve"), reserve_bytes)
-            reserve.hold()
-            return cls(database, schema, str(path), lock, kept_frames, most_frames, reserve)
+            reserve = DiskReserve(path.with_name(f".{path.name}.reserve"))
+            store = cls(database, schema, str(path), lock, kept_frames, most_frames, reserve)
+            store._hold()
+            return store
         except BaseException:
             os.close(lock)
             raise
@@ -275,8 +274,13 @@ class TileStore:
             self.strain = f"{error}; this was written in room that was held for it, {reserve.held >> 10} kB are left"
         else:
             self.strain = ""
-            if self._reserve is not None:
-                self._reserve.hold()
+            self._hold()
+
+    def _hold(self) -> None:
+        """Room for the last transaction is half of what is held: it may write every tile once more."""
+        if self._reserve is not None:
+            with contextlib.suppress(OSError):
+                self._reserve.hold(max(RESERVE_BYTES, 2 * Path(self._name).stat().st_size))
 
     def _write(
         self, packed: Sequence[tuple[int, int, bytes]], frames: Sequence[FrameRecord], changes: Sequence[CellChanges]
@@ -414,6 +418,7 @@ def _opened(path: Path, read_only: bool) -> tuple[sqlite3.Connection, StoreSchem
         try:
             db.execute("PRAGMA synchronous = FULL")  # a commit outlives a power cut
             db.execute("PRAGMA cell_size_check = ON")
+            db.execute("PRAGMA secure_delete = OFF")  # else freeing pages takes as much room as writing them
             if path.stat().st_size <= CHECKED_BYTES:
                 (verdict,) = db.execute("PRAGMA quick_check(1)").fetchone()
                 if verdict != "ok":

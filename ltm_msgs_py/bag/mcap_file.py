@@ -71,7 +71,7 @@ class McapFile:
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._stream = _Unbuffered(path)
-        self._reserve = DiskReserve(path.with_name(f".{path.name}.reserve"), RESERVE_BYTES)
+        self._reserve = DiskReserve(path.with_name(f".{path.name}.reserve"))
         try:
             self._writer = Writer(self._stream, chunk_size=chunk_size, compression=compression)
             self._writer.start(profile="ros2", library=library)
@@ -79,7 +79,7 @@ class McapFile:
             self._stream.close()
             path.unlink()
             raise
-        self._reserve.hold()
+        self._reserve.hold(RESERVE_BYTES)
         self._whole = self._stream.size
 
     @property
@@ -133,14 +133,14 @@ class McapFile:
         return self.record
 
     def abandon(self) -> FileRecord | None:
-        """After an OSError: end the file after its last whole chunk and close it; None where it holds no message.
+        """After an OSError: end the file after its last whole chunk and close it; None where it holds nothing new.
 
         Where not even that can be written, the file ends at that chunk without an index, and BagReader reads it.
         """
         self._reserve.give_up()
         with suppress(OSError):
             self._stream.close()
-        if not self._record.counts:
+        if not self.saved:
             with suppress(OSError):
                 self.path.unlink()
             return None

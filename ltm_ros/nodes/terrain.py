@@ -253,8 +253,7 @@ class Terrain(Handler[TerrainNodeConfig]):
         until = time.monotonic() + LAST_TRIES_S
         while True:
             try:
-                self._map.commit(last=True)
-                self._settle()
+                self._settle(last=True)
                 return
             except StoreError as error:
                 if time.monotonic() >= until:
@@ -264,13 +263,17 @@ class Terrain(Handler[TerrainNodeConfig]):
                     ) from error
                 time.sleep(LAST_PAUSE_S)
 
-    def _settle(self) -> None:
-        """Decide what the frames since the last call have changed; what is told of is in the store, whatever comes."""
+    def _settle(self, last: bool = False) -> None:
+        """Decide what the frames since the last call have changed; what is told of is in the store, whatever comes.
+
+        `last`: write all, for nothing comes after. Raises StoreError.
+        """
         if self._undecided:
             self._undecided, self._dirty = 0, True
             self._untold = self._untold.joined(self._map.decide())
+        if last or len(self._untold.rows):
+            self._map.commit(last)
         if len(self._untold.rows):
-            self._map.commit()
             self._publish_update(self._untold)
             self._untold = Changed.none()
 

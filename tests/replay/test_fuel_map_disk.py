@@ -10,6 +10,7 @@ from scenes.own_disk import run_on_own_disk
 
 PROGRAM = Path(__file__).parents[1] / "scenes" / "disk_process.py"
 FRAMES = 30
+MANY = 150
 
 
 def states_of(case: str, folder: Path) -> list[dict[str, Any]]:
@@ -39,8 +40,8 @@ def test_disk_that_fills_up(tmp_path: Path) -> None:
 def test_a_node_that_is_stopped_on_a_full_disk_writes_all(tmp_path: Path) -> None:
     during, stopped, restarted = states_of("stopped_while_full", tmp_path)
     assert during["unsaved"] > 0
-    assert (stopped["frames"], stopped["unsaved"], stopped["updates"]) == (2 * FRAMES, 0, 2 * FRAMES)
-    assert (restarted["frames"], restarted["unsaved"]) == (2 * FRAMES, 0)
+    assert (stopped["frames"], stopped["unsaved"], stopped["updates"]) == (MANY, 0, MANY)
+    assert (restarted["frames"], restarted["unsaved"]) == (MANY, 0)
 
 
 def test_what_is_lost_is_said_once(tmp_path: Path) -> None:

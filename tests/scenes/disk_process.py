@@ -14,6 +14,7 @@ from scenes.outlets import Kept
 from scenes.own_disk import answer, fill, make_disk, mount
 
 FRAMES = 30
+MANY = 150
 
 
 class Node:
@@ -60,11 +61,11 @@ def full(disk: Path, site: Path) -> list[dict[str, object]]:
 
 def stopped_while_full(disk: Path, site: Path) -> list[dict[str, object]]:
     """The node is told to stop on a disk that has had no room for long."""
-    make_disk(disk, "2m")
+    make_disk(disk, "8m")
     node = Node(site, disk)
     node.feed(0, 3)
     fill(disk)
-    node.feed(3, 2 * FRAMES)
+    node.feed(3, MANY)
     states = [node.state()]
     node.handler.finish()
     states.append(node.state())
