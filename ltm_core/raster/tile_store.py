@@ -20,6 +20,7 @@ from typing import Any, Self
 
 from numpy.typing import NDArray
 
+from ltm_core.disk_io import DiskReserve
 from ltm_core.errors import ConfigError, StoreError
 from ltm_core.raster.tile_store_schema import (
     CellChanges,
@@ -45,6 +46,8 @@ KEPT_NS = 7 * 86_400 * 10**9
 none of the same day."""
 MOST_FRAMES = 1_000_000
 """Stamps remembered of a source at most, some 30 MB: nobody shall fill the disk."""
+RESERVE_BYTES = 32 << 20
+"""Held on the disk beside a store, for transactions on a full one; twice the store's size where that is more."""
 CHECKED_BYTES = 64 << 20
 """Files up to this size are checked whole when they are opened; of larger ones, damage is found where it is read."""
 
@@ -69,6 +72,9 @@ CREATE TABLE touches (
 class TileStore:
     """Open one with `open`, `open_read_only` or `in_memory`. One writer at a time, any number of readers beside it.
 
+    A store that is written holds some room on its disk. On a full one a transaction is made in that room, which then
+    is held again as far as it is left; its second half is for the last transaction alone (`commit`, `last`).
+
     Every method raises StoreError where the file cannot be read or written just now (then nothing of that call is in
     it, and the call may be made again), and ConfigError where its content is damaged.
     """
@@ -81,10 +87,13 @@ class TileStore:
         lock: int | None,
         kept_frames: int = KEPT_FRAMES,
         most_frames: int = MOST_FRAMES,
+        reserve: DiskReserve | None = None,
     ) -> None:
         self.schema = schema
-        self._db, self._name, self._lock = database, name, lock
+        self._db, self._name, self._lock, self._reserve = database, name, lock, reserve
         self._kept_frames, self._most_frames = kept_frames, most_frames
+        self.strain = ""
+        """Where the last commit was made on a full disk: what that means, in words."""
 
     @classmethod
     def open(
@@ -111,7 +120,10 @@ class TileStore:
             if differences := schema.differences(stored):
                 database.close()
                 raise ConfigError(f"{path}: not a store of this map: {differences}; move it away or name another file")
-            return cls(database, schema, str(path), lock, kept_frames, most_frames)
+            reserve = DiskReserve(path.with_name(f".{path.name}.reserve"))
+            store = cls(database, schema, str(path), lock, kept_frames, most_frames, reserve)
+            store._hold()
+            return store
         except BaseException:
             os.close(lock)
             raise
@@ -141,6 +153,8 @@ class TileStore:
     def close(self) -> None:
         """Idempotent."""
         self._db.close()
+        if self._reserve is not None:
+            self._reserve.give_up()
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
@@ -236,13 +250,41 @@ class TileStore:
         tiles: Mapping[Key, Mapping[str, NDArray[Any]]] | None = None,
         frames: Sequence[FrameRecord] = (),
         changes: Sequence[CellChanges] = (),
+        last: bool = False,
     ) -> None:
-        """Write all of it in one transaction, or nothing.
+        """Write all of it in one transaction, or nothing. `last`: before the store is closed.
 
         Where tiles are given, they hold the effect of all frames until now, these among them: no payload waits any
         longer. Raises ValueError where a frame has been counted already or a tile does not fit the schema.
         """
         packed = [(*key, self.schema.pack(key, arrays)) for key, arrays in (tiles or {}).items()]
+        try:
+            self._write(packed, frames, changes)
+        except StoreError as error:
+            reserve = self._reserve
+            if reserve is None or not _wants_room(error) or reserve.held <= (0 if last else reserve.most // 2):
+                raise
+            with reserve.lent():
+                try:
+                    self._write(packed, frames, changes)
+                finally:
+                    # What this transaction took beside the file is free again for the next.
+                    with contextlib.suppress(sqlite3.Error):
+                        self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            self.strain = f"{error}; this was written in room that was held for it, {reserve.held >> 10} kB are left"
+        else:
+            self.strain = ""
+            self._hold()
+
+    def _hold(self) -> None:
+        """Room for the last transaction is half of what is held: it may write every tile once more."""
+        if self._reserve is not None:
+            with contextlib.suppress(OSError):
+                self._reserve.hold(max(RESERVE_BYTES, 2 * Path(self._name).stat().st_size))
+
+    def _write(
+        self, packed: Sequence[tuple[int, int, bytes]], frames: Sequence[FrameRecord], changes: Sequence[CellChanges]
+    ) -> None:
         with self._transaction() as db:
             for frame in frames:
                 self._count(db, frame, keep=not packed)
@@ -376,6 +418,7 @@ def _opened(path: Path, read_only: bool) -> tuple[sqlite3.Connection, StoreSchem
         try:
             db.execute("PRAGMA synchronous = FULL")  # a commit outlives a power cut
             db.execute("PRAGMA cell_size_check = ON")
+            db.execute("PRAGMA secure_delete = OFF")  # else freeing pages takes as much room as writing them
             if path.stat().st_size <= CHECKED_BYTES:
                 (verdict,) = db.execute("PRAGMA quick_check(1)").fetchone()
                 if verdict != "ok":
@@ -418,6 +461,12 @@ def _named_errors(name: str) -> Iterator[None]:
             raise  # a bug, not the disk
         remedy = next((text for start, text in _REMEDIES.items() if code.startswith(start)), "see the error")
         raise StoreError(f"{name}: {error} ({code}); {remedy}") from error
+
+
+def _wants_room(error: StoreError) -> bool:
+    """Whether more room on the disk may help: a quota comes as an error of input and output."""
+    code = getattr(error.__cause__, "sqlite_errorname", "") or ""
+    return code.startswith(("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_CANTOPEN"))
 
 
 _REMEDIES = {

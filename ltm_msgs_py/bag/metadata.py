@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from ltm_core.errors import RecordingError
 
 VERSION = 9
 FILE_NAME = "metadata.yaml"
+INFORMATION = "rosbag2_bagfile_information"
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
@@ -25,7 +27,16 @@ class TopicRecord:
     type_name: str
     type_hash: str
     qos: list[dict[str, Any]]
-    message_count: int = 0
+
+
+@dataclass
+class FileRecord:
+    """What metadata says of one file: log times of its first and last message, and messages by topic."""
+
+    name: str
+    start_ns: int
+    end_ns: int
+    counts: Counter[str]
 
 
 def qos_profile(latched: bool, depth: int) -> list[dict[str, Any]]:
@@ -60,18 +71,21 @@ def is_latched(offered_qos_profiles: str) -> bool:
 
 
 def bag_information(
-    file_name: str, start_ns: int, end_ns: int, topics: Sequence[TopicRecord], custom_data: Mapping[str, str]
+    files: Sequence[FileRecord], topics: Sequence[TopicRecord], custom_data: Mapping[str, str]
 ) -> dict[str, Any]:
-    """The content of `rosbag2_bagfile_information` for a bag of one MCAP file."""
-    start = {"nanoseconds_since_epoch": start_ns}
-    duration = {"nanoseconds": end_ns - start_ns}
-    count = sum(topic.message_count for topic in topics)
+    """The content of `rosbag2_bagfile_information` for a bag of these files, in their order."""
+    total: Counter[str] = Counter()
+    for file in files:
+        total += file.counts
+    filled = [file for file in files if file.counts]
+    start = min((file.start_ns for file in filled), default=0)
+    end = max((file.end_ns for file in filled), default=0)
     return {
         "version": VERSION,
         "storage_identifier": "mcap",
-        "duration": duration,
-        "starting_time": start,
-        "message_count": count,
+        "duration": {"nanoseconds": end - start},
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "message_count": total.total(),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
@@ -81,17 +95,32 @@ def bag_information(
                     "offered_qos_profiles": topic.qos,
                     "type_description_hash": topic.type_hash,
                 },
-                "message_count": topic.message_count,
+                "message_count": total[topic.topic],
             }
             for topic in topics
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [file_name],
-        "files": [{"path": file_name, "starting_time": start, "duration": duration, "message_count": count}],
+        "relative_file_paths": [file.name for file in files],
+        "files": [
+            {
+                "path": file.name,
+                "starting_time": {"nanoseconds_since_epoch": file.start_ns},
+                "duration": {"nanoseconds": file.end_ns - file.start_ns},
+                "message_count": file.counts.total(),
+            }
+            for file in files
+        ],
         "custom_data": dict(custom_data) or None,
         "ros_distro": "jazzy",
     }
+
+
+def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
+    """Put metadata.yaml into a bag's folder, in one step. Raises OSError."""
+    unfinished = folder / f"{FILE_NAME}.tmp"
+    unfinished.write_text(to_yaml({INFORMATION: dict(information)}), encoding="utf-8")
+    unfinished.replace(folder / FILE_NAME)
 
 
 def to_yaml(data: Any) -> str:
@@ -117,7 +146,7 @@ def bag_files(folder: Path) -> list[Path] | None:
         return None
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise RecordingError(f"cannot read {path}: {error}") from error
-    info = document.get("rosbag2_bagfile_information") if isinstance(document, dict) else None
+    info = document.get(INFORMATION) if isinstance(document, dict) else None
     names = info.get("relative_file_paths") if isinstance(info, dict) else None
     if not isinstance(info, dict) or not isinstance(names, list) or not all(isinstance(n, str) for n in names):
         raise RecordingError(
