@@ -44,7 +44,7 @@ class _BoundedLoader(yaml.SafeLoader):
         """Values in each node that is composed, by its identity."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        mark = self.peek_event().start_mark
+        mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
         if self.check_event(yaml.AliasEvent):
             node = super().compose_node(parent, index)
             if id(node) not in self._values:
@@ -93,8 +93,8 @@ _BoundedLoader.add_constructor("tag:yaml.org,2002:int", _BoundedLoader.construct
 
 
 def parse_yaml(text: str, place: str) -> Any:
-    """What a YAML text holds. Raises ConfigError: no YAML, keys twice, or more than the bounds above; `place`: the file,
-    for the message."""
+    """What a YAML text holds; `place`: the file, for the message. Raises ConfigError: no YAML, keys twice, or more than
+    the bounds above."""
     if len(text) > LARGEST_FILE:
         raise ConfigError(f"{place}: not YAML (more than {LARGEST_FILE} characters: no such file is that large)")
     try:

@@ -273,7 +273,7 @@ def _records(chunk: Chunk) -> list[McapRecord]:
             raise ValueError(f"record {count} of the chunk is of opcode {opcode}; {most} records at most are read")
         at += _RECORD_HEAD.size + length
     plain = replace(chunk, compression="", data=whole, uncompressed_size=len(whole))
-    return breakup_chunk(plain, validate_crc=True)
+    return list(breakup_chunk(plain, validate_crc=True))
 
 
 def _decompressed(chunk: Chunk) -> bytes:
@@ -285,9 +285,9 @@ def _decompressed(chunk: Chunk) -> bytes:
         raise ValueError(f"chunk says that it has {stated} bytes, more than {_LARGEST_CHUNK}")
     match chunk.compression:
         case "":
-            return chunk.data
+            return bytes(chunk.data)
         case "zstd":
-            return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=stated)
+            return bytes(zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=stated))
         case "lz4":
             return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=stated))
     raise ValueError(f"compression {chunk.compression!r} is not known; zstd, lz4 and none are read")
