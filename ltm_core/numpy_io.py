@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from ltm_core.errors import LtmError
 
 _BROKEN = (
-    *(OSError, ValueError, TypeError, LookupError, EOFError, SyntaxError, RecursionError, MemoryError, OverflowError),
-    *(NotImplementedError, RuntimeError, zlib.error, zipfile.BadZipFile),
+    *(OSError, ValueError, TypeError, LookupError, EOFError, SyntaxError, MemoryError, OverflowError),
+    *(RuntimeError, zlib.error, zipfile.BadZipFile),
 )
 """What NumPy, the header's parser and zipfile raise for bytes that are damaged."""
 
@@ -31,7 +31,7 @@ def load_array(content: bytes, what: str, error: type[LtmError]) -> NDArray[Any]
     try:
         return _array(BytesIO(content), len(content))
     except _BROKEN as reason:
-        raise error(f"{what}: not an array of NumPy ({type(reason).__name__}: {reason})") from reason
+        raise error(f"{what} is damaged: no array of NumPy ({type(reason).__name__}: {reason})") from reason
 
 
 def load_arrays(path: Path, names: Sequence[str], most_bytes: int, error: type[LtmError]) -> list[NDArray[Any]]:
@@ -47,7 +47,7 @@ def load_arrays(path: Path, names: Sequence[str], most_bytes: int, error: type[L
                     arrays.append(_array(stream, entry.file_size))  # type: ignore[arg-type]
             return arrays
     except _BROKEN as reason:
-        raise error(f"{path}: no .npz with {', '.join(names)} ({type(reason).__name__}: {reason})") from reason
+        raise error(f"{path}: expected an .npz with {', '.join(names)} ({type(reason).__name__}: {reason})") from reason
 
 
 def _array(stream: BinaryIO, size: int) -> NDArray[Any]:

@@ -22,6 +22,8 @@ Key = tuple[int, int]
 """(row, col) of a tile, counted in tiles from the grid's north-west corner."""
 Tile = dict[str, NDArray[Any]]
 
+LARGEST_TILE = 64 << 20
+"""Bytes of a tile; those of our maps have one or two million."""
 _LEVEL = 1
 _RENAMED = {
     "witnesses": "camera_hashes",
@@ -46,7 +48,7 @@ class Field:
 
 
 class _Description(StrictModel):
-    """The JSON of a schema. The bounds are far beyond what maps have: a tile of them is 64 MB at most."""
+    """The JSON of a schema."""
 
     kind: str
     version: int
@@ -56,7 +58,7 @@ class _Description(StrictModel):
         str,
         tuple[
             Annotated[str, NumberField(pattern=r"^[<|][bfiu][1248]$")],
-            Annotated[list[Annotated[int, NumberField(ge=1, le=256)]], NumberField(max_length=2)],
+            Annotated[list[Annotated[int, NumberField(ge=1, le=256)]], NumberField(max_length=4)],
         ],
     ] = NumberField(min_length=1, max_length=256)
     terms: str
@@ -102,7 +104,7 @@ class StoreSchema:
         """The inverse of `described`. Raises ConfigError on any other text, which stands in `place`."""
         try:
             content = _Description.model_validate_json(text)
-            return cls(
+            schema = cls(
                 content.kind,
                 content.version,
                 GridGeometry(**asdict(content.geometry)),
@@ -116,6 +118,10 @@ class StoreSchema:
         except ValidationError as error:
             found = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:3])
             raise ConfigError(f"{place}: its description cannot be read: {text[:120]!r} ({found})") from error
+        size = schema.tile**2 * sum(f.stored.itemsize * prod(f.shape) for f in schema.fields.values())
+        if size > LARGEST_TILE:
+            raise ConfigError(f"{place}: its description states tiles of {size} bytes, at most {LARGEST_TILE} are read")
+        return schema
 
     def differences(self, other: StoreSchema) -> str:
         """What `other` has otherwise; empty where both are the same."""
