@@ -19,7 +19,7 @@ MAX_PIXELS = 64_000_000
 """Of a compressed image: a few kilobytes can claim gigapixels, and decoding them takes the memory of a tower."""
 
 FORMATS = ("JPEG", "PNG", "HEIF", "TIFF", "GIF", "BMP", "WEBP")
-"""What is opened (MPO with JPEG). Others of Pillow's formats are not even tried: some start other programs (EPS: Ghostscript)."""
+"""What is opened (MPO with JPEG). Other formats of Pillow's are not even tried: for EPS it starts Ghostscript."""
 
 BROKEN = (
     *(OSError, ValueError, SyntaxError, TypeError, LookupError, AttributeError, ArithmeticError, EOFError),

@@ -8,21 +8,21 @@ PYTHONPATH=tests python -m fuzz.campaign --target store --file out/fuzz/store-81
 from __future__ import annotations
 
 import argparse
-import json
-import os
+import multiprocessing
 import random
-import select
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
 from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from fuzz.targets import TARGETS, target_named
+from fuzz.worker import Answer, serve
 
 MOST_SECONDS = 5.0
 """Of CPU time a case."""
@@ -30,8 +30,8 @@ MOST_BYTES = 500 << 20
 """By which the process may grow in a case."""
 HANGS_AFTER = 40.0
 """Seconds on the wall, for machines that do much else."""
-STARTS_WITHIN = 180.0
-_TESTS = Path(__file__).parents[1]
+STARTS_WITHIN = 900.0
+"""Seconds on the wall: kernels may have to be compiled."""
 
 
 @dataclass
@@ -43,12 +43,16 @@ class Tally:
     faults: list[str] = field(default_factory=list)
 
 
+_PROCESSES = multiprocessing.get_context("forkserver")
+_PROCESSES.set_forkserver_preload(["fuzz.worker"])  # imports cost ten seconds, and are made once
+
+
 class Worker:
     """A process for the cases of one target, started anew when it has died."""
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._process: subprocess.Popen[str] | None = None
+        self._running: tuple[BaseProcess, Connection] | None = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
 
     def __enter__(self) -> Self:
@@ -57,22 +61,32 @@ class Worker:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.stop()
-
-    def stop(self) -> None:
         self._end()
         if self._folder is not None:
             self._folder.cleanup()
-            self._folder = None
 
-    def _end(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-            for stream in (self._process.stdin, self._process.stdout):
-                if stream is not None:
-                    stream.close()
-            self._process = None
+    def run(self, order: int | Path) -> Answer:
+        """What came of a case, or what became of the process as a `fault`."""
+        if self._running is None:
+            self.start()
+        assert self._running is not None
+        self._running[1].send(order)
+        return self._answer(HANGS_AFTER)
+
+    def start(self) -> None:
+        """Raises RuntimeError where the target does not take its own whole files."""
+        if self._folder is not None:
+            self._folder.cleanup()
+        self._folder = tempfile.TemporaryDirectory(prefix="ltm-fuzz-", ignore_cleanup_errors=True)
+        ours, theirs = _PROCESSES.Pipe()
+        process = _PROCESSES.Process(target=serve, args=(theirs, self._name, Path(self._folder.name)), daemon=True)
+        process.start()
+        theirs.close()
+        self._running = process, ours
+        answer = self._answer(STARTS_WITHIN)
+        if answer.fault or answer.refused:
+            self._end()
+            raise RuntimeError(f"{self._name}: its whole files are not taken: {answer.fault or answer.refused}")
 
     def keep(self, folder: Path) -> None:
         """Copy the file of the last case into a folder."""
@@ -81,51 +95,27 @@ class Worker:
         if file.is_file():
             shutil.copyfile(file, folder / file.name)
 
-    def run(self, order: str) -> dict[str, object]:
-        """The worker's answer, or what became of the worker as a `fault`."""
-        if self._process is None:
-            self._start()
-        process = self._process
-        assert process is not None
-        assert process.stdin is not None
-        process.stdin.write(f"{order}\n")
-        process.stdin.flush()
-        answer = self._answer(HANGS_AFTER)
-        if isinstance(answer, dict):
-            return answer
+    def _answer(self, seconds: float) -> Answer:
+        assert self._running is not None
+        process, connection = self._running
+        try:
+            if connection.poll(seconds):
+                answer: Answer = connection.recv()
+                return answer
+            fault = f"no end after {seconds} s"
+        except (EOFError, ConnectionError):
+            process.join(5.0)
+            fault = f"the process ended with {process.exitcode} (negative: that signal)"
         self._end()
-        return {"fault": answer, "seconds": 0.0, "bytes": 0}
+        return Answer(fault)
 
-    def _start(self) -> None:
-        if self._folder is not None:
-            self._folder.cleanup()
-        self._folder = tempfile.TemporaryDirectory(prefix="ltm-fuzz-", ignore_cleanup_errors=True)
-        path = os.pathsep.join([str(_TESTS), str(_TESTS.parent), os.environ.get("PYTHONPATH", "")])
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "fuzz.worker", self._name, self._folder.name],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            bufsize=1,
-            env={**os.environ, "PYTHONPATH": path},
-        )
-        answer = self._answer(STARTS_WITHIN)
-        if not isinstance(answer, dict) or not answer["ready"]:
-            self.stop()
-            raise RuntimeError(f"{self._name}: its whole files are not read: {answer}")
-
-    def _answer(self, seconds: float) -> dict[str, object] | str:
-        assert self._process is not None
-        assert self._process.stdout is not None
-        ready, _, _ = select.select([self._process.stdout], [], [], seconds)
-        if not ready:
-            return f"no end after {seconds} s"
-        line = self._process.stdout.readline()
-        if line:
-            found: dict[str, object] = json.loads(line)
-            return found
-        return f"the process ended with {self._process.wait()} (negative: that signal)"
+    def _end(self) -> None:
+        if self._running is not None:
+            process, connection = self._running
+            connection.close()
+            process.kill()
+            process.join()
+            self._running = None
 
 
 def campaign(names: list[str], seconds: float, seed: int, kept: Path) -> dict[str, Tally]:
@@ -135,15 +125,15 @@ def campaign(names: list[str], seconds: float, seed: int, kept: Path) -> dict[st
     for name in names:
         tally, number = tallies[name], seed
         with Worker(name) as worker:
-            worker.run(str(number))  # the start of the process is not counted
+            worker.start()  # which is not counted
             until = time.monotonic() + seconds * target_named(name).weight / whole
             while time.monotonic() < until:
-                answer = worker.run(str(number))
+                answer = worker.run(number)
                 fault = fault_of(answer)
                 tally.cases += 1
-                tally.taken += not fault and not answer.get("refused")
-                tally.seconds = max(tally.seconds, float(str(answer["seconds"])))
-                tally.bytes = max(tally.bytes, int(str(answer["bytes"])))
+                tally.taken += not fault and not answer.refused
+                tally.seconds = max(tally.seconds, answer.seconds)
+                tally.bytes = max(tally.bytes, answer.bytes)
                 if fault:
                     tally.faults.append(_keep(worker, name, number, fault, kept))
                     if len(tally.faults) >= 20:
@@ -152,14 +142,14 @@ def campaign(names: list[str], seconds: float, seed: int, kept: Path) -> dict[st
     return tallies
 
 
-def fault_of(answer: dict[str, object]) -> str:
+def fault_of(answer: Answer) -> str:
     """What was wrong in a case; empty where nothing was."""
-    if answer["fault"]:
-        return str(answer["fault"])
-    if float(str(answer["seconds"])) > MOST_SECONDS:
-        return f"took {answer['seconds']:.1f} s, at most {MOST_SECONDS} s"
-    if int(str(answer["bytes"])) > MOST_BYTES:
-        return f"took {int(str(answer['bytes'])) >> 20} MB, at most {MOST_BYTES >> 20} MB"
+    if answer.fault:
+        return answer.fault
+    if answer.seconds > MOST_SECONDS:
+        return f"took {answer.seconds:.1f} s, at most {MOST_SECONDS} s"
+    if answer.bytes > MOST_BYTES:
+        return f"took {answer.bytes >> 20} MB, at most {MOST_BYTES >> 20} MB"
     return ""
 
 
@@ -194,9 +184,9 @@ def main() -> None:
     given = parser.parse_args()
     if given.case is not None or given.file is not None:
         with Worker(given.target[0]) as worker:
-            answer = worker.run(str(given.case) if given.file is None else f"FILE {given.file.resolve()}")
+            answer = worker.run(given.case if given.file is None else given.file)
         fault = fault_of(answer)
-        print(fault or f"no fault: {answer.get('refused') or 'taken'}; {answer['seconds']:.2f} s CPU")
+        print(fault or f"no fault: {answer.refused or 'taken'}; {answer.seconds:.2f} s, {answer.bytes >> 20} MB")
         sys.exit(bool(fault))
     seed = random.SystemRandom().randrange(1, 1 << 31) if given.seed is None else given.seed
     print(f"seed {seed}", flush=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import json
 import random
+import re
 from array import array
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -86,20 +87,19 @@ _TEXTS = (
     "[" * 3000,
     '{"unlabelled": 255, "labels": []}',
 )
-_BITS = {"uint8": (0, 8), "octet": (0, 8), "int8": (1, 8), "uint16": (0, 16), "int16": (1, 16), "uint32": (0, 32), "int32": (1, 32), "uint64": (0, 64), "int64": (1, 64)}  # fmt: skip
 
 
-def spoil_message(rng: random.Random, message: Any, depth: int = 0) -> None:
+def spoil_message(rng: random.Random, message: Any) -> None:
     """Set one field of a message, or of one within it, to something hostile."""
     kinds = message.get_fields_and_field_types()
     name = rng.choice(list(kinds))
     kind, value = kinds[name], getattr(message, name)
     if hasattr(value, "get_fields_and_field_types"):
-        spoil_message(rng, value, depth + 1)
+        spoil_message(rng, value)
     elif kind.startswith("sequence<") and value and hasattr(value[0], "get_fields_and_field_types"):
         way = rng.random()
         if way < 0.7:
-            spoil_message(rng, rng.choice(value), depth + 1)
+            spoil_message(rng, rng.choice(value))
         else:
             setattr(
                 message,
@@ -113,7 +113,7 @@ def spoil_message(rng: random.Random, message: Any, depth: int = 0) -> None:
     elif isinstance(value, bytes):
         setattr(message, name, bytes([rng.randrange(256)]))
     elif isinstance(value, int):
-        signed, bits = _BITS[kind]
+        signed, bits = not kind.startswith("u"), int(re.sub(r"\D", "", kind))
         low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
         choices = (low, high, 0, 1, value + 1, value - 1, value * 2, value // 2, 100_000, rng.randint(low, high))
         setattr(message, name, min(max(rng.choice(choices), low), high))
@@ -292,7 +292,8 @@ def _topodepth(small: SmallSite, folder: Path) -> Handler[Any]:
 
 
 _FUSED = {
-    "posed/image": "photo", "posed/camera_info": "info", "posed/pose": "pose", "depth/image": "depth", "labels/image": "labels",
+    "posed/image": "photo", "posed/camera_info": "info", "posed/pose": "pose",
+    "depth/image": "depth", "labels/image": "labels",
 }  # fmt: skip
 
 

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from fuzz.binary_files import BINARY_FILES
+from fuzz.array_files import ARRAY_FILES
+from fuzz.bag_files import BAG_FILES
 from fuzz.messages import MESSAGES
+from fuzz.photo_files import PHOTO_FILES
+from fuzz.raster_files import RASTER_FILES
+from fuzz.store_files import STORE_FILES
 from fuzz.target import Target
 from fuzz.text_files import TEXT_FILES
 
-TARGETS: tuple[Target, ...] = (*TEXT_FILES, *BINARY_FILES, *MESSAGES)
+TARGETS: tuple[Target, ...] = (
+    *(*TEXT_FILES, *PHOTO_FILES, *RASTER_FILES, *STORE_FILES, *BAG_FILES, *ARRAY_FILES),
+    *MESSAGES,
+)
 
 
 def target_named(name: str) -> Target:

@@ -13,6 +13,7 @@ import yaml
 from scenes.networks import write_classifier
 from scenes.rasters import rough_terrain
 from scenes.small_site import write_small_site
+from std_msgs.msg import String
 
 from fuzz.mutations import spoil_text
 from fuzz.target import Target
@@ -35,6 +36,7 @@ from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.vocabulary import Vocabulary
 from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.bag.writer import BagWriter
 from ltm_ros.importer.pose_file import read_pose_file
 from ltm_ros.launching.graph import describe
 
@@ -50,7 +52,6 @@ def _shipped(*names: str) -> Callable[[Path], list[bytes]]:
 def _site(folder: Path) -> list[bytes]:
     content = yaml.safe_load(write_small_site(folder, recording=False).path.read_text())
     content |= {
-        "processes": "site",
         "fuel": {"max_range": 3000.0},
         "terrain": {"resolution": 10.0},
         "limits": {"pixels": 1_000_000},
@@ -90,8 +91,9 @@ _METADATA_FILE = "recording/metadata.yaml"
 
 
 def _metadata(folder: Path) -> list[bytes]:
-    small = write_small_site(folder, recording=False)
-    small.write_bag(folder / "recording", count=1)
+    with BagWriter(folder / "recording") as bag:
+        for topic in ("/a/b", "/a/c"):
+            bag.write(topic, String(data="x"), 10**18)
     return [(folder / _METADATA_FILE).read_bytes()]
 
 
@@ -105,7 +107,8 @@ def _frames(folder: Path) -> list[bytes]:
     camera = {"width": 12, "height": 8, "fx": 10.0, "fy": 10.0, "cx": 5.5, "cy": 3.5, "distortion": [0.0] * 5}
     small = camera | {"width": 6, "height": 4, "fx": 5.0, "fy": 5.0, "cx": 2.5, "cy": 1.5}
     entry = {
-        "camera_name": "mast", "stamp_ns": 5, "image": "a.png", "truth": "a.npz", "camera": camera, "truth_camera": small,
+        "camera_name": "mast", "stamp_ns": 5, "image": "a.png", "truth": "a.npz",
+        "camera": camera, "truth_camera": small,
         "position": [1.0, 2.0, 3.0], "azimuth_deg": 5.0, "pitch_deg": -3.0, "roll_deg": 0.0, "date": "",
     }  # fmt: skip
     index = {"scenario": "x", "crs": "EPSG:26911", "origin": [480_000.0, 4_150_000.0], "curvature": True, "dates": []}
@@ -136,8 +139,16 @@ TEXT_FILES = (
     _yaml("labels", _shipped("labels.yaml"), LabelSet.load),
     _yaml("fuel_region", _shipped("fuel/regions/dry.yaml"), lambda path: load_yaml(path, FuelRegion)),
     _yaml("fuel_models", _shipped("fuel/fuel_models.yaml"), lambda path: load_yaml(path, FuelModels)),
-    _yaml("label_errors", _shipped("fuel/label_errors/default.yaml", "fuel/label_errors/landscape_lite0.yaml"), LabelErrors.load),
-    _yaml("calibration", _shipped("models/landscape_lite0_calibration.yaml"), lambda path: load_yaml(path, Calibration)),
+    _yaml(
+        "label_errors",
+        _shipped("fuel/label_errors/default.yaml", "fuel/label_errors/landscape_lite0.yaml"),
+        LabelErrors.load,
+    ),
+    _yaml(
+        "calibration",
+        _shipped("models/landscape_lite0_calibration.yaml"),
+        lambda path: load_yaml(path, Calibration),
+    ),
     _yaml("fusion", _shipped("models/landscape_lite0_depth_fusion.yaml"), lambda path: load_yaml(path, FusionConfig)),
     _yaml("vocabulary", _shipped("vocabulary.yaml"), Vocabulary.load),
     _yaml("scenario", _shipped("scenarios/demo.yaml", "scenarios/change_burn.yaml"), load_scenario),
@@ -146,18 +157,27 @@ TEXT_FILES = (
     _yaml("guess", _texts(_PICTURE, _ABOVE), lambda path: set_up_resection(load_yaml(path, GuessConfig), _dem(), None)),
     _yaml(
         "poses_csv",
-        _texts("name,camera,x,y,z,azimuth_deg,fx,stamp\na.jpg,north,480300.5,4150200.25,900.0,31.0,900,2024-05-06T07:08:09\nb.jpg,,1,2,3,4,5,\n"),
+        _texts(
+            "name,camera,x,y,z,azimuth_deg,fx,stamp\n"
+            "a.jpg,north,480300.5,4150200.25,900.0,31.0,900,2024-05-06T07:08:09\nb.jpg,,1,2,3,4,5,\n"
+        ),
         read_pose_file,
         "poses.csv",
     ),
     _yaml(
         "poses_yaml",
-        _texts("- {name: a.jpg, lon: -117.5, lat: 34.5, height_above_ground: 3, azimuth_ref: true, stamp: 2024-05-06T07:08:09}\n- {name: b.jpg, x: 1, y: 2, k1: 0.1}\n"),
+        _texts(
+            "- {name: a.jpg, lon: -117.5, lat: 34.5, height_above_ground: 3, azimuth_ref: true,\n"
+            "   stamp: 2024-05-06T07:08:09}\n- {name: b.jpg, x: 1, y: 2, k1: 0.1}\n"
+        ),
         read_pose_file,
     ),
     _yaml(
         "control_points",
-        _texts("id,x,y,z,u,v\na,480100,4150100,900,10.5,20\nb,480200,4150100,910,40,20\n", "name,lon,lat,height,col,row\na,-117.2,37.5,900,10,20\n"),
+        _texts(
+            "id,x,y,z,u,v\na,480100,4150100,900,10.5,20\nb,480200,4150100,910,40,20\n",
+            "name,lon,lat,height,col,row\na,-117.2,37.5,900,10,20\n",
+        ),
         lambda path: read_control_points(path, SiteFrame("EPSG:26911", 480_000.0, 4_150_000.0)),
         "points.csv",
     ),

@@ -1,21 +1,20 @@
-"""A process that runs cases of one target after another and measures each; the suite replaces it when it dies.
-
-Its arguments: the target's name, and an empty folder to work in. Takes lines `NUMBER` (or `FILE path`) on standard input, and answers each with a line of JSON.
-"""
+"""A process that runs cases of one target after another and measures each; the suite replaces it when it dies."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import resource
-import sys
 import time
 import traceback
 import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 from fuzz.targets import target_named
+from ltm_core.errors import LtmError
 
 SPARE = 2 << 30
 """Bytes that a process may take beyond what it begins with: faults end here, not the machine."""
@@ -27,9 +26,18 @@ def _status(key: str) -> int:
     return int(text.split(f"{key}:")[1].split()[0]) << 10
 
 
-def _measured(folder: Path, run: object, file: Path, data: bytes) -> dict[str, object]:
-    from ltm_core.errors import LtmError
+@dataclass(frozen=True)
+class Answer:
+    """What came of a case. `fault`: empty, or what was raised besides LtmError. `refused`: the LtmError's words.
+    `seconds`: of CPU time. `bytes`: by which the process grew at most."""
 
+    fault: str = ""
+    refused: str = ""
+    seconds: float = 0.0
+    bytes: int = 0
+
+
+def _measured(folder: Path, read: Callable[[Path], object], file: Path, data: bytes) -> Answer:
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_bytes(data)
     with contextlib.suppress(OSError):
@@ -37,7 +45,7 @@ def _measured(folder: Path, run: object, file: Path, data: bytes) -> dict[str, o
     before, begun = _status("VmRSS"), time.process_time()
     fault = refused = ""
     try:
-        run(folder)  # type: ignore[operator]
+        read(folder)
     except LtmError as error:
         refused = str(error)[:200]
         if not str(error):
@@ -45,30 +53,34 @@ def _measured(folder: Path, run: object, file: Path, data: bytes) -> dict[str, o
     except BaseException:
         fault = traceback.format_exc()
     seconds, grown = time.process_time() - begun, _status("VmHWM") - before
-    return {"fault": fault, "refused": refused, "seconds": seconds, "bytes": max(0, grown)}
+    return Answer(fault, refused, seconds, max(0, grown))
 
 
-def main() -> None:
-    target = target_named(sys.argv[1])
-    answers = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries print
+def serve(connection: Connection, name: str, folder: Path) -> None:
+    """Answer each case, a number or the path of a file, with what came of it; the first answer is of the whole files.
+
+    Args:
+        folder: empty, to work in.
+    """
+    null = os.open(os.devnull, os.O_RDWR)
+    for stream in (0, 1, 2):  # libraries print
+        os.dup2(null, stream)
     warnings.simplefilter("ignore")
-    folder = Path(sys.argv[2])
+    target = target_named(name)
     seeds = target.seeds(folder)
     file = folder / target.file
-    for seed in seeds:  # whole files are read; and what is compiled or imported once is not counted
+    for seed in seeds:  # what is compiled or imported once is not counted
         answer = _measured(folder, target.read, file, seed)
-        if answer["fault"] or answer["refused"]:
-            print(json.dumps(answer | {"ready": False}), file=answers)
+        if answer.fault or answer.refused:
+            connection.send(answer)
             return
     most = _status("VmSize") + SPARE
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    print(json.dumps({"ready": True}), file=answers)
-    for line in sys.stdin:
-        order = line.strip()
-        data = Path(order[5:]).read_bytes() if order.startswith("FILE ") else target.case(int(order), seeds)
-        print(json.dumps(_measured(folder, target.read, file, data)), file=answers)
-
-
-if __name__ == "__main__":
-    main()
+    connection.send(Answer())
+    while True:
+        try:
+            order: int | Path = connection.recv()
+        except EOFError:
+            return
+        data = order.read_bytes() if isinstance(order, Path) else target.case(order, seeds)
+        connection.send(_measured(folder, target.read, file, data))
