@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import rasterio
+import rasterio.shutil
 from scenes.rasters import rough_terrain
 
 from fuzz.target import Target
@@ -42,7 +42,7 @@ def _dems(folder: Path) -> list[bytes]:
 def _ascii(folder: Path) -> list[bytes]:
     (folder / "dem.prj").write_text(str(rasterio.crs.CRS.from_epsg(26911).to_wkt()))
     rows = "\n".join(" ".join(f"{v:.1f}" for v in row) for row in rough_terrain(7, (12, 9)).elevation)
-    head = "ncols 9\nnrows 12\nxllcorner 480000\nyllcorner 4150000\ncellsize 10\nNODATA_value -9999\n"
+    head = "ncols 9\nnrows 12\nxllcorner 480000\nyllcorner 4150000\ncellsize 60\nNODATA_value -9999\n"
     return [(head + rows + "\n").encode()]
 
 
@@ -53,7 +53,7 @@ def _read_dem(name: str) -> Callable[[Path], None]:
         finally:
             bounds = (480_100.0, 4_150_100.0, 480_500.0, 4_150_400.0)
             read_around(folder / name, None, "EPSG:26911", bounds)
-            read_around(folder / name, None, "EPSG:32612", (480_100.0 - 525_000.0, 4_150_100.0, 0.0, 4_150_400.0))
+            read_around(folder / name, None, "EPSG:32612", (-50_500.0, 4_168_300.0, -50_200.0, 4_168_600.0))
 
     return read
 

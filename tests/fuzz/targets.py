@@ -7,6 +7,7 @@ from fuzz.bag_files import BAG_FILES
 from fuzz.messages import MESSAGES
 from fuzz.photo_files import PHOTO_FILES
 from fuzz.raster_files import RASTER_FILES
+from fuzz.self_test import SELF_TEST
 from fuzz.store_files import STORE_FILES
 from fuzz.target import Target
 from fuzz.text_files import TEXT_FILES
@@ -18,4 +19,4 @@ TARGETS: tuple[Target, ...] = (
 
 
 def target_named(name: str) -> Target:
-    return next(target for target in TARGETS if target.name == name)
+    return next(target for target in (*TARGETS, SELF_TEST) if target.name == name)

@@ -67,7 +67,11 @@ def serve(connection: Connection, name: str, folder: Path) -> None:
         os.dup2(null, stream)
     warnings.simplefilter("ignore")
     target = target_named(name)
-    seeds = target.seeds(folder)
+    try:
+        seeds = target.seeds(folder)
+    except Exception:
+        connection.send(Answer(traceback.format_exc()))
+        return
     file = folder / target.file
     for seed in seeds:  # what is compiled or imported once is not counted
         answer = _measured(folder, target.read, file, seed)
