@@ -5,6 +5,7 @@ A header may state any shape, and `numpy.load` reserves what it states; an entry
 
 from __future__ import annotations
 
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -20,7 +21,7 @@ from ltm_core.errors import LtmError
 
 _BROKEN = (
     *(OSError, ValueError, TypeError, LookupError, EOFError, SyntaxError, MemoryError, OverflowError),
-    *(RuntimeError, zlib.error, zipfile.BadZipFile),
+    *(RuntimeError, zlib.error, zipfile.BadZipFile, tokenize.TokenError),
 )
 """What NumPy, the header's parser and zipfile raise for bytes that are damaged."""
 

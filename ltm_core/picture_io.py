@@ -58,3 +58,9 @@ def open_picture(path: Path) -> Iterator[tuple[Image.Image, bytes]]:
         ) from error
     except BROKEN as error:
         raise ImageError(f"{path}: cannot be read as a picture ({type(error).__name__}: {error})") from error
+
+
+def check_picture(path: Path) -> None:
+    """Before another library decodes a file. Raises ImageError: no picture, or larger than can be decoded."""
+    with open_picture(path):
+        pass

@@ -15,6 +15,7 @@ from ltm_core.dem import Dem
 from ltm_core.errors import RecordingError
 from ltm_core.geodesy import SiteFrame, ray_bend
 from ltm_core.numpy_io import load_arrays
+from ltm_core.picture_io import check_picture
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
 from ltm_core.text_io import read_text
@@ -128,6 +129,7 @@ def read_truth_frames(folder: Path, date: str = "") -> Iterator[TruthFrame]:
         when = entry.date
         if date and when != date:
             continue
+        check_picture(folder / entry.image)
         photo = cv2.imread(str(folder / entry.image), cv2.IMREAD_COLOR)
         if photo is None:
             raise RecordingError(f"{folder / entry.image}: the frame's picture is missing or broken")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from array import array
 from collections.abc import Callable
 from typing import Any
@@ -10,16 +11,16 @@ from typing import Any
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from nav_msgs.msg import OccupancyGrid
-from rosidl_runtime_py.utilities import get_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import String
 
 from ltm_core.errors import LtmError
 from ltm_core.grid import GridGeometry
 from ltm_core.vision.labels import LabelSet
+from ltm_msgs_py.bag.schemas import message_class
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.fuel_cells import msg_to_fuel_cells
 from ltm_msgs_py.grid import msg_to_classes, tile_window
@@ -32,6 +33,8 @@ from ltm_msgs_py.terrain import msg_to_changed
 from ltm_msgs_py.votes import msg_to_votes
 from ltm_ros.fuel_map.services import region_of
 
+FRESH = bool(os.environ.get("LTM_FUZZ"))
+"""In `make fuzz`: new examples each time, and many; else the same ones."""
 GRID = GridGeometry(10.0, 400.0, 30.0, 14, 9)
 _WORDS = [
     "",
@@ -79,7 +82,7 @@ def _values(kind: str) -> st.SearchStrategy[Any]:
         return st.lists(_values(inner), min_size=int(size), max_size=int(size))
     if kind == "string":
         return st.one_of(st.sampled_from(_WORDS), st.text(st.characters(exclude_categories=["Cs"]), max_size=40))
-    return messages(get_message(kind)) if "/" in kind else _numbers(kind)
+    return messages(message_class(kind.replace("/", "/msg/"))) if "/" in kind else _numbers(kind)
 
 
 def messages(kind: Any) -> st.SearchStrategy[Any]:
@@ -119,6 +122,13 @@ CONVERTERS: list[tuple[Any, Callable[[Any], object]]] = [
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize(
     ("kind", "convert"), CONVERTERS, ids=[f"{k.__name__}-{c.__name__.strip('<>')}" for k, c in CONVERTERS]
+)
+@settings(
+    max_examples=3000 if FRESH else 15,
+    derandomize=not FRESH,
+    deadline=None,
+    print_blob=FRESH,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 @given(data=st.data())
 def test_no_error_but_ours(kind: Any, convert: Callable[[Any], object], data: st.DataObject) -> None:
