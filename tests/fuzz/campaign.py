@@ -1,8 +1,8 @@
 """Runs cases of all targets for a time, keeps those that fail, and says how to repeat them.
 
-PYTHONPATH=tests python -m fuzz.campaign --minutes 20              # fresh cases; the seed is printed
-PYTHONPATH=tests python -m fuzz.campaign --target store --case 812 # one case again
-PYTHONPATH=tests python -m fuzz.campaign --target store --file out/fuzz/store-812/fuel_map.ltm
+PYTHONPATH=tests .venv/bin/python -m fuzz.campaign --minutes 20              # fresh cases; the seed is printed
+PYTHONPATH=tests .venv/bin/python -m fuzz.campaign --target store --case 812 # one case again
+PYTHONPATH=tests .venv/bin/python -m fuzz.campaign --target store --file out/fuzz/store-812/fuel_map.ltm
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ def _keep(worker: Worker, name: str, number: int, fault: str, kept: Path) -> str
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "fault.txt").write_text(fault, encoding="utf-8")
     worker.keep(folder)
-    again = f"PYTHONPATH=tests python -m fuzz.campaign --target {name} --case {number}"
+    again = f"PYTHONPATH=tests .venv/bin/python -m fuzz.campaign --target {name} --case {number}"
     last = fault.strip().splitlines()[-1]
     return f"{name} case {number}: {last}\n  kept in {folder}; again: {again}"
 

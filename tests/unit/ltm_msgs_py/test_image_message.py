@@ -19,6 +19,7 @@ from ltm_msgs_py.image import (
     ENCODINGS,
     compressed_to_msg,
     compressed_to_rgb,
+    decode_rgb,
     depth_to_msg,
     encode_rgb,
     image_to_msg,
@@ -280,3 +281,11 @@ def test_compression_that_there_is_not_is_refused(image_format: str, quality: in
 def test_a_format_that_is_not_the_datas_is_refused() -> None:
     with pytest.raises(ImageError, match="that is png"):
         compressed_to_msg(encode_rgb(smooth(), "png"), "jpeg", 0, "")
+
+
+def test_a_jpeg_of_many_scans_is_not_decoded() -> None:
+    """Each scan is a walk over all pixels: a few kilobytes of them took minutes."""
+    jpeg = encode_rgb(np.zeros((16, 24, 3), np.uint8), "jpeg")
+    scan = b"\xff\xda\x00\x08\x01\x01\x00\x00\x3f\x00\x00"
+    with pytest.raises(ImageError, match=r"has \d+ scans, at most 200 are decoded"):
+        decode_rgb(jpeg[:-2] + scan * 300 + jpeg[-2:])
