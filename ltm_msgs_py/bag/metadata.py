@@ -10,7 +10,8 @@ from typing import Any
 
 import yaml
 
-from ltm_core.errors import RecordingError
+from ltm_core.errors import ConfigError, RecordingError
+from ltm_core.yaml_io import parse_yaml, read_yaml
 
 VERSION = 9
 FILE_NAME = "metadata.yaml"
@@ -62,8 +63,8 @@ def is_latched(offered_qos_profiles: str) -> bool:
     Versions below 9 write RMW's number for it (1), later ones its name. Text that is no such list: False.
     """
     try:
-        profiles = yaml.safe_load(offered_qos_profiles) if offered_qos_profiles else []
-    except yaml.YAMLError:
+        profiles = parse_yaml(offered_qos_profiles, "offered_qos_profiles") if offered_qos_profiles else []
+    except ConfigError:
         return False
     if not isinstance(profiles, list):
         return False
@@ -140,12 +141,12 @@ def bag_files(folder: Path) -> list[Path] | None:
     missing or lie outside the folder.
     """
     path = folder / FILE_NAME
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if not path.exists():
         return None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise RecordingError(f"cannot read {path}: {error}") from error
+    try:
+        document = read_yaml(path)
+    except ConfigError as error:
+        raise RecordingError(f"cannot read the bag's metadata: {error}") from error
     info = document.get(INFORMATION) if isinstance(document, dict) else None
     names = info.get("relative_file_paths") if isinstance(info, dict) else None
     if not isinstance(info, dict) or not isinstance(names, list) or not all(isinstance(n, str) for n in names):
@@ -161,7 +162,9 @@ def bag_files(folder: Path) -> list[Path] | None:
     files = []
     for name in names:
         file = folder / Path(name).name
-        if Path(name).is_absolute() or ".." in Path(name).parts or not file.is_file():
-            raise RecordingError(f"{path} lists the file {name!r}, which is not in {folder}")
+        # A name of more than 255 bytes is an OSError to whoever asks for its file.
+        known = len(name.encode()) <= 255 and file.is_file()
+        if not known or Path(name).is_absolute() or ".." in Path(name).parts:
+            raise RecordingError(f"{path} lists the file {name!r:.200}, which is not in {folder}")
         files.append(file)
     return files
