@@ -33,19 +33,31 @@ class GraphError(LtmError):
 
 
 def print_line(line: str) -> None:
-    """Console of a runner in a terminal; one write a line, so that the lines of several nodes do not mix."""
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
+    """Console of a runner in a terminal; one write a line, so that the lines of several nodes do not mix.
+
+    A console that takes nothing (a file on a full disk, a terminal that is gone) loses lines; the graph goes on.
+    """
+    with contextlib.suppress(OSError):
+        # Not through the stream's buffer: what it cannot get rid of makes the process end with an error.
+        sys.stdout.flush()
+        os.write(sys.stdout.fileno(), f"{line}\n".encode(errors="replace"))
 
 
 def new_log_folder(site: str) -> Path:
-    """A fresh folder for a run's logs under `$XDG_STATE_HOME/ltm`; removes all but the newest former ones."""
+    """A fresh folder for a run's logs under `$XDG_STATE_HOME/ltm`; removes all but the newest former ones.
+
+    On a full disk one that is not there yet: logs are made when there is room.
+    """
     state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state") / "ltm" / site
-    state.mkdir(parents=True, exist_ok=True)
-    former = sorted(path for path in state.iterdir() if path.is_dir())
-    for path in former[: max(0, len(former) - KEPT_RUNS + 1)]:
-        shutil.rmtree(path, ignore_errors=True)
-    return Path(tempfile.mkdtemp(prefix=time.strftime("%Y%m%d-%H%M%S-"), dir=state))
+    begun = time.strftime("%Y%m%d-%H%M%S-")
+    try:
+        state.mkdir(parents=True, exist_ok=True)
+        former = sorted(path for path in state.iterdir() if path.is_dir())
+        for path in former[: max(0, len(former) - KEPT_RUNS + 1)]:
+            shutil.rmtree(path, ignore_errors=True)
+        return Path(tempfile.mkdtemp(prefix=begun, dir=state))
+    except OSError:
+        return state / f"{begun}{os.getpid()}"
 
 
 class Runner:
@@ -109,7 +121,6 @@ class Runner:
             self._folder = Path(tempfile.mkdtemp(prefix="ltm-run-"))
             self._cleanup.folder(self._folder, exists=True)
             self._cleanup.start()
-            self.log_folder.mkdir(parents=True, exist_ok=True)
             for spec in self.graph:
                 self.processes[spec.label] = self._process(spec)
             for process in self.processes.values():

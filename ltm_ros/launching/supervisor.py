@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-import logging.handlers
 import os
 import select
 import signal
@@ -17,6 +15,7 @@ from pathlib import Path
 from typing import IO
 
 from ltm_core.site import WatchdogConfig
+from ltm_ros.launching.node_log import NodeLog
 from ltm_ros.launching.orphan_cleanup import end_groups, group_alive
 from ltm_ros.launching.supervised import SHOW_STACKS, start_supervised
 from ltm_ros.launching.watchdog import HangWatch, process_use
@@ -24,8 +23,6 @@ from ltm_ros.launching.watchdog import HangWatch, process_use
 EX_CONFIG = 78
 """Exit status of a node whose configuration cannot work (sysexits.h)."""
 
-LOG_BYTES = 4 << 20
-LOG_FILES = 3
 LOOK_S = 1.0
 STACKS_S = 1.0
 """What a process that is killed because it hangs has to say where it hangs."""
@@ -123,7 +120,8 @@ class NodeProcess:
         self._hang = ""
         """Why the last run was killed, where it hung."""
         self._thread = threading.Thread(target=self._supervise, name=f"supervise {self.label}", daemon=True)
-        self._log = _open_log(self.log_file)
+        self._log = NodeLog(self.log_file, lambda text: self.console(f"[{self.label}] -- {text}"))
+        self._log_lock = threading.Lock()
 
     @property
     def restarts(self) -> int:
@@ -157,9 +155,7 @@ class NodeProcess:
 
     def close(self) -> None:
         """Close the log file; call when the node has stopped."""
-        for handler in list(self._log.handlers):
-            self._log.removeHandler(handler)
-            handler.close()
+        self._log.close()
 
     def last_words(self) -> list[str]:
         """The newest lines of its output."""
@@ -261,15 +257,6 @@ class NodeProcess:
         self._emit(f"-- {text}")
 
     def _emit(self, line: str) -> None:
-        self._log.info(line)
+        with self._log_lock:
+            self._log.write(line)
         self.console(f"[{self.label}] {line}")
-
-
-def _open_log(path: Path) -> logging.Logger:
-    """A file that cannot fill the disk; stands apart from the process's own logging."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handler = logging.handlers.RotatingFileHandler(path, maxBytes=LOG_BYTES, backupCount=LOG_FILES - 1, delay=True)
-    handler.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
-    log = logging.Logger(f"ltm {path}", logging.INFO)
-    log.addHandler(handler)
-    return log

@@ -31,7 +31,7 @@ from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.message_loss import LossCounter, loss_report, writers_of
-from ltm_ros.runtime.node_process import run_until_stopped
+from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
 
 QUEUE = 30
 QUEUE_PER_TOPIC = 10
@@ -149,14 +149,14 @@ class HandlerNode(Node):  # type: ignore[misc]
         # Of one that has just come DDS does not know the name yet.
         return {f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends if "UNKNOWN" not in end.node_name}
 
-    def close(self) -> None:
-        """Let the worker finish what waits, tell the handler, send the last diagnostics."""
+    def close(self) -> int:
+        """Let the worker finish what waits, tell the handler, send the last diagnostics; the process's exit status."""
         with contextlib.suppress(queue.Full):
             self._inbox.put(None, timeout=2.0)
         self._worker.join(timeout=5.0)
-        if not self._worker.is_alive():
-            self._guarded(lambda _: self.handler.finish(), None)
+        finished = not self._worker.is_alive() and self._guarded(lambda _: self.handler.finish(), None)
         self._diagnostics.publish()
+        return 0 if finished else EX_IOERR
 
     def _listen(self, topic: Topic, name: str, callback: Callable[[Any], None]) -> None:
         self._taken.add(self.resolve_topic_name(name))
@@ -243,12 +243,15 @@ class HandlerNode(Node):  # type: ignore[misc]
             self._inbox.done(message)
             self.health.gauge("queue", self._inbox.unfinished_tasks)
 
-    def _guarded(self, callback: Callable[[Any], None], message: Any) -> None:
+    def _guarded(self, callback: Callable[[Any], None], message: Any) -> bool:
+        """False where the message was refused."""
         try:
             callback(message)
         except LtmError as error:
             self.health.drop(cause_of(error), str(error))
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+            return False
+        return True
 
     def _serve(self, action: Callable[[], str]) -> Callable[[Any, Any], Any]:
         def answer(_: Any, response: Any) -> Any:

@@ -17,11 +17,16 @@ from ltm_ros.launching.dds_shutdown import limit_shutdown
 from ltm_ros.launching.supervisor import EX_CONFIG
 from ltm_ros.runtime.heartbeat import HEARTBEAT, STARTING
 
+EX_IOERR = 74
+"""Exit status of a node that was stopped and could not write what it still had (sysexits.h)."""
+
 
 class ClosableNode(Protocol):
     """A node that has something to finish before it goes."""
 
-    def close(self) -> None: ...
+    def close(self) -> int:
+        """The exit status of the process."""
+        ...
 
     def destroy_node(self) -> None: ...
 
@@ -34,7 +39,8 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode]) -> None:
     """Spin the node that `make` makes until SIGINT or SIGTERM, then `close` it while it can still publish.
 
     The last act of a process: from the return on it has moments left to exit (`limit_shutdown`). Exits with EX_CONFIG
-    where the configuration cannot work (LtmError), so that the graph does not start it for ever.
+    where the configuration cannot work (LtmError), so that the graph does not start it for ever, with what `close`
+    returns where that is not 0.
     """
     stopping = threading.Event()
     making = True
@@ -72,8 +78,10 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode]) -> None:
         with activity.turn("callback"):
             executor.spin_once(timeout_sec=0.1)
     activity.begin("end", slow=True)
-    node.close()
+    status = node.close()
     limit_shutdown()
     executor.shutdown()
     node.destroy_node()
     rclpy.try_shutdown()
+    if status:
+        sys.exit(status)
