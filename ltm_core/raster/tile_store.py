@@ -218,8 +218,13 @@ class TileStore:
 
     def newest_ns(self) -> int | None:
         """The latest stamp that is remembered; None where no frame has been counted."""
-        newest = "SELECT max((SELECT max(stamp_ns) FROM frames WHERE source = id)) AS newest FROM sources"
-        found = self._rows(f"SELECT newest FROM ({newest}) WHERE newest IS NOT NULL", (), int)
+        found = self._rows(
+            "SELECT newest FROM "
+            "(SELECT max((SELECT max(stamp_ns) FROM frames WHERE source = id)) AS newest FROM sources) "
+            "WHERE newest IS NOT NULL",
+            (),
+            int,
+        )
         return int(found[0][0]) if found else None
 
     def touches(self, key: Key) -> list[Touch]:

@@ -258,7 +258,7 @@ class BagWriter:
     def _abandon(self, error: OSError) -> NoReturn:
         """The disk has failed while the file at hand was written."""
         file = self._file
-        assert file is not None
+        assert file is not None  # nosec B101 # tells the type checker what holds
         record = file.abandon()
         self.lost += file.unsaved
         self._let_go(record)
