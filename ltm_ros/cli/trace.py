@@ -34,6 +34,8 @@ def trace(
     console = Console()
     config = load_picture_config(pose)
     setup = set_up_picture(config, open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])]))
+    for doubt in setup.doubts:
+        console.print(f"[yellow]{doubt}", highlight=False)
     photo = None if image is None else read_photo(image, setup.camera)
     with console.status("tracing"):
         tracer = TerrainTracer(setup.dem, config.curvature, config.refraction)

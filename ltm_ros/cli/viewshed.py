@@ -112,6 +112,8 @@ def _from_site(path: Path) -> tuple[PointVisibility, SiteFrame, list[PosedCamera
 
 
 def _from_pose(path: Path, dem: list[Path], crs: str | None) -> tuple[PointVisibility, SiteFrame, list[PosedCamera]]:
+    from rich.console import Console
+
     from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.tracing.trace_io import load_picture_config, set_up_picture
     from ltm_core.visibility.point_visibility import PointVisibility
@@ -119,5 +121,7 @@ def _from_pose(path: Path, dem: list[Path], crs: str | None) -> tuple[PointVisib
 
     config = load_picture_config(path)
     setup = set_up_picture(config, open_terrain([(dem[0], crs), *((raster, None) for raster in dem[1:])]))
+    for doubt in setup.doubts:
+        Console().print(f"[yellow]{doubt}", highlight=False)
     sight = PointVisibility(setup.dem, config.curvature, config.refraction)
     return sight, setup.frame, [PosedCamera(path.stem, setup.camera, setup.pose)]

@@ -1,0 +1,92 @@
+"""Tells what people write into pose files in another unit: angles in radians or gon, heights in feet.
+
+An angle off the circle is an error. What may be right is only doubted, in words for the user; each bound says how often
+it doubts what is right.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from typing import Annotated
+
+from pydantic import AfterValidator
+
+FOOT = 0.3048
+"""Metres."""
+TALLEST_MAST = 150.0
+"""Metres above the ground beyond which a camera's height is doubted: fire-watch towers and masts stand lower, aircraft
+and cameras at the brink of a cliff that a coarse DEM rounds off do not."""
+_SLACK = 10.0
+"""Metres by which a height in feet may still come out under the ground: surveyed places and DEMs differ by as much."""
+
+
+def _azimuth(value: float) -> float:
+    if not -180.0 <= value <= 360.0:
+        raise ValueError(
+            f"an azimuth is 0 to 360 degrees clockwise from grid north, or -180 to 180, not {value:g}: convert gon, "
+            "mils or tenths of a degree first"
+        )
+    return value
+
+
+def _pitch(value: float) -> float:
+    if not -90.0 <= value <= 90.0:
+        raise ValueError(f"a pitch is -90 (straight down) to 90 degrees (straight up), not {value:g}")
+    return value
+
+
+def _roll(value: float) -> float:
+    if not -180.0 <= value <= 180.0:
+        raise ValueError(f"a roll is -180 to 180 degrees, not {value:g}")
+    return value
+
+
+AzimuthDeg = Annotated[float, AfterValidator(_azimuth)]
+PitchDeg = Annotated[float, AfterValidator(_pitch)]
+RollDeg = Annotated[float, AfterValidator(_roll)]
+
+
+def doubt_of_radians(azimuths_deg: Collection[float]) -> str | None:
+    """Why the azimuths of one file may be radians; None where nothing says so.
+
+    They are doubted where all lie within 2 pi and one at least is no whole number. Of right azimuths, spread evenly,
+    2 pi / 360 = 1.7 % lie there: one camera in 57 is doubted, of files with two cameras one in 3,300.
+    """
+    different = sorted(set(azimuths_deg))
+    if not different or max(map(abs, different)) > 2 * math.pi or all(value == round(value) for value in different):
+        return None
+    last = different[-1] if different[-1] != round(different[-1]) else next(v for v in different if v != round(v))
+    what = (
+        f"azimuth {last:g} lies" if len(different) == 1 else f"all azimuths, {different[0]:g} to {different[-1]:g}, lie"
+    )
+    return (
+        f"{what} within 2 pi, close to grid north: if these are radians, write degrees "
+        f"({last:g} rad is {math.degrees(last) % 360:.1f} deg)"
+    )
+
+
+def doubt_of_height(z: float, ground: float) -> str | None:
+    """Why a camera's height `z` over `ground`, both metres, may be in feet or wrong; None where it is plausible.
+
+    Doubted are cameras TALLEST_MAST or more above the ground, and those under it. NaN ground says nothing.
+    """
+    above = z - ground
+    if math.isnan(above) or 0.0 < above <= TALLEST_MAST:
+        return None
+    if above > 0 and -_SLACK <= z * FOOT - ground <= TALLEST_MAST:
+        return (
+            f"z = {z:g} m is {above:.0f} m above the ground ({ground:.0f} m); as feet it would be {z * FOOT:.0f} m: "
+            "heights are metres in the DEM's vertical datum"
+        )
+    if above > 0:
+        return f"z = {z:g} m is {above:.0f} m above the ground ({ground:.0f} m), higher than masts: check it"
+    if -_SLACK <= z - ground * FOOT <= TALLEST_MAST:
+        return (
+            f"z = {z:g} m is {-above:.0f} m under the ground ({ground:.0f} m); if the DEM's heights are feet, the "
+            f"ground is at {ground * FOOT:.0f} m: convert the DEM to metres"
+        )
+    return (
+        f"z = {z:g} m is {-above:.2f} m under the ground, which is at {ground:.2f} m: check its height, the vertical "
+        "datum (ellipsoidal or geoid) and the position"
+    )
