@@ -12,6 +12,7 @@ from mcap.writer import CompressionType, Writer
 from rclpy.serialization import serialize_message
 
 from ltm_core.errors import RecordingError
+from ltm_core.output_io import require_folder
 from ltm_msgs_py.bag.metadata import FILE_NAME, TopicRecord, bag_information, qos_profile, to_yaml
 from ltm_msgs_py.bag.schemas import schema_text, type_hash, type_name_of
 
@@ -57,11 +58,11 @@ class BagWriter:
 
     @staticmethod
     def require_free(path: Path) -> None:
-        """Raises RecordingError unless `path` does not exist or is an empty folder."""
-        if path.is_dir() and not any(path.iterdir()):
-            return
-        if path.exists():
+        """Raises RecordingError unless `path` does not exist or is an empty folder, ConfigError where nothing can be
+        written."""
+        if path.exists() and not (path.is_dir() and not any(path.iterdir())):
             raise RecordingError(f"cannot write a bag to {path}: it exists already; remove it or name another")
+        require_folder(path, "a bag")
 
     def add_topic(self, topic: str, type_name: str, latched: bool = False, depth: int = 10) -> None:
         """Announce a topic and its QoS before its first message; `latched`: transient local.

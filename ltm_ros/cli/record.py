@@ -22,12 +22,14 @@ def record(
     from dataclasses import replace
 
     from ltm_core.site_io import load_site
+    from ltm_msgs_py.bag.writer import BagWriter
     from ltm_ros.launching.graph import Graph, ParameterValue, describe
     from ltm_ros.launching.runner import Runner, new_log_folder
 
     parameters: dict[str, ParameterValue] = {"bag": str(out.resolve())}
     if topics:
         parameters["topics"] = list(topics)
+    BagWriter.require_free(out)
     config = load_site(site)
     whole = describe(config, site, sim_time=sim_time, record=parameters)
     # Beside a graph the recorder is an extra; here it is all there is to run.

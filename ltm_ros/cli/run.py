@@ -29,10 +29,17 @@ def run(
     ] = None,
 ) -> None:
     """Run a site: each node a process, restarted when it dies; Ctrl-C or SIGTERM stops all of them in order."""
+    from ltm_core.output_io import require_folder
     from ltm_core.site_io import load_site
+    from ltm_msgs_py.bag.writer import BagWriter
     from ltm_ros.launching.graph import ParameterValue, describe
     from ltm_ros.launching.runner import Runner, new_log_folder
 
+    for folder, what in ((state, "the map"), (logs, "logs")):
+        if folder is not None:
+            require_folder(folder.expanduser(), what)
+    if record is not None:
+        BagWriter.require_free(record.expanduser())
     config = load_site(site)
     kept: dict[str, ParameterValue] = {}
     if state is not None:
