@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -32,11 +33,22 @@ def require_files(files: Iterable[Path], overwrite: bool = True, what: str = "re
             raise ConfigError(f"{file}: {what} cannot be written there ({reason}): name another place")
 
 
-def _why_not_into(folder: Path) -> str | None:
-    """Tried, not asked: permission bits say nothing to root, and of a file system that is read-only."""
+def free_bytes(folder: Path) -> int:
+    """Room on the file system on which `folder` is, or would be made."""
+    return shutil.disk_usage(_nearest(folder)).free
+
+
+def _nearest(folder: Path) -> Path:
+    """`folder`, or the first above it that is there."""
     there = folder.expanduser().absolute()
     while not there.exists() and there != there.parent:
         there = there.parent
+    return there
+
+
+def _why_not_into(folder: Path) -> str | None:
+    """Tried, not asked: permission bits say nothing to root, and of a file system that is read-only."""
+    there = _nearest(folder)
     if not there.is_dir():
         return f"{there} is no folder"
     try:

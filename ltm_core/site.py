@@ -12,13 +12,13 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, PoseError
+from ltm_core.errors import ConfigError, PoseError, RasterError
 from ltm_core.fuel.prior_config import PriorConfig
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.geodesy import SiteFrame, ray_bend
 from ltm_core.grid import GridGeometry
+from ltm_core.plausibility import AzimuthDeg, PitchDeg, RollDeg, doubt_of_height
 from ltm_core.pose import Pose
-from ltm_core.pose_plausibility import AzimuthDeg, PitchDeg, RollDeg, doubt_of_height
 from ltm_core.raster.dem_stack import open_terrain, with_surface
 from ltm_core.types import Float64Array
 
@@ -291,7 +291,10 @@ class Site(Config):
         Raises RasterError as `open_terrain` and `Dem.in_frame` do, ConfigError where the origin is far from it.
         """
         dem = open_terrain([(dem.path, dem.crs) for dem in (self.dem, *self.coarser)])
-        local = dem.in_frame(self.frame)
+        try:
+            local = dem.in_frame(self.frame)
+        except RasterError as error:
+            raise RasterError(f"{self.dem.path}: {error}") from error
         self._check_origin(dem.geometry)
         return local
 

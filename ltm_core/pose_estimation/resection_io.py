@@ -15,9 +15,9 @@ from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, PoseError
 from ltm_core.geodesy import SiteFrame
+from ltm_core.plausibility import AzimuthDeg
 from ltm_core.pose_estimation.control_points import ControlPoints
 from ltm_core.pose_estimation.resection import Resection
-from ltm_core.pose_plausibility import AzimuthDeg
 from ltm_core.tracing.trace_io import PictureConfig, PlaceConfig, set_up_picture
 from ltm_core.types import Float64Array
 

@@ -17,8 +17,8 @@ from ltm_core.config_io import load_yaml
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, ImageError, PoseError
 from ltm_core.geodesy import SiteFrame
+from ltm_core.plausibility import AzimuthDeg, PitchDeg, RollDeg, doubt_of_height, doubt_of_radians
 from ltm_core.pose import Pose
-from ltm_core.pose_plausibility import AzimuthDeg, PitchDeg, RollDeg, doubt_of_height, doubt_of_radians
 from ltm_core.range_image import RangeImage
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.site import CalibrationConfig, Config

@@ -10,6 +10,7 @@ import typer
 
 from ltm_core.errors import LtmError
 from ltm_ros.cli.bench import bench
+from ltm_ros.cli.check import check
 from ltm_ros.cli.demo import demo
 from ltm_ros.cli.doctor import doctor
 from ltm_ros.cli.eval import evaluate
@@ -34,6 +35,7 @@ cli = typer.Typer(
     pretty_exceptions_show_locals=False,
 )
 cli.command()(demo)
+cli.command()(check)
 cli.command()(run)
 cli.command()(replay)
 cli.command()(record)

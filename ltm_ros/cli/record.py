@@ -21,15 +21,15 @@ def record(
     """Record a site's topics to OUT until Ctrl-C."""
     from dataclasses import replace
 
+    from ltm_core.output_io import require_folder
     from ltm_core.site_io import load_site
-    from ltm_msgs_py.bag.writer import BagWriter
     from ltm_ros.launching.graph import Graph, ParameterValue, describe
     from ltm_ros.launching.runner import Runner, new_log_folder
 
     parameters: dict[str, ParameterValue] = {"bag": str(out.resolve())}
     if topics:
         parameters["topics"] = list(topics)
-    BagWriter.require_free(out)
+    require_folder(out, "a bag")  # of former ones the recorder keeps clear
     config = load_site(site)
     whole = describe(config, site, sim_time=sim_time, record=parameters)
     # Beside a graph the recorder is an extra; here it is all there is to run.

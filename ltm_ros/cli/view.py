@@ -35,15 +35,16 @@ def view(
 ) -> None:
     """Show a site in Rerun: its graph while it runs, or a recording. Listens on loopback only; Ctrl-C ends it."""
     from ltm_core.errors import ConfigError, RecordingError
-    from ltm_core.output_io import require_files
+    from ltm_core.output_io import require_files, require_folder
 
     if (site is None) == (rrd is None):
         raise ConfigError("give either --site (a running graph) or --rrd (a recording), not both and not neither")
     if tab is not None and screenshot is None:
         raise ConfigError("--tab says what --screenshot draws: give --screenshot too")
-    for place in (save, screenshot):
-        if place is not None:
-            require_files([place], overwrite)
+    if screenshot is not None:
+        require_files([screenshot], overwrite)
+    if save is not None:
+        require_folder(save.parent, "a Rerun recording")  # the viewer finds a free name
     in_browser = web if web is not None else not _has_screen()
     if rrd is not None:
         if not rrd.is_file():

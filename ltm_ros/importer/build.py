@@ -10,7 +10,7 @@ from pathlib import Path
 from ltm_core.config_io import checked
 from ltm_core.errors import ConfigError, ImageError, LtmError, RecordingError
 from ltm_core.geodesy import SiteFrame
-from ltm_core.pose_plausibility import doubt_of_radians
+from ltm_core.plausibility import doubt_of_radians
 from ltm_core.site import Site
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg

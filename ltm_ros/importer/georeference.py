@@ -10,8 +10,8 @@ from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import CameraError, PoseError, RecordingError
 from ltm_core.geodesy import SiteFrame
+from ltm_core.plausibility import doubt_of_height
 from ltm_core.pose import Pose
-from ltm_core.pose_plausibility import doubt_of_height
 from ltm_ros.importer.photo import Photo
 from ltm_ros.importer.pose_file import PhotoPose
 

@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from ltm_core.config_io import checked
 from ltm_core.errors import ConfigError
-from ltm_core.pose_plausibility import AzimuthDeg, PitchDeg, RollDeg
+from ltm_core.plausibility import AzimuthDeg, PitchDeg, RollDeg
 from ltm_core.site import Config, RosName
 
 

@@ -15,8 +15,8 @@ from ltm_core.errors import RasterError
 from ltm_ros.cli import main
 
 COMMANDS = (
-    "demo", "run", "replay", "record", "import", "trace", "simulate", "train", "export", "bench", "view", "doctor",
-    "models", "pose", "viewshed", "eval",
+    "demo", "check", "run", "replay", "record", "import", "trace", "simulate", "train", "export", "bench", "view",
+    "doctor", "models", "pose", "viewshed", "eval",
 )  # fmt: skip
 
 

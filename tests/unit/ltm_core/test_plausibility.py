@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from ltm_core.pose_plausibility import doubt_of_height, doubt_of_radians
+from ltm_core.plausibility import doubt_of_height, doubt_of_radians
 
 
 @pytest.mark.parametrize(
