@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 from ltm_core.errors import RasterError
 from ltm_core.grid import GridGeometry
 
+_BLOCK = 256
+_CACHE_MB = 64
+"""GDAL's own default is a twentieth of the machine's memory."""
+
 
 def write_geotiff(
     path: Path | str,
@@ -26,6 +30,7 @@ def write_geotiff(
     the geometry has no CRS or does not fit the array.
     """
     import rasterio
+    from rasterio.windows import Window
 
     if geometry.crs is None:
         raise RasterError(f"{path}: a GeoTIFF needs a CRS, but this raster is in a bare map frame")
@@ -33,24 +38,30 @@ def write_geotiff(
     if bands.shape[1:] != geometry.shape:
         raise RasterError(f"{path}: array of {bands.shape[1:]} does not fit a raster of {geometry.shape}")
     predictor = 3 if np.issubdtype(array.dtype, np.floating) else 2
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        width=geometry.width,
-        height=geometry.height,
-        count=len(bands),
-        dtype=array.dtype,
-        crs=geometry.crs,
-        transform=geometry.transform(),
-        nodata=nodata,
-        tiled=True,
-        blockxsize=256,
-        blockysize=256,
-        compress="deflate",
-        predictor=predictor,
-    ) as sink:
-        sink.write(bands)
+    with (
+        rasterio.Env(GDAL_CACHEMAX=_CACHE_MB),
+        rasterio.open(
+            path,
+            "w",
+            driver="GTiff",
+            width=geometry.width,
+            height=geometry.height,
+            count=len(bands),
+            dtype=array.dtype,
+            crs=geometry.crs,
+            transform=geometry.transform(),
+            nodata=nodata,
+            tiled=True,
+            blockxsize=_BLOCK,
+            blockysize=_BLOCK,
+            compress="deflate",
+            predictor=predictor,
+        ) as sink,
+    ):
+        # Strip after strip, every band of it: a block that left the cache half written would be written twice.
+        for row in range(0, geometry.height, _BLOCK):
+            strip = bands[:, row : row + _BLOCK]
+            sink.write(strip, window=Window(0, row, geometry.width, strip.shape[1]))
         if colormap is not None:
             sink.write_colormap(1, {value: (*rgb, 255) for value, rgb in colormap.items()})
         if tags:

@@ -8,13 +8,18 @@ from typing import Annotated, Any
 import typer
 
 from ltm_ros.cli.bench.fusion import fusion
+from ltm_ros.cli.bench.memory import memory
 from ltm_ros.cli.bench.network import network
 from ltm_ros.cli.bench.render import render
 from ltm_ros.cli.bench.segmentation import segmentation
 from ltm_ros.cli.bench.terrain import terrain
 from ltm_ros.cli.bench.votes import votes
 
-bench = typer.Typer(help="How fast: tracing, beside other tracers; a fuel map under many towers.", no_args_is_help=True)
+bench = typer.Typer(
+    help="How fast, and in how much memory: tracing, beside other tracers; a fuel map under many towers.",
+    no_args_is_help=True,
+)
+bench.command()(memory)
 bench.command()(network)
 bench.command()(fusion)
 bench.command()(render)
