@@ -16,7 +16,7 @@ from rclpy.node import Node
 
 from ltm_ros.bench.graph_site import NAME, SENT
 from ltm_ros.bench.network_towers import stamped
-from ltm_ros.launching.dds_shutdown import begin_farewell
+from ltm_ros.launching.dds_shutdown import limit_shutdown
 from ltm_ros.runtime.node import stream_qos
 from ltm_ros.runtime.topics import camera_topic
 
@@ -61,7 +61,7 @@ def main() -> None:
                     publishers[camera, part].publish(stamped(cdr, stamp))
                 sent[camera].append(stamp)
         print(json.dumps({"sent": sent, "late": late}), flush=True)
-    begin_farewell()
+    limit_shutdown()
     node.destroy_node()
     rclpy.try_shutdown()
 
