@@ -93,7 +93,7 @@ def votes_of(frame: FrameRecord, geometry: GridGeometry) -> CellVotes:
     table = load_array(frame.payload, what, ConfigError)
     try:
         row, col, z, counts = (np.ascontiguousarray(table[name]) for name in ("row", "col", "z", "counts"))
-        names = table.dtype.names
+        names = table.dtype.names or ()
         confidence = np.ascontiguousarray(table["confidence"]) if "confidence" in names else None
         visibility = None
         if _VISIBILITY[0] in names:
