@@ -22,7 +22,6 @@ TALLEST_MAST = 150.0
 and cameras at the brink of a cliff that a coarse DEM rounds off do not."""
 _SLACK = 10.0
 """Metres by which a height in feet may still come out under the ground: surveyed places and DEMs differ by as much."""
-
 _DEEP = 50.0
 """Metres under the ground that no datum and no coarse DEM explains."""
 
