@@ -9,7 +9,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # Build back-ends warn of what a user of this Makefile cannot mend.
 PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -c constraints.txt
 
-.PHONY: demo demo-real test test-all bench docs lint format clean
+.PHONY: demo demo-real test test-all fuzz bench docs lint format clean
 
 $(INSTALLED): pyproject.toml constraints.txt setup.py setup.cfg
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.12")'
@@ -52,6 +52,12 @@ test-all: $(VENV)/.installed-all $(FIRE)/.installed
 	LTM_PYRETECHNICS=$(FIRE)/bin/python $(BIN)/python -m pytest -m "not graph" -q --durations=20
 	$(BIN)/python -m pytest -m graph $(GRAPHS) -q --durations=20
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m kernel -n 2 --dist worksteal -q --durations=20
+
+# New cases each time; what fails is kept in out/fuzz, and printed with the command that repeats it.
+MINUTES ?= 20
+fuzz: $(VENV)/.installed-dev
+	LTM_FUZZ=1 $(BIN)/python -m pytest tests/fuzz/test_converters.py -n 2 -q
+	PYTHONPATH=tests $(BIN)/python -m fuzz.campaign --minutes $(MINUTES)
 
 $(VENV)/.installed-docs: $(INSTALLED)
 	$(PIP) -e '.[docs]'

@@ -115,6 +115,18 @@ class Limits(Config):
     """Size of the image data that waits in a node for the other messages of its frame."""
 
 
+class WatchdogConfig(Config):
+    """When the runner takes a node for hung, kills it and starts it again. Seconds in which both run."""
+
+    silent: float = Field(20.0, ge=2)
+    """Without a sign of life, while it does not compute: stopped, or deadlocked with Python's lock in hand."""
+    stuck: float = Field(120.0, ge=2)
+    """On one message, or in one callback of its executor."""
+    slow: float = Field(600.0, ge=2)
+    """For what may take long: the start (kernels are compiled, the DEM is read), what a service was asked for, the end.
+    After each start in a row that was too slow, the next has twice as long."""
+
+
 class TerrainConfig(Config):
     """The living terrain; a site that has this section runs the node `terrain`. Lengths in metres, times in seconds."""
 
@@ -264,6 +276,7 @@ class Site(Config):
     """Manifest of a depth network, likewise; where given, traced depth is fused with it (`fused/depth`)."""
     cameras: dict[CameraName, CameraConfig] = Field(min_length=1)
     limits: Limits = Limits()
+    watchdog: WatchdogConfig = WatchdogConfig()
     nodes: dict[RosName, dict[str, Any]] = {}
     """Parameters a node type: `nodes: {capture: {pose_tolerance: 0.1}}`. Each node refuses what it does not know."""
 

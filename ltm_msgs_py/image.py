@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image
 
 from ltm_core.errors import ImageError
+from ltm_core.picture_io import BROKEN, MAX_PIXELS
 from ltm_core.types import Float32Array, UInt8Array
 from ltm_msgs_py.stamp import make_header
 
@@ -44,8 +45,9 @@ ENCODINGS = {
 COLOUR_ENCODINGS = ("rgb8", "bgr8", "rgba8", "bgra8", "mono8", "mono16")
 DEPTH_ENCODINGS = ("32FC1", "16UC1")
 
-MAX_PIXELS = 80_000_000
-"""Of a compressed image: a few kilobytes can claim gigapixels, and decoding them takes the memory of a tower."""
+_MOST_SCANS = 200
+"""Of a JPEG, those of its thumbnails among them: a progressive one has ten. Each is a walk over all pixels, so a few
+kilobytes of empty scans take minutes."""
 
 
 def image_to_msg(image: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str, out: Image | None = None) -> Image:
@@ -224,6 +226,10 @@ def _checked_size(data: bytes, what: str) -> tuple[tuple[int, int], str]:
     # OpenCV 4 fills the missing part of a cut JPEG with grey and says nothing, so look for its end ourselves.
     if found == "jpeg" and not _jpeg_is_whole(data):
         raise ImageError(f"{what} ({len(data)} bytes of jpeg) is cut short: it has no end-of-image marker")
+    if found == "jpeg" and (scans := data.count(b"\xff\xda")) > _MOST_SCANS:
+        raise ImageError(
+            f"{what} ({len(data)} bytes of jpeg) has {scans} scans, at most {_MOST_SCANS} are decoded; save it anew"
+        )
     return _stated_size(data, f"{what} ({len(data)} bytes of {found})"), found
 
 
@@ -250,7 +256,7 @@ def _stated_size(data: bytes, what: str) -> tuple[int, int]:
             return header.size
     except PIL.Image.DecompressionBombError as error:
         raise ImageError(f"{what} is too large to decode: {error}") from error
-    except (OSError, SyntaxError, ValueError) as error:
+    except BROKEN as error:
         raise ImageError(f"{what} is corrupt: its header cannot be read") from error
 
 

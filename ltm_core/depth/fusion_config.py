@@ -17,9 +17,9 @@ from pydantic import BaseModel, Field
 from ltm_core.strict_model import StrictModel
 
 
-def derived(default: Any, meaning: str) -> Any:
-    """A constant that follows from something else."""
-    return Field(default, description=meaning, json_schema_extra={"origin": "derived"})
+def derived(default: Any, meaning: str, **bounds: float) -> Any:
+    """A constant that follows from something else; `bounds`: of pydantic, as ge=0."""
+    return Field(default, description=meaning, json_schema_extra={"origin": "derived"}, **bounds)  # type: ignore[call-overload]
 
 
 def fitted(default: Any, meaning: str) -> Any:
@@ -79,9 +79,22 @@ class SamplingConfig(StrictModel):
     clear: int = chosen(5, "pixels within which no edge of the terrain may lie")
 
 
+class RegressionConfig(StrictModel):
+    """The straight line that most samples agree on (`robust_regression`)."""
+
+    trials: int = derived(128, "pairs tried: with 45 % outliers one is clean with 0.3, so all fail once in 10^19", ge=1)
+    scored: int = chosen(800, "points, evenly taken, that score the trials; the inliers come from all", ge=8)
+    band: float = chosen(2.5, "robust standard deviations within which a point is an inlier", gt=0)
+    fewest: int = chosen(8, "points below which no line is laid", ge=2)
+    least_run: float = derived(1e-3, "of x's spread: pairs that lie closer give no slope")
+    refined: int = chosen(3, "rounds of least squares over the inliers")
+
+
 class ScaleConfig(StrictModel):
     """One scale and shift for a network's depth (`scale_fit`, `robust_regression`)."""
 
+    least_samples: int = chosen(50, "of trustworthy ground below which no scale is fitted")
+    least_positive: float = chosen(0.9, "of a relative network's values: below, it has no line without a shift")
     least_inliers: float = chosen(0.3, "share of samples below which nothing holds together")
     least_explained: float = chosen(0.1, "part of the ground's spread in inverse depth that a network must explain")
     like_terrain: float = chosen(0.2, "relative noise below which it is of use even over ground of one depth")
@@ -157,7 +170,7 @@ class OcclusionConfig(StrictModel):
     metre: float = fitted(0.14, "log odds less with each metre of height")
     highest: float = chosen(30.0, "metres from which on they fall no more")
     no_foot: float = fitted(1.0, "log odds less where the image ends above the foot")
-    about: int = chosen(7, "cells of the network's depth, the side of the square whose labels are heard")
+    about: int = chosen(7, "cells of the network's depth, the side of the square whose labels count")
 
 
 class DecisionConfig(StrictModel):
@@ -167,8 +180,8 @@ class DecisionConfig(StrictModel):
     agree: float = chosen(9.0, "squared sigmas up to which both are averaged")
     torn: float = chosen(0.15, "relative sigma of a terrain that is torn between two surfaces: no mean is there")
     soft: float = chosen(0.15, "of the range of depths among neighbours: how far off a pixel between them may be")
-    heard: float = fitted(0.44, "of the log likelihood of something nearer: errors go on for many pixels")
-    heard_over: float = fitted(0.18, "the same of a canopy raster")
+    likelihood_weight: float = fitted(0.44, "of the log likelihood of something nearer: errors go on for many pixels")
+    canopy_weight: float = fitted(0.18, "the same of a canopy raster")
     canopy: ClassLogOdds = fitted(
         ClassLogOdds(grass=-1.5, shrub=1.1, tree=1.6, bare=-2.6, water=-3.0, built=1.6, unlabelled=0.0),
         "log odds that a canopy raster, and not bare ground, is what shows where the two differ",
@@ -217,6 +230,7 @@ class FusionConfig(StrictModel):
     cover: CoverConfig = CoverConfig()
     surface: SurfaceConfig = SurfaceConfig()
     sampling: SamplingConfig = SamplingConfig()
+    regression: RegressionConfig = RegressionConfig()
     scale: ScaleConfig = ScaleConfig()
     error_model: ErrorModelConfig = ErrorModelConfig()
     upsampling: UpsamplingConfig = UpsamplingConfig()

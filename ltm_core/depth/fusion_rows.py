@@ -26,8 +26,8 @@ class DecisionRules(NamedTuple):
     agree: np.float32
     torn: np.float32
     soft: np.float32
-    heard: np.float32
-    heard_over: np.float32
+    likelihood_weight: np.float32
+    canopy_weight: np.float32
     open: np.float32
     elsewhere: np.float32
     between: np.float32
@@ -37,7 +37,7 @@ class DecisionRules(NamedTuple):
     """1 - open."""
     few: np.float32
     """Log odds of `open`."""
-    per_heard: np.float32
+    per_likelihood_weight: np.float32
     widest: np.float32
     """Log of the greatest that a likelihood against what stands nearer can be for its exponential."""
 
@@ -46,7 +46,7 @@ class DecisionRules(NamedTuple):
         given = (np.float32(getattr(config, name)) for name in cls._fields[:11])
         few = math.log(config.open / (1.0 - config.open))
         widest = math.log(config.ranges / math.sqrt(2.0 * math.pi * OWN))
-        more = (np.float32(value) for value in (1.0 - config.open, few, 1.0 / config.heard, widest))
+        more = (np.float32(value) for value in (1.0 - config.open, few, 1.0 / config.likelihood_weight, widest))
         return cls(*given, *more)
 
 

@@ -145,7 +145,7 @@ def surely_terrain(
     their best, without exponential and logarithm."""
     if joint > np.float32(OWN) * spread * spread:
         return False
-    need = (rules.few - odds) * rules.per_heard
+    need = (rules.few - odds) * rules.per_likelihood_weight
     return bool(off * off < np.float32(2.0) * joint * (need + rules.widest))
 
 
@@ -184,7 +184,7 @@ def network_chance(
     for many pixels.
     """
     against = log_against(other, off, joint, spread, gross, rules)
-    return np.float32(np.float32(1.0) / (np.float32(1.0) + np.exp(rules.heard * against - odds)))
+    return np.float32(np.float32(1.0) / (np.float32(1.0) + np.exp(rules.likelihood_weight * against - odds)))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -208,7 +208,7 @@ def _choose(
                 m, t = expected_prediction(i, column[u], one / c, errors)
                 to_over = (y - one / c + m) / t
                 for_over -= half * to_over * to_over + np.log(t)
-                odds += rules.heard_over * for_over
+                odds += rules.canopy_weight * for_over
             likely = one / (one + np.exp(-odds))
             top = np.float32(0.03) * c if np.isnan(s) else max(s, np.float32(0.01) * c)
             if d < far and min(likely, one - likely) > rules.open:

@@ -13,10 +13,10 @@ import numpy as np
 
 from ltm_core.depth.error_estimation import estimate_errors
 from ltm_core.depth.error_model import ErrorModel
-from ltm_core.depth.fusion_config import FusionConfig, ScaleConfig
+from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import GroundSamples
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.robust_regression import WIDTH, Line, robust_line, robust_offset
+from ltm_core.depth.robust_regression import Line, robust_line, robust_offset
 from ltm_core.types import BoolArray, Float32Array, Float64Array
 
 
@@ -46,14 +46,14 @@ class ScaleFit:
 def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, int], config: FusionConfig) -> ScaleFit:
     """Fit a network's depth to ground samples of a photo of `size` (height, width)."""
     values, rules = network.values, config.scale
-    trouble = _unfit(values, network.kind) or _too_few(samples)
+    trouble = _unfit(values, network.kind) or _too_few(samples, rules.least_samples)
     if trouble:
         return _unusable(network, None, trouble)
     at = sampled(values, samples, size)
     known = np.isfinite(at)
-    if known.sum() < 50:
+    if known.sum() < rules.least_samples:
         return _unusable(network, None, f"{int(known.sum())} of {len(samples)} ground samples have a network depth")
-    line = fitted_line(network.kind, at[known], samples.part(known), rules)
+    line = fitted_line(network.kind, at[known], samples.part(known), config)
     if line is None:
         return _unusable(network, None, "the network's depth is constant over the ground samples")
     if line.inlier_ratio < rules.least_inliers:
@@ -100,38 +100,48 @@ def _unfit(values: Float32Array, kind: str) -> str:
     return ""
 
 
-def _too_few(samples: GroundSamples) -> str:
-    return "" if len(samples) >= 50 else f"{len(samples)} pixels of trustworthy ground are too few to fit a scale to"
+def _too_few(samples: GroundSamples, least: int) -> str:
+    return "" if len(samples) >= least else f"{len(samples)} pixels of trustworthy ground are too few to fit a scale to"
 
 
-def fitted_line(kind: str, values: Float64Array, samples: GroundSamples, rules: ScaleConfig) -> Line | None:
+def fitted_line(kind: str, values: Float64Array, samples: GroundSamples, config: FusionConfig) -> Line | None:
     """Scale and shift. Residuals of inverse depth weigh in proportion to it among the near, evenly among the far, and
     less where the terrain itself is unsure."""
     inverse = 1.0 / samples.depth
     relative = samples.sigma / samples.depth
     if kind == "relative_inverse":
-        weight = 1.0 / (np.hypot(inverse, np.median(inverse)) * np.hypot(1.0, relative / rules.typical_sigma))
-        plain = _through_zero(values, inverse, weight, rules)
-        return _with_shift(plain, rules, values, inverse, weight)
+        weight = 1.0 / (np.hypot(inverse, np.median(inverse)) * np.hypot(1.0, relative / config.scale.typical_sigma))
+        plain = _through_zero(values, inverse, weight, config)
+        return _with_shift(plain, config, values, inverse, weight)
     if kind == "affine_invariant":
         return robust_line(
-            values, samples.depth, inverse / np.hypot(1.0, relative / rules.typical_sigma), floor=rules.relative_floor
+            values,
+            samples.depth,
+            inverse / np.hypot(1.0, relative / config.scale.typical_sigma),
+            floor=config.scale.relative_floor,
+            rules=config.regression,
         )
     known = values > 0
-    line = robust_offset(np.log(samples.depth[known]) - np.log(values[known]), floor=rules.relative_floor)
+    line = robust_offset(
+        np.log(samples.depth[known]) - np.log(values[known]), floor=config.scale.relative_floor, rules=config.regression
+    )
     return None if line is None else replace(line, inliers=_spread_out(line.inliers, known))
 
 
-def _through_zero(values: Float64Array, inverse: Float64Array, weight: Float64Array, rules: ScaleConfig) -> Line | None:
+def _through_zero(
+    values: Float64Array, inverse: Float64Array, weight: Float64Array, config: FusionConfig
+) -> Line | None:
     """The line without a shift; None for a network that seldom gives more than 0."""
     positive = values > 0
-    if positive.mean() < 0.9:
+    if positive.mean() < config.scale.least_positive:
         return None
-    ratio = robust_offset(np.log(inverse[positive]) - np.log(values[positive]), floor=rules.relative_floor)
-    return None if ratio is None else _line_of(float(np.exp(ratio.shift)), 0.0, values, inverse, weight, rules)
+    ratio = robust_offset(
+        np.log(inverse[positive]) - np.log(values[positive]), floor=config.scale.relative_floor, rules=config.regression
+    )
+    return None if ratio is None else _line_of(float(np.exp(ratio.shift)), 0.0, values, inverse, weight, config)
 
 
-def _with_shift(plain: Line | None, rules: ScaleConfig, *given: Float64Array) -> Line | None:
+def _with_shift(plain: Line | None, config: FusionConfig, *given: Float64Array) -> Line | None:
     """The line with a shift where that earns its place: one that hardly shows on the ground that was sampled would yet
     decide how near or far all else is.
 
@@ -141,15 +151,16 @@ def _with_shift(plain: Line | None, rules: ScaleConfig, *given: Float64Array) ->
     values, inverse, weight = given
     reach = np.subtract(*np.quantile(inverse, (0.9, 0.1)))
     spread = np.subtract(*np.quantile(values, (0.9, 0.1)))
-    back = robust_line(inverse, values, weight, floor=rules.relative_floor * float(spread / max(reach, 1e-12)))
+    floor = config.scale.relative_floor * float(spread / max(reach, 1e-12))
+    back = robust_line(inverse, values, weight, floor=floor, rules=config.regression)
     if back is None or (back.scale <= 0 and plain is not None):
         return plain
     if back.scale == 0:
         return None
-    line = _line_of(1.0 / back.scale, -back.shift / back.scale, values, inverse, weight, rules)
+    line = _line_of(1.0 / back.scale, -back.shift / back.scale, values, inverse, weight, config)
     if plain is None:
         return line
-    fewer = all(off(line, *given) < rules.shift_gain * off(plain, *given) for off in (_off, _off_values))
+    fewer = all(off(line, *given) < config.scale.shift_gain * off(plain, *given) for off in (_off, _off_values))
     return line if fewer else plain
 
 
@@ -159,11 +170,11 @@ def _line_of(
     values: Float64Array,
     inverse: Float64Array,
     weight: Float64Array,
-    rules: ScaleConfig,
+    config: FusionConfig,
 ) -> Line:
     off = np.abs(scale * values + shift - inverse) * weight
-    sigma = max(1.4826 * float(np.median(off)), rules.relative_floor)
-    return Line(scale, shift, sigma, off <= WIDTH * sigma)
+    sigma = max(1.4826 * float(np.median(off)), config.scale.relative_floor)
+    return Line(scale, shift, sigma, off <= config.regression.band * sigma)
 
 
 def _off(line: Line, values: Float64Array, inverse: Float64Array, weight: Float64Array) -> float:

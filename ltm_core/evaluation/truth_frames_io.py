@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-from zipfile import BadZipFile
 
 import cv2
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import RecordingError
 from ltm_core.geodesy import SiteFrame, ray_bend
+from ltm_core.numpy_io import load_arrays
+from ltm_core.picture_io import check_picture
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
+from ltm_core.text_io import read_text
 from ltm_core.types import BoolArray, Float32Array, UInt8Array
+
+LARGEST_INDEX = 64 << 20
+"""Bytes of `frames.json`: a frame takes one thousand."""
+_LARGEST_TRUTH = 1 << 30
+"""Bytes of an array of a frame's truth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +51,55 @@ class TruthFrame:
         return round(self.camera.width / across)
 
 
+class _Lenient(BaseModel):
+    """Part of `frames.json`, which holds more than is read here."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+
+class _CameraEntry(_Lenient):
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float, float]
+
+    def camera(self) -> Camera:
+        return Camera(**dict(self))
+
+
+class _FrameEntry(_Lenient):
+    camera_name: str
+    stamp_ns: int
+    image: str = Field(pattern=r"^[\w./-]+$")
+    truth: str = Field(pattern=r"^[\w./-]+$")
+    camera: _CameraEntry
+    truth_camera: _CameraEntry
+    position: tuple[float, float, float]
+    azimuth_deg: float
+    pitch_deg: float
+    roll_deg: float
+    date: str = Field("", pattern=r"^[\w.-]*$")
+
+    def pose(self) -> Pose:
+        return Pose.from_angles(self.position, self.azimuth_deg, self.pitch_deg, self.roll_deg)
+
+
+class _Date(_Lenient):
+    name: str = Field(pattern=r"^[\w.-]*$")
+
+
+class _Index(_Lenient):
+    scenario: str
+    crs: str
+    origin: tuple[float, float]
+    curvature: bool
+    dates: list[_Date] = Field(default_factory=list)
+    frames: list[_FrameEntry]
+
+
 def open_dem(folder: Path) -> Dem:
     """The outdated DEM of a folder of `ltm simulate`, in the map frame. Raises RecordingError, RasterError."""
     return Dem.open(folder / "dem.tif").in_frame(site_frame(folder))
@@ -57,40 +112,42 @@ def site_frame(folder: Path) -> SiteFrame:
 
 def scenario_name(folder: Path) -> str:
     """Of what a folder shows. Raises RecordingError."""
-    return str(_index(folder)["scenario"])
+    return _index(folder).scenario
 
 
 def is_curved(folder: Path) -> bool:
     """Whether the earth's curvature is in the scene of a folder. Raises RecordingError."""
-    return bool(_index(folder)["curvature"])
+    return _index(folder).curvature
 
 
 def read_truth_frames(folder: Path, date: str = "") -> Iterator[TruthFrame]:
     """The frames of a folder, of one date where it has several (empty: all). Raises RecordingError."""
     index = _index(folder)
-    frame, bend = _frame(index), ray_bend(bool(index["curvature"]), 0.13)
-    first = next((d["name"] for d in index.get("dates", [])), "")
-    for entry in index["frames"]:
-        when = entry.get("date", "")
+    frame, bend = _frame(index), ray_bend(index.curvature, 0.13)
+    first = next((d.name for d in index.dates), "")
+    for entry in index.frames:
+        when = entry.date
         if date and when != date:
             continue
-        photo = cv2.imread(str(folder / entry["image"]), cv2.IMREAD_COLOR)
+        check_picture(folder / entry.image)
+        photo = cv2.imread(str(folder / entry.image), cv2.IMREAD_COLOR)
         if photo is None:
-            raise RecordingError(f"{folder / entry['image']}: the frame's picture is missing or broken")
-        camera, sampled = (_camera(entry[key]) for key in ("camera", "truth_camera"))
-        pose = Pose.from_angles(entry["position"], entry["azimuth_deg"], entry["pitch_deg"], entry["roll_deg"])
+            raise RecordingError(f"{folder / entry.image}: the frame's picture is missing or broken")
+        camera, sampled, pose = entry.camera.camera(), entry.truth_camera.camera(), entry.pose()
+        ranges_seen, ranges_ground, ids = load_arrays(
+            folder / entry.truth, ("range_surface", "range_ground", "labels"), _LARGEST_TRUTH, RecordingError
+        )
         try:
-            with np.load(folder / entry["truth"]) as truth:
-                surface = RangeImage(truth["range_surface"].astype(np.float32), sampled, pose, bend)
-                ground = RangeImage(truth["range_ground"].astype(np.float32), sampled, pose, bend).depth()
-                labels = truth["labels"].astype(np.uint8)
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
-            raise RecordingError(f"{folder / entry['truth']}: no truth of the frame ({error})") from error
+            surface = RangeImage(ranges_seen.astype(np.float32), sampled, pose, bend)
+            ground = RangeImage(ranges_ground.astype(np.float32), sampled, pose, bend).depth()
+            labels = ids.astype(np.uint8)
+        except ValueError as error:
+            raise RecordingError(f"{folder / entry.truth}: no truth of the frame ({error})") from error
         change = folder / "truth" / f"change_{first}_{when}.tif"
         changed = _changed(surface, change, frame) if change.is_file() else np.zeros(labels.shape, np.bool_)
         yield TruthFrame(
-            entry["camera_name"],
-            int(entry["stamp_ns"]),
+            entry.camera_name,
+            entry.stamp_ns,
             camera,
             pose,
             np.ascontiguousarray(photo[..., ::-1]),
@@ -104,7 +161,7 @@ def read_truth_frames(folder: Path, date: str = "") -> Iterator[TruthFrame]:
 
 def dates(folder: Path) -> list[str]:
     """Names of a folder's dates; empty where it has one only."""
-    return [date["name"] for date in _index(folder).get("dates", [])]
+    return [date.name for date in _index(folder).dates]
 
 
 def _changed(surface: RangeImage, change: Path, frame: SiteFrame) -> BoolArray:
@@ -121,17 +178,14 @@ def _changed(surface: RangeImage, change: Path, frame: SiteFrame) -> BoolArray:
     return np.asarray(seen & (bits[np.where(seen, row, 0), np.where(seen, col, 0)] > 0), np.bool_)
 
 
-def _index(folder: Path) -> dict[str, Any]:
+def _index(folder: Path) -> _Index:
     file = folder / "frames.json"
     try:
-        return dict(json.loads(file.read_text(encoding="utf-8")))
-    except (OSError, ValueError) as error:
-        raise RecordingError(f"{file}: no index of simulated frames ({error}); `ltm simulate` writes one") from error
+        return _Index.model_validate_json(read_text(file, LARGEST_INDEX, RecordingError))
+    except ValidationError as error:
+        found = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:3])
+        raise RecordingError(f"{file}: no index of simulated frames ({found}); `ltm simulate` writes one") from error
 
 
-def _frame(index: dict[str, Any]) -> SiteFrame:
-    return SiteFrame(index["crs"], *index["origin"])
-
-
-def _camera(entry: dict[str, Any]) -> Camera:
-    return Camera(**entry | {"distortion": tuple(entry["distortion"])})
+def _frame(index: _Index) -> SiteFrame:
+    return SiteFrame(index.crs, *index.origin)

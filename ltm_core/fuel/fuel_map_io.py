@@ -12,6 +12,7 @@ from ltm_core.fuel.majority import UNSEEN
 from ltm_core.geodesy import SiteFrame
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.raster_io import write_geotiff
+from ltm_core.raster.raster_source import check_size, open_raster
 from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import LabelSet
 
@@ -46,22 +47,17 @@ def write_fuel_map(path: Path | str, classes: UInt8Array, geometry: GridGeometry
 
 def read_fuel_map(path: Path | str) -> tuple[UInt8Array, GridGeometry]:
     """The class indices (255 unseen) and geometry of a fuel map. Raises RasterError on any other raster."""
-    import rasterio
-    from rasterio.errors import RasterioError
-
-    try:
-        with rasterio.open(path) as source:
-            if source.dtypes[0] != "uint8" or source.crs is None:
-                raise RasterError(f"{path}: a fuel map is uint8 with a CRS, this is {source.dtypes[0]}, {source.crs}")
-            t = source.transform
-            if t.b or t.d or t.a <= 0 or t.e != -t.a:
-                raise RasterError(f"{path}: a fuel map is north-up with square cells, this has {tuple(t)[:6]}")
-            geometry = GridGeometry(t.c, t.f, t.a, source.width, source.height, str(source.crs))
-            classes = source.read(1)
-            if source.nodata is not None:
-                classes = np.where(classes == source.nodata, np.uint8(UNSEEN), classes)
-    except RasterioError as error:
-        raise RasterError(f"{path}: not a raster that GDAL can read ({error})") from error
+    with open_raster(path) as source:
+        if source.dtypes[0] != "uint8" or source.crs is None:
+            raise RasterError(f"{path}: a fuel map is uint8 with a CRS, this is {source.dtypes[0]}, {source.crs}")
+        t = source.transform
+        if t.b or t.d or t.a <= 0 or t.e != -t.a:
+            raise RasterError(f"{path}: a fuel map is north-up with square cells, this has {tuple(t)[:6]}")
+        geometry = GridGeometry(t.c, t.f, t.a, source.width, source.height, str(source.crs))
+        check_size(source, path, source.height, source.width)
+        classes = source.read(1)
+        if source.nodata is not None:
+            classes = np.where(classes == source.nodata, np.uint8(UNSEEN), classes)
     return classes, geometry
 
 

@@ -16,6 +16,7 @@ from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import CANOPY_BANDS, FuelPrior
 from ltm_core.fuel.prior_config import PriorConfig
 from ltm_core.grid import GridGeometry
+from ltm_core.raster.raster_source import open_raster
 from ltm_core.types import Float32Array, Int16Array
 
 _NODATA_VALUES = (-9999, 32767)
@@ -39,6 +40,7 @@ _LANDSCAPE_BANDS: Mapping[str, int] = {
     "base_height": 7,
     "bulk_density": 8,
 }
+_BAND_COUNTS = (5, 7, 8, 10)
 
 
 @dataclass(frozen=True)
@@ -98,18 +100,12 @@ def _bands_of(config: PriorConfig) -> dict[str, _Band]:
         )
     if not config.path.exists():
         raise RasterError(f"{config.path}: no such file; it is the prior fuel map of the site")
-    import rasterio
-    from rasterio.errors import RasterioError
-
-    try:
-        with rasterio.open(config.path) as source:
-            count, tags = source.count, [source.tags(band) for band in range(1, source.count + 1)]
-            is_lcp = source.driver == "LCP"
-    except RasterioError as error:
-        raise RasterError(f"{config.path}: not a raster that GDAL can read ({error})") from error
+    with open_raster(config.path) as source:
+        count, is_lcp = source.count, source.driver == "LCP"
+        tags = [source.tags(band) for band in range(1, count + 1)] if count in _BAND_COUNTS else []
     if count == 1:
         return {"codes": _Band(config.path)}
-    if count not in (5, 7, 8, 10):
+    if count not in _BAND_COUNTS:
         raise RasterError(f"{config.path}: has {count} bands; a landscape has 5, 7, 8 or 10, a fuel map one")
     has_crown = count in (8, 10)
     names = [name for name in _LANDSCAPE_BANDS if has_crown or name in ("elevation", "codes", "cover")]
@@ -175,37 +171,30 @@ def _unit_factor(name: str, tags: Mapping[str, str], path: Path) -> float:
 
 def _read(band: _Band, geometry: GridGeometry, crs: str | None) -> Int16Array:
     """A band on the grid by nearest cell, (H, W), NODATA where the file has none or does not reach."""
-    import rasterio
     from rasterio.enums import Resampling
-    from rasterio.errors import RasterioError
     from rasterio.vrt import WarpedVRT
 
-    try:
-        with rasterio.open(band.path) as source:
-            if source.crs is None and crs is None:
-                raise RasterError(
-                    f"{band.path}: the raster carries no CRS; name it with `fuel: {{prior: {{crs: ...}}}}`"
-                )
-            kind = np.dtype(source.dtypes[band.band - 1])
-            if kind.kind not in "iu" and not (kind.kind == "f" and band.band == 1):
-                raise RasterError(f"{band.path}: band {band.band} is {kind}, codes and canopy are whole numbers")
-            options: dict[str, Any] = {} if source.crs is not None else {"src_crs": crs}
-            with WarpedVRT(
-                source,
-                crs=geometry.crs,
-                transform=geometry.transform(),
-                width=geometry.width,
-                height=geometry.height,
-                resampling=Resampling.nearest,
-                src_nodata=source.nodata if source.nodata is not None else NODATA,
-                nodata=NODATA if kind.kind != "u" else source.nodata,
-                tolerance=0.001,
-                dtype="int32" if kind.itemsize > 2 or kind.kind == "u" else "int16",
-                **options,
-            ) as warped:
-                values = warped.read(band.band).astype(np.float64)
-    except RasterioError as error:
-        raise RasterError(f"{band.path}: not a raster that GDAL can read ({error})") from error
+    with open_raster(band.path) as source:
+        if source.crs is None and crs is None:
+            raise RasterError(f"{band.path}: the raster carries no CRS; name it with `fuel: {{prior: {{crs: ...}}}}`")
+        kind = np.dtype(source.dtypes[band.band - 1])
+        if kind.kind not in "iu" and not (kind.kind == "f" and band.band == 1):
+            raise RasterError(f"{band.path}: band {band.band} is {kind}, codes and canopy are whole numbers")
+        options: dict[str, Any] = {} if source.crs is not None else {"src_crs": crs}
+        with WarpedVRT(
+            source,
+            crs=geometry.crs,
+            transform=geometry.transform(),
+            width=geometry.width,
+            height=geometry.height,
+            resampling=Resampling.nearest,
+            src_nodata=source.nodata if source.nodata is not None else NODATA,
+            nodata=NODATA if kind.kind != "u" else source.nodata,
+            tolerance=0.001,
+            dtype="int32" if kind.itemsize > 2 or kind.kind == "u" else "int16",
+            **options,
+        ) as warped:
+            values = warped.read(band.band).astype(np.float64)
     unknown = np.isin(values, _NODATA_VALUES) | (values < -32768) | (values > 32767)
     return np.where(unknown, NODATA, np.round(values * band.factor)).astype(np.int16)
 

@@ -16,6 +16,7 @@ from ltm_core.fuel.evidence import EVIDENCE_FIELDS, EVIDENCE_VERSION, TILE
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
+from ltm_core.numpy_io import load_array
 from ltm_core.raster.tile_store import FrameRecord, Key, StoreSchema, TileStore
 from ltm_core.site import Site
 
@@ -26,7 +27,7 @@ JOURNALED: Final = ("life_form", "code")
 """Layers whose changes the store's journal holds."""
 _ALWAYS: Final = 2**63 - 1
 SURFACE_LAYER: Final = "surface"
-"""Of the journal: what the changed surface has told each cell (`LivingFuelMap.told`)."""
+"""Of the journal: what is recorded of the changed surface in each cell (`LivingFuelMap.surface_changes`)."""
 _VISIBILITY = ("cos_incidence", "footprint", "sigma_along", "sigma_across", "bearing")
 
 
@@ -45,7 +46,7 @@ def restore(store: TileStore, evidence: LivingFuelMap) -> set[Key]:
     """
     for key, tile in store.tiles():
         evidence.load_tile(key, tile)
-    evidence.recall(store.as_of(SURFACE_LAYER, np.zeros_like(evidence.told), _ALWAYS))
+    evidence.recall(store.as_of(SURFACE_LAYER, np.zeros_like(evidence.surface_changes), _ALWAYS))
     newer: set[Key] = set()
     for frame in store.waiting():
         window = evidence.add(votes_of(frame, evidence.geometry))
@@ -88,19 +89,18 @@ def votes_to_bytes(votes: CellVotes) -> bytes:
 
 def votes_of(frame: FrameRecord, geometry: GridGeometry) -> CellVotes:
     """The votes of a frame that waits in a store. Raises ConfigError on a payload that is none."""
+    what = f"the store's frame {frame.stamp_ns} of {frame.source}"
+    table = load_array(frame.payload, what, ConfigError)
     try:
-        table = np.load(io.BytesIO(frame.payload), allow_pickle=False)
         row, col, z, counts = (np.ascontiguousarray(table[name]) for name in ("row", "col", "z", "counts"))
-        names = table.dtype.names
+        names = table.dtype.names or ()
         confidence = np.ascontiguousarray(table["confidence"]) if "confidence" in names else None
         visibility = None
         if _VISIBILITY[0] in names:
             visibility = CellVisibility(*_columns(table, _VISIBILITY))
-    except (ValueError, EOFError, IndexError, TypeError) as error:
-        raise ConfigError(
-            f"the store's frame {frame.stamp_ns} of {frame.source} is damaged ({error}); restore the store from a copy"
-        ) from error
-    return CellVotes(geometry, row, col, counts, z, frame.stamp_ns, frame.source, confidence, visibility)
+        return CellVotes(geometry, row, col, counts, z, frame.stamp_ns, frame.source, confidence, visibility)
+    except (ValueError, IndexError, TypeError) as error:
+        raise ConfigError(f"{what} is damaged ({error}); restore the store from a copy") from error
 
 
 def _columns(table: NDArray[Any], names: Iterable[str]) -> list[NDArray[Any]]:

@@ -27,11 +27,12 @@ from ltm_core.types import BoolArray, Float32Array, Int32Array, Int64Array, UInt
 UNSEEN: Final = 255
 """Of a grid of changes: independent views have not looked."""
 SOURCE: Final = "terrain"
-"""Under which the store keeps who told it; no camera may have this name."""
+"""Under which the store keeps where a change comes from; no camera may have this name."""
 _BLOCK: Final = 16
 """Fuel cells a side that are looked at together."""
 _CODES: Final = 1000
-"""What a cell was told is one number: its kind of change times this, plus the code that it starts from, 0 its own."""
+"""What is recorded of a cell is one number: its kind of change times this, plus the code that it starts from (0: its
+own)."""
 _KEPT: Final = ("seen_by", "last_seen", "burned_at")
 """Of a cell's state, where what was known of its cover is void."""
 _KINDS: Final = {
@@ -47,24 +48,24 @@ class LivingFuelMap(EvidenceMap):
     def __init__(self, geometry: GridGeometry, prior: FuelPrior | None, *arguments: Any, **named: Any) -> None:
         super().__init__(geometry, prior, *arguments, **named)
         self._given = prior
-        self.told = np.zeros(geometry.shape, np.int32)
-        """(H, W): what the surface has told each cell, 0 nothing."""
+        self.surface_changes = np.zeros(geometry.shape, np.int32)
+        """(H, W): what is recorded of the surface in each cell, 0 nothing."""
 
     @property
-    def kinds_told(self) -> UInt8Array:
+    def change_kinds(self) -> UInt8Array:
         """(H, W) ChangeKind."""
-        return (self.told // _CODES).astype(np.uint8)
+        return (self.surface_changes // _CODES).astype(np.uint8)
 
     @property
-    def told_nothing_new(self) -> BoolArray:
-        """(H, W): told of a change that the cell's evidence showed already, so that its prior stayed as it was."""
-        return np.asarray((self.told > 0) & (self.told % _CODES == 0), np.bool_)
+    def already_shown(self) -> BoolArray:
+        """(H, W): where a recorded change was in the cell's evidence already, so that its prior stayed."""
+        return np.asarray((self.surface_changes > 0) & (self.surface_changes % _CODES == 0), np.bool_)
 
-    def recall(self, told: NDArray[np.integer]) -> None:
-        """Put back what `told` was, (H, W)."""
-        self.told = told.astype(np.int32)
-        codes = np.full(told.shape, NODATA, np.int16) if self._given is None else self._given.codes.copy()
-        starts = self.told % _CODES
+    def recall(self, recorded: NDArray[np.integer]) -> None:
+        """Put back what `surface_changes` was, (H, W)."""
+        self.surface_changes = recorded.astype(np.int32)
+        codes = np.full(recorded.shape, NODATA, np.int16) if self._given is None else self._given.codes.copy()
+        starts = self.surface_changes % _CODES
         codes[starts > 0] = starts[starts > 0]
         if self._given is not None:
             self.prior = replace(self._given, codes=codes)
@@ -73,17 +74,17 @@ class LivingFuelMap(EvidenceMap):
 
     def changed_otherwise(self, window: Window) -> UInt8Array | None:
         row, col, height, width = window
-        told = self.told[row : row + height, col : col + width] % _CODES
-        if not told.any():
+        recorded = self.surface_changes[row : row + height, col : col + width] % _CODES
+        if not recorded.any():
             return None
-        return np.where(told > 0, forms_of(told.astype(np.int16)).argmax(axis=-1) + 1, 0).astype(np.uint8)
+        return np.where(recorded > 0, forms_of(recorded.astype(np.int16)).argmax(axis=-1) + 1, 0).astype(np.uint8)
 
     def layers(self, window: Window | None = None, at_ns: int | None = None) -> FuelLayers:
         """As of `EvidenceMap`; `prior` is the map that the site started from, and `changed` means: not its code."""
         found = super().layers(window, at_ns)
         row, col, height, width = window or (0, 0, *self.geometry.shape)
         part = slice(row, row + height), slice(col, col + width)
-        other = self.told[part] % _CODES > 0
+        other = self.surface_changes[part] % _CODES > 0
         if not other.any():
             return found
         given = np.full(found.code.shape, NODATA, np.int16) if self._given is None else self._given.codes[part].copy()
@@ -92,9 +93,8 @@ class LivingFuelMap(EvidenceMap):
 
 @dataclass(frozen=True, eq=False)
 class SurfaceNews:
-    """Fuel cells whose change is not the one that was told before, (N,) each: row, col, `kind` (ChangeKind, NONE: taken
-    back), and the median `shift` of the changed part in metres, NaN where it is not known.
-    """
+    """Fuel cells whose change is not the recorded one, (N,) each: row, col, `kind` (ChangeKind, NONE: taken
+    back), and the median `shift` of the changed part in metres, NaN where it is not known."""
 
     rows: Int64Array
     cols: Int64Array
@@ -110,7 +110,7 @@ def news_of(
     shift: Float32Array,
     window: GridGeometry,
     fuel: GridGeometry,
-    told: UInt8Array,
+    recorded: UInt8Array,
 ) -> SurfaceNews:
     """What a part of the terrain's grid says that the fuel cells do not know yet.
 
@@ -118,12 +118,12 @@ def news_of(
         kinds: (h, w) ChangeKind, UNSEEN where independent views have not looked.
         shift: (h, w) metres from the reference surface, NaN where it is not known.
         window: their geometry, in the map frame.
-        told: (H, W) ChangeKind of each cell of `fuel`, as it was told last (`LivingFuelMap.kinds_told`).
+        recorded: (H, W) ChangeKind of each cell of `fuel`, as it was recorded last (`LivingFuelMap.change_kinds`).
     """
     fuel_rows = fuel.cell_of(0.0, window.to_map(np.arange(window.height), 0)[1])[0]
     fuel_cols = fuel.cell_of(window.to_map(0, np.arange(window.width))[0], 0.0)[1]
     found: dict[tuple[int, int], tuple[int, float]] = {}
-    for row, col in _cells_told(told, fuel_rows, fuel_cols):
+    for row, col in _changed_cells(recorded, fuel_rows, fuel_cols):
         seen = kinds[_span(fuel_rows, row, row + 1), _span(fuel_cols, col, col + 1)] != UNSEEN
         if seen.sum() >= LEAST_SEEN * (fuel.resolution / window.resolution) ** 2:
             found[row, col] = int(ChangeKind.NONE), float("nan")
@@ -136,20 +136,20 @@ def news_of(
         corner = window.window(part[0].start, part[1].start, height, width)
         for cell in fuel_changes(_as_layers(kinds[part], shift[part], corner), fuel):
             found[cell.row, cell.col] = int(_KINDS[cell.change]), cell.shift
-    news = [(row, col, kind, by) for (row, col), (kind, by) in sorted(found.items()) if told[row, col] != kind]
+    news = [(row, col, kind, by) for (row, col), (kind, by) in sorted(found.items()) if recorded[row, col] != kind]
     columns = np.array(news, np.float64).reshape(-1, 4).T
     rows, cols = columns[:2].astype(np.int64)
     return SurfaceNews(rows, cols, columns[2].astype(np.uint8), columns[3].astype(np.float32))
 
 
-def tell(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict[Key, Tile]]:
-    """What the cells of the news, (N,), are told (of `LivingFuelMap.told`), and the state of their tiles then;
-    `evidence` itself stays as it is.
+def record(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict[Key, Tile]]:
+    """What is to be recorded of the cells of the news, (N,) (as in `LivingFuelMap.surface_changes`), and the state of
+    their tiles then; `evidence` itself stays as it is.
 
     A cell that shows already what the change means keeps its evidence, as do burned cells and those that labels never
     change. A change that is taken back gives a cell its prior back.
     """
-    told = news.kind.astype(np.int32) * _CODES
+    recorded = news.kind.astype(np.int32) * _CODES
     tiles: dict[Key, Tile] = {}
     keys = np.stack([news.rows // TILE, news.cols // TILE], axis=-1)
     for key in sorted({(int(r), int(c)) for r, c in keys}):
@@ -159,7 +159,7 @@ def tell(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict[K
         state = tiles[key] = evidence.tile_state(key)
         for i in np.flatnonzero((keys == key).all(axis=1)):
             cell = int(news.rows[i]) - top, int(news.cols[i]) - left
-            before = int(evidence.told[news.rows[i], news.cols[i]]) % _CODES
+            before = int(evidence.surface_changes[news.rows[i], news.cols[i]]) % _CODES
             given, form = int(layers.prior[cell]), int(layers.life_form[cell])
             if news.kind[i] == ChangeKind.NONE or given in evidence.rules.mask:
                 continue
@@ -167,13 +167,13 @@ def tell(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict[K
             shown = int(last.argmax()) + 1 if last.any() else UNSEEN
             now = form_after(ChangeKind(news.kind[i]), float(news.shift[i]), form, shown)
             if now is None:
-                told[i] += before
+                recorded[i] += before
                 continue
-            told[i] += _code_of(LifeForm(now), given, evidence)
+            recorded[i] += _code_of(LifeForm(now), given, evidence)
             for name, array in state.items():
                 if name not in _KEPT:
                     array[cell] = 0
-    return told, tiles
+    return recorded, tiles
 
 
 def _code_of(form: LifeForm, given: int, evidence: LivingFuelMap) -> int:
@@ -216,9 +216,9 @@ def _span(cells: Int64Array, first: int, beyond: int) -> slice:
     return slice(int(np.searchsorted(cells, first)), int(np.searchsorted(cells, beyond)))
 
 
-def _cells_told(told: UInt8Array, rows: Int64Array, cols: Int64Array) -> list[tuple[int, int]]:
-    """Fuel cells told of a change that the window touches."""
-    known = np.argwhere(told > 0)
+def _changed_cells(recorded: UInt8Array, rows: Int64Array, cols: Int64Array) -> list[tuple[int, int]]:
+    """Fuel cells with a recorded change that the window touches."""
+    known = np.argwhere(recorded > 0)
     inside = np.isin(known[:, 0], rows) & np.isin(known[:, 1], cols)
     return [(int(r), int(c)) for r, c in known[inside]]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from ltm_core.geodesy import SiteFrame
 from ltm_core.plausibility import AzimuthDeg
 from ltm_core.pose_estimation.control_points import ControlPoints
 from ltm_core.pose_estimation.resection import Resection
+from ltm_core.text_io import LARGEST_TABLE, read_text
 from ltm_core.tracing.trace_io import PictureConfig, PlaceConfig, set_up_picture
 from ltm_core.types import Float64Array
 
@@ -84,14 +86,12 @@ def read_control_points(path: Path | str, frame: SiteFrame, first_pixel: float =
     file, line and column.
     """
     path = Path(path)
+    lines = io.StringIO(read_text(path, LARGEST_TABLE, PoseError, "utf-8-sig"), newline="")
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
-            columns = _columns(reader.fieldnames or [], path)
-            rows = [_numbers(row, columns, f"{path}, line {reader.line_num}") for row in reader]
-    except OSError as error:
-        raise PoseError(f"{path}: cannot be read ({error.strerror})") from error
-    except (UnicodeDecodeError, csv.Error) as error:
+        reader = csv.DictReader(lines)
+        columns = _columns(reader.fieldnames or [], path)
+        rows = [_numbers(row, columns, f"{path}, line {reader.line_num}") for row in reader]
+    except csv.Error as error:
         raise PoseError(f"{path}: not a CSV file ({error})") from error
     if not rows:
         raise PoseError(f"{path}: holds no control point")

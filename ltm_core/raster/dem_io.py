@@ -12,12 +12,11 @@ from pyproj import CRS
 
 from ltm_core.errors import RasterError
 from ltm_core.grid import GridGeometry
+from ltm_core.raster.raster_source import check_size, open_raster
 from ltm_core.types import Float32Array
 
 Bounds = tuple[float, float, float, float]
 
-_GDAL = {"GDAL_CACHEMAX": 32}
-"""MB; GDAL's own default is a twentieth of the machine's memory."""
 _ROWS = 256
 """Rows read at a time, or the file's own blocks where they are higher."""
 _TO_METRES = "convert them to metres first (feet: gdal_translate -ot Float32 -scale 0 1 0 0.3048 -a_srs EPSG:...)"
@@ -25,25 +24,19 @@ _TO_METRES = "convert them to metres first (feet: gdal_translate -ot Float32 -sc
 
 def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridGeometry]:
     """Band 1 as heights, (H, W) float32, north up, NaN where nodata, and its geometry; see `Dem.open`."""
-    import rasterio
-    from rasterio.errors import RasterioError
-
-    try:
-        with rasterio.Env(**_GDAL), rasterio.open(path) as source:
-            stated = _crs_of(source.crs, crs, path)
-            if not stated.is_projected or {axis.unit_name for axis in stated.axis_info[:2]} != {"metre"}:
-                raise RasterError(
-                    f"{path}: a DEM must be projected in metres, {stated.name} is not; warp it first (gdalwarp)"
-                )
-            _check_heights(source, path)
-            t = source.transform
-            if t.b or t.d:
-                raise RasterError(f"{path}: rotated raster {tuple(t)[:6]}; warp it north-up first (gdalwarp)")
-            if not np.isclose(abs(t.a), abs(t.e), rtol=1e-6) or t.a <= 0:
-                raise RasterError(f"{path}: cells must be square, got {t.a} x {t.e} m; warp it first (gdalwarp -tr)")
-            elevation = _read(source)
-    except RasterioError as error:
-        raise RasterError(f"{path}: not a raster that GDAL can read ({error})") from error
+    with open_raster(path) as source:
+        stated = _crs_of(source.crs, crs, path)
+        if not stated.is_projected or {axis.unit_name for axis in stated.axis_info[:2]} != {"metre"}:
+            raise RasterError(
+                f"{path}: a DEM must be projected in metres, {stated.name} is not; warp it first (gdalwarp)"
+            )
+        _check_heights(source, path)
+        t = source.transform
+        if t.b or t.d:
+            raise RasterError(f"{path}: rotated raster {tuple(t)[:6]}; warp it north-up first (gdalwarp)")
+        if not np.isclose(abs(t.a), abs(t.e), rtol=1e-6) or t.a <= 0:
+            raise RasterError(f"{path}: cells must be square, got {t.a} x {t.e} m; warp it first (gdalwarp -tr)")
+        elevation = _read(source, path)
     height, width = elevation.shape
     y_max = t.f if t.e < 0 else t.f + height * t.e
     return elevation, GridGeometry(t.c, y_max, t.a, width, height, name_of(stated))
@@ -55,43 +48,39 @@ def read_around(path: Path | str, crs: str | None, target: str, bounds: Bounds) 
 
     Raises RasterError: not readable, no CRS, heights not in metres, or nothing of it within the bounds.
     """
-    import rasterio
     from rasterio.enums import Resampling
-    from rasterio.errors import RasterioError
     from rasterio.vrt import WarpedVRT
     from rasterio.warp import calculate_default_transform
 
-    try:
-        with rasterio.Env(**_GDAL), rasterio.open(path) as source:
-            stated = _crs_of(source.crs, crs, path)
-            _check_heights(source, path)
-            t = source.transform
-            there = CRS.from_user_input(target)
-            if stated == there and not (t.b or t.d) and t.a > 0 and t.e < 0 and np.isclose(t.a, -t.e, rtol=1e-6):
-                own = GridGeometry(t.c, t.f, t.a, source.width, source.height, name_of(stated))
-                part = _part_within(own, bounds, path)
-                row, col = (round(float(v)) for v in own.to_grid(*part.to_map(0, 0)))
-                return _read(source, row, col, part.height, part.width), part
-            onto, width, height = calculate_default_transform(
-                stated.to_wkt(), there.to_wkt(), source.width, source.height, *source.bounds
-            )
-            resolution = math.sqrt(abs(onto.a * onto.e))
-            whole = GridGeometry(onto.c, onto.f, resolution, width, height, name_of(there))
-            part = _part_within(whole, bounds, path)
-            with WarpedVRT(
-                source,
-                src_crs=stated.to_wkt(),
-                crs=there.to_wkt(),
-                transform=part.transform(),
-                width=part.width,
-                height=part.height,
-                resampling=Resampling.bilinear,
-                dtype="float32",
-                nodata=float("nan"),
-            ) as warped:
-                return _read(warped, scaling=(source.scales[0], source.offsets[0])), part
-    except RasterioError as error:
-        raise RasterError(f"{path}: not a raster that GDAL can read ({error})") from error
+    with open_raster(path) as source:
+        stated = _crs_of(source.crs, crs, path)
+        _check_heights(source, path)
+        t = source.transform
+        there = CRS.from_user_input(target)
+        if stated == there and not (t.b or t.d) and t.a > 0 and t.e < 0 and np.isclose(t.a, -t.e, rtol=1e-6):
+            own = GridGeometry(t.c, t.f, t.a, source.width, source.height, name_of(stated))
+            part = _part_within(own, bounds, path)
+            row, col = (round(float(v)) for v in own.to_grid(*part.to_map(0, 0)))
+            return _read(source, path, row, col, part.height, part.width), part
+        onto, width, height = calculate_default_transform(
+            stated.to_wkt(), there.to_wkt(), source.width, source.height, *source.bounds
+        )
+        resolution = math.sqrt(abs(onto.a * onto.e))
+        whole = GridGeometry(onto.c, onto.f, resolution, width, height, name_of(there))
+        part = _part_within(whole, bounds, path)
+        with WarpedVRT(
+            source,
+            src_crs=stated.to_wkt(),
+            crs=there.to_wkt(),
+            transform=part.transform(),
+            width=part.width,
+            height=part.height,
+            resampling=Resampling.bilinear,
+            dtype="float32",
+            nodata=float("nan"),
+        ) as warped:
+            check_size(source, path, part.height, part.width)
+            return _read(warped, path, scaling=(source.scales[0], source.offsets[0])), part
 
 
 def _part_within(whole: GridGeometry, bounds: Bounds, path: Path | str) -> GridGeometry:
@@ -110,6 +99,7 @@ def _part_within(whole: GridGeometry, bounds: Bounds, path: Path | str) -> GridG
 
 def _read(
     source: Any,
+    path: Path | str,
     row0: int = 0,
     col0: int = 0,
     height: int | None = None,
@@ -120,6 +110,8 @@ def _read(
     from rasterio.windows import Window
 
     height, width = height or source.height, width or source.width
+    if scaling is None:
+        check_size(source, path, height, width)
     scale, offset = scaling or (source.scales[0], source.offsets[0])
     elevation = np.empty((height, width), np.float32)
     blocks = source.block_shapes[0][0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +24,9 @@ def write_geotiff(
     """Write an (H, W) or (bands, H, W) array as a tiled, deflated GeoTIFF.
 
     `colormap`: value -> RGB, for uint8 rasters. The bytes depend on the arguments alone. Raises RasterError where
-    the geometry has no CRS or does not fit the array.
+    the geometry has no CRS or does not fit the array, OSError where the file cannot be written.
     """
-    import rasterio
+    from rasterio.io import MemoryFile
 
     if geometry.crs is None:
         raise RasterError(f"{path}: a GeoTIFF needs a CRS, but this raster is in a bare map frame")
@@ -33,25 +34,27 @@ def write_geotiff(
     if bands.shape[1:] != geometry.shape:
         raise RasterError(f"{path}: array of {bands.shape[1:]} does not fit a raster of {geometry.shape}")
     predictor = 3 if np.issubdtype(array.dtype, np.floating) else 2
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        width=geometry.width,
-        height=geometry.height,
-        count=len(bands),
-        dtype=array.dtype,
-        crs=geometry.crs,
-        transform=geometry.transform(),
-        nodata=nodata,
-        tiled=True,
-        blockxsize=256,
-        blockysize=256,
-        compress="deflate",
-        predictor=predictor,
-    ) as sink:
-        sink.write(bands)
-        if colormap is not None:
-            sink.write_colormap(1, {value: (*rgb, 255) for value, rgb in colormap.items()})
-        if tags:
-            sink.update_tags(**tags)
+    options: dict[str, Any] = {
+        "driver": "GTiff",
+        "width": geometry.width,
+        "height": geometry.height,
+        "count": len(bands),
+        "dtype": array.dtype,
+        "crs": geometry.crs,
+        "transform": geometry.transform(),
+        "nodata": nodata,
+        "tiled": True,
+        "blockxsize": 256,
+        "blockysize": 256,
+        "compress": "deflate",
+        "predictor": predictor,
+    }
+    # GDAL keeps the errors of a disk that fills up while it writes to itself, and leaves half a file.
+    with MemoryFile() as memory:
+        with memory.open(**options) as sink:
+            sink.write(bands)
+            if colormap is not None:
+                sink.write_colormap(1, {value: (*rgb, 255) for value, rgb in colormap.items()})
+            if tags:
+                sink.update_tags(**tags)
+        Path(path).write_bytes(memory.getbuffer())

@@ -14,12 +14,14 @@ import os
 import sqlite3
 import struct
 from collections.abc import Iterator, Mapping, Sequence
+from math import prod
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from numpy.typing import NDArray
 
+from ltm_core.disk_io import DiskReserve
 from ltm_core.errors import ConfigError, StoreError
 from ltm_core.raster.tile_store_schema import (
     CellChanges,
@@ -45,6 +47,12 @@ KEPT_NS = 7 * 86_400 * 10**9
 none of the same day."""
 MOST_FRAMES = 1_000_000
 """Stamps remembered of a source at most, some 30 MB: nobody shall fill the disk."""
+RESERVE_BYTES = 32 << 20
+"""Held on the disk beside a store, for transactions on a full one; twice the store's size where that is more."""
+LARGEST_VALUE = 256 << 20
+"""Bytes of one value in the file; a tile has some hundred kilobytes."""
+WAITING_CELL_BYTES, WAITING_HEADER_BYTES = 512, 64 << 10
+"""What a frame that waits holds at most, for each cell of the grid and besides."""
 CHECKED_BYTES = 64 << 20
 """Files up to this size are checked whole when they are opened; of larger ones, damage is found where it is read."""
 
@@ -69,6 +77,9 @@ CREATE TABLE touches (
 class TileStore:
     """Open one with `open`, `open_read_only` or `in_memory`. One writer at a time, any number of readers beside it.
 
+    A store that is written holds some room on its disk. On a full one a transaction is made in that room, which then
+    is held again as far as it is left; its second half is for the last transaction alone (`commit`, `last`).
+
     Every method raises StoreError where the file cannot be read or written just now (then nothing of that call is in
     it, and the call may be made again), and ConfigError where its content is damaged.
     """
@@ -81,10 +92,13 @@ class TileStore:
         lock: int | None,
         kept_frames: int = KEPT_FRAMES,
         most_frames: int = MOST_FRAMES,
+        reserve: DiskReserve | None = None,
     ) -> None:
         self.schema = schema
-        self._db, self._name, self._lock = database, name, lock
+        self._db, self._name, self._lock, self._reserve = database, name, lock, reserve
         self._kept_frames, self._most_frames = kept_frames, most_frames
+        self.strain = ""
+        """Where the last commit was made on a full disk: what that means, in words."""
 
     @classmethod
     def open(
@@ -111,7 +125,10 @@ class TileStore:
             if differences := schema.differences(stored):
                 database.close()
                 raise ConfigError(f"{path}: not a store of this map: {differences}; move it away or name another file")
-            return cls(database, schema, str(path), lock, kept_frames, most_frames)
+            reserve = DiskReserve(path.with_name(f".{path.name}.reserve"))
+            store = cls(database, schema, str(path), lock, kept_frames, most_frames, reserve)
+            store._hold()
+            return store
         except BaseException:
             os.close(lock)
             raise
@@ -141,6 +158,8 @@ class TileStore:
     def close(self) -> None:
         """Idempotent."""
         self._db.close()
+        if self._reserve is not None:
+            self._reserve.give_up()
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
@@ -155,19 +174,24 @@ class TileStore:
 
     def keys(self) -> list[Key]:
         """Tiles that the store holds, in row-major order."""
-        return [(int(row), int(col)) for row, col in self._rows("SELECT row, col FROM tiles ORDER BY row, col")]
+        keys = self._rows("SELECT row, col FROM tiles ORDER BY row, col", (), int, int)
+        down, across = self.schema.tiles
+        for row, col in keys:
+            if not (0 <= row < down and 0 <= col < across):
+                raise ConfigError(f"{self._name}: the store is damaged: tile {row, col} of {down, across}; restore it")
+        return [(row, col) for row, col in keys]
 
     def read(self, key: Key) -> Tile | None:
         """A tile's arrays, (tile, tile, *shape of the field) each; None where it has not been written."""
-        rows = self._rows("SELECT content FROM tiles WHERE row = ? AND col = ?", key)
+        rows = self._rows("SELECT content FROM tiles WHERE row = ? AND col = ?", key, bytes)
         return self.schema.unpack(rows[0][0]) if rows else None
 
     def tiles(self) -> Iterator[tuple[Key, Tile]]:
         """All tiles, one at a time."""
-        for row, col in self._rows("SELECT row, col FROM tiles ORDER BY row, col"):
-            tile = self.read((row, col))
+        for key in self.keys():
+            tile = self.read(key)
             if tile is not None:
-                yield (row, col), tile
+                yield key, tile
 
     def counted(self, source: str, stamp_ns: int) -> bool:
         """Whether a frame must not be counted: it has been, or it is so old that nobody knows (see `forgotten`)."""
@@ -175,28 +199,28 @@ class TileStore:
             "SELECT ?2 <= horizon_ns OR EXISTS(SELECT 1 FROM frames WHERE source = id AND stamp_ns = ?2) "
             "FROM sources WHERE name = ?1",
             (source, stamp_ns),
+            int,
         )
         return bool(found and found[0][0])
 
     def forgotten(self, source: str, stamp_ns: int) -> bool:
         """Whether a frame is older than those that the store remembers of its source (see `_forget`)."""
-        found = self._rows("SELECT horizon_ns FROM sources WHERE name = ?", (source,))
+        found = self._rows("SELECT horizon_ns FROM sources WHERE name = ?", (source,), int)
         return bool(found and stamp_ns <= found[0][0])
 
     def frame_count(self) -> int:
         """Frames counted since the store was made, of all sources."""
-        return int(self._rows("SELECT coalesce(sum(counted), 0) FROM sources")[0][0])
+        return int(self._rows("SELECT coalesce(sum(counted), 0) FROM sources", (), int)[0][0])
 
     def sources(self) -> dict[str, int]:
         """Frames counted of each source."""
-        return {
-            str(name): int(counted) for name, counted in self._rows("SELECT name, counted FROM sources ORDER BY name")
-        }
+        return dict(self._rows("SELECT name, counted FROM sources ORDER BY name", (), str, int))
 
     def newest_ns(self) -> int | None:
         """The latest stamp that is remembered; None where no frame has been counted."""
-        newest = self._rows("SELECT max((SELECT max(stamp_ns) FROM frames WHERE source = id)) FROM sources")[0][0]
-        return None if newest is None else int(newest)
+        newest = "SELECT max((SELECT max(stamp_ns) FROM frames WHERE source = id)) AS newest FROM sources"
+        found = self._rows(f"SELECT newest FROM ({newest}) WHERE newest IS NOT NULL", (), int)
+        return int(found[0][0]) if found else None
 
     def touches(self, key: Key) -> list[Touch]:
         """Who has touched a tile, by source and network."""
@@ -204,23 +228,29 @@ class TileStore:
             "SELECT name, model, frames, first_ns, last_ns FROM touches JOIN sources ON source = id "
             "WHERE row = ? AND col = ? ORDER BY name, model",
             key,
+            *(str, str, int, int, int),
         )
         return [Touch(*row) for row in found]
 
     def waiting(self) -> list[FrameRecord]:
         """Frames that are counted and that no tile holds yet, with their payloads, in the order of their commits."""
         found = self._rows(
-            "SELECT name, stamp_ns, model, payload FROM waiting JOIN sources ON source = id ORDER BY number"
+            "SELECT name, stamp_ns, model, payload FROM waiting JOIN sources ON source = id ORDER BY number",
+            (),
+            *(str, int, str, bytes),
         )
-        return [FrameRecord(name, stamp, (), model, decompressed(payload)) for name, stamp, model, payload in found]
+        most = prod(self.schema.geometry.shape) * WAITING_CELL_BYTES + WAITING_HEADER_BYTES
+        return [FrameRecord(name, at, (), model, decompressed(payload, most)) for name, at, model, payload in found]
 
     def changes(self, layer: str, until_ns: int | None = None) -> Iterator[CellChanges]:
         """The journal of a layer in the order of its commits; only what frames of up to `until_ns` changed."""
         limit = 2**63 - 1 if until_ns is None else until_ns
         found = self._rows(
-            "SELECT stamp_ns, content FROM changes WHERE layer = ? AND stamp_ns <= ? ORDER BY number", (layer, limit)
+            "SELECT stamp_ns, content FROM changes WHERE layer = ? AND stamp_ns <= ? ORDER BY number",
+            (layer, limit),
+            *(int, bytes),
         )
-        return (CellChanges.unpack(layer, stamp, content) for stamp, content in found)
+        return (CellChanges.unpack(layer, at, content, self.schema.geometry.shape) for at, content in found)
 
     def as_of(self, layer: str, initial: NDArray[Any], until_ns: int) -> NDArray[Any]:
         """A layer as the frames of up to `until_ns` had made it; `initial`: (H, W), as it was before the first."""
@@ -236,13 +266,41 @@ class TileStore:
         tiles: Mapping[Key, Mapping[str, NDArray[Any]]] | None = None,
         frames: Sequence[FrameRecord] = (),
         changes: Sequence[CellChanges] = (),
+        last: bool = False,
     ) -> None:
-        """Write all of it in one transaction, or nothing.
+        """Write all of it in one transaction, or nothing. `last`: before the store is closed.
 
         Where tiles are given, they hold the effect of all frames until now, these among them: no payload waits any
         longer. Raises ValueError where a frame has been counted already or a tile does not fit the schema.
         """
         packed = [(*key, self.schema.pack(key, arrays)) for key, arrays in (tiles or {}).items()]
+        try:
+            self._write(packed, frames, changes)
+        except StoreError as error:
+            reserve = self._reserve
+            if reserve is None or not _wants_room(error) or reserve.held <= (0 if last else reserve.most // 2):
+                raise
+            with reserve.lent():
+                try:
+                    self._write(packed, frames, changes)
+                finally:
+                    # What this transaction took beside the file is free again for the next.
+                    with contextlib.suppress(sqlite3.Error):
+                        self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            self.strain = f"{error}; this was written in room that was held for it, {reserve.held >> 10} kB are left"
+        else:
+            self.strain = ""
+            self._hold()
+
+    def _hold(self) -> None:
+        """Room for the last transaction is half of what is held: it may write every tile once more."""
+        if self._reserve is not None:
+            with contextlib.suppress(OSError):
+                self._reserve.hold(max(RESERVE_BYTES, 2 * Path(self._name).stat().st_size))
+
+    def _write(
+        self, packed: Sequence[tuple[int, int, bytes]], frames: Sequence[FrameRecord], changes: Sequence[CellChanges]
+    ) -> None:
         with self._transaction() as db:
             for frame in frames:
                 self._count(db, frame, keep=not packed)
@@ -318,9 +376,16 @@ class TileStore:
                     self._db.execute("ROLLBACK")
                 raise
 
-    def _rows(self, query: str, values: Sequence[object] = ()) -> list[tuple[Any, ...]]:
+    def _rows(self, query: str, values: Sequence[object], *types: type) -> list[tuple[Any, ...]]:
+        """Raises ConfigError where a column is of another type: SQLite keeps to the types of its tables only where
+        their writer does."""
         with _named_errors(self._name):
-            return self._db.execute(query, values).fetchall()
+            rows = self._db.execute(query, values).fetchall()
+        for row in rows:
+            if tuple(map(type, row)) != types:
+                found = ", ".join(f"{value!r:.40}" for value in row)
+                raise ConfigError(f"{self._name}: the store is damaged: a row holds {found}; restore it from a copy")
+        return rows
 
 
 def _locked(path: Path) -> int:
@@ -376,15 +441,29 @@ def _opened(path: Path, read_only: bool) -> tuple[sqlite3.Connection, StoreSchem
         try:
             db.execute("PRAGMA synchronous = FULL")  # a commit outlives a power cut
             db.execute("PRAGMA cell_size_check = ON")
+            db.execute("PRAGMA secure_delete = OFF")  # else freeing pages takes as much room as writing them
+            db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_VALUE)
+            _check_tables(db, path)
             if path.stat().st_size <= CHECKED_BYTES:
                 (verdict,) = db.execute("PRAGMA quick_check(1)").fetchone()
                 if verdict != "ok":
                     raise ConfigError(f"{path}: the store is damaged ({verdict}); restore it from a copy")
             (described,) = db.execute("SELECT content FROM description").fetchone() or ("",)
-            return db, StoreSchema.from_description(described, str(path))
+            return db, StoreSchema.from_description(str(described), str(path))
         except BaseException:
             db.close()
             raise
+
+
+def _check_tables(db: sqlite3.Connection, path: Path) -> None:
+    """A view or a computed column in a table's place would run what its maker likes, for hours. Raises ConfigError."""
+    query = "SELECT type, name, sql FROM sqlite_schema WHERE sql IS NOT NULL ORDER BY name"
+    with contextlib.closing(sqlite3.connect(":memory:")) as ours:
+        ours.executescript(_TABLES)
+        expected = ours.execute(query).fetchall()
+    if (found := db.execute(query).fetchall()) != expected:
+        names = ", ".join(f"{kind} {name!r:.40}" for kind, name, _ in set(found) ^ set(expected))
+        raise ConfigError(f"{path}: the store is damaged: its tables are not those of a store ({names}); restore it")
 
 
 def _check_header(path: Path) -> None:
@@ -412,12 +491,19 @@ def _named_errors(name: str) -> Iterator[None]:
         yield
     except sqlite3.Error as error:
         code = getattr(error, "sqlite_errorname", "") or ""
-        if code.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB")):
+        # Without a code: the text of a row that is no UTF-8.
+        if not code or code.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_TOOBIG", "SQLITE_ERROR")):
             raise ConfigError(f"{name}: the store is damaged ({error}); restore it from a copy") from error
         if not isinstance(error, sqlite3.OperationalError):
             raise  # a bug, not the disk
         remedy = next((text for start, text in _REMEDIES.items() if code.startswith(start)), "see the error")
         raise StoreError(f"{name}: {error} ({code}); {remedy}") from error
+
+
+def _wants_room(error: StoreError) -> bool:
+    """Whether more room on the disk may help: a quota comes as an error of input and output."""
+    code = getattr(error.__cause__, "sqlite_errorname", "") or ""
+    return code.startswith(("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_CANTOPEN"))
 
 
 _REMEDIES = {

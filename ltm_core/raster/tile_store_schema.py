@@ -6,19 +6,24 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from math import ceil, prod
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import zstandard
 from numpy.typing import DTypeLike, NDArray
+from pydantic import Field as NumberField
+from pydantic import ValidationError
 
 from ltm_core.errors import ConfigError
 from ltm_core.grid import GridGeometry
+from ltm_core.strict_model import StrictModel
 
 Key = tuple[int, int]
 """(row, col) of a tile, counted in tiles from the grid's north-west corner."""
 Tile = dict[str, NDArray[Any]]
 
+LARGEST_TILE = 64 << 20
+"""Bytes of a tile; those of our maps have one or two million."""
 _LEVEL = 1
 _RENAMED = {
     "witnesses": "camera_hashes",
@@ -40,6 +45,23 @@ class Field:
     def stored(self) -> np.dtype[Any]:
         """The dtype in the file: little-endian."""
         return np.dtype(self.dtype).newbyteorder("<")
+
+
+class _Description(StrictModel):
+    """The JSON of a schema."""
+
+    kind: str
+    version: int
+    geometry: GridGeometry
+    tile: int = NumberField(ge=1, le=1024)
+    fields: dict[
+        str,
+        tuple[
+            Annotated[str, NumberField(pattern=r"^[<|][bfiu][1248]$")],
+            Annotated[list[Annotated[int, NumberField(ge=1, le=256)]], NumberField(max_length=4)],
+        ],
+    ] = NumberField(min_length=1, max_length=256)
+    terms: str
 
 
 @dataclass(frozen=True)
@@ -81,20 +103,25 @@ class StoreSchema:
     def from_description(cls, text: str, place: str) -> StoreSchema:
         """The inverse of `described`. Raises ConfigError on any other text, which stands in `place`."""
         try:
-            content = json.loads(text)
-            return cls(
-                str(content["kind"]),
-                int(content["version"]),
-                GridGeometry(**content["geometry"]),
-                int(content["tile"]),
+            content = _Description.model_validate_json(text)
+            schema = cls(
+                content.kind,
+                content.version,
+                GridGeometry(**asdict(content.geometry)),
+                content.tile,
                 {
                     _RENAMED.get(name, name): Field(np.dtype(dtype), tuple(shape))
-                    for name, (dtype, shape) in content["fields"].items()
+                    for name, (dtype, shape) in content.fields.items()
                 },
-                str(content["terms"]),
+                content.terms,
             )
-        except (ValueError, KeyError, TypeError) as error:
-            raise ConfigError(f"{place}: its description cannot be read: {text[:120]!r} ({error})") from error
+        except ValidationError as error:
+            found = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:3])
+            raise ConfigError(f"{place}: its description cannot be read: {text[:120]!r} ({found})") from error
+        size = schema.tile**2 * sum(f.stored.itemsize * prod(f.shape) for f in schema.fields.values())
+        if size > LARGEST_TILE:
+            raise ConfigError(f"{place}: its description states tiles of {size} bytes, at most {LARGEST_TILE} are read")
+        return schema
 
     def differences(self, other: StoreSchema) -> str:
         """What `other` has otherwise; empty where both are the same."""
@@ -123,6 +150,10 @@ class StoreSchema:
         shapes = {name: (self.tile, self.tile, *spec.shape) for name, spec in self.fields.items()}
         sizes = {name: prod(shapes[name]) * spec.stored.itemsize for name, spec in self.fields.items()}
         whole = decompressed(content, sum(sizes.values()))
+        if len(whole) != sum(sizes.values()):
+            raise ConfigError(
+                f"the store's content is damaged: {len(whole)} bytes in place of {sum(sizes.values())}; restore it"
+            )
         arrays, offset = {}, 0
         for name, spec in self.fields.items():
             part = np.frombuffer(whole, spec.stored, prod(shapes[name]), offset)
@@ -167,9 +198,15 @@ class CellChanges:
         return compressed(table.tobytes())
 
     @classmethod
-    def unpack(cls, layer: str, stamp_ns: int, content: bytes) -> CellChanges:
-        """Raises ConfigError where the bytes are damaged."""
-        table = np.frombuffer(decompressed(content), _CHANGE)
+    def unpack(cls, layer: str, stamp_ns: int, content: bytes, shape: tuple[int, int]) -> CellChanges:
+        """`shape`: of the grid. Raises ConfigError where the bytes are damaged, or cells lie outside the grid."""
+        whole = decompressed(content, prod(shape) * _CHANGE.itemsize)
+        if len(whole) % _CHANGE.itemsize:
+            raise ConfigError(f"the store's journal is damaged: {len(whole)} bytes are no changes; restore it")
+        table = np.frombuffer(whole, _CHANGE)
+        for name, count in zip(("row", "col"), shape, strict=True):
+            if len(table) and not (table[name].min() >= 0 and table[name].max() < count):
+                raise ConfigError(f"the store's journal is damaged: a {name} is none of {count}; restore it")
         return cls(layer, stamp_ns, table["row"], table["col"], table["old"], table["new"])
 
 
@@ -189,12 +226,13 @@ def compressed(content: bytes) -> bytes:
     return zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True, write_content_size=True).compress(content)
 
 
-def decompressed(content: bytes, size: int | None = None) -> bytes:
-    """Raises ConfigError where the bytes are damaged or do not hold `size` bytes."""
+def decompressed(content: bytes, most: int) -> bytes:
+    """Raises ConfigError where the bytes are damaged, or hold more than `most` by what they state themselves."""
     try:
-        whole = zstandard.ZstdDecompressor().decompress(content)
-    except (zstandard.ZstdError, TypeError) as error:
+        # The library reserves what a frame states before it looks at its content, whatever it is told of a bound.
+        stated = zstandard.frame_content_size(content)
+        if not 0 <= stated <= most:
+            raise ConfigError(f"the store's content is damaged: it states {stated} bytes, at most {most}; restore it")
+        return zstandard.ZstdDecompressor().decompress(content, max_output_size=most)
+    except zstandard.ZstdError as error:
         raise ConfigError(f"the store's content is damaged ({error}); restore it from a copy") from error
-    if size is not None and len(whole) != size:
-        raise ConfigError(f"the store's content is damaged: {len(whole)} bytes in place of {size}; restore it")
-    return whole

@@ -9,6 +9,7 @@ import numpy as np
 
 from ltm_core.errors import RasterError
 from ltm_core.grid import GridGeometry
+from ltm_core.raster.raster_source import open_raster
 from ltm_core.types import BoolArray, Float64Array, Int16Array
 
 _LARGEST = 200_000_000  # cells of a window
@@ -41,30 +42,26 @@ def read_codes(path: Path, geometry: GridGeometry) -> Int16Array:
 
 
 def _resampled(path: Path, geometry: GridGeometry, method: str) -> tuple[Float64Array, BoolArray]:
-    import rasterio
     from rasterio.enums import Resampling
     from rasterio.vrt import WarpedVRT
 
     if geometry.width * geometry.height > _LARGEST:
         raise RasterError(f"{path}: a window of {geometry.width} x {geometry.height} cells is too large")
-    try:
-        with rasterio.open(path) as source:
-            if source.crs is None:
-                raise RasterError(
-                    f"{path}: has no CRS, so its place is unknown; state it with gdal_edit.py -a_srs EPSG:.... {path}"
-                )
-            options: dict[str, Any] = {
-                "crs": geometry.crs,
-                "transform": geometry.transform(),
-                "width": geometry.width,
-                "height": geometry.height,
-                "resampling": Resampling[method],
-                "dtype": "float64",
-                "nodata": -1e9,
-            }
-            with WarpedVRT(source, **options) as window:
-                values = window.read(1)
-    except rasterio.errors.RasterioError as error:
-        raise RasterError(f"{path}: cannot be read as a raster ({error})") from error
+    with open_raster(path) as source:
+        if source.crs is None:
+            raise RasterError(
+                f"{path}: has no CRS, so its place is unknown; state it with gdal_edit.py -a_srs EPSG:.... {path}"
+            )
+        options: dict[str, Any] = {
+            "crs": geometry.crs,
+            "transform": geometry.transform(),
+            "width": geometry.width,
+            "height": geometry.height,
+            "resampling": Resampling[method],
+            "dtype": "float64",
+            "nodata": -1e9,
+        }
+        with WarpedVRT(source, **options) as window:
+            values = window.read(1)
     missing = (values <= -1e8) | ~np.isfinite(values)
     return values, missing

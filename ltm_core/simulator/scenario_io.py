@@ -11,6 +11,8 @@ from pydantic import ValidationError
 
 from ltm_core.errors import ConfigError
 from ltm_core.simulator.scenario import Scenario
+from ltm_core.text_io import read_text
+from ltm_core.yaml_io import LARGEST_FILE, parse_yaml
 
 _PLACE = re.compile(
     r"\b(changes|lakes|cameras|dates|smoke)\.(\d+)|\b(terrain)\.(dem|surroundings)\b|\b(vegetation)\.(fuel)\b"
@@ -21,13 +23,8 @@ def load_scenario(path: Path | str) -> Scenario:
     """Read a scenario file; paths in it are relative to it. Raises ConfigError naming the file, the line, the key and
     what would be right."""
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-        data: Any = yaml.safe_load(text)
-    except OSError as e:
-        raise ConfigError(f"cannot read scenario {path}: {e.strerror}; give the path of a scenario YAML") from e
-    except yaml.YAMLError as e:
-        raise ConfigError(f"scenario {path} is not YAML: {e}") from e
+    text = read_text(path, LARGEST_FILE, ConfigError)
+    data = parse_yaml(text, str(path))
     if not isinstance(data, dict):
         raise ConfigError(f"scenario {path} must be a mapping of keys, got {type(data).__name__}")
     try:

@@ -174,10 +174,10 @@ class SurfaceMap:
             self._undecided -= core
         return found
 
-    def commit(self) -> int:
-        """Write what has changed to the store; how many tiles. Raises StoreError."""
+    def commit(self, last: bool = False) -> int:
+        """Write what has changed to the store; how many tiles. Raises StoreError. `last`: before it is closed."""
         self.decide()
-        return self._pool.commit()
+        return self._pool.commit(last)
 
     def layers(self, window: tuple[int, int, int, int] | None = None) -> SurfaceLayers:
         """Height, sigma, change and age of a window (row, col, height, width); default: of the whole grid."""

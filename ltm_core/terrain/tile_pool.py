@@ -104,14 +104,14 @@ class TilePool:
     def journal(self, changes: CellChanges) -> None:
         self._changes.append(changes)
 
-    def commit(self) -> int:
+    def commit(self, last: bool = False) -> int:
         """Write all that has changed, with the frames that did it, in one transaction; how many tiles. Raises
-        StoreError, and then nothing is lost: call it again.
+        StoreError, and then nothing is lost: call it again. `last`: before the store is closed.
         """
         if not self._dirty and not self._frames:
             return 0
         tiles = {key: tile for key in self._dirty if (tile := self.peek(key)) is not None}
-        self.store.commit(tiles, self._frames, self._changes)
+        self.store.commit(tiles, self._frames, self._changes, last)
         self._stored |= tiles.keys()
         self._dirty.clear()
         self._frames, self._changes = [], []

@@ -134,19 +134,14 @@ def _in_crs(x: float, y: float, source: str | None, target: str) -> tuple[float,
 
 def read_photo(path: Path | str, camera: Camera) -> UInt8Array:
     """A photo upright as its EXIF says, (H, W, 3) uint8 RGB. Raises ImageError: not readable, not the camera's size."""
-    from PIL import Image, ImageOps, UnidentifiedImageError
+    from PIL import ImageOps
 
-    if Path(path).suffix.lower() in {".heic", ".heif"}:
-        from pillow_heif import register_heif_opener
+    from ltm_core.picture_io import open_picture
 
-        register_heif_opener()
-    try:
-        with Image.open(path) as source:
-            width, height = source.size
-            upright = ImageOps.exif_transpose(source)
-            photo = np.asarray(upright.convert("RGB"), np.uint8)
-    except (OSError, UnidentifiedImageError) as error:
-        raise ImageError(f"{path}: cannot be read as a picture ({error})") from error
+    with open_picture(Path(path)) as (source, _):
+        width, height = source.size
+        upright = ImageOps.exif_transpose(source)
+        photo = np.asarray(upright.convert("RGB"), np.uint8)
     if photo.shape[:2] != (camera.height, camera.width):
         turned = f", upright as EXIF turns its {width} x {height}," if photo.shape[1] != width else ""
         raise ImageError(

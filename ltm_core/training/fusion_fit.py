@@ -16,10 +16,16 @@ from ltm_core.training.fusion_samples import CLASSES, FrameSamples, Samples
 from ltm_core.types import Float64Array
 
 STANDING = (*(f"occlusion.standing.{name}" for name in CLASSES), "occlusion.no_foot", "occlusion.metre",
-            "decision.heard")  # fmt: skip
+            "decision.likelihood_weight")  # fmt: skip
 OUTLINE = (*(f"boundaries.outline.{name}" for name in CLASSES), "boundaries.toward")
-CANOPY = (*(f"decision.canopy.{name}" for name in CLASSES), "decision.heard_over")
-_POSITIVE = ("occlusion.no_foot", "occlusion.metre", "decision.heard", "boundaries.toward", "decision.heard_over")
+CANOPY = (*(f"decision.canopy.{name}" for name in CLASSES), "decision.canopy_weight")
+_POSITIVE = (
+    "occlusion.no_foot",
+    "occlusion.metre",
+    "decision.likelihood_weight",
+    "boundaries.toward",
+    "decision.canopy_weight",
+)
 LEAST = 500
 """Samples below which a choice keeps its constants."""
 _BELIEF = 1.0

@@ -8,8 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltm_core.errors import ModelError
+from ltm_core.numpy_io import load_arrays
 from ltm_core.types import Float32Array
 from ltm_core.vision.manifest import Manifest
+
+LARGEST = 64 << 20
+"""Bytes of the words or of their vectors: 20,000 words in 512 dimensions have 40 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +47,10 @@ def load_text(manifest: Manifest) -> TextEmbeddings:
     path, spec = manifest.text_file(), manifest.text
     if spec is None:
         raise ModelError(f"model {manifest.name!r} has no text embeddings")
-    try:
-        with np.load(path, allow_pickle=False) as content:
-            names = tuple(str(name) for name in content["names"])
-            vectors = np.asarray(content["embeddings"], np.float32)
-    except (OSError, KeyError, ValueError) as reason:
-        raise ModelError(
-            f"{path}: expected an .npz with `names` (K,) and `embeddings` (K, {spec.dimensions}): {reason}"
-        ) from reason
+    words, given = load_arrays(path, ("names", "embeddings"), LARGEST, ModelError)
+    if words.dtype.kind not in "US" or given.dtype.kind not in "fiu":
+        raise ModelError(f"{path}: names are {words.dtype}, embeddings {given.dtype}; expected texts and numbers")
+    names, vectors = tuple(str(name) for name in words.ravel()), np.asarray(given, np.float32)
     if vectors.shape != (len(names), spec.dimensions) or not names:
         raise ModelError(
             f"{path}: {len(names)} names and embeddings of shape {vectors.shape}; expected (K, {spec.dimensions}), one "

@@ -10,17 +10,18 @@ import heapq
 import struct
 import zlib
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
+import lz4.frame
+import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, Message, Schema
-from mcap.stream_reader import breakup_chunk
+from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Message, Schema, Statistics
+from mcap.stream_reader import StreamReader, breakup_chunk
 from zstandard import ZstdError
 
 from ltm_core.errors import RecordingError
@@ -29,7 +30,14 @@ MAGIC = b"\x89MCAP0\r\n"
 _OPCODES = {*range(1, 16), *range(128, 256)}  # those of the specification, and those left to its users
 _RECORD_HEAD = struct.Struct("<BQ")
 _TAIL = struct.Struct("<BQQQI8s")  # the footer record and the closing magic
-_LARGEST_CHUNK = 4 << 30
+_CHUNK_OPCODES = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, *range(128, 256)}
+_LARGEST_CHUNK = 128 << 20
+"""Bytes: recorders make chunks of one or a few megabytes, or of one message where that is larger."""
+_LARGEST_SUMMARY = 256 << 20
+_MOST_WAITING = 256 << 20
+"""Bytes of the messages in chunks that overlap in time."""
+_RECORDS_BESIDE = 1000
+"""Records that a chunk may have besides one for each of its compressed bytes; recorded ones take ten bytes and more."""
 
 # What the mcap library and what it uses raise when bytes are not what they should be.
 _BROKEN = (
@@ -94,41 +102,53 @@ class McapIndex:
             if (start_ns is None or entry.end_ns >= start_ns) and (end_ns is None or entry.start_ns < end_ns)
         ]
         heapq.heapify(waiting)
+        held = 0
         with self.path.open("rb") as stream:
             while waiting:
                 _, offset, _, item = heapq.heappop(waiting)
                 if isinstance(item, Message):
+                    held -= len(item.data)
                     yield self.channels[item.channel_id], item
                     continue
-                for place, message in enumerate(self._load(stream, item)):
-                    if message.channel_id not in channel_ids:
-                        continue
-                    if start_ns is not None and message.log_time < start_ns:
-                        continue
-                    if end_ns is None or message.log_time < end_ns:
-                        heapq.heappush(waiting, (message.log_time, offset, place, message))
+                wanted = [
+                    (message.log_time, offset, place, message)
+                    for place, message in enumerate(self._load(stream, item))
+                    if message.channel_id in channel_ids
+                    and (start_ns is None or message.log_time >= start_ns)
+                    and (end_ns is None or message.log_time < end_ns)
+                ]
+                size = sum(len(message.data) for *_, message in wanted)
+                if held and held + size > _MOST_WAITING:
+                    overlap = (
+                        f"it and others of the same time hold {held + size} bytes, at most {_MOST_WAITING} are read"
+                    )
+                    self._note(offset, ValueError(overlap))
+                    continue
+                held += size
+                for message in wanted:
+                    heapq.heappush(waiting, message)
 
     def _read_summary(self, stream: BinaryIO) -> bool:
         """Fill in from the summary section; False where the file has none that serves."""
         try:
-            if not _summary_is_sound(stream):
+            section = _sound_summary(stream)
+            if section is None:
                 return False
-            stream.seek(0)
-            summary = SeekingReader(stream).get_summary()
+            records = list(StreamReader(BytesIO(section), skip_magic=True, emit_chunks=True).records)
         except _BROKEN:
             return False
-        if summary is None or summary.statistics is None or not summary.channels:
+        statistics = next((record for record in records if isinstance(record, Statistics)), None)
+        channels = {record.id: record for record in records if isinstance(record, Channel)}
+        chunks = [record for record in records if isinstance(record, ChunkIndex)]
+        if statistics is None or not channels:
             return False
-        if sum(summary.statistics.channel_message_counts.values()) and not summary.chunk_indexes:
+        if sum(statistics.channel_message_counts.values()) and not chunks:
             return False  # written without chunks: there is nothing to seek by
-        self.schemas, self.channels = dict(summary.schemas), dict(summary.channels)
-        self.counts = dict(summary.statistics.channel_message_counts)
-        if summary.statistics.message_count:
-            self.start_ns = summary.statistics.message_start_time
-            self.end_ns = summary.statistics.message_end_time
-        self._entries = [
-            _Entry(c.message_start_time, c.chunk_start_offset, c.message_end_time, True) for c in summary.chunk_indexes
-        ]
+        self.schemas, self.channels = {r.id: r for r in records if isinstance(r, Schema)}, channels
+        self.counts = dict(statistics.channel_message_counts)
+        if statistics.message_count:
+            self.start_ns, self.end_ns = statistics.message_start_time, statistics.message_end_time
+        self._entries = [_Entry(c.message_start_time, c.chunk_start_offset, c.message_end_time, True) for c in chunks]
         return True
 
     def _scan(self, stream: BinaryIO) -> None:
@@ -163,7 +183,7 @@ class McapIndex:
 
     def _take(self, stream: BinaryIO, offset: int, opcode: int, length: int) -> None:
         if opcode == Opcode.CHUNK:
-            records = breakup_chunk(_read_chunk(stream, offset), validate_crc=True)
+            records = _records(_read_chunk(stream, offset))
             for record in records:
                 if isinstance(record, Schema):
                     self.schemas[record.id] = record
@@ -199,7 +219,7 @@ class McapIndex:
         """The messages of a chunk (or the one message) at an entry; none, and a note, where it is broken."""
         try:
             if entry.is_chunk:
-                records = breakup_chunk(_read_chunk(stream, entry.offset), validate_crc=True)
+                records = _records(_read_chunk(stream, entry.offset))
                 return [r for r in records if isinstance(r, Message) and r.channel_id in self.channels]
             stream.seek(entry.offset)
             _, length = _RECORD_HEAD.unpack(stream.read(_RECORD_HEAD.size))
@@ -214,28 +234,63 @@ class McapIndex:
             self.damage.append(note)
 
 
-def _summary_is_sound(stream: BinaryIO) -> bool:
-    """Whether the file ends in a footer whose checksum of the summary section, if it has one, is right."""
+def _sound_summary(stream: BinaryIO) -> bytes | None:
+    """The summary section and the footer, where the file ends in one and its checksum, if it has one, is right."""
     size = stream.seek(0, 2)
     stream.seek(size - _TAIL.size)
     opcode, length, summary_start, _, checksum, magic = _TAIL.unpack(stream.read(_TAIL.size))
     if (opcode, length, magic) != (Opcode.FOOTER, 20, MAGIC) or not len(MAGIC) <= summary_start < size:
-        return False
+        return None
+    if size - summary_start > _LARGEST_SUMMARY:
+        return None
     stream.seek(summary_start)
-    covered = stream.read(size - len(MAGIC) - 4 - summary_start)
-    return checksum in (0, zlib.crc32(covered))
+    section = stream.read(size - summary_start)
+    covered = memoryview(section)[: -len(MAGIC) - 4]
+    return section if checksum in (0, zlib.crc32(covered)) else None
 
 
 def _read_chunk(stream: BinaryIO, offset: int) -> Chunk:
+    size = stream.seek(0, 2)
     stream.seek(offset)
     opcode, length = _RECORD_HEAD.unpack(stream.read(_RECORD_HEAD.size))
-    body = stream.read(length)
-    if opcode != Opcode.CHUNK or len(body) < length:
-        raise ValueError(f"expected a chunk of {length} bytes, found opcode {opcode} with {len(body)}")
-    chunk = Chunk.read(ReadDataStream(BytesIO(body)))
-    if chunk.uncompressed_size > _LARGEST_CHUNK:
-        raise ValueError(f"chunk says that it has {chunk.uncompressed_size} bytes, more than {_LARGEST_CHUNK}")
-    return chunk
+    if opcode != Opcode.CHUNK or offset + length > size:
+        raise ValueError(f"expected a chunk within {size} bytes, found opcode {opcode} of {length} bytes")
+    if length > _LARGEST_CHUNK:
+        raise ValueError(f"chunk has {length} bytes, more than {_LARGEST_CHUNK}")
+    return Chunk.read(ReadDataStream(BytesIO(stream.read(length))))
+
+
+def _records(chunk: Chunk) -> list[McapRecord]:
+    """A chunk's records. Raises what `_BROKEN` names, before more is made than `_LARGEST_CHUNK` bytes and one record a
+    compressed byte: a hundred kilobytes may unfold to gigabytes, or to millions of empty records.
+    """
+    whole = _decompressed(chunk)
+    most, count, at = len(chunk.data) + _RECORDS_BESIDE, 0, 0
+    while at < len(whole):
+        opcode, length = _RECORD_HEAD.unpack_from(whole, at)
+        count += 1
+        if opcode not in _CHUNK_OPCODES or count > most:
+            raise ValueError(f"record {count} of the chunk is of opcode {opcode}; {most} records at most are read")
+        at += _RECORD_HEAD.size + length
+    plain = replace(chunk, compression="", data=whole, uncompressed_size=len(whole))
+    return list(breakup_chunk(plain, validate_crc=True))
+
+
+def _decompressed(chunk: Chunk) -> bytes:
+    """A chunk's records as bytes. mcap's own function reserves what a zstd frame states, and has no bound for lz4."""
+    stated = chunk.uncompressed_size
+    if chunk.compression == "zstd":
+        stated = max(stated, zstandard.frame_content_size(chunk.data))
+    if stated > _LARGEST_CHUNK:
+        raise ValueError(f"chunk says that it has {stated} bytes, more than {_LARGEST_CHUNK}")
+    match chunk.compression:
+        case "":
+            return bytes(chunk.data)
+        case "zstd":
+            return bytes(zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=stated))
+        case "lz4":
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=stated))
+    raise ValueError(f"compression {chunk.compression!r} is not known; zstd, lz4 and none are read")
 
 
 def _not_mcap(path: Path, magic: bytes) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,10 +10,12 @@ from typing import Any
 
 import yaml
 
-from ltm_core.errors import RecordingError
+from ltm_core.errors import ConfigError, RecordingError
+from ltm_core.yaml_io import parse_yaml, read_yaml
 
 VERSION = 9
 FILE_NAME = "metadata.yaml"
+INFORMATION = "rosbag2_bagfile_information"
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
@@ -25,7 +28,16 @@ class TopicRecord:
     type_name: str
     type_hash: str
     qos: list[dict[str, Any]]
-    message_count: int = 0
+
+
+@dataclass
+class FileRecord:
+    """What metadata says of one file: log times of its first and last message, and messages by topic."""
+
+    name: str
+    start_ns: int
+    end_ns: int
+    counts: Counter[str]
 
 
 def qos_profile(latched: bool, depth: int) -> list[dict[str, Any]]:
@@ -51,8 +63,8 @@ def is_latched(offered_qos_profiles: str) -> bool:
     Versions below 9 write RMW's number for it (1), later ones its name. Text that is no such list: False.
     """
     try:
-        profiles = yaml.safe_load(offered_qos_profiles) if offered_qos_profiles else []
-    except yaml.YAMLError:
+        profiles = parse_yaml(offered_qos_profiles, "offered_qos_profiles") if offered_qos_profiles else []
+    except ConfigError:
         return False
     if not isinstance(profiles, list):
         return False
@@ -60,18 +72,21 @@ def is_latched(offered_qos_profiles: str) -> bool:
 
 
 def bag_information(
-    file_name: str, start_ns: int, end_ns: int, topics: Sequence[TopicRecord], custom_data: Mapping[str, str]
+    files: Sequence[FileRecord], topics: Sequence[TopicRecord], custom_data: Mapping[str, str]
 ) -> dict[str, Any]:
-    """The content of `rosbag2_bagfile_information` for a bag of one MCAP file."""
-    start = {"nanoseconds_since_epoch": start_ns}
-    duration = {"nanoseconds": end_ns - start_ns}
-    count = sum(topic.message_count for topic in topics)
+    """The content of `rosbag2_bagfile_information` for a bag of these files, in their order."""
+    total: Counter[str] = Counter()
+    for file in files:
+        total += file.counts
+    filled = [file for file in files if file.counts]
+    start = min((file.start_ns for file in filled), default=0)
+    end = max((file.end_ns for file in filled), default=0)
     return {
         "version": VERSION,
         "storage_identifier": "mcap",
-        "duration": duration,
-        "starting_time": start,
-        "message_count": count,
+        "duration": {"nanoseconds": end - start},
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "message_count": total.total(),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
@@ -81,17 +96,32 @@ def bag_information(
                     "offered_qos_profiles": topic.qos,
                     "type_description_hash": topic.type_hash,
                 },
-                "message_count": topic.message_count,
+                "message_count": total[topic.topic],
             }
             for topic in topics
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [file_name],
-        "files": [{"path": file_name, "starting_time": start, "duration": duration, "message_count": count}],
+        "relative_file_paths": [file.name for file in files],
+        "files": [
+            {
+                "path": file.name,
+                "starting_time": {"nanoseconds_since_epoch": file.start_ns},
+                "duration": {"nanoseconds": file.end_ns - file.start_ns},
+                "message_count": file.counts.total(),
+            }
+            for file in files
+        ],
         "custom_data": dict(custom_data) or None,
         "ros_distro": "jazzy",
     }
+
+
+def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
+    """Put metadata.yaml into a bag's folder, in one step. Raises OSError."""
+    unfinished = folder / f"{FILE_NAME}.tmp"
+    unfinished.write_text(to_yaml({INFORMATION: dict(information)}), encoding="utf-8")
+    unfinished.replace(folder / FILE_NAME)
 
 
 def to_yaml(data: Any) -> str:
@@ -111,13 +141,13 @@ def bag_files(folder: Path) -> list[Path] | None:
     missing or lie outside the folder.
     """
     path = folder / FILE_NAME
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if not path.exists():
         return None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise RecordingError(f"cannot read {path}: {error}") from error
-    info = document.get("rosbag2_bagfile_information") if isinstance(document, dict) else None
+    try:
+        document = read_yaml(path)
+    except ConfigError as error:
+        raise RecordingError(f"cannot read the bag's metadata: {error}") from error
+    info = document.get(INFORMATION) if isinstance(document, dict) else None
     names = info.get("relative_file_paths") if isinstance(info, dict) else None
     if not isinstance(info, dict) or not isinstance(names, list) or not all(isinstance(n, str) for n in names):
         raise RecordingError(
@@ -132,7 +162,9 @@ def bag_files(folder: Path) -> list[Path] | None:
     files = []
     for name in names:
         file = folder / Path(name).name
-        if Path(name).is_absolute() or ".." in Path(name).parts or not file.is_file():
-            raise RecordingError(f"{path} lists the file {name!r}, which is not in {folder}")
+        # A name of more than 255 bytes is an OSError to whoever asks for its file.
+        known = len(name.encode()) <= 255 and file.is_file()
+        if not known or Path(name).is_absolute() or ".." in Path(name).parts:
+            raise RecordingError(f"{path} lists the file {name!r:.200}, which is not in {folder}")
         files.append(file)
     return files

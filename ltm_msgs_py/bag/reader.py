@@ -92,22 +92,33 @@ class BagReader:
 
         `topics`: only these (None: all); a topic that the bag does not have gives no messages.
         """
-        streams = [
-            (
-                BagMessage(
-                    channel.topic,
-                    message.log_time,
-                    message.publish_time,
-                    self._topics[channel.topic].type_name,
-                    message.data,
-                )
-                for channel, message in file.messages(
-                    {i for i, c in file.channels.items() if topics is None or c.topic in topics}, start_ns, end_ns
-                )
-            )
-            for file in self._files
-        ]
-        return heapq.merge(*streams, key=lambda m: m.log_time_ns)
+        # Files of a long recording follow each other: only those that overlap in time are open together.
+        waiting = sorted(
+            (f for f in self._files if f.start_ns is not None), key=lambda f: f.start_ns or 0, reverse=True
+        )
+        order = {id(file): number for number, file in enumerate(self._files)}
+        heads: list[tuple[int, int, BagMessage, Iterator[BagMessage]]] = []
+
+        def advance(number: int, stream: Iterator[BagMessage]) -> None:
+            if (message := next(stream, None)) is not None:
+                heapq.heappush(heads, (message.log_time_ns, number, message, stream))
+
+        while waiting or heads:
+            while waiting and (not heads or (waiting[-1].start_ns or 0) <= heads[0][0]):
+                file = waiting.pop()
+                advance(order[id(file)], self._messages_of(file, topics, start_ns, end_ns))
+            if heads:
+                _, number, message, stream = heapq.heappop(heads)
+                yield message
+                advance(number, stream)
+
+    def _messages_of(
+        self, file: McapIndex, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
+    ) -> Iterator[BagMessage]:
+        wanted = {i for i, c in file.channels.items() if topics is None or c.topic in topics}
+        for channel, message in file.messages(wanted, start_ns, end_ns):
+            type_name = self._topics[channel.topic].type_name
+            yield BagMessage(channel.topic, message.log_time, message.publish_time, type_name, message.data)
 
     def decode(self, message: BagMessage) -> Any:
         """The message object of the standard Python interface.

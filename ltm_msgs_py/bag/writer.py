@@ -1,19 +1,28 @@
-"""Writes a bag: one MCAP file and its metadata.yaml, as rosbag2 lays them out."""
+"""Writes a bag: MCAP files and their metadata.yaml, as rosbag2 lays them out."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal, NoReturn, Self
 
-from mcap.writer import CompressionType, Writer
+from mcap.writer import LIBRARY_IDENTIFIER, CompressionType
 from rclpy.serialization import serialize_message
 
 from ltm_core.errors import RecordingError
 from ltm_core.output_io import require_folder
-from ltm_msgs_py.bag.metadata import FILE_NAME, TopicRecord, bag_information, qos_profile, to_yaml
+from ltm_msgs_py.bag.mcap_file import McapFile
+from ltm_msgs_py.bag.metadata import (
+    FileRecord,
+    TopicRecord,
+    bag_information,
+    qos_profile,
+    to_yaml,
+    write_metadata,
+)
 from ltm_msgs_py.bag.schemas import schema_text, type_hash, type_name_of
 
 Compression = Literal["zstd"] | None
@@ -21,12 +30,25 @@ _COMPRESSIONS = {"zstd": CompressionType.ZSTD, None: CompressionType.NONE}
 _LATEST_NS = 2**63 - 1
 
 
+@dataclass(frozen=True)
+class Split:
+    """When the next file of a bag begins: what comes first. A file is longer than `most_bytes` by a chunk at most."""
+
+    most_bytes: int
+    longest_ns: int
+
+
 class BagWriter:
-    """Writes `<path>/<name>_0.mcap` and, when closed, `<path>/metadata.yaml`.
+    """Writes `<path>/<name>_0.mcap`, `_1` and so on and, when closed, `<path>/metadata.yaml`.
 
     A context manager; not for several threads at once. A chunk is on disk as soon as it is full (`chunk_size` bytes
     before compression) or `flush` is called, and an interrupted file can be read up to its last chunk. metadata.yaml
     appears in one step at the very end: a bag that has one is complete.
+
+    Where the disk fails (full, quota, defect), the file at hand is ended after its last whole chunk, so that every
+    reader takes it; the messages of the chunk that could not be written are counted in `lost`, and the next message
+    begins the next file, as soon as one can be made. Each file but the first begins with the last message of every
+    latched topic, so that it can be read without those before it.
     """
 
     def __init__(
@@ -35,26 +57,38 @@ class BagWriter:
         compression: Compression = "zstd",
         custom_data: Mapping[str, str] | None = None,
         chunk_size: int = 1 << 20,
+        split: Split | None = None,
+        library: str = LIBRARY_IDENTIFIER,
+        before_file: Callable[[], None] = lambda: None,
     ) -> None:
-        """`custom_data`: for metadata.yaml. Raises RecordingError when `path` exists and is not an empty folder."""
+        """`custom_data`: for metadata.yaml. `split`: None for one file. `library`: who writes, as each file's header
+        tells. `before_file`: called before each file is made.
+
+        Raises RecordingError when `path` exists and is not an empty folder.
+        """
         if compression not in _COMPRESSIONS:
             raise RecordingError(f"bag compression must be 'zstd' or None, got {compression!r}")
         self.path = Path(path)
         self.require_free(self.path)
-        self.file = self.path / f"{self.path.resolve().name}_0.mcap"
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-            self._stream = self.file.open("xb")
-        except OSError as error:
-            raise RecordingError(f"cannot write a bag to {self.path}: {error}") from error
-        self._writer = Writer(self._stream, chunk_size=chunk_size, compression=_COMPRESSIONS[compression])
-        self._writer.start(profile="ros2")
+        self.on_disk: Counter[str] = Counter()
+        """Messages by topic that the operating system has, those repeated in a further file left out."""
+        self.lost = 0
+        """Messages that the disk did not take."""
+        self._compression, self._chunk_size, self._split = _COMPRESSIONS[compression], chunk_size, split
+        self._library, self._before_file = library, before_file
         self._custom_data = dict(custom_data or {})
         self._topics: dict[str, TopicRecord] = {}
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
-        self._start_ns, self._end_ns = _LATEST_NS, 0
+        self._sequences: Counter[str] = Counter()
+        self._latched: dict[str, tuple[bytes, int] | None] = {}
+        self._finished: list[FileRecord] = []
+        self._earlier: Counter[str] = Counter()
+        self._next = 0
         self._closed = False
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            self._file: McapFile | None = self._begin_file()
+        except OSError as error:
+            raise RecordingError(f"cannot write a bag to {self.path}: {error}") from error
 
     @staticmethod
     def require_free(path: Path) -> None:
@@ -63,6 +97,11 @@ class BagWriter:
         if path.exists() and not (path.is_dir() and not any(path.iterdir())):
             raise RecordingError(f"cannot write a bag to {path}: it exists already; remove it or name another")
         require_folder(path, "a bag")
+
+    @property
+    def file_bytes(self) -> int:
+        """Bytes in the file at hand; 0 between files."""
+        return 0 if self._file is None else self._file.size
 
     def add_topic(self, topic: str, type_name: str, latched: bool = False, depth: int = 10) -> None:
         """Announce a topic and its QoS before its first message; `latched`: transient local.
@@ -80,17 +119,15 @@ class BagWriter:
             return
         if not topic.startswith("/"):
             raise RecordingError(f"topic {topic!r} must be absolute, such as /{topic}")
-        if type_name not in self._schemas:
-            text = schema_text(type_name).encode()
-            self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", text)
-        record = TopicRecord(topic, type_name, type_hash(type_name), qos)
-        self._channels[topic] = self._writer.register_channel(
-            topic,
-            "cdr",
-            self._schemas[type_name],
-            {"offered_qos_profiles": to_yaml(qos), "topic_type_hash": record.type_hash},
-        )
-        self._topics[topic] = record
+        schema_text(type_name)
+        record = self._topics[topic] = TopicRecord(topic, type_name, type_hash(type_name), qos)
+        if latched:
+            self._latched[topic] = None
+        if self._file is not None:
+            try:
+                self._file.add_topic(record)
+            except OSError as error:
+                self._abandon(error)
 
     def write(self, topic: str, msg: Any, log_time_ns: int, publish_time_ns: int | None = None) -> None:
         """Append a message object. Raises RecordingError as `write_raw` does."""
@@ -106,10 +143,9 @@ class BagWriter:
         """
         if self._closed:
             raise RecordingError(f"the bag {self.path} is closed")
-        known = self._topics.get(topic)
-        if known is None:
+        if topic not in self._topics:
             self.add_topic(topic, type_name)
-            known = self._topics[topic]
+        known = self._topics[topic]
         if known.type_name != type_name:
             raise RecordingError(f"topic {topic} holds {known.type_name} in {self.path}, not {type_name}")
         if len(cdr) < 4 or cdr[0] != 0:
@@ -122,39 +158,55 @@ class BagWriter:
                 f"times of a message on {topic} must be nanoseconds since 1970, "
                 f"got log {log_time_ns}, publish {sent_ns}"
             )
+        file = self._file_for(log_time_ns)
+        if topic in self._latched:
+            self._latched[topic] = bytes(cdr), sent_ns
         try:
-            self._writer.add_message(self._channels[topic], log_time_ns, bytes(cdr), sent_ns, known.message_count)
+            file.write(topic, bytes(cdr), log_time_ns, sent_ns, self._sequences[topic])
         except OSError as error:
-            raise RecordingError(f"cannot write to {self.file}: {error}") from error
-        known.message_count += 1
-        self._start_ns, self._end_ns = min(self._start_ns, log_time_ns), max(self._end_ns, log_time_ns)
+            self._abandon(error)
+        self._sequences[topic] += 1
+        self._count()
 
     def flush(self) -> None:
         """Close the chunk at hand and hand it to the operating system: what is written so far survives a kill."""
+        if self._file is None:
+            return
         try:
-            self._writer.flush()
+            self._file.flush()
         except OSError as error:
-            raise RecordingError(f"cannot write to {self.file}: {error}") from error
+            self._abandon(error)
+        self._count()
+
+    def end_file(self) -> None:
+        """Finish the file at hand; the next message begins another. Raises RecordingError as `flush` does."""
+        if self._file is None:
+            return
+        try:
+            self._file.flush()
+            info = bag_information([self._file.record], list(self._topics.values()), self._custom_data)
+            record = self._file.finish({"serialized_metadata": to_yaml(info)})
+        except OSError as error:
+            self._abandon(error)
+        self._let_go(record)
 
     def close(self) -> None:
-        """Write indexes and metadata.yaml; a second call does nothing. Raises RecordingError on a full disk."""
+        """Finish the last file and write metadata.yaml; a second call does nothing. Raises RecordingError on a full
+        disk."""
         if self._closed:
             return
         self._closed = True
-        empty = self._end_ns < self._start_ns
-        start, end = (0, 0) if empty else (self._start_ns, self._end_ns)
-        info = bag_information(self.file.name, start, end, list(self._topics.values()), self._custom_data)
         try:
-            with self._stream:
-                self._writer.add_metadata("rosbag2", {"serialized_metadata": to_yaml(info)})
-                self._writer.finish()
-                self._stream.flush()
-                os.fsync(self._stream.fileno())
-            unfinished = self.path / f"{FILE_NAME}.tmp"
-            unfinished.write_text(to_yaml({"rosbag2_bagfile_information": info}), encoding="utf-8")
-            unfinished.replace(self.path / FILE_NAME)
-        except OSError as error:
-            raise RecordingError(f"cannot finish the bag {self.path}: {error}") from error
+            self.end_file()
+        finally:
+            # Files that the ring of recordings has removed are no part of the bag any more.
+            files = [record for record in self._finished if (self.path / record.name).exists()]
+            try:
+                if files:
+                    topics = list(self._topics.values())
+                    write_metadata(self.path, bag_information(files, topics, self._custom_data))
+            except OSError as error:
+                raise RecordingError(f"cannot finish the bag {self.path}: {error}") from error
 
     def __enter__(self) -> Self:
         return self
@@ -163,3 +215,67 @@ class BagWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _begin_file(self) -> McapFile:
+        """Raises OSError."""
+        self._before_file()
+        path = self.path / f"{self.path.resolve().name}_{self._next}.mcap"
+        file = McapFile(path, self._compression, self._chunk_size, self._library)
+        self._next += 1
+        return file
+
+    def _file_for(self, log_time_ns: int) -> McapFile:
+        """The file that takes a message of that time; the message is lost where there is none."""
+        try:
+            if self._file is not None and self._is_full(self._file, log_time_ns):
+                self.end_file()
+            return self._file or self._next_file(log_time_ns)
+        except RecordingError:
+            self.lost += 1
+            raise
+
+    def _next_file(self, log_time_ns: int) -> McapFile:
+        """With all topics, and with what a listener that comes late would get of them."""
+        try:
+            file = self._file = self._begin_file()
+        except OSError as error:
+            raise RecordingError(f"cannot write to {self.path}: {error}") from error
+        try:
+            for record in self._topics.values():
+                file.add_topic(record)
+            for topic, last in self._latched.items():
+                if last is not None:
+                    cdr, sent_ns = last
+                    file.write(topic, cdr, log_time_ns, sent_ns, self._sequences[topic] - 1, new=False)
+        except OSError as error:
+            self._abandon(error)
+        return file
+
+    def _is_full(self, file: McapFile, log_time_ns: int) -> bool:
+        if self._split is None or file.first_ns is None:
+            return False
+        return file.size >= self._split.most_bytes or log_time_ns - file.first_ns >= self._split.longest_ns
+
+    def _abandon(self, error: OSError) -> NoReturn:
+        """The disk has failed while the file at hand was written."""
+        file = self._file
+        assert file is not None
+        record = file.abandon()
+        self.lost += file.unsaved
+        self._let_go(record)
+        kept = 0 if record is None else record.counts.total()
+        raise RecordingError(
+            f"cannot write to {file.path}: {error.strerror or error}; {file.unsaved} messages are lost, the {kept} "
+            "before them are in it; what comes next goes into another file"
+        ) from error
+
+    def _let_go(self, record: FileRecord | None) -> None:
+        """The file at hand has been ended; None: it held nothing and is gone."""
+        self._count()
+        self._earlier, self._file = self.on_disk, None
+        if record is not None:
+            self._finished.append(record)
+
+    def _count(self) -> None:
+        if self._file is not None:
+            self.on_disk = self._earlier + self._file.saved

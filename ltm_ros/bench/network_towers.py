@@ -17,7 +17,7 @@ import rclpy
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
-from ltm_ros.launching.dds_shutdown import begin_farewell
+from ltm_ros.launching.dds_shutdown import limit_shutdown
 from ltm_ros.runtime.node import stream_qos
 from ltm_ros.runtime.topics import FUEL_VOTES, camera_topic
 
@@ -60,7 +60,7 @@ def main() -> None:
             sent.append(stamp)
     print(json.dumps({"sent": sent, "late": late}), flush=True)
     sys.stdin.readline()  # stay until all has arrived: a writer that goes takes its history with it
-    begin_farewell()
+    limit_shutdown()
     for node in nodes:
         node.destroy_node()
     rclpy.try_shutdown()

@@ -14,6 +14,7 @@ from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.errors import ImageError
 from ltm_core.evaluation.metrics.segmentation import score_labels
 from ltm_core.evaluation.segmentation.network_score import score_segmenter, segment_milliseconds
+from ltm_core.picture_io import check_picture
 from ltm_core.pictures import label_legend, overlay_labels, to_jpeg, with_legend
 from ltm_core.training.labelled_frames import read_frames
 from ltm_core.types import UInt8Array
@@ -151,6 +152,7 @@ def _photos(images: Path) -> list[Path]:
 
 
 def _read(path: Path) -> UInt8Array:
+    check_picture(path)
     image = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if image is None:
         raise ImageError(f"{path}: cannot be read as a picture")

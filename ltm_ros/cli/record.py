@@ -15,10 +15,26 @@ def record(
         list[str] | None,
         typer.Argument(help="Topics or patterns such as '/site/*/depth/*'; default: the site's inputs and results."),
     ] = None,
+    max_gb: Annotated[
+        float | None,
+        typer.Option(
+            min=0,
+            help="Of all recordings of this name; the oldest files go. 0: no bound. Default: the site file's, else "
+            "16 GB, or half of the disk where that is less.",
+        ),
+    ] = None,
+    min_free_gb: Annotated[
+        float | None,
+        typer.Option(
+            min=0,
+            help="Free space under which recording stops. Default: the site file's, else 2 GB, or a tenth of the disk "
+            "where that is less.",
+        ),
+    ] = None,
     sim_time: Annotated[bool, typer.Option("--sim-time", help="Stamp by /clock, as beside a replay.")] = False,
     domain: Annotated[int | None, typer.Option(help="ROS domain of the graph; default: the environment's.")] = None,
 ) -> None:
-    """Record a site's topics to OUT until Ctrl-C."""
+    """Record a site's topics to OUT until Ctrl-C; of a long recording the newest files stay (--max-gb)."""
     from dataclasses import replace
 
     from ltm_core.output_io import require_folder
@@ -27,6 +43,9 @@ def record(
     from ltm_ros.launching.runner import Runner, new_log_folder
 
     parameters: dict[str, ParameterValue] = {"bag": str(out.resolve())}
+    for name, gigabytes in (("max_bytes", max_gb), ("min_free_bytes", min_free_gb)):
+        if gigabytes is not None:
+            parameters[name] = round(gigabytes * 1e9)
     if topics:
         parameters["topics"] = list(topics)
     require_folder(out, "a bag")  # of former ones the recorder keeps clear

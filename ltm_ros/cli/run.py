@@ -17,7 +17,12 @@ def run(
     domain: Annotated[
         int | None, typer.Option(min=0, max=232, help="ROS domain. Default: ROS_DOMAIN_ID, else 0.")
     ] = None,
-    record: Annotated[Path | None, typer.Option(help="Also record the graph's topics into this new folder.")] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            help="Also record the graph's topics into this new folder; of a long recording the newest files stay."
+        ),
+    ] = None,
     view: Annotated[bool, typer.Option("--view", help="Also serve a live view on this machine.")] = False,
     sim_time: Annotated[bool, typer.Option("--sim-time", help="Follow /clock, as `ltm replay` publishes it.")] = False,
     only: Annotated[list[str] | None, typer.Option(help="Only this camera; may be given several times.")] = None,

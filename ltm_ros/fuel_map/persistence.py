@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -14,6 +15,7 @@ from ltm_core.fuel.votes import CellVotes
 from ltm_core.raster.tile_store import CellChanges, FrameRecord, Key, Tile, TileStore
 from ltm_ros.fuel_map.layers import ShownLayers
 from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.retry import LAST_PAUSE_S, LAST_TRIES_S, RetryPace
 
 LOGGED_FRAMES = 200
 """Frames that wait in the store before its tiles are written: what opening it must count again at most."""
@@ -22,7 +24,6 @@ UNSAVED_FRAMES = 500_000
 """Frames counted in memory alone, while the disk is away, before more are refused: three hours of 40 a second."""
 UNSAVED_BYTES = 256 << 20
 """Of the same, where the store has not been opened yet, so that they must be counted again once it is."""
-RETRY_S = 2.0
 AGE_NS = 3600 * 10**9
 """Of the map's own time, after which cells that no frame has touched are looked at again."""
 
@@ -83,8 +84,10 @@ class FuelMapPersistence:
         self._keys: dict[Key, Key] = {}
         """Tiles are named by the same objects in all frames: a long outage shall not fill the memory."""
         self._logged = self._logged_bytes = 0
+        self.failure = ""
+        """What was wrong with the store at the last failure, in words."""
         self._failed = False
-        self._waited = 0.0
+        self._pace = RetryPace()
         self._open()
 
     @property
@@ -145,13 +148,15 @@ class FuelMapPersistence:
 
     def wait(self, seconds: float) -> None:
         """Time has passed: where the store was away, try it again now and then."""
-        self._waited += seconds
-        if self.store is None and self._waited >= RETRY_S:
-            self._waited = 0.0
+        self._pace.passed(seconds)
+        if self.store is None and self._pace.due:
             self._open()
 
-    def settle(self, write_tiles: bool = False) -> list[Counted]:
-        """Show and write what was counted; what is acknowledged with it. `write_tiles`: all that the map holds."""
+    def settle(self, write_tiles: bool = False, last: bool = False) -> list[Counted]:
+        """Show and write what was counted; what is acknowledged with it.
+
+        `write_tiles`: all that the map holds, at once also where the store was away. `last`: nothing comes after.
+        """
         if self.map.newest_ns - self._aged_ns >= AGE_NS:
             # Evidence fades and burns end where nobody looks, too.
             self._aged_ns = self.map.newest_ns
@@ -159,7 +164,7 @@ class FuelMapPersistence:
         else:
             self._changes += self.shown.refresh(self._unshown)
         self._unshown = []
-        if self.store is None or (self._failed and self._waited < RETRY_S and not write_tiles):
+        if self.store is None or (self._failed and not self._pace.due and not write_tiles):
             return []
         full = self._logged >= LOGGED_FRAMES or self._logged_bytes >= LOGGED_BYTES
         tiles = self._dirty if self._durable and (write_tiles or full or self._failed) else set()
@@ -170,6 +175,7 @@ class FuelMapPersistence:
                 {key: self.map.tile_state(key) for key in sorted(tiles)},
                 [counted.record for counted in self._batch],
                 self._changes if self._durable else (),
+                last,
             )
         except LtmError as error:
             self._fail(error)
@@ -177,9 +183,18 @@ class FuelMapPersistence:
         return self._succeed(bool(tiles))
 
     def close(self) -> list[Counted]:
-        """Write all and let go of the store; what is acknowledged with it."""
+        """Write all, trying for `LAST_TRIES_S`, and let go of the store; what is acknowledged with it.
+
+        `unsaved_frames` are lost then: nobody was told of them, so they may be sent again.
+        """
         self._changes += self.shown.refresh_all()
-        saved = self.settle(write_tiles=True)
+        until = time.monotonic() + LAST_TRIES_S
+        saved = self.settle(write_tiles=True, last=True)
+        while self._batch and time.monotonic() < until:
+            time.sleep(LAST_PAUSE_S)
+            if self.store is None:
+                self._open()
+            saved += self.settle(write_tiles=True, last=True)
         if self.store is not None:
             self.store.close()
         return saved
@@ -198,12 +213,16 @@ class FuelMapPersistence:
         self.saved_frames += len(saved)
         if self._failed:
             self._failed = False
+            self._pace.succeeded()
             self._health.note("store_back")
+        if self.store is not None and self.store.strain:
+            self._health.trouble("store", self.store.strain)
         return saved
 
     def _fail(self, error: LtmError) -> None:
         """The next attempt writes tiles, so payloads need not be held."""
-        self._failed, self._waited = True, 0.0
+        self._failed, self.failure = True, str(error)
+        self._pace.failed()
         self._batch = [Counted(replace(c.record, payload=b""), c.window) for c in self._batch]
         self._batch_bytes = 0
         self._health.trouble(cause_of(error), f"{error}; {len(self._batch)} frames are in memory only")
@@ -227,10 +246,13 @@ class FuelMapPersistence:
         except StoreError as error:
             if store is not None:
                 store.close()
+            self.failure = str(error)
+            self._pace.failed()
             self._health.trouble(
                 cause_of(error), f"{error}; the map begins empty, {len(self._batch)} frames are in memory only"
             )
             return
+        self._pace.succeeded()
         before, self._batch = self._batch, []
         self._in_batch.clear()
         self._batch_bytes = 0

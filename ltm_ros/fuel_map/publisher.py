@@ -25,9 +25,9 @@ class FuelPublisher:
     publications = (FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_CELLS)
 
     def __init__(
-        self, outlet: Outlet, health: Health, keeper: FuelMapPersistence, geometry: GridGeometry, dem: Dem
+        self, outlet: Outlet, health: Health, persistence: FuelMapPersistence, geometry: GridGeometry, dem: Dem
     ) -> None:
-        self._outlet, self._health, self._keeper, self._geometry = outlet, health, keeper, geometry
+        self._outlet, self._health, self._persistence, self._geometry = outlet, health, persistence, geometry
         self._heights = dem.elevation_at(*geometry.to_map(*np.indices(geometry.shape)))
         self._since_map = self._since_cells = 0.0
         self._map_due = self._cells_due = True
@@ -38,13 +38,13 @@ class FuelPublisher:
             if counted.window is not None:
                 self._map_due = self._cells_due = True
                 tile = tile_to_msg(
-                    self._keeper.shown.life_form, self._geometry, counted.window, counted.record.stamp_ns
+                    self._persistence.shown.life_form, self._geometry, counted.window, counted.record.stamp_ns
                 )
                 self._outlet.publish(FUEL_MAP_UPDATE, tile)
-        unsaved = self._keeper.unsaved_frames
+        unsaved = self._persistence.unsaved_frames
         self._map_due |= unsaved > 0
         self._cells_due |= unsaved > 0
-        self._health.gauge("frames", self._keeper.saved_frames)
+        self._health.gauge("frames", self._persistence.saved_frames)
         self._health.gauge("unsaved_frames", unsaved)
 
     def tick(self, waited: float) -> None:
@@ -59,14 +59,14 @@ class FuelPublisher:
 
     def send_map(self) -> None:
         self._map_due, self._since_map = False, 0.0
-        shown = self._keeper.shown.life_form
-        self._outlet.publish(FUEL_MAP, classes_to_msg(shown, self._geometry, self._keeper.map.newest_ns))
+        shown = self._persistence.shown.life_form
+        self._outlet.publish(FUEL_MAP, classes_to_msg(shown, self._geometry, self._persistence.map.newest_ns))
 
     def send_cells(self) -> None:
         """All layers of the cells that evidence has touched, while somebody listens."""
         if not self._outlet.wanted(FUEL_MAP_CELLS):
             return
         self._cells_due, self._since_cells = False, 0.0
-        evidence = self._keeper.map
+        evidence = self._persistence.map
         message = fuel_cells_to_msg(evidence.layers(), self._heights, self._geometry, evidence.newest_ns)
         self._outlet.publish(FUEL_MAP_CELLS, message)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ltm_core.errors import MessageError
 from ltm_core.fuel.stored_map import SURFACE_LAYER
-from ltm_core.fuel.surface_change import SOURCE, UNSEEN, SurfaceNews, news_of, tell
+from ltm_core.fuel.surface_change import SOURCE, UNSEEN, SurfaceNews, news_of, record
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import CellChanges
 from ltm_core.terrain.change import ChangeKind
@@ -45,7 +45,7 @@ class _Heard:
 class SurfaceListener:
     """Applies `terrain/update` (how far cells moved) and `terrain/change` (the state of all) to the fuel map.
 
-    `terrain/change` is state and latched: what it says is compared with what fuel cells were told before, as the
+    `terrain/change` is state and latched: what it says is compared with what is recorded of the fuel cells, as the
     store's journal knows it, so that a message that comes twice, or again after a kill, changes nothing.
 
     Args:
@@ -54,9 +54,13 @@ class SurfaceListener:
     """
 
     def __init__(
-        self, grid: GridGeometry, keeper: FuelMapPersistence, health: Health, refuse_future: Callable[[str, int], bool]
+        self,
+        grid: GridGeometry,
+        persistence: FuelMapPersistence,
+        health: Health,
+        refuse_future: Callable[[str, int], bool],
     ) -> None:
-        self._grid, self._keeper, self._health, self._refuse_future = grid, keeper, health, refuse_future
+        self._grid, self._persistence, self._health, self._refuse_future = grid, persistence, health, refuse_future
         self._shift = np.zeros(grid.shape, np.float32)  # 0: not known; untouched pages take no memory
         self._newest = 0
         self._waiting: _Heard | None = None
@@ -121,48 +125,49 @@ class SurfaceListener:
 
     def retry(self) -> int:
         """Tell what waits for the store; 0 where nothing does, or the store is still away."""
-        heard, evidence = self._waiting, self._keeper.map
-        if heard is None or self._keeper.store is None:
+        change, evidence = self._waiting, self._persistence.map
+        if change is None or self._persistence.store is None:
             return 0
-        row, col, height, width = tile_window(heard.window, self._grid)
+        row, col, height, width = tile_window(change.window, self._grid)
         shift = self._shift[row : row + height, col : col + width]
         known = np.where(shift != 0, shift, np.float32(np.nan))
-        news = news_of(heard.kinds, known, heard.window, evidence.geometry, evidence.kinds_told)
+        news = news_of(change.kinds, known, change.window, evidence.geometry, evidence.change_kinds)
         self._waiting = None
         if len(news):
-            self._tell(news, heard.stamp_ns)
+            self._record(news, change.stamp_ns)
         return len(news)
 
     def forget(self, cells: BoolArray) -> None:
         """The evidence of these fuel cells, (H, W), is gone. A change that it had shown before the terrain told of it
-        is told again: now, or with the terrain's next message. Any other stands in the code that its cell starts from.
+        is recorded again: now, or with the terrain's next message. Any other stands in the code that its cell starts
+        from.
         """
-        evidence = self._keeper.map
-        again = cells & evidence.told_nothing_new
+        evidence = self._persistence.map
+        again = cells & evidence.already_shown
         if not again.any():
             return
-        before, whole = evidence.told[again], evidence.told.copy()
+        before, whole = evidence.surface_changes[again], evidence.surface_changes.copy()
         whole[again] = 0
         rows, cols = np.nonzero(again)
         stamp = max(self._newest, evidence.newest_ns)
         evidence.recall(whole)
-        self._keeper.replace_tiles(
+        self._persistence.replace_tiles(
             {}, changes=[CellChanges(SURFACE_LAYER, stamp, rows, cols, before, np.zeros_like(before))]
         )
         self._waiting = self._last
         self.retry()
 
-    def _tell(self, news: SurfaceNews, stamp_ns: int) -> None:
-        evidence = self._keeper.map
-        told, tiles = tell(evidence, news)
+    def _record(self, news: SurfaceNews, stamp_ns: int) -> None:
+        evidence = self._persistence.map
+        recorded, tiles = record(evidence, news)
         cells = news.rows, news.cols
-        change = CellChanges(SURFACE_LAYER, stamp_ns, *cells, evidence.told[cells], told)
-        whole = evidence.told.copy()
-        whole[cells] = told
+        change = CellChanges(SURFACE_LAYER, stamp_ns, *cells, evidence.surface_changes[cells], recorded)
+        whole = evidence.surface_changes.copy()
+        whole[cells] = recorded
         evidence.recall(whole)
         top, left = int(news.rows.min()), int(news.cols.min())
         window = (top, left, int(news.rows.max()) - top + 1, int(news.cols.max()) - left + 1)
-        self._keeper.replace_tiles(tiles, SOURCE, stamp_ns, window, [change])
+        self._persistence.replace_tiles(tiles, SOURCE, stamp_ns, window, [change])
         self._health.note("terrain_changes")
 
     def _check_frame(self, message: Any, what: str) -> None:

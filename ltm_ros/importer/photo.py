@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import io
-import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pillow_heif
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import ImageOps
 
 from ltm_core.errors import ImageError, RecordingError
+from ltm_core.picture_io import open_picture
 from ltm_msgs_py.image import decode_rgb, encode_rgb
 from ltm_ros.importer.exif import ExifFacts, exif_facts
 
@@ -85,29 +83,18 @@ def read_photo(path: Path) -> Photo:
     JPEG and PNG keep their very bytes unless EXIF says that the image is to be turned; then, and for HEIC, the upright
     image is compressed anew (JPEG quality 95). Raises ImageError on anything else, or on a file that does not decode.
     """
-    pillow_heif.register_heif_opener()
-    try:
-        data = path.read_bytes()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow warns of large images and odd EXIF; what matters is checked here
-            with Image.open(io.BytesIO(data)) as image:
-                found = image.format or "unknown"
-                facts = exif_facts(image.getexif(), str(path))
-                if found not in _FORMATS and found != "HEIF":
-                    raise ImageError(f"{path} is {found}; photos must be JPEG, PNG or HEIC")
-                # libheif has already turned a HEIC image upright, whatever its EXIF says.
-                if found in _FORMATS and facts.orientation == 1:
-                    pixels = decode_rgb(data, str(path))
-                    height, width = pixels.shape[:2]
-                    return Photo(path, data, _FORMATS[found], width, height, facts, reencoded=False)
-                upright = image if found == "HEIF" else ImageOps.exif_transpose(image)
-                pixels = np.asarray(upright.convert("RGB"), np.uint8)
-    except UnidentifiedImageError as error:
-        raise ImageError(
-            f"{path} is no photo that can be read: it is not JPEG, PNG or HEIC, or it is cut short"
-        ) from error
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ImageError(f"{path} cannot be read: {error}") from error
+    with open_picture(path) as (image, data):
+        found = image.format or "unknown"
+        if found not in _FORMATS and found != "HEIF":
+            raise ImageError(f"{path} is {found}; photos must be JPEG, PNG or HEIC")
+        facts = exif_facts(image.getexif(), str(path))
+        # libheif has already turned a HEIC image upright, whatever its EXIF says.
+        if found in _FORMATS and facts.orientation == 1:
+            pixels = decode_rgb(data, str(path))
+            height, width = pixels.shape[:2]
+            return Photo(path, data, _FORMATS[found], width, height, facts, reencoded=False)
+        upright = image if found == "HEIF" else ImageOps.exif_transpose(image)
+        pixels = np.asarray(upright.convert("RGB"), np.uint8)
     image_format = "png" if found == "PNG" else "jpeg"
     height, width = pixels.shape[:2]
     encoded = encode_rgb(pixels, image_format, _REENCODED_QUALITY)

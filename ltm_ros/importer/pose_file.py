@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import csv
+import io
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
 from pydantic import BeforeValidator, Field, model_validator
 
 from ltm_core.config_io import checked
 from ltm_core.errors import ConfigError
 from ltm_core.plausibility import AzimuthDeg, PitchDeg, RollDeg
 from ltm_core.site import Config, RosName
+from ltm_core.text_io import LARGEST_TABLE, read_text
+from ltm_core.yaml_io import read_yaml
 
 
 def _unquoted(value: object) -> object:
@@ -83,12 +85,8 @@ def read_pose_file(path: Path) -> dict[str, PhotoPose]:
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise ConfigError(f"pose file {path} must end in .csv, .yaml or .yml")
-    try:
-        rows = reader(path)
-    except (OSError, UnicodeDecodeError, csv.Error, yaml.YAMLError) as error:
-        raise ConfigError(f"cannot read pose file {path}: {error}") from error
     poses: dict[str, PhotoPose] = {}
-    for place, row in rows:
+    for place, row in reader(path):
         pose = checked(PhotoPose, row, place)
         if pose.name in poses:
             raise ConfigError(f"{place}: {pose.name} comes twice")
@@ -99,8 +97,9 @@ def read_pose_file(path: Path) -> dict[str, PhotoPose]:
 
 
 def _csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        reader = csv.DictReader((line for line in file if line.strip()), skipinitialspace=True, strict=True)
+    lines = io.StringIO(read_text(path, LARGEST_TABLE, ConfigError, "utf-8-sig"), newline="")
+    try:
+        reader = csv.DictReader((line for line in lines if line.strip()), skipinitialspace=True, strict=True)
         columns = [name.strip() for name in reader.fieldnames or []]
         unknown = sorted(set(columns) - PhotoPose.model_fields.keys())
         if unknown or len(set(columns)) < len(columns):
@@ -116,10 +115,12 @@ def _csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
                 raise ConfigError(f"{place}: has more or fewer values than the header's {len(columns)} columns")
             rows.append((place, {name: value.strip() for name, value in row.items() if value.strip()}))
         return rows
+    except csv.Error as error:
+        raise ConfigError(f"{path}: cannot be read as CSV ({error})") from error
 
 
 def _yaml_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
-    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    content = read_yaml(path)
     if not isinstance(content, list) or not all(isinstance(row, dict) for row in content):
         raise ConfigError(f"pose file {path} must be a YAML list of mappings, one a photo, each with a name")
     return [(f"{path}, entry {number}", row) for number, row in enumerate(content, start=1)]

@@ -13,14 +13,14 @@ import time
 
 from rclpy.node import Node
 
-FAREWELL_CPU_S = 3.0
+SHUTDOWN_CPU_S = 3.0
 """Processor time that leaving the middleware and the interpreter may take; a node of ours needs 0.5 to 0.9 s."""
 PATIENCE_S = 3.0
 QUIET_S = 0.3
 POLL_S = 0.02
 
 
-def begin_farewell(cpu_s: float = FAREWELL_CPU_S) -> None:
+def limit_shutdown(cpu_s: float = SHUTDOWN_CPU_S) -> None:
     """From here on this process ends by SIGPROF when it has used `cpu_s` of processor time and is still there.
 
     For the last act of a process that has finished its work and sent what it had to send. Processor time, because a

@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from ltm_core.errors import ConfigError
-from ltm_core.site import Site
+from ltm_core.site import Site, WatchdogConfig
 
 ParameterValue = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 
@@ -84,6 +84,7 @@ class Graph:
 
     site: str
     nodes: tuple[NodeSpec, ...]
+    watchdog: WatchdogConfig = field(default_factory=WatchdogConfig)
 
     def __post_init__(self) -> None:
         labels = [node.label for node in self.nodes]
@@ -120,11 +121,16 @@ def describe(
     `cameras`: only these (empty: all). `view`, `record`: also run the viewer, the recorder, with these parameters.
     `parameters`: by node type, over those of the site file. Raises ConfigError for an unknown camera or node type, a
     parameter that the graph itself gives, and a value that ROS has no parameter type for.
+
+    With `sim_time` no camera's frames are shed unless a parameter says so: a recording waits, and shall come through
+    whole.
     """
     place = Path(path).expanduser().resolve()
     given = _overrides(site, place, parameters or {})
     for extra, values in (("viewer", view), ("recorder", record)):
         given[extra] = given.get(extra, {}) | dict(values or {})
+    if sim_time:
+        given["capture"] = {"shed": False} | given.get("capture", {})
     common: dict[str, ParameterValue] = {"site": str(place), "use_sim_time": sim_time}
 
     def spec(kind: str, namespace: str, own: Mapping[str, ParameterValue]) -> NodeSpec:
@@ -148,7 +154,7 @@ def describe(
         nodes.append(spec("viewer", f"/{site.name}", {}))
     if record is not None:
         nodes.append(spec("recorder", f"/{site.name}", {}))
-    return Graph(site.name, tuple(nodes))
+    return Graph(site.name, tuple(nodes), site.watchdog)
 
 
 def parameters_yaml(parameters: Mapping[str, ParameterValue]) -> str:

@@ -4,7 +4,9 @@
 
 The runner tells it the process groups and temporary folders that exist. When the pipe closes (the runner is gone,
 however it went), whatever is still listed is ended and removed, and so is the shared memory that it leaves. A runner
-that stops in order has emptied the list by then. Standard library only, so that it costs little to have around.
+that stops in order has emptied the list by then. Where it lies still itself, it goes on when the runner ends, for
+that. Nodes end without it too (`supervised`); shared memory and folders are removed by it alone. Standard library only,
+so that it costs little to have around.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from collections.abc import Iterable
 from typing import TextIO
 
 from ltm_ros.launching import shared_memory
+from ltm_ros.launching.supervised import signal_at_parents_death
 
 GRACE_S = 5.0
 
@@ -50,7 +53,7 @@ def end_groups(groups: Iterable[int], grace_s: float = GRACE_S) -> None:
             return
 
 
-def guard(orders: TextIO) -> None:
+def clean_up_at_end(orders: TextIO) -> None:
     """Follow orders (`group N`, `forget N`, `folder PATH`, `forget-folder PATH`, one a line) until the pipe closes."""
     groups: set[int] = set()
     folders: set[str] = set()
@@ -75,7 +78,8 @@ def guard(orders: TextIO) -> None:
 def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    guard(sys.stdin)
+    signal_at_parents_death(signal.SIGCONT)
+    clean_up_at_end(sys.stdin)
 
 
 if __name__ == "__main__":

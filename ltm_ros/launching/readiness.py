@@ -18,7 +18,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from ltm_ros.launching.dds_shutdown import begin_farewell
+from ltm_ros.launching.dds_shutdown import limit_shutdown
 
 NOT_READY = 1
 
@@ -47,7 +47,7 @@ class ReadinessWatch:
         return not self.missing
 
     def close(self) -> None:
-        begin_farewell()
+        limit_shutdown()
         self._executor.shutdown()
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)

@@ -18,8 +18,10 @@ from typing import TextIO
 
 from ltm_core.errors import LtmError
 from ltm_ros.launching import shared_memory
+from ltm_ros.launching.cleanup_process import CleanupProcess
 from ltm_ros.launching.graph import Graph, NodeSpec, parameters_yaml
 from ltm_ros.launching.ros_environment import ros_environment
+from ltm_ros.launching.supervised import start_supervised, supervised_command
 from ltm_ros.launching.supervisor import Console, NodeProcess, ProcessState, RestartPolicy
 
 KEPT_RUNS = 10
@@ -31,19 +33,31 @@ class GraphError(LtmError):
 
 
 def print_line(line: str) -> None:
-    """Console of a runner in a terminal; one write a line, so that the lines of several nodes do not mix."""
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
+    """Console of a runner in a terminal; one write a line, so that the lines of several nodes do not mix.
+
+    A console that takes nothing (a file on a full disk, a terminal that is gone) loses lines; the graph goes on.
+    """
+    with contextlib.suppress(OSError):
+        # Not through the stream's buffer: what it cannot get rid of makes the process end with an error.
+        sys.stdout.flush()
+        os.write(sys.stdout.fileno(), f"{line}\n".encode(errors="replace"))
 
 
 def new_log_folder(site: str) -> Path:
-    """A fresh folder for a run's logs under `$XDG_STATE_HOME/ltm`; removes all but the newest former ones."""
+    """A fresh folder for a run's logs under `$XDG_STATE_HOME/ltm`; removes all but the newest former ones.
+
+    On a full disk one that is not there yet: logs are made when there is room.
+    """
     state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state") / "ltm" / site
-    state.mkdir(parents=True, exist_ok=True)
-    former = sorted(path for path in state.iterdir() if path.is_dir())
-    for path in former[: max(0, len(former) - KEPT_RUNS + 1)]:
-        shutil.rmtree(path, ignore_errors=True)
-    return Path(tempfile.mkdtemp(prefix=time.strftime("%Y%m%d-%H%M%S-"), dir=state))
+    begun = time.strftime("%Y%m%d-%H%M%S-")
+    try:
+        state.mkdir(parents=True, exist_ok=True)
+        former = sorted(path for path in state.iterdir() if path.is_dir())
+        for path in former[: max(0, len(former) - KEPT_RUNS + 1)]:
+            shutil.rmtree(path, ignore_errors=True)
+        return Path(tempfile.mkdtemp(prefix=begun, dir=state))
+    except OSError:
+        return state / f"{begun}{os.getpid()}"
 
 
 class Runner:
@@ -79,8 +93,7 @@ class Runner:
         self._extra_environment = dict(environment or {})
         self._lock = threading.RLock()
         self._folder: Path | None = None
-        self._guardian: subprocess.Popen[str] | None = None
-        self._guardian_lock = threading.Lock()
+        self._cleanup = CleanupProcess(lambda: self._environment(busy=False), self._say)
         self._changed = threading.Event()
         self._stopping = threading.Event()
 
@@ -106,9 +119,8 @@ class Runner:
             shared_memory.remove_stale()
             self._warn_of_small_shm()
             self._folder = Path(tempfile.mkdtemp(prefix="ltm-run-"))
-            self._start_guardian()
-            self._order(f"folder {self._folder}")
-            self.log_folder.mkdir(parents=True, exist_ok=True)
+            self._cleanup.folder(self._folder, exists=True)
+            self._cleanup.start()
             for spec in self.graph:
                 self.processes[spec.label] = self._process(spec)
             for process in self.processes.values():
@@ -121,17 +133,10 @@ class Runner:
         when a node was given up.
         """
         names = {spec.full_name: spec.label for spec in self.graph}
-        command = [sys.executable, "-m", "ltm_ros.launching.readiness", "--timeout", str(timeout_s)]
+        command = supervised_command("ltm_ros.launching.readiness", "--timeout", str(timeout_s))
         command += ["--discovered"] if discovered_suffices else []
-        watch = subprocess.Popen(
-            [*command, *names],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            text=True,
-            env=self._environment(busy=False),
-            start_new_session=True,
-        )
-        self._order(f"group {watch.pid}")
+        watch, heartbeat = start_supervised([*command, *names], self._environment(busy=False))
+        self._cleanup.group(watch.pid, alive=True)
         missing = dict(names)
         assert watch.stdout is not None
 
@@ -158,7 +163,8 @@ class Runner:
             watch.wait()
             reader.join(2.0)
             watch.stdout.close()
-            self._order(f"forget {watch.pid}")
+            os.close(heartbeat)
+            self._cleanup.group(watch.pid, alive=False)
         lost = self.given_up or list(missing.values())
         if lost:
             raise GraphError("\n".join([f"not ready: {', '.join(lost)}", *map(self._obituary, lost)]))
@@ -190,9 +196,9 @@ class Runner:
             if self._folder is not None:
                 self._remove_shared_memory()
                 shutil.rmtree(self._folder, ignore_errors=True)
-                self._order(f"forget-folder {self._folder}")
+                self._cleanup.folder(self._folder, exists=False)
                 self._folder = None
-            self._end_guardian()
+            self._cleanup.stop()
 
     def run(self) -> int:
         """Body of `ltm run`: start, wait for SIGINT, SIGTERM or SIGHUP, stop. Call it from the main thread.
@@ -234,7 +240,7 @@ class Runner:
         parameters = self._folder / f"{spec.label.replace('/', '.')}.yaml"
         parameters.write_text(parameters_yaml(spec.parameters), encoding="utf-8")
         remappings = [("__ns", spec.namespace), ("__node", spec.name), *spec.remappings]
-        command = [sys.executable, "-m", spec.module, "--ros-args"]
+        command = supervised_command(spec.module, "--ros-args")
         command += [part for old, new in remappings for part in ("-r", f"{old}:={new}")]
         # The node's output is kept by us; ROS's own log files in ~/.ros would grow beside it.
         command += ["--params-file", str(parameters), "--disable-external-lib-logs"]
@@ -245,12 +251,13 @@ class Runner:
             log_file=self.log_folder / f"{spec.label.replace('/', '.')}.log",
             console=self._say,
             policy=self._policy,
+            watchdog=self.graph.watchdog,
             on_group=self._on_group,
             on_given_up=self._changed.set,
         )
 
     def _on_group(self, group: int, alive: bool) -> None:
-        self._order(f"{'group' if alive else 'forget'} {group}")
+        self._cleanup.group(group, alive)
         if not alive:
             # Each crash leaves a segment of 70 MB: a node that keeps crashing would fill the memory.
             shared_memory.remove_stale()
@@ -295,34 +302,7 @@ class Runner:
                 "will be slow or lost; enlarge it (mount -o remount,size=2G /dev/shm; docker run --shm-size=2g)"
             )
 
-    def _start_guardian(self) -> None:
-        self._guardian = subprocess.Popen(
-            [sys.executable, "-m", "ltm_ros.launching.orphan_cleanup"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            env=self._environment(busy=False),
-            start_new_session=True,
-            text=True,
-        )
-
-    def _order(self, line: str) -> None:
-        with self._guardian_lock:
-            if self._guardian is None or self._guardian.stdin is None:
-                return
-            # A cleanup process that somebody killed is no reason to stop watching a mountain.
-            with contextlib.suppress(OSError, ValueError):
-                self._guardian.stdin.write(line + "\n")
-                self._guardian.stdin.flush()
-
-    def _end_guardian(self) -> None:
-        with self._guardian_lock:
-            guardian, self._guardian = self._guardian, None
-        if guardian is None or guardian.stdin is None:
-            return
-        with contextlib.suppress(OSError):
-            guardian.stdin.close()
-        guardian.wait()
-
     def _say(self, line: str) -> None:
-        with self._console_lock:
+        # A console that is gone (`ltm run | head`) ends no graph; the log files have every line.
+        with self._console_lock, contextlib.suppress(OSError):
             self._console(line)

@@ -1,12 +1,10 @@
-"""Supervises one process of a graph: starts it, labels its output, restarts it with back-off when it dies."""
+"""Supervises one process of a graph: starts it, labels its output, restarts it with back-off when it dies or hangs."""
 
 from __future__ import annotations
 
-import logging
-import logging.handlers
 import os
+import select
 import signal
-import subprocess
 import threading
 import time
 from collections import deque
@@ -16,13 +14,18 @@ from enum import Enum
 from pathlib import Path
 from typing import IO
 
+from ltm_core.site import WatchdogConfig
+from ltm_ros.launching.node_log import NodeLog
 from ltm_ros.launching.orphan_cleanup import end_groups, group_alive
+from ltm_ros.launching.supervised import SHOW_STACKS, start_supervised
+from ltm_ros.launching.watchdog import HangWatch, process_use
 
 EX_CONFIG = 78
 """Exit status of a node whose configuration cannot work (sysexits.h)."""
 
-LOG_BYTES = 4 << 20
-LOG_FILES = 3
+LOOK_S = 1.0
+STACKS_S = 1.0
+"""What a process that is killed because it hangs has to say where it hangs."""
 
 Console = Callable[[str], None]
 
@@ -84,8 +87,8 @@ def describe_exit(status: int) -> str:
 class NodeProcess:
     """Runs `command` until `stop`. One thread follows the process, another its output; both end with it.
 
-    The process leads a session of its own: Ctrl-C in a terminal reaches the runner alone, which then stops every node
-    in order, and whatever a node itself has started can be ended with it.
+    With a `watchdog`, a process that hangs is killed with all that it has started, and starts again. `command` is then
+    a `supervised_command`: what never tells of itself is taken for hung.
     """
 
     label: str
@@ -94,6 +97,8 @@ class NodeProcess:
     log_file: Path
     console: Console
     policy: RestartPolicy = field(default_factory=RestartPolicy)
+    watchdog: WatchdogConfig | None = None
+    """When it hangs; None: only its death is noticed."""
     on_group: Callable[[int, bool], None] = lambda group, alive: None
     """Told of every process group that comes (True) and is gone (False)."""
     on_given_up: Callable[[], None] = lambda: None
@@ -101,6 +106,8 @@ class NodeProcess:
     state: ProcessState = field(default=ProcessState.WAITING, init=False)
     pid: int | None = field(default=None, init=False)
     starts: int = field(default=0, init=False)
+    hangs: int = field(default=0, init=False)
+    """How often it was killed because it hung."""
     last_exit: str = field(default="", init=False)
     """How the last run ended, in words."""
 
@@ -109,8 +116,12 @@ class NodeProcess:
         self._stopping = threading.Event()
         self._tail: deque[str] = deque(maxlen=12)
         self._backoff = Backoff(self.policy)
+        self._slow_starts = 0
+        self._hang = ""
+        """Why the last run was killed, where it hung."""
         self._thread = threading.Thread(target=self._supervise, name=f"supervise {self.label}", daemon=True)
-        self._log = _open_log(self.log_file)
+        self._log = NodeLog(self.log_file, lambda text: self.console(f"[{self.label}] -- {text}"))
+        self._log_lock = threading.Lock()
 
     @property
     def restarts(self) -> int:
@@ -144,9 +155,7 @@ class NodeProcess:
 
     def close(self) -> None:
         """Close the log file; call when the node has stopped."""
-        for handler in list(self._log.handlers):
-            self._log.removeHandler(handler)
-            handler.close()
+        self._log.close()
 
     def last_words(self) -> list[str]:
         """The newest lines of its output."""
@@ -159,7 +168,7 @@ class NodeProcess:
             uptime_s = time.monotonic() - begun
             if self._stopping.is_set():
                 break
-            self.last_exit = describe_exit(status)
+            self.last_exit = f"hung ({self._hang})" if self._hang else describe_exit(status)
             delay_s = self._backoff.after(status, uptime_s)
             if delay_s is None:
                 self.state = ProcessState.GIVEN_UP
@@ -174,16 +183,7 @@ class NodeProcess:
     def _run_once(self) -> int:
         """Start the process and follow it to its end; its exit status as subprocess has it."""
         try:
-            process = subprocess.Popen(
-                list(self.command),
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                env=dict(self.environment),
-                start_new_session=True,
-                text=True,
-                errors="replace",
-            )
+            process, heartbeat = start_supervised(self.command, self.environment)
         except OSError as error:
             self._tell(f"cannot be started: {error}")
             return 127
@@ -196,8 +196,7 @@ class NodeProcess:
         assert process.stdout is not None
         reader = threading.Thread(target=self._read, args=(process.stdout,), name=f"read {self.label}", daemon=True)
         reader.start()
-        # Wait without reaping: while the zombie is there its process id belongs to nobody else.
-        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        self._hang = self._follow(process.pid, heartbeat)
         with self._lock:
             self.pid = None
             self.state = ProcessState.WAITING
@@ -207,6 +206,46 @@ class NodeProcess:
         self.on_group(group, False)
         reader.join(timeout=2.0)
         return status
+
+    def _follow(self, pid: int, heartbeat: int) -> str:
+        """Until the process has ended; why it was killed, where it hung.
+
+        It is not reaped here: while the zombie is there its process id belongs to nobody else.
+        """
+        watch = HangWatch(self.watchdog, self._slow_starts) if self.watchdog else None
+        hang = ""
+        end = os.pidfd_open(pid)
+        poll = select.poll()
+        poll.register(end, select.POLLIN)
+        poll.register(heartbeat, select.POLLIN)
+        last = time.monotonic()
+        try:
+            while True:
+                ready = dict(poll.poll(LOOK_S * 1000))
+                if end in ready:
+                    break
+                heard = b""
+                if heartbeat in ready and not (heard := os.read(heartbeat, 1 << 16)):
+                    poll.unregister(heartbeat)
+                now = time.monotonic()
+                elapsed_s, last = now - last, now
+                if watch and not hang and (hang := watch.look(elapsed_s, heard, process_use(pid))):
+                    self._kill_hung(hang, end)
+        finally:
+            os.close(end)
+            os.close(heartbeat)
+        self._slow_starts = self._slow_starts + 1 if watch and hang and not watch.started else 0
+        return hang
+
+    def _kill_hung(self, hang: str, end: int) -> None:
+        self.hangs += 1
+        ended = select.poll()
+        ended.register(end, select.POLLIN)
+        # A process that is stopped says nothing, and one that is not yet at its `supervised` dies of this already.
+        self.signal(SHOW_STACKS)
+        ended.poll(STACKS_S * 1000)
+        self.signal(signal.SIGKILL, whole_group=True)
+        self._tell(f"hangs: {hang}; killed, the {self.hangs}. time")
 
     def _read(self, output: IO[str]) -> None:
         with output:
@@ -218,15 +257,6 @@ class NodeProcess:
         self._emit(f"-- {text}")
 
     def _emit(self, line: str) -> None:
-        self._log.info(line)
+        with self._log_lock:
+            self._log.write(line)
         self.console(f"[{self.label}] {line}")
-
-
-def _open_log(path: Path) -> logging.Logger:
-    """A file that cannot fill the disk; stands apart from the process's own logging."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handler = logging.handlers.RotatingFileHandler(path, maxBytes=LOG_BYTES, backupCount=LOG_FILES - 1, delay=True)
-    handler.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
-    log = logging.Logger(f"ltm {path}", logging.INFO)
-    log.addHandler(handler)
-    return log

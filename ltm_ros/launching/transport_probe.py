@@ -12,7 +12,7 @@ from pathlib import Path
 import rclpy
 
 from ltm_ros.launching import shared_memory
-from ltm_ros.launching.dds_shutdown import begin_farewell
+from ltm_ros.launching.dds_shutdown import limit_shutdown
 
 
 def own_segment_bytes() -> list[int]:
@@ -34,7 +34,7 @@ def main() -> None:
     node = rclpy.create_node("ltm_transport_probe", enable_rosout=False)
     print(json.dumps({"rmw": rclpy.get_rmw_implementation_identifier(), "segment_bytes": own_segment_bytes()}))
     sys.stdout.flush()
-    begin_farewell()
+    limit_shutdown()
     node.destroy_node()
     rclpy.try_shutdown()
 

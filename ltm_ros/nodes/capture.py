@@ -1,8 +1,10 @@
-"""capture: joins a camera's images, calibration and poses, checks them, and republishes them under one stamp."""
+"""capture: joins a camera's images, calibration and poses, checks them, and lets them into the camera's chain of nodes
+under one stamp, as many as these can finish."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,14 +18,16 @@ from ltm_core.site_io import load_site
 from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, image_to_msg, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
-from ltm_msgs_py.stamp import stamp_of
+from ltm_msgs_py.stamp import stamp_of, time_to_ns
+from ltm_ros.runtime.admission import Admission
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_check import StampCheck
-from ltm_ros.runtime.stamp_join import Match, Part, StampJoin
+from ltm_ros.runtime.stamp_join import Match, Part, StampJoin, data_bytes
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
+    FINISHED,
     IMAGE_COMPRESSED,
     IMAGE_RAW,
     POSE,
@@ -39,11 +43,27 @@ class CaptureConfig(NodeConfig):
     max_wait: float = Field(3.0, gt=0)
     """Seconds that an image waits for its pose and calibration."""
     max_waiting: int = Field(20, ge=1)
-    """Images that wait at most; beyond it the oldest is dropped."""
+    """Images that wait for their pose and calibration at most; beyond it the oldest is dropped."""
+    in_flight: int = Field(2, ge=1)
+    """Frames that the camera's nodes work on at most: one is labelled while another is fused."""
+    finish_within: float = Field(10.0, gt=0)
+    """Seconds after which a node that has frames and finishes none is not waited for, until it finishes one."""
+    shed: bool = True
+    """While so many are in flight, the newest frame waits and those before it are turned away. False, as in a replay:
+    all wait in order, up to `waiting_bytes` of the site's limits."""
+
+
+@dataclass(frozen=True)
+class _Frame:
+    image: Any
+    pose: Pose
+    covariance: Any
+    camera: Camera
 
 
 class Capture(Handler[CaptureConfig]):
-    """An image leaves when its pose and a calibration are there; the newest calibration up to its stamp counts."""
+    """An image leaves when its pose and a calibration are there (the newest calibration up to its stamp counts), and
+    when the nodes that work on the camera's frames have room for it (`Admission`)."""
 
     publications = (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE)
 
@@ -67,18 +87,29 @@ class Capture(Handler[CaptureConfig]):
         self._stamps = StampCheck(outlet.now_ns, health)
         self._join = StampJoin(
             parts,
-            self._send,
+            self._offer,
             health,
             config.max_waiting,
             max_wait=config.max_wait,
             give_up=self._give_up,
             capacity_bytes=site.limits.waiting_bytes,
         )
+        self._admission = Admission[_Frame](
+            self._send,
+            lambda: outlet.workers(FINISHED),
+            health,
+            config.in_flight,
+            config.finish_within,
+            config.shed,
+            lambda frame: data_bytes(frame.image),
+            site.limits.waiting_bytes,
+        )
         self._newest = -1
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
         topics: dict[Any, Callable[[Any], None]] = {IMAGE_RAW if self._raw else IMAGE_COMPRESSED: self.on_image}
+        topics[FINISHED] = self.on_finished
         if self._fixed_calibration is None:
             topics[CAMERA_INFO] = self.on_camera_info
         if self._fixed_pose is None:
@@ -106,25 +137,34 @@ class Capture(Handler[CaptureConfig]):
             covariance = msg_to_covariance(message, self._assumed)
         self._join.add("pose", stamp_of(message), (pose, covariance))
 
+    def on_finished(self, message: Any) -> None:
+        self._admission.finished(message.frame_id, time_to_ns(message.stamp))
+
     def tick(self, waited: float) -> None:
         self._join.tick(waited)
+        self._admission.tick(waited)
 
     def finish(self) -> None:
         self._join.finish()
+        self._admission.finish()
 
-    def _send(self, image: Any, pose: tuple[Pose, Any] | None = None, calibration: Camera | None = None) -> None:
+    def _offer(self, image: Any, pose: tuple[Pose, Any] | None = None, calibration: Camera | None = None) -> None:
         where, covariance = (self._fixed_pose, None) if pose is None else pose
         camera = self._fixed_calibration if calibration is None else calibration
         assert where is not None
         assert camera is not None
-        stamp = stamp_of(image)
-        if not self._raw and not self._fits(image, camera):
-            return
-        photo = msg_to_rgb(image) if self._raw else compressed_to_rgb(image)
-        frame = PosedImage(photo, camera, where, stamp, self.config.camera)
-        self.outlet.publish(POSED_CAMERA_INFO, camera_to_msg(frame.camera, stamp, self._frame_id))
-        self.outlet.publish(POSED_POSE, pose_to_msg(frame.pose, stamp, "map", covariance))
-        self.outlet.publish(POSED_IMAGE, image_to_msg(frame.image, "rgb8", stamp, self._frame_id))
+        # A JPEG or PNG whose first bytes say that it is not this camera's takes no other's place at the door.
+        if self._raw or self._fits(image, camera):
+            self._admission.offer(stamp_of(image), _Frame(image, where, covariance, camera))
+
+    def _send(self, frame: _Frame) -> None:
+        """Only here is an image decoded: what is turned away costs next to nothing."""
+        stamp = stamp_of(frame.image)
+        photo = msg_to_rgb(frame.image) if self._raw else compressed_to_rgb(frame.image)
+        posed = PosedImage(photo, frame.camera, frame.pose, stamp, self.config.camera)
+        self.outlet.publish(POSED_CAMERA_INFO, camera_to_msg(posed.camera, stamp, self._frame_id))
+        self.outlet.publish(POSED_POSE, pose_to_msg(posed.pose, stamp, "map", frame.covariance))
+        self.outlet.publish(POSED_IMAGE, image_to_msg(posed.image, "rgb8", stamp, self._frame_id))
 
     def _too_large(self, message: Any) -> bool:
         """Whether an image holds more than may wait here; the size that its first bytes state is looked at later."""

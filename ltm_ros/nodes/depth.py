@@ -18,21 +18,22 @@ from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
+from ltm_ros.runtime.handler import Handler, NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import StampJoin
+from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
 from ltm_ros.runtime.topics import (
     ALIGNMENT,
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
+    FINISHED,
     GROUND_DEPTH,
     POSED_CAMERA_INFO,
     POSED_POSE,
 )
 
 
-class DepthConfig(NodeConfig):
+class DepthConfig(JoinConfig):
     surface: bool = True
     """Trace to the tops of trees and houses where the site has a surface raster; else, and where not, to bare earth.
     Both hits are kept: the one on bare earth is then on `depth/ground`, while someone listens."""
@@ -42,6 +43,7 @@ class Depth(Handler[DepthConfig]):
     """Needs no image: calibration and pose decide what the terrain looks like."""
 
     publications = (DEPTH_IMAGE, DEPTH_CAMERA_INFO, GROUND_DEPTH, ALIGNMENT)
+    acknowledgements = (FINISHED,)
 
     def __init__(self, config: DepthConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -53,7 +55,7 @@ class Depth(Handler[DepthConfig]):
         self._bare = self._tracer if traced is ground else TerrainTracer(ground, site.curvature, site.refraction)
         self._most_pixels = site.limits.pixels
         self._frame_id = f"{config.camera}_optical"
-        self._join = StampJoin(("info", "pose"), self._trace, health)
+        self._join = StampJoin(("info", "pose"), self._trace, health, max_wait=config.max_wait)
         _compile_kernels()
 
     @property
@@ -62,6 +64,9 @@ class Depth(Handler[DepthConfig]):
             POSED_CAMERA_INFO: lambda m: self._join.add("info", stamp_of(m), m),
             POSED_POSE: lambda m: self._join.add("pose", stamp_of(m), m),
         }
+
+    def tick(self, waited: float) -> None:
+        self._join.tick(waited)
 
     def finish(self) -> None:
         self._join.finish()
@@ -85,6 +90,7 @@ class Depth(Handler[DepthConfig]):
             self.outlet.publish(ALIGNMENT, image_to_msg(ranges.points(), "32FC3", stamp, "map"))
         for name, count in asdict(self._tracer.statistics).items():
             self.health.gauge(f"tracer.{name}", count)
+        self.outlet.acknowledge(FINISHED, stamp)
 
 
 def _compile_kernels() -> None:

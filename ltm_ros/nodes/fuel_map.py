@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 from std_msgs.msg import String
 
-from ltm_core.errors import ConfigError, MessageError
+from ltm_core.errors import ConfigError, MessageError, StoreError
 from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.fuel_map_io import write_fuel_map
@@ -37,6 +37,7 @@ from ltm_ros.fuel_map.terrain_changes import SurfaceListener, terrain_grid
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.retry import LAST_TRIES_S
 from ltm_ros.runtime.stamp_check import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
 from ltm_ros.runtime.topics import (
     FUEL_MAP_ANSWER,
@@ -200,11 +201,19 @@ class FuelMap(Handler[FuelMapConfig]):
         self._publisher.tick(waited)
 
     def finish(self) -> None:
+        """Raises StoreError where frames could not be stored; they are lost."""
         self._publisher.announce(self.persistence.close())
         self._publisher.send_map()
         self._publisher.send_cells()
-        if self.config.export_path:
-            self._write()
+        try:
+            if self.config.export_path:
+                self._write()
+        finally:
+            if lost := self.persistence.unsaved_frames:
+                raise StoreError(
+                    f"{lost} frames are lost, which nobody was told are stored: {LAST_TRIES_S:.0f} s more did not "
+                    f"help ({self.persistence.failure}); send them again"
+                )
 
     def save(self) -> str:
         """Write the map to the configured file. Raises ConfigError where none is configured."""

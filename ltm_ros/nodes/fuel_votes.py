@@ -18,13 +18,14 @@ from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.votes import fitting, votes_to_msg
-from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
+from ltm_ros.runtime.handler import Handler, NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import StampJoin
+from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
 from ltm_ros.runtime.topics import (
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
+    FINISHED,
     FUEL_VOTES,
     LABELS_CONFIDENCE,
     LABELS_IMAGE,
@@ -32,10 +33,11 @@ from ltm_ros.runtime.topics import (
 )
 
 
-class FuelVotes(Handler[NodeConfig]):
+class FuelVotes(Handler[JoinConfig]):
     publications = (FUEL_VOTES,)
+    acknowledgements = (FINISHED,)
 
-    def __init__(self, config: NodeConfig, outlet: Outlet, health: Health) -> None:
+    def __init__(self, config: JoinConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = load_site(config.site)
         site.camera(config.camera)
@@ -45,7 +47,8 @@ class FuelVotes(Handler[NodeConfig]):
         self._caster = VoteCaster(site.fuel_geometry(dem), dem, votes_for, site.fuel.max_range, site.bend)
         self._assumed = site.assumed_pose_error.covariance()
         self._frames = 0
-        self._join = StampJoin(("depth", "info", "labels", "confidence", "pose"), self._vote, health)
+        parts = ("depth", "info", "labels", "confidence", "pose")
+        self._join = StampJoin(parts, self._vote, health, max_wait=config.max_wait)
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
@@ -62,6 +65,9 @@ class FuelVotes(Handler[NodeConfig]):
         nothing, zeros = np.full((2, 3), np.nan, np.float32), np.zeros((2, 3), np.uint8)
         camera, pose = Camera.from_fov(3, 2, 60.0), Pose.from_angles((0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
         self._caster.cast(nothing, camera, pose, zeros, 0, self.config.camera, zeros)
+
+    def tick(self, waited: float) -> None:
+        self._join.tick(waited)
 
     def finish(self) -> None:
         self._join.finish()
@@ -82,9 +88,10 @@ class FuelVotes(Handler[NodeConfig]):
         if len(sent) < len(votes):
             self.health.note("votes_in_turns")
         self.outlet.publish(FUEL_VOTES, votes_to_msg(sent, self._labels.names))
+        self.outlet.acknowledge(FINISHED, stamp_of(depth))
 
 
-NODE = NodeType("fuel_votes", NodeConfig, FuelVotes)
+NODE = NodeType("fuel_votes", JoinConfig, FuelVotes)
 
 
 def main() -> None:

@@ -1,12 +1,14 @@
-"""recorder: writes the serialised messages of topics into an MCAP bag."""
+"""recorder: writes the serialised messages of topics into MCAP bags, and leaves room on the disk."""
 
 from __future__ import annotations
 
+import math
 import os
 import queue
 import re
 import sys
 import threading
+import time
 from collections.abc import Callable
 from fnmatch import fnmatchcase
 from functools import partial
@@ -20,25 +22,36 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ltm_core.errors import ConfigError, LtmError
 from ltm_core.site_io import load_site
 from ltm_msgs_py.bag.schemas import message_class
-from ltm_msgs_py.bag.writer import BagWriter
+from ltm_ros.recordings.bounded_recording import BoundedRecording, RecordingLimits
 from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
-from ltm_ros.runtime.free_path import free_path
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.message_loss import LossCounter, loss_report, writers_of
 from ltm_ros.runtime.node import read_parameters
-from ltm_ros.runtime.node_process import run_until_stopped
+from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
 from ltm_ros.runtime.topics import RECORDED, camera_topic, site_topic
 
 QUEUE_BYTES = 512 << 20
 """Bytes that may wait for the disk before messages are dropped and counted."""
+CLOSE_S = 5.0
+"""For which a recorder that is told to stop goes on writing what waits."""
 
 
 class RecorderConfig(NodeConfig):
     bag: str
-    """Folder to write; where it holds something already, `<bag>_1` and so on is written instead."""
+    """Folder to write; where there is one already, `<bag>_1` and so on is written instead."""
     topics: list[str] = Field(default_factory=list)
     """Absolute names or patterns (`/site/*/depth/*`); empty: the site's inputs, results, truth and diagnostics."""
+    max_bytes: int = Field(-1, ge=-1)
+    """Of all that was recorded under the name of `bag`; the oldest files go. -1: 16 GB, or half of the disk where that
+    is less; 0: no bound."""
+    min_free_bytes: int = Field(-1, ge=-1)
+    """Free space of the disk under which recording stops. -1: 2 GB, or a tenth of the disk where that is less."""
+    file_bytes: int = Field(256 << 20, ge=1)
+    """Size at which the next file begins; a quarter of `max_bytes` where that is less."""
+    file_seconds: float = Field(600.0, gt=0)
+    """Time after which the next file begins."""
 
 
 class Recorder(Node):  # type: ignore[misc]
@@ -52,25 +65,32 @@ class Recorder(Node):  # type: ignore[misc]
         self._taken: set[str] = set()
         self._queue: queue.Queue[Callable[[], None] | None] = queue.Queue()
         self._waiting = 0
+        self._stop_at = math.inf
         self._lock = threading.Lock()
-        self._writer = BagWriter(free_path(Path(config.bag)))
+        path = Path(config.bag)
+        limits = RecordingLimits.of(
+            path, config.max_bytes, config.min_free_bytes, config.file_bytes, config.file_seconds
+        )
+        self._recording = BoundedRecording(
+            path, self.get_fully_qualified_name(), limits, self.health, self.get_logger().warning
+        )
         # Handed to the operating system every second, so that it survives a kill.
-        self.create_timer(1.0, lambda: self._queue.put(self._writer.flush), clock=DiagnosticsPublisher.steady_clock())
+        self.create_timer(
+            1.0, lambda: self._queue.put(self._recording.flush), clock=DiagnosticsPublisher.steady_clock()
+        )
         self.create_timer(0.2, self._discover, clock=DiagnosticsPublisher.steady_clock())
         self._diagnostics = DiagnosticsPublisher(self, self.health)
         self._thread = threading.Thread(target=self._write, name="recorder disk", daemon=True)
         self._thread.start()
 
-    def close(self) -> None:
-        """Write what waits and finish the bag."""
+    def close(self) -> int:
+        """Write what waits, for `CLOSE_S` at most, and finish the bag; the process's exit status."""
+        self._stop_at = time.monotonic() + CLOSE_S
         self._queue.put(None)
         self._thread.join()
-        try:
-            self._writer.close()
-        except LtmError as error:
-            self.health.drop(cause_of(error), str(error))
-            print(f"recorder: {error}", file=sys.stderr)
+        whole = self._recording.close()
         self._diagnostics.publish()
+        return 0 if whole else EX_IOERR
 
     def _discover(self) -> None:
         """Subscribe to topics as they appear; durability and reliability follow what is offered."""
@@ -88,7 +108,7 @@ class Recorder(Node):  # type: ignore[misc]
             except LtmError as error:
                 self.health.drop(cause_of(error), f"{topic}: {error}")
                 continue
-            self._queue.put(partial(self._writer.add_topic, topic, types[0], latched))
+            self._queue.put(partial(self._recording.add_topic, topic, types[0], latched))
             qos = QoSProfile(
                 depth=10,
                 reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
@@ -115,9 +135,11 @@ class Recorder(Node):  # type: ignore[misc]
         self._queue.put(partial(self._store, topic, type_name, cdr, self.get_clock().now().nanoseconds))
 
     def _write(self) -> None:
+        activity = HEARTBEAT.activity("recorder disk")
         while (work := self._queue.get()) is not None:
             try:
-                work()
+                with activity.turn("write"):
+                    work()
             except LtmError as error:
                 self.health.drop(cause_of(error), str(error))
                 self.get_logger().warning(str(error), throttle_duration_sec=5.0)
@@ -128,8 +150,10 @@ class Recorder(Node):  # type: ignore[misc]
 
     def _store(self, topic: str, type_name: str, cdr: bytes, log_time_ns: int) -> None:
         try:
-            self._writer.write_raw(topic, type_name, cdr, log_time_ns)
-            self.health.published(topic)
+            if time.monotonic() > self._stop_at:
+                self.health.drop("stopped", f"the disk took more than {CLOSE_S:.0f} s for what waited at the end")
+                return
+            self._recording.write(topic, type_name, cdr, log_time_ns)
         finally:
             with self._lock:
                 self._waiting -= len(cdr)

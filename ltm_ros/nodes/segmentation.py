@@ -17,7 +17,7 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.topics import LABELS_CONFIDENCE, LABELS_IMAGE, LABELS_INFO, POSED_IMAGE
+from ltm_ros.runtime.topics import FINISHED, LABELS_CONFIDENCE, LABELS_IMAGE, LABELS_INFO, POSED_IMAGE
 
 
 class SegmentationConfig(NodeConfig):
@@ -31,6 +31,7 @@ class SegmentationConfig(NodeConfig):
 
 class Segmentation(Handler[SegmentationConfig]):
     publications = (LABELS_IMAGE, LABELS_CONFIDENCE, LABELS_INFO)
+    acknowledgements = (FINISHED,)
 
     def __init__(self, config: SegmentationConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -53,6 +54,7 @@ class Segmentation(Handler[SegmentationConfig]):
         segmentation = self._segmenter.segment(msg_to_rgb(message), self.config.zoom)
         self.outlet.publish(LABELS_CONFIDENCE, image_to_msg(segmentation.confidence, "mono8", stamp, frame_id))
         self.outlet.publish(LABELS_IMAGE, image_to_msg(segmentation.labels, "mono8", stamp, frame_id))
+        self.outlet.acknowledge(FINISHED, stamp)
 
 
 NODE = NodeType("segmentation", SegmentationConfig, Segmentation)

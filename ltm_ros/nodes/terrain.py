@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -15,7 +16,7 @@ from std_msgs.msg import String
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError
+from ltm_core.errors import ConfigError, StoreError
 from ltm_core.fuel.site_map import site_label_errors
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
@@ -34,12 +35,14 @@ from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.terrain import change_to_msg, changed_to_msg
-from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
-from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
+from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.retry import LAST_PAUSE_S, LAST_TRIES_S, RetryPace
 from ltm_ros.runtime.stamp_check import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
-from ltm_ros.runtime.stamp_join import Part, StampJoin
+from ltm_ros.runtime.stamp_join import JoinConfig, Part, StampJoin
 from ltm_ros.runtime.topics import (
+    FINISHED,
     LABELS_IMAGE,
     MEASURED_DEPTH,
     MEASURED_SIGMA,
@@ -67,7 +70,9 @@ _WAITING = 6
 come at all."""
 
 
-class TerrainNodeConfig(NodeConfig):
+class TerrainNodeConfig(JoinConfig):
+    max_wait: float = Field(120.0, gt=0)
+    """Seconds that a frame's pose waits for its measured depth, which has waited in `topodepth` before."""
     folder: str = ""
     """Where the surface is kept from run to run, and written on request; relative to the site file. Empty: it ends
     with the node. Never taken from the wire."""
@@ -118,12 +123,17 @@ class Terrain(Handler[TerrainNodeConfig]):
         self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, config.max_behind)
         labels_too: tuple[Part | str, ...] = (*_PARTS, Part("labels", wait_s=0.0, remembered=_WAITING))
         self._joins = {
-            camera: StampJoin(labels_too, partial(self._take, camera), health, _WAITING) for camera in site.cameras
+            camera: StampJoin(
+                labels_too, partial(self._take, camera), health, _WAITING, max_wait=config.max_wait, camera=camera
+            )
+            for camera in site.cameras
         }
+        self.acknowledgements = tuple(self._of(camera, FINISHED) for camera in site.cameras)
         self._paced = self._dirty = False
         self._undecided = 0
         self._untold = Changed.none()
         self._since_grid = self._since_commit = 0.0
+        self._pace = RetryPace()
         _compile_kernels(site.terrain)
 
     @property
@@ -158,27 +168,30 @@ class Terrain(Handler[TerrainNodeConfig]):
 
     def idle(self) -> None:
         if not self._paced:
-            self._settle()
+            self._store_what_is_due()
 
     def tick(self, waited: float) -> None:
+        for join in self._joins.values():
+            join.tick(waited)
         self._paced = True
         self._since_grid += waited
         self._since_commit += waited
-        self._settle()
-        if self._since_commit >= self.config.commit_every and self._map.uncommitted:
-            self._since_commit = 0.0
-            self._map.commit()
+        self._pace.passed(waited)
+        if self._pace.due:
+            self._store_what_is_due()
         window = self._map.seen_window()
         if self._dirty and window and self._since_grid >= window[2] * window[3] / GRID_CELLS_PER_S:
             self._publish_grid()
 
     def finish(self) -> None:
+        """Raises StoreError where frames could not be stored; they are lost."""
         for join in self._joins.values():
             join.finish()
-        self._settle()
-        self._map.commit()
-        self._publish_grid()
-        self._store.close()
+        try:
+            self._store_the_last()
+        finally:
+            self._publish_grid()
+            self._store.close()
 
     def save(self) -> str:
         """Write the layers to the configured folder. Raises ConfigError where none is configured."""
@@ -196,7 +209,7 @@ class Terrain(Handler[TerrainNodeConfig]):
         return f"written: {', '.join(path.name for path in files)}"
 
     def _of(self, camera: str, topic: Topic) -> Topic:
-        return Topic(camera_topic(self._site.name, camera, topic), topic.type)
+        return replace(topic, name=camera_topic(self._site.name, camera, topic))
 
     def _part(self, camera: str, name: str, message: Any) -> None:
         self._joins[camera].add(name, stamp_of(message), message)
@@ -230,14 +243,47 @@ class Terrain(Handler[TerrainNodeConfig]):
             self.health.note("tiles_left_out")
         if added.registration is not None:
             self.health.gauge(f"turned_deg.{camera}", f"{added.registration.turned_deg:.3f}")
+        self.outlet.acknowledge(self._of(camera, FINISHED), stamp)
 
-    def _settle(self) -> None:
-        """Decide what the frames since the last call have changed; what is told of is in the store, whatever comes."""
+    def _store_what_is_due(self) -> None:
+        """Nothing is lost where the store is away: all of it stays in memory, and is tried again."""
+        try:
+            self._settle()
+            if self._since_commit >= self.config.commit_every and self._map.uncommitted:
+                self._map.commit()
+                self._since_commit = 0.0
+            self._pace.succeeded()
+            if self._store.strain:
+                self.health.trouble("store", self._store.strain)
+        except StoreError as error:
+            self._pace.failed()
+            self.health.trouble(cause_of(error), f"{error}; {self._map.uncommitted} frames are in memory only")
+
+    def _store_the_last(self) -> None:
+        until = time.monotonic() + LAST_TRIES_S
+        while True:
+            try:
+                self._settle(last=True)
+                return
+            except StoreError as error:
+                if time.monotonic() >= until:
+                    raise StoreError(
+                        f"{self._map.uncommitted} frames are lost, whose changes nobody was told of: "
+                        f"{LAST_TRIES_S:.0f} s more did not help ({error}); send them again"
+                    ) from error
+                time.sleep(LAST_PAUSE_S)
+
+    def _settle(self, last: bool = False) -> None:
+        """Decide what the frames since the last call have changed; what is told of is in the store, whatever comes.
+
+        `last`: write all, for nothing comes after. Raises StoreError.
+        """
         if self._undecided:
             self._undecided, self._dirty = 0, True
             self._untold = self._untold.joined(self._map.decide())
+        if last or len(self._untold.rows):
+            self._map.commit(last)
         if len(self._untold.rows):
-            self._map.commit()
             self._publish_update(self._untold)
             self._untold = Changed.none()
 

@@ -26,12 +26,13 @@ from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
+from ltm_ros.runtime.handler import Handler, NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
-from ltm_ros.runtime.stamp_join import Part, StampJoin
+from ltm_ros.runtime.stamp_join import JoinConfig, Part, StampJoin
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
+    FINISHED,
     FUSED_DEPTH,
     FUSED_INFO,
     FUSED_SIGMA,
@@ -46,7 +47,7 @@ from ltm_ros.runtime.topics import (
 )
 
 
-class TopoDepthConfig(NodeConfig):
+class TopoDepthConfig(JoinConfig):
     model: str = ""
     """Manifest name or path of a depth network; empty: the site's `depth_model`."""
     label_model: str = ""
@@ -71,6 +72,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
     publications = (
         FUSED_DEPTH, FUSED_SIGMA, FUSED_SOURCE, FUSED_INFO, MEASURED_DEPTH, MEASURED_SIGMA, NETWORK_DEPTH,
     )  # fmt: skip
+    acknowledgements = (FINISHED,)
 
     def __init__(self, config: TopoDepthConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -89,7 +91,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
         )
         labels = Part("labels", wait_s=config.label_wait, remembered=2 * config.max_waiting)
         parts = ("image", "info", "pose", "depth", labels)
-        self._join = StampJoin(parts, self._fuse, health, whole_capacity=config.max_waiting)
+        self._join = StampJoin(parts, self._fuse, health, whole_capacity=config.max_waiting, max_wait=config.max_wait)
         self._frame_id = f"{config.camera}_optical"
         self._compile_kernels()
 
@@ -135,6 +137,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
             self._config,
         )
         self._publish(fused, stamp)
+        self.outlet.acknowledge(FINISHED, stamp)
 
     def _settings(self, pose: Any) -> FusionSettings:
         """With the camera's direction as sure as its pose's covariance says, where that is given."""

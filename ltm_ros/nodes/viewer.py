@@ -76,9 +76,14 @@ class Viewer(Handler[ViewerConfig]):
             grpc_port=config.grpc_port,
         )
         names = ("image", "depth", "info", "labels", "pose")
-        self._joins = {camera: StampJoin(names, partial(self._show, camera), health) for camera in self._site.cameras}
+        self._joins = {
+            camera: StampJoin(names, partial(self._show, camera), health, camera=camera)
+            for camera in self._site.cameras
+        }
         cameras = self._site.cameras if self._site.depth_model else ()
-        self._fusions = {c: StampJoin(("traced", "fused"), partial(self._show_fusion, c), health) for c in cameras}
+        self._fusions = {
+            c: StampJoin(("traced", "fused"), partial(self._show_fusion, c), health, camera=c) for c in cameras
+        }
         self._network: dict[str, Any] = {}
 
     @property
@@ -141,6 +146,10 @@ class Viewer(Handler[ViewerConfig]):
             self._view.log_diagnostics(stamp_of(message), status.name, values)
             if status.level != b"\x00":
                 self._view.log_text("WARN", f"{status.name}: {status.message}")
+
+    def tick(self, waited: float) -> None:
+        for join in (*self._joins.values(), *self._fusions.values()):
+            join.tick(waited)
 
     def finish(self) -> None:
         for join in (*self._joins.values(), *self._fusions.values()):

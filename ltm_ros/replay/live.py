@@ -27,6 +27,10 @@ from ltm_ros.runtime.discovery_check import unmatched
 
 CLOCK_PERIOD = 0.025
 """Seconds of real time between `/clock` messages."""
+WAITING = 5
+"""Frames of a camera that wait to be let into the graph, beyond which the recording's time stands still."""
+SILENT = 5.0
+"""Seconds without diagnostics after which nobody waits for a node."""
 QUIET = 2.5
 """Seconds without any change in a graph's diagnostics after which its work is done."""
 
@@ -60,6 +64,7 @@ class LivePlayer:
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
         self.summaries: dict[str, dict[str, str]] = {}
         """The last diagnostics of every node, by full name."""
+        self._heard: dict[str, float] = {}
         self._changed = time.monotonic()
         self._epoch = (time.monotonic(), selection.begin_ns)
         self._stopping = threading.Event()
@@ -115,7 +120,8 @@ class LivePlayer:
     ) -> int:
         """Publish every message at its time; the number published. `stopped` ends it early.
 
-        With `loop`, stamps of later rounds are moved on with the clock: a stamp stands for one moment only.
+        The recording's time stands still while the graph is behind. With `loop`, stamps of later rounds are moved on
+        with the clock: a stamp stands for one moment only.
         """
         round_ns = _round_ns(self._selection)
         self._epoch = (time.monotonic(), self._selection.begin_ns)
@@ -123,6 +129,7 @@ class LivePlayer:
         while True:
             for message in self._selection:
                 self._sleep_until(message.log_time_ns + shift, stopped)
+                self._wait_for_room(stopped)
                 if stopped():
                     return published
                 self._publish_clock()  # no node shall receive a message from its future
@@ -146,7 +153,22 @@ class LivePlayer:
     def now_ns(self) -> int:
         """The replay's time."""
         real, bag_ns = self._epoch
-        return bag_ns + round((time.monotonic() - real) * self._rate * 1e9)
+        return bag_ns + round(max(0.0, time.monotonic() - real) * self._rate * 1e9)
+
+    def _wait_for_room(self, stopped: Callable[[], bool]) -> None:
+        """A live camera's frames are shed where the graph is behind; those of a recording come through, later."""
+        at = self.now_ns()
+        while self._behind() and not stopped():
+            self._epoch = (time.monotonic() + 1.0, at)  # in a second time goes on: until then it stands still
+            time.sleep(0.05)
+        self._epoch = (min(time.monotonic(), self._epoch[0]), self._epoch[1])
+
+    def _behind(self) -> bool:
+        recent = time.monotonic() - SILENT
+        return any(
+            int(summary.get("waiting", "0")) > WAITING and self._heard[name] > recent
+            for name, summary in list(self.summaries.items())
+        )
 
     def _sleep_until(self, bag_ns: int, stopped: Callable[[], bool]) -> None:
         steps_at = time.monotonic() + self._longest_pause
@@ -159,7 +181,7 @@ class LivePlayer:
 
     def _idle(self, summaries: Iterable[dict[str, str] | None]) -> bool:
         """Nothing has moved for a while, and nothing waits."""
-        empty = all(s is not None and s.get("queue", "0") == "0" for s in list(summaries))
+        empty = all(s is not None and {s.get("queue", "0"), s.get("waiting", "0")} == {"0"} for s in list(summaries))
         return empty and time.monotonic() - self._changed > QUIET
 
     def _tick(self) -> None:
@@ -179,6 +201,7 @@ class LivePlayer:
             before = self.summaries.get(status.name, {})
             if any(before.get(key) != summary.get(key) for key in ("frames_in", "frames_out", "dropped")):
                 self._changed = time.monotonic()
+            self._heard[status.name] = time.monotonic()
             self.summaries[status.name] = summary
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections import defaultdict, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 from functools import partial
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -113,6 +113,12 @@ class _Outlet:
 
     def now_ns(self) -> int:
         return self._graph.now_ns
+
+    def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
+        """Each frame is finished before the next is fed: nobody waits for it."""
+
+    def workers(self, topic: Topic) -> Set[str]:
+        return frozenset()
 
 
 def replay_offline(

@@ -6,7 +6,7 @@ messages, so what a tower computes live is what a researcher recomputes from the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -17,13 +17,14 @@ from ltm_ros.runtime.health import Health
 @dataclass(frozen=True)
 class Topic:
     """`name`: relative to the node's namespace, or absolute. `latched`: late joiners get the last message. `depth`:
-    messages kept for a listener that is slow.
+    messages kept for a listener that is slow. `counted`: whether messages count as frames that a node receives.
     """
 
     name: str
     type: type
     latched: bool = False
     depth: int = 10
+    counted: bool = True
 
 
 class NodeConfig(Config):
@@ -48,6 +49,15 @@ class Outlet(Protocol):
         """The graph's time, for judging stamps: ROS time, or that of the recording; 0 where it has not begun."""
         ...
 
+    def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
+        """Say that this node has finished a camera's frame; `topic` is one of the handler's `acknowledgements`."""
+        ...
+
+    def workers(self, topic: Topic) -> Set[str]:
+        """Full names of the nodes that acknowledge frames on a topic, as known now; none where frames are fed one by
+        one."""
+        ...
+
 
 ConfigT = TypeVar("ConfigT", bound=NodeConfig)
 
@@ -60,6 +70,8 @@ class Handler(Generic[ConfigT]):
     """
 
     publications: Sequence[Topic] = ()
+    acknowledgements: Sequence[Topic] = ()
+    """Where this node says which frames it has finished, so that no more are let in than it can do; live only."""
 
     def __init__(self, config: ConfigT, outlet: Outlet, health: Health) -> None:
         self.config = config

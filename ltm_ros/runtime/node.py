@@ -8,7 +8,7 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from fnmatch import fnmatchcase
 from functools import partial
 from typing import Any
@@ -23,14 +23,15 @@ from std_srvs.srv import Trigger
 from ltm_core.config_io import checked
 from ltm_core.errors import LtmError
 from ltm_msgs_py.bag.schemas import type_name_of
-from ltm_msgs_py.stamp import stamp_of
+from ltm_msgs_py.stamp import make_header, stamp_of
 from ltm_ros.runtime.clock_watch import ClockWatch
 from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.discovery_check import LISTENERS, unheard
 from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
 from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.message_loss import LossCounter, loss_report, writers_of
-from ltm_ros.runtime.node_process import run_until_stopped
+from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
 
 QUEUE = 30
 QUEUE_PER_TOPIC = 10
@@ -110,10 +111,14 @@ class HandlerNode(Node):  # type: ignore[misc]
             self.create_timer(0.5, self._discover, clock=DiagnosticsPublisher.steady_clock())
         for service, action in self.handler.services.items():
             self.create_service(Trigger, service, self._serve(action))
+        # After the subscriptions: who is known to acknowledge frames also takes them.
+        for topic in self.handler.acknowledgements:
+            self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, _qos(topic))
         self._diagnostics = DiagnosticsPublisher(self, self.health, config.camera)
         self.create_timer(0.5, self._tick, clock=DiagnosticsPublisher.steady_clock())
         self._unheard: dict[str, str] = {}
         self.create_timer(WIRING_S, self._look_at_wiring, clock=DiagnosticsPublisher.steady_clock())
+        self._activity = HEARTBEAT.activity(f"{node_type.name} worker")
         self._worker = threading.Thread(target=self._work, name=f"{node_type.name} worker", daemon=True)
         self._worker.start()
 
@@ -134,14 +139,24 @@ class HandlerNode(Node):  # type: ignore[misc]
         """Part of Outlet."""
         return int(self.get_clock().now().nanoseconds)
 
-    def close(self) -> None:
-        """Let the worker finish what waits, tell the handler, send the last diagnostics."""
+    def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
+        """Part of Outlet."""
+        self._publishers_by_topic[topic].publish(make_header(stamp_ns, self.get_fully_qualified_name()))
+
+    def workers(self, topic: Topic) -> Set[str]:
+        """Part of Outlet."""
+        ends = self.get_publishers_info_by_topic(topic.name)
+        # Of one that has just come DDS does not know the name yet.
+        return {f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends if "UNKNOWN" not in end.node_name}
+
+    def close(self) -> int:
+        """Let the worker finish what waits, tell the handler, send the last diagnostics; the process's exit status."""
         with contextlib.suppress(queue.Full):
             self._inbox.put(None, timeout=2.0)
         self._worker.join(timeout=5.0)
-        if not self._worker.is_alive():
-            self._guarded(lambda _: self.handler.finish(), None)
+        finished = not self._worker.is_alive() and self._guarded(lambda _: self.handler.finish(), None)
         self._diagnostics.publish()
+        return 0 if finished else EX_IOERR
 
     def _listen(self, topic: Topic, name: str, callback: Callable[[Any], None]) -> None:
         self._taken.add(self.resolve_topic_name(name))
@@ -163,7 +178,8 @@ class HandlerNode(Node):  # type: ignore[misc]
         losses = LossCounter(writers_of(self, name))
 
         def take(message: Any, info: Any) -> None:
-            self.health.received(name)
+            if topic.counted:
+                self.health.received(name)
             # Of a latched topic only the last message counts.
             if not topic.latched and (lost := losses.lost(info)):
                 self.health.drop("lost", loss_report(lost, name), lost)
@@ -211,6 +227,7 @@ class HandlerNode(Node):  # type: ignore[misc]
         while (item := self._inbox.get()) is not None:
             callback, message = item
             started, results = time.perf_counter(), self._results
+            self._activity.begin("tick or request" if message is None else type(message).__name__)
             try:
                 self._guarded(callback, message)
                 if self._inbox.empty():
@@ -219,18 +236,22 @@ class HandlerNode(Node):  # type: ignore[misc]
                 # A bug: end the whole process at once, with its traceback, and let the graph restart it.
                 sys.excepthook(*sys.exc_info())
                 os._exit(1)
+            self._activity.end()
             # A message that only waits for others to join it tells nothing of the work on a frame.
             if self._results > results or not self.handler.publications:
                 self.health.worked(time.perf_counter() - started)
             self._inbox.done(message)
             self.health.gauge("queue", self._inbox.unfinished_tasks)
 
-    def _guarded(self, callback: Callable[[Any], None], message: Any) -> None:
+    def _guarded(self, callback: Callable[[Any], None], message: Any) -> bool:
+        """False where the message was refused."""
         try:
             callback(message)
         except LtmError as error:
             self.health.drop(cause_of(error), str(error))
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+            return False
+        return True
 
     def _serve(self, action: Callable[[], str]) -> Callable[[Any, Any], Any]:
         def answer(_: Any, response: Any) -> Any:
@@ -238,6 +259,7 @@ class HandlerNode(Node):  # type: ignore[misc]
             outcome: queue.Queue[tuple[bool, str]] = queue.Queue(1)
 
             def act(_: Any) -> None:
+                self._activity.slow = True
                 try:
                     outcome.put((True, action()))
                 except LtmError as error:

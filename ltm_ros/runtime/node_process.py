@@ -13,14 +13,20 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from ltm_core.errors import LtmError
-from ltm_ros.launching.dds_shutdown import begin_farewell
+from ltm_ros.launching.dds_shutdown import limit_shutdown
 from ltm_ros.launching.supervisor import EX_CONFIG
+from ltm_ros.runtime.heartbeat import HEARTBEAT, STARTING
+
+EX_IOERR = 74
+"""Exit status of a node that was stopped and could not write what it still had (sysexits.h)."""
 
 
 class ClosableNode(Protocol):
     """A node that has something to finish before it goes."""
 
-    def close(self) -> None: ...
+    def close(self) -> int:
+        """The exit status of the process."""
+        ...
 
     def destroy_node(self) -> None: ...
 
@@ -32,16 +38,18 @@ class _StoppedEarly(BaseException):
 def run_until_stopped(name: str, make: Callable[[], ClosableNode]) -> None:
     """Spin the node that `make` makes until SIGINT or SIGTERM, then `close` it while it can still publish.
 
-    The last act of a process: from the return on it has moments left to exit (`begin_farewell`). Exits with EX_CONFIG
-    where the configuration cannot work (LtmError), so that the graph does not start it for ever.
+    The last act of a process: from the return on it has moments left to exit (`limit_shutdown`). Exits with EX_CONFIG
+    where the configuration cannot work (LtmError), so that the graph does not start it for ever, with what `close`
+    returns where that is not 0.
     """
     stopping = threading.Event()
     making = True
 
     def stop(*_: object) -> None:
+        first = not stopping.is_set()
         stopping.set()
         # A node may load and compile for long, and has nothing to finish yet.
-        if making:
+        if making and first:
             raise _StoppedEarly
 
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -53,21 +61,27 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode]) -> None:
         making = False
     except LtmError as error:
         making = False
-        begin_farewell()
+        limit_shutdown()
         print(f"{name}: cannot start: {error}", file=sys.stderr)
         rclpy.try_shutdown()
         sys.exit(EX_CONFIG)
     except _StoppedEarly:
         making = False
-        begin_farewell()
+        limit_shutdown()
         rclpy.try_shutdown()
         return
     executor = SingleThreadedExecutor()
     executor.add_node(node)
+    activity = HEARTBEAT.activity(name)
+    STARTING.end()
     while rclpy.ok() and not stopping.is_set():
-        executor.spin_once(timeout_sec=0.1)
-    node.close()
-    begin_farewell()
+        with activity.turn("callback"):
+            executor.spin_once(timeout_sec=0.1)
+    activity.begin("end", slow=True)
+    status = node.close()
+    limit_shutdown()
     executor.shutdown()
     node.destroy_node()
     rclpy.try_shutdown()
+    if status:
+        sys.exit(status)

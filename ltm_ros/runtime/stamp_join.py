@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-import math
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
+from pydantic import Field
+
 from ltm_core.errors import LtmError
 from ltm_core.site import Limits
+from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
 
 WAITING_BYTES = Limits().waiting_bytes
 REMEMBERED = 1000
 """Stamps of finished frames that are known again as duplicates; messages of a part that is matched by nearness."""
+
+
+class JoinConfig(NodeConfig):
+    """Parameters of a node that joins what the nodes beside it make of a frame."""
+
+    max_wait: float = Field(60.0, gt=0)
+    """Seconds that a frame waits for its parts: longer than the slowest node is behind on a busy machine, or away."""
 
 
 class Match(Enum):
@@ -76,9 +85,10 @@ class StampJoin:
     Args:
         parts: what a frame is joined from; a name alone is a part that is needed, of equal stamp.
         complete: takes `**{name: message}`; None for a part that the frame went on without. May raise LtmError.
-        health: counts duplicates, and frames that stay incomplete as `unjoined`.
+        health: counts duplicates, and frames that stay incomplete as `unjoined`, noting what each lacks.
         give_up: told instead of `health` of a frame that stays incomplete: its stamp, the parts that it lacks, and why
             it waits no longer.
+        camera: whose frames they are, where the node has those of several.
     """
 
     def __init__(
@@ -88,14 +98,15 @@ class StampJoin:
         health: Health,
         capacity: int = 30,
         whole_capacity: int = 30,
-        max_wait: float = math.inf,
+        max_wait: float = JoinConfig.model_fields["max_wait"].default,
         give_up: Callable[[int, list[str], str], None] | None = None,
         capacity_bytes: int = WAITING_BYTES,
+        camera: str = "",
     ) -> None:
         self._parts = {p.name: p for p in (Part(p) if isinstance(p, str) else p for p in parts)}
         self._complete, self._health = complete, health
         self._capacity, self._whole_capacity, self._max_wait = capacity, whole_capacity, max_wait
-        self._capacity_bytes = capacity_bytes
+        self._capacity_bytes, self._camera = capacity_bytes, camera
         self._give_up = self._count_unjoined if give_up is None else give_up
         self._waiting: OrderedDict[int, _Frame] = OrderedDict()
         self._done: OrderedDict[int, None] = OrderedDict()
@@ -131,7 +142,7 @@ class StampJoin:
             frame.waited += waited
             frame.lacking_optional += waited if frame.whole else 0.0
             if not frame.whole and frame.waited > self._max_wait:
-                self._drop(stamp, f"waited {self._max_wait} s")
+                self._drop(stamp, f"waited {self._max_wait:g} s")
         self._complete_ready(list(self._waiting))
 
     def finish(self) -> None:
@@ -212,4 +223,7 @@ class StampJoin:
         self._give_up(stamp, lacking, why)
 
     def _count_unjoined(self, stamp: int, lacking: list[str], why: str) -> None:
-        self._health.drop("unjoined", f"stamp {stamp} ns never got its {', '.join(lacking)} ({why})")
+        whose = f"{self._camera}: " if self._camera else ""
+        self._health.drop("unjoined", f"{whose}stamp {stamp} ns never got its {', '.join(lacking)} ({why})")
+        for name in lacking:
+            self._health.note(f"unjoined.{self._camera}.{name}" if self._camera else f"unjoined.{name}")

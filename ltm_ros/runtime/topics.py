@@ -5,7 +5,7 @@ from __future__ import annotations
 from geometry_msgs.msg import PointStamped, PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 
 from ltm_ros.runtime.handler import Topic
 
@@ -36,6 +36,9 @@ LABELS_CONFIDENCE = Topic("labels/confidence", Image)
 LABELS_INFO = Topic("labels/info", String, latched=True)
 
 FUEL_VOTES = Topic("fuel/votes", PointCloud2)
+
+FINISHED = Topic("finished", Header, depth=50, counted=False)
+"""A node that works on a camera's frames has finished the one of this stamp; `frame_id`: the node's full name."""
 
 FUEL_MAP = Topic("fuel_map", OccupancyGrid, latched=True)
 FUEL_MAP_UPDATE = Topic("fuel_map/update", OccupancyGrid, depth=200)  # they come in bursts, twice a second

@@ -18,12 +18,17 @@ from scenes.waiting import wait_for
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import Graph, NodeSpec
 from ltm_ros.launching.runner import GraphError, Runner
-from ltm_ros.launching.supervisor import ProcessState, RestartPolicy
+from ltm_ros.launching.supervisor import Console, ProcessState, RestartPolicy
 
 pytestmark = pytest.mark.graph
 
 HERE = Path(__file__).parent
 QUICK = RestartPolicy(initial_s=0.1, maximum_s=0.4, config_tries=2)
+
+
+def part_of(domain: int, module: str) -> list[int]:
+    """Process ids of what runs `module` in this domain."""
+    return [int(line.partition(":")[0]) for line in processes_of_domain(domain) if module in line]
 
 
 def spec(name: str, camera: str = "north", behaviour: str = "well") -> NodeSpec:
@@ -33,13 +38,15 @@ def spec(name: str, camera: str = "north", behaviour: str = "well") -> NodeSpec:
 class Started:
     """A runner with its console's lines."""
 
-    def __init__(self, domain: int, logs: Path, *nodes: NodeSpec, stop_s: float = 5.0) -> None:
+    def __init__(
+        self, domain: int, logs: Path, *nodes: NodeSpec, stop_s: float = 5.0, console: Console | None = None
+    ) -> None:
         self.lines: list[str] = []
         self.runner = Runner(
             Graph("ridge", nodes),
             log_folder=logs,
             domain_id=domain,
-            console=self.lines.append,
+            console=console or self.lines.append,
             policy=QUICK,
             stop_s=stop_s,
             environment={"PYTHONPATH": str(HERE)},
@@ -54,8 +61,8 @@ class Started:
 def start(ros_domain: int, tmp_path: Path) -> Iterator[Callable[..., Started]]:
     started: list[Started] = []
 
-    def start(*nodes: NodeSpec, stop_s: float = 5.0) -> Started:
-        started.append(Started(ros_domain, tmp_path / "logs", *nodes, stop_s=stop_s))
+    def start(*nodes: NodeSpec, stop_s: float = 5.0, console: Console | None = None) -> Started:
+        started.append(Started(ros_domain, tmp_path / "logs", *nodes, stop_s=stop_s, console=console))
         return started[-1]
 
     yield start
@@ -93,6 +100,19 @@ def test_killed_node_comes_back_alone(start: Callable[..., Started]) -> None:
     assert depth.last_exit == "killed by SIGKILL"
     assert (capture.pid, capture.restarts) == (other, 0)
     assert any(line.startswith("[north/depth] -- killed by SIGKILL after ") for line in graph.lines)
+
+
+def test_a_console_that_is_gone_ends_no_graph(start: Callable[..., Started], tmp_path: Path) -> None:
+    def gone(line: str) -> None:
+        raise BrokenPipeError
+
+    graph = start(spec("depth"), console=gone)
+    graph.runner.wait_until_ready(30)
+    graph.runner.kill("north/depth")
+    depth = graph.runner.processes["north/depth"]
+    graph.wait_for(lambda: depth.starts == 2 and depth.running, "the node again")
+    graph.runner.wait_until_ready(30)
+    assert "killed by SIGKILL" in (tmp_path / "logs" / "north.depth.log").read_text()
 
 
 def test_wrong_configuration_is_given_up_with_its_reason(start: Callable[..., Started]) -> None:
@@ -211,6 +231,8 @@ def test_killed_runner_leaves_nothing(ros_domain: int, tmp_path: Path, monkeypat
     segments = set().union(*map(segments_of_process, pids.values()))
     assert len(segments) >= 3
     assert list(temporary.glob("ltm-run-*/*.yaml"))
+    (cleanup,) = part_of(ros_domain, "orphan_cleanup")
+    os.kill(cleanup, signal.SIGSTOP)  # it goes on when the runner ends
     runner.kill()
     runner.communicate()
     left = wait_gone(lambda: processes_of_domain(ros_domain), patience_s=30.0)
@@ -219,3 +241,34 @@ def test_killed_runner_leaves_nothing(ros_domain: int, tmp_path: Path, monkeypat
     assert list(temporary.glob("ltm-run-*")) == []
     # A runner elsewhere on this machine may be about to remove them just now.
     assert wait_gone(lambda: [name for name in segments if os.path.lexists(shared_memory.SHM_FOLDER / name)]) == []
+
+
+def test_runner_and_cleanup_killed_at_once_leave_no_process(ros_domain: int, tmp_path: Path) -> None:
+    pids: dict[str, int] = {}
+    runner = _run_in_process(tmp_path, 2, pids)
+    (cleanup,) = part_of(ros_domain, "orphan_cleanup")
+    os.kill(pids["/ridge/north/depth"], signal.SIGSTOP)
+    os.kill(cleanup, signal.SIGKILL)
+    runner.kill()
+    runner.communicate()
+    assert wait_gone(lambda: processes_of_domain(ros_domain), patience_s=30.0) == []
+    # What those that were just starting have left in shared memory, the next runner removes.
+    wait_for(lambda: not shared_memory.remove_stale().young, "what is left to be old enough")
+
+
+def test_a_cleanup_process_that_dies_is_started_again_and_told_of_all(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    runner = _run_in_process(tmp_path, 2, {})
+    (first,) = part_of(ros_domain, "orphan_cleanup")
+    os.kill(first, signal.SIGKILL)
+    assert runner.stdout is not None
+    assert any("the cleanup process has died" in line for line in runner.stdout)
+    wait_for(lambda: part_of(ros_domain, "orphan_cleanup") not in ([], [first]), "another")
+    runner.kill()
+    runner.communicate()
+    assert wait_gone(lambda: processes_of_domain(ros_domain), patience_s=30.0) == []
+    assert list(temporary.glob("ltm-run-*")) == [], "only the cleanup process removes it"

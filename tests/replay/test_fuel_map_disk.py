@@ -2,54 +2,54 @@
 
 from __future__ import annotations
 
-import json
-import os
-import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
-import pytest
 from scenes.fuel_frames import write_site
+from scenes.own_disk import run_on_own_disk
 
-TESTS = Path(__file__).parents[1]
+PROGRAM = Path(__file__).parents[1] / "scenes" / "disk_process.py"
 FRAMES = 30
+MANY = 150
 
 
 def states_of(case: str, folder: Path) -> list[dict[str, Any]]:
     """What a node on a disk of its own says of itself, step by step."""
-    if shutil.which("unshare") is None:
-        pytest.skip("needs `unshare` for a file system of its own")
-    site = write_site(folder)
     disk = folder / "disk"
     disk.mkdir()
-    alone = ["unshare", "-m"] if os.geteuid() == 0 else ["unshare", "--user", "--map-root-user", "-m"]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(TESTS), str(TESTS.parent)])}
-    command = [*alone, sys.executable, str(TESTS / "scenes" / "disk_process.py"), case, str(site), str(disk)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
-    if done.returncode != 0 and "unshare" in done.stderr:
-        pytest.skip(f"no mount namespace here: {done.stderr.strip()[:200]}")
-    assert done.returncode == 0, done.stderr[-3000:]
-    said = json.loads(done.stdout.splitlines()[-1])
-    if "no mounts here" in said:
-        pytest.skip(f"cannot mount a file system here: {said['no mounts here'][:200]}")
-    assert "refused" not in said, said
-    states: list[dict[str, Any]] = said["states"]
+    states: list[dict[str, Any]] = run_on_own_disk(PROGRAM, case, disk, write_site(folder))
     return states
 
 
 def test_disk_that_fills_up(tmp_path: Path) -> None:
-    before, during, after, restarted = states_of("full", tmp_path)
+    before, soon, during, after, restarted = states_of("full", tmp_path)
     assert (before["frames"], before["unsaved"], before["troubled"]) == (3, 0, False)
-    assert during["unsaved"] > 10
+    assert (soon["frames"], soon["unsaved"], soon["updates"]) == (6, 0, 6), "in the room that the store holds"
+    assert soon["troubled"]
+    assert "full" in soon["error"]
+    assert "held for it" in soon["error"]
+    assert during["unsaved"] > 0, "half of that room is for the end"
     assert during["frames"] + during["unsaved"] == FRAMES
     assert during["troubled"]
-    assert "full" in during["error"]
     assert "in memory only" in during["error"]
     assert during["updates"] == during["frames"], "nothing is told of that is not stored"
     assert (after["frames"], after["unsaved"], after["updates"]) == (FRAMES, 0, FRAMES)
     assert (restarted["frames"], restarted["unsaved"], restarted["troubled"]) == (FRAMES, 0, False)
+
+
+def test_a_node_that_is_stopped_on_a_full_disk_writes_all(tmp_path: Path) -> None:
+    during, stopped, restarted = states_of("stopped_while_full", tmp_path)
+    assert during["unsaved"] > 0
+    assert (stopped["frames"], stopped["unsaved"], stopped["updates"]) == (MANY, 0, MANY)
+    assert (restarted["frames"], restarted["unsaved"]) == (MANY, 0)
+
+
+def test_what_is_lost_is_said_once(tmp_path: Path) -> None:
+    stopped, restarted = states_of("lost", tmp_path)
+    assert stopped["said"].startswith("27 frames are lost, which nobody was told are stored")
+    assert "SQLITE_FULL" in stopped["said"]
+    assert (stopped["frames"], stopped["updates"]) == (3, 3)
+    assert restarted["frames"] == 3
 
 
 def test_disk_that_is_full_when_the_node_starts(tmp_path: Path) -> None:

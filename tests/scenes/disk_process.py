@@ -1,29 +1,20 @@
-"""The fuel map on a small disk of its own: `unshare -m python disk_process.py CASE SITE MOUNT_POINT`.
-
-Mounts a file system of a megabyte that only this process sees, and says what came of it as JSON.
-"""
+"""The fuel map on a small disk of its own: `unshare -m python disk_process.py CASE MOUNT_POINT SITE`."""
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
-from ltm_core.errors import LtmError
-from ltm_ros.fuel_map import persistence
+from ltm_core.errors import StoreError
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
+from ltm_ros.runtime import retry
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_MAP_UPDATE
 from scenes.fuel_frames import camera_of, grid_of, message
 from scenes.outlets import Kept
+from scenes.own_disk import answer, fill, make_disk, mount
 
 FRAMES = 30
-
-
-def mount(folder: Path, *options: str) -> None:
-    subprocess.run(["mount", *options, str(folder)], check=True, capture_output=True)
+MANY = 150
 
 
 class Node:
@@ -49,42 +40,74 @@ class Node:
         }
 
 
-def full(site: Path, disk: Path) -> list[dict[str, object]]:
+def full(disk: Path, site: Path) -> list[dict[str, object]]:
     """The disk fills up, and later has room again."""
-    mount(disk, "-t", "tmpfs", "-o", "size=2m", "tmpfs")
+    make_disk(disk, "2m")
     node = Node(site, disk)
     node.feed(0, 3)
     states = [node.state()]
-    ballast = disk / "ballast"
-    room = os.statvfs(disk)
-    ballast.write_bytes(bytes(room.f_bavail * room.f_bsize))
-    node.feed(3, FRAMES)
+    ballast = fill(disk)
+    node.feed(3, 6)
+    states.append(node.state())
+    node.feed(6, FRAMES)
     states.append(node.state())
     ballast.unlink()
-    node.handler.tick(persistence.RETRY_S)
+    node.handler.tick(retry.LONGEST_RETRY_S)
     states.append(node.state())
     node.handler.persistence.store.close()  # killed
     states.append(Node(site, disk).state())
     return states
 
 
-def full_from_the_start(site: Path, disk: Path) -> list[dict[str, object]]:
-    """There is no room for a store when the node starts."""
-    mount(disk, "-t", "tmpfs", "-o", "size=1m", "tmpfs")
-    ballast = disk / "ballast"
-    ballast.write_bytes(bytes(os.statvfs(disk).f_bavail * os.statvfs(disk).f_bsize))
+def stopped_while_full(disk: Path, site: Path) -> list[dict[str, object]]:
+    """The node is told to stop on a disk that has had no room for long."""
+    make_disk(disk, "8m")
     node = Node(site, disk)
     node.feed(0, 3)
-    node.handler.tick(persistence.RETRY_S)  # still full: said again, however long the frames took
+    fill(disk)
+    node.feed(3, MANY)
+    states = [node.state()]
+    node.handler.finish()
+    states.append(node.state())
+    states.append(Node(site, disk).state())
+    return states
+
+
+def lost(disk: Path, site: Path) -> list[dict[str, object]]:
+    """The same where somebody has taken the room that the store held, too."""
+    make_disk(disk, "4m")
+    node = Node(site, disk)
+    node.feed(0, 3)
+    for held in disk.glob(".*.reserve"):
+        held.unlink()
+    fill(disk)
+    node.feed(3, FRAMES)
+    try:
+        node.handler.finish()
+        said = ""
+    except StoreError as error:
+        said = str(error)
+    states = [node.state() | {"said": said}]
+    states.append(Node(site, disk).state())
+    return states
+
+
+def full_from_the_start(disk: Path, site: Path) -> list[dict[str, object]]:
+    """There is no room for a store when the node starts."""
+    make_disk(disk, "1m")
+    ballast = fill(disk)
+    node = Node(site, disk)
+    node.feed(0, 3)
+    node.handler.tick(retry.LONGEST_RETRY_S)  # still full: said again, however long the frames took
     states = [node.state()]
     ballast.unlink()
-    node.handler.tick(persistence.RETRY_S)
+    node.handler.tick(retry.LONGEST_RETRY_S)
     return [*states, node.state()]
 
 
-def read_only(site: Path, disk: Path) -> list[dict[str, object]]:
+def read_only(disk: Path, site: Path) -> list[dict[str, object]]:
     """The disk turns read-only, as one with errors does, and is mended; another node is started meanwhile."""
-    mount(disk, "-t", "tmpfs", "-o", "size=4m", "tmpfs")
+    make_disk(disk, "4m")
     node = Node(site, disk)
     node.feed(0, 3)
     node.handler.finish()
@@ -94,19 +117,9 @@ def read_only(site: Path, disk: Path) -> list[dict[str, object]]:
     node.feed(3, 6)
     states.append(node.state())
     mount(disk, "-o", "remount,rw")
-    node.handler.tick(persistence.RETRY_S)
+    node.handler.tick(retry.LONGEST_RETRY_S)
     return [*states, node.state()]
 
 
 if __name__ == "__main__":
-    case, site_file, mount_point = sys.argv[1:]
-    try:
-        subprocess.run(["mount", "--make-rprivate", "/"], check=True, capture_output=True)
-        mount(Path(mount_point), "-t", "tmpfs", "-o", "size=4k", "tmpfs")
-    except (OSError, subprocess.CalledProcessError) as error:
-        print(json.dumps({"no mounts here": str(error)}))
-        sys.exit()
-    try:
-        print(json.dumps({"states": globals()[case](Path(site_file), Path(mount_point))}))
-    except LtmError as error:
-        print(json.dumps({"refused": str(error)}))
+    answer({case.__name__: case for case in (full, stopped_while_full, lost, full_from_the_start, read_only)})

@@ -36,6 +36,11 @@ class Teller:
     def now_ns(self) -> int:
         return 0
 
+    def acknowledge(self, topic: Topic, stamp_ns: int) -> None: ...
+
+    def workers(self, _: Topic) -> frozenset[str]:
+        return frozenset()
+
 
 def main(site: Path, folder: Path) -> None:
     persistence.LOGGED_FRAMES = TILES_EVERY

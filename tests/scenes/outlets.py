@@ -15,6 +15,10 @@ class Kept:
         self.sent: list[tuple[Topic, Any]] = []
         self.now = 0
         """Set it where the graph's time matters."""
+        self.acknowledged: list[tuple[Topic, int]] = []
+        """Frames that the handler said it had finished: topic and stamp."""
+        self.working: set[str] = set()
+        """Nodes that acknowledge frames."""
         self._wants = wants
 
     def publish(self, topic: Topic, message: Any) -> None:
@@ -25,6 +29,12 @@ class Kept:
 
     def wanted(self, topic: Topic) -> bool:
         return topic in self._wants
+
+    def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
+        self.acknowledged.append((topic, stamp_ns))
+
+    def workers(self, _: Topic) -> set[str]:
+        return self.working
 
     def on(self, topic: Topic) -> list[Any]:
         return [message for sent, message in self.sent if sent == topic]

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -26,6 +27,7 @@ from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, IMAGE_RAW, POSE, camera_topic
 from scenes.networks import write_classifier
 from scenes.rasters import rough_terrain
@@ -111,6 +113,16 @@ class SmallSite:
         for label in (GRASS, BUILT):
             image[(cover == label) & np.isfinite(points).all(axis=-1)] = PAINT[label]
         return image
+
+    def messages(self) -> dict[Topic, Any]:
+        """The inputs of a frame of each camera: the tower's three, the mast's image."""
+        tower, mast = self.frames(1)
+        return {
+            CAMERA_INFO: camera_to_msg(TOWER, tower.stamp_ns, "tower_optical"),
+            POSE: pose_to_msg(tower.pose, tower.stamp_ns),
+            IMAGE_COMPRESSED: compressed_to_msg(encode_rgb(self.photo(tower)), "jpeg", tower.stamp_ns, "tower_optical"),
+            IMAGE_RAW: image_to_msg(self.photo(mast), "rgb8", mast.stamp_ns, "mast_optical"),
+        }
 
     def write_bag(self, path: Path, count: int = FRAMES, begin_ns: int = BEGIN_NS) -> Path:
         """A recording of `count` frames of each camera; every other image comes before its pose."""

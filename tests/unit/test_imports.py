@@ -25,7 +25,7 @@ STUDY = {
 DOOR = "ltm_ros.cli"
 TOWER = {
     "numpy", "numba", "llvmlite", "scipy", "cv2", "onnxruntime", "rasterio", "pyproj", "pygeomag", "PIL", "pillow_heif",
-    "pydantic", "pydantic_core", "yaml", "typer", "rich", "mcap", "zstandard", "packaging",
+    "pydantic", "pydantic_core", "yaml", "typer", "rich", "mcap", "zstandard", "lz4", "packaging",
 }  # fmt: skip
 """Packages of others that runtime may import: those that `pip install ltm` brings."""
 ON_DEMAND = {"rerun": "the viewer", "laspy": "LAS export", "rosbags": "message definitions where no ROS is installed"}

@@ -19,7 +19,7 @@ STAGES: Mapping[str, Mapping[str, Any]] = {
     "labels of what stands": {"occlusion.standing": dict.fromkeys(ClassLogOdds.model_fields, 0.1)},  # that of no label
     "labels about a place": {"occlusion.about": 1},
     "height odds": {"occlusion.metre": 0.0, "occlusion.no_foot": 0.0},
-    "part of the likelihood": {"decision.heard": 1.0},
+    "part of the likelihood": {"decision.likelihood_weight": 1.0},
     "mean with the terrain": {"decision.agree": 0.0},
     "torn terrain": {"decision.torn": 1e9},
     "soft edges": {"decision.soft": 0.0},

@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ltm_core.camera import Camera
 from ltm_core.config_io import load_yaml
 from ltm_core.errors import ImageError
 from ltm_core.evaluation.metrics.depth_fit import DepthKind
+from ltm_core.numpy_io import load_array
+from ltm_core.picture_io import check_picture
+from ltm_core.raster.raster_source import check_size, open_raster
 from ltm_core.site import Config
 from ltm_core.types import Float32Array
 
 SUFFIXES = (".npy", ".png", ".tif", ".tiff")
 CONFIG = "depth_maps.yaml"
+_LARGEST = 512 << 20
+"""Bytes of an .npy file."""
 
 
 class DepthMapsConfig(Config):
@@ -91,15 +98,7 @@ class DepthMapFolder:
         return None
 
     def _load(self, file: Path) -> Float32Array:
-        try:
-            values: Any = (
-                np.load(file, allow_pickle=False)
-                if file.suffix == ".npy"
-                else cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-            )
-        except (OSError, ValueError, cv2.error) as error:
-            raise ImageError(f"{file}: no depth map ({error})") from error
-        values = np.empty(0) if values is None else values
+        values = _values(file)
         if values.ndim > 2 and values.size == values.shape[0] * values.shape[1]:
             values = values[..., 0]
         elif values.ndim > 2 and values.size == values.shape[-2] * values.shape[-1]:
@@ -112,3 +111,25 @@ class DepthMapFolder:
             )
         depth: Float32Array = values.astype(np.float32) * np.float32(self.config.metres_per_unit or 1)
         return np.where(values == 0, np.float32(np.nan), depth) if values.dtype.kind in "iu" else depth
+
+
+def _values(file: Path) -> NDArray[Any]:
+    """The numbers of a file as they lie in it. Raises ImageError."""
+    if file.suffix == ".npy":
+        with file.open("rb") as stream:
+            content = stream.read(_LARGEST + 1)
+        if len(content) > _LARGEST:
+            raise ImageError(f"{file}: no depth map (more than {_LARGEST >> 20} MiB)")
+        return load_array(content, str(file), ImageError)
+    if file.suffix == ".png":
+        check_picture(file)
+    else:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a depth map lies nowhere on the earth
+            with open_raster(file) as source:
+                check_size(source, file, source.height, source.width)
+    try:
+        values: Any = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise ImageError(f"{file}: no depth map ({error})") from error
+    return np.empty(0) if values is None else np.asarray(values)

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from ltm_ros.cli.bench.fusion import fusion
+from ltm_ros.cli.bench.graph import graph
 from ltm_ros.cli.bench.network import network
 from ltm_ros.cli.bench.render import render
 from ltm_ros.cli.bench.segmentation import segmentation
@@ -15,7 +16,10 @@ from ltm_ros.cli.bench.terrain import terrain
 from ltm_ros.cli.bench.votes import votes
 from ltm_ros.cli.output import JsonFile
 
-bench = typer.Typer(help="How fast: tracing, beside other tracers; a fuel map under many towers.", no_args_is_help=True)
+bench = typer.Typer(
+    help="How fast: tracing, beside other tracers; the whole graph; a fuel map under many towers.", no_args_is_help=True
+)
+bench.command()(graph)
 bench.command()(network)
 bench.command()(fusion)
 bench.command()(render)

@@ -29,13 +29,13 @@ def network(
     from ltm_ros.bench.network import NetworkResult, as_dict, run_network
 
     console = Console()
-    numbers, offered = [round(value) for value in _numbers(towers)], _numbers(rates)
+    counts, offered = [round(value) for value in numbers(towers)], numbers(rates)
     state = conditions(("numpy", "numba", "scipy", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "zstandard"))
     load = " ".join(f"{v:.2f}" for v in state.load_average)
     console.print(f"{state.cpu}, {state.cores} cores, load average {load}, Python {state.python}, ", end="")
     console.print(", ".join(f"{name} {number}" for name, number in state.versions.items()))
     results = []
-    for count in numbers:
+    for count in counts:
         for rate in offered:
             with console.status(f"{count} towers, {rate:g} frames a second"):
                 results.append(run_network(count, rate, seconds, extent, views, domain))
@@ -81,7 +81,8 @@ def network(
         json_path.write_text(json.dumps(report, indent=2))
 
 
-def _numbers(text: str) -> list[float]:
+def numbers(text: str) -> list[float]:
+    """Positive numbers with commas. Raises BadParameter."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError as error:

@@ -50,7 +50,7 @@ def test_no_file(tmp_path: Path) -> None:
 
 def test_bytes_that_are_no_text(tmp_path: Path) -> None:
     (tmp_path / "fuel.yaml").write_bytes(b"phase: \xff\xfe")
-    with pytest.raises(ConfigError, match="not YAML"):
+    with pytest.raises(ConfigError, match="cannot be read"):
         load_yaml(tmp_path / "fuel.yaml", FuelConfig)
 
 

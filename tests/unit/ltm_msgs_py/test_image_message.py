@@ -19,6 +19,7 @@ from ltm_msgs_py.image import (
     ENCODINGS,
     compressed_to_msg,
     compressed_to_rgb,
+    decode_rgb,
     depth_to_msg,
     encode_rgb,
     image_to_msg,
@@ -267,7 +268,7 @@ def test_a_jpeg_that_claims_gigapixels_is_refused_before_it_is_decoded() -> None
     data[frame + 5 : frame + 9] = struct.pack(">HH", 9_500, 9_000)
     msg = CompressedImage(format="jpeg")
     msg.data = array("B", bytes(data))
-    with pytest.raises(ImageError, match="states a size of 9000 x 9500: more than 80 million pixels"):
+    with pytest.raises(ImageError, match="states a size of 9000 x 9500: more than 64 million pixels"):
         compressed_to_rgb(msg)
 
 
@@ -280,3 +281,11 @@ def test_compression_that_there_is_not_is_refused(image_format: str, quality: in
 def test_a_format_that_is_not_the_datas_is_refused() -> None:
     with pytest.raises(ImageError, match="that is png"):
         compressed_to_msg(encode_rgb(smooth(), "png"), "jpeg", 0, "")
+
+
+def test_a_jpeg_of_many_scans_is_not_decoded() -> None:
+    """Each scan is a walk over all pixels: a few kilobytes of them took minutes."""
+    jpeg = encode_rgb(np.zeros((16, 24, 3), np.uint8), "jpeg")
+    scan = b"\xff\xda\x00\x08\x01\x01\x00\x00\x3f\x00\x00"
+    with pytest.raises(ImageError, match=r"has \d+ scans, at most 200 are decoded"):
+        decode_rgb(jpeg[:-2] + scan * 300 + jpeg[-2:])

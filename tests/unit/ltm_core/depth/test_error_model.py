@@ -132,7 +132,7 @@ def test_noise_over_ground_of_about_one_depth_makes_no_shift(noise: float) -> No
     at = samples.rows * 36 // SIZE[0], samples.cols * 64 // SIZE[1]
     values[at] = 1 / samples.depth / 0.014
     values *= 1 + noise * rng.standard_normal(values.shape)
-    line = fitted_line("relative_inverse", values[at].astype(np.float64), samples, CONFIG.scale)
+    line = fitted_line("relative_inverse", values[at].astype(np.float64), samples, CONFIG)
     assert line is not None
     assert line.shift == 0.0
     assert line.scale == pytest.approx(0.014, rel=0.1)

@@ -9,7 +9,7 @@ from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.rules import FusionRules
-from ltm_core.fuel.surface_change import UNSEEN, LivingFuelMap, SurfaceNews, form_after, news_of, tell
+from ltm_core.fuel.surface_change import UNSEEN, LivingFuelMap, SurfaceNews, form_after, news_of, record
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.terrain.change import ChangeKind
@@ -102,19 +102,19 @@ CELLS = np.array([2, 33]), np.array([5, 40])
 
 def told(evidence: LivingFuelMap, kind: int, shift: float) -> FuelLayers:
     news = SurfaceNews(*CELLS, np.full(2, kind, np.uint8), np.full(2, shift, np.float32))
-    before = {key: evidence.tile_state(key) for key in ((0, 0), (1, 1))}, evidence.told.copy()
-    what, tiles = tell(evidence, news)
+    before = {key: evidence.tile_state(key) for key in ((0, 0), (1, 1))}, evidence.surface_changes.copy()
+    what, tiles = record(evidence, news)
     assert list(tiles) == [(0, 0), (1, 1)]
-    np.testing.assert_array_equal(evidence.told, before[1])
+    np.testing.assert_array_equal(evidence.surface_changes, before[1])
     for key, state in before[0].items():
         for name, array in state.items():
             np.testing.assert_array_equal(evidence.tile_state(key)[name], array, err_msg="the map itself stays")
-    whole = evidence.told.copy()
+    whole = evidence.surface_changes.copy()
     whole[CELLS] = what
     evidence.recall(whole)
     for key, tile in tiles.items():
         evidence.load_tile(key, tile)
-    np.testing.assert_array_equal(evidence.kinds_told[CELLS], kind)
+    np.testing.assert_array_equal(evidence.change_kinds[CELLS], kind)
     return evidence.layers()
 
 

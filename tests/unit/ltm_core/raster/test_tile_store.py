@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import sqlite3
+import struct
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
 from scenes.small_disk import SmallDisk
 
 from ltm_core.errors import ConfigError, StoreError
@@ -312,3 +315,57 @@ def test_a_store_that_knows_its_fields_by_their_former_names_is_read(tmp_path: P
     db.close()
     with TileStore.open(tmp_path / "map.ltm", schema) as store:
         assert_same(store.read((0, 1)), arrays)
+
+
+def spoiled(path: Path, order: str, *values: object) -> Path:
+    """A store with content, in which somebody else has changed a row."""
+    with TileStore.open(path, SCHEMA) as store:
+        store.commit({(0, 1): tile(3)}, [FrameRecord("north", 5)], [changes("code", 5, [(1, 2, 0, 4)])])
+        store.commit({}, [FrameRecord("north", 6, (), "a network", b"payload")])
+    with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute(order, values)
+    return path
+
+
+def read_all(path: Path) -> None:
+    with TileStore.open_read_only(path, SCHEMA.kind) as store:
+        list(store.tiles())
+        list(store.changes("code"))
+        store.waiting()
+        store.sources()
+        store.touches((0, 1))
+
+
+_CLAIM = struct.pack("<IBQ", 0xFD2FB528, 0xE0, 1 << 45)
+
+
+@pytest.mark.parametrize(
+    ("order", "values"),
+    [
+        ("UPDATE tiles SET content = ?", (_CLAIM,)),
+        (
+            "UPDATE tiles SET content = ?",
+            (zstandard.compress(bytes(99)),),
+        ),
+        ("UPDATE tiles SET content = ?", ("text",)),
+        ("UPDATE tiles SET row = ?", (4_000_000_000,)),
+        ("UPDATE tiles SET row = ?", ("x",)),
+        ("UPDATE changes SET content = ?", (zstandard.compress(bytes(64 << 20)),)),
+        ("UPDATE changes SET content = ?", (zstandard.compress(b"\xff" * 16),)),
+        ("UPDATE changes SET content = ?", (zstandard.compress(bytes(15)),)),
+        ("UPDATE waiting SET payload = ?", (_CLAIM,)),
+        ("UPDATE waiting SET payload = ?", (zstandard.compress(bytes(64 << 20)),)),
+        ("UPDATE waiting SET stamp_ns = ?", ("noon",)),
+        ("UPDATE sources SET name = CAST(x'ff80fe' AS TEXT)", ()),
+        ("UPDATE sources SET counted = ?", (b"many",)),
+        ("UPDATE description SET content = CAST(x'ff80fe' AS TEXT)", ()),
+        ("UPDATE description SET content = ?", ("[" * 5000,)),
+        ("UPDATE description SET content = replace(content, '\"tile\": 8', '\"tile\": 100000')", ()),
+        ("UPDATE description SET content = replace(content, '<i8', '|O')", ()),
+        ("CREATE VIEW v AS WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r) SELECT n FROM r", ()),
+    ],
+)
+def test_rows_that_no_store_writes_are_refused(tmp_path: Path, order: str, values: tuple[object, ...]) -> None:
+    path = spoiled(tmp_path / "store.ltm", order, *values)
+    with pytest.raises(ConfigError, match=r"damaged|cannot be read"):
+        read_all(path)

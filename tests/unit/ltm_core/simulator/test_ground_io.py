@@ -41,5 +41,5 @@ def test_real_ground_is_resampled_into_the_site(tmp_path: Path) -> None:
         read_elevation(tmp_path / "bare.tif", grid)
     with pytest.raises(RasterError, match=r"no elevation in .*origin"):
         read_elevation(tmp_path / "dem.tif", grid.translated(3000.0, 0.0, "EPSG:32611"))
-    with pytest.raises(RasterError, match="cannot be read"):
+    with pytest.raises(RasterError, match="not a raster that GDAL can read"):
         read_elevation(tmp_path / "none.tif", grid)

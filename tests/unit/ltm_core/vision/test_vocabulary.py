@@ -95,7 +95,7 @@ def test_only_the_queried_words_compete(tmp_path: Path) -> None:
     [
         ({"text": {"file": "words.npz", "dimensions": 5}}, r"shape \(5, 6\); expected \(K, 5\)"),
         ({"text": {"file": "none.npz", "dimensions": DIMENSIONS}}, r"no file none\.npz; looked at"),
-        ({"text": {"file": "embedder.onnx", "dimensions": DIMENSIONS}}, r"expected an \.npz with `names`"),
+        ({"text": {"file": "embedder.onnx", "dimensions": DIMENSIONS}}, r"expected an \.npz with names"),
         ({"mapping": {"pine": "tree"}}, r"mapping names pine, not among the words"),
         ({"output": {"kind": "logits"}}, r"text belongs to output kind embeddings"),
         ({"classes": ["oak"]}, r"words of the text file are the classes"),

@@ -1,13 +1,16 @@
 from __future__ import annotations
 
 import logging
+import re
 import struct
+import tracemalloc
 from pathlib import Path
 from random import Random
 from typing import Any
 
 import pytest
 import yaml
+import zstandard
 from mcap.writer import CompressionType, Writer
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
@@ -313,3 +316,41 @@ def test_random_damage_never_goes_unnoticed(bag: Path, tmp_path: Path) -> None:
         except RecordingError:
             continue
         assert len(list(reader.messages())) == COUNT or reader.damage
+
+
+def repacked(bag: Path, inner: bytes, stated: int | None = None) -> Path:
+    """A file whose first chunk holds `inner`, and which ends after it; `stated`: what its zstd frame says it holds."""
+    file = next(bag.glob("*.mcap"))
+    data = file.read_bytes()
+    begin = next(at for at, _ in chunk_spans(file))
+    packed = zstandard.compress(inner)
+    if stated is not None:
+        packed = struct.pack("<IBQ", 0xFD2FB528, 0xE0, stated) + packed[8:]
+    body = struct.pack("<QQQII", 0, 1, len(inner), 0, 4) + b"zstd" + struct.pack("<Q", len(packed)) + packed
+    made = bag.parent / "made.mcap"
+    made.write_bytes(data[:begin] + struct.pack("<BQ", 6, len(body)) + body)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("inner", "stated", "complaint"),
+    [
+        (bytes(140 << 20), None, "chunk says that it has 146800640 bytes"),
+        (bytes(9), 1 << 45, "chunk says that it has 35184372088832 bytes"),
+        (bytes(60 << 20), None, "record 1 of the chunk is of opcode 0"),
+        ((struct.pack("<BQ", 5, 22) + bytes(22)) * 500_000, None, r"record \d+ of the chunk .* records at most"),
+    ],
+)
+def test_a_chunk_that_unfolds_to_gigabytes_is_left_out(
+    bag: Path, inner: bytes, stated: int | None, complaint: str
+) -> None:
+    """98 kilobytes of these took 40 seconds and 3.3 gigabytes."""
+    file = repacked(bag, inner, stated)
+    assert file.stat().st_size < 200_000
+    tracemalloc.start()
+    reader = BagReader(file)
+    assert list(reader.messages()) == []
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert any(re.search(complaint, note) for note in reader.damage), reader.damage
+    assert peak < 200 << 20

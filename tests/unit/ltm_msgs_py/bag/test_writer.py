@@ -16,7 +16,7 @@ from std_msgs.msg import Header, String
 
 from ltm_core.errors import RecordingError
 from ltm_msgs_py.bag.reader import BagReader
-from ltm_msgs_py.bag.writer import BagWriter, Compression
+from ltm_msgs_py.bag.writer import BagWriter, Compression, Split
 
 
 def information(bag: Path) -> dict[str, object]:
@@ -156,18 +156,65 @@ def test_metadata_appears_only_when_the_bag_is_finished_also_after_an_error(tmp_
     assert information(bag)["message_count"] == 1
 
 
-def test_a_full_disk_is_reported_as_such(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "bag", compression=None, chunk_size=1000)
+def test_a_disk_that_fails_ends_the_file_whole_and_the_next_message_begins_another(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "bag", compression=None, chunk_size=25_000)
+    writer.write("/a", String(data="0" * 10_000), 0)
+    writer.flush()
     (bag,) = (tmp_path / "bag").glob("*.mcap")
     (descriptor,) = (int(link.name) for link in Path("/proc/self/fd").iterdir() if os.path.realpath(link) == str(bag))
     with Path("/dev/full").open("wb", buffering=0) as full:
         os.dup2(full.fileno(), descriptor)
-        with pytest.raises(RecordingError, match="No space left"):  # noqa: PT012
-            for i in range(50):
-                writer.write("/a", String(data="x" * 10_000), i)
-        with pytest.raises(RecordingError, match="No space left"):
-            writer.close()
-    assert not (tmp_path / "bag/metadata.yaml").exists()
+        for i in (1, 2):
+            writer.write("/a", String(data=str(i) * 10_000), i)
+        with pytest.raises(RecordingError, match="No space left on device; 3 messages are lost, the 1 before them"):
+            writer.write("/a", String(data="3" * 10_000), 3)
+    assert (writer.on_disk, writer.lost) == ({"/a": 1}, 3)
+    writer.write("/a", String(data="4" * 10_000), 4)
+    assert writer.on_disk == {"/a": 1}, "it waits for its chunk"
+    writer.close()
+    assert (writer.on_disk, writer.lost) == ({"/a": 2}, 3)
+    reader = BagReader(tmp_path / "bag", allow_damaged=False)
+    assert [reader.decode(m).data[0] for m in reader.messages()] == ["0", "4"]
+    assert information(tmp_path / "bag")["message_count"] == 2
+    assert sorted(p.name for p in (tmp_path / "bag").iterdir()) == ["bag_0.mcap", "bag_1.mcap", "metadata.yaml"]
+
+
+def test_a_bag_of_several_files(tmp_path: Path) -> None:
+    split = Split(most_bytes=9_000, longest_ns=1_000)
+    with BagWriter(tmp_path / "bag", compression=None, chunk_size=2_000, split=split) as writer:
+        writer.add_topic("/info", "std_msgs/msg/String", latched=True)
+        writer.write("/info", String(data="palette"), 0)
+        for i in range(9):
+            writer.write("/a", String(data=str(i) * 3_000), 10 * i)
+        writer.write("/a", String(data="9"), 1_070)
+        assert writer.on_disk.total() >= 9
+    info = information(tmp_path / "bag")
+    names = [f"bag_{i}.mcap" for i in range(4)]
+    assert info["relative_file_paths"] == names
+    assert [(f["path"], f["message_count"]) for f in info["files"]] == list(zip(names, (4, 4, 4, 2), strict=True))
+    assert (info["message_count"], writer.on_disk) == (14, {"/a": 10, "/info": 1})
+    assert info["starting_time"] == {"nanoseconds_since_epoch": 0}
+    assert info["duration"] == {"nanoseconds": 1_070}
+    counts = {t["topic_metadata"]["name"]: t["message_count"] for t in info["topics_with_message_count"]}
+    assert counts == {"/info": 4, "/a": 10}
+    reader = BagReader(tmp_path / "bag", allow_damaged=False)
+    assert [reader.decode(m).data[0] for m in reader.messages(["/a"])] == list("0123456789")
+    for name in names:
+        alone = BagReader(tmp_path / "bag" / name, allow_damaged=False)
+        first = next(alone.messages())
+        assert alone.decode(first).data == "palette", "each file can be read without those before it"
+        assert alone.topic_infos()["/info"].latched
+
+
+def test_a_long_recording_is_read_a_file_at_a_time(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", split=Split(1 << 40, 10)) as writer:
+        for i in range(60):
+            writer.write("/a", String(data=str(i)), 10 * i)
+    messages = BagReader(tmp_path / "bag").messages()
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    next(messages)
+    assert len(list(Path("/proc/self/fd").iterdir())) <= before + 2
+    assert [m.log_time_ns for m in messages] == [10 * i for i in range(1, 60)]
 
 
 def test_what_was_flushed_survives_sigkill(tmp_path: Path) -> None:

@@ -26,9 +26,9 @@ from ltm_msgs_py.fuel_cells import msg_to_fuel_cells
 from ltm_msgs_py.grid import classes_to_msg, msg_to_classes
 from ltm_msgs_py.stamp import ns_to_time
 from ltm_msgs_py.terrain import changed_to_msg
-from ltm_ros.fuel_map import persistence
 from ltm_ros.fuel_map.terrain_changes import terrain_grid
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
+from ltm_ros.runtime import retry
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_CELLS, FUEL_MAP_UPDATE, TERRAIN_CHANGE, TERRAIN_UPDATE
 
@@ -162,7 +162,7 @@ def test_what_comes_while_the_store_is_away_is_told_when_it_is_back(
     node.handler.tick(1.0)
     assert node.outlet.on(FUEL_MAP_UPDATE) == []
     monkeypatch.setattr(TileStore, "open", opened)
-    node.handler.tick(persistence.RETRY_S)
+    node.handler.tick(retry.LONGEST_RETRY_S)
     assert (node.life_form[mask] == LifeForm.GRASS).all()
     assert node.outlet.stamps(FUEL_MAP_UPDATE) == [BEGIN_NS]
     node.kill()
@@ -185,7 +185,7 @@ def test_a_full_disk_keeps_it_in_memory_until_there_is_room(
     node.hear(kinds, BEGIN_NS + 1)
     assert BEGIN_NS + 1 not in node.outlet.stamps(FUEL_MAP_UPDATE)
     disk.free()
-    node.handler.tick(persistence.RETRY_S)
+    node.handler.tick(retry.LONGEST_RETRY_S)
     assert node.outlet.stamps(FUEL_MAP_UPDATE).count(BEGIN_NS + 1) == 1
     expected = node.life_form
     assert (expected[mask] != LifeForm.TREE).all()
@@ -252,9 +252,11 @@ def test_hostile_and_misplaced_changes_move_nothing(site: Path) -> None:
     node.hear(kinds)
     unharmed = Node(site)
     unharmed.hear(kinds)
-    told = node.handler.persistence.map.told
+    told = node.handler.persistence.map.surface_changes
     assert told.any()
-    np.testing.assert_array_equal(told, unharmed.handler.persistence.map.told, err_msg="a bad shift was taken")
+    np.testing.assert_array_equal(
+        told, unharmed.handler.persistence.map.surface_changes, err_msg="a bad shift was taken"
+    )
     shown = node.life_form
     node.hear(np.full(t.shape, 0, np.uint8), BEGIN_NS - DAY)
     assert node.health.dropped == {"future": 1, "too_old": 1}

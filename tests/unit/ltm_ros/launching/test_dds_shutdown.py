@@ -15,7 +15,7 @@ pytest.importorskip("rclpy", reason="the ROS extra is not installed")
 
 from ltm_ros.launching import dds_shutdown
 
-LEAVE = "import sys, time; from ltm_ros.launching.dds_shutdown import begin_farewell; begin_farewell(0.2); "
+LEAVE = "import sys, time; from ltm_ros.launching.dds_shutdown import limit_shutdown; limit_shutdown(0.2); "
 
 
 def leave(last_act: str) -> int:

@@ -55,6 +55,14 @@ def test_only_some_cameras_in_simulated_time() -> None:
     assert all(node.parameters["site"] == str(Path.cwd() / "ridge.yaml") for node in graph)
 
 
+def test_a_recordings_frames_are_not_shed_unless_somebody_says_so() -> None:
+    live, replayed = (describe(site(), "ridge.yaml", sim_time=sim_time) for sim_time in (False, True))
+    assert "shed" not in live.node("north/capture").parameters
+    assert replayed.node("north/capture").parameters["shed"] is False
+    told = describe(site(nodes={"capture": {"shed": True, "in_flight": 3}}), "ridge.yaml", sim_time=True)
+    assert {"shed": True, "in_flight": 3}.items() <= told.node("north/capture").parameters.items()
+
+
 def test_viewer_and_recorder_on_request_are_not_required() -> None:
     graph = describe(site(), "ridge.yaml", view={"serve": True}, record={"bag": "/bags/today"})
     viewer, recorder = graph.node("viewer"), graph.node("recorder")

@@ -25,11 +25,12 @@ from ltm_core.pose import Pose
 from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_pose, pose_to_msg
-from ltm_msgs_py.stamp import stamp_of
+from ltm_msgs_py.stamp import make_header, stamp_of
 from ltm_ros.nodes.capture import Capture, CaptureConfig
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
+    FINISHED,
     IMAGE_COMPRESSED,
     IMAGE_RAW,
     POSE,
@@ -164,7 +165,7 @@ def test_image_waits_so_long_and_is_counted(capture_of: CaptureOf) -> None:
     assert health.dropped == {}
     capture.tick(0.6)
     assert health.dropped == {"no_pose": 1}
-    assert f"image of stamp {S} ns has no pose (waited 2.0 s)" in health.last_error
+    assert f"image of stamp {S} ns has no pose (waited 2 s)" in health.last_error
     capture.on_pose(pose(S))
     capture.on_pose(pose(2 * S))
     assert outlet.stamps(POSED_IMAGE) == [2 * S]
@@ -246,7 +247,7 @@ def test_site_file_may_give_pose_and_calibration(capture_of: CaptureOf) -> None:
     calibration = {"width": 12, "height": 7, "fx": 9.0}
     where = {"x": 500_321.0, "y": 4_000_123.0, "height_above_ground": 8.0, "azimuth_deg": 70.0}
     capture, outlet, _ = capture_of({"image": "raw", "calibration": calibration, "pose": where})
-    assert {*capture.subscriptions} == {IMAGE_RAW}
+    assert {*capture.subscriptions} == {IMAGE_RAW, FINISHED}
     capture.on_image(image_to_msg(PHOTO[..., ::-1].copy(), "bgr8", S, "driver_frame"))
     np.testing.assert_array_equal(msg_to_rgb(outlet.on(POSED_IMAGE)[0]), PHOTO)
     sent = msg_to_pose(outlet.on(POSED_POSE)[0], "map")
@@ -257,12 +258,59 @@ def test_site_file_may_give_pose_and_calibration(capture_of: CaptureOf) -> None:
 
 def test_subscribes_to_what_the_site_leaves_open(capture_of: CaptureOf) -> None:
     capture, _, _ = capture_of()
-    assert {*capture.subscriptions} == {IMAGE_COMPRESSED, CAMERA_INFO, POSE}
+    assert {*capture.subscriptions} == {IMAGE_COMPRESSED, CAMERA_INFO, POSE, FINISHED}
 
 
 def test_unknown_camera_is_named(site: Callable[..., Path]) -> None:
     with pytest.raises(ConfigError, match="no camera 'nose'; it has eye"):
         Capture(CaptureConfig(site=str(site()), camera="nose"), Kept(), Health())
+
+
+FUSE = "/ridge/eye/topodepth"
+
+
+def offered(capture: Capture, *stamps: int) -> None:
+    capture.on_camera_info(info(0))
+    for stamp in stamps:
+        capture.on_pose(pose(stamp))
+        capture.on_image(image(stamp))
+
+
+def test_as_many_leave_as_are_finished_and_the_newest_is_next(capture_of: CaptureOf) -> None:
+    capture, outlet, health = capture_of()
+    outlet.working = {FUSE}
+    offered(capture, *range(S, 7 * S, S))
+    assert outlet.stamps(POSED_IMAGE) == [S, 2 * S]
+    assert health.dropped == {"shed": 3}
+    capture.on_finished(make_header(S, FUSE))
+    assert outlet.stamps(POSED_IMAGE) == [S, 2 * S, 6 * S]
+    for topic in (POSED_CAMERA_INFO, POSED_POSE):
+        assert outlet.stamps(topic) == outlet.stamps(POSED_IMAGE)
+    capture.tick(10.1)
+    offered(capture, 7 * S)
+    assert outlet.stamps(POSED_IMAGE)[-1] == 7 * S, "nobody answers: a dead node holds no camera up for ever"
+
+
+def test_a_recordings_frames_are_not_shed(capture_of: CaptureOf) -> None:
+    capture, outlet, health = capture_of(shed=False)
+    outlet.working = {FUSE}
+    offered(capture, *range(S, 7 * S, S))
+    for stamp in range(S, 7 * S, S):
+        capture.on_finished(make_header(stamp, FUSE))
+    assert outlet.stamps(POSED_IMAGE) == [*range(S, 7 * S, S)]
+    assert health.dropped == {}
+
+
+def test_what_is_no_image_of_the_camera_takes_no_place_at_the_door(capture_of: CaptureOf) -> None:
+    capture, outlet, health = capture_of()
+    outlet.working = {FUSE}
+    offered(capture, S, 2 * S, 3 * S)
+    capture.on_pose(pose(4 * S))
+    with pytest.raises(ImageError):
+        capture.on_image(image(4 * S, b"garbage"))
+    capture.on_finished(make_header(S, FUSE))
+    assert outlet.stamps(POSED_IMAGE) == [S, 2 * S, 3 * S]
+    assert health.dropped == {}
 
 
 HUGE = np.finfo(np.float64).max

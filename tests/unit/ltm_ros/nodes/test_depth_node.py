@@ -19,7 +19,7 @@ from ltm_msgs_py.image import msg_to_depth
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_ros.nodes.depth import Depth, DepthConfig
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.topics import DEPTH_IMAGE, GROUND_DEPTH, POSED_CAMERA_INFO, POSED_POSE
+from ltm_ros.runtime.topics import DEPTH_IMAGE, FINISHED, GROUND_DEPTH, POSED_CAMERA_INFO, POSED_POSE
 
 STAMP = 1_700_000_000_000_000_000
 
@@ -77,7 +77,9 @@ def test_without_one_or_when_told_so_both_hits_are_bare_ground(
 
 
 def test_nothing_is_traced_twice_while_nobody_listens(tmp_path: Path) -> None:
-    assert traced(tmp_path, True).on(GROUND_DEPTH) == []
+    kept = traced(tmp_path, True)
+    assert kept.on(GROUND_DEPTH) == []
+    assert kept.acknowledged == [(FINISHED, STAMP)]
 
 
 def test_calibrations_of_too_many_pixels_are_not_traced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,5 +94,6 @@ def test_calibrations_of_too_many_pixels_are_not_traced(tmp_path: Path, monkeypa
     node.subscriptions[POSED_CAMERA_INFO](camera_to_msg(Camera.from_fov(12_000, 9_000, 50.0), STAMP, "mast_optical"))
     node.subscriptions[POSED_POSE](pose_to_msg(depth_scene().traced.pose, STAMP))
     assert kept.sent == []
+    assert kept.acknowledged == [], "what was refused is not finished"
     assert health.dropped == {"too_large": 1}
     assert "12000 x 9000 pixels, at most 16000000" in health.last_error

@@ -44,6 +44,7 @@ from ltm_msgs_py.label_info import label_set_to_msg
 from ltm_msgs_py.votes import votes_to_msg
 from ltm_ros.fuel_map import persistence
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
+from ltm_ros.runtime import retry
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_MAP, FUEL_MAP_ANSWER, FUEL_MAP_UPDATE, FUEL_VOTES
 
@@ -220,7 +221,7 @@ def test_full_disk_map_lives_on_and_catches_up(
     assert node.health.dropped == {"duplicate": 2}
 
     disk.free()
-    node.handler.tick(persistence.RETRY_S)
+    node.handler.tick(retry.LONGEST_RETRY_S)
     assert (node.gauge("frames"), node.gauge("unsaved_frames"), node.gauge("noted.store_back")) == ("60", "0", "1")
     assert sorted(node.outlet.stamps(FUEL_MAP_UPDATE)) == [stamp_of_frame(n) for n in range(60)]
     node.handler.persistence.store.close()

@@ -26,6 +26,7 @@ from ltm_ros.launching.graph import describe
 from ltm_ros.nodes.terrain import STORE_FILE, Terrain, TerrainNodeConfig
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
+    FINISHED,
     LABELS_IMAGE,
     MEASURED_DEPTH,
     MEASURED_SIGMA,
@@ -62,6 +63,12 @@ def test_change_goes_out_once_views_agree(small: SmallSite) -> None:
     feed(terrain, measured_messages(small, truth, BEGIN_NS))
     assert outlet.on(TERRAIN_UPDATE) == []
     feed(terrain, measured_messages(small, truth, BEGIN_NS + 2 * HOUR))
+    finished = camera_topic(NAME, "mast", FINISHED)
+    assert [(topic.name, stamp) for topic, stamp in outlet.acknowledged] == [
+        (finished, BEGIN_NS),
+        (finished, BEGIN_NS + 2 * HOUR),
+    ]
+    assert {topic.name for topic in terrain.acknowledgements} == {finished, camera_topic(NAME, "tower", FINISHED)}
     (update,) = outlet.on(TERRAIN_UPDATE)
     changed, z = msg_to_changed(update)
     was = small.dem.elevation[changed.rows, changed.cols]

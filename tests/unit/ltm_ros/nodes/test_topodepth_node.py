@@ -25,6 +25,7 @@ from ltm_ros.nodes.topodepth import TopoDepth, TopoDepthConfig
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
+    FINISHED,
     FUSED_DEPTH,
     FUSED_INFO,
     FUSED_SIGMA,
@@ -120,6 +121,7 @@ def test_a_frame_comes_out_fused_with_its_stamp(
     assert (info["verdict"], info["camera"], info["stamp_ns"]) == ("ok", "mast", STAMP)
     assert info["inlier_ratio"] > 0.5
     assert node.health.summary()["verdict"] == "ok"
+    assert node.kept.acknowledged == [(FINISHED, STAMP)]
 
 
 def test_labels_are_waited_for_and_then_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,6 +134,19 @@ def test_labels_are_waited_for_and_then_done_without(tmp_path: Path, monkeypatch
     assert node.health.summary()["noted.unlabelled"] == "1"
     node.feed("labels")
     assert node.kept.stamps(FUSED_DEPTH) == [STAMP]
+
+
+def test_a_frame_that_never_gets_its_depth_is_given_up_by_its_age(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = Node(tmp_path, monkeypatch, label_wait=1.0, max_wait=9.0)
+    node.feed("image", "info", "pose", "labels")
+    node.handler.tick(9.0)
+    assert node.health.dropped == {}
+    node.handler.tick(0.5)
+    assert node.health.dropped == {"unjoined": 1}
+    assert node.health.summary()["noted.unjoined.depth"] == "1"
+    assert "never got its depth (waited 9 s)" in node.health.last_error
 
 
 def test_no_more_frames_wait_than_allowed_and_none_is_lost_at_the_end(

@@ -115,8 +115,19 @@ def test_frames_wait_no_longer_than_they_are_told(health: Health) -> None:
     join.tick(3.0)
     assert not told
     join.tick(0.1)
-    assert told == [(7, ["a"], "waited 3.0 s")]
+    assert told == [(7, ["a"], "waited 3 s")]
     assert health.dropped == {}
+
+
+def test_no_join_waits_for_ever_and_what_a_camera_lacked_is_counted(health: Health) -> None:
+    join = StampJoin(("depth", "labels"), lambda **_: None, health, camera="north")
+    join.add("labels", 7, "labels")
+    join.tick(60.0)
+    assert health.dropped == {}
+    join.tick(0.5)
+    assert health.dropped == {"unjoined": 1}
+    assert health.summary()["noted.unjoined.north.depth"] == "1"
+    assert health.last_error == "unjoined: north: stamp 7 ns never got its depth (waited 60 s)"
 
 
 def test_a_pose_may_be_near_and_a_calibration_of_before(health: Health) -> None:

@@ -1,0 +1,110 @@
+"""Room on a disk: a floor under which a writer stops, and room that is held for what must be written on a full disk."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+
+def folder_that_exists(path: Path) -> Path:
+    """The path, or the nearest folder above it that is there: a disk may be asked before anything is written to it."""
+    path = path.absolute()
+    while not path.exists() and path != path.parent:
+        path = path.parent
+    return path
+
+
+def disk_bytes(path: Path) -> int:
+    """Size of the file system that holds `path`. Raises OSError."""
+    room = os.statvfs(folder_that_exists(path))
+    return room.f_blocks * room.f_frsize
+
+
+def free_bytes(path: Path) -> int:
+    """What we may still write on the file system that holds `path`, which need not exist yet. Raises OSError."""
+    room = os.statvfs(folder_that_exists(path))
+    return room.f_bavail * room.f_frsize
+
+
+class SpaceFloor:
+    """Whether a disk has less free space than `floor` bytes.
+
+    Once it has, it counts as low until `again` bytes are free, a tenth more than the floor: a writer shall not stop
+    and start with every file that somebody else removes.
+    """
+
+    def __init__(self, path: Path, floor: int) -> None:
+        self._path, self.floor = path, floor
+        self.again = floor + floor // 10
+        self.low = False
+        self.free = 0
+        """At the last look."""
+
+    def look(self) -> bool:
+        """Look again; `low`. A disk that cannot be asked (gone, read-only) is not low: writing tells what is wrong."""
+        try:
+            self.free = free_bytes(self._path)
+        except OSError:
+            return self.low
+        self.low = self.free < (self.again if self.low else self.floor)
+        return self.low
+
+
+class DiskReserve:
+    """Room on a disk, held by a file that is given up when nothing else is left.
+
+    Whoever fills the disk can then not keep us from one last write. Not safe against others once it is given up.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Nothing is held yet."""
+        self.path = path
+        self.most = 0
+        """Bytes that have been held at most."""
+
+    @property
+    def held(self) -> int:
+        """Bytes that are held now."""
+        try:
+            return self.path.stat().st_blocks * 512
+        except OSError:
+            return 0
+
+    def hold(self, wanted: int) -> None:
+        """Hold so many bytes, or a quarter of what is free where that is less; on a full disk nothing, and no error."""
+        held = self.held
+        try:
+            size = min(wanted, (held + free_bytes(self.path)) // 4)
+            if size > held:
+                self._grow(size)
+        except OSError:
+            if not held:
+                self.give_up()
+        self.most = max(self.most, self.held)
+
+    def _grow(self, size: int) -> None:
+        descriptor = os.open(self.path, os.O_CREAT | os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+        try:
+            os.posix_fallocate(descriptor, 0, size)
+        finally:
+            os.close(descriptor)
+
+    @contextmanager
+    def lent(self) -> Iterator[None]:
+        """What was held is free for the caller; what it leaves is held again."""
+        held = self.held
+        self.give_up()
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                self._grow(min(held, free_bytes(self.path) * 15 // 16))
+
+    def give_up(self) -> None:
+        """What was held is free for anybody."""
+        try:
+            self.path.unlink(missing_ok=True)
+        except OSError:
+            return

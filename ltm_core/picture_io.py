@@ -1,0 +1,66 @@
+"""Opens photo files: their formats alone, no larger than can be decoded, with Pillow's errors as ours."""
+
+from __future__ import annotations
+
+import struct
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+
+from PIL import Image, UnidentifiedImageError
+
+from ltm_core.errors import ImageError
+
+LARGEST_FILE = 256 << 20
+"""Bytes of a photo file."""
+MAX_PIXELS = 64_000_000
+"""Of a compressed image: a few kilobytes can claim gigapixels, and decoding them takes the memory of a tower."""
+
+FORMATS = ("JPEG", "PNG", "HEIF", "TIFF", "GIF", "BMP", "WEBP")
+"""What is opened (MPO with JPEG). Other formats of Pillow's are not even tried: for EPS it starts Ghostscript."""
+
+BROKEN = (
+    *(OSError, ValueError, SyntaxError, TypeError, LookupError, AttributeError, ArithmeticError, EOFError),
+    *(RuntimeError, MemoryError, struct.error, Image.DecompressionBombError),
+)
+"""What Pillow, its plugins and their EXIF raise for files that are damaged: they agree on no error of their own."""
+
+
+@contextmanager
+def open_picture(path: Path) -> Iterator[tuple[Image.Image, bytes]]:
+    """The opened image, nothing of it decoded, and the file's bytes. Raises ImageError: no picture, too large, and for
+    whatever Pillow raises in the block; what else the block does shall raise ImageError itself."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST_FILE + 1)
+    except (OSError, ValueError) as error:
+        raise ImageError(f"{path}: cannot be read ({error})") from error
+    if len(data) > LARGEST_FILE:
+        raise ImageError(f"{path}: cannot be read: it has more than {LARGEST_FILE >> 20} MiB; send a smaller photo")
+    from pillow_heif import register_heif_opener  # here, for live nodes take JPEG and PNG alone
+
+    register_heif_opener()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow warns of large images and odd EXIF; what matters is checked here
+            with Image.open(BytesIO(data), formats=FORMATS) as image:
+                if image.width * image.height > MAX_PIXELS:
+                    raise ImageError(
+                        f"{path}: states a size of {image.width} x {image.height}: more than "
+                        f"{MAX_PIXELS // 1_000_000} million pixels are not decoded; send a smaller photo"
+                    )
+                yield image, data
+    except UnidentifiedImageError as error:
+        raise ImageError(
+            f"{path}: cannot be read: it is no photo that can be read, of another format or cut short"
+        ) from error
+    except BROKEN as error:
+        raise ImageError(f"{path}: cannot be read as a picture ({type(error).__name__}: {error})") from error
+
+
+def check_picture(path: Path) -> None:
+    """Before another library decodes a file. Raises ImageError: no picture, or larger than can be decoded."""
+    with open_picture(path):
+        pass

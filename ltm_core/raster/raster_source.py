@@ -1,0 +1,63 @@
+"""Opens rasters of others for reading: files alone, with GDAL's errors as ours, and no larger than their files hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from ltm_core.errors import RasterError
+
+_GDAL = {"GDAL_CACHEMAX": 32}
+"""MB; GDAL's own default is a twentieth of the machine's memory."""
+MOST_CELLS = 1 << 30
+"""Of a raster that is read whole: 32 km a side at 1 m."""
+_UNSUSPECTED = 16 << 20
+"""Cells up to which a raster may be of any contents."""
+_MOST_FOR_A_BYTE = 1000
+"""Cells for each byte of the file: of elevations and codes, compression leaves a cell a tenth of a byte at least. A
+file may state any size, and need not hold the tiles of it."""
+
+
+@contextmanager
+def open_raster(path: Path | str) -> Iterator[Any]:
+    """The open dataset. Whatever GDAL raises within the block becomes a RasterError that names the file."""
+    import rasterio
+    from rasterio._err import CPLE_BaseError  # GDAL's errors, of which rasterio's own functions let some through
+    from rasterio.errors import CRSError, RasterioError
+
+    _check_is_data(Path(path))
+    try:
+        with rasterio.Env(**_GDAL), rasterio.open(path) as source:
+            yield source
+    except (RasterioError, CPLE_BaseError, CRSError) as error:
+        raise RasterError(f"{path}: not a raster that GDAL can read ({error})") from error
+
+
+def _check_is_data(path: Path) -> None:
+    """Some of GDAL's formats are a text that names a web service, whatever the file is called: of texts, VRT alone is
+    followed. Raises RasterError."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(1024)
+    except OSError:
+        return  # a folder, or GDAL's name of a part of a file; what is not there GDAL says best
+    if head.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in (b"<", b"{") and b"<VRTDataset" not in head:
+        raise RasterError(f"{path}: not a raster but a text that names other places ({head[:40]!r}); give the raster")
+
+
+def check_size(source: Any, path: Path | str, height: int, width: int) -> None:
+    """Before so many cells of a raster are read at once. Raises RasterError where they are more than a map has, or than
+    the file can hold."""
+    cells = height * width
+    if cells <= _UNSUSPECTED:
+        return
+    files = [Path(name) for name in source.files]
+    size = sum(file.stat().st_size for file in files if file.is_file())
+    # A VRT holds nothing itself, and names files that may be elsewhere.
+    if cells > MOST_CELLS or (source.driver != "VRT" and cells > size * _MOST_FOR_A_BYTE):
+        raise RasterError(
+            f"{path}: states {width} x {height} cells in a file of {size} bytes; at most {MOST_CELLS} cells are read, "
+            f"and {_MOST_FOR_A_BYTE} for each byte: cut it to the site (gdalwarp -te)"
+        )

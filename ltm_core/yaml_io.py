@@ -1,0 +1,108 @@
+"""Reads YAML within bounds, so that a few bytes can take neither minutes nor gigabytes.
+
+PyYAML has no bounds of its own: nested brackets end in a RecursionError, aliases of aliases are billions of values to
+whoever walks over them, and values that look like dates or numbers and are none raise whatever Python raises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ltm_core.errors import ConfigError
+from ltm_core.text_io import read_text
+
+LARGEST_FILE = 512 << 10
+"""Bytes; parsed in some two seconds. The largest that ships has 20 kB, one of a site with 50 cameras 30 kB."""
+LARGEST_DEPTH = 40
+"""Mappings and lists inside each other."""
+MOST_VALUES = 100_000
+"""Keys and values, with those that an alias repeats counted each time."""
+LONGEST_NUMBER = 40
+"""Characters of a whole number: of longer ones, Python's own conversions take seconds or refuse."""
+
+_BROKEN = (
+    *(yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError),
+    *(OverflowError, RecursionError),
+)
+"""What PyYAML raises, on purpose and not: dates such as 2001-13-45 (ValueError), `!!int ""` (IndexError), `!!bool x`
+(KeyError), `!!timestamp x` (AttributeError), characters beyond Unicode (OverflowError)."""
+
+
+class _BoundedLoader(yaml.SafeLoader):
+    """Refuses a key that stands twice in a mapping (PyYAML would drop all but the last, a whole camera perhaps), and
+    what is nested too deep or repeated too often."""
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._open: list[int] = []
+        """Values so far in each node that is being composed, outermost first."""
+        self._values: dict[int, int] = {}
+        """Values in each node that is composed, by its identity."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+        if self.check_event(yaml.AliasEvent):
+            node = super().compose_node(parent, index)
+            if id(node) not in self._values:
+                raise yaml.composer.ComposerError(None, None, "an alias within what it stands for", mark)
+            values = self._values[id(node)]
+        else:
+            if len(self._open) >= LARGEST_DEPTH:
+                raise yaml.composer.ComposerError(None, None, f"nested deeper than {LARGEST_DEPTH}", mark)
+            self._open.append(1)
+            node = super().compose_node(parent, index)
+            values = self._values[id(node)] = self._open.pop()
+        if self._open:
+            self._open[-1] += values
+            if self._open[-1] > MOST_VALUES:
+                raise yaml.composer.ComposerError(None, None, f"more than {MOST_VALUES} values", mark)
+        return node
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.tag != "tag:yaml.org,2002:merge":
+                if key.value in seen:
+                    raise yaml.constructor.ConstructorError(
+                        "in a mapping", node.start_mark, f"the key {key.value!r} stands twice", key.start_mark
+                    )
+                seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+    def construct_scalar(self, node: Any) -> Any:
+        value = super().construct_scalar(node)
+        if isinstance(value, str) and any(c == "\0" or "\ud800" <= c <= "\udfff" for c in value):
+            raise yaml.constructor.ConstructorError(
+                None, None, "a character that neither names nor texts have", node.start_mark
+            )
+        return value
+
+    def construct_yaml_int(self, node: Any) -> int:
+        if len(str(node.value)) > LONGEST_NUMBER:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"a number of more than {LONGEST_NUMBER} characters", node.start_mark
+            )
+        return int(super().construct_yaml_int(node))
+
+
+_BoundedLoader.add_constructor("tag:yaml.org,2002:int", _BoundedLoader.construct_yaml_int)
+
+
+def parse_yaml(text: str, place: str) -> Any:
+    """What a YAML text holds; `place`: the file, for the message. Raises ConfigError: no YAML, keys twice, or more than
+    the bounds above."""
+    if len(text) > LARGEST_FILE:
+        raise ConfigError(f"{place}: not YAML (more than {LARGEST_FILE} characters: no such file is that large)")
+    try:
+        return _BoundedLoader(text).get_single_data()
+    except _BROKEN as error:
+        raise ConfigError(f"{place}: not YAML ({error or type(error).__name__})") from error
+
+
+def read_yaml(path: Path) -> Any:
+    """What a YAML file holds. Raises ConfigError as `parse_yaml` does, and where the file cannot be read."""
+    return parse_yaml(read_text(path, LARGEST_FILE, ConfigError), str(path))

@@ -1,0 +1,161 @@
+"""The recordings of one recorder as a ring of files: bounded in bytes, the oldest whole files go first."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Header
+
+from ltm_core.errors import RecordingError
+from ltm_msgs_py.bag.bag_repair import repair_bag, rewrite_metadata
+from ltm_msgs_py.bag.metadata import FILE_NAME
+
+_HEAD = struct.Struct("<8sBQ")
+_LONGEST_HEADER = 4096
+
+
+@dataclass(frozen=True)
+class RingFile:
+    """A file of the ring; `kept`: somebody has marked it, so it stays."""
+
+    path: Path
+    size: int
+    kept: bool
+
+
+class RecordingRing:
+    """The bags `NAME`, `NAME_1`, `NAME_2`, ... of one folder, one a run of the recorder.
+
+    Of these only MCAP files are touched that lie in such a folder by the name that the recorder gives them, whose
+    header says that this recorder wrote them (`library`), that are no links, that no process is writing, and that are
+    not marked: by a file `<file>.keep` beside the file, or `.keep` in its folder.
+    """
+
+    def __init__(self, path: Path, recorder: str, most_bytes: int | None) -> None:
+        """`path`: of the first bag. `recorder`: its name. `most_bytes`: of all files that are not kept; None: any."""
+        self._path = path.resolve()
+        self.library = f"ltm recorder {recorder} {self._path.name}"
+        self.most_bytes = most_bytes
+
+    def new_folder(self) -> Path:
+        """Where the next bag goes: after all that are there, so that the order of the names is that of time."""
+        folders = self._numbered()
+        if not folders:
+            return self._path
+        if len(folders) == 1 and folders[0][1] == self._path and not any(self._path.iterdir()):
+            return self._path
+        return self._path.with_name(f"{self._path.name}_{folders[-1][0] + 1}")
+
+    def files(self) -> list[RingFile]:
+        """All that this recorder wrote, the oldest first."""
+        return [file for _, folder in self._numbered() for file in self._files_in(folder)]
+
+    def total(self) -> int:
+        """Bytes in files that are not kept."""
+        return sum(file.size for file in self.files() if not file.kept)
+
+    def repair(self) -> list[Path]:
+        """End what a killed recorder left unfinished; the bags that were."""
+        mended = []
+        for _, folder in self._numbered():
+            files = [file.path for file in self._files_in(folder)]
+            if not files or (folder / FILE_NAME).exists():
+                continue
+            with suppress(RecordingError), _held(files[-1]) as free:
+                if free:
+                    for leftover in folder.glob(".*.mcap.reserve"):
+                        leftover.unlink(missing_ok=True)
+                    repair_bag(folder, files)
+                    mended.append(folder)
+        return mended
+
+    def make_room(self, wanted: int) -> list[Path]:
+        """Remove the oldest files until `wanted` bytes more are within the bound; those that were removed."""
+        if self.most_bytes is None:
+            return []
+        files = [file for file in self.files() if not file.kept]
+        total, removed = sum(file.size for file in files), []
+        for file in files:
+            if total + wanted <= self.most_bytes:
+                break
+            if self._remove(file.path):
+                total -= file.size
+                removed.append(file.path)
+        return removed
+
+    def _remove(self, path: Path) -> bool:
+        """False where somebody writes it, or it cannot be removed."""
+        folder = path.parent
+        with suppress(OSError, RecordingError), _held(path) as free:
+            if not free:
+                return False
+            left = [file.path for file in self._files_in(folder) if file.path != path]
+            if (folder / FILE_NAME).exists():
+                # First, so that a bag never lists what is gone.
+                rewrite_metadata(folder, left)
+            path.unlink()
+            if not left:
+                (folder / FILE_NAME).unlink(missing_ok=True)
+                with suppress(OSError):  # not empty: something that is not ours
+                    folder.rmdir()
+            return True
+        return False
+
+    def _numbered(self) -> list[tuple[int, Path]]:
+        """What has the name of one of our bags, by its number."""
+        form = re.compile(rf"{re.escape(self._path.name)}(?:_([1-9]\d*))?")
+        try:
+            found = [(form.fullmatch(path.name), path) for path in self._path.parent.iterdir()]
+        except OSError:
+            return []
+        return sorted((int(match[1] or 0), path) for match, path in found if match)
+
+    def _files_in(self, folder: Path) -> list[RingFile]:
+        if folder.is_symlink() or not folder.is_dir():
+            return []
+        form = re.compile(rf"{re.escape(folder.name)}_(\d+)\.mcap")
+        found = []
+        for path in folder.iterdir():
+            match = form.fullmatch(path.name)
+            if match and not path.is_symlink() and path.is_file() and self._wrote(path):
+                kept = (folder / ".keep").exists() or path.with_name(f"{path.name}.keep").exists()
+                found.append((int(match[1]), RingFile(path, path.stat().st_size, kept)))
+        return [file for _, file in sorted(found, key=lambda item: item[0])]
+
+    def _wrote(self, path: Path) -> bool:
+        """Whether a file's header says that this recorder wrote it."""
+        try:
+            with path.open("rb") as file:
+                magic, opcode, length = _HEAD.unpack(file.read(_HEAD.size))
+                if magic != b"\x89MCAP0\r\n" or opcode != Opcode.HEADER or length > _LONGEST_HEADER:
+                    return False
+                header = Header.read(ReadDataStream(BytesIO(file.read(length))))
+        except (OSError, struct.error, McapError, ValueError):
+            return False
+        return bool(header.library == self.library)
+
+
+@contextmanager
+def _held(path: Path) -> Iterator[bool]:
+    """Whether no process is writing a file; nobody begins to while this lasts. Raises OSError."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            yield False
+        else:
+            yield True
+    finally:
+        os.close(descriptor)

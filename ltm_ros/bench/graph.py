@@ -1,0 +1,286 @@
+"""`ltm bench graph`: load test of a site's whole graph with the demo's frames, through real DDS.
+
+Measures how many frames are finished, how many are shed, the latency to the fuel map, and processor time by job.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import OccupancyGrid
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from ltm_core.errors import LtmError
+from ltm_core.resources import project_path
+from ltm_core.site_io import load_site
+from ltm_ros.bench.graph_site import NAME, write_site
+from ltm_ros.launching.dds_shutdown import wait_for_quiet
+from ltm_ros.launching.graph import describe
+from ltm_ros.launching.ros_environment import apply_to_process, ros_environment
+from ltm_ros.launching.runner import Runner
+from ltm_ros.runtime.node import stream_qos
+from ltm_ros.runtime.topics import FUEL_MAP_UPDATE, site_topic
+
+READY_S = 300.0
+WARM_UP = 2
+"""Frames of each camera before any is counted: networks take longer for their first."""
+QUIET_S = 6.0
+"""Without any update of the map, after which no more will come."""
+LONGEST_SETTLE_S = 60.0
+
+Summaries = Mapping[str, Mapping[str, str]]
+
+
+@dataclass(frozen=True)
+class GraphResult:
+    """One run. Counts are of frames of all cameras; latencies in seconds, from the stamp to `fuel_map/update`."""
+
+    cameras: int
+    fusion: bool
+    offered_hz: float
+    """Of each camera."""
+    seconds: float
+    offered: int
+    admitted: int
+    """That `capture` sent on."""
+    shed: int
+    """That `capture` turned away at the door."""
+    finished: int
+    """That had everything: labels and depth made one where the site fuses, and votes, stored in the map."""
+    fused: int
+    unlabelled: int
+    """Fused without labels."""
+    voted: int
+    stored: int
+    """That the map told of."""
+    least_finished: int
+    """Of the camera that had the fewest."""
+    latency_p50_s: float
+    latency_p95_s: float
+    latency_p99_s: float
+    latency_max_s: float
+    fused_p50_s: float | None
+    """From the stamp to `fused/depth`, of the slowest camera, its first frames among them; None without
+    fusion."""
+    fused_p95_s: float | None
+    cpu_ms_a_frame: dict[str, float]
+    """Processor time by job and in `all`, over the frames that were finished; of starting nothing is in it."""
+    load_average: float
+    """Of the minute before the run: what else the machine had to do."""
+    cameras_late_s: float
+    """The most by which the sending process fell behind its own plan."""
+
+    @property
+    def lost(self) -> int:
+        """Neither finished nor shed."""
+        return self.offered - self.finished - self.shed
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self) | {"lost": self.lost}
+
+
+class Listener:
+    """Stamps of the map's updates with their time of arrival, and every node's last diagnostics."""
+
+    def __init__(self) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context)
+        self._node = Node("bench", context=self._context, enable_rosout=False)
+        self.arrived: dict[int, float] = {}
+        self.summaries: dict[str, dict[str, str]] = {}
+        qos = stream_qos(depth=FUEL_MAP_UPDATE.depth)
+        self._node.create_subscription(OccupancyGrid, site_topic(NAME, FUEL_MAP_UPDATE), self._updated, qos, raw=True)
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, 200)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._stopping.set()
+        self._thread.join()
+        self._executor.shutdown()
+        wait_for_quiet(self._node)
+        self._node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def settle(self, stamps: set[int]) -> None:
+        """Until the map has told of all these frames, or of none for a while; then until diagnostics say so too."""
+        deadline, last, since = time.monotonic() + LONGEST_SETTLE_S, -1, time.monotonic()
+        while (told := len(stamps & self.arrived.keys())) < len(stamps) and time.monotonic() < deadline:
+            if told != last:
+                last, since = told, time.monotonic()
+            if time.monotonic() - since > QUIET_S:
+                break
+            time.sleep(0.1)
+        time.sleep(2.2)  # diagnostics come once a second
+
+    def _updated(self, cdr: bytes) -> None:
+        sec, nanosec = struct.unpack_from("<iI" if cdr[1] & 1 else ">iI", cdr, 4)
+        self.arrived.setdefault(sec * 10**9 + nanosec, time.time())
+
+    def _diagnosed(self, message: Any) -> None:
+        for status in message.status:
+            self.summaries[status.name] = {item.key: item.value for item in status.values}
+
+    def _spin(self) -> None:
+        while not self._stopping.is_set():
+            self._executor.spin_once(timeout_sec=0.1)
+
+
+def run_graph(
+    cameras: int, rate: float, seconds: float, fusion: bool = True, domain_id: int | None = None
+) -> GraphResult:
+    """The graph of `cameras`, each of which sends `rate` frames a second for `seconds`. Raises LtmError where it does
+    not run."""
+    apply_to_process(domain_id)
+    with tempfile.TemporaryDirectory(prefix="ltm-bench-") as name:
+        folder = Path(name)
+        traffic = write_site(folder, project_path("bags/demo"), cameras, fusion)
+        graph = describe(
+            load_site(traffic.site), traffic.site, parameters={"fuel_map": {"folder": str(folder / "kept")}}
+        )
+        runner = Runner(graph, domain_id=domain_id, log_folder=folder / "log", console=lambda line: None)
+        with runner, _listening() as listener:
+            runner.wait_until_ready(READY_S)
+            with _cameras(folder, traffic.cameras, domain_id) as sender:
+                warmed = _stream(sender, WARM_UP, 2.0 * cameras)
+                listener.settle({stamp for stamps in warmed["sent"].values() for stamp in stamps})
+                before, cpu = dict(listener.summaries), _cpu_by_job(runner)
+                load = os.getloadavg()[0]
+                report = _stream(sender, max(1, round(seconds * rate)), 1.0 / rate)
+                sent: dict[str, list[int]] = report["sent"]
+                listener.settle({stamp for stamps in sent.values() for stamp in stamps})
+                after, cpu_after = dict(listener.summaries), _cpu_by_job(runner)
+            restarted = [label for label, process in runner.processes.items() if process.starts > 1]
+            if restarted:
+                raise LtmError(f"died and were started again: {', '.join(restarted)}")
+            spent = {job: cpu_after[job] - cpu[job] for job in cpu}
+            return _result(rate, seconds, fusion, sent, listener.arrived, before, after, spent, load, report["late"])
+
+
+def _result(
+    rate: float,
+    seconds: float,
+    fusion: bool,
+    sent: Mapping[str, list[int]],
+    arrived: Mapping[int, float],
+    before: Summaries,
+    after: Summaries,
+    cpu_s: Mapping[str, float],
+    load: float,
+    late: float,
+) -> GraphResult:
+    def counted(camera: str, node: str, key: str) -> int:
+        name = f"/{NAME}/{camera}/{node}"
+        return int(after.get(name, {}).get(key, "0")) - int(before.get(name, {}).get(key, "0"))
+
+    def fused_latency(key: str) -> float | None:
+        if not fusion:
+            return None
+        said = [float(after.get(f"/{NAME}/{camera}/topodepth", {}).get(key, "nan")) for camera in sent]
+        return max(said) / 1000
+
+    total: Counter[str] = Counter()
+    finished = []
+    for camera, stamps in sent.items():
+        told = sum(stamp in arrived for stamp in stamps)
+        fused, unlabelled = (counted(camera, "topodepth", key) for key in ("frames_out", "noted.unlabelled"))
+        total.update(
+            offered=len(stamps),
+            admitted=counted(camera, "capture", "frames_out"),
+            shed=counted(camera, "capture", "dropped.shed"),
+            voted=counted(camera, "fuel_votes", "frames_out"),
+            fused=fused,
+            unlabelled=unlabelled,
+            stored=told,
+        )
+        finished.append(min(told, fused - unlabelled) if fusion else told)
+    ages = [arrived[stamp] - stamp / 1e9 for stamps in sent.values() for stamp in stamps if stamp in arrived]
+    p50, p95, p99, most = np.percentile(ages or [np.nan], (50, 95, 99, 100))
+    per_frame = {job: 1000 * spent / max(sum(finished), 1) for job, spent in cpu_s.items()}
+    return GraphResult(
+        cameras=len(sent),
+        fusion=fusion,
+        offered_hz=rate,
+        seconds=seconds,
+        finished=sum(finished),
+        least_finished=min(finished),
+        latency_p50_s=float(p50),
+        latency_p95_s=float(p95),
+        latency_p99_s=float(p99),
+        latency_max_s=float(most),
+        fused_p50_s=fused_latency("latency_p50_ms"),
+        fused_p95_s=fused_latency("latency_p95_ms"),
+        cpu_ms_a_frame=per_frame | {"all": sum(per_frame.values())},
+        load_average=load,
+        cameras_late_s=late,
+        **{key: total[key] for key in ("offered", "admitted", "shed", "voted", "fused", "unlabelled", "stored")},
+    )
+
+
+@contextmanager
+def _listening() -> Iterator[Listener]:
+    listener = Listener()
+    try:
+        yield listener
+    finally:
+        listener.close()
+
+
+@contextmanager
+def _cameras(folder: Path, names: tuple[str, ...], domain_id: int | None) -> Iterator[subprocess.Popen[str]]:
+    """The process that sends for all cameras, once they are listened to; it ends when this does."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "ltm_ros.bench.graph_cameras", str(folder), *names],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=ros_environment(domain_id=domain_id, busy=False),
+    )
+    try:
+        assert process.stdout is not None
+        if process.stdout.readline().strip() != "ready":
+            raise LtmError("the cameras of the benchmark found no graph that listens")
+        yield process
+    finally:
+        process.communicate(timeout=30)
+
+
+def _stream(sender: subprocess.Popen[str], frames: int, period: float) -> dict[str, Any]:
+    """Have every camera send so many frames, `period` seconds apart: the report."""
+    assert sender.stdin is not None
+    assert sender.stdout is not None
+    sender.stdin.write(json.dumps({"frames": frames, "period": period, "begin": time.time() + 0.5}) + "\n")
+    sender.stdin.flush()
+    report: dict[str, Any] = json.loads(sender.stdout.readline())
+    return report
+
+
+def _cpu_by_job(runner: Runner) -> dict[str, float]:
+    """Processor seconds so far, by type of node."""
+    spent: defaultdict[str, float] = defaultdict(float)
+    for label, process in runner.processes.items():
+        fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+        spent[label.rpartition("/")[2]] += (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return spent

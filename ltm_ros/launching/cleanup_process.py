@@ -1,0 +1,110 @@
+"""The runner's side of `orphan_cleanup`: keeps that process running, and tells it what would be left behind."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping
+
+AGAIN_S = 0.5
+"""Before a cleanup process that has died is started again."""
+PATIENCE_S = 10.0
+
+
+class CleanupProcess:
+    """One that dies is started again and told of all that exists. `tell` takes what the runner's user should know."""
+
+    def __init__(self, environment: Callable[[], Mapping[str, str]], tell: Callable[[str], None]) -> None:
+        self._environment, self._tell = environment, tell
+        self._lock = threading.Lock()
+        self._listed: dict[str, None] = {}
+        self._process: subprocess.Popen[bytes] | None = None
+        self._stopping = threading.Event()
+        # One thread for all its life: Linux tells a process of the end of the thread that started it.
+        self._thread = threading.Thread(target=self._keep, name="orphan cleanup", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def group(self, group: int, alive: bool) -> None:
+        """A process group has come, or is gone."""
+        self._list(f"group {group}", alive, f"forget {group}")
+
+    def folder(self, path: os.PathLike[str], exists: bool) -> None:
+        """A temporary folder has come, or is gone."""
+        self._list(f"folder {path}", exists, f"forget-folder {path}")
+
+    def stop(self) -> None:
+        """End it; what is still listed it ends and removes first. Idempotent."""
+        self._stopping.set()
+        with self._lock:
+            process = self._process
+            if process is not None and process.stdin is not None:
+                process.stdin.close()
+                process.send_signal(signal.SIGCONT)
+        if self._thread.ident is not None:
+            self._thread.join(PATIENCE_S)
+            if self._thread.is_alive() and process is not None:
+                process.kill()
+                self._thread.join()
+
+    def _list(self, order: str, exists: bool, forget: str) -> None:
+        with self._lock:
+            if exists:
+                self._listed[order] = None
+            else:
+                self._listed.pop(order, None)
+            self._send(order if exists else forget)
+
+    def _send(self, order: str) -> None:
+        process = self._process
+        if process is None or process.stdin is None or process.stdin.closed:
+            return
+        try:
+            os.write(process.stdin.fileno(), order.encode() + b"\n")
+        except BlockingIOError:
+            process.kill()  # it does not read; the next will be told of all
+        except BrokenPipeError:
+            return
+
+    def _keep(self) -> None:
+        while not self._stopping.is_set():
+            try:
+                status = self._run_once()
+            except OSError as error:
+                self._tell(f"-- the cleanup process cannot be started: {error}")
+            else:
+                if not self._stopping.is_set():
+                    self._tell(f"-- the cleanup process has died (status {status}); another is started")
+            self._stopping.wait(AGAIN_S)
+
+    def _run_once(self) -> int:
+        """Start one, tell it of all, wait for its end: its exit status."""
+        with self._lock:
+            if self._stopping.is_set():
+                return 0
+            process = self._process = self._start()
+            assert process.stdin is not None
+            os.set_blocking(process.stdin.fileno(), False)
+            for order in self._listed:
+                self._send(order)
+        status = process.wait()
+        with self._lock:
+            self._process = None
+            with contextlib.suppress(OSError):
+                process.stdin.close()
+        return status
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [sys.executable, "-m", "ltm_ros.launching.orphan_cleanup"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            env=self._environment(),
+            start_new_session=True,
+            bufsize=0,
+        )

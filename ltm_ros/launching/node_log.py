@@ -1,0 +1,69 @@
+"""The log file of one node: bounded, and no reason to stop anything where the disk does not take it."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+
+LOG_BYTES = 4 << 20
+LOG_FILES = 3
+
+
+class NodeLog:
+    """Appends lines, with the time, to `path`, which is turned over at `LOG_BYTES`; `LOG_FILES` of them are kept.
+
+    `tell` is told once when lines cannot be written, and how many were not once they can again. Nothing is raised.
+    Not `logging`'s handler: that one prints a traceback for every line that a full disk refuses, keeps the line, and
+    raises when it is closed.
+    """
+
+    def __init__(self, path: Path, tell: Callable[[str], None]) -> None:
+        self._path, self._tell = path, tell
+        self._file: io.FileIO | None = None
+        self._missed = 0
+
+    def write(self, line: str) -> None:
+        """From one thread at a time."""
+        now = datetime.now().isoformat(" ", "milliseconds")
+        try:
+            self._append(f"{now} {line}\n".encode(errors="replace"))
+        except OSError as error:
+            self.close()
+            self._missed += 1
+            if self._missed == 1:
+                self._tell(f"{self._path} cannot be written ({error.strerror}); make room on the disk")
+            return
+        if self._missed:
+            missed, self._missed = self._missed, 0
+            self._tell(f"{self._path} is written again; {missed} lines are missing in it")
+
+    def close(self) -> None:
+        """The next line opens the file again."""
+        if self._file is not None:
+            with contextlib.suppress(OSError):
+                self._file.close()
+            self._file = None
+
+    def _append(self, line: bytes) -> None:
+        if self._file is None:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = io.FileIO(self._path, "a")
+        if self._file.tell() + len(line) > LOG_BYTES:
+            self._turn_over()
+        if self._file.write(line) < len(line):
+            raise OSError(None, "No space left on device")
+
+    def _turn_over(self) -> None:
+        assert self._file is not None
+        self._file.close()
+        for number in range(LOG_FILES - 1, 0, -1):
+            former = self._path if number == 1 else self._numbered(number - 1)
+            if former.exists():
+                former.replace(self._numbered(number))
+        self._file = io.FileIO(self._path, "a")
+
+    def _numbered(self, number: int) -> Path:
+        return self._path.with_name(f"{self._path.name}.{number}")

@@ -1,0 +1,110 @@
+"""Runs a module as a process that its runner watches and that does not outlive it.
+
+`python -m ltm_ros.launching.supervised MODULE ARGUMENTS` is what `start_supervised` starts; the module runs as under
+`python -m MODULE ARGUMENTS`. Standard library only, so that the watch begins before the module's own imports.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import faulthandler
+import os
+import runpy
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+
+from ltm_ros.runtime.heartbeat import HEARTBEAT, STARTING
+
+DESCRIPTOR = "LTM_HEARTBEAT"
+"""Environment variable that holds the number of the heartbeat's file descriptor."""
+SHOW_STACKS = signal.SIGUSR1
+"""Makes a process write what each of its threads is at, whatever they are at."""
+GRACE_S = signal.SIGUSR2.value
+"""Seconds in which a process ends whose runner is gone; 12. See `die_with_parent`."""
+
+_PR_SET_PDEATHSIG = 1
+
+
+def supervised_command(module: str, *arguments: str) -> list[str]:
+    return [sys.executable, "-m", "ltm_ros.launching.supervised", module, *arguments]
+
+
+def start_supervised(command: Sequence[str], environment: Mapping[str, str]) -> tuple[subprocess.Popen[str], int]:
+    """Start a process with both outputs in one pipe, and the descriptor on which its heartbeats come; close that.
+
+    The thread that calls it must live as long as the process, for Linux takes that thread for the parent. The process
+    leads a session of its own: Ctrl-C in a terminal reaches the runner alone, which then stops every node in order, and
+    whatever a node itself has started can be ended with it. Raises OSError.
+    """
+    heard, told = os.pipe()
+    try:
+        process = subprocess.Popen(
+            list(command),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env={**environment, DESCRIPTOR: str(told)},
+            pass_fds=(told,),
+            start_new_session=True,
+            text=True,
+            errors="replace",
+        )
+    except BaseException:
+        os.close(heard)
+        raise
+    finally:
+        os.close(told)
+    return process, heard
+
+
+def signal_at_parents_death(number: int) -> None:
+    """The process gets this signal when its parent, the thread that started it, ends. Each thread may ask for one."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
+
+
+def die_with_parent() -> None:
+    """From here on this process ends within `GRACE_S` of its parent, even when it is stuck in a call that holds the
+    interpreter's lock, where no Python code runs. Call it from the main thread; `_end` asks it to end in order.
+    """
+    libc = ctypes.CDLL(None)
+    libc.signal.argtypes = (ctypes.c_int, ctypes.c_void_p)
+    # A handler is called with the number of its signal, and alarm(2) takes seconds: it is a handler as it stands, needs
+    # no interpreter, and SIGALRM then ends the process.
+    libc.signal(GRACE_S, ctypes.cast(libc.alarm, ctypes.c_void_p))
+    signal_at_parents_death(GRACE_S)
+
+
+def _wake() -> None:
+    """A process that is stopped (SIGSTOP) goes on, to end, when its parent has ended."""
+    signal_at_parents_death(signal.SIGCONT)
+
+
+def _end() -> None:
+    """The runner is gone: end with all that this process has started."""
+    signal.alarm(GRACE_S)
+    # Nobody reads its last words, and an error about that shall not keep it from its end.
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for output in (1, 2):
+        os.dup2(nowhere, output)
+    os.kill(0, signal.SIGTERM)
+    time.sleep(GRACE_S - 2)
+    os.kill(0, signal.SIGKILL)
+
+
+def main() -> None:
+    STARTING.begin(sys.argv[1], slow=True)
+    faulthandler.register(SHOW_STACKS)
+    descriptor = int(os.environ.pop(DESCRIPTOR))
+    os.set_inheritable(descriptor, False)
+    die_with_parent()
+    # When the runner has gone already, the pipe says so at once.
+    HEARTBEAT.start(descriptor, prepare=_wake, reader_gone=_end)
+    del sys.argv[0]
+    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+
+
+if __name__ == "__main__":
+    main()

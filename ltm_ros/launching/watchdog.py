@@ -1,0 +1,93 @@
+"""Judges by a process's heartbeats whether it hangs."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from ltm_core.site import WatchdogConfig
+
+BUSY = 0.05
+"""Share of a core from which a process that says nothing is taken to compute, in code that holds Python's lock."""
+INTERRUPTED_S = 5.0
+"""Between two looks, which come once a second: then the watch itself lay still (the runner was stopped)."""
+PARDON_S = 5.0
+"""For which nobody is judged after that: others may have waited for the runner."""
+
+
+@dataclass(frozen=True)
+class ProcessUse:
+    """State of a process as `ps` has it (`T`: stopped), and the processor time that it has used."""
+
+    state: str
+    cpu_s: float
+
+
+def process_use(pid: int) -> ProcessUse:
+    """Of /proc; a process that is gone has used nothing."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()
+    except OSError:
+        return ProcessUse("gone", 0.0)
+    return ProcessUse(fields[0], (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK"))
+
+
+class HangWatch:
+    """Of one run of a process. Time is what the caller says has passed between looks, so no clock can mislead it.
+
+    Args:
+        limits: of the site.
+        slow_starts: starts in a row that were ended as too slow; each doubles the time that this one has.
+    """
+
+    def __init__(self, limits: WatchdogConfig, slow_starts: int = 0) -> None:
+        self._limits = limits
+        self._start_s = limits.slow * 2.0 ** min(slow_starts, 10)
+        self.started = False
+        """Whether the process has said that it is at work."""
+        self._begun_s = 0.0
+        self._silent_s = 0.0
+        self._idle_s = 0.0
+        self._pardon_s = 0.0
+        self._cpu_s = 0.0
+        self._heard = False
+        self._rest = b""
+        self._beat: list[tuple[float, bool, str]] = []
+
+    def look(self, elapsed_s: float, heard: bytes, use: ProcessUse) -> str:
+        """What hangs, in words, or nothing. `heard`: what has come on the heartbeat's pipe since the last look."""
+        self._take(heard)
+        cpu_s, self._cpu_s = use.cpu_s - self._cpu_s, use.cpu_s
+        if elapsed_s > INTERRUPTED_S:
+            self._silent_s = self._idle_s = 0.0
+            self._pardon_s = PARDON_S
+            return ""
+        self._begun_s += elapsed_s
+        self._silent_s = 0.0 if heard else self._silent_s + elapsed_s
+        self._idle_s = 0.0 if heard or cpu_s > BUSY * elapsed_s else self._idle_s + elapsed_s
+        self._pardon_s -= elapsed_s
+        return "" if self._pardon_s > 0 else self._verdict(use)
+
+    def _verdict(self, use: ProcessUse) -> str:
+        limits = self._limits
+        if not self.started and self._begun_s > self._start_s:
+            return f"it has not started in {self._begun_s:.0f} s"
+        if self._heard and self._idle_s > limits.silent:
+            stopped = ", it is stopped (SIGSTOP)" if use.state == "T" else ""
+            return f"no sign of life for {self._idle_s:.0f} s{stopped}"
+        if self._silent_s > limits.stuck:
+            computes = ", though it computes" if self._idle_s < self._silent_s else ""
+            return f"no sign of life for {self._silent_s:.0f} s{computes}"
+        for age_s, slow, what in self._beat if self.started else ():
+            if age_s > (limits.slow if slow else limits.stuck):
+                return f"{what} has not come to an end in {age_s:.0f} s"
+        return ""
+
+    def _take(self, heard: bytes) -> None:
+        *lines, self._rest = (self._rest + heard).split(b"\n")
+        if lines:
+            self._heard = True
+            self._beat = [(float(age), bool(slow), str(what)) for age, slow, what in json.loads(lines[-1])]
+            self.started = self.started or not any(what.startswith("start:") for _, _, what in self._beat)

@@ -1,0 +1,110 @@
+"""Tells the runner once a second what this process is at, and for how long: the sign of life that its watchdog reads.
+
+A thread of its own writes it into a pipe, so it needs no DDS, and is sent while a node loads and compiles. That the
+thread runs proves only that the process is scheduled and the interpreter's lock is free; what work goes on, and that it
+does go on, is what the activities say. Standard library only.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+PERIOD_S = 1.0
+
+Beat = list[tuple[float, bool, str]]
+"""What a process is at: seconds, whether it may take long, and its name."""
+
+
+class Activity:
+    """Something that a process does turn by turn: its executor, a worker. While it waits for work it is in no turn."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.turns = 0
+        self.what: str | None = None
+        """What it does in this turn; None: nothing."""
+        self.slow = False
+        """Whether this turn may take long."""
+
+    def begin(self, what: str, slow: bool = False) -> None:
+        self.turns += 1
+        self.slow = slow
+        self.what = what
+
+    def end(self) -> None:
+        self.what = None
+
+    @contextlib.contextmanager
+    def turn(self, what: str, slow: bool = False) -> Iterator[None]:
+        self.begin(what, slow)
+        try:
+            yield
+        finally:
+            self.end()
+
+
+class Heartbeat:
+    """The activities of a process, and the thread that tells of them."""
+
+    def __init__(self) -> None:
+        self._activities: list[Activity] = []
+        self._ages: dict[Activity, tuple[int, float]] = {}
+
+    def activity(self, name: str) -> Activity:
+        """A new one, watched from its first turn on."""
+        made = Activity(name)
+        self._activities.append(made)
+        return made
+
+    def look(self, elapsed_s: float) -> Beat:
+        """What goes on, `elapsed_s` after the last look; a turn's age is counted from the first look that saw it."""
+        beat: Beat = []
+        for activity in list(self._activities):
+            turn, what = activity.turns, activity.what
+            former, age = self._ages.get(activity, (0, 0.0))
+            age = age + elapsed_s if turn == former else 0.0
+            self._ages[activity] = turn, age
+            if what is not None:
+                beat.append((round(age, 1), activity.slow, f"{activity.name}: {what}"))
+        return beat
+
+    def start(self, descriptor: int, prepare: Callable[[], None], reader_gone: Callable[[], None]) -> None:
+        """Tell whoever reads the pipe. The thread calls `prepare` before this returns, and last `reader_gone`."""
+        os.set_blocking(descriptor, False)
+        prepared = threading.Event()
+
+        def run() -> None:
+            prepare()
+            prepared.set()
+            self._tell(descriptor)
+            reader_gone()
+
+        threading.Thread(target=run, name="heartbeat", daemon=True).start()
+        prepared.wait()
+
+    def _tell(self, descriptor: int) -> None:
+        poll = select.poll()
+        poll.register(descriptor, 0)  # errors alone: that nobody reads any more
+        last, wait_s = time.monotonic(), 0.0
+        while not poll.poll(wait_s * 1000):
+            wait_s = PERIOD_S
+            now = time.monotonic()
+            # Not longer than it could have been at work: this process, or the whole machine, may have been stopped.
+            elapsed_s, last = min(now - last, 2 * PERIOD_S), now
+            try:
+                os.write(descriptor, json.dumps(self.look(elapsed_s)).encode() + b"\n")
+            except BlockingIOError:
+                continue  # the runner is stopped; what it will want to know is the newest
+            except BrokenPipeError:
+                return
+
+
+HEARTBEAT = Heartbeat()
+"""That of this process."""
+STARTING = HEARTBEAT.activity("start")

@@ -1,0 +1,64 @@
+"""Readers of photos, with their EXIF."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from fuzz.target import Target
+from ltm_core.camera import Camera
+from ltm_core.tracing import trace_io
+from ltm_ros.importer.photo import read_photo
+
+
+def _exif() -> Image.Exif:
+    exif = Image.Exif()
+    exif[0x0112], exif[0x0132] = 6, "2024:05:06 07:08:09"
+    exif.get_ifd(0x8769).update(
+        {0x9003: "2024:05:06 07:08:09", 0x9011: "+02:00", 0x920A: 6.86, 0xA405: 26, 0x9291: "123"}
+    )
+    gps = {1: "N", 2: (34.0, 12.0, 30.5), 3: "W", 4: (117.0, 5.0, 1.25), 5: b"\0", 6: 912.5, 7: (7.0, 8.0, 9.0)}
+    exif.get_ifd(0x8825).update(gps | {16: "M", 17: 123.5, 29: "2024:05:06"})
+    return exif
+
+
+def _photos(kind: str, **options: object) -> Callable[[Path], list[bytes]]:
+    def made(folder: Path) -> list[bytes]:
+        from pillow_heif import register_heif_opener
+
+        register_heif_opener()
+        pixels = np.random.default_rng(3).integers(0, 255, (6, 9, 3), np.uint8).repeat(8, 0).repeat(8, 1)
+        files = []
+        for exif in (Image.Exif(), _exif()):
+            file = io.BytesIO()
+            Image.fromarray(pixels).save(file, kind, exif=exif.tobytes(), **options)
+            files.append(file.getvalue())
+        return files
+
+    return made
+
+
+def _read_photo(folder: Path, name: str) -> None:
+    photo = read_photo(folder / name)
+    photo.exif.focal_px(photo.width, photo.height)
+    trace_io.read_photo(folder / name, Camera.from_fov(photo.width, photo.height, 60.0))
+
+
+def _photo(suffix: str, seeds: Callable[[Path], list[bytes]]) -> Target:
+    return Target(
+        f"photo_{suffix}", f"a.{suffix}", seeds, lambda folder: _read_photo(folder, f"a.{suffix}"), weight=2.0
+    )
+
+
+PHOTO_FILES = (
+    _photo("jpg", _photos("JPEG", quality=90)),
+    _photo("png", _photos("PNG")),
+    _photo("heic", _photos("HEIF")),
+    Target(
+        "photo_progressive", "a.jpg", _photos("JPEG", progressive=True), lambda folder: _read_photo(folder, "a.jpg")
+    ),
+)

@@ -1,0 +1,62 @@
+"""A minute of `make fuzz`, the same cases each time; and that the suite finds what it is there to find."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import pytest
+
+from fuzz import campaign as suite
+from fuzz import targets
+from fuzz.self_test import SELF_TEST
+
+SECONDS = 45.0
+"""For the cases of all targets together; starts come besides."""
+
+
+@pytest.mark.parametrize("name", [target.name for target in targets.TARGETS])
+def test_no_error_but_ours(name: str, tmp_path: Path) -> None:
+    weight = targets.target_named(name).weight / sum(target.weight for target in targets.TARGETS)
+    kept = Path(os.environ.get("LTM_FUZZ_KEPT", tmp_path))
+    tallies = suite.campaign([name], SECONDS * weight, 0, kept)
+    assert tallies[name].cases
+    assert not tallies[name].faults, suite.report(tallies)
+
+
+@pytest.mark.parametrize(
+    ("order", "found"),
+    [
+        ("whole", ""),
+        ("ours", ""),
+        ("bug", "KeyError: 'not ours'"),
+        ("kill", r"ended with -11"),
+        ("grow", r"took \d+ MB, at most"),
+        ("think", r"took \d\.\d s, at most 0\.1 s"),
+        ("hang", r"no end after 1\.5 s"),
+    ],
+)
+def test_what_counts_as_a_fault(order: str, found: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each in a process of its own, which is started anew after it; the file is kept."""
+    monkeypatch.setattr(suite, "HANGS_AFTER", 1.5)
+    if order == "think":
+        monkeypatch.setattr(suite, "MOST_SECONDS", 0.1)
+    file = tmp_path / "order"
+    file.write_bytes(order.encode())
+    with suite.Worker(SELF_TEST.name) as worker:
+        fault = suite.fault_of(worker.run(file))
+        if not found:
+            assert fault == ""
+        else:
+            assert re.search(found, fault)
+        file.write_bytes(b"whole")
+        assert suite.fault_of(worker.run(file)) == ""  # by a new process, where the old one has died
+
+
+def test_a_case_is_the_same_for_its_number() -> None:
+    for target in targets.TARGETS[:12]:
+        seeds = [b"a: 1\nb: [2, 3]\n", b"c: {d: e}\n"]
+        cases = [target.case(number, seeds) for number in range(40)]
+        assert cases == [target.case(number, seeds) for number in range(40)]
+        assert len(set(cases)) > 20

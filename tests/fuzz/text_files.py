@@ -1,0 +1,186 @@
+"""Readers of text files: YAML, CSV and JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from scenes.networks import write_classifier
+from scenes.rasters import rough_terrain
+from scenes.small_site import write_small_site
+from std_msgs.msg import String
+
+from fuzz.mutations import spoil_text
+from fuzz.target import Target
+from ltm_core.config_io import load_yaml
+from ltm_core.dem import Dem
+from ltm_core.depth.fusion_config import FusionConfig
+from ltm_core.evaluation.truth_frames_io import read_truth_frames
+from ltm_core.fuel.codes import FuelModels, FuelRegion
+from ltm_core.fuel.label_errors import LabelErrors
+from ltm_core.geodesy import SiteFrame
+from ltm_core.grid import GridGeometry
+from ltm_core.pose_estimation.resection_io import GuessConfig, read_control_points, set_up_resection
+from ltm_core.resources import config_path
+from ltm_core.simulator.scenario_io import load_scenario
+from ltm_core.site_io import load_site
+from ltm_core.tracing.trace_io import load_picture_config, set_up_picture
+from ltm_core.training.config import TrainingConfig
+from ltm_core.vision.label_calibration_io import Calibration
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.vocabulary import Vocabulary
+from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_ros.importer.pose_file import read_pose_file
+from ltm_ros.launching.graph import describe
+
+
+def _texts(*texts: str) -> Callable[[Path], list[bytes]]:
+    return lambda folder: [text.encode() for text in texts]
+
+
+def _shipped(*names: str) -> Callable[[Path], list[bytes]]:
+    return lambda folder: [config_path(name).read_bytes() for name in names]
+
+
+def _site(folder: Path) -> list[bytes]:
+    content = yaml.safe_load(write_small_site(folder, recording=False).path.read_text())
+    content |= {
+        "fuel": {"max_range": 3000.0},
+        "terrain": {"resolution": 10.0},
+        "limits": {"pixels": 1_000_000},
+        "assumed_pose_error": {"angle_deg": 0.2},
+    }
+    return [(folder / "site.yaml").read_bytes(), yaml.safe_dump(content).encode()]
+
+
+def _read_site(folder: Path) -> None:
+    site = load_site(folder / "site.yaml")
+    site.fuel_geometry(site.open_dem())
+    for camera in site.cameras.values():
+        if camera.calibration is not None:
+            camera.calibration.camera()
+        if camera.pose is not None:
+            camera.pose.pose(site.open_dem(), site.frame)
+    describe(site, folder / "site.yaml")
+
+
+@cache
+def _dem() -> Dem:
+    return Dem(rough_terrain(7, (60, 80)).elevation, GridGeometry(480_000.0, 4_150_600.0, 10.0, 80, 60, "EPSG:26911"))
+
+
+_PICTURE = """
+position: [480300.0, 4150300.0]
+height_above_ground: 12.5
+azimuth_deg: 31.0
+pitch_deg: -4.0
+camera: {width: 64, height: 48, fx: 70.0, fy: 70.0, cx: 31.5, cy: 23.5, distortion: [0.1, 0.0, 0.0, 0.0, 0.0]}
+"""
+_ABOVE = _PICTURE.replace("height_above_ground: 12.5", "crs: EPSG:4326").replace(
+    "[480300.0, 4150300.0]", "[-117.2, 37.5, 900.0]"
+)
+
+_METADATA_FILE = "recording/metadata.yaml"
+
+
+def _metadata(folder: Path) -> list[bytes]:
+    with BagWriter(folder / "recording") as bag:
+        for topic in ("/a/b", "/a/c"):
+            bag.write(topic, String(data="x"), 10**18)
+    return [(folder / _METADATA_FILE).read_bytes()]
+
+
+def _frames(folder: Path) -> list[bytes]:
+    """An index of simulated frames, with one frame's picture and truth beside it."""
+    import cv2
+
+    cv2.imwrite(str(folder / "a.png"), np.zeros((8, 12, 3), np.uint8))
+    ranges = np.full((4, 6), 200.0, np.float32)
+    np.savez(folder / "a.npz", range_surface=ranges, range_ground=ranges, labels=np.ones((4, 6), np.uint8))
+    camera = {"width": 12, "height": 8, "fx": 10.0, "fy": 10.0, "cx": 5.5, "cy": 3.5, "distortion": [0.0] * 5}
+    small = camera | {"width": 6, "height": 4, "fx": 5.0, "fy": 5.0, "cx": 2.5, "cy": 1.5}
+    entry = {
+        "camera_name": "mast", "stamp_ns": 5, "image": "a.png", "truth": "a.npz",
+        "camera": camera, "truth_camera": small,
+        "position": [1.0, 2.0, 3.0], "azimuth_deg": 5.0, "pitch_deg": -3.0, "roll_deg": 0.0, "date": "",
+    }  # fmt: skip
+    index = {"scenario": "x", "crs": "EPSG:26911", "origin": [480_000.0, 4_150_000.0], "curvature": True, "dates": []}
+    return [json.dumps(index | {"frames": [entry]}).encode()]
+
+
+def _whole(frames: Any) -> None:
+    for _ in frames:
+        pass
+
+
+def _yaml(
+    name: str, seeds: Callable[[Path], list[bytes]], read: Callable[[Path], object], file: str = "x.yaml"
+) -> Target:
+    return Target(name, file, seeds, lambda folder: read(folder / file), spoil_text)
+
+
+def _manifest(folder: Path) -> list[bytes]:
+    return [
+        write_classifier(folder).read_bytes(),
+        *_shipped("models/landscape_lite0_depth.yaml", "models/skyseg_u2netp.yaml")(folder),
+    ]
+
+
+TEXT_FILES = (
+    Target("site", "site.yaml", _site, _read_site, spoil_text, weight=2.0),
+    _yaml("manifest", _manifest, Manifest.load),
+    _yaml("labels", _shipped("labels.yaml"), LabelSet.load),
+    _yaml("fuel_region", _shipped("fuel/regions/dry.yaml"), lambda path: load_yaml(path, FuelRegion)),
+    _yaml("fuel_models", _shipped("fuel/fuel_models.yaml"), lambda path: load_yaml(path, FuelModels)),
+    _yaml(
+        "label_errors",
+        _shipped("fuel/label_errors/default.yaml", "fuel/label_errors/landscape_lite0.yaml"),
+        LabelErrors.load,
+    ),
+    _yaml(
+        "calibration",
+        _shipped("models/landscape_lite0_calibration.yaml"),
+        lambda path: load_yaml(path, Calibration),
+    ),
+    _yaml("fusion", _shipped("models/landscape_lite0_depth_fusion.yaml"), lambda path: load_yaml(path, FusionConfig)),
+    _yaml("vocabulary", _shipped("vocabulary.yaml"), Vocabulary.load),
+    _yaml("scenario", _shipped("scenarios/demo.yaml", "scenarios/change_burn.yaml"), load_scenario),
+    _yaml("training", _shipped("training/quick.yaml"), lambda path: load_yaml(path, TrainingConfig)),
+    _yaml("picture", _texts(_PICTURE, _ABOVE), lambda path: set_up_picture(load_picture_config(path), _dem())),
+    _yaml("guess", _texts(_PICTURE, _ABOVE), lambda path: set_up_resection(load_yaml(path, GuessConfig), _dem(), None)),
+    _yaml(
+        "poses_csv",
+        _texts(
+            "name,camera,x,y,z,azimuth_deg,fx,stamp\n"
+            "a.jpg,north,480300.5,4150200.25,900.0,31.0,900,2024-05-06T07:08:09\nb.jpg,,1,2,3,4,5,\n"
+        ),
+        read_pose_file,
+        "poses.csv",
+    ),
+    _yaml(
+        "poses_yaml",
+        _texts(
+            "- {name: a.jpg, lon: -117.5, lat: 34.5, height_above_ground: 3, azimuth_ref: true,\n"
+            "   stamp: 2024-05-06T07:08:09}\n- {name: b.jpg, x: 1, y: 2, k1: 0.1}\n"
+        ),
+        read_pose_file,
+    ),
+    _yaml(
+        "control_points",
+        _texts(
+            "id,x,y,z,u,v\na,480100,4150100,900,10.5,20\nb,480200,4150100,910,40,20\n",
+            "name,lon,lat,height,col,row\na,-117.2,37.5,900,10,20\n",
+        ),
+        lambda path: read_control_points(path, SiteFrame("EPSG:26911", 480_000.0, 4_150_000.0)),
+        "points.csv",
+    ),
+    _yaml("bag_metadata", _metadata, lambda path: BagReader(path.parent).topic_infos(), _METADATA_FILE),
+    _yaml("simulated_index", _frames, lambda path: _whole(read_truth_frames(path.parent)), "frames.json"),
+)  # fmt: skip

@@ -1,0 +1,177 @@
+"""More frames than can be done: what is let in is finished everywhere, the rest is counted, and no fault stops it."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+from bystander import Bystander
+from scenes.small_site import NAME, TOWER, SmallSite
+from scenes.terrain_frames import write_fusing_site
+from scenes.waiting import wait_for
+
+from ltm_msgs_py.camera_info import camera_to_msg
+from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
+from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.stamp import time_to_ns
+from ltm_ros.launching.graph import Graph, describe
+from ltm_ros.launching.runner import Runner
+from ltm_ros.launching.supervisor import RestartPolicy
+from ltm_ros.runtime.topics import (
+    CAMERA_INFO,
+    FINISHED,
+    FUEL_VOTES,
+    IMAGE_COMPRESSED,
+    IMAGE_RAW,
+    POSE,
+    camera_topic,
+)
+
+pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("kernels")]
+
+CAMERAS = ("tower", "mast")
+WORKERS = ("depth", "segmentation", "topodepth", "fuel_votes")
+FINISH_WITHIN_S = 6.0
+FRAMES, RATE_HZ = 90, 30.0
+"""Of each camera: several times what two cores can fuse."""
+
+
+class Cameras:
+    """Both cameras of the site, offering frames; a bystander that hears what the nodes say of them."""
+
+    def __init__(self, small: SmallSite, runner: Runner, bystander: Bystander) -> None:
+        self.runner, self.bystander = runner, bystander
+        tower, mast = small.frames(1)
+        self._pose, self._jpeg, self._photo = tower.pose, encode_rgb(small.photo(tower), quality=95), small.photo(mast)
+        self.sent: dict[str, list[int]] = {camera: [] for camera in CAMERAS}
+
+    def offer(self) -> None:
+        """A frame of each camera, of now."""
+        stamp = time.time_ns()
+        for topic, message in (
+            (CAMERA_INFO, camera_to_msg(TOWER, stamp, "tower_optical")),
+            (POSE, pose_to_msg(self._pose, stamp)),
+            (IMAGE_COMPRESSED, compressed_to_msg(self._jpeg, "jpeg", stamp, "tower_optical")),
+        ):
+            self.bystander.send(camera_topic(NAME, "tower", topic), message)
+        photo = image_to_msg(self._photo, "rgb8", stamp, "mast_optical")
+        self.bystander.send(camera_topic(NAME, "mast", IMAGE_RAW), photo)
+        for camera in CAMERAS:
+            self.sent[camera].append(stamp)
+
+    @contextmanager
+    def streaming(self, rate_hz: float) -> Iterator[None]:
+        stopping = threading.Event()
+
+        def stream() -> None:
+            while not stopping.wait(1.0 / rate_hz):
+                self.offer()
+
+        thread = threading.Thread(target=stream)
+        thread.start()
+        try:
+            yield
+        finally:
+            stopping.set()
+            thread.join()
+
+    def count(self, camera: str, node: str, *keys: str) -> int:
+        return sum(self.bystander.count(f"/{NAME}/{camera}/{node}", key) for key in keys)
+
+    def settled(self) -> bool:
+        """Every frame that was sent has been finished or counted, and the nodes' diagnostics tell of it."""
+        for camera, sent in self.sent.items():
+            admitted = self.count(camera, "capture", "frames_out")
+            done = self.count(camera, "capture", "finished", "dropped.shed", "dropped.lost", "dropped.overload")
+            if done != len(sent) or any(self.count(camera, node, "frames_out") != admitted for node in WORKERS):
+                return False
+        return True
+
+    def newest(self, camera: str, worker: str) -> int:
+        """Stamp of the newest frame that a worker has finished."""
+        heard = list(self.bystander.heard[camera_topic(NAME, camera, FINISHED)])
+        own = [time_to_ns(m.stamp) for m in heard if m.frame_id == f"/{NAME}/{camera}/{worker}"]
+        return max(own, default=0)
+
+    def wait_for_newer(self, camera: str, worker: str, stamp: int) -> None:
+        wait_for(
+            lambda: self.newest(camera, worker) > stamp,
+            f"a frame of {camera} from after {stamp} at {worker}",
+            lambda: self.bystander.summaries,
+        )
+
+
+@pytest.fixture(scope="module")
+def cameras(module_ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cameras]:
+    folder = tmp_path_factory.mktemp("overload")
+    small = write_fusing_site(folder, recording=False)
+    whole = describe(small.site, small.path, parameters={"capture": {"finish_within": FINISH_WITHIN_S}})
+    labels = ["terrain", *(f"{camera}/{node}" for camera in CAMERAS for node in ("capture", *WORKERS))]
+    runner = Runner(
+        Graph(NAME, tuple(map(whole.node, labels))),
+        domain_id=module_ros_domain,
+        log_folder=folder / "log",
+        console=lambda line: None,
+        policy=RestartPolicy(initial_s=0.1, maximum_s=1.0),
+    )
+    with runner, Bystander() as bystander:
+        runner.wait_until_ready(300.0)
+        for camera in CAMERAS:
+            bystander.listen(camera_topic(NAME, camera, FUEL_VOTES), FUEL_VOTES.type)
+            bystander.listen(camera_topic(NAME, camera, FINISHED), FINISHED.type, depth=200)
+        for topic in (CAMERA_INFO, POSE, IMAGE_COMPRESSED):
+            bystander.open(camera_topic(NAME, "tower", topic), topic.type)
+        bystander.open(camera_topic(NAME, "mast", IMAGE_RAW), IMAGE_RAW.type)
+        bystander.wait_for_wiring(len(labels))
+        yield Cameras(small, runner, bystander)
+
+
+def test_what_is_let_in_is_finished_everywhere(cameras: Cameras) -> None:
+    with cameras.streaming(RATE_HZ):
+        wait_for(lambda: len(cameras.sent["mast"]) >= FRAMES, "the frames to be sent")
+    wait_for(cameras.settled, "every frame to be finished or counted", lambda: cameras.bystander.summaries)
+    summaries = cameras.bystander.summaries
+    for camera, sent in cameras.sent.items():
+        assert cameras.count(camera, "capture", "dropped.shed") > len(sent) // 4, "no overload"
+        finished = cameras.count(camera, "capture", "finished")
+        assert finished == cameras.count(camera, "capture", "frames_out") > 5, "no camera starves"
+        assert cameras.count(camera, "capture", "in_flight", "waiting", "noted.unfinished") == 0
+        # Nothing was dropped behind the door, and no frame is a part of one.
+        for node in WORKERS:
+            assert cameras.count(camera, node, "dropped", "noted.unlabelled") == 0, (camera, node, summaries)
+        votes = cameras.bystander.stamps(camera_topic(NAME, camera, FUEL_VOTES))
+        assert len(votes) == finished
+        assert votes == sorted(votes)
+        assert votes[-1] == sent[-1], "the newest is not lost when the camera falls silent"
+    frames = [cameras.count(camera, "capture", "finished") for camera in CAMERAS]
+    wait_for(
+        lambda: cameras.bystander.count(f"/{NAME}/terrain", "frames") == sum(frames), "all frames in the terrain too"
+    )
+
+
+def test_a_killed_and_a_hung_node_hold_their_camera_up_for_so_long(cameras: Cameras) -> None:
+    runner = cameras.runner
+    with cameras.streaming(RATE_HZ / 3):
+        for worker in ("segmentation", "topodepth"):
+            process = runner.processes[f"tower/{worker}"]
+            starts = process.starts
+            assert runner.kill(f"tower/{worker}")
+            wait_for(lambda p=process, n=starts: p.starts == n + 1 and p.running, f"{worker} again")
+            # Of frames that the dead one had, none comes back.
+            later = time.time_ns()
+            for node in WORKERS:
+                cameras.wait_for_newer("tower", node, later)
+            cameras.wait_for_newer("mast", "fuel_votes", later)
+        unfinished = cameras.count("tower", "capture", "noted.unfinished")
+        runner.kill("tower/topodepth", signal.SIGSTOP)
+        try:
+            stopped = time.time_ns()
+            cameras.wait_for_newer("tower", "fuel_votes", stopped + round(FINISH_WITHIN_S * 1e9))
+            wait_for(lambda: cameras.count("tower", "capture", "noted.unfinished") > unfinished, "word of lost frames")
+        finally:
+            runner.kill("tower/topodepth", signal.SIGCONT)
+        cameras.wait_for_newer("tower", "topodepth", time.time_ns())

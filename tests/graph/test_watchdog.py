@@ -1,0 +1,123 @@
+"""Nodes that hang are killed and come back, and their camera delivers again; the others notice nothing."""
+
+from __future__ import annotations
+
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from bystander import Bystander
+from handler_for_tests import BLOCK, HEARD, SAID, SPIN
+from scenes.small_site import NAME, SmallSite
+from scenes.waiting import wait_for
+from std_msgs.msg import Header
+
+from ltm_core.site import WatchdogConfig
+from ltm_msgs_py.stamp import ns_to_time
+from ltm_ros.launching.graph import Graph, NodeSpec, describe
+from ltm_ros.launching.runner import Runner
+from ltm_ros.launching.supervisor import RestartPolicy
+from ltm_ros.runtime.topics import CAMERA_INFO, DEPTH_IMAGE, IMAGE_COMPRESSED, IMAGE_RAW, POSE, camera_topic
+
+pytestmark = pytest.mark.graph
+
+HERE = Path(__file__).parent
+QUICK = RestartPolicy(initial_s=0.1, maximum_s=0.4)
+# A busy machine may keep a node that is well from its turn for long.
+IMPATIENT = WatchdogConfig(silent=8.0, stuck=8.0, slow=300.0)
+
+
+def test_a_stopped_node_comes_back_and_its_camera_delivers_again(
+    small_site: SmallSite, ros_domain: int, tmp_path: Path
+) -> None:
+    whole = describe(small_site.site, small_site.path)
+    labels = [f"{camera}/{kind}" for camera in ("tower", "mast") for kind in ("capture", "depth")]
+    graph = Graph(NAME, tuple(whole.node(label) for label in labels), IMPATIENT)
+    lines: list[str] = []
+    runner = Runner(graph, domain_id=ros_domain, log_folder=tmp_path, console=lines.append, policy=QUICK)
+    depths = {camera: camera_topic(NAME, camera, DEPTH_IMAGE) for camera in ("tower", "mast")}
+    inputs = {topic: camera_topic(NAME, "tower", topic) for topic in (CAMERA_INFO, POSE, IMAGE_COMPRESSED)}
+    inputs[IMAGE_RAW] = camera_topic(NAME, "mast", IMAGE_RAW)
+    with runner, Bystander() as bystander:
+        runner.wait_until_ready(120.0)
+        for topic in depths.values():
+            bystander.listen(topic, DEPTH_IMAGE.type)
+        for topic, name in inputs.items():
+            bystander.open(name, topic.type)
+        bystander.wait_for_wiring(len(graph))
+        messages = small_site.messages()
+
+        def send() -> int:
+            """A frame of each camera."""
+            stamp = time.time_ns()
+            for topic, name in inputs.items():
+                message = messages[topic]
+                message.header.stamp = ns_to_time(stamp)
+                bystander.send(name, message)
+            return stamp
+
+        first = send()
+        for topic in depths.values():
+            bystander.wait_for_stamp(topic, first)
+        victim, pids = runner.processes["tower/depth"], {k: p.pid for k, p in runner.processes.items()}
+        runner.kill("tower/depth", signal.SIGSTOP)
+        meanwhile = send()
+        bystander.wait_for_stamp(depths["mast"], meanwhile)
+        wait_for(lambda: victim.starts == 2 and victim.running, "the node again", lambda: lines)
+        bystander.summaries.clear()
+        bystander.wait_for_wiring(len(graph))
+        after = send()
+        for topic in depths.values():
+            bystander.wait_for_stamp(topic, after)
+        assert meanwhile not in bystander.stamps(depths["tower"]), "that one hung with the node"
+        hung = [line for line in lines if "hangs: " in line]
+        assert len(hung) == 1
+        assert hung[0].startswith("[tower/depth] -- hangs: no sign of life for ")
+        assert hung[0].endswith("it is stopped (SIGSTOP); killed, the 1. time")
+        assert "hangs: " in (tmp_path / "tower.depth.log").read_text()
+        assert (victim.hangs, victim.pid != pids["tower/depth"]) == (1, True)
+        others = {label: p for label, p in runner.processes.items() if label != "tower/depth"}
+        assert {label: (p.pid, p.hangs) for label, p in others.items()} == {label: (pids[label], 0) for label in others}
+
+
+def test_a_worker_that_stands_is_noticed_though_its_node_answers(
+    small_site: SmallSite, ros_domain: int, tmp_path: Path
+) -> None:
+    parameters = {"site": str(small_site.path)}
+    nodes = [NodeSpec("echo", f"/{NAME}/{kind}", "handler_for_tests", parameters) for kind in (BLOCK, SPIN)]
+    lines: list[str] = []
+    runner = Runner(
+        Graph(NAME, tuple(nodes), IMPATIENT),
+        domain_id=ros_domain,
+        log_folder=tmp_path,
+        console=lines.append,
+        policy=QUICK,
+        environment={"PYTHONPATH": str(HERE)},
+    )
+    with runner, Bystander() as bystander:
+        runner.wait_until_ready(120.0)
+        for node in nodes:
+            bystander.listen(f"{node.namespace}/{SAID.name}", SAID.type, latched=True)
+            bystander.open(f"{node.namespace}/{HEARD.name}", HEARD.type)
+        bystander.wait_for_wiring(2)
+        for kind, node in zip((BLOCK, SPIN), nodes, strict=True):
+            bystander.send(f"{node.namespace}/{HEARD.name}", Header(frame_id=kind))
+        for node in nodes:
+            process = runner.processes[node.label]
+            wait_for(lambda p=process: p.starts == 2 and p.running, "the node again", lambda: lines)  # type: ignore[misc]
+        bystander.summaries.clear()
+        bystander.wait_for_wiring(2)
+        for node in nodes:
+            bystander.send(f"{node.namespace}/{HEARD.name}", Header(frame_id="well"))
+            said = bystander.heard[f"{node.namespace}/{SAID.name}"]
+            wait_for(lambda s=said: [m.frame_id for m in s] == ["well"], "its answer", lambda: lines)  # type: ignore[misc]
+            process = runner.processes[node.label]
+            assert process.hangs == 1
+            told = [line for line in lines if line.startswith(f"[{node.label}] -- hangs: ")]
+            assert len(told) == 1
+            assert "echo worker: Header has not come to an end in " in told[0]
+    # And where it stood.
+    text = "\n".join(lines)
+    assert text.count('handler_for_tests.py", line') >= 2
+    assert "on_message" in text

@@ -1,0 +1,62 @@
+"""A small disk that only one process sees: a tmpfs in a mount namespace of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+TESTS = Path(__file__).parents[1]
+
+
+def run_on_own_disk(program: Path, case: str, *arguments: Path | str, patience_s: float = 300.0) -> Any:
+    """What `case` of a program, which ends with `answer`, returns. Skips, with the reason, where nothing is mounted."""
+    if shutil.which("unshare") is None:
+        pytest.skip("needs `unshare` for a file system of its own")
+    alone = ["unshare", "-m"] if os.geteuid() == 0 else ["unshare", "--user", "--map-root-user", "-m"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(TESTS), str(TESTS.parent)])}
+    command = [*alone, sys.executable, str(program), case, *map(str, arguments)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=patience_s)
+    if done.returncode != 0 and "unshare" in done.stderr:
+        pytest.skip(f"no mount namespace here: {done.stderr.strip()[:200]}")
+    assert done.returncode == 0, done.stderr[-3000:]
+    said = json.loads(done.stdout.splitlines()[-1])
+    if "no mounts here" in said:
+        pytest.skip(f"cannot mount a file system here: {said['no mounts here'][:200]}")
+    return said["answer"]
+
+
+def mount(folder: Path, *options: str) -> None:
+    subprocess.run(["mount", *options, str(folder)], check=True, capture_output=True)
+
+
+def answer(cases: dict[str, Callable[..., Any]]) -> None:
+    """Body of such a program: `CASE MOUNT_POINT ...`; the rest of the command line goes to the case as paths."""
+    case, mount_point, *rest = sys.argv[1:]
+    try:
+        subprocess.run(["mount", "--make-rprivate", "/"], check=True, capture_output=True)
+        mount(Path(mount_point), "-t", "tmpfs", "-o", "size=4k", "tmpfs")
+    except (OSError, subprocess.CalledProcessError) as error:
+        print(json.dumps({"no mounts here": str(error)}))
+        sys.exit()
+    print(json.dumps({"answer": cases[case](Path(mount_point), *map(Path, rest))}))
+
+
+def make_disk(folder: Path, size: str) -> None:
+    mount(folder, "-t", "tmpfs", "-o", f"size={size}", "tmpfs")
+
+
+def fill(folder: Path) -> Path:
+    """A file that takes what is free; remove it to have room again."""
+    ballast = folder / "ballast"
+    room = os.statvfs(folder)
+    with ballast.open("wb") as file:
+        os.posix_fallocate(file.fileno(), 0, max(1, room.f_bavail * room.f_frsize))
+    return ballast

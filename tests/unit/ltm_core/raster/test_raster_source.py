@@ -1,0 +1,67 @@
+"""Rasters that are larger than their files, or no files at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio.shutil
+from rasterio.transform import from_origin
+
+from ltm_core.dem import Dem
+from ltm_core.errors import RasterError
+from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.fuel.prior_config import PriorConfig
+from ltm_core.fuel.prior_io import load_prior
+from ltm_core.grid import GridGeometry
+
+
+def sparse(path: Path, side: int, dtype: str) -> Path:
+    """A GeoTIFF of some kilobytes that states `side` x `side` cells."""
+    options = {"tiled": True, "blockxsize": 4096, "blockysize": 4096, "sparse_ok": True, "compress": "deflate"}
+    with rasterio.open(
+        path, "w", driver="GTiff", width=side, height=side, count=1, dtype=dtype, crs="EPSG:26911",
+        transform=from_origin(480_000.0, 4_150_000.0, 1.0, 1.0), **options,
+    ):  # fmt: skip
+        pass
+    return path
+
+
+def test_a_raster_that_its_file_cannot_hold_is_not_read(tmp_path: Path) -> None:
+    file = sparse(tmp_path / "dem.tif", 30_000, "float32")
+    assert file.stat().st_size < 100_000
+    with pytest.raises(RasterError, match=r"dem\.tif: states 30000 x 30000 cells in a file of \d+ bytes"):
+        Dem.open(file)
+    with pytest.raises(RasterError, match=r"map\.tif: states 30000 x 30000 cells"):
+        read_fuel_map(sparse(tmp_path / "map.tif", 30_000, "uint8"))
+
+
+@pytest.mark.parametrize("text", ['<GDAL_WMS><Service name="TMS"/></GDAL_WMS>', ' {"type": "FeatureCollection"}'])
+def test_a_text_that_names_other_hosts_is_no_raster(tmp_path: Path, text: str) -> None:
+    (tmp_path / "dem.tif").write_text(text)
+    with pytest.raises(RasterError, match=r"dem\.tif: not a raster but a text that names other places"):
+        Dem.open(tmp_path / "dem.tif")
+
+
+def test_a_vrt_is_followed(tmp_path: Path) -> None:
+    heights = np.arange(42, dtype=np.float32).reshape(6, 7)
+    Dem(heights, GridGeometry(480_000.0, 4_150_000.0, 5.0, 7, 6, "EPSG:26911")).save(tmp_path / "dem.tif")
+    rasterio.shutil.copy(tmp_path / "dem.tif", tmp_path / "dem.vrt", driver="VRT")
+    np.testing.assert_array_equal(Dem.open(tmp_path / "dem.vrt").elevation, heights)
+
+
+def test_what_gdal_does_not_support_is_our_error(tmp_path: Path) -> None:
+    """GDAL's own error of a compression that it does not know passed through rasterio."""
+    with rasterio.open(
+        tmp_path / "prior.tif", "w", driver="GTiff", width=9, height=6, count=1, dtype="int16", crs="EPSG:26911",
+        transform=from_origin(480_000.0, 4_150_000.0, 30.0, 30.0), compress="lzw",
+    ) as sink:  # fmt: skip
+        sink.write(np.full((1, 6, 9), 101, np.int16))
+    data = bytearray((tmp_path / "prior.tif").read_bytes())
+    at = data.index((259).to_bytes(2, "little") + (3).to_bytes(2, "little"))  # the tag of compression, a short
+    data[at + 8 : at + 10] = (34_661).to_bytes(2, "little")
+    (tmp_path / "prior.tif").write_bytes(data)
+    grid = GridGeometry(480_000.0, 4_150_000.0, 30.0, 9, 6, "EPSG:26911")
+    with pytest.raises(RasterError, match=r"prior\.tif: not a raster that GDAL can read"):
+        load_prior(PriorConfig(path=tmp_path / "prior.tif"), grid)

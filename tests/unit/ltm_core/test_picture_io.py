@@ -1,0 +1,49 @@
+"""Pictures that were made to harm."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from ltm_core.errors import ImageError
+from ltm_core.picture_io import check_picture, open_picture
+
+
+def png_of(width: int, height: int) -> bytes:
+    """The head of a PNG that states a size, and nothing of its pixels."""
+    head = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    chunk = struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head))
+    return b"\x89PNG\r\n\x1a\n" + chunk + struct.pack(">I", 0) + b"IDAT" + struct.pack(">I", zlib.crc32(b"IDAT"))
+
+
+def test_a_picture_is_refused_by_the_size_that_it_states(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(png_of(30_000, 2_500))
+    with pytest.raises(ImageError, match=r"a\.png: states a size of 30000 x 2500: more than 64 million pixels"):
+        check_picture(tmp_path / "a.png")
+    (tmp_path / "b.png").write_bytes(png_of(40, 25))
+    check_picture(tmp_path / "b.png")
+
+
+@pytest.mark.parametrize(
+    "raised", [EOFError("no more"), RuntimeError("odd"), TypeError("odd"), struct.error("odd"), KeyError(3)]
+)
+def test_whatever_pillow_raises_is_an_image_error(tmp_path: Path, raised: Exception) -> None:
+    """EXIF and HEIC that are damaged raised each of these, out of the block that reads them."""
+    Image.new("RGB", (4, 3)).save(tmp_path / "a.png")
+    with (
+        pytest.raises(ImageError, match=rf"a\.png: cannot be read as a picture \({type(raised).__name__}"),
+        open_picture(tmp_path / "a.png"),
+    ):
+        raise raised
+
+
+def test_programs_are_not_started_for_a_picture(tmp_path: Path) -> None:
+    """Pillow hands EPS to Ghostscript."""
+    Image.new("RGB", (4, 3)).save(tmp_path / "a.eps")
+    (tmp_path / "a.eps").rename(tmp_path / "a.jpg")
+    with pytest.raises(ImageError, match="no photo that can be read"):
+        check_picture(tmp_path / "a.jpg")

@@ -1,0 +1,61 @@
+"""YAML that was made to harm, or that PyYAML stumbles over: each of these raised another error, or took minutes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from ltm_core.errors import ConfigError
+from ltm_core.yaml_io import LARGEST_DEPTH, LARGEST_FILE, parse_yaml, read_yaml
+
+
+def billion(levels: int) -> str:
+    """Aliases of aliases: 9 to the power of `levels` values in some hundred characters."""
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    for i in range(levels):
+        lines.append(f"a{i + 1}: &a{i + 1} [{', '.join([f'*a{i}'] * 9)}]")
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "stamp: 2001-13-45",
+        'count: !!int ""',
+        "count: !!int x",
+        "yes: !!bool x",
+        "stamp: !!timestamp x",
+        'name: "\\Uffffffff"',
+        'path: "\\0"',
+        'name: "\\ud800"',
+        f"count: {'9' * 5000}",
+        f"count: 0x{'f' * 5000}",
+        "[" * 900 + "]" * 900,
+        "{a: " * 60 + "1" + "}" * 60,
+        "a: &a [*a]",
+        billion(9),
+        f"{billion(9)}\nsite: {{<<: [*a8, *a8]}}",
+    ],
+)
+def test_what_is_no_yaml_is_refused_with_its_place(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"site\.yaml: not YAML \("):
+        parse_yaml(text, "site.yaml")
+
+
+def test_what_people_write_is_taken() -> None:
+    nested = "[" * (LARGEST_DEPTH - 1) + "1" + "]" * (LARGEST_DEPTH - 1)
+    assert parse_yaml("a: &a {x: 1}\nb: *a\nc: {<<: *a, y: 2}", "x") == {
+        "a": {"x": 1},
+        "b": {"x": 1},
+        "c": {"x": 1, "y": 2},
+    }
+    assert parse_yaml(nested, "x")
+    assert parse_yaml("stamp: 2024-05-06T07:08:09Z", "x")["stamp"].year == 2024
+
+
+def test_large_files_are_not_parsed(tmp_path: Path) -> None:
+    path = tmp_path / "large.yaml"
+    path.write_text("a: 1\n" + "#" * LARGEST_FILE)
+    with pytest.raises(ConfigError, match=rf"large\.yaml: cannot be read \(it has more than {LARGEST_FILE} bytes"):
+        read_yaml(path)

@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+from rosbags.rosbag2 import Reader
+from std_msgs.msg import String
+
+from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.bag.ring import RecordingRing
+from ltm_msgs_py.bag.writer import BagWriter, Split
+
+SIZE = 20_000
+"""Of a file with one message, about."""
+
+
+def record(ring: RecordingRing, folder: Path, count: int, first: int = 0) -> Path:
+    """A bag with a file for each message."""
+    with BagWriter(folder, compression=None, split=Split(1, 1 << 62), library=ring.library) as writer:
+        for i in range(first, first + count):
+            writer.write("/a", String(data=f"{i}:" + "x" * 15_000), i)
+            writer.flush()
+    return folder
+
+
+def numbers(bag: Path) -> list[int]:
+    reader = BagReader(bag, allow_damaged=False)
+    return [int(reader.decode(m).data.partition(":")[0]) for m in reader.messages()]
+
+
+@pytest.fixture
+def ring(tmp_path: Path) -> RecordingRing:
+    return RecordingRing(tmp_path / "bag", "/ridge/recorder", None)
+
+
+def bounded(ring: RecordingRing, path: Path, most_bytes: int) -> RecordingRing:
+    return RecordingRing(path, "/ridge/recorder", most_bytes)
+
+
+def test_the_oldest_files_go_and_each_bag_stays_whole(ring: RecordingRing, tmp_path: Path) -> None:
+    first = record(ring, ring.new_folder(), 3)
+    second = record(ring, ring.new_folder(), 3, first=3)
+    assert (first.name, second.name) == ("bag", "bag_1")
+    size = ring.files()[0].size
+    assert [f.path.name for f in ring.files()] == [
+        *(f"bag_{i}.mcap" for i in range(3)),
+        *(f"bag_1_{i}.mcap" for i in range(3)),
+    ]
+    assert bounded(ring, first, 6 * size + 600).make_room(0) == []
+    removed = bounded(ring, first, 6 * size + 600).make_room(2 * size)
+    assert [p.name for p in removed] == ["bag_0.mcap", "bag_1.mcap"]
+    assert (numbers(first), numbers(second)) == ([2], [3, 4, 5])
+    info = yaml.safe_load((first / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert (info["relative_file_paths"], info["message_count"]) == (["bag_2.mcap"], 1)
+    assert info["topics_with_message_count"][0]["message_count"] == 1
+    with Reader(first) as reader:
+        assert reader.message_count == 1
+    assert len(bounded(ring, first, 1).make_room(0)) == 4
+    assert sorted(p.name for p in tmp_path.iterdir()) == [], "a bag without files goes too"
+
+
+def test_marked_files_stay_and_do_not_count(ring: RecordingRing) -> None:
+    first = record(ring, ring.new_folder(), 3)
+    second = record(ring, ring.new_folder(), 2)
+    third = record(ring, ring.new_folder(), 2)
+    (first / "bag_1.mcap.keep").touch()
+    (second / ".keep").touch()
+    assert ring.total() == sum(f.size for f in ring.files() if f.path.parent in (first, third)) - (
+        (first / "bag_1.mcap").stat().st_size
+    )
+    bounded(ring, first, 1).make_room(0)
+    assert [f.path.name for f in ring.files()] == ["bag_1.mcap", "bag_1_0.mcap", "bag_1_1.mcap"]
+    assert numbers(first) == [1]
+
+
+def test_nothing_that_the_recorder_did_not_write_is_touched(ring: RecordingRing, tmp_path: Path) -> None:
+    bag = record(ring, ring.new_folder(), 1)
+    elsewhere = record(ring, tmp_path / "elsewhere" / "bag", 1)
+    of_another = RecordingRing(tmp_path / "bag", "/canyon/recorder", None)
+    foreign = record(of_another, tmp_path / "bag_7", 1)
+    linked = tmp_path / "bag_8"
+    linked.symlink_to(elsewhere)
+    (bag / "bag_5.mcap").symlink_to(elsewhere / "bag_0.mcap")
+    (bag / "bag_6.mcap").write_bytes(b"no recording")
+    (bag / "notes.mcap").write_bytes((bag / "bag_0.mcap").read_bytes())
+    alike = record(ring, tmp_path / "bag_2_1", 1)
+    assert bounded(ring, bag, 1).make_room(0) == [bag / "bag_0.mcap"]
+    assert sorted(p.name for p in bag.iterdir()) == ["bag_5.mcap", "bag_6.mcap", "notes.mcap"]
+    assert numbers(elsewhere) == numbers(foreign) == numbers(alike) == [0]
+
+
+def test_a_file_that_is_being_written_stays(ring: RecordingRing) -> None:
+    folder = ring.new_folder()
+    with BagWriter(folder, library=ring.library) as writer:
+        writer.write("/a", String(data="x"), 1)
+        writer.flush()
+        assert bounded(ring, folder, 1).make_room(0) == []
+    assert BagReader(folder, allow_damaged=False).topic_infos()["/a"].message_count == 1
+
+
+def test_a_bag_comes_after_all_that_are_there(ring: RecordingRing, tmp_path: Path) -> None:
+    assert ring.new_folder() == tmp_path / "bag"
+    (tmp_path / "bag").mkdir()
+    assert ring.new_folder() == tmp_path / "bag"
+    (tmp_path / "bag_3").mkdir()
+    (tmp_path / "bag_x").mkdir()
+    assert ring.new_folder() == tmp_path / "bag_4"
+    (tmp_path / "bag_10").write_text("not ours")
+    assert ring.new_folder() == tmp_path / "bag_11"
+
+
+def test_what_is_written_stays_within_the_bound(tmp_path: Path) -> None:
+    ring = RecordingRing(tmp_path / "bag", "/ridge/recorder", 8 * SIZE)
+    sizes = []
+    with BagWriter(
+        ring.new_folder(),
+        compression=None,
+        split=Split(SIZE, 1 << 62),
+        library=ring.library,
+        before_file=lambda: sizes.append((len(ring.make_room(2 * SIZE)), ring.total())) or None,
+    ) as writer:
+        for i in range(60):
+            writer.write("/a", String(data=f"{i}:" + "x" * 9_000), i)
+            writer.flush()
+            assert ring.total() <= 8 * SIZE
+    assert sum(removed for removed, _ in sizes) > 10
+    left = numbers(tmp_path / "bag")
+    assert left == [*range(60 - len(left), 60)]
+    assert len(left) >= 8

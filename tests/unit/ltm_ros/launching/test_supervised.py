@@ -1,0 +1,161 @@
+"""Processes that end with their runner, whatever state they are in, and processes that hang, without ROS."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from scenes.waiting import wait_for
+
+from ltm_core.site import WatchdogConfig
+from ltm_ros.launching.supervised import supervised_command
+from ltm_ros.launching.supervisor import NodeProcess, RestartPolicy
+
+MODULE = """
+import ctypes, os, signal, sys, threading, time
+from ltm_ros.runtime.heartbeat import HEARTBEAT, STARTING
+
+def end(*_):
+    print("ended in order", flush=True)
+    sys.exit(0)
+
+signal.signal(signal.SIGTERM, end)
+print(sys.argv[1], os.getpid(), flush=True)
+worker = HEARTBEAT.activity("worker")
+STARTING.end()
+if sys.argv[1] == "holds_the_lock":
+    libc, mutex = ctypes.PyDLL(None), ctypes.create_string_buffer(64)
+    libc.pthread_mutex_lock(mutex)
+    libc.pthread_mutex_lock(mutex)  # for ever, and no signal interrupts it
+if sys.argv[1] == "stands_still" and not os.path.exists(sys.argv[2]):
+    open(sys.argv[2], "w").close()
+    worker.begin("Image")
+while True:
+    time.sleep(0.1)
+"""
+PARENT = """
+import os, select, sys, threading
+from ltm_ros.launching.supervised import start_supervised, supervised_command
+for behaviour in sys.argv[2:]:
+    process, heard = start_supervised(supervised_command("actor", behaviour), dict(os.environ))
+    threading.Thread(target=lambda out=process.stdout: [print(line, end="", flush=True) for line in out]).start()
+    while behaviour == "holds_the_lock" and select.select([heard], [], [], 3.0)[0]:
+        os.read(heard, 4096)
+    print(behaviour, "seen", flush=True)
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """On the path of processes, with the module `actor` in it."""
+    (tmp_path / "actor.py").write_text(MODULE)
+    monkeypatch.setenv(
+        "PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", ""), str(Path.cwd())])
+    )
+    return tmp_path
+
+
+def start_and_kill_parent(folder: Path, *behaviours: str, stop: str = "") -> list[int]:
+    """The actors' process ids; the parent has been killed, and the actor `stop` stopped before."""
+    parent = subprocess.Popen(
+        [sys.executable, "-c", PARENT, str(folder), *behaviours], stdout=subprocess.PIPE, text=True
+    )
+    assert parent.stdout is not None
+    pids: dict[str, int] = {}
+    seen: set[str] = set()
+    while len(pids) < len(behaviours) or len(seen) < len(behaviours):
+        behaviour, word = parent.stdout.readline().split()
+        if word == "seen":
+            seen.add(behaviour)
+        else:
+            pids[behaviour] = int(word)
+    if stop:
+        os.kill(pids[stop], signal.SIGSTOP)
+    parent.kill()
+    parent.wait()
+    parent.stdout.close()
+    return list(pids.values())
+
+
+def alive(pids: list[int]) -> list[int]:
+    return [pid for pid in pids if Path(f"/proc/{pid}/stat").exists() and state_of(pid) != "Z"]
+
+
+def state_of(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return "Z"
+
+
+def test_no_process_outlives_a_killed_runner(folder: Path) -> None:
+    pids = start_and_kill_parent(folder, "well", "stopped", stop="stopped")
+    wait_for(lambda: not alive(pids), "the end of all", lambda: alive(pids))
+
+
+@pytest.mark.slow
+def test_what_holds_pythons_lock_does_not_outlive_a_killed_runner(folder: Path) -> None:
+    pids = start_and_kill_parent(folder, "holds_the_lock")
+    wait_for(lambda: not alive(pids), "its end", lambda: alive(pids))
+
+
+class Watched:
+    def __init__(self, folder: Path, behaviour: str) -> None:
+        self.lines: list[str] = []
+        self.process = NodeProcess(
+            label="north/depth",
+            command=supervised_command("actor", behaviour, str(folder / "second_time")),
+            environment=os.environ,
+            log_file=folder / "north.depth.log",
+            console=self.lines.append,
+            policy=RestartPolicy(initial_s=0.01, maximum_s=0.02),
+            watchdog=WatchdogConfig(silent=2.0, stuck=2.0, slow=60.0),
+        )
+        self.process.start()
+
+    def wait_for(self, text: str, times: int = 1) -> None:
+        wait_for(lambda: sum(text in line for line in self.lines) >= times, text, lambda: "\n".join(self.lines))
+
+
+@pytest.fixture
+def watched(folder: Path) -> Iterator[list[Watched]]:
+    started: list[Watched] = []
+    yield started
+    for one in started:
+        one.process.request_stop()
+        one.process.signal(signal.SIGKILL, whole_group=True)
+        assert one.process.wait_stopped(10.0)
+        one.process.close()
+
+
+def test_what_hangs_is_killed_and_started_again_with_its_reason(folder: Path, watched: list[Watched]) -> None:
+    for behaviour in ("stopped", "stands_still", "holds_the_lock", "well"):
+        watched.append(Watched(folder, behaviour))
+        watched[-1].wait_for(behaviour)
+    stopped, standing, locked, well = watched
+    first = stopped.process.pid
+    stopped.process.signal(signal.SIGSTOP)
+    for one, reason in (
+        (stopped, "it is stopped (SIGSTOP); killed, the 1. time"),
+        (standing, "-- hangs: worker: Image has not come to an end in "),
+        (locked, "-- hangs: no sign of life for "),
+    ):
+        one.wait_for(reason)
+        one.wait_for("starts again")
+        wait_for(lambda one=one: one.process.starts == 2, "another start")  # type: ignore[misc]
+        assert one.process.hangs == 1
+        assert one.process.last_exit.startswith("hung (")
+    assert stopped.process.pid != first
+    # Where it hung is in its output.
+    for one in (standing, locked):
+        one.wait_for('actor.py", line')
+    log = (folder / "north.depth.log").read_text()
+    assert "hangs: " in log
+    assert (well.process.starts, well.process.hangs) == (1, 0)
+    standing.wait_for("stands_still", times=2)
+    assert standing.process.hangs == 1, "no stale state: the new one is well"

@@ -1,0 +1,104 @@
+"""Which heartbeats are those of a process that hangs."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import pytest
+
+from ltm_core.site import WatchdogConfig
+from ltm_ros.launching.watchdog import HangWatch, ProcessUse, process_use
+
+LIMITS = WatchdogConfig(silent=20.0, stuck=60.0, slow=300.0)
+IDLE = ProcessUse("S", 0.0)
+WELL: list[tuple[float, bool, str]] = [(0.0, False, "executor: callback")]
+STARTING = [(1.0, True, "start: ltm_ros.nodes.depth")]
+
+
+def beat(turns: list[tuple[float, bool, str]]) -> bytes:
+    return json.dumps(turns).encode() + b"\n"
+
+
+class Watched:
+    """A process that is looked at once a second."""
+
+    def __init__(self, slow_starts: int = 0) -> None:
+        self.watch = HangWatch(LIMITS, slow_starts)
+
+    def hang(self, seconds: int, heard: bytes = b"", use: ProcessUse = IDLE) -> tuple[int, str]:
+        """After how many seconds it was taken for hung, and why; `seconds` and nothing where it was not."""
+        for second in range(1, seconds + 1):
+            if found := self.watch.look(1.0, heard, use):
+                return second, found
+        return seconds, ""
+
+
+def test_a_silent_process_hangs_and_one_that_is_stopped_is_said_to_be() -> None:
+    watched = Watched()
+    assert watched.hang(1000, beat(WELL)) == (1000, "")
+    assert watched.hang(1000) == (21, "no sign of life for 21 s")
+    watched.watch.look(1.0, beat(WELL), IDLE)
+    assert watched.hang(1000, use=ProcessUse("T", 0.0))[1].endswith("it is stopped (SIGSTOP)")
+
+
+def test_a_worker_that_stands_is_seen_though_the_process_lives() -> None:
+    def at_work(age: float, slow: bool = False) -> bytes:
+        return beat([(0.0, False, "executor: callback"), (age, slow, "depth worker: CameraInfo")])
+
+    watch = HangWatch(LIMITS)
+    assert watch.look(1.0, at_work(60.0), IDLE) == ""
+    assert watch.look(1.0, at_work(61.0), IDLE) == "depth worker: CameraInfo has not come to an end in 61 s"
+    assert watch.look(1.0, at_work(61.0, slow=True), IDLE) == "", "what may take long"
+    assert "in 301 s" in watch.look(1.0, at_work(301.0, slow=True), IDLE)
+    assert "in 61 s" in HangWatch(LIMITS).look(1.0, beat([(61.0, False, "depth: callback")]), IDLE)
+
+
+@pytest.mark.parametrize(("slow_starts", "patience"), [(0, 300), (1, 600), (3, 2400)])
+def test_a_start_may_take_long_and_longer_after_each_that_was_too_slow(slow_starts: int, patience: int) -> None:
+    watched = Watched(slow_starts)
+    assert watched.hang(5000, beat(STARTING)) == (patience + 1, f"it has not started in {patience + 1} s")
+    assert not watched.watch.started
+
+
+def test_a_process_that_is_stopped_while_it_starts_is_not_waited_for() -> None:
+    watched = Watched()
+    assert watched.hang(250, beat(STARTING)) == (250, "")
+    assert watched.hang(5000)[0] == 21
+    assert Watched().hang(5000) == (61, "no sign of life for 61 s"), "an interpreter on a busy machine begins later"
+
+
+def test_what_computes_without_a_word_has_as_long_as_a_message() -> None:
+    watch = HangWatch(LIMITS)
+    watch.look(1.0, beat(WELL), IDLE)
+    for second in range(1, 61):
+        assert watch.look(1.0, b"", ProcessUse("R", 0.2 * second)) == ""
+    assert watch.look(1.0, b"", ProcessUse("R", 20.0)) == "no sign of life for 61 s, though it computes"
+
+
+def test_nobody_is_judged_for_the_time_in_which_the_watch_lay_still() -> None:
+    watch = HangWatch(LIMITS)
+    watch.look(1.0, beat(WELL), IDLE)
+    # Others had to wait for the runner, and say so.
+    blocked = beat([(3000.0, False, "depth worker: CameraInfo")])
+    assert watch.look(3600.0, blocked, IDLE) == ""
+    assert watch.look(1.0, blocked, IDLE) == ""
+    assert watch.look(1.0, beat(WELL), IDLE) == ""
+    for _ in range(10):
+        watch.look(1.0, blocked, IDLE)
+    assert "3000 s" in watch.look(1.0, blocked, IDLE)
+
+
+def test_a_beat_may_come_in_pieces_and_the_newest_counts() -> None:
+    watch, old, new = HangWatch(LIMITS), beat([(100.0, False, "worker: Image")]), beat(WELL)
+    assert watch.look(1.0, old[:9], IDLE) == ""
+    assert watch.look(1.0, old[9:] + new, IDLE) == ""
+    assert watch.look(1.0, new + old[:-1], IDLE) == ""
+    assert "100 s" in watch.look(1.0, b"\n", IDLE)
+
+
+def test_the_use_of_a_process_is_that_of_proc() -> None:
+    used = process_use(os.getpid())
+    assert used.state == "R"
+    assert 0 < used.cpu_s <= sum(os.times()[:2]) + 0.1
+    assert process_use(2**22 + 1) == ProcessUse("gone", 0.0)
