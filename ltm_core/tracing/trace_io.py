@@ -77,8 +77,7 @@ def set_up_picture(config: PictureConfig, dem: Dem, surveyed: bool = True) -> Pi
     """Place the camera of `config` on `dem`, which is in a CRS.
 
     `surveyed`: the position is right, not where a search starts. Raises PoseError for a surveyed camera under the
-    ground, and where the ground under one that is given above it is not known;
-    ConfigError for a CRS that is none.
+    ground, and where the ground under one that is given above it is not known; ConfigError for a CRS that is none.
     """
     crs = dem.geometry.crs
     if crs is None:
