@@ -54,6 +54,14 @@ class GridGeometry:
         """(x_min, y_min, x_max, y_max)."""
         return self.x_min, self.y_min, self.x_max, self.y_max
 
+    def described(self) -> str:
+        """Its bounds, in whole metres, for messages."""
+        return f"x {self.x_min:.0f} to {self.x_max:.0f}, y {self.y_min:.0f} to {self.y_max:.0f}"
+
+    def distance_to(self, x: float, y: float) -> float:
+        """Metres from a point to the raster's edge; 0 within."""
+        return math.hypot(max(self.x_min - x, x - self.x_max, 0.0), max(self.y_min - y, y - self.y_max, 0.0))
+
     def to_grid(self, x: ArrayLike, y: ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Map coordinates to fractional (row, col); integers fall on cell centres."""
         col = (np.asarray(x, np.float64) - self.x_min) / self.resolution - 0.5

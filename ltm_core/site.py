@@ -12,13 +12,15 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, PoseError
+from ltm_core.errors import ConfigError, PoseError, RasterError
 from ltm_core.fuel.prior_config import PriorConfig
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.geodesy import SiteFrame, ray_bend
 from ltm_core.grid import GridGeometry
+from ltm_core.plausibility import AzimuthDeg, PitchDeg, RollDeg, doubt_of_height
 from ltm_core.pose import Pose
 from ltm_core.raster.dem_stack import open_terrain, with_surface
+from ltm_core.raster.shared_rasters import shared
 from ltm_core.types import Float64Array
 
 
@@ -29,6 +31,9 @@ def _ros_name(name: str) -> str:
 
 
 RosName = Annotated[str, AfterValidator(_ros_name)]
+
+FARTHEST_ORIGIN = 100_000.0
+"""Metres from the DEM to the origin: beyond it, float32 coordinates no longer hold centimetres."""
 
 SITE_NAMES = ("fuel_map", "terrain", "viewer", "recorder")
 """Nodes and topics that stand beside the cameras in `/<site>/`: no camera may be called so."""
@@ -205,11 +210,11 @@ class PoseConfig(Config):
     y: float
     z: float | None = None
     height_above_ground: float | None = Field(None, gt=0)
-    azimuth_deg: float
+    azimuth_deg: AzimuthDeg
     """Clockwise from grid north."""
-    pitch_deg: float = 0.0
+    pitch_deg: PitchDeg = 0.0
     """Up from the horizon."""
-    roll_deg: float = 0.0
+    roll_deg: RollDeg = 0.0
     """Of the camera, clockwise about its viewing direction."""
 
     @model_validator(mode="after")
@@ -219,14 +224,22 @@ class PoseConfig(Config):
         return self
 
     def pose(self, dem: Dem, frame: SiteFrame) -> Pose:
-        """In the map frame. Raises PoseError where the ground under a camera given above it is not known."""
+        """In the map frame. Raises PoseError for a camera under the ground, and where the ground under one that is
+        given above it is not known.
+        """
         x, y = self.x - frame.x_origin, self.y - frame.y_origin
+        ground = float(dem.elevation_at(x, y))
         z = self.z
         if z is None:
-            ground = float(dem.elevation_at(x, y))
             if ground != ground:
-                raise PoseError(f"no terrain under the camera at ({self.x}, {self.y}): give its z instead")
+                covered = dem.levels[-1].geometry.translated(frame.x_origin, frame.y_origin)
+                raise PoseError(
+                    f"no terrain under the camera at ({self.x}, {self.y}): give its z instead, or check x and y; the "
+                    f"DEM covers {covered.described()} in {frame.crs}"
+                )
             z = ground + (self.height_above_ground or 0.0)
+        elif z <= ground:
+            raise PoseError(f"camera at ({self.x}, {self.y}): {doubt_of_height(z, ground)}")
         return Pose.from_angles((x, y, z), self.azimuth_deg, self.pitch_deg, self.roll_deg)
 
 
@@ -287,17 +300,50 @@ class Site(Config):
         return ray_bend(self.curvature, self.refraction)
 
     def open_dem(self) -> Dem:
-        """The bare earth in the map frame; a `DemStack` where the site has coarser rasters too."""
-        return open_terrain([(dem.path, dem.crs) for dem in (self.dem, *self.coarser)]).in_frame(self.frame)
+        """The bare earth in the map frame, shared within the process; a `DemStack` where the site has coarser rasters
+        too.
+
+        Raises RasterError as `open_terrain` and `Dem.in_frame` do, ConfigError where the origin is far from it.
+        """
+        rasters = [(dem.path, dem.crs) for dem in (self.dem, *self.coarser)]
+
+        def read() -> Dem:
+            dem = open_terrain(rasters)
+            try:
+                local = dem.in_frame(self.frame)
+            except RasterError as error:
+                raise RasterError(f"{self.dem.path}: {error}") from error
+            self._check_origin(dem.geometry)
+            return local
+
+        return shared([path for path, _ in rasters], (*(crs for _, crs in rasters), self.frame), read)
+
+    def _check_origin(self, terrain: GridGeometry) -> None:
+        """`terrain`: in the site's CRS."""
+        x, y = self.origin
+        away = terrain.distance_to(x, y)
+        if away <= FARTHEST_ORIGIN:
+            return
+        swapped = terrain.distance_to(y, x) <= FARTHEST_ORIGIN
+        x_middle, y_middle = (terrain.x_min + terrain.x_max) / 2, (terrain.y_min + terrain.y_max) / 2
+        wanted = f"[{y:.10g}, {x:.10g}]" if swapped else f"[{round(x_middle, -3):.0f}, {round(y_middle, -3):.0f}]"
+        raise ConfigError(
+            f"origin [{x:.10g}, {y:.10g}] is {away / 1000:.0f} km away from the DEM, which covers "
+            f"{terrain.described()}: "
+            + ("x and y are swapped, write " if swapped else "it must lie near the site, such as ")
+            + wanted
+        )
 
     def open_surface(self, ground: Dem) -> Dem:
         """What cameras see of the terrain, in the map frame: `ground` (of `open_dem`) with the tops of trees and houses
         where the site has a surface raster.
         """
-        if self.surface is None:
+        given = self.surface
+        if given is None:
             return ground
-        surface = Dem.open(self.surface.path, self.surface.crs).in_frame(self.frame)
-        return with_surface(ground, surface)
+        rasters = [dem.path for dem in (given, self.dem, *self.coarser)]
+        way = ("surface", given.crs, self.dem.crs, *(dem.crs for dem in self.coarser), self.frame)
+        return shared(rasters, way, lambda: with_surface(ground, Dem.open(given.path, given.crs).in_frame(self.frame)))
 
     def fuel_geometry(self, dem: Dem) -> GridGeometry:
         """The fuel grid over the DEM (given in the map frame), in the map frame, snapped in the site's CRS."""

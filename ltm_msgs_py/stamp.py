@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -44,3 +45,19 @@ def make_header(stamp_ns: int, frame_id: str) -> Header:
 def stamp_of(msg: Any) -> int:
     """The `header.stamp` of any stamped message, nanoseconds. Raises MessageError as `time_to_ns` does."""
     return time_to_ns(msg.header.stamp)
+
+
+def time_text(stamp_ns: int) -> str:
+    """Nanoseconds since the epoch as people and as machines read them: `2023-11-14T22:13:20.100Z (1700000000100000000
+    ns)`.
+    """
+    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=stamp_ns // 1000)
+    return f"{moment.strftime('%Y-%m-%dT%H:%M:%S')}.{moment.microsecond // 1000:03d}Z ({stamp_ns} ns)"
+
+
+def stamp_text(msg: Any) -> str:
+    """The stamp of any stamped message for errors, as `time_text` writes it; what it holds, where that is no time."""
+    try:
+        return time_text(stamp_of(msg))
+    except MessageError:
+        return f"{msg.header.stamp.sec} s {msg.header.stamp.nanosec} ns"

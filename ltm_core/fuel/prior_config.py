@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import model_validator
 
@@ -11,14 +11,15 @@ from ltm_core.strict_model import StrictModel
 
 
 class PriorConfig(StrictModel):
-    """Either `path`, or single-band files by what they hold. A bare string stands for `path`.
+    """`path`, or single-band files by what they hold, or both where `path` is a folder: then a file that is named goes
+    before what the folder holds. A bare string stands for `path`.
 
     Paths are relative to the site file; any CRS that GDAL knows; nodata -9999 or LANDFIRE's 32767.
     """
 
     path: Path | None = None
     """A landscape (LCP or GeoTIFF of 8 bands), a single band of fuel codes, or a folder of single bands with the names
-    that LANDFIRE, ELMFIRE or GridFire give them."""
+    that LANDFIRE, ELMFIRE or GridFire give them (fbfm40.tif, fbfm40r5.tif, LC22_F40_230.tif, US_200FBFM40.tif)."""
     fbfm40: Path | None = None
     fbfm13: Path | None = None
     cover: Path | None = None
@@ -31,6 +32,9 @@ class PriorConfig(StrictModel):
     """Canopy bulk density, kg/m3 x 100."""
     crs: str | None = None
     """Only for files that carry none."""
+    unknown_codes: Literal["refuse", "nodata"] = "refuse"
+    """What to do with codes that no fuel system has, such as the 256 by which ELMFIRE marks buildings: refuse the map,
+    or take their cells for unknown."""
 
     @model_validator(mode="before")
     @classmethod
@@ -39,8 +43,8 @@ class PriorConfig(StrictModel):
 
     @model_validator(mode="after")
     def _one_source(self) -> PriorConfig:
-        if (self.path is None) == (not self.files()):
-            raise ValueError("give either path, or files such as fbfm40 and cover; not both and not neither")
+        if self.path is None and not self.files():
+            raise ValueError("give path, or files such as fbfm40 and cover")
         if self.path is None and self.fbfm40 is None and self.fbfm13 is None:
             raise ValueError("a prior fuel map needs fuel codes: give fbfm40 or fbfm13")
         return self

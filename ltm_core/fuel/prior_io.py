@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,21 +17,30 @@ from ltm_core.fuel.prior import CANOPY_BANDS, FuelPrior
 from ltm_core.fuel.prior_config import PriorConfig
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.raster_source import open_raster
-from ltm_core.types import Int16Array
+from ltm_core.types import Float32Array, Int16Array
 
 _NODATA_VALUES = (-9999, 32767)
 """That LANDFIRE's downloads and everybody else's use, whatever the file declares."""
 _NAMES: Mapping[str, str] = {
-    "fbfm40": r"(fbfm40|f40|40)",
-    "fbfm13": r"(fbfm13|f13|13)",
-    "cover": r"(cc|cover)",
-    "height": r"(ch|height)",
-    "base_height": r"(cbh|base)",
-    "bulk_density": r"(cbd|density)",
+    "fbfm40": r"[0-9]*fbfm40(?P<revision>([a-z][0-9]{0,3})?)|f40|40",
+    "fbfm13": r"[0-9]*fbfm13(?P<revision>([a-z][0-9]{0,3})?)|f13|13",
+    "cover": r"[0-9]*cc|cover",
+    "height": r"[0-9]*ch|height",
+    "base_height": r"[0-9]*cbh|base",
+    "bulk_density": r"[0-9]*cbd|density",
+    "elevation": r"dem|elev|elevation",
 }
-"""Words by which a folder's files are known, between the ends and signs that are no letters: cc.tif, LC22_CC_230.tif"""
+"""Words by which a folder's files are known, between the ends and signs that are neither letters nor digits: cc.tif,
+LC22_CC_230.tif (LANDFIRE), US_200FBFM40.tif (its older downloads), fbfm40r5.tif and fbfm40b.tif (ELMFIRE)."""
+_LANDSCAPE_BANDS: Mapping[str, int] = {
+    "elevation": 1,
+    "codes": 4,
+    "cover": 5,
+    "height": 6,
+    "base_height": 7,
+    "bulk_density": 8,
+}
 _BAND_COUNTS = (5, 7, 8, 10)
-_LANDSCAPE_BANDS: Mapping[str, int] = {"codes": 4, "cover": 5, "height": 6, "base_height": 7, "bulk_density": 8}
 
 
 @dataclass(frozen=True)
@@ -48,15 +57,16 @@ def load_prior(config: PriorConfig, geometry: GridGeometry) -> FuelPrior:
     Raises RasterError: a file that cannot be read or has no CRS, a folder without fuel codes or with several, codes
     that no system has, nothing on the grid.
     """
-    bands = _bands_of(config)
+    bands = {name: band for name, band in _bands_of(config).items() if name != "elevation"}
     read = {name: _read(band, geometry, config.crs) for name, band in bands.items()}
     if "codes" in read:
         codes = read.pop("codes")
-        read[_system_of(codes, bands["codes"].path)] = codes
+        read[_system_of(codes)] = codes
     system = FuelSystem.FBFM40 if "fbfm40" in read else FuelSystem.FBFM13
     for name in ("fbfm40", "fbfm13"):
         if name in read:
-            _check_codes(read[name], FuelSystem(name), bands.get(name, bands.get("codes", _Band(Path()))).path)
+            path = bands.get(name, bands.get("codes", _Band(Path()))).path
+            read[name] = _known_codes(read[name], FuelSystem(name), path, config.unknown_codes == "nodata")
     canopy = None
     if any(name in read for name in CANOPY_BANDS):
         unknown = np.full(geometry.shape, NODATA, np.int16)
@@ -65,12 +75,29 @@ def load_prior(config: PriorConfig, geometry: GridGeometry) -> FuelPrior:
     return FuelPrior(read[system.value], geometry, system, canopy, beside)
 
 
+def prior_heights(config: PriorConfig, geometry: GridGeometry) -> Float32Array | None:
+    """The elevations that came with the prior, (H, W) metres as it states them, NaN where none; None: it has none.
+
+    They are for plausibility alone: a DEM in feet stands 3.28 times as high. Raises RasterError as `load_prior` does.
+    """
+    band = _bands_of(config).get("elevation")
+    if band is None:
+        return None
+    heights = _read(band, geometry, config.crs)
+    return np.where(heights == NODATA, np.float32(np.nan), heights.astype(np.float32))
+
+
 def _bands_of(config: PriorConfig) -> dict[str, _Band]:
     """What to read from where: `codes` (of a system to be found out), or fbfm40 and fbfm13, and canopy bands."""
     if config.path is None:
         return {name: _Band(path) for name, path in config.files().items()}
     if config.path.is_dir():
-        return _bands_of_folder(config.path)
+        return _bands_of_folder(config.path, {name: _Band(path) for name, path in config.files().items()})
+    if config.files():
+        raise RasterError(
+            f"{config.path}: is no folder, so that {', '.join(config.files())} cannot be named beside it; name all "
+            "files, or a folder"
+        )
     if not config.path.exists():
         raise RasterError(f"{config.path}: no such file; it is the prior fuel map of the site")
     with open_raster(config.path) as source:
@@ -81,7 +108,7 @@ def _bands_of(config: PriorConfig) -> dict[str, _Band]:
     if count not in _BAND_COUNTS:
         raise RasterError(f"{config.path}: has {count} bands; a landscape has 5, 7, 8 or 10, a fuel map one")
     has_crown = count in (8, 10)
-    names = [name for name in _LANDSCAPE_BANDS if has_crown or name in ("codes", "cover")]
+    names = [name for name in _LANDSCAPE_BANDS if has_crown or name in ("elevation", "codes", "cover")]
     return {
         name: _Band(
             config.path,
@@ -92,38 +119,53 @@ def _bands_of(config: PriorConfig) -> dict[str, _Band]:
     }
 
 
-def _bands_of_folder(folder: Path) -> dict[str, _Band]:
+def _bands_of_folder(folder: Path, named: Mapping[str, _Band]) -> dict[str, _Band]:
+    """`named`: files that the configuration names itself."""
     files = sorted(p for p in folder.iterdir() if p.suffix.lower() in (".tif", ".tiff", ".asc", ".img"))
-    bands = {}
-    for name, pattern in _NAMES.items():
-        known = re.compile(rf"(^|[^a-z0-9]){pattern}([^a-z0-9]|$)", re.IGNORECASE)
-        found = [path for path in files if known.search(path.stem)]
-        if len(found) > 1:
+    bands = dict(named)
+    for name in (name for name in _NAMES if name not in named):
+        found = _files_of(name, files)
+        if len(found) > 1 and name != "elevation":
             raise RasterError(
-                f"{folder}: {', '.join(p.name for p in found)} may all be {name}; name the one under fuel.prior.{name}"
+                f"{folder}: {', '.join(p.name for p in found)} may all be {name}; name the one: `fuel: {{prior: "
+                f"{{path: {folder.name}, {name}: {folder.name}/{found[0].name}}}}}`"
             )
         if found:
             bands[name] = _Band(found[0])
     if not {"fbfm40", "fbfm13"} & bands.keys():
         there = ", ".join(p.name for p in files) or "no raster"
-        raise RasterError(f"{folder}: no fuel codes in it (files like fbfm40.tif, LC22_F40_230.tif); it has {there}")
+        raise RasterError(
+            f"{folder}: no fuel codes in it (files like fbfm40.tif, LC22_F40_230.tif); it has {there}: where one of "
+            f"these holds them, name it: `fuel: {{prior: {{path: {folder.name}, fbfm40: FILE}}}}`"
+        )
     return bands
 
 
+def _files_of(name: str, files: Sequence[Path]) -> list[Path]:
+    """Those whose names hold a band's word; of a plain name and its revisions the plain one."""
+    known = re.compile(rf"(^|[^a-z0-9])({_NAMES[name]})([^a-z0-9]|$)", re.IGNORECASE)
+    found = [(path, match) for path in files if (match := known.search(path.stem))]
+    plain = [path for path, match in found if not match.groupdict().get("revision")]
+    return plain if len(plain) == 1 else [path for path, _ in found]
+
+
 _LCP_FACTORS: Mapping[str, Mapping[str, float]] = {
+    "elevation": {"0": 1.0, "1": 0.3048},
     "height": {"1": 10.0, "2": 3.048, "3": 1.0, "4": 0.3048},
     "base_height": {"1": 10.0, "2": 3.048, "3": 1.0, "4": 0.3048},
     "bulk_density": {"1": 100.0, "2": 1601.846, "3": 1.0, "4": 1.601846},
 }
-"""By the header's unit codes: metres, feet, m x 10, ft x 10; kg/m3, lb/ft3, kg/m3 x 100, lb/ft3 x 1000."""
+"""By the header's unit codes: of elevation metres, feet; of canopy metres, feet, m x 10, ft x 10;
+kg/m3, lb/ft3, kg/m3 x 100, lb/ft3 x 1000."""
 
 
 def _unit_factor(name: str, tags: Mapping[str, str], path: Path) -> float:
     if name not in _LCP_FACTORS:
         return 1.0
-    unit = next((value for key, value in tags.items() if key.endswith("_UNIT")), "3")
+    usual = "0" if name == "elevation" else "3"
+    unit = next((value for key, value in tags.items() if key.endswith("_UNIT")), usual)
     if unit not in _LCP_FACTORS[name]:
-        raise RasterError(f"{path}: its canopy {name} has the unit {unit}, which the format does not know")
+        raise RasterError(f"{path}: its {name} has the unit {unit}, which the format does not know")
     return _LCP_FACTORS[name][unit]
 
 
@@ -157,14 +199,23 @@ def _read(band: _Band, geometry: GridGeometry, crs: str | None) -> Int16Array:
     return np.where(unknown, NODATA, np.round(values * band.factor)).astype(np.int16)
 
 
-def _system_of(codes: Int16Array, path: Path) -> str:
-    burnable = codes[(codes != NODATA) & ~np.isin(codes, list(fuel_models().nonburnable))]
+def _system_of(codes: Int16Array) -> str:
+    models = fuel_models()
+    known = models.codes(FuelSystem.FBFM40) | models.codes(FuelSystem.FBFM13)
+    burnable = codes[np.isin(codes, list(known - models.nonburnable.keys()))]
     return "fbfm13" if len(burnable) and (burnable <= 13).all() else "fbfm40"
 
 
-def _check_codes(codes: Int16Array, system: FuelSystem, path: Path) -> None:
-    values, counts = np.unique(codes[codes != NODATA], return_counts=True)
-    known = np.isin(values, list(fuel_models().codes(system)))
-    if not known.all():
-        strange = ", ".join(f"{v} ({n} cells)" for v, n in zip(values[~known][:5], counts[~known][:5], strict=True))
-        raise RasterError(f"{path}: holds codes that {system} does not have: {strange}")
+def _known_codes(codes: Int16Array, system: FuelSystem, path: Path, as_nodata: bool) -> Int16Array:
+    """The codes that the system has; others NODATA, if that is wanted. Raises RasterError if it is not."""
+    known = (codes == NODATA) | np.isin(codes, list(fuel_models().codes(system)))
+    if known.all():
+        return codes
+    if as_nodata:
+        return np.where(known, codes, np.int16(NODATA))
+    values, counts = np.unique(codes[~known], return_counts=True)
+    strange = ", ".join(f"{v} ({n} cells)" for v, n in zip(values[:5], counts[:5], strict=True))
+    raise RasterError(
+        f"{path}: holds codes that {system} does not have: {strange}; if they mark what is no fuel (ELMFIRE: 256 for "
+        "buildings), take them for unknown: `fuel: {prior: {path: ..., unknown_codes: nodata}}`"
+    )

@@ -16,6 +16,7 @@ from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, PoseError
 from ltm_core.geodesy import SiteFrame
+from ltm_core.plausibility import AzimuthDeg
 from ltm_core.pose_estimation.control_points import ControlPoints
 from ltm_core.pose_estimation.resection import Resection
 from ltm_core.text_io import LARGEST_TABLE, read_text
@@ -38,7 +39,7 @@ class GuessConfig(PlaceConfig):
     The position is held, or is where the search starts.
     """
 
-    azimuth_deg: float | None = None
+    azimuth_deg: AzimuthDeg | None = None
     """None: all directions are searched."""
 
     @property
@@ -64,7 +65,7 @@ def set_up_resection(guess: GuessConfig, dem: Dem | None, crs: str | None) -> Re
     if dem is not None:
         values = guess.model_dump()
         values["azimuth_deg"] = guess.azimuth_deg or 0.0
-        setup = set_up_picture(PictureConfig.model_validate(values), dem)
+        setup = set_up_picture(PictureConfig.model_validate(values), dem, surveyed=False)
         return ResectionSetup(setup.frame, setup.camera, np.array(setup.pose.position), setup.dem)
     crs = crs or guess.crs
     if crs is None:

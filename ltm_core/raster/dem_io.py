@@ -19,6 +19,7 @@ Bounds = tuple[float, float, float, float]
 
 _ROWS = 256
 """Rows read at a time, or the file's own blocks where they are higher."""
+_TO_METRES = "convert them to metres first (feet: gdal_translate -ot Float32 -scale 0 1 0 0.3048 -a_srs EPSG:...)"
 
 
 def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridGeometry]:
@@ -140,8 +141,8 @@ def _turn(elevation: Float32Array) -> None:
 def _check_heights(source: Any, path: Path | str) -> None:
     if np.issubdtype(np.dtype(source.dtypes[0]), np.complexfloating):
         raise RasterError(f"{path}: band 1 is {source.dtypes[0]}; elevation must be a real number")
-    if re.search(r"f(oo|ee)?t\b", source.units[0] or "", re.IGNORECASE):
-        raise RasterError(f"{path}: heights are in {source.units[0]}; convert them to metres first")
+    if re.search(r"f(oo|ee)?t", source.units[0] or "", re.IGNORECASE):
+        raise RasterError(f"{path}: heights are in {source.units[0]}; {_TO_METRES}")
 
 
 def _crs_of(stated: object, given: str | None, path: Path | str) -> CRS:
@@ -157,7 +158,7 @@ def _crs_of(stated: object, given: str | None, path: Path | str) -> CRS:
         raise RasterError(f"{path}: the raster carries no CRS; name it with --crs or `dem: {{crs: EPSG:...}}`")
     for axis in crs.axis_info[2:]:
         if axis.unit_name != "metre":
-            raise RasterError(f"{path}: heights of {crs.name} are in {axis.unit_name}; convert them to metres first")
+            raise RasterError(f"{path}: heights of {crs.name} are in {axis.unit_name}; {_TO_METRES}")
     crs = horizontal(crs)
     if named is not None and horizontal(named) != crs:
         raise RasterError(f"{path}: the raster is in {crs.name}, but {given} was given")

@@ -17,6 +17,7 @@ from ltm_core.config_io import load_yaml
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, ImageError, PoseError
 from ltm_core.geodesy import SiteFrame
+from ltm_core.plausibility import AzimuthDeg, PitchDeg, RollDeg, doubt_of_height, doubt_of_radians
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
 from ltm_core.raster.raster_io import write_geotiff
@@ -33,9 +34,9 @@ class PlaceConfig(Config):
     """CRS of x and y; default the DEM's. In EPSG:4326 they are longitude, latitude in degrees."""
     height_above_ground: float | None = Field(None, gt=0)
     """Metres above the DEM: mast or tripod."""
-    pitch_deg: float = 0.0
+    pitch_deg: PitchDeg = 0.0
     """Up from the horizon."""
-    roll_deg: float = 0.0
+    roll_deg: RollDeg = 0.0
     """Of the camera, clockwise about its viewing direction."""
     camera: CalibrationConfig
     curvature: bool = True
@@ -51,7 +52,7 @@ class PlaceConfig(Config):
 class PictureConfig(PlaceConfig):
     """One picture: where its camera stood, how it looked, and its calibration."""
 
-    azimuth_deg: float
+    azimuth_deg: AzimuthDeg
     """Of the optical axis, clockwise from the grid north of the DEM's CRS."""
 
 
@@ -63,6 +64,8 @@ class PictureSetup:
     frame: SiteFrame
     camera: Camera
     pose: Pose
+    doubts: tuple[str, ...] = ()
+    """What of the pose may be in another unit or of another place, for the user."""
 
 
 def load_picture_config(path: Path | str) -> PictureConfig:
@@ -70,10 +73,11 @@ def load_picture_config(path: Path | str) -> PictureConfig:
     return load_yaml(path, PictureConfig)
 
 
-def set_up_picture(config: PictureConfig, dem: Dem) -> PictureSetup:
+def set_up_picture(config: PictureConfig, dem: Dem, surveyed: bool = True) -> PictureSetup:
     """Place the camera of `config` on `dem`, which is in a CRS.
 
-    Raises PoseError where the ground under a camera given above it is not known, ConfigError for a CRS that is none.
+    `surveyed`: the position is right, not where a search starts. Raises PoseError for a surveyed camera under the
+    ground, and where the ground under one that is given above it is not known; ConfigError for a CRS that is none.
     """
     crs = dem.geometry.crs
     if crs is None:
@@ -81,19 +85,35 @@ def set_up_picture(config: PictureConfig, dem: Dem) -> PictureSetup:
     x, y = _in_crs(config.position[0], config.position[1], config.crs, crs)
     frame = SiteFrame(crs, round(x / 1000) * 1000.0, round(y / 1000) * 1000.0)
     local = dem.in_frame(frame)
+    where = _place(config, (x, y), crs)
+    beside = f"{where}, beside the DEM's known ground ({dem.levels[-1].geometry.described()} in {crs})"
     x, y = x - frame.x_origin, y - frame.y_origin
+    ground = float(local.elevation_at(x, y))
     if config.height_above_ground is None:
         z = config.position[-1]
+        if surveyed and z <= ground:
+            raise PoseError(f"{where}: {doubt_of_height(z, ground)}")
     else:
-        ground = float(local.elevation_at(x, y))
         if ground != ground:
             raise PoseError(
-                f"no terrain under the camera at {config.position[:2]} (DEM bounds {dem.geometry.bounds} in {crs}): "
-                "give position [x, y, z] instead of height_above_ground"
+                f"{beside}: check position and crs, or give position [x, y, z] instead of height_above_ground"
             )
         z = ground + config.height_above_ground
     pose = Pose.from_angles((x, y, z), config.azimuth_deg, config.pitch_deg, config.roll_deg)
-    return PictureSetup(local, frame, config.camera.camera(), pose)
+    doubts = (
+        doubt_of_radians([config.azimuth_deg]),
+        doubt_of_height(z, ground),
+        f"{beside}: check position and crs" if ground != ground else None,
+    )
+    return PictureSetup(local, frame, config.camera.camera(), pose, tuple(doubt for doubt in doubts if doubt))
+
+
+def _place(config: PlaceConfig, there: tuple[float, float], crs: str) -> str:
+    """The camera's position as it was given, and as what it is in the DEM's CRS."""
+    given = f"({config.position[0]:.10g}, {config.position[1]:.10g})"
+    if config.crs is None or config.crs == crs:
+        return f"camera at {given}"
+    return f"camera at {given} in {config.crs}, that is ({there[0]:.0f}, {there[1]:.0f}) in {crs}"
 
 
 def _in_crs(x: float, y: float, source: str | None, target: str) -> tuple[float, float]:
@@ -119,12 +139,15 @@ def read_photo(path: Path | str, camera: Camera) -> UInt8Array:
     from ltm_core.picture_io import open_picture
 
     with open_picture(Path(path)) as (source, _):
+        width, height = source.size
         upright = ImageOps.exif_transpose(source)
         photo = np.asarray(upright.convert("RGB"), np.uint8)
     if photo.shape[:2] != (camera.height, camera.width):
+        turned = f", upright as EXIF turns its {width} x {height}," if photo.shape[1] != width else ""
         raise ImageError(
-            f"{path}: photo of {photo.shape[1]} x {photo.shape[0]} pixels, but the pose file's camera has "
-            f"{camera.width} x {camera.height}; give the calibration of this image size"
+            f"{path}: photo of {photo.shape[1]} x {photo.shape[0]} pixels{turned} but the pose file's camera has "
+            f"{camera.width} x {camera.height}; give the calibration of "
+            + ("the upright image" if turned else "this image size")
         )
     return photo
 
@@ -135,17 +158,20 @@ def cell_counts(traced: RangeImage) -> UInt32Array:
         raise ImageError("this range image was made without a raster, so it has no cells")
     cells = traced.cells()
     seen = cells[cells[..., 0] >= 0]
-    flat = np.bincount(seen[:, 0] * traced.geometry.width + seen[:, 1], minlength=np.prod(traced.geometry.shape))
-    return flat.reshape(traced.geometry.shape).astype(np.uint32)
+    # Not by bincount: over a large raster that takes twice the DEM's own memory.
+    at, count = np.unique(seen[:, 0] * traced.geometry.width + seen[:, 1], return_counts=True)
+    counts = np.zeros(traced.geometry.shape, np.uint32)
+    counts.reshape(-1)[at] = count
+    return counts
 
 
-def write_trace(out: Path, traced: RangeImage, frame: SiteFrame) -> list[Path]:
+def write_trace(out: Path, traced: RangeImage, frame: SiteFrame, counts: UInt32Array | None = None) -> list[Path]:
     """Write a traced picture as GeoTIFFs into the folder `out`; returns their paths.
 
     `range.tif`, `depth.tif` (along the optical axis), `horizontal.tif` (the paper's depth): float32 metres, one value a
     pixel of the picture, +inf sky, NaN unknown. `alignment.tif`: x, y in the CRS and z, float64 (float32 would round
     northings to half a metre). These four lie in image space; camera, pose and CRS stand in their tags.
-    `seen.tif`: pixels a DEM cell, uint32, on the DEM's own grid.
+    `seen.tif`: pixels a DEM cell, uint32, on the DEM's own grid: `counts` (of `cell_counts`, for those who have them).
     """
     out.mkdir(parents=True, exist_ok=True)
     tags = _tags(traced, frame)
@@ -163,7 +189,7 @@ def write_trace(out: Path, traced: RangeImage, frame: SiteFrame) -> list[Path]:
     if traced.geometry is not None:
         written.append(out / "seen.tif")
         geometry = traced.geometry.translated(frame.x_origin, frame.y_origin, crs=frame.crs)
-        write_geotiff(written[-1], cell_counts(traced), geometry, nodata=0)
+        write_geotiff(written[-1], cell_counts(traced) if counts is None else counts, geometry, nodata=0)
     return written
 
 

@@ -13,6 +13,7 @@ from mcap.writer import LIBRARY_IDENTIFIER, CompressionType
 from rclpy.serialization import serialize_message
 
 from ltm_core.errors import RecordingError
+from ltm_core.output_io import require_folder
 from ltm_msgs_py.bag.mcap_file import McapFile
 from ltm_msgs_py.bag.metadata import (
     FileRecord,
@@ -91,11 +92,11 @@ class BagWriter:
 
     @staticmethod
     def require_free(path: Path) -> None:
-        """Raises RecordingError unless `path` does not exist or is an empty folder."""
-        if path.is_dir() and not any(path.iterdir()):
-            return
-        if path.exists():
+        """Raises RecordingError unless `path` does not exist or is an empty folder, ConfigError where nothing can be
+        written."""
+        if path.exists() and not (path.is_dir() and not any(path.iterdir())):
             raise RecordingError(f"cannot write a bag to {path}: it exists already; remove it or name another")
+        require_folder(path, "a bag")
 
     @property
     def file_bytes(self) -> int:

@@ -26,9 +26,11 @@ def demo(
     from rich.console import Console
 
     from ltm_core.errors import ConfigError
+    from ltm_core.output_io import require_folder
 
     console = Console()
     target = out or Path("out/demo-real" if real else "out/demo")
+    require_folder(target)
     if target.exists() and any(target.iterdir()):
         if not (target / "report.html").is_file() and not (target / "log").is_dir():
             raise ConfigError(f"{target} holds something that is not a former demo; name another folder with --out")

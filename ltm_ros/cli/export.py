@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_ros.cli.output import Overwrite
+
 if TYPE_CHECKING:
     from ltm_core.grid import GridGeometry
     from ltm_ros.fuel_map.source import FuelSource
@@ -68,15 +70,23 @@ def export(
     since: Annotated[
         str | None, typer.Option("--since", help="For change: the earlier date. Default: the map before any evidence.")
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Write a fuel map; into another CRS by nearest cell, on a grid with edges at 15 mod 30."""
     from ltm_core.errors import ConfigError
+    from ltm_core.output_io import require_files, require_folder
 
     kind = _BY_SUFFIX.get(out.suffix.lower()) if format_ is Format.auto else format_
     if kind is None:
         raise ConfigError(f"{out}: its suffix names no format; give --format, or one of {', '.join(_BY_SUFFIX)}")
     if not out.parent.is_dir():
         raise ConfigError(f"{out}: the folder {out.parent} does not exist; make it first")
+    if kind in (Format.elmfire, Format.layers):
+        require_folder(out)
+        if out.is_dir() and any(out.iterdir()) and not overwrite:
+            raise ConfigError(f"{out}: holds files already; name another folder, or write over them with --overwrite")
+    else:
+        require_files([out], overwrite)
     if since is not None and kind is not Format.change:
         raise ConfigError("--since is the earlier date of a picture of change: give --format change")
     if kind is Format.classes:
@@ -183,9 +193,4 @@ def _draw(map_: FuelSource, out: Path, kind: Format, as_of: str | None, since: s
     else:
         coverage = map_.coverage()
         sheet = seen_sheet(canvas, map_.seen_by()) if coverage is None else coverage_sheet(canvas, coverage)
-    try:
-        out.write_bytes(to_png(sheet))
-    except OSError as error:
-        from ltm_core.errors import ConfigError
-
-        raise ConfigError(f"{out}: cannot be written there ({error.strerror})") from error
+    out.write_bytes(to_png(sheet))

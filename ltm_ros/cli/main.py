@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 
@@ -9,6 +10,7 @@ import typer
 
 from ltm_core.errors import LtmError
 from ltm_ros.cli.bench import bench
+from ltm_ros.cli.check import check
 from ltm_ros.cli.demo import demo
 from ltm_ros.cli.doctor import doctor
 from ltm_ros.cli.eval import evaluate
@@ -33,6 +35,7 @@ cli = typer.Typer(
     pretty_exceptions_show_locals=False,
 )
 cli.command()(demo)
+cli.command()(check)
 cli.command()(run)
 cli.command()(replay)
 cli.command()(record)
@@ -49,6 +52,9 @@ cli.command()(models)
 cli.add_typer(bench, name="bench")
 cli.add_typer(evaluate, name="eval")
 
+_PLACE_ERRORS = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""A file or a file system that the user must see to: what was checked before may change while a command works."""
+
 
 def app() -> None:
     """Entry point: bad input ends with a message and status 1, not with a traceback."""
@@ -58,6 +64,11 @@ def app() -> None:
         cli()
     except LtmError as error:
         print(f"ltm: {error}", file=sys.stderr)
+        sys.exit(1)
+    except OSError as error:
+        if error.errno not in _PLACE_ERRORS:
+            raise
+        print(f"ltm: {error.filename or 'a file'}: {error.strerror}", file=sys.stderr)
         sys.exit(1)
     except ModuleNotFoundError as error:
         extra = {

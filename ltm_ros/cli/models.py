@@ -50,10 +50,12 @@ def models(
         _list(console)
         return
     from ltm_core.errors import ConfigError
+    from ltm_core.output_io import require_folder
     from ltm_core.vision.manifest import Manifest
     from ltm_core.vision.segmenter import DEFAULT_MODEL
     from ltm_ros.cli.models_check import check, check_depth
 
+    require_folder(out)
     manifest = Manifest.find(name or DEFAULT_MODEL)
     if action is Action.add:
         if name is None:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_ros.cli.output import Overwrite
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -31,6 +33,7 @@ def pose(
     sigma_px: Annotated[float, typer.Option(help="What a marked pixel is worth at best, pixels.")] = 1.0,
     report: Annotated[Path | None, typer.Option(help="JSON with residuals and covariance.")] = None,
     crs: Annotated[str | None, typer.Option(help="CRS of the control points where no DEM states it.")] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Fit a camera to surveyed points marked in its picture."""
     from typing import cast
@@ -39,6 +42,7 @@ def pose(
 
     from ltm_core.config_io import load_yaml
     from ltm_core.geodesy import ray_bend
+    from ltm_core.output_io import require_files
     from ltm_core.pose_estimation.resection import resect
     from ltm_core.pose_estimation.resection_adjustment import Parameter
     from ltm_core.pose_estimation.resection_io import (
@@ -50,6 +54,7 @@ def pose(
     )
     from ltm_core.raster.dem_stack import open_terrain
 
+    require_files([out, *([report] if report is not None else [])], overwrite)
     guess = load_yaml(pose_guess, GuessConfig)
     terrain = open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])]) if dem else None
     setup = set_up_resection(guess, terrain, crs)
@@ -64,6 +69,9 @@ def pose(
         position_sigma,
         sigma_px,
     )
+    for place in (out, report):
+        if place is not None:
+            place.parent.mkdir(parents=True, exist_ok=True)
     write_pose(out, result, guess, setup.frame)
     if report is not None:
         write_report(report, result)

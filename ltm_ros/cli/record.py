@@ -37,6 +37,7 @@ def record(
     """Record a site's topics to OUT until Ctrl-C; of a long recording the newest files stay (--max-gb)."""
     from dataclasses import replace
 
+    from ltm_core.output_io import require_folder
     from ltm_core.site_io import load_site
     from ltm_ros.launching.graph import Graph, ParameterValue, describe
     from ltm_ros.launching.runner import Runner, new_log_folder
@@ -47,6 +48,7 @@ def record(
             parameters[name] = round(gigabytes * 1e9)
     if topics:
         parameters["topics"] = list(topics)
+    require_folder(out, "a bag")  # of former ones the recorder keeps clear
     config = load_site(site)
     whole = describe(config, site, sim_time=sim_time, record=parameters)
     # Beside a graph the recorder is an extra; here it is all there is to run.

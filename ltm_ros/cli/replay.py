@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.cli.output import Overwrite
 from ltm_ros.replay import LONGEST_PAUSE
 
 
@@ -31,6 +32,7 @@ def replay(
     publish_only: Annotated[
         bool, typer.Option("--publish-only", help="Live: play into a graph that runs already (with sim time).")
     ] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Replay BAG through the graph of SITE and write its fuel map to OUT/fuel_map.tif."""
     import threading
@@ -38,6 +40,8 @@ def replay(
     from rich.console import Console
 
     from ltm_core.errors import ConfigError
+    from ltm_core.output_io import require_files
+    from ltm_msgs_py.bag.writer import BagWriter
     from ltm_ros.cli.progress import message_bar, stop_on_signals
     from ltm_ros.cli.summary import node_rows, print_nodes
     from ltm_ros.replay.run import ReplayOptions, run_live, run_offline
@@ -48,13 +52,17 @@ def replay(
     if publish_only:
         _publish(bag, site, rate, longest_pause, loop, start, duration, domain)
         return
+    rrd_file = out / "replay.rrd" if rrd else None
+    require_files([out / "fuel_map.tif", *([rrd_file] if rrd_file else [])], overwrite)
+    if record:
+        BagWriter.require_free(out / "bag")
     out.mkdir(parents=True, exist_ok=True)
     options = ReplayOptions(
         start,
         duration,
         export=out / "fuel_map.tif",
         record=out / "bag" if record else None,
-        rrd=out / "replay.rrd" if rrd else None,
+        rrd=rrd_file,
         rate=rate,
         longest_pause=longest_pause,
         loop=loop,

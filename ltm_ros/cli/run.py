@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from ltm_core.site import Site
+    from ltm_ros.launching.site_check import Wanted
 
 
 def run(
@@ -33,25 +37,50 @@ def run(
         Path | None, typer.Option(help="Folder for the nodes' output. Default: a new one in ~/.local/state/ltm.")
     ] = None,
 ) -> None:
-    """Run a site: each node a process, restarted when it dies; Ctrl-C or SIGTERM stops all of them in order."""
-    from ltm_core.site_io import load_site
+    """Run a site: each node a process, restarted when it dies; Ctrl-C or SIGTERM stops all of them in order.
+
+    What `ltm check` finds wrong ends it before any process starts: exit code 78 where the site file must be mended.
+    """
     from ltm_ros.launching.graph import ParameterValue, describe
     from ltm_ros.launching.runner import Runner, new_log_folder
+    from ltm_ros.launching.site_check import Wanted
 
-    config = load_site(site)
+    folders: dict[str, Path] = {}
     kept: dict[str, ParameterValue] = {}
+    recorded: dict[str, ParameterValue] | None = None
     if state is not None:
-        kept["folder"] = str(state.expanduser().resolve())
-        state.expanduser().mkdir(parents=True, exist_ok=True)
+        folders["state"] = state.expanduser().resolve()
+        kept["folder"] = str(folders["state"])
+    if record is not None:
+        folders["record"] = record.expanduser().resolve()
+        recorded = {"bag": str(folders["record"])}
+    if logs is not None:
+        folders["logs"] = logs.expanduser()
+    parameters = {"fuel_map": kept, "terrain": kept} if kept else {}
+    seen: dict[str, ParameterValue] | None = {"serve": True} if view else None
+    config = _checked(site, Wanted(only or (), seen, recorded, parameters, folders))
+    if state is not None:
+        folders["state"].mkdir(parents=True, exist_ok=True)
     graph = describe(
-        config,
-        site,
-        cameras=only or (),
-        sim_time=sim_time,
-        view={"serve": True} if view else None,
-        record={"bag": str(record.expanduser().resolve())} if record is not None else None,
-        parameters={"fuel_map": kept, "terrain": kept},
+        config, site, cameras=only or (), sim_time=sim_time, view=seen, record=recorded, parameters=parameters
     )
     runner = Runner(graph, log_folder=logs or new_log_folder(config.name), domain_id=domain)
     typer.echo(f"-- {config.name}: {len(graph)} nodes, logs in {runner.log_folder}; Ctrl-C stops them")
     raise typer.Exit(runner.run())
+
+
+def _checked(path: Path, wanted: Wanted) -> Site:
+    """The site, whose doubts are printed; ends with a line a fault where it cannot work."""
+    from ltm_core.site_check import Verdict
+    from ltm_core.site_io import load_site
+    from ltm_ros.launching.site_check import examined_apart, exit_status
+
+    findings = examined_apart(path, wanted)
+    for finding in findings:
+        if finding.verdict is Verdict.WRONG:
+            typer.echo(f"ltm: {finding.area}, {finding.name}: {finding.said}", err=True)
+        elif finding.verdict is Verdict.DOUBTFUL and finding.name != "/dev/shm":  # of which the runner tells
+            typer.echo(f"-- doubtful: {finding.area}, {finding.name}: {finding.said}")
+    if status := exit_status(findings):
+        raise typer.Exit(status)
+    return load_site(path)

@@ -7,10 +7,14 @@ from typing import Annotated, Any
 
 import typer
 
+from ltm_ros.cli.output import writable_folder
+
 
 def simulate(
     scenario: Annotated[Path, typer.Argument(help="Scenario YAML, such as config/scenarios/demo.yaml.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the frames; made if missing.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for the frames; made if missing.", callback=writable_folder)
+    ],
     first: Annotated[int, typer.Option(help="Number of the first frame to render (to go on after a stop).")] = 0,
     limit: Annotated[int | None, typer.Option(help="Render at most so many frames.")] = None,
     bag: Annotated[
@@ -39,6 +43,8 @@ def simulate(
     from ltm_core.simulator.scenario_io import load_scenario, located
 
     config = load_scenario(scenario)
+    if bag is not None:
+        _require_free(bag, [date.name for date in config.dates if date.frames])
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -98,3 +104,11 @@ def simulate(
                     progress.update(task, completed=done, total=total)
 
                 write_simulated_bag(out, place, config.name, progress=show, date=date.name)
+
+
+def _require_free(bag: Path, pictured: list[str]) -> None:
+    """Before anything is rendered. `pictured`: names of the dates with frames, of which each has a bag."""
+    from ltm_msgs_py.bag.writer import BagWriter
+
+    for place in [bag] if len(pictured) == 1 else [bag / name for name in pictured]:
+        BagWriter.require_free(place)

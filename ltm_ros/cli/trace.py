@@ -7,6 +7,10 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.cli.output import Overwrite
+
+OUTPUTS = ("range.tif", "depth.tif", "horizontal.tif", "alignment.tif", "seen.tif", "depth.png", "map.png")
+
 
 def trace(
     dem: Annotated[
@@ -19,12 +23,14 @@ def trace(
     crs: Annotated[
         str | None, typer.Option(help="CRS of a raster (of several: the finest) that carries none, such as EPSG:32611.")
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Trace one picture to the terrain: depth and alignment rasters, depth over the photo, a map of the seen cells."""
     import numpy as np
     from rich.console import Console
     from rich.table import Table
 
+    from ltm_core.output_io import require_files
     from ltm_core.pictures import to_png
     from ltm_core.pictures.trace import depth_picture, map_picture
     from ltm_core.raster.dem_stack import open_terrain
@@ -32,15 +38,18 @@ def trace(
     from ltm_core.tracing.trace_io import cell_counts, load_picture_config, read_photo, set_up_picture, write_trace
 
     console = Console()
+    require_files((out / name for name in OUTPUTS), overwrite)
     config = load_picture_config(pose)
     setup = set_up_picture(config, open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])]))
+    for doubt in setup.doubts:
+        console.print(f"[yellow]{doubt}", highlight=False)
     photo = None if image is None else read_photo(image, setup.camera)
     with console.status("tracing"):
         tracer = TerrainTracer(setup.dem, config.curvature, config.refraction)
         traced = tracer.trace(setup.camera, setup.pose)
     with console.status("writing"):
-        written = write_trace(out, traced, setup.frame)
         counts = cell_counts(traced)
+        written = write_trace(out, traced, setup.frame, counts)
         title = f"what {image.name if image else pose.stem} sees"
         pictures = {
             "depth.png": depth_picture(traced, setup.dem, photo),

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_ros.cli.output import Overwrite
+
 if TYPE_CHECKING:
     from ltm_ros.launching.runner import Runner
     from ltm_ros.viewer.server import RerunProcess
@@ -26,17 +28,23 @@ def view(
     tab: Annotated[
         str | None, typer.Option("--tab", help="With --screenshot: the tab to draw, by its name. Default: the first.")
     ] = None,
+    overwrite: Overwrite = False,
     open_browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page of --web.")] = True,
     web_port: Annotated[int, typer.Option(min=1, max=65535)] = 9090,
     grpc_port: Annotated[int, typer.Option(min=1, max=65535)] = 9876,
 ) -> None:
     """Show a site in Rerun: its graph while it runs, or a recording. Listens on loopback only; Ctrl-C ends it."""
     from ltm_core.errors import ConfigError, RecordingError
+    from ltm_core.output_io import require_files, require_folder
 
     if (site is None) == (rrd is None):
         raise ConfigError("give either --site (a running graph) or --rrd (a recording), not both and not neither")
     if tab is not None and screenshot is None:
         raise ConfigError("--tab says what --screenshot draws: give --screenshot too")
+    if screenshot is not None:
+        require_files([screenshot], overwrite)
+    if save is not None:
+        require_folder(save.parent, "a Rerun recording")  # the viewer finds a free name
     in_browser = web if web is not None else not _has_screen()
     if rrd is not None:
         if not rrd.is_file():

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_ros.cli.output import Overwrite
+
 if TYPE_CHECKING:
     from ltm_core.geodesy import SiteFrame
     from ltm_core.visibility.point_visibility import PointVisibility
@@ -25,7 +27,8 @@ def viewshed(
         list[Path] | None, typer.Option(help="Elevation raster for --pose; again for coarser ones around it.")
     ] = None,
     resolution: Annotated[
-        float | None, typer.Option(help="Cell size of the result, metres; default the DEM's.")
+        float | None,
+        typer.Option(help="Cell size of the result, metres; default the DEM's, coarser beyond 16 million cells."),
     ] = None,
     target_height: Annotated[float, typer.Option(help="Metres above the ground that are to be seen.")] = 0.0,
     max_range: Annotated[float | None, typer.Option(help="Metres beyond which a camera counts as blind.")] = None,
@@ -36,6 +39,7 @@ def viewshed(
     crs: Annotated[
         str | None, typer.Option(help="CRS of a raster (of several: the finest) that carries none, such as EPSG:32611.")
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Map what cameras cover: seen by how many, how finely, and how high smoke must rise to be seen."""
     import math
@@ -45,11 +49,14 @@ def viewshed(
     from rich.table import Table
 
     from ltm_core.errors import ConfigError
+    from ltm_core.output_io import require_files
     from ltm_core.pictures import to_png
     from ltm_core.visibility.viewshed import viewshed as covered
     from ltm_core.visibility.viewshed_io import coverage_picture, write_coverage
 
     console = Console()
+    picture = out.with_suffix(".png") if picture is None else picture
+    require_files((out, picture), overwrite)
     if (site is None) == (pose is None):
         raise ConfigError("give either --site S.yaml, or --pose P.yaml with --dem")
     if site is not None:
@@ -64,7 +71,6 @@ def viewshed(
     with console.status("lines of sight"):
         reach = math.inf if max_range is None else max_range
         coverage = covered(sight, views, resolution, target_height, reach, all_round)
-    picture = out.with_suffix(".png") if picture is None else picture
     with console.status("writing"):
         out.parent.mkdir(parents=True, exist_ok=True)
         picture.parent.mkdir(parents=True, exist_ok=True)
@@ -112,6 +118,8 @@ def _from_site(path: Path) -> tuple[PointVisibility, SiteFrame, list[PosedCamera
 
 
 def _from_pose(path: Path, dem: list[Path], crs: str | None) -> tuple[PointVisibility, SiteFrame, list[PosedCamera]]:
+    from rich.console import Console
+
     from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.tracing.trace_io import load_picture_config, set_up_picture
     from ltm_core.visibility.point_visibility import PointVisibility
@@ -119,5 +127,7 @@ def _from_pose(path: Path, dem: list[Path], crs: str | None) -> tuple[PointVisib
 
     config = load_picture_config(path)
     setup = set_up_picture(config, open_terrain([(dem[0], crs), *((raster, None) for raster in dem[1:])]))
+    for doubt in setup.doubts:
+        Console().print(f"[yellow]{doubt}", highlight=False)
     sight = PointVisibility(setup.dem, config.curvature, config.refraction)
     return sight, setup.frame, [PosedCamera(path.stem, setup.camera, setup.pose)]

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ltm_core.config_io import checked
-from ltm_core.errors import ConfigError, LtmError, RecordingError
+from ltm_core.errors import ConfigError, ImageError, LtmError, RecordingError
 from ltm_core.geodesy import SiteFrame
+from ltm_core.plausibility import doubt_of_radians
 from ltm_core.site import Site
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg
@@ -76,6 +77,7 @@ def import_photos(
         try:
             name = _camera_name(row, camera, site)
             item = place(read_photo(file), row, frame, dem, assumed)
+            _check_size(item, name, site)
         except ConfigError:
             raise
         except LtmError as error:
@@ -90,6 +92,9 @@ def import_photos(
     if not placed:
         raise RecordingError(f"none of {len(files)} photos could be taken; the first: {report.skipped[0][1]}")
     placed = _apart(placed, report)
+    doubt = doubt_of_radians([row.azimuth_deg for _, _, row, _ in placed if row.azimuth_deg is not None])
+    if doubt is not None:
+        report.notes.append((str(poses), doubt))
 
     origin = f"{frame.x_origin!r} {frame.y_origin!r}"
     custom = {"ltm_source": "photos", "ltm_site": report.site, "ltm_crs": frame.crs, "ltm_origin": origin}
@@ -134,6 +139,25 @@ def _camera_name(row: PhotoPose, given: str | None, site: Site | None) -> str:
         (name,) = site.cameras
     site.camera(name)
     return name
+
+
+def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
+    """Raises ImageError for a photo that the graph would drop, as the site's calibration is for another size."""
+    calibration = site.camera(name).calibration if site is not None else None
+    photo = item.photo
+    if calibration is None or (calibration.width, calibration.height) == (photo.width, photo.height):
+        return
+    why = f"is {photo.width} x {photo.height} pixels" + (f", as {photo.turned}," if photo.turned else "")
+    remedy = "give it a photo of that size, or the site the calibration of this one"
+    if photo.turned and (calibration.height, calibration.width) == (photo.width, photo.height):
+        remedy = (
+            "give the site the calibration, pitch and roll of the upright image, or remove the photo's orientation tag "
+            "(exiftool -Orientation= photo.jpg)"
+        )
+    raise ImageError(
+        f"{photo.path} {why} but camera {name} of the site is calibrated for {calibration.width} x "
+        f"{calibration.height}: {remedy}"
+    )
 
 
 def _frame_of(files: list[Path], rows: dict[str, PhotoPose] | None) -> SiteFrame:

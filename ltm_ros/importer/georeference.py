@@ -10,6 +10,7 @@ from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import CameraError, PoseError, RecordingError
 from ltm_core.geodesy import SiteFrame
+from ltm_core.plausibility import doubt_of_height
 from ltm_core.pose import Pose
 from ltm_ros.importer.photo import Photo
 from ltm_ros.importer.pose_file import PhotoPose
@@ -60,6 +61,11 @@ def place(photo: Photo, row: PhotoPose, frame: SiteFrame, dem: Dem | None, assum
     roll = row.roll_deg if row.roll_deg is not None else assumed.roll_deg
     if row.pitch_deg is None:
         notes.append(f"pitch is not known (EXIF has none): taken as {pitch:g} deg")
+    if photo.turned:
+        notes.append(
+            f"{photo.turned}: taken upright, as {photo.width} x {photo.height} pixels, of which calibration, pitch and "
+            "roll must be"
+        )
     pose = Pose.from_angles((x, y, z), azimuth, pitch, roll)
     return PlacedPhoto(photo, _camera(photo, row, assumed), pose, stamp_ns, notes)
 
@@ -95,9 +101,9 @@ def _position(photo: Photo, row: PhotoPose, frame: SiteFrame) -> tuple[float, fl
 def _height(
     photo: Photo, row: PhotoPose, x: float, y: float, dem: Dem | None, assumed: Assumptions, notes: list[str]
 ) -> float:
-    if row.z is not None:
-        return row.z
     ground = float(dem.elevation_at(x, y)) if dem is not None else math.nan
+    if row.z is not None:
+        return _stated_height(photo, row.z, ground, notes)
     altitude = photo.exif.altitude
     if row.height_above_ground is None and altitude is not None:
         z = altitude - assumed.geoid_undulation
@@ -118,6 +124,15 @@ def _height(
         why = "there is no DEM (give --site)" if dem is None else "it stands outside the DEM"
         raise PoseError(f"{photo.path} at map ({x:.1f}, {y:.1f}): height above ground does not help, {why}; give its z")
     return ground + above
+
+
+def _stated_height(photo: Photo, z: float, ground: float, notes: list[str]) -> float:
+    doubt = doubt_of_height(z, ground)
+    if z <= ground:
+        raise PoseError(f"{photo.path}: {doubt}")
+    if doubt is not None:
+        notes.append(doubt)
+    return z
 
 
 def _azimuth_deg(
@@ -157,12 +172,19 @@ def _camera(photo: Photo, row: PhotoPose, assumed: Assumptions) -> Camera:
                 remedy += f" or, as EXIF has a focal length of {photo.exif.focal_mm:g} mm, --sensor-width-mm"
             raise CameraError(f"{photo.path}: EXIF does not tell the focal length in pixels: {remedy}")
         fx = from_exif
+    cx = row.cx if row.cx is not None else (width - 1) / 2
+    cy = row.cy if row.cy is not None else (height - 1) / 2
+    if photo.turned and not (0 <= cx < width and 0 <= cy < height):  # of a part of a picture it may lie beside it
+        raise CameraError(
+            f"{photo.path}: principal point cx, cy = ({cx:g}, {cy:g}) lies beside the image of {width} x {height} "
+            f"pixels, as {photo.turned}: give that of the upright image"
+        )
     return Camera(
         width,
         height,
         fx,
         row.fy if row.fy is not None else fx,
-        row.cx if row.cx is not None else (width - 1) / 2,
-        row.cy if row.cy is not None else (height - 1) / 2,
+        cx,
+        cy,
         (row.k1, row.k2, row.p1, row.p2, row.k3),
     )

@@ -17,6 +17,16 @@ from ltm_ros.importer.exif import ExifFacts, exif_facts
 SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif")
 _FORMATS = {"JPEG": "jpeg", "MPO": "jpeg", "PNG": "png"}
 _REENCODED_QUALITY = 95
+_TURNS = {
+    2: "mirrors it",
+    3: "turns it by 180 degrees",
+    4: "turns it by 180 degrees and mirrors it",
+    5: "turns it by 90 degrees and mirrors it",
+    6: "turns it by 90 degrees clockwise",
+    7: "turns it by 90 degrees and mirrors it",
+    8: "turns it by 90 degrees counter-clockwise",
+}
+"""What EXIF's orientation tag does to the stored image: CIPA DC-008 (Exif 2.32), 4.6.4."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +43,13 @@ class Photo:
     height: int
     exif: ExifFacts
     reencoded: bool
+
+    @property
+    def turned(self) -> str:
+        """What EXIF has done to the stored image: `EXIF turns it by 90 degrees clockwise`; empty: nothing."""
+        # libheif has turned a HEIC image by what its own format says, so that its EXIF tag says nothing.
+        known = self.path.suffix.lower() not in (".heic", ".heif") and self.exif.orientation in _TURNS
+        return f"EXIF {_TURNS[self.exif.orientation]}" if known else ""
 
 
 def find_photos(paths: Iterable[Path]) -> list[Path]:

@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from ltm_core.config_io import checked
 from ltm_core.errors import ConfigError
+from ltm_core.plausibility import AzimuthDeg, PitchDeg, RollDeg
 from ltm_core.site import Config, RosName
 from ltm_core.text_io import LARGEST_TABLE, read_text
 from ltm_core.yaml_io import read_yaml
@@ -40,11 +41,11 @@ class PhotoPose(Config):
     """Metres, in the DEM's vertical datum."""
     height_above_ground: float | None = Field(None, ge=0)
     """Metres; instead of z."""
-    azimuth_deg: float | None = None
+    azimuth_deg: AzimuthDeg | None = None
     """Of the optical axis, clockwise from the north that `azimuth_ref` names."""
     azimuth_ref: Annotated[Literal["grid", "true", "magnetic"], BeforeValidator(_unquoted)] = "grid"
-    pitch_deg: float | None = Field(None, ge=-90, le=90)
-    roll_deg: float | None = None
+    pitch_deg: PitchDeg | None = None
+    roll_deg: RollDeg | None = None
     fx: float | None = Field(None, gt=0)
     """Focal length, pixels; fy is the same unless given."""
     fy: float | None = Field(None, gt=0)

@@ -194,8 +194,8 @@ class Capture(Handler[CaptureConfig]):
             return False
         if (width, height) != (camera.width, camera.height):
             raise ImageError(
-                f"image of {self.config.camera} is {(height, width, 3)}, its calibration says "
-                f"{(camera.height, camera.width, 3)}; publish a camera_info for the image as it is sent"
+                f"image of {self.config.camera} is {width} x {height} pixels, its calibration is for {camera.width} x "
+                f"{camera.height}; publish a camera_info for the image as it is sent, or mend it in the site file"
             )
         return True
 

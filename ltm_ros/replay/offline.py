@@ -15,6 +15,7 @@ from ltm_core.errors import LtmError
 from ltm_msgs_py.bag.reader import BagMessage, BagReader
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.stamp import stamp_text
 from ltm_ros.launching.graph import Graph, NodeSpec
 from ltm_ros.replay.selection import Selection
 from ltm_ros.runtime.handler import Handler, NodeType, Topic
@@ -24,7 +25,9 @@ from ltm_ros.runtime.health import Health, cause_of
 class OfflineGraph:
     """Runs the nodes of a graph by calling their handlers, one message at a time, in the order of publication."""
 
-    def __init__(self, graph: Graph, record: BagWriter | None = None) -> None:
+    def __init__(self, graph: Graph, record: BagWriter | None = None, source: str = "") -> None:
+        """`source`: where messages come from, for errors."""
+        self._source = source
         self.healths: dict[str, Health] = {}
         self._listeners: dict[str, list[tuple[str, Health, Callable[[Any], None]]]] = defaultdict(list)
         self._waiting: deque[tuple[str, Any]] = deque()
@@ -80,13 +83,18 @@ class OfflineGraph:
         for topic, callback in handler.subscriptions.items():
             self._listeners[_absolute(spec.namespace, topic)].append((topic.name, health, callback))
 
+    def _place(self, topic: str, message: Any) -> str:
+        """Of a message, for errors: its topic, which names the camera, its stamp, and the recording."""
+        parts = [topic, *([f"stamp {stamp_text(message)}"] if hasattr(message, "header") else []), self._source]
+        return ", ".join(filter(None, parts))
+
     def _drain(self) -> None:
         while self._waiting:
             while self._waiting:
                 topic, message = self._waiting.popleft()
                 for name, health, callback in self._listeners.get(topic, ()):
                     health.received(name)
-                    _guarded(health, partial(callback, message))
+                    _guarded(health, partial(callback, message), partial(self._place, topic, message))
             for health, handler in self._handlers.values():
                 _guarded(health, handler.idle)
 
@@ -125,7 +133,7 @@ def replay_offline(
     """
     writer = BagWriter(record) if record is not None else None
     try:
-        offline = OfflineGraph(graph, writer)
+        offline = OfflineGraph(graph, writer, str(selection.reader.path))
         recording = offline.healths["recording"] = Health()
         for done, message in enumerate(selection, start=1):
             recording.received(message.topic)
@@ -147,8 +155,8 @@ def _deliver(offline: OfflineGraph, reader: BagReader, message: BagMessage) -> N
     offline.feed(message.topic, reader.decode(message), message.log_time_ns)
 
 
-def _guarded(health: Health, work: Callable[[], None]) -> None:
+def _guarded(health: Health, work: Callable[[], None], place: Callable[[], str] | None = None) -> None:
     try:
         work()
     except LtmError as error:
-        health.drop(cause_of(error), str(error))
+        health.drop(cause_of(error), str(error) if place is None else f"{error} ({place()})")

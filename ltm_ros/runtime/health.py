@@ -33,6 +33,7 @@ class Health:
         self._ages: deque[float] = deque(maxlen=WINDOW)
         self._work: deque[float] = deque(maxlen=WINDOW)
         self._published_at: deque[float] = deque(maxlen=WINDOW)
+        self._reasons: dict[str, str] = {}
         self._last_error = ""
         self._last_trouble = -float("inf")
 
@@ -54,9 +55,10 @@ class Health:
             self._work.append(seconds)
 
     def drop(self, cause: str, why: str, count: int = 1) -> None:
-        """Inputs were given up; `why` holds the value and the remedy."""
+        """Inputs were given up; `why` holds the value and the remedy. The first of each cause is kept."""
         with self._lock:
             self._dropped[cause] += count
+            self._reasons.setdefault(cause, why)
             self._last_error = f"{cause}: {why}"
             self._last_trouble = time.monotonic()
 
@@ -97,6 +99,7 @@ class Health:
             values |= {"received": str(self._received.total()), "published": str(self._published.total())}
             values["dropped"] = str(sum(self._dropped.values()))
             values |= {f"dropped.{cause}": str(n) for cause, n in sorted(self._dropped.items())}
+            values |= {f"reason.{cause}": why for cause, why in sorted(self._reasons.items())}
             values |= {f"noted.{event}": str(n) for event, n in sorted(self._noted.items())}
             values["rate_hz"] = f"{_rate(self._published_at):.2f}"
             for name, times in (("latency", self._ages), ("work", self._work)):

@@ -19,6 +19,8 @@ class NodeRow:
     work_p50_ms: float = math.nan
     causes: str = ""
     """Why messages were dropped: `overload 2, pose 1`."""
+    reasons: tuple[str, ...] = ()
+    """What was said of the first message that was dropped by each cause, after its name."""
 
     @classmethod
     def of(cls, node: str, summary: dict[str, str]) -> NodeRow:
@@ -33,4 +35,5 @@ class NodeRow:
             float(summary.get("latency_p95_ms", math.nan)),
             float(summary.get("work_p50_ms", math.nan)),
             ", ".join(f"{cause} {count}" for cause, count in causes.items()),
+            tuple(f"{key.removeprefix('reason.')}: {why}" for key, why in summary.items() if key.startswith("reason.")),
         )

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 from scenes.small_site import FRAMES, NAME, SmallSite
 from typer.testing import CliRunner
 
 from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.image import msg_to_depth
+from ltm_msgs_py.image import compressed_to_msg, encode_rgb, msg_to_depth
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.cli.main import cli
 from ltm_ros.recordings.recorded_map import last_fuel_map
@@ -120,6 +121,27 @@ def test_message_that_does_not_decode_is_counted_and_passed_over(small_site: Sma
     assert summaries["recording"]["dropped.recording"] == "1"
     assert summaries[f"/{NAME}/tower/capture"]["frames_out"] == str(FRAMES - 1)
     assert summaries[f"/{NAME}/fuel_map"]["frames_in"] == str(2 * FRAMES - 1)
+
+
+def test_a_dropped_image_is_named_by_camera_stamp_and_recording(small_site: SmallSite, tmp_path: Path) -> None:
+    topic, seen = camera_topic(NAME, "tower", IMAGE_COMPRESSED), 0
+    with BagWriter(tmp_path / "odd") as bag:
+        for message in BagReader(small_site.bag).messages():
+            raw = message.raw
+            if message.topic == topic:
+                seen += 1
+                if seen == 2:
+                    stamp = stamp_of(BagReader(small_site.bag).decode(message))
+                    portrait = encode_rgb(np.zeros((320, 180, 3), np.uint8))
+                    raw = serialize_message(compressed_to_msg(portrait, "jpeg", stamp, "tower_optical"))
+            bag.write_raw(message.topic, message.type_name, raw, message.log_time_ns)
+    command = ["replay", str(tmp_path / "odd"), "--site", str(small_site.path), "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(cli, [*command, "--offline"], env={"COLUMNS": "1000"})
+    assert result.exit_code == 0, result.output
+    said = next(line for line in result.output.splitlines() if line.startswith("tower/capture dropped by image"))
+    assert "image of tower is 180 x 320 pixels, its calibration is for 320 x 180" in said
+    assert f"/{NAME}/tower/" in said
+    assert f"stamp 2023-11-14T22:13:20.250Z ({stamp} ns), {tmp_path / 'odd'}" in said
 
 
 def test_command_line(small_site: SmallSite, tmp_path: Path) -> None:

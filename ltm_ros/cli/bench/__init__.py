@@ -9,16 +9,20 @@ import typer
 
 from ltm_ros.cli.bench.fusion import fusion
 from ltm_ros.cli.bench.graph import graph
+from ltm_ros.cli.bench.memory import memory
 from ltm_ros.cli.bench.network import network
 from ltm_ros.cli.bench.render import render
 from ltm_ros.cli.bench.segmentation import segmentation
 from ltm_ros.cli.bench.terrain import terrain
 from ltm_ros.cli.bench.votes import votes
+from ltm_ros.cli.output import JsonFile
 
 bench = typer.Typer(
-    help="How fast: tracing, beside other tracers; the whole graph; a fuel map under many towers.", no_args_is_help=True
+    help="How fast, in how much memory: tracing, beside other tracers; the graph; a fuel map under many towers.",
+    no_args_is_help=True,
 )
 bench.command()(graph)
+bench.command()(memory)
 bench.command()(network)
 bench.command()(fusion)
 bench.command()(render)
@@ -33,14 +37,14 @@ def trace(
     scenes: Annotated[str, typer.Option(help="Only scenes whose name holds one of these, with commas.")] = "1080p,VGA",
     tracers: Annotated[str, typer.Option(help="Only these tracers, with commas; all where empty.")] = "",
     repeats: Annotated[int, typer.Option(help="Frames that each figure is the least of.", min=1)] = 5,
-    json: Annotated[Path | None, typer.Option(help="Write the figures here.")] = None,
+    json_path: JsonFile = None,
     peers: Annotated[
         Path | None,
         typer.Option(help="Folder with packages for peers only (pip install --target), looked at after our own."),
     ] = None,
 ) -> None:
     """Trace the same views with ours and with embreex, Open3D, Mitsuba and the paper's march."""
-    import json as json_module
+    import json
     import sys
 
     from rich.console import Console
@@ -83,15 +87,15 @@ def trace(
     console.print(_setup_table(table))
     if slopes:
         console.print(_growth_table(slopes))
-    if json is not None:
+    if json_path is not None:
         report = {
             "conditions": state.as_dict(),
             "rows": table,
             "growth": slopes,
             "skipped": [vars(s) for s in skipped],
         }
-        json.parent.mkdir(parents=True, exist_ok=True)
-        json.write_text(json_module.dumps(report, indent=2))
+        json_path.parent.mkdir(parents=True, exist_ok=True)
+        json_path.write_text(json.dumps(report, indent=2))
 
 
 def _widths(text: str) -> list[int]:

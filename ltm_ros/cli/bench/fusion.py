@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from ltm_ros.cli.output import JsonFile
 
 
 def fusion(
     width: Annotated[int, typer.Option(help="Of the photo, pixels.", min=64)] = 1920,
     height: Annotated[int, typer.Option(help="Of the photo, pixels.", min=64)] = 1080,
     repeats: Annotated[int, typer.Option(help="Calls that each figure is the least of.", min=1)] = 7,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+    json_path: JsonFile = None,
 ) -> None:
     """Fuse one frame's depths: processor time by part, the network's own time aside."""
     from rich.console import Console

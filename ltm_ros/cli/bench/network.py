@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from ltm_ros.cli.output import JsonFile
 
 
 def network(
@@ -16,10 +17,10 @@ def network(
     extent: Annotated[float, typer.Option(help="Side of the region, metres.", min=2000)] = 10_000.0,
     views: Annotated[int, typer.Option(help="Headings of each tower.", min=1)] = 3,
     domain: Annotated[int | None, typer.Option(min=0, max=232, help="ROS domain.")] = None,
-    json: Annotated[Path | None, typer.Option(help="Write the figures here.")] = None,
+    json_path: JsonFile = None,
 ) -> None:
     """Send votes of simulated towers through DDS into one fuel map that keeps them, and measure it."""
-    import json as json_module
+    import json
 
     from rich.console import Console
     from rich.table import Table
@@ -74,10 +75,10 @@ def network(
     for r in results:
         if r.dropped:
             console.print(f"{r.towers} towers at {r.offered_hz:g} Hz dropped {r.dropped}")
-    if json is not None:
-        json.parent.mkdir(parents=True, exist_ok=True)
+    if json_path is not None:
+        json_path.parent.mkdir(parents=True, exist_ok=True)
         report = {"conditions": state.as_dict(), "runs": [as_dict(r) for r in results]}
-        json.write_text(json_module.dumps(report, indent=2))
+        json_path.write_text(json.dumps(report, indent=2))
 
 
 def numbers(text: str) -> list[float]:

@@ -7,11 +7,13 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.cli.output import JsonFile
+
 
 def render(
     scenario: Annotated[Path | None, typer.Argument(help="Scenario YAML; the demo's unless given.")] = None,
     near: Annotated[int, typer.Option(help="Near instances in the scene, at least.", min=0)] = 50_000,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+    json_path: JsonFile = None,
 ) -> None:
     """Render one frame of a scenario: processor time, wall time, instances and peak memory."""
     from dataclasses import asdict

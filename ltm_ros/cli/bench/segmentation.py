@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from ltm_ros.cli.output import JsonFile
 
 
 def segmentation(
@@ -16,7 +17,7 @@ def segmentation(
     frames: Annotated[int, typer.Option(help="Photos that a node labels.", min=5)] = 40,
     repeats: Annotated[int, typer.Option(help="Calls that each figure is the least of.", min=1)] = 15,
     domain: Annotated[int | None, typer.Option(min=0, max=232, help="ROS domain.")] = None,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+    json_path: JsonFile = None,
 ) -> None:
     """Label one photo: by the function, and by a node that gets it through DDS and publishes labels and confidence."""
     from dataclasses import asdict

@@ -7,12 +7,14 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.cli.output import JsonFile
+
 
 def terrain(
     size: Annotated[int, typer.Option(help="Width of the square site in cells of 1 m.", min=500)] = 4000,
     repeats: Annotated[int, typer.Option(help="Frames that the least is taken of.", min=1)] = 5,
     views: Annotated[int, typer.Option(help="Directions that the tower looks into.", min=2)] = 12,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Also write the figures to this file.")] = None,
+    json_path: JsonFile = None,
 ) -> None:
     """Processor time of the terrain's update a 1080p frame, and its memory."""
     import tempfile

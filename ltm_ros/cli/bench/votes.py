@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from ltm_ros.cli.output import JsonFile
 
 
 def votes(
@@ -14,7 +15,7 @@ def votes(
     repeats: Annotated[int, typer.Option(help="Calls that each figure is the least of.", min=1)] = 15,
     cell: Annotated[float, typer.Option(help="Of the fuel grid, metres.", min=1)] = 30.0,
     extent: Annotated[int, typer.Option(help="Side of the mountains that are looked at, metres.", min=1000)] = 5000,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+    json_path: JsonFile = None,
 ) -> None:
     """Form the votes of a frame from several views: processor time, cells, and the size of the message."""
     from rclpy.serialization import serialize_message

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.cli.output import JsonFile, writable_folder
+
 
 def bag(
     bag: Annotated[Path, typer.Argument(help="Bag folder or .mcap file of a run, such as out/demo/recording.")],
@@ -17,9 +19,12 @@ def bag(
         Path | None, typer.Option("--truth", help="Folder of truth rasters; default: the site file's.")
     ] = None,
     date: Annotated[str | None, typer.Option("--date", help="Of a truth folder with several dates: the bag's.")] = None,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Also write every figure to this file.")] = None,
+    json_path: JsonFile = None,
     report: Annotated[
-        Path | None, typer.Option("--report", help="Also draw the figures to this folder, with a page of them.")
+        Path | None,
+        typer.Option(
+            "--report", help="Also draw the figures to this folder, with a page of them.", callback=writable_folder
+        ),
     ] = None,
     depth_maps: Annotated[
         list[str] | None,

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ltm_ros.cli.output import JsonFile, writable_folder
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -51,8 +53,10 @@ def depth(
         list[str] | None, typer.Option(help="Also without this stage of fusion; repeatable; all: each in turn.")
     ] = None,
     limit: Annotated[int | None, typer.Option(help="Score at most so many frames.", min=1)] = None,
-    pictures: Annotated[Path | None, typer.Option(help="Folder for a sheet of pictures of every frame.")] = None,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Also write every figure to this file.")] = None,
+    pictures: Annotated[
+        Path | None, typer.Option(help="Folder for a sheet of pictures of every frame.", callback=writable_folder)
+    ] = None,
+    json_path: JsonFile = None,
 ) -> None:
     """Score traced depth, a network alone, and both fused, on the same pixels, by range of true depth."""
     import os

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.cli.output import JsonFile
+
 
 def fuel(
     bag: Annotated[
@@ -30,12 +32,12 @@ def fuel(
     levels: Annotated[
         str, typer.Option(help="Draw so many times the network's share of wrong labels, with commas: the trade-off.")
     ] = "1",
-    json: Annotated[Path | None, typer.Option(help="Write the figures here.")] = None,
+    json_path: JsonFile = None,
 ) -> None:
     """Score flips, false flips and right cells of the evidence map and the majority vote, trial by trial or of BAG."""
     from ltm_ros.cli.eval.fuel_tables import score_recording, score_trials
 
     if bag is not None:
-        score_recording(bag, site, truth, date, repeat_hours, json)
+        score_recording(bag, site, truth, date, repeat_hours, json_path)
     else:
-        score_trials(dem, model, trials, range(first_seed, first_seed + seeds), levels, json)
+        score_trials(dem, model, trials, range(first_seed, first_seed + seeds), levels, json_path)

@@ -7,13 +7,15 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.cli.output import JsonFile
+
 
 def relative_depth(
     folder: Annotated[Path, typer.Argument(help="Folder of `ltm simulate`, or of several such folders.")],
     model: Annotated[list[str] | None, typer.Option("--model", help="Model name or manifest; again for more.")] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="At most so many frames of a folder, evenly chosen.")] = None,
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 1,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Also write every figure to this file.")] = None,
+    json_path: JsonFile = None,
 ) -> None:
     """Score networks alone, without terrain: AbsRel by range after a robust fit of scale and shift to the true depth
     (RANSAC, the same for every network), and how many pairs of pixels are in order of near and far."""

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_ros.cli.output import JsonFile
+
 if TYPE_CHECKING:
     from ltm_core.evaluation.segmentation.network_score import LabelScore
 
@@ -19,7 +21,7 @@ def segmentation(
         list[str] | None,
         typer.Option("--model", help="Model name or manifest; again for more. Default: the default one."),
     ] = None,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Also write every figure to this file.")] = None,
+    json_path: JsonFile = None,
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 1,
     zoom: Annotated[float, typer.Option(min=1.0, help="Second look at distant slopes, so much larger.")] = 1.0,
     limit: Annotated[int | None, typer.Option(min=1, help="At most so many frames of a folder, evenly chosen.")] = None,

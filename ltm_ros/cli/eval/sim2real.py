@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.cli.output import JsonFile
+
 
 def sim2real(
     real: Annotated[Path, typer.Argument(help="Folder of real pictures.")],
@@ -15,7 +17,7 @@ def sim2real(
     side: Annotated[int, typer.Option(min=32, help="Pixels of the middle square for SSIM and LPIPS.")] = 256,
     seed: Annotated[int, typer.Option(help="Of the pairs and the intervals.")] = 0,
     backbone: Annotated[str, typer.Option(help="LPIPS network: alexnet or vgg16.")] = "alexnet",
-    json_path: Annotated[Path | None, typer.Option("--json", help="Also write every figure to this file.")] = None,
+    json_path: JsonFile = None,
 ) -> None:
     """SSIM, LPIPS, FID and KID between two folders, each with N, its weights and a 95 % interval."""
     import dataclasses

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.cli.output import JsonFile, writable_folder
+
 HELD_OUT = "23,24,25"
 """Seeds that no constant of the map was chosen on: those were chosen on seeds 1, 2, 11, 12 and 13; 14 to 22 were looked
 at before the last of them was."""
@@ -54,8 +56,10 @@ def terrain(
     site: Annotated[Path | None, typer.Option(help="With --bag: site file; default: beside the bag.")] = None,
     truth: Annotated[Path | None, typer.Option(help="With --bag: folder of truth rasters.")] = None,
     date: Annotated[str, typer.Option(help="With --bag or --frames: the date of the truth.")] = "",
-    pictures: Annotated[Path | None, typer.Option(help="Folder for a sheet of pictures of each run.")] = None,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Also write every figure to this file.")] = None,
+    pictures: Annotated[
+        Path | None, typer.Option(help="Folder for a sheet of pictures of each run.", callback=writable_folder)
+    ] = None,
+    json_path: JsonFile = None,
 ) -> None:
     """Change and surface from two towers against the truth, by scene, pose error and occlusion.
 

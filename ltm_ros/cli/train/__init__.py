@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer.core import TyperGroup
 
+from ltm_ros.cli.output import writable_folder
 from ltm_ros.cli.train.adapt import adapt
 from ltm_ros.cli.train.appearance import appearance
 from ltm_ros.cli.train.blend import blend
@@ -41,7 +42,9 @@ def run(
     frames: Annotated[
         Path | None, typer.Option(help="Folder of <set>/NAME.png with NAME_labels.png; overrides the config's.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for the model (default out/train/<name>).")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the model (default out/train/<name>).", callback=writable_folder)
+    ] = None,
     steps: Annotated[int | None, typer.Option(help="Training steps, instead of the configuration's.")] = None,
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 2,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in the folder.")] = False,
@@ -72,6 +75,7 @@ def run(
     if folder is None:
         raise ConfigError(f"{chosen}: no frames; name their folder with --frames or as `frames` in the configuration")
     out = out or Path("out/train") / settings.name
+    writable_folder(out)
     labels, console = LabelSet.load(), Console()
     split = read_split(folder, settings.split, len(labels))
     manifest = trained(settings, split, labels, out, threads, console, resume=resume, start=start, until=until)

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.cli.output import writable_folder
+
 
 def adapt(
     bag: Annotated[Path, typer.Argument(help="Bag folder or .mcap file of the site's cameras.")],
@@ -15,7 +17,9 @@ def adapt(
         str | None, typer.Option(help="Network of `ltm train` to adapt; default: the shipped one.")
     ] = None,
     name: Annotated[str | None, typer.Option(help="Name of the adapted network; default: <model>_<site>.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for it (default out/train/<name>).")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for it (default out/train/<name>).", callback=writable_folder)
+    ] = None,
     steps: Annotated[int, typer.Option(min=1, help="Training steps.")] = 200,
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 2,
 ) -> None:

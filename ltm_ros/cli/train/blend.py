@@ -7,13 +7,15 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.cli.output import writable_folder
+
 
 def blend(
     config: Annotated[Path, typer.Argument(help="Training configuration: name, sets held out, size.")],
     first: Annotated[str, typer.Argument(help="Manifest or name of a network of `ltm train`.")],
     second: Annotated[str, typer.Argument(help="That of a network whose training went on from it.")],
     frames: Annotated[Path, typer.Option(help="Folder of the sets of frames.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the model.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the model.", callback=writable_folder)],
     share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Of the second in the weights' mean.")] = 0.5,
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 2,
 ) -> None:

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.cli.output import writable_file
+
 
 def fusion(
     frames: Annotated[
@@ -14,7 +16,9 @@ def fusion(
     ],
     model: Annotated[str, typer.Option(help="Depth network: manifest name or path.")] = "landscape_lite0_depth",
     segmentation: Annotated[str, typer.Option(help="Network of the labels; default: the shipped one.")] = "",
-    out: Annotated[Path | None, typer.Option(help="File to write; default: beside the network's manifest.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="File to write; default: beside the network's manifest.", callback=writable_file)
+    ] = None,
     check: Annotated[
         float | None, typer.Option(help="Write nothing; fail if a constant is farther than this from the file's.")
     ] = None,

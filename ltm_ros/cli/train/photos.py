@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ltm_core.types import Float32Array, UInt8Array
+from ltm_ros.cli.output import writable_folder
 
 if TYPE_CHECKING:
     from ltm_core.training.teachers import Opinions
@@ -20,7 +21,9 @@ BY_HAND = "_by_hand"
 def photos(
     config: Annotated[Path, typer.Argument(help="Which photos, and what their slopes carry: mountain_photos.yaml.")],
     images: Annotated[Path, typer.Option(help="Folder of the photos.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the sets of labelled photos.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for the sets of labelled photos.", callback=writable_folder)
+    ],
     sky_model: Annotated[str, typer.Option(help="Network that knows sky.")] = "skyseg_u2netp",
     scene_model: Annotated[str, typer.Option(help="Network that knows near scenes.")] = "mosaic_r4_ade20k31",
     depth_model: Annotated[str, typer.Option(help="Network whose order of near and far is learnt.")] = "tcmonodepth",

@@ -68,6 +68,12 @@ def test_paths_are_relative_to_the_site_file(tmp_path: Path, monkeypatch: pytest
         ({"crs": "EPSG:4326"}, ["crs", "projected CRS in metres"]),
         ({"crs": "somewhere"}, ["crs", "'somewhere'", "EPSG:32611"]),
         ({"origin": [1.0]}, ["origin.1: missing"]),
+        (
+            {"cameras": {"a": {"pose": {"x": 0, "y": 0, "z": 1, "azimuth_deg": 999}}}},
+            ["azimuth_deg", "999", "0 to 360"],
+        ),
+        ({"cameras": {"a": {"pose": {"x": 0, "y": 0, "z": 1, "azimuth_deg": 9, "pitch_deg": -95}}}}, ["-95", "-90"]),
+        ({"cameras": {"a": {"pose": {"x": 0, "y": 0, "z": 1, "azimuth_deg": 9, "roll_deg": 200}}}}, ["200", "180"]),
         ({"refraction": 1.0}, ["refraction", "got 1.0"]),
         ({"cameras": {"a": {"image": "mjpeg"}}}, ["cameras.a.image", "got 'mjpeg'"]),
         ({"cameras": {"a": {"pose": {"x": 0, "y": 0, "azimuth_deg": 0}}}}, ["either z or height_above_ground"]),
@@ -117,6 +123,29 @@ def test_poses(tmp_path: Path) -> None:
     np.testing.assert_allclose(PoseConfig(**place, z=900.0).pose(dem, site.frame).position, [15.0, 5.0, 900.0])
     with pytest.raises(PoseError, match=r"no terrain under the camera at \(1.0, 3783005.0\): give its z"):
         PoseConfig(**place | {"x": 1.0}, height_above_ground=7.5).pose(dem, site.frame)
+
+
+def test_a_camera_under_the_ground(tmp_path: Path) -> None:
+    site = load(tmp_path)
+    dem = Dem(np.full((2, 3), 900.0, np.float32), GridGeometry(0.0, 20.0, 10.0, 3, 2))
+    place = {"x": 346_015.0, "y": 3_783_005.0, "azimuth_deg": 214.0}
+    with pytest.raises(PoseError, match=r"\(346015.0, 3783005.0\): z = 880 m is 20.00 m under the ground.* 900.00 m"):
+        PoseConfig(**place, z=880.0).pose(dem, site.frame)
+    feet = Dem(dem.elevation / 0.3048, dem.geometry)
+    with pytest.raises(PoseError, match=r"if the DEM's heights are feet, the ground is at 900 m"):
+        PoseConfig(**place, z=912.0).pose(feet, site.frame)
+
+
+def test_an_origin_far_from_the_dem(tmp_path: Path) -> None:
+    geometry = GridGeometry(346_500.0, 3_784_000.0, 10.0, 9, 7, "EPSG:32611")
+    Dem(np.zeros((7, 9), np.float32), geometry).save(tmp_path / "dem.tif")
+    assert load(tmp_path).open_dem().geometry.x_min == 500.0
+    with pytest.raises(
+        ConfigError, match=r"origin \[3783000, 346000\] is 4\d+ km away.* swapped, write \[346000, 3783000\]"
+    ):
+        load(tmp_path, origin=[3_783_000.0, 346_000.0]).open_dem()
+    with pytest.raises(ConfigError, match=r"origin \[0, 0\] .* near the site, such as \[347000, 3784000\]"):
+        load(tmp_path, origin=[0.0, 0.0]).open_dem()
 
 
 def test_the_fuel_grid_is_snapped_in_the_crs(tmp_path: Path) -> None:

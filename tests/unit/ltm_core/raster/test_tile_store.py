@@ -369,3 +369,9 @@ def test_rows_that_no_store_writes_are_refused(tmp_path: Path, order: str, value
     path = spoiled(tmp_path / "store.ltm", order, *values)
     with pytest.raises(ConfigError, match=r"damaged|cannot be read"):
         read_all(path)
+
+
+def test_a_frame_is_not_counted_in_a_store_of_other_types(tmp_path: Path) -> None:
+    path = spoiled(tmp_path / "store.ltm", "UPDATE frames SET stamp_ns = 'x' WHERE stamp_ns = 5")
+    with TileStore.open(path, SCHEMA) as store, pytest.raises(ConfigError, match="damaged"):
+        store.commit({}, [FrameRecord("north", 9)])

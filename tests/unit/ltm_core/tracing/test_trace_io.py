@@ -89,7 +89,7 @@ def test_refuses_pose_files_that_cannot_be_meant(tmp_path: Path, text: str, mess
 
 def test_refuses_positions_it_cannot_place(tmp_path: Path, dem: Dem) -> None:
     beside = POSE.replace("400060.5", "399000")
-    with pytest.raises(PoseError, match="no terrain under the camera"):
+    with pytest.raises(PoseError, match=r"camera at \(399000, 3799930.25\), beside .*x 400000 to 400263"):
         set_up_picture(config_of(tmp_path, beside), dem)
     with pytest.raises(ConfigError, match="EPSG:999999"):
         set_up_picture(config_of(tmp_path, POSE + "crs: EPSG:999999\n"), dem)
@@ -97,6 +97,39 @@ def test_refuses_positions_it_cannot_place(tmp_path: Path, dem: Dem) -> None:
         set_up_picture(
             config_of(tmp_path, POSE.replace("[400060.5, 3799930.25]", "[34, -118]") + "crs: EPSG:4326"), dem
         )
+
+
+def test_a_wrong_crs_is_told_by_where_it_leads(tmp_path: Path, dem: Dem) -> None:
+    """The numbers lie within the DEM's bounds, but not in the zone that is named."""
+    with pytest.raises(PoseError, match=r"\(400060.5, 3799930.25\) in EPSG:32610, that is \(-\d+, \d+\) in EPSG:32611"):
+        set_up_picture(config_of(tmp_path, POSE + "crs: EPSG:32610\n"), dem)
+    surveyed = POSE.replace("3799930.25]", "3799930.25, 912.5]").replace("height_above_ground: 14\n", "")
+    (doubt,) = set_up_picture(config_of(tmp_path, surveyed + "crs: EPSG:32610\n"), dem).doubts
+    assert "that is (-" in doubt
+    assert "check position and crs" in doubt
+
+
+def test_what_may_be_in_another_unit_is_doubted(tmp_path: Path, dem: Dem) -> None:
+    surveyed = POSE.replace("3799930.25]", "3799930.25, 912.5]").replace("height_above_ground: 14\n", "")
+    assert set_up_picture(config_of(tmp_path, surveyed), dem).doubts == ()
+    odd = surveyed.replace("912.5", "2990").replace("azimuth_deg: 75", "azimuth_deg: 1.309")
+    radians, feet = set_up_picture(config_of(tmp_path, odd), dem).doubts
+    assert "1.309 rad is 75.0 deg" in radians
+    assert "as feet it would be 911 m" in feet
+    buried = surveyed.replace("912.5", "500")
+    with pytest.raises(PoseError, match="under the ground"):
+        set_up_picture(config_of(tmp_path, buried), dem)
+    assert set_up_picture(config_of(tmp_path, buried), dem, surveyed=False).pose.position[2] == 500
+
+
+def test_a_photo_that_exif_turns_says_so(tmp_path: Path) -> None:
+    image = Image.fromarray(np.zeros((40, 64, 3), np.uint8))
+    exif = image.getexif()
+    exif[0x0112] = 6
+    image.save(tmp_path / "portrait.jpg", exif=exif.tobytes())
+    with pytest.raises(ImageError, match=r"photo of 40 x 64 pixels, upright as EXIF turns its 64 x 40, .* 64 x 40"):
+        read_photo(tmp_path / "portrait.jpg", Camera.from_fov(64, 40, 50.0))
+    assert read_photo(tmp_path / "portrait.jpg", Camera.from_fov(40, 64, 50.0)).shape == (64, 40, 3)
 
 
 def test_rasters_hold_the_trace(tmp_path: Path, dem: Dem) -> None:

@@ -66,7 +66,9 @@ def test_the_last_map_of_a_bag(bag: Path, site_file: Path, tmp_path: Path) -> No
 
 
 def test_in_landfires_crs(bag: Path, site_file: Path, tmp_path: Path) -> None:
-    assert "EPSG:5070" in export(bag, "--site", site_file, "--out", tmp_path / "out.tif", "--crs", "EPSG:5070")
+    assert "EPSG:5070" in export(
+        bag, "--site", site_file, "--out", tmp_path / "out.tif", "--crs", "EPSG:5070", "--overwrite"
+    )
     classes, geometry = read_fuel_map(tmp_path / "out.tif")
     assert (geometry.crs, geometry.x_min % 30, geometry.y_max % 30) == ("EPSG:5070", 15.0, 15.0)
     assert set(np.unique(classes)) <= {0, 1, 2, 3, 4, 5, 6, 255}

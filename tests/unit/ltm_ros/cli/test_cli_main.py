@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -14,8 +15,8 @@ from ltm_core.errors import RasterError
 from ltm_ros.cli import main
 
 COMMANDS = (
-    "demo", "run", "replay", "record", "import", "trace", "simulate", "train", "export", "bench", "view", "doctor",
-    "models", "pose", "viewshed", "eval",
+    "demo", "check", "run", "replay", "record", "import", "trace", "simulate", "train", "export", "bench", "view",
+    "doctor", "models", "pose", "viewshed", "eval",
 )  # fmt: skip
 
 
@@ -80,6 +81,10 @@ def _raising(error: Exception) -> None:
     [
         (RasterError("dem.tif: broken"), "ltm: dem.tif: broken\n"),
         (
+            OSError(errno.ENOSPC, "No space left on device", "out/map.png"),
+            "ltm: out/map.png: No space left on device\n",
+        ),
+        (
             ModuleNotFoundError("No module named 'rerun'", name="rerun.blueprint"),
             "ltm: needs rerun.blueprint: pip install 'ltm[view]', or see `ltm doctor`\n",
         ),
@@ -99,7 +104,9 @@ def test_what_a_user_can_mend(
     assert capsys.readouterr().err.startswith(message)
 
 
-@pytest.mark.parametrize("error", [ModuleNotFoundError("x", name="ltm_core.absent"), ZeroDivisionError("bug")])
+@pytest.mark.parametrize(
+    "error", [ModuleNotFoundError("x", name="ltm_core.absent"), ZeroDivisionError("bug"), OSError(errno.EBADF, "bug")]
+)
 def test_bugs_keep_their_traceback(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(main, "cli", lambda: _raising(error))
     with pytest.raises(type(error)):

@@ -373,3 +373,50 @@ def test_the_engabreen_photo_projects_its_control_points(tmp_path: Path, shared_
     off = np.hypot(*(camera.project(pose.to_optical(xyz)) - pixels).T)
     assert np.median(off) < 3.5
     assert off.max() < 7
+
+
+def test_a_photo_that_exif_turns_says_so(tmp_path: Path, site: Site) -> None:
+    file = save(tmp_path / "portrait.jpg", phone(main_0x0112=6))
+    report = import_photos([file], tmp_path / "bag", site=site)
+    ((_, camera, _, image),) = contents(tmp_path / "bag")
+    assert (camera.width, camera.height) == (H, W)
+    assert compressed_to_rgb(image).shape == (W, H, 3)
+    assert ("portrait.jpg", f"EXIF turns it by 90 degrees clockwise: taken upright, as {H} x {W} pixels") in [
+        (name, note.partition(", of which")[0]) for name, note in report.notes
+    ]
+    poses = tmp_path / "poses.csv"
+    poses.write_text(f"name,cx,cy\nportrait.jpg,{W - 5},{H / 2}\n")
+    with pytest.raises(
+        CameraError,
+        match=r"portrait.jpg: principal point .* beside the image of 40 x 64 pixels, as EXIF turns it by 90 degrees",
+    ):
+        import_photos([file], tmp_path / "beside", poses, site=site)
+    assert not (tmp_path / "beside").exists()
+
+
+def test_a_photo_of_another_size_than_the_sites_camera_is_refused(tmp_path: Path, site: Site) -> None:
+    """The graph would drop it: image and calibration contradict each other."""
+    document = yaml.safe_load((tmp_path / "site.yaml").read_text())
+    document["cameras"]["phone"] = {"calibration": {"width": W, "height": H, "hfov_deg": 60}}
+    (tmp_path / "site.yaml").write_text(yaml.safe_dump(document))
+    fixed = load_site(tmp_path / "site.yaml")
+    import_photos([save(tmp_path / "level.jpg", phone())], tmp_path / "bag", site=fixed)
+    with pytest.raises(
+        ImageError, match=r"portrait.jpg is 40 x 64 pixels, as EXIF turns it .* phone .* 64 x 40.*exiftool"
+    ):
+        import_photos([save(tmp_path / "portrait.jpg", phone(main_0x0112=8))], tmp_path / "other", site=fixed)
+    small = save(tmp_path / "small.jpg", phone(), pixels=picture()[:30])
+    with pytest.raises(ImageError, match=r"small.jpg is 64 x 30 pixels but camera phone .* 64 x 40: give it a photo"):
+        import_photos([small], tmp_path / "other", site=fixed)
+
+
+def test_angles_and_heights_in_another_unit_are_noted(tmp_path: Path, site: Site) -> None:
+    files = [save(tmp_path / f"{name}.jpg", phone()) for name in "ab"]
+    poses = tmp_path / "poses.csv"
+    poses.write_text(f"name,azimuth_deg,z\na.jpg,0.7,{(GROUND + 8) / 0.3048}\nb.jpg,5.9,{GROUND + 8}\n")
+    notes = import_photos(files, tmp_path / "bag", poses, site=site).notes
+    assert any(name == str(poses) and "all azimuths, 0.7 to 5.9, lie within 2 pi" in note for name, note in notes)
+    assert any(name == "a.jpg" and "as feet it would be 1508 m" in note for name, note in notes)
+    poses.write_text(f"name,z\na.jpg,{GROUND - 30}\n")
+    with pytest.raises(PoseError, match=r"a.jpg: z = 1470 m is 30.00 m under the ground"):
+        import_photos(files, tmp_path / "other", poses, site=site)

@@ -238,7 +238,7 @@ def test_bad_parts_are_refused_and_leave_nothing(capture_of: CaptureOf) -> None:
     capture.on_image(image(S))
     assert outlet.sent == []
     capture.on_pose(pose(S))
-    with pytest.raises(ImageError, match=r"eye is \(7, 12, 3\).*calibration says \(7, 13, 3\)"):
+    with pytest.raises(ImageError, match="image of eye is 12 x 7 pixels, its calibration is for 13 x 7"):
         capture.on_camera_info(camera_to_msg(Camera.from_fov(13, 7, 50.0), S, "x"))
     assert outlet.sent == []
 
@@ -408,7 +408,7 @@ def test_images_of_another_size_are_not_decoded(capture_of: CaptureOf, monkeypat
     monkeypatch.setattr("cv2.imdecode", decode)
     capture.on_camera_info(camera_to_msg(Camera.from_fov(13, 7, 50.0), S, "x"))
     capture.on_pose(pose(S))
-    with pytest.raises(ImageError, match=r"\(7, 12, 3\).*calibration says \(7, 13, 3\)"):
+    with pytest.raises(ImageError, match="12 x 7 pixels, its calibration is for 13 x 7"):
         capture.on_image(image(S))
 
 

@@ -1,0 +1,66 @@
+"""Checks, before any work is done, that results can be written where the user wants them, and over nothing else."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+
+from ltm_core.errors import ConfigError
+
+
+def require_folder(folder: Path, what: str = "results") -> None:
+    """Raises ConfigError unless files can be written into `folder`, which may be yet to be made; makes nothing."""
+    reason = _why_not_into(folder)
+    if reason is not None:
+        raise ConfigError(f"{folder}: {what} cannot be written there ({reason}): name another folder")
+
+
+def require_files(files: Iterable[Path], overwrite: bool = True, what: str = "results") -> None:
+    """Raises ConfigError unless each of `files` can be written, its folders made where they are missing.
+
+    `overwrite`: whether files may be there already. Makes and changes nothing.
+    """
+    for file in files:
+        if file.is_dir():
+            raise ConfigError(f"{file}: is a folder, {what} need the name of a file")
+        if file.exists() and not overwrite:
+            raise ConfigError(f"{file}: exists already; name another place, or write over it with --overwrite")
+        reason = _why_not_over(file) if file.exists() else _why_not_into(file.parent)
+        if reason is not None:
+            raise ConfigError(f"{file}: {what} cannot be written there ({reason}): name another place")
+
+
+def free_bytes(folder: Path) -> int:
+    """Room on the file system on which `folder` is, or would be made."""
+    return shutil.disk_usage(_nearest(folder)).free
+
+
+def _nearest(folder: Path) -> Path:
+    """`folder`, or the first above it that is there."""
+    there = folder.expanduser().absolute()
+    while not there.exists() and there != there.parent:
+        there = there.parent
+    return there
+
+
+def _why_not_into(folder: Path) -> str | None:
+    """Tried, not asked: permission bits say nothing to root, and of a file system that is read-only."""
+    there = _nearest(folder)
+    if not there.is_dir():
+        return f"{there} is no folder"
+    try:
+        with tempfile.TemporaryFile(dir=there):
+            return None
+    except OSError as error:
+        return error.strerror or str(error)
+
+
+def _why_not_over(file: Path) -> str | None:
+    try:
+        os.close(os.open(file, os.O_WRONLY))
+    except OSError as error:
+        return error.strerror or str(error)
+    return None

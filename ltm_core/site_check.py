@@ -1,0 +1,273 @@
+"""Checks a site file before anything runs: terrain, cameras, prior fuel map and networks, each with a remedy.
+
+What the graph's nodes would refuse one after the other, again at each start, is found here at once, by the code that
+they read it with.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+
+from ltm_core.dem import Dem
+from ltm_core.errors import LtmError, PoseError
+from ltm_core.fuel.codes import FuelRegion
+from ltm_core.fuel.life_form import NODATA
+from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.prior_io import load_prior, prior_heights
+from ltm_core.fuel.site_map import site_label_errors
+from ltm_core.grid import GridGeometry
+from ltm_core.plausibility import TALLEST_MAST, doubt_of_dem, doubt_of_height, doubt_of_heights, doubt_of_radians
+from ltm_core.resources import config_path
+from ltm_core.site import CameraConfig, Site
+from ltm_core.site_io import load_site
+from ltm_core.types import Float64Array
+from ltm_core.visibility.viewshed import PosedCamera
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.onnx_model import OnnxModel
+
+_FAR_ORIGIN = 30_000.0
+"""Metres from the origin beyond which float32 no longer holds millimetres."""
+_SAMPLES = 200
+"""Points a side at which two rasters' heights are compared."""
+_WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+
+
+class Verdict(StrEnum):
+    OK = "ok"
+    DOUBTFUL = "doubtful"
+    """It runs, but may not be what is meant."""
+    WRONG = "wrong"
+    """It cannot work."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at. `said`: what was found, and the remedy where something is amiss; one line."""
+
+    area: str
+    name: str
+    verdict: Verdict
+    said: str
+
+    @classmethod
+    def of(cls, area: str, name: str, error: LtmError | str, verdict: Verdict = Verdict.WRONG) -> Finding:
+        """Of an error or a doubt; its lines become one."""
+        return cls(area, name, verdict, "; ".join(line.strip() for line in str(error).splitlines()).replace(":;", ":"))
+
+
+@dataclass
+class SiteCheck:
+    """What a check has found, and what it has read for that; None, or empty, where it could not."""
+
+    findings: list[Finding] = field(default_factory=list)
+    site: Site | None = None
+    dem: Dem | None = None
+    prior: FuelPrior | None = None
+    views: list[PosedCamera] = field(default_factory=list)
+    """Cameras whose calibration and pose stand in the site file."""
+
+    @property
+    def wrong(self) -> list[Finding]:
+        return [finding for finding in self.findings if finding.verdict is Verdict.WRONG]
+
+
+def check_site(path: Path, cameras: Sequence[str] = ()) -> SiteCheck:
+    """Check all that a site file names. `cameras`: only these; none: all. Raises nothing that a user can mend."""
+    check = SiteCheck()
+    try:
+        check.site = site = load_site(path)
+        for name in cameras:
+            site.camera(name)
+    except LtmError as error:
+        check.findings.append(Finding.of("site", path.name, error))
+        return check
+    check.findings.append(Finding("site", path.name, Verdict.OK, f"{site.name}, {site.crs}"))
+    try:
+        check.dem = site.open_dem()
+    except LtmError as error:
+        check.findings.append(Finding.of("terrain", "dem", error))
+    else:
+        check.findings += _terrain(site, check.dem)
+        for name in cameras or site.cameras:
+            check.findings += _camera(site.cameras[name], name, site, check.dem, check.views)
+    check.findings += _angles(site, cameras)
+    check.findings += _fuel(site, check)
+    check.findings += _networks(site)
+    return check
+
+
+def _terrain(site: Site, dem: Dem) -> Iterator[Finding]:
+    area, geometry = "terrain", dem.geometry
+    known = [np.isfinite(row).mean() for row in dem.elevation]
+    low, high = float(np.nanmin(dem.elevation)), float(np.nanmax(dem.elevation))
+    found = (
+        f"{geometry.width} x {geometry.height} cells of {geometry.resolution:g} m, heights {low:.0f} to {high:.0f} m, "
+        f"{np.mean(known):.0%} known"
+    )
+    doubt = doubt_of_dem(dem.elevation, geometry.resolution)
+    yield (
+        Finding(area, "dem", Verdict.OK, found)
+        if doubt is None
+        else Finding.of(area, "dem", f"{site.dem.path}: {doubt}", Verdict.DOUBTFUL)
+    )
+    away = geometry.distance_to(0.0, 0.0)
+    if away > _FAR_ORIGIN:
+        said = f"{away / 1000:.0f} km from the DEM: coordinates lose their millimetres; take a corner of the DEM"
+        yield Finding(area, "origin", Verdict.DOUBTFUL, said)
+    for level, config in zip(dem.levels[1:], site.coarser, strict=True):
+        heights, others = _sampled(dem, geometry), _sampled(level, geometry)
+        doubt = doubt_of_heights(heights, others, str(config.path))
+        found = f"{level.geometry.width} x {level.geometry.height} cells of {level.geometry.resolution:g} m around it"
+        yield (
+            Finding(area, config.path.name, Verdict.OK, found)
+            if doubt is None
+            else Finding.of(
+                area, "dem", f"{site.dem.path}: {doubt}", Verdict.WRONG if "feet" in doubt else Verdict.DOUBTFUL
+            )
+        )
+    if site.surface is not None:
+        yield _surface(site, dem)
+
+
+def _surface(site: Site, dem: Dem) -> Finding:
+    assert site.surface is not None
+    try:
+        surface = site.open_surface(dem)
+    except LtmError as error:
+        return Finding.of("terrain", "surface", error)
+    heights = _sampled(surface, dem.geometry)
+    doubt = doubt_of_heights(heights, _sampled(dem, dem.geometry), "the DEM")
+    if doubt is not None:
+        return Finding.of("terrain", "surface", f"{site.surface.path}: {doubt}", Verdict.DOUBTFUL)
+    above = float(np.nanmax(heights - _sampled(dem, dem.geometry), initial=0.0))
+    return Finding("terrain", "surface", Verdict.OK, f"up to {above:.0f} m above the ground")
+
+
+def _sampled(dem: Dem, over: GridGeometry) -> Float64Array:
+    """Heights at points spread evenly over a raster."""
+    rows, cols = (np.linspace(0, n - 1, min(n, _SAMPLES)) for n in over.shape)
+    return dem.elevation_at(*over.to_map(rows[:, None], cols[None, :]))
+
+
+def _camera(config: CameraConfig, name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> Iterator[Finding]:
+    try:
+        camera = config.calibration.camera() if config.calibration is not None else None
+        pose = config.pose.pose(dem, site.frame) if config.pose is not None else None
+        if camera is not None and camera.width * camera.height > site.limits.pixels:
+            raise PoseError(
+                f"calibration of {camera.width} x {camera.height} pixels, at most {site.limits.pixels} are taken: "
+                "raise pixels under `limits`"
+            )
+    except LtmError as error:
+        yield Finding.of("cameras", name, error)
+        return
+    topics = [what for what, part in (("calibration", camera), ("pose", pose)) if part is None]
+    if pose is None or config.pose is None:
+        yield Finding("cameras", name, Verdict.OK, f"{' and '.join(topics)} come as topics")
+        return
+    x, y, z = (float(v) for v in pose.position)
+    ground = float(dem.elevation_at(x, y))
+    if math.isnan(ground):
+        covered = dem.levels[-1].geometry.translated(*site.origin).described()
+        doubt: str | None = f"stands at ({config.pose.x:g}, {config.pose.y:g}) beside the DEM, which covers {covered}"
+    elif config.pose.height_above_ground is not None:
+        tall = f"height_above_ground {z - ground:g} m is more than masts have: if these are feet, write metres"
+        doubt = tall if z - ground > TALLEST_MAST else None
+    else:
+        doubt = doubt_of_height(z, ground)
+    azimuth, pitch, _ = pose.angles_deg
+    width = "" if camera is None else f", {camera.hfov_deg:.0f} deg wide"
+    found = f"{z - ground:.1f} m above the ground, looks {_WINDS[round(azimuth / 45) % 8]} ({azimuth:g} deg), "
+    found += f"{abs(pitch):g} deg {'up' if pitch > 0 else 'down'}{width}"
+    found += "; calibration comes as topic" if camera is None else ""
+    yield (
+        Finding("cameras", name, Verdict.OK, found)
+        if doubt is None
+        else Finding.of("cameras", name, doubt, Verdict.DOUBTFUL)
+    )
+    if camera is not None:
+        views.append(PosedCamera(name, camera, pose))
+
+
+def check_views(views: Sequence[PosedCamera], dem: Dem) -> Iterator[Finding]:
+    """Of views that a recording has, a finding a camera: whether they were taken from above the ground of the DEM."""
+    for name in dict.fromkeys(view.name for view in views):
+        positions = np.array([view.pose.position for view in views if view.name == name])
+        above = positions[:, 2] - dem.elevation_at(positions[:, 0], positions[:, 1])
+        lowest = int(np.argmin(np.where(np.isnan(above), np.inf, above)))
+        doubt = doubt_of_height(float(positions[lowest, 2]), float(positions[lowest, 2] - above[lowest]))
+        if np.isnan(above).all():
+            x, y = positions[0, :2]
+            doubt = (
+                f"stands at map ({x:.0f}, {y:.0f}) beside the DEM, which covers {dem.levels[-1].geometry.described()}"
+            )
+        if doubt is not None:
+            verdict = Verdict.WRONG if above[lowest] <= 0 else Verdict.DOUBTFUL
+            yield Finding.of("recording", name, doubt, verdict)
+        else:
+            said = f"{len(positions)} different views, {above[lowest]:.1f} m above the ground"
+            yield Finding("recording", name, Verdict.OK, said)
+
+
+def _angles(site: Site, cameras: Sequence[str]) -> Iterator[Finding]:
+    poses = {name: site.cameras[name].pose for name in cameras or site.cameras}
+    doubt = doubt_of_radians([pose.azimuth_deg for pose in poses.values() if pose is not None])
+    if doubt is not None:
+        yield Finding("cameras", "azimuth_deg", Verdict.DOUBTFUL, doubt)
+
+
+def _fuel(site: Site, check: SiteCheck) -> Iterator[Finding]:
+    area = "fuel"
+    try:
+        FuelRegion.named(site.fuel.region)
+        site_label_errors(site)
+    except LtmError as error:
+        yield Finding.of(area, "region and label errors", error)
+    if site.fuel.prior is None:
+        yield Finding(area, "prior", Verdict.OK, "none: nothing is known of a cell before it is seen")
+    elif check.dem is not None:
+        grid = site.in_crs(site.fuel_geometry(check.dem))
+        try:
+            check.prior = load_prior(site.fuel.prior, grid)
+            heights = prior_heights(site.fuel.prior, grid)
+        except LtmError as error:
+            yield Finding.of(area, "prior", error)
+            return
+        yield _prior(check.prior, grid)
+        if heights is not None:
+            own = check.dem.elevation_at(*site.in_map(grid).to_map(*np.mgrid[0 : grid.height, 0 : grid.width]))
+            doubt = doubt_of_heights(own, heights.astype(np.float64), "the elevations of the prior fuel map")
+            if doubt is not None:
+                verdict = Verdict.WRONG if "its heights are feet" in doubt else Verdict.DOUBTFUL
+                yield Finding.of("terrain", "dem", f"{site.dem.path}: {doubt}", verdict)
+
+
+def _prior(prior: FuelPrior, grid: GridGeometry) -> Finding:
+    share = float((prior.codes != NODATA).mean())
+    found = f"{prior.system}, known for {share:.0%} of {grid.width} x {grid.height} cells of {grid.resolution:g} m"
+    if share < 0.5:
+        return Finding("fuel", "prior", Verdict.DOUBTFUL, f"{found}: does it lie elsewhere, or end there?")
+    return Finding("fuel", "prior", Verdict.OK, found)
+
+
+def _networks(site: Site) -> Iterator[Finding]:
+    try:
+        LabelSet.load(config_path(site.labels))
+    except LtmError as error:
+        yield Finding.of("networks", "labels", error)
+    for key, name in (("model", site.model), ("depth_model", site.depth_model)):
+        if not name:
+            continue
+        try:
+            model = OnnxModel(Manifest.find(name))
+        except LtmError as error:
+            yield Finding.of("networks", key, error)
+        else:
+            yield Finding("networks", key, Verdict.OK, f"{name}, {model.path.stat().st_size / 1e6:.0f} MB")

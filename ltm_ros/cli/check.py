@@ -1,0 +1,152 @@
+"""`ltm check`: checks a site file and draws what it describes, before anything runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ltm_ros.cli.output import Overwrite
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from ltm_core.site_check import Finding, SiteCheck
+    from ltm_core.types import RgbImage
+
+_CELLS = 100_000
+"""At which the view of the cameras is judged: a second or two a camera."""
+
+
+def check(
+    site: Annotated[Path, typer.Argument(help="Site file (YAML).")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="PNG to draw: terrain, views, what they cover, prior fuel map.")
+    ] = None,
+    bag: Annotated[
+        Path | None, typer.Option(help="Recording to take the views of cameras from whose poses come as topics.")
+    ] = None,
+    only: Annotated[list[str] | None, typer.Option(help="Only this camera; may be given several times.")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Check a site: CRS, terrain, cameras, prior, networks, parameters, places. Exit code 1 where it cannot work."""
+    from rich.console import Console
+
+    from ltm_core.output_io import require_files
+    from ltm_core.site_check import Verdict
+    from ltm_ros.launching.site_check import Wanted, examine
+
+    if out is not None:
+        require_files([out], overwrite)
+    console = Console()
+    with console.status("looking"):
+        found = examine(site, Wanted(only or ()))
+        if bag is not None and found.site is not None and found.dem is not None:
+            _add_recorded(found, bag)
+    _print(console, found.findings)
+    if out is not None and found.dem is not None:
+        from ltm_core.pictures import to_png
+
+        with console.status("drawing"):
+            out.parent.mkdir(parents=True, exist_ok=True)
+            out.write_bytes(to_png(_picture(found)))
+        console.print(f"  {out}", highlight=False)
+    wrong = len(found.wrong)
+    doubtful = sum(finding.verdict is Verdict.DOUBTFUL for finding in found.findings)
+    typer.echo(f"{wrong} wrong, {doubtful} doubtful" if wrong or doubtful else "nothing is wrong")
+    raise typer.Exit(1 if wrong else 0)
+
+
+def _print(console: Console, findings: list[Finding]) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    from ltm_core.site_check import Verdict
+
+    styles = {Verdict.OK: "green", Verdict.DOUBTFUL: "yellow", Verdict.WRONG: "bold red"}
+    table = Table("", "", "what", "found")
+    order = list(dict.fromkeys(finding.area for finding in findings))
+    area = ""
+    for finding in sorted(findings, key=lambda one: order.index(one.area)):
+        if finding.area != area:
+            table.add_section()
+        table.add_row(
+            escape(finding.area) if finding.area != area else "",
+            f"[{styles[finding.verdict]}]{finding.verdict}[/]",
+            escape(finding.name),
+            escape(finding.said),
+        )
+        area = finding.area
+    for column in table.columns:
+        column.overflow = "fold"
+    console.print(table)
+
+
+def _add_recorded(found: SiteCheck, bag: Path) -> None:
+    """The views that a recording has of cameras without a pose in the site file."""
+    from ltm_core.errors import LtmError
+    from ltm_core.site_check import Finding, check_views
+    from ltm_ros.recordings.recorded_views import recorded_views
+
+    assert found.site is not None
+    assert found.dem is not None
+    try:
+        views = recorded_views(bag, found.site)
+    except LtmError as error:
+        found.findings.append(Finding.of("recording", bag.name, error))
+        return
+    there = {view.name for view in found.views}
+    added = [view for view in views if view.name not in there]
+    found.findings += check_views(added, found.dem)
+    found.views += added
+
+
+def _picture(found: SiteCheck) -> RgbImage:
+    import math
+    from dataclasses import replace
+
+    from ltm_core.pictures import MapCamera
+    from ltm_core.pictures.site import site_picture
+    from ltm_core.visibility.point_visibility import PointVisibility
+    from ltm_core.visibility.viewshed import viewshed
+
+    site, dem = found.site, found.dem
+    assert site is not None
+    assert dem is not None
+    geometry = dem.geometry
+    above = [view for view in found.views if not view.pose.position[2] <= dem.elevation_at(*view.pose.position[:2])]
+    seen = None
+    if above:
+        finest = math.sqrt(geometry.width * geometry.height / _CELLS) * geometry.resolution
+        sight = PointVisibility(dem, site.curvature, site.refraction)
+        seen = viewshed(sight, above, max(geometry.resolution, finest))
+    names = [view.name for view in found.views]
+    named = {names.index(name) + (names.count(name) - 1) // 2 for name in names}  # of several views the middle one
+    cameras = [
+        MapCamera(
+            v.name if k in named else "",
+            v.camera,
+            (float(v.pose.position[0]), float(v.pose.position[1])),
+            v.pose.angles_deg[0],
+        )
+        for k, v in enumerate(found.views)
+    ]
+    prior = found.prior
+    return site_picture(
+        dem,
+        cameras,
+        None if seen is None else seen.count,
+        None if seen is None else seen.geometry,
+        None if prior is None else replace(prior, geometry=site.in_map(prior.geometry)),
+        site.origin,
+        (f"{site.name}: {_told(found)}", f"prior fuel map, {site.crs}"),
+    )
+
+
+def _told(found: SiteCheck) -> str:
+    assert found.site is not None
+    shown = {view.name for view in found.views}
+    absent = [name for name in found.site.cameras if name not in shown]
+    what = "ground that cameras see" if shown else "terrain"
+    return f"{what}; {', '.join(absent)}: pose as topic" if absent else what

@@ -1,0 +1,138 @@
+"""Checks before any process starts what a graph needs: its site, its nodes' parameters, places, ports and space."""
+
+from __future__ import annotations
+
+import importlib
+import socket
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from ltm_core.config_io import checked
+from ltm_core.errors import LtmError
+from ltm_core.output_io import free_bytes, require_folder
+from ltm_core.site import Site
+from ltm_core.site_check import Finding, SiteCheck, Verdict, check_site
+from ltm_ros.launching import shared_memory
+from ltm_ros.launching.graph import ParameterValue, describe
+from ltm_ros.launching.supervisor import EX_CONFIG
+
+LEAST_SPACE = 200 << 20
+"""Bytes without which nothing can be kept."""
+SCARCE_SPACE = 2 << 30
+MACHINE = "machine"
+"""Area of findings that have nothing to do with the site file: they may be others tomorrow."""
+_LOOPBACK = "127.0.0.1"
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What `ltm run` is asked for. `parameters`: by node type, beyond the site file's."""
+
+    cameras: Sequence[str] = ()
+    view: Mapping[str, ParameterValue] | None = None
+    record: Mapping[str, ParameterValue] | None = None
+    parameters: Mapping[str, Mapping[str, ParameterValue]] | None = None
+    folders: Mapping[str, Path] | None = None
+    """Where something is kept, by what it is."""
+
+
+def examine(path: Path, wanted: Wanted) -> SiteCheck:
+    """Everything: what the site file names, and what this machine must have for its graph."""
+    check = check_site(path, wanted.cameras)
+    if check.site is not None:
+        check.findings += _nodes(check.site, path, wanted)
+        check.findings += _places(check.site, path, wanted)
+    return check
+
+
+def examined_apart(path: Path, wanted: Wanted) -> list[Finding]:
+    """The findings of `examine`, made in a process of its own: the one that watches a tower for months shall not keep
+    the memory of a DEM and of what reads it.
+    """
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(_findings, path, wanted).result()
+
+
+def exit_status(findings: Sequence[Finding]) -> int:
+    """0 where nothing is wrong, EX_CONFIG where the site file must be mended, so that systemd need not try again
+    (`RestartPreventExitStatus=78`); 1 where only this machine is not ready.
+    """
+    areas = {finding.area for finding in findings if finding.verdict is Verdict.WRONG}
+    return EX_CONFIG if areas - {MACHINE} else 1 if areas else 0
+
+
+def _findings(path: Path, wanted: Wanted) -> list[Finding]:
+    return examine(path, wanted).findings
+
+
+def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
+    """The parameters of each node type, which it would refuse itself."""
+    try:
+        graph = describe(
+            site, path, cameras=wanted.cameras, view=wanted.view, record=wanted.record, parameters=wanted.parameters
+        )
+    except LtmError as error:
+        yield Finding.of("site", "nodes", error)
+        return
+    wrong = False
+    for spec in {spec.module: spec for spec in graph}.values():
+        given = {name: value for name, value in spec.parameters.items() if name != "use_sim_time"}
+        try:
+            checked(importlib.import_module(spec.module).NODE.config, given, f"nodes.{spec.executable}")
+        except LtmError as error:
+            wrong = True
+            yield Finding.of("site", "nodes", error)
+    if not wrong:
+        yield Finding("site", "nodes", Verdict.OK, f"{len(graph)} processes, parameters as they take them")
+    needed, free = shared_memory.BYTES_PER_PARTICIPANT * (len(graph) + 1), shared_memory.free_bytes()
+    if free is not None:
+        said = f"{free >> 20} MB free, {len(graph)} nodes take {needed >> 20} MB"
+        remedy = ": images will be slow or lost; enlarge it (mount -o remount,size=2G /dev/shm)"
+        yield (
+            Finding(MACHINE, "/dev/shm", Verdict.OK, said)
+            if free >= needed
+            else Finding(MACHINE, "/dev/shm", Verdict.DOUBTFUL, said + remedy)
+        )
+
+
+def _places(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
+    folders = dict(wanted.folders or {})
+    for kind in ("fuel_map", "terrain"):
+        folder = site.nodes.get(kind, {}).get("folder")
+        if isinstance(folder, str):
+            folders.setdefault(f"what {kind} keeps", Path(folder))
+    for what, place in folders.items():
+        yield _folder(what, place)
+    if wanted.view is not None:
+        given = dict(site.nodes.get("viewer", {})) | dict(wanted.view)
+        for name, usual in (("web_port", 9090), ("grpc_port", 9876)):
+            port = given.get(name, usual)
+            if isinstance(port, int) and port:
+                yield _port(name, port)
+
+
+def _folder(what: str, folder: Path) -> Finding:
+    try:
+        require_folder(folder.expanduser(), what)
+    except LtmError as error:
+        return Finding.of(MACHINE, what, error)
+    free = free_bytes(folder)
+    said = f"{folder}: {free / 1e9:.1f} GB free"
+    if free >= SCARCE_SPACE:
+        return Finding(MACHINE, what, Verdict.OK, said)
+    verdict = Verdict.WRONG if free < LEAST_SPACE else Verdict.DOUBTFUL
+    return Finding(MACHINE, what, verdict, f"{said}: make room, or name a place on another disk")
+
+
+def _port(name: str, port: int) -> Finding:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((_LOOPBACK, port))
+        except OSError as error:
+            said = f"port {port} on {_LOOPBACK} is taken ({error.strerror}): name another under `nodes: {{viewer: "
+            return Finding(MACHINE, name, Verdict.WRONG, f"{said}{{{name}: ...}}}}`, or end what uses it")
+    return Finding(MACHINE, name, Verdict.OK, f"{port} on {_LOOPBACK} is free")

@@ -1,0 +1,64 @@
+"""Reads from a recording which views its cameras took: calibrations and poses that a site file leaves to topics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ltm_core.camera import Camera
+from ltm_core.errors import LtmError, RecordingError
+from ltm_core.pose import Pose
+from ltm_core.site import Site
+from ltm_core.visibility.viewshed import PosedCamera
+from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.camera_info import msg_to_camera
+from ltm_msgs_py.pose import msg_to_pose
+from ltm_ros.runtime.topics import CAMERA_INFO, POSE, camera_topic
+
+_MOST = 12
+"""Views of a camera that are kept."""
+_ALIKE_DEG = 2.0
+
+
+def recorded_views(bag: Path, site: Site) -> list[PosedCamera]:
+    """The different views of each camera of the site, in the order in which they were taken, at most _MOST a camera;
+    none of a camera that the recording does not have.
+
+    Raises RecordingError where it has none of them.
+    """
+    reader = BagReader(bag)
+    kinds = {
+        camera_topic(site.name, name, topic): (name, topic) for name in site.cameras for topic in (CAMERA_INFO, POSE)
+    }
+    cameras: dict[str, Camera] = {}
+    poses: dict[str, list[Pose]] = {name: [] for name in site.cameras}
+    for message in reader.messages([topic for topic in kinds if topic in reader.topics()]):
+        name, topic = kinds[message.topic]
+        try:
+            decoded = reader.decode(message)
+            if topic == CAMERA_INFO:
+                cameras.setdefault(name, msg_to_camera(decoded))
+            elif len(poses[name]) < _MOST:
+                _add(poses[name], decoded)
+        except LtmError:
+            continue  # a replay counts what is damaged
+    for name, config in site.cameras.items():
+        if config.calibration is not None:
+            cameras[name] = config.calibration.camera()
+    views = [PosedCamera(name, cameras[name], pose) for name in cameras for pose in poses[name]]
+    if not views:
+        raise RecordingError(
+            f"{bag}: holds no camera_info and pose of the cameras of {site.name} ({', '.join(site.cameras)}); its "
+            f"topics are {', '.join(sorted(reader.topics())) or '(none)'}"
+        )
+    return views
+
+
+def _add(poses: list[Pose], message: Any) -> None:
+    pose = msg_to_pose(message, "map")
+    azimuth, pitch, _ = pose.angles_deg
+    for other in poses:
+        turned = abs((azimuth - other.angles_deg[0] + 180) % 360 - 180)
+        if turned < _ALIKE_DEG and abs(pitch - other.angles_deg[1]) < _ALIKE_DEG:
+            return
+    poses.append(pose)

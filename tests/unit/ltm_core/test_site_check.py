@@ -1,0 +1,93 @@
+"""What a check of a site finds beyond what its nodes would refuse; `test_user_mistakes` has the rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+from ltm_core.site_check import SiteCheck, Verdict, check_site, check_views
+from ltm_core.visibility.viewshed import PosedCamera
+
+FINE = GridGeometry(346_500.0, 3_784_000.0, 10.0, 120, 100, "EPSG:32611")
+COARSE = GridGeometry(345_000.0, 3_785_500.0, 50.0, 70, 60, "EPSG:32611")
+
+
+def checked(folder: Path, height: float, **changes: Any) -> SiteCheck:
+    """Of a gentle slope at `height`, with a coarser raster around it that says 900 m."""
+    rows, cols = np.mgrid[0:100, 0:120]
+    Dem((height + 0.1 * rows + 0.05 * cols).astype(np.float32), FINE).save(folder / "fine.tif")
+    Dem(np.full(COARSE.shape, 900.0, np.float32), COARSE).save(folder / "coarse.tif")
+    site = {
+        "name": "ridge",
+        "crs": "EPSG:32611",
+        "origin": [346_000.0, 3_783_000.0],
+        "dem": [{"path": "fine.tif"}, {"path": "coarse.tif"}],
+        "cameras": {"north": {}, "south": {}},
+    }
+    (folder / "site.yaml").write_text(yaml.safe_dump(site | changes))
+    return check_site(folder / "site.yaml")
+
+
+def said(check: SiteCheck, verdict: Verdict) -> list[tuple[str, str]]:
+    return [(f.name, f.said) for f in check.findings if f.verdict is verdict]
+
+
+def test_a_site_as_it_should_be(tmp_path: Path) -> None:
+    check = checked(tmp_path, 890.0)
+    assert not said(check, Verdict.WRONG)
+    assert not said(check, Verdict.DOUBTFUL)
+    assert {f.area for f in check.findings} == {"site", "terrain", "cameras", "fuel", "networks"}
+    assert ("north", "calibration and pose come as topics") in said(check, Verdict.OK)
+
+
+def test_heights_that_do_not_go_with_the_coarser_raster(tmp_path: Path) -> None:
+    ((name, message),) = said(checked(tmp_path, 890 / 0.3048), Verdict.WRONG)
+    assert name == "dem"
+    assert "fine.tif: stands 3.2" in message
+    assert "its heights are feet" in message
+    ((_, message),) = said(checked(tmp_path, 1_080.0), Verdict.DOUBTFUL)
+    assert "coarse.tif in the median: check place, unit and datum" in message
+
+
+def test_only_the_cameras_that_run_are_looked_at(tmp_path: Path) -> None:
+    buried = {"pose": {"x": 346_700.0, "y": 3_783_900.0, "z": 500.0, "azimuth_deg": 40.0}}
+    checked(tmp_path, 890.0, cameras={"north": buried, "south": {}})
+    assert [name for name, _ in said(check_site(tmp_path / "site.yaml"), Verdict.WRONG)] == ["north"]
+    assert not check_site(tmp_path / "site.yaml", ["south"]).wrong
+    ((_, message),) = said(check_site(tmp_path / "site.yaml", ["west"]), Verdict.WRONG)
+    assert "ridge has no camera 'west'; it has north, south" in message
+
+
+def test_a_mast_as_high_as_none_is(tmp_path: Path) -> None:
+    pose = {"x": 346_700.0, "y": 3_783_900.0, "height_above_ground": 400.0, "azimuth_deg": 40.0}
+    ((name, message),) = said(checked(tmp_path, 890.0, cameras={"north": {"pose": pose}}), Verdict.DOUBTFUL)
+    assert name == "north"
+    assert "400 m is more than masts have" in message
+
+
+@pytest.mark.parametrize(
+    ("z", "x", "verdict", "part"),
+    [
+        (120.0, 50.0, Verdict.OK, "2 different views, 20.0 m above"),
+        (90.0, 50.0, Verdict.WRONG, "10.00 m under the ground"),
+        (390.0, 50.0, Verdict.DOUBTFUL, "as feet it would be 119 m"),
+        (120.0, 5_000.0, Verdict.DOUBTFUL, "beside the DEM, which covers x 0 to 120"),
+    ],
+)
+def test_views_of_a_recording(z: float, x: float, verdict: Verdict, part: str) -> None:
+    dem = Dem(np.full((8, 12), 100.0, np.float32), GridGeometry(0.0, 80.0, 10.0, 12, 8))
+    views = [
+        PosedCamera("tower", Camera.from_fov(32, 20, 60.0), Pose.from_angles((x, 40.0, height), 30.0))
+        for height in (z + 5.0 if z == 120.0 else z, z)
+    ]
+    (finding,) = check_views(views, dem)
+    assert (finding.name, finding.verdict) == ("tower", verdict)
+    assert part in finding.said
