@@ -79,7 +79,7 @@ def _checked(path: Path, wanted: Wanted) -> Site:
     for finding in findings:
         if finding.verdict is Verdict.WRONG:
             typer.echo(f"ltm: {finding.area}, {finding.name}: {finding.said}", err=True)
-        elif finding.verdict is Verdict.DOUBTFUL and finding.name != "/dev/shm":  # of which the runner tells
+        elif finding.verdict is Verdict.DOUBTFUL and finding.name != "/dev/shm":  # of which the runner tells  # nosec B108 # not ours: the system's shared memory
             typer.echo(f"-- doubtful: {finding.area}, {finding.name}: {finding.said}")
     if status := exit_status(findings):
         raise typer.Exit(status)
