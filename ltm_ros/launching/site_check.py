@@ -92,9 +92,9 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
         said = f"{free >> 20} MB free, {len(graph)} nodes take {needed >> 20} MB"
         remedy = ": images will be slow or lost; enlarge it (mount -o remount,size=2G /dev/shm)"
         yield (
-            Finding(MACHINE, "/dev/shm", Verdict.OK, said)  # nosec B108 # not ours: the system's shared memory
+            Finding(MACHINE, str(shared_memory.SHM_FOLDER), Verdict.OK, said)
             if free >= needed
-            else Finding(MACHINE, "/dev/shm", Verdict.DOUBTFUL, said + remedy)  # nosec B108 # not ours: the system's shared memory
+            else Finding(MACHINE, str(shared_memory.SHM_FOLDER), Verdict.DOUBTFUL, said + remedy)
         )
 
 
