@@ -353,9 +353,14 @@ class TileStore:
         spare = max(old, kept - self._most_frames)
         if spare <= min(self._kept_frames, self._most_frames) // 20:
             return
-        ((horizon,),) = self._rows(
+        found = self._rows(
             "SELECT stamp_ns FROM frames WHERE source = ? ORDER BY stamp_ns LIMIT 1 OFFSET ?", (number, spare - 1), int
         )
+        if not found:
+            raise ConfigError(
+                f"{self._name}: the store is damaged: {source} has no {spare} frames; restore it from a copy"
+            )
+        ((horizon,),) = found
         db.execute("DELETE FROM frames WHERE source = ? AND stamp_ns <= ?", (number, horizon))
         db.execute("UPDATE sources SET kept = kept - ?, horizon_ns = ? WHERE id = ?", (spare, horizon, number))
 
