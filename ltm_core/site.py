@@ -20,6 +20,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.plausibility import AzimuthDeg, PitchDeg, RollDeg, doubt_of_height
 from ltm_core.pose import Pose
 from ltm_core.raster.dem_stack import open_terrain, with_surface
+from ltm_core.raster.shared_rasters import shared
 from ltm_core.types import Float64Array
 
 
@@ -299,17 +300,23 @@ class Site(Config):
         return ray_bend(self.curvature, self.refraction)
 
     def open_dem(self) -> Dem:
-        """The bare earth in the map frame; a `DemStack` where the site has coarser rasters too.
+        """The bare earth in the map frame, shared within the process; a `DemStack` where the site has coarser rasters
+        too.
 
         Raises RasterError as `open_terrain` and `Dem.in_frame` do, ConfigError where the origin is far from it.
         """
-        dem = open_terrain([(dem.path, dem.crs) for dem in (self.dem, *self.coarser)])
-        try:
-            local = dem.in_frame(self.frame)
-        except RasterError as error:
-            raise RasterError(f"{self.dem.path}: {error}") from error
-        self._check_origin(dem.geometry)
-        return local
+        rasters = [(dem.path, dem.crs) for dem in (self.dem, *self.coarser)]
+
+        def read() -> Dem:
+            dem = open_terrain(rasters)
+            try:
+                local = dem.in_frame(self.frame)
+            except RasterError as error:
+                raise RasterError(f"{self.dem.path}: {error}") from error
+            self._check_origin(dem.geometry)
+            return local
+
+        return shared([path for path, _ in rasters], (*(crs for _, crs in rasters), self.frame), read)
 
     def _check_origin(self, terrain: GridGeometry) -> None:
         """`terrain`: in the site's CRS."""
@@ -331,10 +338,12 @@ class Site(Config):
         """What cameras see of the terrain, in the map frame: `ground` (of `open_dem`) with the tops of trees and houses
         where the site has a surface raster.
         """
-        if self.surface is None:
+        given = self.surface
+        if given is None:
             return ground
-        surface = Dem.open(self.surface.path, self.surface.crs).in_frame(self.frame)
-        return with_surface(ground, surface)
+        rasters = [dem.path for dem in (given, self.dem, *self.coarser)]
+        way = ("surface", given.crs, self.dem.crs, *(dem.crs for dem in self.coarser), self.frame)
+        return shared(rasters, way, lambda: with_surface(ground, Dem.open(given.path, given.crs).in_frame(self.frame)))
 
     def fuel_geometry(self, dem: Dem) -> GridGeometry:
         """The fuel grid over the DEM (given in the map frame), in the map frame, snapped in the site's CRS."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from ltm_core.camera import Camera
@@ -17,7 +19,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pictures.class_palette import UNLABELLED, ClassPalette
 from ltm_core.pictures.legend import INK, PAPER, label_legend, with_legend
 from ltm_core.pictures.overlay import label_colors
-from ltm_core.pictures.relief import hillshade, terrain_colors
+from ltm_core.pictures.relief import Window, hillshade, terrain_colors
 from ltm_core.pictures.text import Anchor, draw_texts, metres, text_width
 from ltm_core.types import BoolArray, Float32Array, Float64Array, Int32Array, RgbImage, UInt8Array
 
@@ -123,9 +125,8 @@ def terrain_map_picture(
         mask = seen if seen is not None else np.isfinite(dem.elevation)
         bounds = interesting_bounds(mask, dem.geometry, cameras, dem.geometry)
     view = view_of(bounds, width)
-    colors = terrain_colors(dem)
-    bands = [_smooth(colors[..., c].astype(np.float32), dem.geometry, view) for c in range(3)]
-    picture = np.asarray(np.nan_to_num(np.stack(bands, axis=-1), nan=PAPER[0]).round(), np.uint8)
+    colors = _on_view(dem, view, lambda factor, window: terrain_colors(dem, factor=factor, window=window))
+    picture = np.asarray(np.nan_to_num(colors, nan=PAPER[0]).round(), np.uint8)
     if seen is not None:
         hit = nearest(seen.astype(np.uint8), dem.geometry, view, 0) > 0
         mixed = np.asarray(cv2.addWeighted(picture, 0.45, np.full_like(picture, _SEEN), 0.55, 0.0), np.uint8)
@@ -151,33 +152,50 @@ def scale_bar(view: GridGeometry) -> RgbImage:
 
 def relief(dem: Dem, view: GridGeometry) -> RgbImage:
     """Light grey relief on the view; paper where there is no terrain."""
-    shade = _smooth(hillshade(dem), dem.geometry, view)
+    shade = _on_view(dem, view, lambda factor, window: hillshade(dem, factor=factor, window=window))
     grey = np.clip(40 + 225 * np.nan_to_num(shade, nan=0.0), 0, 255)
     grey = np.where(np.isfinite(shade), grey, PAPER[0])
     return np.repeat(grey.round().astype(np.uint8)[..., None], 3, axis=-1)
 
 
-def _smooth(values: Float32Array, geometry: GridGeometry, view: GridGeometry) -> Float32Array:
-    """Values at the view's pixel centres, bilinear; area means first where the view is coarser; NaN outside."""
-    factor = int(view.resolution / geometry.resolution)
-    if factor >= 2:
-        rows, cols = geometry.height // factor, geometry.width // factor
-        if rows >= 2 and cols >= 2:
-            values = np.asarray(
-                cv2.resize(values[: rows * factor, : cols * factor], (cols, rows), interpolation=cv2.INTER_AREA)
-            )
-            geometry = GridGeometry(geometry.x_min, geometry.y_max, geometry.resolution * factor, cols, rows)
-    _, cols_at = geometry.to_grid(view.to_map(0, np.arange(view.width))[0], 0.0)
-    rows_at, _ = geometry.to_grid(0.0, view.to_map(np.arange(view.height), 0)[1])
+def _on_view(dem: Dem, view: GridGeometry, draw: Callable[[int, Window], NDArray[Any]]) -> Float32Array:
+    """What `draw(factor, window)` gives of a part of the DEM, at the view's pixel centres, bilinear; NaN outside.
+
+    Only the part under the view is drawn, as means over `factor` cells where the view is that much coarser.
+    """
+    whole = dem.geometry
+    factor = max(1, int(view.resolution / whole.resolution))
+    if min(whole.height, whole.width) < 2 * factor:
+        factor = 1
+    rows, cols = view.to_map(np.array([0, view.height - 1]), 0)[1], view.to_map(0, np.array([0, view.width - 1]))[0]
+    top, bottom = _blocks(whole.to_grid(0.0, rows)[0], whole.height, factor)
+    left, right = _blocks(whole.to_grid(cols, 0.0)[1], whole.width, factor)
+    window = (top, left, bottom - top, right - left)
+    values = np.asarray(draw(factor, window), np.float32)
+    corner = whole.window(*window)
+    size = values.shape[:2]
+    part = GridGeometry(corner.x_min, corner.y_max, whole.resolution * factor, size[1], size[0])
+    _, cols_at = part.to_grid(view.to_map(0, np.arange(view.width))[0], 0.0)
+    rows_at, _ = part.to_grid(0.0, view.to_map(np.arange(view.height), 0)[1])
     sampled = cv2.remap(
         values,
         np.broadcast_to(cols_at.astype(np.float32), view.shape).copy(),
         np.broadcast_to(rows_at.astype(np.float32)[:, None], view.shape).copy(),
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_CONSTANT,
-        borderValue=float("nan"),
+        borderValue=(float("nan"),) * 4,
     )
     return np.asarray(sampled, np.float32)
+
+
+def _blocks(places: Float64Array, size: int, factor: int) -> tuple[int, int]:
+    """The cells between two places along one side, with two blocks of `factor` cells more, in whole blocks; at least
+    two blocks, also of a raster that lies elsewhere.
+    """
+    most = size // factor
+    first = min(max(0, math.floor(places.min() / factor) - 2), most - 2)
+    last = max(min(most, math.ceil(places.max() / factor) + 3), first + 2)
+    return first * factor, last * factor
 
 
 def nearest(values: UInt8Array, geometry: GridGeometry, view: GridGeometry, outside: int) -> UInt8Array:

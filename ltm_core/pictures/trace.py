@@ -9,12 +9,12 @@ from ltm_core.dem import Dem
 from ltm_core.pictures import (
     MapCamera,
     RangeScale,
-    hillshade,
     overlay_depth,
     range_legend,
     terrain_map_picture,
     with_legend,
 )
+from ltm_core.pictures.relief import brightness_at
 from ltm_core.range_image import RangeImage
 from ltm_core.types import Float32Array, RgbImage, UInt32Array
 
@@ -65,7 +65,7 @@ def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
     picture[np.isnan(traced.range)] = _UNKNOWN
     known = np.isfinite(traced.range)
     points = traced.points()[known]
-    light = Dem(np.nan_to_num(hillshade(dem), nan=0.7), dem.geometry).elevation_at(points[:, 0], points[:, 1])
+    light = brightness_at(dem, points[:, 0], points[:, 1])
     picture[known] = (35 + 250 * np.nan_to_num(light, nan=0.7))[:, None]
     return np.asarray(np.clip(picture, 0, 255), np.uint8)
 

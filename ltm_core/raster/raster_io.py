@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 from ltm_core.errors import RasterError
 from ltm_core.grid import GridGeometry
 
+_BLOCK = 256
+_CACHE_MB = 64
+"""GDAL's own default is a twentieth of the machine's memory."""
+
 
 def write_geotiff(
     path: Path | str,
@@ -26,7 +30,9 @@ def write_geotiff(
     `colormap`: value -> RGB, for uint8 rasters. The bytes depend on the arguments alone. Raises RasterError where
     the geometry has no CRS or does not fit the array, OSError where the file cannot be written.
     """
+    import rasterio
     from rasterio.io import MemoryFile
+    from rasterio.windows import Window
 
     if geometry.crs is None:
         raise RasterError(f"{path}: a GeoTIFF needs a CRS, but this raster is in a bare map frame")
@@ -44,15 +50,18 @@ def write_geotiff(
         "transform": geometry.transform(),
         "nodata": nodata,
         "tiled": True,
-        "blockxsize": 256,
-        "blockysize": 256,
+        "blockxsize": _BLOCK,
+        "blockysize": _BLOCK,
         "compress": "deflate",
         "predictor": predictor,
     }
     # GDAL keeps the errors of a disk that fills up while it writes to itself, and leaves half a file.
-    with MemoryFile() as memory:
+    with rasterio.Env(GDAL_CACHEMAX=_CACHE_MB), MemoryFile() as memory:
         with memory.open(**options) as sink:
-            sink.write(bands)
+            # Strip after strip, every band of it: a block that left the cache half written would be written twice.
+            for row in range(0, geometry.height, _BLOCK):
+                strip = bands[:, row : row + _BLOCK]
+                sink.write(strip, window=Window(0, row, geometry.width, strip.shape[1]))
             if colormap is not None:
                 sink.write_colormap(1, {value: (*rgb, 255) for value, rgb in colormap.items()})
             if tags:

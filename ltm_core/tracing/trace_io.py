@@ -158,17 +158,20 @@ def cell_counts(traced: RangeImage) -> UInt32Array:
         raise ImageError("this range image was made without a raster, so it has no cells")
     cells = traced.cells()
     seen = cells[cells[..., 0] >= 0]
-    flat = np.bincount(seen[:, 0] * traced.geometry.width + seen[:, 1], minlength=np.prod(traced.geometry.shape))
-    return flat.reshape(traced.geometry.shape).astype(np.uint32)
+    # Not by bincount: over a large raster that takes twice the DEM's own memory.
+    at, count = np.unique(seen[:, 0] * traced.geometry.width + seen[:, 1], return_counts=True)
+    counts = np.zeros(traced.geometry.shape, np.uint32)
+    counts.reshape(-1)[at] = count
+    return counts
 
 
-def write_trace(out: Path, traced: RangeImage, frame: SiteFrame) -> list[Path]:
+def write_trace(out: Path, traced: RangeImage, frame: SiteFrame, counts: UInt32Array | None = None) -> list[Path]:
     """Write a traced picture as GeoTIFFs into the folder `out`; returns their paths.
 
     `range.tif`, `depth.tif` (along the optical axis), `horizontal.tif` (the paper's depth): float32 metres, one value a
     pixel of the picture, +inf sky, NaN unknown. `alignment.tif`: x, y in the CRS and z, float64 (float32 would round
     northings to half a metre). These four lie in image space; camera, pose and CRS stand in their tags.
-    `seen.tif`: pixels a DEM cell, uint32, on the DEM's own grid.
+    `seen.tif`: pixels a DEM cell, uint32, on the DEM's own grid: `counts` (of `cell_counts`, for those who have them).
     """
     out.mkdir(parents=True, exist_ok=True)
     tags = _tags(traced, frame)
@@ -186,7 +189,7 @@ def write_trace(out: Path, traced: RangeImage, frame: SiteFrame) -> list[Path]:
     if traced.geometry is not None:
         written.append(out / "seen.tif")
         geometry = traced.geometry.translated(frame.x_origin, frame.y_origin, crs=frame.crs)
-        write_geotiff(written[-1], cell_counts(traced), geometry, nodata=0)
+        write_geotiff(written[-1], cell_counts(traced) if counts is None else counts, geometry, nodata=0)
     return written
 
 

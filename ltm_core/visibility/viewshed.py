@@ -19,6 +19,8 @@ from ltm_core.visibility.point_visibility import TOLERANCE, PointVisibility, in_
 
 _CELLS = 1 << 18
 """Cells at a time: bounds memory."""
+_MOST_CELLS = 16_000_000
+"""Of a result whose resolution nobody has asked for."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,8 @@ def viewshed(
     Args:
         sight: lines of sight over the DEM, in the frame of the poses.
         views: the cameras.
-        resolution: of the result, metres; default the DEM's. A cell is judged at its centre.
+        resolution: of the result, metres; a cell is judged at its centre and takes 10 bytes. Default: the DEM's, or,
+            where that would make more than 16 million cells, the least multiple of it that does not.
         target_height: metres above the ground that is to be seen (smoke, a person); 0 is the ground.
         max_range: metres along the map beyond which a camera counts as blind.
         all_round: each camera turns to wherever it is needed: its angles and image edges do not matter.
@@ -180,7 +183,9 @@ def _turned_footprint(
 
 
 def _resampled(geometry: GridGeometry, resolution: float | None) -> GridGeometry:
-    if resolution is None or resolution == geometry.resolution:
+    if resolution is None:
+        resolution = geometry.resolution * math.ceil(math.sqrt(geometry.width * geometry.height / _MOST_CELLS))
+    if resolution == geometry.resolution:
         return geometry
     if not (math.isfinite(resolution) and resolution > 0):
         raise RasterError(f"the viewshed's resolution must be positive metres, got {resolution}")

@@ -6,9 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-import yaml
-
-from ltm_core.errors import RecordingError
+from ltm_core.errors import ConfigError, RecordingError
+from ltm_core.yaml_io import parse_yaml
 from ltm_msgs_py.bag.mcap_index import McapIndex
 from ltm_msgs_py.bag.mcap_repair import finish_cut_file
 from ltm_msgs_py.bag.metadata import FileRecord, TopicRecord, bag_information, qos_profile, write_metadata
@@ -48,7 +47,7 @@ def rewrite_metadata(folder: Path, files: Sequence[Path]) -> None:
 
 def _qos(text: str) -> list[dict[str, object]]:
     try:
-        profiles = yaml.safe_load(text)
-    except yaml.YAMLError:
+        profiles = parse_yaml(text, "offered_qos_profiles")
+    except ConfigError:
         profiles = None
     return profiles if isinstance(profiles, list) else qos_profile(latched=False, depth=10)

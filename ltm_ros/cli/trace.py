@@ -48,8 +48,8 @@ def trace(
         tracer = TerrainTracer(setup.dem, config.curvature, config.refraction)
         traced = tracer.trace(setup.camera, setup.pose)
     with console.status("writing"):
-        written = write_trace(out, traced, setup.frame)
         counts = cell_counts(traced)
+        written = write_trace(out, traced, setup.frame, counts)
         title = f"what {image.name if image else pose.stem} sees"
         pictures = {
             "depth.png": depth_picture(traced, setup.dem, photo),

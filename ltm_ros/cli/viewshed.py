@@ -27,7 +27,8 @@ def viewshed(
         list[Path] | None, typer.Option(help="Elevation raster for --pose; again for coarser ones around it.")
     ] = None,
     resolution: Annotated[
-        float | None, typer.Option(help="Cell size of the result, metres; default the DEM's.")
+        float | None,
+        typer.Option(help="Cell size of the result, metres; default the DEM's, coarser beyond 16 million cells."),
     ] = None,
     target_height: Annotated[float, typer.Option(help="Metres above the ground that are to be seen.")] = 0.0,
     max_range: Annotated[float | None, typer.Option(help="Metres beyond which a camera counts as blind.")] = None,

@@ -72,7 +72,8 @@ def terrain_mesh(dem: Dem, max_triangles: int = MAX_TRIANGLES) -> TexturedMesh:
 
 
 def _texture(dem: Dem) -> RgbImage:
-    colors = terrain_colors(dem)
+    longest = max(dem.elevation.shape)
+    colors = terrain_colors(dem, factor=max(1, longest // (2 * MAX_TEXTURE)))
     height, width = colors.shape[:2]
     scale = MAX_TEXTURE / max(height, width)
     if scale >= 1:

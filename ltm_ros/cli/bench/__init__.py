@@ -9,6 +9,7 @@ import typer
 
 from ltm_ros.cli.bench.fusion import fusion
 from ltm_ros.cli.bench.graph import graph
+from ltm_ros.cli.bench.memory import memory
 from ltm_ros.cli.bench.network import network
 from ltm_ros.cli.bench.render import render
 from ltm_ros.cli.bench.segmentation import segmentation
@@ -17,9 +18,11 @@ from ltm_ros.cli.bench.votes import votes
 from ltm_ros.cli.output import JsonFile
 
 bench = typer.Typer(
-    help="How fast: tracing, beside other tracers; the whole graph; a fuel map under many towers.", no_args_is_help=True
+    help="How fast, in how much memory: tracing, beside other tracers; the graph; a fuel map under many towers.",
+    no_args_is_help=True,
 )
 bench.command()(graph)
+bench.command()(memory)
 bench.command()(network)
 bench.command()(fusion)
 bench.command()(render)
