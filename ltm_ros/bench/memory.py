@@ -62,6 +62,7 @@ def commands(folder: Path) -> dict[str, tuple[str, ...]]:
     points = ("--gcps", str(folder / "points.csv"), "--pose-guess", str(folder / "pose.yaml"))
     store = str(folder / "state/fuel_map.ltm")
     return {
+        "check, with a picture": ("check", site, "--out", str(folder / "check.png")),
         "trace": ("trace", *one, "--out", str(folder / "trace")),
         "trace, over a photo": (
             "trace",
