@@ -35,7 +35,7 @@ def grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
     heights.
     """
     made: list[TerrainRaster] = []
-    highest = highest_possible(dem, possible)
+    highest = possible.limit(max(float(np.fmax.reduce(level.elevation, axis=None)) for level in dem.levels))
     top = highest
     for level in reversed(dem.levels):
         elevation = level.elevation
@@ -50,13 +50,6 @@ def grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
         top = max(top, float(np.fmax.reduce(elevation, axis=None)))
         made.append(TerrainRaster(elevation.ravel(), *holes, width, height, *pyramid, top, rise, highest))
     return tuple(reversed(made))
-
-
-def highest_possible(dem: Dem, possible: PossibleGround) -> float:
-    """Metres above which there is no ground outside the DEM."""
-    if possible.highest is not None:
-        return possible.highest
-    return max(float(np.fmax.reduce(level.elevation, axis=None)) for level in dem.levels)
 
 
 def stages(dem: Dem, position: Float64Array, bend: float) -> list[tuple[int, RasterStage]]:

@@ -37,9 +37,7 @@ def trace_reference(
         bend: curvature coefficient, 1/m.
         possible: how high the ground may be where it is not known.
     """
-    highest = possible.highest
-    if highest is None:
-        highest = float(max(np.nanmax(level.elevation) for level in dem.levels))
+    highest = possible.limit(float(max(np.nanmax(level.elevation) for level in dem.levels)))
     rasters = []
     for level in dem.levels:
         filled, outer = with_ceilings(level.elevation, possible.steepest * level.geometry.resolution, highest)

@@ -22,7 +22,12 @@ RESOLUTION = 2.0
 AROUND = 40
 """Cells beyond the raster, over which possible ground rises as high as it gets."""
 CAMERA = Camera.from_fov(24, 17, 75.0)
-bounds = st.builds(PossibleGround, steepest=st.floats(0.2, 3.0), highest=st.none() | st.floats(0.0, 90.0))
+bounds = st.builds(
+    PossibleGround,
+    steepest=st.floats(0.2, 3.0),
+    highest=st.none() | st.floats(0.0, 90.0),
+    margin=st.just(0.0) | st.floats(0.0, 20.0),
+)
 places = st.tuples(st.floats(1.0, COLS - 2.0), st.floats(1.0, ROWS - 2.0), st.floats(0.05, 30.0))
 angles = st.tuples(st.floats(0, 360), st.floats(-60, 30), st.floats(-30, 30))
 
@@ -92,7 +97,7 @@ def test_no_possible_ground_changes_an_answer(
     found = TerrainTracer(dem, curvature=False, possible=possible).trace(CAMERA, pose).range
     around = np.pad(dem.elevation, AROUND, constant_values=np.nan)
     known = np.isfinite(around)
-    highest = float(np.nanmax(dem.elevation)) if possible.highest is None else possible.highest
+    highest = possible.limit(float(np.nanmax(dem.elevation)))
     rise = possible.steepest * RESOLUTION
     inner, _ = with_ceilings(dem.elevation, rise, highest)
     # The raster's own border, known or possible, is what the ground beyond rises from.

@@ -174,7 +174,10 @@ def test_a_bent_ray_that_only_grazes_the_plain_hits_it() -> None:
     height = slope * slope / (4 * bend) - 0.01
     # Columns are x / 100: the camera at 47.2, the lowest point at 92, between block edges 88 and 96.
     dips, clears = (
-        TerrainTracer(plain).trace_rays((4720.0, 2010.0, height + more), [(1.0, 0.0, slope)])[0] for more in (0.0, 0.02)
+        TerrainTracer(plain, possible=NOTHING_BEYOND).trace_rays((4720.0, 2010.0, height + more), [(1.0, 0.0, slope)])[
+            0
+        ]
+        for more in (0.0, 0.02)
     )
     assert dips == pytest.approx((lowest_at - np.sqrt(0.01 / bend)) * np.hypot(1, slope), abs=0.01)
     assert np.isposinf(clears)
@@ -200,7 +203,7 @@ def test_straight_down_and_straight_up() -> None:
 
 def test_camera_outside_the_raster_sees_in() -> None:
     scene = tilted_plane(east=0.0, north=0.0, base=100.0)
-    tracer = TerrainTracer(scene.dem, curvature=False)
+    tracer = TerrainTracer(scene.dem, curvature=False, possible=NOTHING_BEYOND)
     towards, away_down, away_up, below_the_edge, over = tracer.trace_rays(
         (-400.0, 0.0, 130.0), [(1, 0, -0.1), (-1, 0, -0.1), (-1, 0, 0.1), (1, 0, -0.5), (1, 0, 0.01)]
     )
@@ -244,7 +247,7 @@ def test_a_ray_goes_on_over_an_outer_hole_while_it_is_above_possible_ground(firs
     rays = [(1, 0, -0.5), (1, 0, -0.05), (1, 0, 0.4), (1, 0, -0.25)]
     # Between its edges, 50 m high, the ground may rise by `steepest` for ten metres: the second ray is there at 58 m.
     for steepest, passes in ((0.7, True), (0.9, False)):
-        tracer = TerrainTracer(dem, curvature=False, possible=PossibleGround(steepest=steepest))
+        tracer = TerrainTracer(dem, curvature=False, possible=PossibleGround(steepest=steepest, margin=0.0))
         before, across_to_the_step, across_to_the_sky, into = tracer.trace_rays(origin, rays)
         assert before == pytest.approx(20 * np.hypot(1, 0.5), rel=1e-5)
         if passes:
@@ -273,16 +276,16 @@ def plateau(edge: float) -> Dem:
 def test_sky_is_above_all_that_may_lie_beyond_the_end() -> None:
     """The raster ends 89 m from the camera; beyond, ground of slope 1 is 80 m high 30 m on."""
     origin = (10.5, 29.5, 52.0)
-    tracer = TerrainTracer(plateau(50.0), curvature=False, possible=PossibleGround(steepest=1.0))
+    tracer = TerrainTracer(plateau(50.0), curvature=False, possible=PossibleGround(steepest=1.0, margin=0.0))
     slope = 28.0 / (89 + 30)
     below, above, down = tracer.trace_rays(origin, [(1, 0, slope - 1e-3), (1, 0, slope + 1e-3), (1, 0, -0.01)])
     assert np.isnan(below)
     assert np.isposinf(above)
     assert np.isnan(down)
     # From a higher edge it is reached sooner, and where the user states higher ground, later.
-    (sooner,) = TerrainTracer(plateau(55.0), curvature=False, possible=PossibleGround(steepest=1.0)).trace_rays(
-        origin, [(1, 0, slope + 1e-3)]
-    )
+    (sooner,) = TerrainTracer(
+        plateau(55.0), curvature=False, possible=PossibleGround(steepest=1.0, margin=0.0)
+    ).trace_rays(origin, [(1, 0, slope + 1e-3)])
     assert np.isnan(sooner)
     stated = PossibleGround(steepest=1.0, highest=150.0)
     higher = 98.0 / (89 + 100)
@@ -294,9 +297,19 @@ def test_sky_is_above_all_that_may_lie_beyond_the_end() -> None:
 
 
 def test_a_camera_above_all_ground_sees_sky_over_the_horizon() -> None:
-    level, up = TerrainTracer(plateau(50.0)).trace_rays((10.5, 29.5, 80.5), [(1, 0, 0), (1, 0, 0.3)])
+    level, up = TerrainTracer(plateau(50.0), possible=PossibleGround(margin=0.0)).trace_rays(
+        (10.5, 29.5, 80.5), [(1, 0, 0), (1, 0, 0.3)]
+    )
     assert np.isposinf(level)
     assert np.isposinf(up)
+
+
+def test_where_nothing_is_stated_ground_beyond_may_be_higher_than_the_dem() -> None:
+    (stated,) = TerrainTracer(plateau(50.0)).trace_rays((10.5, 29.5, 80.5), [(1, 0, 0)])
+    assert np.isnan(stated)
+    tracer = TerrainTracer(plateau(50.0))
+    (level,) = tracer.trace_rays((10.5, 29.5, 80.0 + tracer.possible.margin + 0.5), [(1, 0, 0)])
+    assert np.isposinf(level)
 
 
 def test_where_nothing_beyond_is_stated_what_climbs_is_sky() -> None:
