@@ -119,7 +119,7 @@ def _picture(found: SiteCheck) -> RgbImage:
     seen = None
     if above:
         finest = math.sqrt(geometry.width * geometry.height / _CELLS) * geometry.resolution
-        sight = PointVisibility(dem, site.curvature, site.refraction)
+        sight = PointVisibility(dem, site.curvature, site.refraction, site.possible_ground)
         seen = viewshed(sight, above, max(geometry.resolution, finest))
     names = [view.name for view in found.views]
     named = {names.index(name) + (names.count(name) - 1) // 2 for name in names}  # of several views the middle one
