@@ -28,8 +28,11 @@ from chaos.resources import Usage, usage_of
 from chaos.running_site import RunningSite
 from chaos.soak import SUM, Soak
 from chaos.verdict import judge, votes_of_phases
+from ltm_core.errors import RecordingError
+from ltm_msgs_py.bag.reader import BagReader
 
-DISK_MB = {"state": 64, "recording": 256}
+DISK_MB = {"state": 320, "recording": 640}
+"""More than `ltm run` asks for before it starts."""
 START_S = 300.0
 """For the first frames."""
 ENDING_S = 20.0
@@ -59,7 +62,8 @@ class Stage:
         for name, disk in self.disks.items():
             mount_disk(disk, DISK_MB[name])
         self.state = folder / "state"
-        self.site = RunningSite(self.small.path, self.state, folder / "recording" / "bag", folder / "logs", domain)
+        self.recording = folder / "recording" / "bag"
+        self.site = RunningSite(self.small.path, self.state, self.recording, folder / "logs", domain)
         self.cameras = Cameras(bystander.node, self.photos, period_s)
         self.acknowledgements = Acknowledgements(bystander.node)
         self.heartbeats = Heartbeats(bystander.node)
@@ -108,6 +112,20 @@ class Stage:
         found.missed += [f"{len(verdict.lost)} acknowledged frames are lost"] if verdict.lost else []
         found.missed += [f"{len(verdict.told_twice)} frames were told of twice"] if verdict.told_twice else []
         found.missed += verdict.faults
+        found.missed += self._damaged_recordings()
+
+    def _damaged_recordings(self) -> list[str]:
+        """The graph has stopped in order, so whatever happened to recorders before, all files must be whole."""
+        damaged, messages = [], 0
+        for bag in sorted(self.recording.parent.glob(f"{self.recording.name}*")):
+            try:
+                reader = BagReader(bag)
+                messages += sum(1 for _ in reader.messages())
+                damaged += [f"{bag.name}: {note}" for note in reader.damage]
+            except RecordingError as error:
+                damaged.append(str(error))
+        print(f"{messages} messages in the recordings that are left")
+        return damaged
 
 
 @contextmanager
