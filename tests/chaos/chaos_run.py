@@ -19,7 +19,9 @@ from chaos.heartbeats import Heartbeats
 from chaos.resources import usage_of
 
 BACK_S = 15.0
-"""In which every camera's frames are acknowledged again, and every node reports again, after a fault is over."""
+"""In which every camera's frames are acknowledged again after a fault is over."""
+REPORTS_S = 30.0
+"""In which a process that took the place of another reports: those that no acknowledgement waits for, too."""
 START_S = 60.0
 """The same after the whole graph was started anew."""
 GAP_S = 5.0
@@ -121,9 +123,9 @@ class ChaosRun:
         outcome = Outcome(fault.name, begun - self._begun, over - begun, missed=missed)
         self._wait_back(fault, former, over, outcome)
         whole = time.monotonic()
-        bound = self._slack * (START_S if fault.whole_start else BACK_S)
+        bounds = dict.fromkeys(outcome.cameras, BACK_S) | dict.fromkeys(outcome.nodes, REPORTS_S)
         for name, seconds in (outcome.cameras | outcome.nodes).items():
-            if seconds is None or seconds > bound:
+            if seconds is None or seconds > self._slack * (START_S if fault.whole_start else bounds[name]):
                 late = "never back" if seconds is None else f"back after {seconds:.1f} s"
                 outcome.missed.append(f"{name} {late}")
         for camera in [camera for camera in CAMERAS if camera not in fault.touches]:
