@@ -54,7 +54,7 @@ class Outcome:
 
 
 class Sampler:
-    """Looks at the memory of all processes once a second."""
+    """Looks at the memory of all processes every two seconds."""
 
     def __init__(self, arena: Arena) -> None:
         self._arena = arena
@@ -77,7 +77,7 @@ class Sampler:
         self._thread.join()
 
     def _run(self) -> None:
-        while not self._stopping.wait(1.0):
+        while not self._stopping.wait(2.0):
             usage = usage_of(self._arena.site.processes())
             with self._lock:
                 for label, one in usage.items():
@@ -159,7 +159,7 @@ class ChaosRun:
                     outcome.nodes[label] = time.monotonic() - over
             if None not in (*outcome.cameras.values(), *outcome.nodes.values()):
                 return
-            time.sleep(0.2)
+            time.sleep(0.4)
         for label in nodes:
             pid = self._arena.site.processes().get(label)
             if pid is not None and pid == former.get(label):
