@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bystander import Bystander
-from leftovers import ports_of_domain, wait_gone
+from leftovers import ports_of_domain
 from scenes.compiled_kernels import compile_kernels
 from scenes.small_site import SmallSite
 from scenes.waiting import wait_for
@@ -30,6 +30,7 @@ from chaos.soak import SUM, Soak
 from chaos.verdict import judge, votes_of_phases
 from ltm_core.errors import RecordingError
 from ltm_msgs_py.bag.reader import BagReader
+from ltm_ros.launching import shared_memory
 
 DISK_MB = {"state": 320, "recording": 640}
 """More than `ltm run` asks for before it starts."""
@@ -62,6 +63,7 @@ class Stage:
         for name, disk in self.disks.items():
             mount_disk(disk, DISK_MB[name])
         self.state = folder / "state"
+        self._domain = domain
         self.recording = folder / "recording" / "bag"
         self.site = RunningSite(self.small.path, self.state, self.recording, folder / "logs", domain)
         self.cameras = Cameras(bystander.node, self.photos, period_s)
@@ -100,6 +102,9 @@ class Stage:
                 missed += [f"{label} has {more} more {what} than at first"] if more > most else []
         if status := self.site.stop():
             missed.append(f"the graph stopped with exit code {status}")
+        # Ours is in use, and not stale.
+        if left := set(ports_of_domain(self._domain)) & set(shared_memory.survey().stale):
+            missed.append(f"shared memory left behind: {', '.join(sorted(left))}")
         time.sleep(1.0)  # the last acknowledgements
         return missed
 
@@ -143,8 +148,6 @@ def on_stage(folder: Path, domain: int, period_s: float, own_disks: bool, found:
         found.content["counted"] = dict(stage.heartbeats.counted())
         found.missed += stage.end()
     stage.judge(found)
-    if left := wait_gone(lambda: ports_of_domain(domain)):
-        found.missed.append(f"shared memory left behind: {', '.join(left)}")
 
 
 def play_chaos(
