@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -169,8 +169,39 @@ def write_pose(path: Path | str, result: Resection, guess: GuessConfig, frame: S
     Path(path).write_text(head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None), encoding="utf-8")
 
 
-def write_report(path: Path | str, result: Resection) -> None:
-    """Write residuals, sigmas and the pose's covariance as JSON."""
+def held_notes(result: Resection, position: Float64Array, frame: SiteFrame) -> list[str]:
+    """A line for each parameter that was to be fitted and is held: why, what it would have been, how to have it.
+
+    `position`: as it was given, map metres.
+    """
+    notes = []
+    median = float(np.median(result.residual_px))
+    for name, reason in result.held.items():
+        note = f"{name} is held: {reason}"
+        rejected = result.rejected.get(name)
+        if rejected is not None:
+            values = ", ".join(
+                f"{key} {value:{'.5f' if key == 'k1' else '.2f'}} +- {rejected.sigmas[key]:.3g}"
+                for key, value in _in_crs(rejected.values, frame).items()
+            )
+            if name == "position":
+                away = float(np.linalg.norm(np.array(list(rejected.values.values())) - position))
+                values += f" ({away:.1f} m from the given place)"
+            note += (
+                f". Fitted, it would be {values}, with a median residual of {rejected.median_px:.2f} px, now "
+                f"{median:.2f} px; --force {name} takes it"
+            )
+        notes.append(note)
+    return notes
+
+
+def _in_crs(values: dict[str, float], frame: SiteFrame) -> dict[str, float]:
+    shift = {"x": frame.x_origin, "y": frame.y_origin}
+    return {key: value + shift.get(key, 0.0) for key, value in values.items()}
+
+
+def write_report(path: Path | str, result: Resection, frame: SiteFrame) -> None:
+    """Write residuals, sigmas, the pose's covariance and what was rejected as JSON; positions in the frame's CRS."""
     points = [
         {
             "name": name,
@@ -189,6 +220,10 @@ def write_report(path: Path | str, result: Resection) -> None:
         "sigma_px": result.sigma_px,
         "fitted": ["angles", *result.fitted],
         "held": result.held,
+        "rejected": {
+            name: asdict(rejected) | {"values": _in_crs(rejected.values, frame)}
+            for name, rejected in result.rejected.items()
+        },
         "sigmas": result.sigmas,
         "pose_covariance": result.pose_covariance.tolist(),
         "points": points,
