@@ -39,7 +39,7 @@ def replay(
 
     from ltm_core.errors import ConfigError
     from ltm_ros.cli.progress import message_bar, stop_on_signals
-    from ltm_ros.cli.summary import node_rows, print_nodes
+    from ltm_ros.cli.summary import node_rows, print_nodes, print_outcome
     from ltm_ros.replay.run import ReplayOptions, run_live, run_offline
 
     if offline and (loop or rrd or publish_only or rate != 1.0):
@@ -68,6 +68,7 @@ def replay(
             with stop_on_signals(stopping):
                 summaries = run_live(bag, site, options, progress, console.print, out / "log", stopping.is_set)
     print_nodes(console, node_rows(summaries))
+    print_outcome(console, summaries)
     console.print(f"fuel map: {out / 'fuel_map.tif'}")
 
 

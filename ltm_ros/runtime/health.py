@@ -28,6 +28,7 @@ class Health:
         self._received: Counter[str] = Counter()
         self._published: Counter[str] = Counter()
         self._dropped: Counter[str] = Counter()
+        self._why: dict[str, str] = {}
         self._noted: Counter[str] = Counter()
         self._gauges: dict[str, str] = {}
         self._ages: deque[float] = deque(maxlen=WINDOW)
@@ -57,6 +58,7 @@ class Health:
         """Inputs were given up; `why` holds the value and the remedy."""
         with self._lock:
             self._dropped[cause] += count
+            self._why[cause] = why
             self._last_error = f"{cause}: {why}"
             self._last_trouble = time.monotonic()
 
@@ -97,6 +99,7 @@ class Health:
             values |= {"received": str(self._received.total()), "published": str(self._published.total())}
             values["dropped"] = str(sum(self._dropped.values()))
             values |= {f"dropped.{cause}": str(n) for cause, n in sorted(self._dropped.items())}
+            values |= {f"why.{cause}": why for cause, why in sorted(self._why.items())}
             values |= {f"noted.{event}": str(n) for event, n in sorted(self._noted.items())}
             values["rate_hz"] = f"{_rate(self._published_at):.2f}"
             for name, times in (("latency", self._ages), ("work", self._work)):
