@@ -63,14 +63,11 @@ def traced_errors(result: Resection, tracer: TerrainTracer, hidden_by: float = H
     errors = np.linalg.norm(traced + pose.position - places, axis=1)
     ground = np.asarray(tracer.dem.elevation_at(places[:, 0], places[:, 1]), np.float64)
     above = places[:, 2] - ground
-    # A point under the surface is asked for again where it would stand on it.
-    raised = places.copy()
-    raised[:, 2] = np.where(above < 0, ground, places[:, 2])
-    beyond, raised_beyond = (_beyond(tracer, pose.position, aims) for aims in (places, raised))
-    states = tuple(
-        _state(*values, hidden_by)
-        for values in zip(above.tolist(), beyond.tolist(), raised_beyond.tolist(), strict=True)
-    )
+    # A point that stands off the surface is asked for again where it would stand on it.
+    settled = places.copy()
+    settled[:, 2] = np.where(np.isnan(ground), places[:, 2], ground)
+    beyond, settled_beyond = (_beyond(tracer, pose.position, aims).tolist() for aims in (places, settled))
+    states = tuple(_state(*values, hidden_by) for values in zip(above.tolist(), beyond, settled_beyond, strict=True))
     return TracedErrors(np.where(np.isfinite(errors), errors, np.inf), states, above)
 
 
@@ -80,11 +77,13 @@ def _beyond(tracer: TerrainTracer, position: Float64Array, places: Float64Array)
     return np.asarray(tracer.trace_rays(position, sights) - np.linalg.norm(sights, axis=1), np.float64)
 
 
-def _state(above: float, beyond: float, raised_beyond: float, hidden_by: float) -> PointState:
+def _state(above: float, beyond: float, settled_beyond: float, hidden_by: float) -> PointState:
     if abs(beyond) < hidden_by:
         return PointState.SEEN
-    if np.isnan(above) or np.isnan(beyond):
+    if np.isnan(above):
         return PointState.BESIDE
-    if beyond > 0:
-        return PointState.ABOVE
-    return PointState.BELOW if above < 0 and abs(raised_beyond) < hidden_by else PointState.HIDDEN
+    if abs(settled_beyond) < hidden_by:
+        return PointState.ABOVE if above > 0 else PointState.BELOW
+    if np.isnan(beyond):
+        return PointState.BESIDE
+    return PointState.ABOVE if beyond > 0 else PointState.HIDDEN

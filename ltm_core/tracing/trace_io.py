@@ -6,53 +6,56 @@ import json
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ltm_core.camera import Camera
+from ltm_core.camera_config import CalibrationConfig, PlacedPose, PoseConfig
 from ltm_core.config_io import load_yaml
 from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, ImageError, PoseError
+from ltm_core.errors import ConfigError, ImageError
 from ltm_core.geodesy import SiteFrame
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
 from ltm_core.raster.raster_io import write_geotiff
-from ltm_core.site import CalibrationConfig, Config
+from ltm_core.strict_model import StrictModel
 from ltm_core.types import UInt8Array, UInt32Array
 
+_FORMER_POSE = ("position", "crs", "height_above_ground", "azimuth_deg", "pitch_deg", "roll_deg")
+"""Keys of `pose` that stood beside it in former pose files."""
 
-class PlaceConfig(Config):
-    """Where a camera stood and its calibration: what every pose file holds."""
 
-    position: tuple[float, float] | tuple[float, float, float]
-    """[x, y, z], or [x, y] with `height_above_ground`; z in metres in the DEM's vertical datum."""
-    crs: str | None = None
-    """CRS of x and y; default the DEM's. In EPSG:4326 they are longitude, latitude in degrees."""
-    height_above_ground: float | None = Field(None, gt=0)
-    """Metres above the DEM: mast or tripod."""
-    pitch_deg: float = 0.0
-    """Up from the horizon."""
-    roll_deg: float = 0.0
-    """Of the camera, clockwise about its viewing direction."""
-    camera: CalibrationConfig
+class PoseFile(StrictModel):
+    """A pose file: one picture's `pose` and `calibration`, as a camera has them in a site file.
+
+    In former ones the keys of `pose` stood at the top, and `calibration` was called `camera`; they are still read.
+    """
+
+    pose: PlacedPose
+    calibration: CalibrationConfig
     curvature: bool = True
     refraction: float = Field(0.13, ge=0, lt=1)
 
-    @model_validator(mode="after")
-    def _one_height(self) -> Self:
-        if (len(self.position) == 3) == (self.height_above_ground is not None):
-            raise ValueError("give either position [x, y, z], or position [x, y] and height_above_ground")
-        return self
+    @model_validator(mode="before")
+    @classmethod
+    def _former_sections(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        data = dict(data)
+        if "calibration" not in data and "camera" in data:
+            data["calibration"] = data.pop("camera")
+        if "pose" not in data:
+            data["pose"] = {key: data.pop(key) for key in _FORMER_POSE if key in data}
+        return data
 
 
-class PictureConfig(PlaceConfig):
+class PictureConfig(PoseFile):
     """One picture: where its camera stood, how it looked, and its calibration."""
 
-    azimuth_deg: float
-    """Of the optical axis, clockwise from the grid north of the DEM's CRS."""
+    pose: PoseConfig
 
 
 @dataclass(frozen=True)
@@ -75,41 +78,18 @@ def set_up_picture(config: PictureConfig, dem: Dem) -> PictureSetup:
 
     Raises PoseError where the ground under a camera given above it is not known, ConfigError for a CRS that is none.
     """
+    frame, local = near_frame(config, dem)
+    return PictureSetup(local, frame, config.calibration.camera(), config.pose.pose(local, frame))
+
+
+def near_frame(config: PoseFile, dem: Dem) -> tuple[SiteFrame, Dem]:
+    """A map frame in the DEM's CRS whose origin is near the camera of `config`, and the DEM in it."""
     crs = dem.geometry.crs
     if crs is None:
         raise ConfigError("the DEM must be in a CRS to place a camera on it")
-    x, y = _in_crs(config.position[0], config.position[1], config.crs, crs)
+    x, y = config.pose.xy(SiteFrame(crs)) or (0.0, 0.0)
     frame = SiteFrame(crs, round(x / 1000) * 1000.0, round(y / 1000) * 1000.0)
-    local = dem.in_frame(frame)
-    x, y = x - frame.x_origin, y - frame.y_origin
-    if config.height_above_ground is None:
-        z = config.position[-1]
-    else:
-        ground = float(local.elevation_at(x, y))
-        if ground != ground:
-            raise PoseError(
-                f"no terrain under the camera at {config.position[:2]} (DEM bounds {dem.geometry.bounds} in {crs}): "
-                "give position [x, y, z] instead of height_above_ground"
-            )
-        z = ground + config.height_above_ground
-    pose = Pose.from_angles((x, y, z), config.azimuth_deg, config.pitch_deg, config.roll_deg)
-    return PictureSetup(local, frame, config.camera.camera(), pose)
-
-
-def _in_crs(x: float, y: float, source: str | None, target: str) -> tuple[float, float]:
-    from pyproj import Transformer
-    from pyproj.exceptions import CRSError
-
-    if source is None:
-        return x, y
-    try:
-        transformer = Transformer.from_crs(source, target, always_xy=True)
-    except CRSError as error:
-        raise ConfigError(f"position crs {source!r} is not known ({error}); use a name such as EPSG:4326") from error
-    x_target, y_target = transformer.transform(x, y)
-    if not (np.isfinite(x_target) and np.isfinite(y_target)):
-        raise PoseError(f"position ({x}, {y}) in {source} has no place in {target}; EPSG:4326 wants longitude first")
-    return float(x_target), float(y_target)
+    return frame, dem.in_frame(frame)
 
 
 def read_photo(path: Path | str, camera: Camera) -> UInt8Array:

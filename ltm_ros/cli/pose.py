@@ -62,7 +62,7 @@ def pose(
         read_control_points(gcps, setup.frame, first_pixel),
         setup.camera,
         setup.position,
-        guess.angles_deg,
+        setup.angles_deg,
         cast("list[Parameter]", _names(free)),
         ray_bend(guess.curvature, guess.refraction),
         position_sigma,

@@ -10,10 +10,11 @@ import pytest
 import yaml
 
 from ltm_core.camera import Camera
+from ltm_core.camera_config import CalibrationConfig, PoseConfig
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, PoseError
 from ltm_core.grid import GridGeometry
-from ltm_core.site import CalibrationConfig, PoseConfig, Site
+from ltm_core.site import Site
 from ltm_core.site_io import load_site
 
 REPOSITORY = Path(__file__).parents[3]

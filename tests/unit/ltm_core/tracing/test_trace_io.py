@@ -76,8 +76,8 @@ def test_a_surveyed_height_is_taken_as_it_is(tmp_path: Path, dem: Dem) -> None:
     [
         (POSE + "azimut_deg: 3\n", "azimut_deg: unknown key"),
         (POSE.replace("hfov_deg: 55", "hfov_deg: 55, fx: 800"), "either hfov_deg or fx"),
-        (POSE.replace("3799930.25]", "3799930.25, 900]"), "give either position"),
-        (POSE.replace("height_above_ground: 14\n", ""), "give either position"),
+        (POSE.replace("3799930.25]", "3799930.25, 900]"), "either z or height_above_ground"),
+        (POSE.replace("height_above_ground: 14\n", ""), "either z or height_above_ground"),
         (POSE.replace("azimuth_deg: 75", "azimuth_deg: .nan"), "azimuth_deg"),
         (POSE.replace("azimuth_deg: 75\n", ""), "azimuth_deg: missing"),
     ],
