@@ -128,7 +128,7 @@ def resect(
         name, why = reason
         held[name], rejected[name] = why, _rejected(name, fit, tuple(chosen))
         chosen.remove(name)
-        if name == "position":
+        if name != "k1":  # which the rough fit leaves as it was given
             best = _rough_fit(problem, camera, angles_deg, tuple(chosen), sigma_px)
     return _result(points, fit, tuple(chosen), held, rejected, sigma)
 

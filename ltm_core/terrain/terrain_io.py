@@ -42,8 +42,8 @@ def write_export(path: Path | str, surface: SurfaceMap, what: Exported, geometry
 
     `surface`: *height*, the reference moved where change was accepted, known wherever the terrain is; *sigma*, of what
     cameras measured of it, NaN where none has looked. `change`: *shift* in height that independent views agree on, 0
-    where they see none and NaN where they have not looked; *sigma*; *kind*, the ChangeKind of the tag KINDS; *since*
-    when. Tags: AS_OF (newest frame, ISO 8601), KINDS, CAMERAS, HEIGHTS. The file appears whole or not at all.
+    where they see none and NaN where they have not looked; *sigma*; *kind*, the ChangeKind of the tag kinds; *since*
+    when. Tags: as_of (newest frame, ISO 8601), kinds, cameras, heights. The file appears whole or not at all.
 
     Raises ConfigError where it cannot be written.
     """
@@ -67,10 +67,10 @@ def write_export(path: Path | str, surface: SurfaceMap, what: Exported, geometry
                 sink.set_band_description(number, name)
                 sink.set_band_unit(number, unit)
             sink.update_tags(
-                AS_OF=_moment(surface.newest_ns),
-                KINDS=json.dumps({kind.name.lower(): int(kind) for kind in ChangeKind}),
-                CAMERAS=json.dumps(surface.cameras),
-                HEIGHTS="metres in the vertical datum of the DEM",
+                as_of=_moment(surface.newest_ns),
+                kinds=json.dumps({kind.name.lower(): int(kind) for kind in ChangeKind}),
+                cameras=json.dumps(surface.cameras),
+                heights="metres in the vertical datum of the DEM",
             )
         partial.replace(path)
     except (OSError, RasterioIOError) as error:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from ltm_ros.runtime.node_summary import NodeRow
@@ -44,7 +45,7 @@ def print_outcome(console: Console, summaries: Mapping[str, Mapping[str, str]]) 
     table.add_column("what", no_wrap=True)
     table.add_column("how much")
     for what, how_much in said:
-        table.add_row(what, how_much)
+        table.add_row(what, escape(how_much))  # reasons may hold brackets
     console.print(table)
 
 

@@ -77,9 +77,9 @@ def test_change_as_gdal_reads_it(site_file: Path) -> None:
         assert np.isnan(source.nodata)
         tags = source.tags()
         shift, sigma, kind, since = source.read()
-    assert tags["AS_OF"] == datetime.fromtimestamp(LAST, UTC).isoformat()
-    assert json.loads(tags["KINDS"])["removed"] == int(ChangeKind.REMOVED)
-    assert json.loads(tags["CAMERAS"]) == list(load_site(site_file).cameras)
+    assert tags["as_of"] == datetime.fromtimestamp(LAST, UTC).isoformat()
+    assert json.loads(tags["kinds"])["removed"] == int(ChangeKind.REMOVED)
+    assert json.loads(tags["cameras"]) == list(load_site(site_file).cameras)
     looked = np.zeros(GRID.shape, bool)
     looked[MEASURED] = True
     gone = np.zeros(GRID.shape, bool)

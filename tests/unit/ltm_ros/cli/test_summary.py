@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from rich.console import Console
+
 from ltm_core.errors import PoseError
-from ltm_ros.cli.summary import outcome
+from ltm_ros.cli.summary import outcome, print_outcome
 from ltm_ros.runtime.health import Health, cause_of
 
 
@@ -29,3 +31,11 @@ def test_verdicts_cells_and_refusals_are_counted() -> None:
         ("north/topodepth: noted", "unlabelled 1"),
         ("terrain: cells", "seen 12,345, removed 80"),
     ]
+
+
+def test_reasons_keep_their_brackets() -> None:
+    health, console = Health(), Console(width=120)
+    health.drop("pose", "pose is given in frame [odom], wanted [map]")
+    with console.capture() as said:
+        print_outcome(console, {"/a/north/capture": health.summary()})
+    assert "frame [odom], wanted [map]" in said.get()
