@@ -59,7 +59,7 @@ def traced_errors(result: Resection, tracer: TerrainTracer, hidden_by: float = H
     ranges = tracer.trace_rays(pose.position, directions).astype(np.float64)
     with np.errstate(invalid="ignore"):
         traced = directions * ranges[:, None]
-    traced[:, 2] += tracer.bend * (traced[:, 0] ** 2 + traced[:, 1] ** 2)
+        traced[:, 2] += tracer.bend * (traced[:, 0] ** 2 + traced[:, 1] ** 2)
     errors = np.linalg.norm(traced + pose.position - places, axis=1)
     ground = np.asarray(tracer.dem.elevation_at(places[:, 0], places[:, 1]), np.float64)
     above = places[:, 2] - ground
