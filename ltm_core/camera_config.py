@@ -259,7 +259,7 @@ class PlacedPose(PartialPose):
     def position(self, dem: Dem, frame: SiteFrame) -> tuple[float, float, float]:
         """In the map frame. Raises PoseError where the ground under a camera given above it is not known."""
         place = self.xy(frame)
-        assert place is not None
+        assert place is not None  # nosec B101 # tells the type checker what holds
         if self.z is not None:
             return *place, self.z
         ground = float(dem.elevation_at(*place))
@@ -286,7 +286,7 @@ class PoseConfig(PlacedPose):
         if place[2] <= ground:
             raise PoseError(f"camera at {self.described(frame)}: {doubt_of_height(place[2], ground)}")
         azimuth = self.grid_azimuth_deg(frame, place, None)
-        assert azimuth is not None
+        assert azimuth is not None  # nosec B101 # tells the type checker what holds
         return Pose.from_angles(place, azimuth, self.pitch_deg or 0.0, self.roll_deg or 0.0)
 
 
