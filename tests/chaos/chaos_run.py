@@ -51,6 +51,8 @@ class Outcome:
     load: float = 0.0
     """Processes that wanted a core of this machine over the last minute, on average: what delays may be due to."""
     missed: list[str] = field(default_factory=list)
+    reports: dict[str, dict[str, str]] = field(default_factory=dict)
+    """What each node reported, when all was over, where something was missed."""
 
 
 class Sampler:
@@ -139,6 +141,7 @@ class ChaosRun:
         outcome.load = os.getloadavg()[0]
         outcome.pss_kb = self.sampler.take_peaks()
         outcome.missed += [f"{label} took {kb >> 10} MB" for label, kb in outcome.pss_kb.items() if kb > MOST_PSS_KB]
+        outcome.reports = self._heartbeats.said() if outcome.missed else {}
         return outcome
 
     def _wait_back(self, fault: Fault, former: dict[str, int], over: float, outcome: Outcome) -> None:

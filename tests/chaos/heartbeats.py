@@ -39,6 +39,11 @@ class Heartbeats:
                 }
             )
 
+    def said(self) -> dict[str, dict[str, str]]:
+        """The last report of each node, whole."""
+        with self._lock:
+            return {label: dict(summary) for label, summary in self._latest.items()}
+
     def _take(self, message: Any) -> None:
         with self._lock:
             for status in message.status:
