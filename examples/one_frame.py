@@ -69,7 +69,8 @@ def one_frame(recording: Path, site_file: Path, camera_name: str) -> OneFrame:
     frame, covariance = first_frame(recording, site, camera_name)
 
     # Algorithm 1: where does the ray of each pixel meet the terrain?
-    traced = TerrainTracer(dem, site.curvature, site.refraction).trace(frame.camera, frame.pose)
+    tracer = TerrainTracer(dem, site.curvature, site.refraction, site.possible_ground)
+    traced = tracer.trace(frame.camera, frame.pose)
     depth = DepthImage(traced.depth(), frame.camera, frame.pose)
 
     # What grows there: a class for each pixel, and how sure the network is of it.

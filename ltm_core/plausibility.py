@@ -22,6 +22,8 @@ TALLEST_MAST = 150.0
 and cameras at the brink of a cliff that a coarse DEM rounds off do not."""
 _SLACK = 10.0
 """Metres by which a height in feet may still come out under the ground: surveyed places and DEMs differ by as much."""
+_DEEP = 50.0
+"""Metres under the ground that no datum and no coarse DEM explains."""
 
 
 def _azimuth(value: float) -> float:
@@ -84,7 +86,7 @@ def doubt_of_height(z: float, ground: float) -> str | None:
         )
     if above > 0:
         return f"z = {z:g} m is {above:.0f} m above the ground ({ground:.0f} m), higher than masts: check it"
-    if -_SLACK <= z - ground * FOOT <= TALLEST_MAST:
+    if -above > _DEEP and -_SLACK <= z - ground * FOOT <= TALLEST_MAST:
         return (
             f"z = {z:g} m is {-above:.0f} m under the ground ({ground:.0f} m); if the DEM's heights are feet, the "
             f"ground is at {ground * FOOT:.0f} m: convert the DEM to metres"

@@ -21,6 +21,7 @@ from ltm_core.plausibility import AzimuthDeg, PitchDeg, RollDeg, doubt_of_height
 from ltm_core.pose import Pose
 from ltm_core.raster.dem_stack import open_terrain, with_surface
 from ltm_core.raster.shared_rasters import shared
+from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.types import Float64Array
 
 
@@ -265,6 +266,8 @@ class Site(Config):
     """Tops of trees and houses as elevations; where it is nodata the ground shows."""
     curvature: bool = True
     refraction: float = Field(0.13, ge=0, lt=1)
+    possible_ground: PossibleGround = PossibleGround()
+    """How high the ground may be where the DEM does not know it, beyond its end too: what is sky hangs on it."""
     fuel: FuelConfig = FuelConfig()
     assumed_pose_error: PoseErrorConfig = PoseErrorConfig()
     terrain: TerrainConfig | None = None

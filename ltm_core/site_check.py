@@ -137,7 +137,7 @@ def _terrain(site: Site, dem: Dem) -> Iterator[Finding]:
 
 
 def _surface(site: Site, dem: Dem) -> Finding:
-    assert site.surface is not None
+    assert site.surface is not None  # nosec B101 # tells the type checker what holds
     try:
         surface = site.open_surface(dem)
     except LtmError as error:

@@ -6,7 +6,7 @@ import importlib.metadata
 import importlib.util
 import json
 import os
-import subprocess
+import subprocess  # nosec B404 # argument lists, no shell
 import sys
 import tempfile
 import tomllib
@@ -191,7 +191,9 @@ def _participant(environment: Mapping[str, str]) -> Finding:
     wanted = environment["RMW_IMPLEMENTATION"]
     command = [sys.executable, "-m", "ltm_ros.launching.transport_probe"]
     try:
-        ran = subprocess.run(command, env=dict(environment), capture_output=True, text=True, timeout=60)
+        ran = subprocess.run(  # nosec B603 # no shell, no argument from the wire
+            command, env=dict(environment), capture_output=True, text=True, timeout=60
+        )
     except subprocess.TimeoutExpired:
         return Finding("transport", "participant", Condition.MISSING, f"{wanted}: did not start within 60 s")
     lines = [line for line in ran.stdout.splitlines() if line.startswith("{")]
@@ -227,7 +229,7 @@ def check_shared_memory() -> Iterator[Finding]:
     if free is None:
         yield Finding(
             "shared memory",
-            "/dev/shm",
+            str(shared_memory.SHM_FOLDER),
             Condition.WARNING,
             "not there: images go over UDP, slowly",
             "mount -t tmpfs tmpfs /dev/shm",
@@ -237,7 +239,7 @@ def check_shared_memory() -> Iterator[Finding]:
     nodes = free // shared_memory.BYTES_PER_PARTICIPANT
     yield Finding(
         "shared memory",
-        "/dev/shm",
+        str(shared_memory.SHM_FOLDER),
         Condition.OK if free >= needed else Condition.WARNING,
         f"{free >> 20} MB free, enough for {nodes} nodes",
         "" if free >= needed else "mount -o remount,size=2G /dev/shm, or docker run --shm-size=2g",

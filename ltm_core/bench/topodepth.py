@@ -33,6 +33,7 @@ from ltm_core.depth.unknown_regions import clear_unenclosed
 from ltm_core.pose import Pose
 from ltm_core.range_image import DepthImage
 from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import LabelSet
 
@@ -113,7 +114,7 @@ def _frame(width: int, height: int) -> _Frame:
     row, col = np.unravel_index(int(np.argmax(south)), south.shape)
     x, y = dem.geometry.to_map(row + dem.geometry.height - 400, col)
     pose = Pose.from_angles((float(x), float(y), float(south[row, col]) + 10.0), 30.0, -12.0)
-    depth = TerrainTracer(dem).trace(camera, pose).depth()
+    depth = TerrainTracer(dem, possible=NOTHING_BEYOND).trace(camera, pose).depth()
     rng = np.random.default_rng(2)
     cover = cv2.resize(rng.integers(1, 5, (9, 16)).astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
     labels = np.where(np.isinf(depth), 0, cover).astype(np.uint8)

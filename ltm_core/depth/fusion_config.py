@@ -261,5 +261,5 @@ def _constants(model: BaseModel, prefix: str) -> Iterator[tuple[str, Any, str, s
             yield from _constants(value, f"{prefix}{name}.")
         else:
             extra = info.json_schema_extra
-            assert isinstance(extra, dict)
+            assert isinstance(extra, dict)  # nosec B101 # tells the type checker what holds
             yield f"{prefix}{name}", value, str(extra["origin"]), info.description or ""

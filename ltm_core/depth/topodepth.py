@@ -21,6 +21,7 @@ from ltm_core.depth.expected_surface import expected_surface
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ground_samples
 from ltm_core.depth.guided_upsampling import NetworkView
+from ltm_core.depth.labelled_sky import with_labelled_sky
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_measurement import NetworkMeasurement
 from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries
@@ -32,6 +33,7 @@ from ltm_core.depth.unknown_regions import clear_unenclosed
 from ltm_core.errors import ImageError
 from ltm_core.range_image import DepthImage, RangeImage
 from ltm_core.types import Float32Array, UInt8Array
+from ltm_core.unknown_share import MOST_UNKNOWN, unknown_share
 
 
 class Source(IntEnum):
@@ -54,6 +56,8 @@ class Verdict(StrEnum):
     """The network's depth does not fit the terrain: the terrain's answer alone, refined by photo and labels."""
     NO_TERRAIN = "no_terrain"
     """No pixel was traced to known ground."""
+    MOSTLY_UNKNOWN = "mostly_unknown"
+    """As ok, but of most of the photo nothing is known: the terrain explains too little of it."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +76,10 @@ class FusedDepth:
     """Fused depth of one photo.
 
     `depth`, `sigma`: (H, W) float32 metres along the optical axis; +inf sky, NaN unknown (sigma is NaN for both).
-    `source`: (H, W) uint8 `Source`. `ground`: (H, W) float32, the traced depth of bare ground, untouched: where it
-    differs from `depth`, what is seen stands before it. `inlier_ratio`: of the network's fit to trusted ground.
-    `verdict`, and `reason` in words where it is not ok. `fit`: the network's fit, None where there was no network.
+    `source`: (H, W) uint8 `Source`. `ground`: (H, W) float32, the traced depth of bare ground, sky where labels say so
+    of what is unknown: where it differs from `depth`, what is seen stands before it. `inlier_ratio`: of the network's
+    fit to trusted ground. `verdict`, and `reason` in words where it is not ok. `fit`: the network's fit, None where
+    there was no network.
     """
 
     depth: Float32Array
@@ -90,7 +95,7 @@ class FusedDepth:
 
     def measured(self) -> NetworkMeasurement:
         """What the network alone measures: nothing where it, or the pose, cannot be relied on."""
-        if self.fit is None or self.verdict is not Verdict.OK:
+        if self.fit is None or self.verdict not in (Verdict.OK, Verdict.MOSTLY_UNKNOWN):
             return NetworkMeasurement.none()
         return NetworkMeasurement.of(self.fit, self.config)
 
@@ -136,8 +141,8 @@ def fuse(
 
     Raises ImageError where sizes differ.
     """
-    ground = traced.depth()
-    size = ground.shape
+    as_traced = traced.depth()
+    size = as_traced.shape
     for what, shape in (
         ("photo", rgb.shape[:2]),
         ("label image", size if labels is None else labels.shape),
@@ -148,6 +153,10 @@ def fuse(
     settings = FusionSettings() if settings is None else settings
     config = FusionConfig() if config is None else config
     camera = traced.camera
+    ground, over = as_traced, None if surface is None else surface.depth()
+    if labels is not None:
+        ground = with_labelled_sky(ground, labels, classes.sky)
+        over = None if over is None else with_labelled_sky(over, labels, classes.sky)
     cell = max(1.0, size[1] / settings.label_columns) if settings.label_columns else 1.0
     # Whether the terrain lies where the photo has it: if not, nothing below means anything.
     edges = DepthDiscontinuities.of(ground, config.surface.jump)
@@ -157,17 +166,21 @@ def fuse(
         check = check_pose(rgb, ground, camera, *sigmas, config.pose_check, labels, classes, cell, edges)
     # A sample first: where it has ground, as it nearly always does, that is all.
     if not (np.isfinite(ground[::16, ::16]).any() or np.isfinite(ground).any()):
-        return _traced_alone(ground, Verdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM", check)
+        return _traced_alone(as_traced, Verdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM", check)
     if check.suspected:
-        return _traced_alone(ground, Verdict.POSE_SUSPECTED, check.reason, check)
-    expected, sigma, fit, view, standing = expect(traced, network, rgb, labels, classes, settings, config)
+        return _traced_alone(as_traced, Verdict.POSE_SUSPECTED, check.reason, check)
+    told = DepthImage(ground, camera, traced.pose)
+    expected, sigma, fit, view, standing = expect(told, network, rgb, labels, classes, settings, config)
     # Ridges have their edges where the photo has them; then every pixel is the terrain's, the network's or both's.
     refine_occlusion_boundaries(rgb, ground, expected, sigma, labels, classes, camera, config, view, edges)
-    source, over = np.empty(size, np.uint8), None if surface is None else surface.depth()
+    source = np.empty(size, np.uint8)
     fuse_pixels(expected, sigma, over, view, standing, labels, classes, source, config)
     # Where the network alone speaks of land beyond the raster, nothing is known.
     clear_unenclosed(ground, expected, sigma, source)
     verdict, reason, ratio = Verdict.OK, "", 0.0 if fit is None else fit.inlier_ratio
+    unknown = unknown_share(expected)
+    if unknown.whole > MOST_UNKNOWN:
+        verdict, reason = Verdict.MOSTLY_UNKNOWN, unknown.reason
     if fit is not None and fit.trouble:
         verdict, reason = Verdict.NETWORK_UNUSABLE, fit.trouble
     return FusedDepth(expected, sigma, source, ground, ratio, verdict, reason, check, config, fit)

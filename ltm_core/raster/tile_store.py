@@ -218,8 +218,13 @@ class TileStore:
 
     def newest_ns(self) -> int | None:
         """The latest stamp that is remembered; None where no frame has been counted."""
-        newest = "SELECT max((SELECT max(stamp_ns) FROM frames WHERE source = id)) AS newest FROM sources"
-        found = self._rows(f"SELECT newest FROM ({newest}) WHERE newest IS NOT NULL", (), int)
+        found = self._rows(
+            "SELECT newest FROM "
+            "(SELECT max((SELECT max(stamp_ns) FROM frames WHERE source = id)) AS newest FROM sources) "
+            "WHERE newest IS NOT NULL",
+            (),
+            int,
+        )
         return int(found[0][0]) if found else None
 
     def touches(self, key: Key) -> list[Touch]:
@@ -342,15 +347,20 @@ class TileStore:
         Not by age alone: a camera whose clock was once set to another year shall neither be refused from then on nor
         be counted twice. Not by number alone: whoever sends many frames would make those that are late too old.
         """
-        number, kept = db.execute("SELECT id, kept FROM sources WHERE name = ?", (source,)).fetchone()
-        (newest,) = db.execute("SELECT max(stamp_ns) FROM frames WHERE source = ?", (number,)).fetchone()
+        ((number, kept),) = self._rows("SELECT id, kept FROM sources WHERE name = ?", (source,), int, int)
+        ((newest,),) = self._rows("SELECT max(stamp_ns) FROM frames WHERE source = ?", (number,), int)
         old = self._old_among(db, number, kept - self._kept_frames, newest - KEPT_NS)
         spare = max(old, kept - self._most_frames)
         if spare <= min(self._kept_frames, self._most_frames) // 20:
             return
-        (horizon,) = db.execute(
-            "SELECT stamp_ns FROM frames WHERE source = ? ORDER BY stamp_ns LIMIT 1 OFFSET ?", (number, spare - 1)
-        ).fetchone()
+        found = self._rows(
+            "SELECT stamp_ns FROM frames WHERE source = ? ORDER BY stamp_ns LIMIT 1 OFFSET ?", (number, spare - 1), int
+        )
+        if not found:
+            raise ConfigError(
+                f"{self._name}: the store is damaged: {source} has no {spare} frames; restore it from a copy"
+            )
+        ((horizon,),) = found
         db.execute("DELETE FROM frames WHERE source = ? AND stamp_ns <= ?", (number, horizon))
         db.execute("UPDATE sources SET kept = kept - ?, horizon_ns = ? WHERE id = ?", (spare, horizon, number))
 
@@ -491,8 +501,8 @@ def _named_errors(name: str) -> Iterator[None]:
         yield
     except sqlite3.Error as error:
         code = getattr(error, "sqlite_errorname", "") or ""
-        # Without a code: the text of a row that is no UTF-8.
-        if not code or code.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_TOOBIG", "SQLITE_ERROR")):
+        no_text = not code and isinstance(error, sqlite3.OperationalError)  # a text that is no UTF-8
+        if no_text or code.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_TOOBIG", "SQLITE_ERROR")):
             raise ConfigError(f"{name}: the store is damaged ({error}); restore it from a copy") from error
         if not isinstance(error, sqlite3.OperationalError):
             raise  # a bug, not the disk

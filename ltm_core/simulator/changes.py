@@ -44,7 +44,7 @@ class MaskConfig(Strict):
         if self.circle is not None:
             x, y, r = self.circle
             return x - r, y - r, x + r, y + r
-        assert self.polygon is not None
+        assert self.polygon is not None  # nosec B101 # tells the type checker what holds
         xs, ys = zip(*self.polygon, strict=True)
         return min(xs), min(ys), max(xs), max(ys)
 

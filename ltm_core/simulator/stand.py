@@ -50,7 +50,7 @@ def mask_weights(mask: MaskConfig, geometry: GridGeometry, seed: int) -> BoolArr
     if mask.box is not None:
         x_min, y_min, x_max, y_max = mask.box
         return np.asarray((x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max), np.bool_)
-    assert mask.polygon is not None
+    assert mask.polygon is not None  # nosec B101 # tells the type checker what holds
     inside = np.zeros(geometry.shape, bool)
     corners = np.array(mask.polygon, np.float64)
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):

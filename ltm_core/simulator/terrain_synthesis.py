@@ -107,7 +107,7 @@ def make_terrain(config: GroundConfig, seed: int) -> SyntheticTerrain:
             seed,
         )
         old = geometry
-    assert height is not None
+    assert height is not None  # nosec B101 # tells the type checker what holds
     height = _warped(height, old, seed)
     inside = _resample(height, old, _grid((0.0, 0.0, size, size), 16.0), order=1)
     scale = config.relief / (inside.max() - inside.min())

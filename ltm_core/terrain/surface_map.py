@@ -252,7 +252,7 @@ class SurfaceMap:
 
     def _decide(self, core: set[Key]) -> Changed:
         margin = margin_of(self.reference.geometry.resolution)
-        assert margin <= TILE
+        assert margin <= TILE  # nosec B101 # of constants
         tile_rows, tile_cols = self._pool.slots.shape
         top, left = max(min(k[0] for k in core) - 1, 0), max(min(k[1] for k in core) - 1, 0)
         bottom = min(max(k[0] for k in core) + 2, tile_rows)

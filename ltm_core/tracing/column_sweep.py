@@ -32,7 +32,6 @@ from ltm_core.tracing.horizon_profile import WEDGES_A_FACE, Wedges
 from ltm_core.tracing.prefetch import prefetch
 from ltm_core.tracing.pyramid_traversal import (
     AFTER,
-    OVER_KNOWN,
     PLUMB_SINE,
     START_LEVEL,
     RasterStage,
@@ -63,7 +62,7 @@ def sweep_image(
 ) -> None:
     """Take an image of rays through one stage.
 
-    The camera must stand over the raster or the next finer one, and not in an outer hole.
+    The camera must stand over the raster or the next finer one, and in no outer hole.
 
     Args:
         wedges: profile of the camera's position for this stage.
@@ -97,14 +96,14 @@ def _sweep_tile(
     block = new_block()
     # An array that is read out of a tuple is counted as a reference, by all threads in one place: not in the loop.
     nodes, n_x, n_y = ground.nodes, ground.width, ground.height
-    highest, entries, starts, outer = wedges.highest, wedges.entries, wedges.start, wedges.outer
+    highest, entries, starts = wedges.highest, wedges.entries, wedges.start
     tangents, strips = wedges.tangent, wedges.node
     for k in range(height):
         at = (height - 1 - k) * width + first
         turn(rays, 3 * at, count, rotation, stage.resolution, block)
-        enter(highest, entries, starts, tangents, strips, outer, stage.last, count, block)
+        enter(highest, entries, starts, tangents, strips, count, block)
         prefetch_starts(nodes, n_x, stage, count, block)
-        one_by_one(ground, nodes, n_x, n_y, stage, outer, count, block, at, out)
+        one_by_one(ground, nodes, n_x, n_y, stage, count, block, at, out)
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
@@ -143,17 +142,14 @@ def enter(
     starts: Int64Array,
     tangents: Float32Array,
     strips: Int32Array,
-    outer: Float32Array,
-    last: bool,
     count: int,
     block: Float64Array,
 ) -> None:
-    """Find the entries of a block's rays, in the fields of `Wedges`; `last`: no stage comes after this one."""
+    """Find the entries of a block's rays, in the fields of `Wedges`."""
     for i in range(count):
         wedge, s = int(block[WEDGE + i]), block[SLOPE + i]
         if not (s <= highest[wedge]):
-            # Whether it is over known ground when it leaves matters only where more ground may come.
-            block[NEAR + i] = MEETS_NOTHING if last or outer[wedge] == np.inf else BY_PYRAMID
+            block[NEAR + i] = MEETS_NOTHING
         elif entries[wedge] <= 0:
             block[NEAR + i] = BY_PYRAMID
         else:
@@ -187,7 +183,6 @@ def one_by_one(
     width: int,
     height: int,
     stage: RasterStage,
-    outer: Float32Array,
     count: int,
     block: Float64Array,
     at: int,
@@ -208,43 +203,27 @@ def one_by_one(
         cx, cy = (sign, t) if along_x else (t, sign)
         bend = stage.bend * (1.0 + t * t)
         q = state
-        if near != MEETS_NOTHING or state != OVER_KNOWN:
+        if near != MEETS_NOTHING:
             start = stretch(stage, cx, cy)[0] if stage.part == AFTER else 0.0
             o_major, o_minor = (stage.ox, stage.oy) if along_x else (stage.oy, stage.ox)
             how, level, begin = OPEN, START_LEVEL, start
             if near >= 0.0:
                 begin = max(start, sign * (near - o_major))
-                if state != OVER_KNOWN or begin > outer[int(block[WEDGE + i])]:
-                    begin = start
-                else:
-                    n_major, n_minor = (columns, rows) if along_x else (rows, columns)
-                    along, over = (1, width) if along_x else (width, 1)
-                    cell = near if sign > 0.0 else near - 1.0
-                    if begin == start:
-                        cell = min(max(math.floor(o_major + sign * start), 0.0), n_major - 1.0)
-                    begin, how = cell_hit(
-                        nodes,
-                        o_major,
-                        o_minor,
-                        stage.oz,
-                        s,
-                        bend,
-                        t,
-                        sign,
-                        begin,
-                        cell,
-                        n_major,
-                        n_minor,
-                        along,
-                        over,
-                    )
-                    level = 0
+                n_major, n_minor = (columns, rows) if along_x else (rows, columns)
+                along, over = (1, width) if along_x else (width, 1)
+                cell = near if sign > 0.0 else near - 1.0
+                if begin == start:
+                    cell = min(max(math.floor(o_major + sign * start), 0.0), n_major - 1.0)
+                begin, how = cell_hit(
+                    nodes, o_major, o_minor, stage.oz, s, bend, t, sign, begin, cell, n_major, n_minor, along, over
+                )
+                level = 0
             if how == OPEN:
                 end = over_raster(stage, cx, cy)[1]
                 q = hit_between(ground, stage, cx, cy, s, bend, begin, end, state, level)
             elif how == HIT:
                 q = begin
-        q = finished(stage, cx, cy, s, bend, q)
+        q = finished(ground, stage, cx, cy, s, bend, q)
         out[at + i] = q * stage.resolution * per_major if q >= 0.0 else q
 
 

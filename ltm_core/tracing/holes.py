@@ -1,17 +1,17 @@
-"""Holes of a DEM: groups of nodata nodes, and what may be assumed about the ground inside them.
+"""Holes of a DEM: groups of nodata nodes, and how high the ground inside them may be.
 
 A *node* is a DEM cell centre; a *cell* of the tracer is the square between four nodes, on which the surface is
-bilinear. A cell with any NaN node is a hole: its ground is unknown. Two kinds are told apart, because they mean
-different things:
+bilinear. A cell with any NaN node is a hole: its ground is unknown, but bounded (`possible_ground`). The *ceiling* of a
+NaN node is the highest that its ground may be: no higher than any known node beside the hole plus `steepest` times the
+way to it from node to node within the hole, by rows, columns and diagonals; and besides
 
-* An **enclosed** hole (a lake, a gap in a survey) is surrounded by known ground. Its ground is taken to be no higher
-  than its *ceiling*, the highest known node that touches the group of NaN nodes. A ray may pass above the ceiling,
-  not below it.
-* An **outer** hole reaches the edge of the raster (the margin of a reprojected or clipped DEM). It has no ceiling; it
-  is outside the DEM, as the space beyond the raster is.
+* in an **enclosed** hole (a lake, a gap in a survey), which known ground surrounds, no higher than the highest known
+  node that touches it;
+* in an **outer** hole, which reaches the edge of the raster (the margin of a reprojected DEM, the ragged edge of a
+  survey) and is outside the DEM as the space beyond the raster is, no higher than `highest`.
 
-Enclosed holes are held as runs of NaN nodes along rows, each with its ceiling: a few bytes a run, where a second
-raster with the ceilings filled in would double the memory of a DEM that has one speck of nodata.
+Holes are held as runs of NaN nodes along rows, and a ceiling for each of these nodes: a second raster with the ceilings
+filled in would double the memory of a DEM that has one speck of nodata.
 """
 
 from __future__ import annotations
@@ -21,41 +21,48 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from ltm_core.types import Float32Array, Float64Array, Int64Array
+from ltm_core.types import BoolArray, Float32Array, Float64Array, Int64Array
+
+_DIAGONAL = float(np.sqrt(2.0))
 
 
 class Holes(NamedTuple):
-    """Runs of NaN nodes of enclosed holes, in the order of their flat indices."""
+    """Runs of NaN nodes in the order of their flat indices, and the ceilings of these nodes."""
 
     hole_first: Int64Array
     """Flat index (row * width + column) of a run's first node."""
     hole_end: Int64Array
     """One past its last."""
-    hole_ceiling: Float32Array
-    """Ceiling of the hole that the run belongs to."""
+    hole_outer: BoolArray
+    """Whether it belongs to an outer hole."""
+    hole_start: Int64Array
+    """Where the run's ceilings begin in the next."""
+    ceilings: Float32Array
+    """Of all NaN nodes, run after run."""
 
 
-def find_holes(elevation: Float32Array) -> Holes:
-    """The enclosed holes of (H, W) float32 elevations, NaN where nodata."""
+def find_holes(elevation: Float32Array, rise: float, highest: float) -> Holes:
+    """The holes of (H, W) float32 elevations, NaN where nodata, of which one at least is known.
+
+    `rise`: the most that unknown ground rises from one node to the next, metres; `highest`: the highest that it may be
+    in outer holes.
+    """
     row, first, end = _runs(elevation, _count_runs(elevation))
-    hole = _joined(row, first, end)
-    ceiling = _ceilings(elevation, row, first, end, hole)
-    enclosed = ceiling[hole] < np.inf
+    rim = _rims(elevation, row, first, end, _joined(row, first, end))
+    start = np.concatenate([[0], np.cumsum(end - first)])[:-1].astype(np.int64)
+    ceilings = np.full(int((end - first).sum()), np.inf, np.float32)
+    steps = np.float32(rise), np.float32(rise * _DIAGONAL)
+    while _lowered(elevation, row, first, end, start, ceilings, *steps):
+        pass
+    outer = np.isinf(rim)
+    np.minimum(ceilings, np.repeat(np.where(outer, highest, rim).astype(np.float32), end - first), out=ceilings)
     width = elevation.shape[1]
-    return Holes(
-        (row * width + first)[enclosed], (row * width + end)[enclosed], ceiling[hole][enclosed].astype(np.float32)
-    )
+    return Holes(row * width + first, row * width + end, outer, start, ceilings)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def filled_at(nodes: Float32Array, holes: Holes, at: int) -> float:
-    """Height of the node with flat index `at`; of one in an enclosed hole, the hole's ceiling; NaN in an outer hole.
-
-    `holes`: anything with the fields of `Holes`.
-    """
-    height = nodes[at]
-    if height == height:
-        return height
+def run_of(holes: Holes, at: int) -> int:
+    """The run that holds the NaN node with flat index `at`; `holes`: anything with the fields of `Holes`."""
     low, high = 0, holes.hole_first.size  # the last run that begins at or before `at` is the one before `low`
     while low < high:
         middle = (low + high) >> 1
@@ -63,9 +70,23 @@ def filled_at(nodes: Float32Array, holes: Holes, at: int) -> float:
             low = middle + 1
         else:
             high = middle
-    if low > 0 and at < holes.hole_end[low - 1]:
-        return holes.hole_ceiling[low - 1]
-    return height
+    return low - 1
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def filled_at(nodes: Float32Array, holes: Holes, at: int) -> float:
+    """Height of the node with flat index `at`, or its ceiling where it is unknown."""
+    height = nodes[at]
+    if height == height:
+        return height
+    run = run_of(holes, at)
+    return holes.ceilings[holes.hole_start[run] + at - holes.hole_first[run]]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def in_outer_hole(nodes: Float32Array, holes: Holes, at: int) -> bool:
+    """Whether the node with flat index `at` belongs to an outer hole."""
+    return nodes[at] != nodes[at] and holes.hole_outer[run_of(holes, at)]
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -128,18 +149,70 @@ def _root(hole: Int64Array, k: int) -> int:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _ceilings(
+def _rims(
     elevation: Float32Array, row: Int64Array, first: Int64Array, end: Int64Array, hole: Int64Array
 ) -> Float64Array:
-    """By the index of `hole`: its highest known neighbour, +inf of one that reaches the raster's edge."""
+    """For each run the highest known neighbour of its hole, +inf of one that reaches the raster's edge."""
     height, width = elevation.shape
-    ceiling = np.full(row.size, -np.inf)
+    rim = np.full(row.size, -np.inf)
     for k in range(row.size):
         if row[k] == 0 or row[k] == height - 1 or first[k] == 0 or end[k] == width:
-            ceiling[hole[k]] = np.inf
+            rim[hole[k]] = np.inf
             continue
         for i in range(row[k] - 1, row[k] + 2):
             for j in range(first[k] - 1, end[k] + 1):
-                if elevation[i, j] > ceiling[hole[k]]:
-                    ceiling[hole[k]] = elevation[i, j]
-    return ceiling
+                if elevation[i, j] > rim[hole[k]]:
+                    rim[hole[k]] = elevation[i, j]
+    return rim[hole]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _lowered(
+    elevation: Float32Array,
+    row: Int64Array,
+    first: Int64Array,
+    end: Int64Array,
+    start: Int64Array,
+    ceilings: Float32Array,
+    straight: np.float32,
+    diagonal: np.float32,
+) -> bool:
+    """Lower the ceilings to their neighbours' plus a step, over the rows downwards and then upwards; whether any fell.
+
+    Repeated until none falls, this gives the least way of steps from known ground to each node (Borgefors, *Distance
+    transformations in digital images*, CVGIP 34, 1986), also around corners.
+    """
+    width = elevation.shape[1]
+    fell = False
+    # Filled heights of the row before and of the row itself, a place wider at both ends.
+    before, here = np.empty(width + 2, np.float32), np.empty(width + 2, np.float32)
+    for step in (1, -1):
+        k = 0 if step == 1 else row.size - 1
+        held = -2
+        while 0 <= k < row.size:
+            i = row[k]
+            if held != i - step:
+                before[:] = np.inf
+                if 0 <= i - step < elevation.shape[0]:
+                    before[1:-1] = elevation[i - step]  # it has no run, else it would be held
+            here[:] = np.inf
+            here[1:-1] = elevation[i]
+            from_run = k
+            while 0 <= k < row.size and row[k] == i:
+                here[1 + first[k] : 1 + end[k]] = ceilings[start[k] : start[k] + end[k] - first[k]]
+                k += step
+            run = from_run
+            while run != k:
+                length = end[run] - first[run]
+                for n in range(length):
+                    along = n if step == 1 else length - 1 - n
+                    j = 1 + first[run] + along
+                    least = min(min(here[j - step], before[j]) + straight, min(before[j - 1], before[j + 1]) + diagonal)
+                    if least < here[j]:
+                        here[j] = least
+                        ceilings[start[run] + along] = least
+                        fell = True
+                run += step
+            before, here = here, before
+            held = i
+    return fell

@@ -44,8 +44,6 @@ class Wedges(NamedTuple):
     """Where a wedge's entries begin."""
     entries: Int32Array
     """How many it has; -1 where it is not built."""
-    outer: Float32Array
-    """Distance at which the wedge first touches an outer hole; +inf where it does not."""
     highest: Float32Array
     """The last of a wedge's tangents; +inf where it is not built."""
     tangent: Float32Array
@@ -61,7 +59,6 @@ def no_wedges() -> Wedges:
         np.zeros(total, np.int64),
         np.full(total, -1, np.int32),
         np.full(total, np.inf, np.float32),
-        np.full(total, np.inf, np.float32),
         np.empty(0, np.float32),
         np.empty(0, np.int32),
     )
@@ -75,20 +72,19 @@ def extended(wedges: Wedges, wanted: Int64Array, ground: TerrainRaster, stage: R
     # Only what is written of the wide scratch ever takes memory.
     tangent = np.empty((missing.size, _MOST_ENTRIES), np.float32)
     node = np.empty((missing.size, _MOST_ENTRIES), np.int32)
-    count, outer, start = wedges.entries.copy(), wedges.outer.copy(), wedges.start.copy()
+    count, start = wedges.entries.copy(), wedges.start.copy()
     found = np.empty(missing.size, np.int32)
-    touched = np.empty(missing.size, np.float32)
-    _walk_wedges(ground, stage, missing, tangent, node, found, touched)
+    _walk_wedges(ground, stage, missing, tangent, node, found)
     begin = wedges.tangent.size + np.concatenate([[0], np.cumsum(found, dtype=np.int64)])
-    count[missing], outer[missing], start[missing] = found, touched, begin[:-1]
+    count[missing], start[missing] = found, begin[:-1]
     tangents = np.empty(begin[-1], np.float32)
     nodes = np.empty(begin[-1], np.int32)
     tangents[: wedges.tangent.size], nodes[: wedges.node.size] = wedges.tangent, wedges.node
     _compact(tangent, node, begin, tangents, nodes)
     highest = wedges.highest.copy()
-    # A wedge wholly over an outer hole has no entry.
+    # A wedge that never comes over this stage's part has no entry.
     highest[missing] = np.where(found > 0, tangents[np.maximum(begin[1:] - 1, 0)], -np.inf)
-    return Wedges(start, count, outer, highest, tangents, nodes)
+    return Wedges(start, count, highest, tangents, nodes)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -113,19 +109,16 @@ def _walk_wedges(
     tangent: Float32Array,
     node: Int32Array,
     count: Int32Array,
-    outer: Float32Array,
 ) -> None:
     tasks = (wanted.size + 15) // 16
     for task in prange(tasks):
         for k in range(task * 16, min(task * 16 + 16, wanted.size)):
-            count[k], outer[k] = _walk_wedge(ground, stage, wanted[k], tangent[k], node[k])
+            count[k] = _walk_wedge(ground, stage, wanted[k], tangent[k], node[k])
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _walk_wedge(
-    ground: TerrainRaster, stage: RasterStage, index: int, tangent: Float32Array, node: Int32Array
-) -> tuple[int, float]:
-    """Fill the entries of one wedge; returns their number and the distance of the first outer hole."""
+def _walk_wedge(ground: TerrainRaster, stage: RasterStage, index: int, tangent: Float32Array, node: Int32Array) -> int:
+    """Fill the entries of one wedge; returns their number."""
     oz, bend = stage.oz, stage.bend
     face = index // WEDGES_A_FACE
     wedge = index - face * WEDGES_A_FACE
@@ -144,7 +137,6 @@ def _walk_wedge(
 
     highest = -np.inf
     entries = 0
-    first_outer = np.inf
     begin = _least_exit(stage, along_x, forward, t0, t1) if stage.part == AFTER else 0.0
     cell = min(max(math.floor(o_major + sign * begin), 0), n_major - 1)
     level = 0
@@ -164,11 +156,11 @@ def _walk_wedge(
             continue
         j0 = min(max(math.floor(m_low), 0), n_minor - 1)
         j1 = min(math.floor(m_high), n_minor - 1)
-        h, any_outer = _highest(ground, along_x, level, low, j0, j1)
+        h = _highest(ground, along_x, level, low, j0, j1)
         rise = h - oz
         t = rise / (d0 if rise >= 0.0 else d1) - drop * (d0 if bend >= 0.0 else d1)
-        if h > -np.inf and not t <= highest:
-            if level > 0 and (h == np.inf or d0 < _FINE_CELLS * level):
+        if not t <= highest:
+            if level > 0 and d0 < _FINE_CELLS * level:
                 level = level - 1 if level > LEAF else 0
                 continue
             highest = t + abs(t) * _RELATIVE + _ABSOLUTE
@@ -177,14 +169,12 @@ def _walk_wedge(
                 entries += 1
             tangent[entries - 1] = np.float32(highest)
             highest = float(tangent[entries - 1])
-        if any_outer and d0 < first_outer:
-            first_outer = d0
         block = low >> level
         cell = high if forward else low - 1
         above = 1 if level > 0 else LEAF
         if ((cell >> level) ^ block) >> above != 0 and level + above < levels:
             level += above
-    return entries, first_outer
+    return entries
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -204,13 +194,9 @@ def _least_exit(stage: RasterStage, along_x: bool, forward: bool, t0: float, t1:
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _highest(ground: TerrainRaster, along_x: bool, level: int, major: int, j0: int, j1: int) -> tuple[float, bool]:
-    """Bound on the ground in a strip at cell `major`, minor cells j0 to j1; -inf where all of it is an outer hole.
-
-    Also whether an outer hole is among it.
-    """
+def _highest(ground: TerrainRaster, along_x: bool, level: int, major: int, j0: int, j1: int) -> float:
+    """Bound on the ground, known or possible, in a strip at cell `major`, minor cells j0 to j1."""
     highest = -np.inf
-    any_outer = False
     if level == 0:
         step, across = (ground.width, 1) if along_x else (1, ground.width)
         at = j0 * step + major * across
@@ -224,28 +210,20 @@ def _highest(ground: TerrainRaster, along_x: bool, level: int, major: int, j0: i
             unknown = unknown or near + far != near + far
             at += step
         if not unknown:
-            return float(top), False
+            return float(top)
         at = first
         for _ in range(j1 - j0 + 2):
             for node in (at, at + across):
-                h = filled_at(ground.nodes, ground, node)
-                if h > highest:
-                    highest = float(h)
-                elif h != h:
-                    any_outer = True
+                highest = max(highest, float(filled_at(ground.nodes, ground, node)))
             at += step
-        return highest, any_outer
+        return highest
     step, across = (ground.widths[level], 1) if along_x else (1, ground.widths[level])
     first, last = j0 >> level, j1 >> level
     at = ground.offsets[level] + first * step + (major >> level) * across
     for _ in range(last - first + 1):
-        bound = ground.bounds[at]
-        if bound > highest:
-            highest = float(bound)
-        elif bound != bound:
-            any_outer = True
+        highest = max(highest, float(ground.bounds[at]))
         at += step
-    return highest, any_outer
+    return highest
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]

@@ -5,22 +5,27 @@ with its neighbours too, so the bilinear surface over the block never rises abov
 is LEAF; from there tracers go straight to single cells (level 0) and read the nodes. All levels lie in one flat array,
 which adds a twelfth to the memory of the elevations.
 
-A bound is the highest node (or ceiling of an enclosed hole), +inf where the block holds some outer hole and must be
-opened, or NaN where all its cells are outer holes, so that it can be crossed in one step (see `holes`).
+A bound is the highest node, or ceiling of a node in a hole (see `holes`). Where the raster has outer holes, it is known
+besides of each block whether its cells belong to them: a camera outside the DEM sees through those.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from ltm_core.tracing.holes import Holes, filled_at
-from ltm_core.types import Float32Array, Int64Array
+from ltm_core.tracing.holes import Holes, filled_at, in_outer_hole
+from ltm_core.types import Float32Array, Int64Array, UInt8Array
 
 LEAF = 2
 """The lowest level stored: level 1 alone would cost a quarter of the elevations' memory, and saves little time."""
+
+
+WITHIN, MIXED, OUTSIDE = 0, 1, 2
+"""Of a block: none, some or all of its cells are outer holes."""
 
 
 class MaximumPyramid(NamedTuple):
@@ -33,6 +38,8 @@ class MaximumPyramid(NamedTuple):
     bounds: Float32Array
     offsets: Int64Array
     widths: Int64Array
+    outside: UInt8Array
+    """WITHIN, MIXED or OUTSIDE, in the order of `bounds`; empty where the raster has no outer hole."""
 
     @property
     def top_level(self) -> int:
@@ -51,12 +58,19 @@ def build_pyramid(nodes: Float32Array, holes: Holes) -> MaximumPyramid:
         if len(heights) > LEAF:
             total += heights[-1] * widths[-1]
     bounds = np.empty(total, dtype=np.float32)
-    _bounds_from_nodes(nodes, holes, bounds[: heights[LEAF] * widths[LEAF]].reshape(heights[LEAF], widths[LEAF]))
+    outside = np.empty(total if holes.hole_outer.any() else 0, dtype=np.uint8)
+
+    def blocks(of: NDArray[Any], level: int) -> NDArray[Any]:
+        return of[offsets[level] :][: heights[level] * widths[level]].reshape(heights[level], widths[level])
+
+    _bounds_from_nodes(nodes, holes, blocks(bounds, LEAF))
+    if outside.size:
+        _outside_from_nodes(nodes, holes, blocks(outside, LEAF))
     for level in range(LEAF + 1, len(heights)):
-        below = bounds[offsets[level - 1] : offsets[level]].reshape(heights[level - 1], widths[level - 1])
-        here = bounds[offsets[level] : offsets[level] + heights[level] * widths[level]]
-        _bounds_from_bounds(below, here.reshape(heights[level], widths[level]))
-    return MaximumPyramid(bounds, np.array(offsets, dtype=np.int64), np.array(widths, dtype=np.int64))
+        _bounds_from_bounds(blocks(bounds, level - 1), blocks(bounds, level))
+        if outside.size:
+            _outside_from_blocks(blocks(outside, level - 1), blocks(outside, level))
+    return MaximumPyramid(bounds, np.array(offsets, dtype=np.int64), np.array(widths, dtype=np.int64), outside)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -70,52 +84,51 @@ def _bounds_from_nodes(nodes: Float32Array, holes: Holes, bounds: Float32Array) 
         for j in range(bounds.shape[1]):
             col0, col_end = size * j, min(size * (j + 1), n_cols - 1)
             highest = np.float32(-np.inf)
-            any_outer = False
             for row in range(row0, row_end + 1):
                 for col in range(col0, col_end + 1):
                     node = nodes[row, col]
                     if node > highest:
                         highest = node
                     elif node != node:
-                        ceiling = filled_at(flat, holes, row * n_cols + col)
-                        highest = max(highest, ceiling) if ceiling == ceiling else highest
-                        any_outer = any_outer or ceiling != ceiling
-            if any_outer:
-                all_outer = _all_cells_outer(nodes, holes, row0, row_end, col0, col_end)
-                highest = np.float32(np.nan) if all_outer else np.float32(np.inf)
+                        highest = max(highest, filled_at(flat, holes, row * n_cols + col))
             bounds[i, j] = highest
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _all_cells_outer(nodes: Float32Array, holes: Holes, row0: int, row_end: int, col0: int, col_end: int) -> bool:
-    width, flat = nodes.shape[1], nodes.ravel()
-    for row in range(row0, row_end):
-        for col in range(col0, col_end):
-            at = row * width + col
-            north = filled_at(flat, holes, at) + filled_at(flat, holes, at + 1)
-            south = filled_at(flat, holes, at + width) + filled_at(flat, holes, at + width + 1)
-            if not np.isnan(north + south):
-                return False
-    return True
+def _outside_from_nodes(nodes: Float32Array, holes: Holes, outside: UInt8Array) -> None:
+    """Level LEAF: a cell is an outer hole where one of its nodes belongs to one."""
+    n_rows, n_cols = nodes.shape
+    flat = nodes.ravel()
+    size = 1 << LEAF
+    for i in range(outside.shape[0]):
+        row0, row_end = size * i, min(size * (i + 1), n_rows - 1)
+        for j in range(outside.shape[1]):
+            col0, col_end = size * j, min(size * (j + 1), n_cols - 1)
+            count = 0
+            for row in range(row0, row_end):
+                for col in range(col0, col_end):
+                    at = row * n_cols + col
+                    count += (
+                        in_outer_hole(flat, holes, at)
+                        or in_outer_hole(flat, holes, at + 1)
+                        or in_outer_hole(flat, holes, at + n_cols)
+                        or in_outer_hole(flat, holes, at + n_cols + 1)
+                    )
+            every = (row_end - row0) * (col_end - col0)
+            outside[i, j] = WITHIN if count == 0 else OUTSIDE if count == every else MIXED
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _bounds_from_bounds(below: Float32Array, bounds: Float32Array) -> None:
     """A level from the one below: the maximum of up to 2 x 2 blocks."""
     for i in range(bounds.shape[0]):
-        row_end = min(2 * i + 2, below.shape[0])
         for j in range(bounds.shape[1]):
-            col_end = min(2 * j + 2, below.shape[1])
-            highest = np.float32(-np.inf)
-            outer = 0
-            for row in range(2 * i, row_end):
-                for col in range(2 * j, col_end):
-                    bound = below[row, col]
-                    if bound > highest:
-                        highest = bound
-                    elif bound != bound:
-                        outer += 1
-            if outer > 0:
-                every = (row_end - 2 * i) * (col_end - 2 * j)
-                highest = np.float32(np.nan) if outer == every else np.float32(np.inf)
-            bounds[i, j] = highest
+            bounds[i, j] = below[2 * i : 2 * i + 2, 2 * j : 2 * j + 2].max()
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _outside_from_blocks(below: UInt8Array, outside: UInt8Array) -> None:
+    for i in range(outside.shape[0]):
+        for j in range(outside.shape[1]):
+            part = below[2 * i : 2 * i + 2, 2 * j : 2 * j + 2]
+            outside[i, j] = part.max() if part.max() == part.min() else MIXED

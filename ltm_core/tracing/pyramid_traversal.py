@@ -19,9 +19,9 @@ import numpy as np
 from numba import njit, prange
 
 from ltm_core.tracing.cell_intersection import FASTMATH, clearance, first_root, meets, ray_height, surface
-from ltm_core.tracing.holes import filled_at
-from ltm_core.tracing.pyramid import LEAF
-from ltm_core.types import Float32Array, Float64Array, Int64Array
+from ltm_core.tracing.holes import filled_at, in_outer_hole
+from ltm_core.tracing.pyramid import LEAF, MIXED, OUTSIDE, WITHIN
+from ltm_core.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 
 # Below this a ray is taken to be plumb: 10 km down it is then off by 10 micrometres.
 PLUMB_SINE = 1e-9
@@ -33,22 +33,29 @@ _TASKS = 128
 
 
 class TerrainRaster(NamedTuple):
-    """One DEM raster as the kernels take it: nodes, enclosed holes and maximum pyramid."""
+    """One DEM raster as the kernels take it: nodes, holes and maximum pyramid."""
 
     nodes: Float32Array
     """(height * width) elevations, row-major, NaN in holes."""
     hole_first: Int64Array
-    """The enclosed `Holes` among them, as are the next two."""
+    """The `Holes` among them, as are the next four."""
     hole_end: Int64Array
-    hole_ceiling: Float32Array
+    hole_outer: BoolArray
+    hole_start: Int64Array
+    ceilings: Float32Array
     width: int
     height: int
     bounds: Float32Array
-    """The `MaximumPyramid` of the nodes, as are the next two."""
+    """The `MaximumPyramid` of the nodes, as are the next three."""
     offsets: Int64Array
     widths: Int64Array
+    outside: UInt8Array
     top: float
-    """The highest elevation of this raster and the coarser ones around it."""
+    """No ground of this raster, the coarser ones around it, or beyond them, is higher."""
+    rise: float
+    """The most that unknown ground rises over a cell, metres."""
+    highest: float
+    """No ground outside the DEM is higher."""
 
 
 WHOLE, BEFORE, AFTER = 0, 1, 2
@@ -85,9 +92,7 @@ class RasterStage(NamedTuple):
 FRESH = -1.0
 """Nothing known."""
 OVER_KNOWN = -2.0
-"""Known ground, and no outer hole since."""
-LOST = -3.0
-"""Known ground, and then an outer hole: what it meets from now on may be hidden by ground that is not known."""
+"""Known ground."""
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
@@ -136,20 +141,30 @@ def stretch(stage: RasterStage, cx: float, cy: float) -> tuple[float, float]:
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
-def finished(stage: RasterStage, cx: float, cy: float, s: float, bend: float, q: float) -> float:
-    """The answer of the last stage: what a ray that has met nothing gives, +inf where it leaves climbing, else NaN."""
+def finished(ground: TerrainRaster, stage: RasterStage, cx: float, cy: float, s: float, bend: float, q: float) -> float:
+    """The answer of the last stage: what a ray that has met nothing gives, +inf where it leaves climbing and above all
+    ground that may lie ahead, else NaN.
+    """
     if not (stage.last and q < 0.0):
         return q
     if bend >= 0.0:
-        if s >= 0.0:
+        if s >= 0.0 and stage.oz > ground.highest:
             return np.inf
         farthest = max(abs(stage.east), abs(stage.west)) + max(abs(stage.south), abs(stage.north))
-        if s + 2.0 * bend * farthest < 0.0:
+        if s < 0.0 and s + 2.0 * bend * farthest < 0.0:
             return np.nan
-    q_in, q_out = over_raster(stage, cx, cy)
-    if q_in > q_out:
-        return np.inf if s >= 0.0 else np.nan
-    return np.inf if s + 2.0 * bend * q_out >= 0.0 else np.nan
+    leaves = over_raster(stage, cx, cy)[1] if q == OVER_KNOWN else 0.0
+    if s + 2.0 * bend * leaves < 0.0:
+        return np.nan
+    if ray_height(stage.oz, s, bend, leaves) > ground.highest:
+        return np.inf
+    # Where nothing is known, the ground is below the camera at least.
+    below = filled_height_at(ground, stage.ox + cx * leaves, stage.oy + cy * leaves) if leaves > 0.0 else stage.oz
+    rise = ground.rise * math.sqrt(cx * cx + cy * cy)
+    reaches = leaves + max(ground.highest - below, 0.0) / rise
+    # How far the ray stays above a line that rises from there, up to where possible ground is as high as it gets.
+    clear = lowest(stage.oz, s - rise, bend, leaves, reaches) - (below - rise * leaves)
+    return np.inf if clear >= 0.0 else np.nan
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
@@ -165,14 +180,14 @@ def hit_between(
     state: float,
     level: int,
 ) -> float:
-    """Range q to the first hit from `start` to `end`, in lengths of (cx, cy); +inf for sky, NaN for unknown, and the
-    ray's state where it has met nothing.
+    """Range q to the first hit from `start` to `end`, in lengths of (cx, cy); +inf for sky, NaN where it meets possible
+    ground, and the ray's state where it has met nothing.
 
     `bend`: the stage's, or that for lengths other than a cell; `state`: that at `start`; `level`: that of the first
     block looked at.
     """
     nodes, width, height, top = ground.nodes, ground.width, ground.height, ground.top
-    bounds, offsets, widths = ground.bounds, ground.offsets, ground.widths
+    bounds, offsets, widths, outsides = ground.bounds, ground.offsets, ground.widths, ground.outside
     ox, oy, oz = stage.ox, stage.oy, stage.oz
     if start > end:
         return state
@@ -191,7 +206,6 @@ def hit_between(
     iy = min(max(math.floor(oy + cy * q), 0), y_last - 1)
     level = min(level, offsets.size - 1) if level >= LEAF else 0
     entered = state != FRESH
-    lost = state == LOST
     while True:
         above = 1 if level > 0 else LEAF
         bx = ix >> level
@@ -205,15 +219,14 @@ def hit_between(
         q_exit = min(max(min(q_x, q_y), q), end)
         z_exit = ray_height(oz, s, bend, q_exit)
         if level > 0:
-            bound = bounds[np.uint64(offsets[level] + by * widths[level] + bx)]
+            block = np.uint64(offsets[level] + by * widths[level] + bx)
             dq = q_exit - q
-            if min(z, z_exit) - sag * dq * dq > bound:
+            outside = WITHIN if entered or outsides.size == 0 else outsides[block]
+            if outside != OUTSIDE:
+                if outside == MIXED or not min(z, z_exit) - sag * dq * dq > bounds[block]:
+                    level = level - 1 if level > LEAF else 0
+                    continue
                 entered = True
-            elif bound != bound:
-                lost = lost or (entered and dq > TOUCH)
-            else:
-                level = level - 1 if level > LEAF else 0
-                continue
         else:
             at = np.uint64(iy * width + ix)
             below = np.uint64(at + np.uint64(width))
@@ -228,21 +241,18 @@ def hit_between(
                 dq = q_exit - q
                 f0, f1, a = clearance(z, s, bend, q, cx, cy, h00, b, e, g, u, v)
                 if f0 <= 0.0:
-                    return np.nan if lost or (not entered and f0 < 0.0) else q
+                    return np.nan if not entered and f0 < 0.0 else q
                 if meets(f0, f1, a, dq):
-                    return np.nan if lost else q + first_root(f0, f1, a, dq)
+                    return q + first_root(f0, f1, a, dq)
                 entered = True
             elif q_exit - q > TOUCH:
                 north = iy * width + ix
-                ceiling = cell_ceiling(ground, north)
-                if ceiling != ceiling:
-                    lost = lost or entered
-                elif lowest(oz, s, bend, q, q_exit) <= ceiling:
-                    return np.nan
-                else:
+                if entered or not outside_cell(ground, north):
+                    if lowest(oz, s, bend, q, q_exit) <= cell_ceiling(ground, north):
+                        return np.nan
                     entered = True
 
-        if climbs_on and z_exit > top and s + 2.0 * bend * q_exit >= 0.0:
+        if climbs_on and entered and z_exit > top and s + 2.0 * bend * q_exit >= 0.0:
             return np.inf
         if q_exit >= end:
             break
@@ -263,21 +273,25 @@ def hit_between(
             if ((iy >> level) ^ by) >> above != 0:
                 level += above
         level = min(level, offsets.size - 1)
-    if lost:
-        return LOST
     return OVER_KNOWN if entered else FRESH
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def cell_ceiling(ground: TerrainRaster, at: int) -> float:
-    """Ceiling of the cell whose north-west node is `at`; NaN where it belongs to an outer hole."""
+    """The highest that the ground may be in the cell whose north-west node is `at`."""
     highest = -np.inf
     for node in (at, at + 1, at + ground.width, at + ground.width + 1):
-        h = filled_at(ground.nodes, ground, node)
-        if h != h:
-            return np.nan
-        highest = max(highest, float(h))
+        highest = max(highest, float(filled_at(ground.nodes, ground, node)))
     return highest
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def outside_cell(ground: TerrainRaster, at: int) -> bool:
+    """Whether the cell whose north-west node is `at` is an outer hole."""
+    for node in (at, at + 1, at + ground.width, at + ground.width + 1):
+        if in_outer_hole(ground.nodes, ground, node):
+            return True
+    return False
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
@@ -306,6 +320,21 @@ def height_at(ground: TerrainRaster, x: float, y: float) -> float:
     g = nodes[at + width + 1] - float(nodes[at + width]) - b
     h: float = h00 + b * u + v * (e + g * u)
     return h
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def filled_height_at(ground: TerrainRaster, x: float, y: float) -> float:
+    """Bilinear height at the nearest grid position on the raster to (x, y), ceilings where it is unknown."""
+    x = min(max(x, 0.0), ground.width - 1.0)
+    y = min(max(y, 0.0), ground.height - 1.0)
+    ix = min(int(x), ground.width - 2)
+    iy = min(int(y), ground.height - 2)
+    at = iy * ground.width + ix
+    u, v = x - ix, y - iy
+    north = (1.0 - u) * filled_at(ground.nodes, ground, at) + u * filled_at(ground.nodes, ground, at + 1)
+    at += ground.width
+    south = (1.0 - u) * filled_at(ground.nodes, ground, at) + u * filled_at(ground.nodes, ground, at + 1)
+    return (1.0 - v) * north + v * south
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH, parallel=True, nogil=True)  # type: ignore[untyped-decorator]
@@ -349,5 +378,5 @@ def trace_directions(
                     cx, cy = _normal(cx), _normal(cy)
                     start, end = stretch(stage, cx, cy)
                     q = hit_between(ground, stage, cx, cy, s, stage.bend, start, end, state, START_LEVEL)
-                    q = finished(stage, cx, cy, s, stage.bend, q)
+                    q = finished(ground, stage, cx, cy, s, stage.bend, q)
                     out[k] = q * stage.resolution / across if q >= 0.0 else q

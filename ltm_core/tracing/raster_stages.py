@@ -14,7 +14,8 @@ from numba import njit
 
 from ltm_core.dem import Dem
 from ltm_core.errors import RasterError
-from ltm_core.tracing.holes import filled_at, find_holes
+from ltm_core.tracing.holes import filled_at, find_holes, in_outer_hole
+from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.tracing.pyramid import build_pyramid
 from ltm_core.tracing.pyramid_traversal import AFTER, BEFORE, WHOLE, RasterStage, TerrainRaster
 from ltm_core.types import Float32Array, Float64Array
@@ -29,21 +30,25 @@ class _Window(NamedTuple):
     south: float
 
 
-def grounds(dem: Dem) -> tuple[TerrainRaster, ...]:
-    """What the kernels know of each level, finest first. Raises RasterError for infinite heights."""
+def grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
+    """What the kernels know of each level, finest first, and of unknown ground. Raises RasterError for infinite
+    heights.
+    """
     made: list[TerrainRaster] = []
-    top = -np.inf
+    highest = possible.limit(max(float(np.fmax.reduce(level.elevation, axis=None)) for level in dem.levels))
+    top = highest
     for level in reversed(dem.levels):
         elevation = level.elevation
         infinite = _first_infinite(elevation)
         if infinite >= 0:
             row, col = divmod(infinite, elevation.shape[1])
             raise RasterError(f"the DEM is infinite at row {row}, column {col}; mark unknown heights as nodata (NaN)")
-        holes = find_holes(elevation)
+        rise = possible.steepest * level.geometry.resolution
+        holes = find_holes(elevation, rise, highest)
         pyramid = build_pyramid(elevation, holes)
         height, width = elevation.shape
         top = max(top, float(np.fmax.reduce(elevation, axis=None)))
-        made.append(TerrainRaster(elevation.ravel(), *holes, width, height, *pyramid, top))
+        made.append(TerrainRaster(elevation.ravel(), *holes, width, height, *pyramid, top, rise, highest))
     return tuple(reversed(made))
 
 
@@ -72,15 +77,18 @@ def stages(dem: Dem, position: Float64Array, bend: float) -> list[tuple[int, Ras
 
 
 def filled_corners(dem: Dem, ground: TerrainRaster, position: Float64Array) -> Float32Array | None:
-    """Heights of the four nodes around a position over one raster, with the ceilings of enclosed holes; None where it
-    is not over the raster.
+    """Heights of the four nodes around a position over one raster, with the ceilings of enclosed holes and NaN in outer
+    ones; None where it is not over the raster.
     """
     if not _is_inside(_window(dem, position)):
         return None
     row, col = (float(v) for v in dem.geometry.to_grid(position[0], position[1]))
     at = min(int(row), ground.height - 2) * ground.width + min(int(col), ground.width - 2)
     nodes = (at, at + 1, at + ground.width, at + ground.width + 1)
-    return np.array([filled_at(ground.nodes, ground, node) for node in nodes], np.float32)
+    return np.array(
+        [np.nan if in_outer_hole(ground.nodes, ground, n) else filled_at(ground.nodes, ground, n) for n in nodes],
+        np.float32,
+    )
 
 
 def _window(dem: Dem, position: Float64Array) -> _Window:

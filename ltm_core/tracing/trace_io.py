@@ -22,6 +22,7 @@ from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
 from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.site import CalibrationConfig, Config
+from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.types import UInt8Array, UInt32Array
 
 
@@ -41,6 +42,8 @@ class PlaceConfig(Config):
     camera: CalibrationConfig
     curvature: bool = True
     refraction: float = Field(0.13, ge=0, lt=1)
+    possible_ground: PossibleGround = PossibleGround()
+    """How high the ground may be where the DEM does not know it."""
 
     @model_validator(mode="after")
     def _one_height(self) -> Self:
@@ -77,8 +80,7 @@ def set_up_picture(config: PictureConfig, dem: Dem, surveyed: bool = True) -> Pi
     """Place the camera of `config` on `dem`, which is in a CRS.
 
     `surveyed`: the position is right, not where a search starts. Raises PoseError for a surveyed camera under the
-    ground, and where the ground under one that is given above it is not known;
-    ConfigError for a CRS that is none.
+    ground, and where the ground under one that is given above it is not known; ConfigError for a CRS that is none.
     """
     crs = dem.geometry.crs
     if crs is None:

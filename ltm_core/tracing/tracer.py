@@ -8,17 +8,19 @@ it.
 at the camera and bend = (1 - k) / 2R (`geodesy.ray_bend`). Slant range is r sqrt(1 + s^2).
 
 **The ground.** The surface is bilinear in each cell between four DEM cell centres. A cell with a nodata corner is a
-hole: an *enclosed* one is taken to be no higher than its ceiling, the highest known centre around it; an *outer* one,
-which reaches the raster's edge, is outside the DEM (see `holes`).
+hole, of unknown ground. Unknown ground, in holes and beyond the raster, is no steeper than `steepest` from known ground
+and outside the DEM no higher than `highest` (`possible_ground`); in a hole that known ground surrounds, it is no higher
+than that (see `holes`). In a hole's cell it is as high as the highest of the four corners may be.
 
 **The answer** for a ray is
 
 * the range to the first point where it is on or below known ground;
-* NaN (unknown) if, before that, it passes an enclosed hole at or below its ceiling, or crosses an outer hole after it
-  has been over known ground; and NaN if it comes into known ground from outside the DEM already below the surface;
-* +inf (sky) if it meets no ground and leaves the raster while it climbs against the local horizon (s + 2 bend r >=
-  0), since nothing known blocks it; NaN if it leaves while it descends, since it will meet ground that is not in the
-  DEM. A ray that never comes over the raster is judged by its slope at the camera.
+* NaN (unknown) if, before that but after it has been over known ground, it comes as low as unknown ground may be high;
+  and NaN if it comes into known ground from outside the DEM already below the surface;
+* +inf (sky) if it meets no ground and leaves the raster while it climbs against the local horizon (s + 2 bend r >= 0)
+  and above all that unknown ground may be, there and ahead: from the place where it leaves, as high as the ground may
+  be there, this rises by `steepest` up to `highest`. Else NaN. A ray that has never been over known ground is judged at
+  the camera, where unknown ground is no higher than the camera.
 
 A camera may stand outside the DEM: space between it and the first known ground counts as free.
 
@@ -45,6 +47,7 @@ from ltm_core.range_image import RangeImage
 from ltm_core.tracing.caches import BoundedCache, TracerStatistics
 from ltm_core.tracing.column_sweep import sweep_image
 from ltm_core.tracing.horizon_profile import SECTOR, WEDGES_A_FACE, Wedges, extended, mark_sectors, no_wedges
+from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.tracing.pyramid_traversal import FRESH, OVER_KNOWN, trace_directions
 from ltm_core.tracing.raster_stages import filled_corners, grounds, stages
 from ltm_core.types import Float32Array, Float64Array
@@ -69,14 +72,22 @@ class TerrainTracer:
         dem: the terrain, in the frame of the poses. Adds a twelfth of its elevations' memory.
         curvature: bend rays for the earth's curvature and refraction.
         refraction: coefficient k; 0.13 is the surveyors' daytime mean.
+        possible: how high the ground may be where the DEM does not know it.
 
     Raises RasterError for a DEM with infinite heights.
     """
 
-    def __init__(self, dem: Dem, curvature: bool = True, refraction: float = 0.13) -> None:
+    def __init__(
+        self,
+        dem: Dem,
+        curvature: bool = True,
+        refraction: float = 0.13,
+        possible: PossibleGround = PossibleGround(),
+    ) -> None:
         self.dem = dem
         self.bend = ray_bend(curvature, refraction)
-        self._grounds = grounds(dem)
+        self.possible = possible
+        self._grounds = grounds(dem, possible)
         self._profiles = BoundedCache[Profile](PROFILE_BYTES, lambda levels: sum(a.nbytes for w in levels for a in w))
         self._frames = BoundedCache[Float32Array](FRAME_BYTES, lambda ranges: ranges.nbytes)
         self._counts = TracerStatistics()

@@ -51,7 +51,7 @@ def seen_cells(
         counts = form_counts(votes.counts, forms)
         pixels = counts.sum(axis=1)
         votes, counts, pixels = votes.only(pixels > 0), counts[pixels > 0], pixels[pixels > 0]
-        assert votes.visibility is not None
+        assert votes.visibility is not None  # nosec B101 # tells the type checker what holds
         rows, cols = votes.rows.astype(np.int64), votes.cols.astype(np.int64)
         seen = what_is_seen(rows, cols, counts / pixels[:, None], votes.visibility.bearing, votes.confidence)
         true = truth[rows, cols].astype(np.int64) - 1

@@ -14,13 +14,20 @@ import math
 import numpy as np
 from numba import njit
 
-from ltm_core.tracing.pyramid import LEAF
-from ltm_core.tracing.pyramid_traversal import TOUCH, RasterStage, TerrainRaster, cell_ceiling, height_at, stretch
+from ltm_core.tracing.pyramid import LEAF, MIXED, OUTSIDE, WITHIN
+from ltm_core.tracing.pyramid_traversal import (
+    TOUCH,
+    RasterStage,
+    TerrainRaster,
+    cell_ceiling,
+    height_at,
+    outside_cell,
+    stretch,
+)
 from ltm_core.types import Float64Array, UInt8Array
 
-BY_CEILING, LEFT_KNOWN, OVER_KNOWN, BEYOND = 1, 2, 4, 8
-"""What a way has come to: an enclosed hole's ceiling stands highest; an outer hole after known ground; known ground;
-the terrain ends before the target."""
+BY_CEILING, OVER_KNOWN, BEYOND = 1, 2, 4
+"""What a way has come to: a hole's ceiling stands highest; known ground; the terrain ends before the target."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -49,7 +56,9 @@ def raise_slopes(
                     slopes[k] = max(0.0, ground_height - z)
                     came_to[k] |= OVER_KNOWN
             continue
-        slope, found = blocking_slope(ground, stage, dx / q, dy / q, q, slopes[k] * stage.resolution)
+        slope, found = blocking_slope(
+            ground, stage, dx / q, dy / q, q, slopes[k] * stage.resolution, came_to[k] & OVER_KNOWN > 0
+        )
         if slope > slopes[k] * stage.resolution:
             came_to[k] &= np.uint8(255 - BY_CEILING)
         slopes[k] = slope / stage.resolution
@@ -58,10 +67,10 @@ def raise_slopes(
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def blocking_slope(
-    ground: TerrainRaster, stage: RasterStage, cx: float, cy: float, q_end: float, least: float
+    ground: TerrainRaster, stage: RasterStage, cx: float, cy: float, q_end: float, least: float, over_known: bool
 ) -> tuple[float, np.uint8]:
     """The greatest slope f(q) of the ground over the stage's part of 0 < q <= q_end, or `least` if that is greater; and
-    what the way has come to there.
+    what the way has come to there. `over_known`: it has been over known ground before; outer holes are free until then.
     """
     nodes, bounds, height, width = ground.nodes, ground.bounds, ground.height, ground.width
     ox, oy, oz, bend = stage.ox, stage.oy, stage.oz, stage.bend
@@ -76,7 +85,7 @@ def blocking_slope(
     j = min(max(math.floor(ox + cx * q), 0), width - 2)
     i = min(max(math.floor(oy + cy * q), 0), height - 2)
     best = least
-    by_ceiling = left_known = over_known = False
+    by_ceiling = False
     level = min(LEAF, top_level)
     while True:
         i0, j0 = (i >> level) << level, (j >> level) << level
@@ -87,14 +96,13 @@ def blocking_slope(
         q_y = (y_edge - oy) * inv_cy if cy != 0 else np.inf
         q_exit = max(q, min(q_x, q_y, q_out))
         if level > 0:
-            bound = bounds[ground.offsets[level] + (i >> level) * ground.widths[level] + (j >> level)]
-            if bound == bound and _slope_below(bound, oz, bend, q, q_exit) > best:
-                level = level - 1 if level > LEAF else 0
-                continue
-            if bound == bound:
+            block = ground.offsets[level] + (i >> level) * ground.widths[level] + (j >> level)
+            outside = WITHIN if over_known or ground.outside.size == 0 else ground.outside[block]
+            if outside != OUTSIDE:
+                if outside == MIXED or _slope_below(bounds[block], oz, bend, q, q_exit) > best:
+                    level = level - 1 if level > LEAF else 0
+                    continue
                 over_known = True
-            elif over_known and q_exit - q > TOUCH:
-                left_known = True
         else:
             at = i * width + j
             a, b = np.float64(nodes[at]), np.float64(nodes[at + 1])
@@ -104,15 +112,11 @@ def blocking_slope(
                 slope = _cell_slope(a, b, c, d, ox - j, oy - i, oz, cx, cy, q, q_exit, bend)
                 if slope > best:
                     best, by_ceiling = slope, False
-            elif q_exit - q > TOUCH:
-                ceiling = cell_ceiling(ground, at)
-                if ceiling != ceiling:
-                    left_known = left_known or over_known
-                else:
-                    over_known = True
-                    slope = _slope_below(ceiling, oz, bend, q, q_exit)
-                    if slope > best:
-                        best, by_ceiling = slope, True
+            elif q_exit - q > TOUCH and (over_known or not outside_cell(ground, at)):
+                over_known = True
+                slope = _slope_below(cell_ceiling(ground, at), oz, bend, q, q_exit)
+                if slope > best:
+                    best, by_ceiling = slope, True
         if q_exit >= q_out:
             break
         # The next cell follows from the whole coordinate of the edge, the other one never runs backwards.
@@ -131,8 +135,8 @@ def blocking_slope(
             level = min(level + 1, top_level)
         elif i >> LEAF != i0 >> LEAF or j >> LEAF != j0 >> LEAF:
             level = min(LEAF, top_level)
-    found = (BY_CEILING if by_ceiling else 0) | (LEFT_KNOWN if left_known else 0)
-    return best, np.uint8(found | (OVER_KNOWN if over_known else 0) | (BEYOND if beyond else 0))
+    found = (BY_CEILING if by_ceiling else 0) | (OVER_KNOWN if over_known else 0) | (BEYOND if beyond else 0)
+    return best, np.uint8(found)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

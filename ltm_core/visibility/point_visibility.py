@@ -15,10 +15,11 @@ from ltm_core.dem import Dem
 from ltm_core.errors import PoseError
 from ltm_core.geodesy import ray_bend
 from ltm_core.pose import Pose
+from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.tracing.raster_stages import grounds, stages
 from ltm_core.types import BoolArray, Float64Array, UInt8Array
 from ltm_core.visibility.line_of_sight import line_of_sight_vectors
-from ltm_core.visibility.occlusion_kernels import BEYOND, BY_CEILING, LEFT_KNOWN, OVER_KNOWN, raise_slopes
+from ltm_core.visibility.occlusion_kernels import BEYOND, BY_CEILING, OVER_KNOWN, raise_slopes
 
 TOLERANCE = 0.01
 """Metres by which a point may lie too low and still count as visible: a point on the ground is never exactly on it."""
@@ -58,15 +59,21 @@ class PointVisibility:
 
     Args:
         dem: the terrain, in the frame of the points. Adds a twelfth of its elevations' memory.
-        curvature, refraction: as for the tracer.
+        curvature, refraction, possible: as for the tracer.
 
     Raises RasterError for a DEM with infinite heights.
     """
 
-    def __init__(self, dem: Dem, curvature: bool = True, refraction: float = 0.13) -> None:
+    def __init__(
+        self,
+        dem: Dem,
+        curvature: bool = True,
+        refraction: float = 0.13,
+        possible: PossibleGround = PossibleGround(),
+    ) -> None:
         self.dem = dem
         self.bend = ray_bend(curvature, refraction)
-        self._grounds = grounds(dem)
+        self._grounds = grounds(dem, possible)
 
     def lifts(self, origin: ArrayLike, points: ArrayLike) -> tuple[Float64Array, BoolArray]:
         """How far points must be raised to be seen from `origin`, (N,) metres, 0 where they are seen; and where that
@@ -101,7 +108,7 @@ class PointVisibility:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             list(pool.map(work, range(0, len(targets), _CHUNK)))
         lift = np.where(plumb, slopes, (slopes - own) * across)
-        nothing_known = (slopes <= own) & ((came_to & (LEFT_KNOWN | BEYOND) > 0) | (came_to & OVER_KNOWN == 0))
+        nothing_known = (slopes <= own) & ((came_to & BEYOND > 0) | (came_to & OVER_KNOWN == 0))
         nothing_known[plumb] = came_to[plumb] & OVER_KNOWN == 0
         return lift, (came_to & BY_CEILING > 0) | nothing_known | np.isnan(slopes)
 

@@ -80,7 +80,8 @@ def _obtain(manifest: Manifest, part: Path, fetch: bool, progress: Callable[[int
             ) from absent
     try:
         # The manifest takes https and file URLs only.
-        with urllib.request.urlopen(manifest.url, timeout=_TIMEOUT_S) as source, part.open("wb") as out:
+        source = urllib.request.urlopen(manifest.url, timeout=_TIMEOUT_S)  # nosec B310
+        with source, part.open("wb") as out:
             received = 0
             while chunk := source.read(_CHUNK):
                 out.write(chunk)

@@ -69,7 +69,7 @@ class BagWriter:
         if compression not in _COMPRESSIONS:
             raise RecordingError(f"bag compression must be 'zstd' or None, got {compression!r}")
         self.path = Path(path)
-        self.require_free(self.path)
+        _require_absent(self.path)
         self.on_disk: Counter[str] = Counter()
         """Messages by topic that the operating system has, those repeated in a further file left out."""
         self.lost = 0
@@ -92,10 +92,9 @@ class BagWriter:
 
     @staticmethod
     def require_free(path: Path) -> None:
-        """Raises RecordingError unless `path` does not exist or is an empty folder, ConfigError where nothing can be
-        written."""
-        if path.exists() and not (path.is_dir() and not any(path.iterdir())):
-            raise RecordingError(f"cannot write a bag to {path}: it exists already; remove it or name another")
+        """For commands, before their work: raises RecordingError unless `path` does not exist or is an empty folder,
+        ConfigError where nothing can be written just now."""
+        _require_absent(path)
         require_folder(path, "a bag")
 
     @property
@@ -259,7 +258,7 @@ class BagWriter:
     def _abandon(self, error: OSError) -> NoReturn:
         """The disk has failed while the file at hand was written."""
         file = self._file
-        assert file is not None
+        assert file is not None  # nosec B101 # tells the type checker what holds
         record = file.abandon()
         self.lost += file.unsaved
         self._let_go(record)
@@ -279,3 +278,8 @@ class BagWriter:
     def _count(self) -> None:
         if self._file is not None:
             self.on_disk = self._earlier + self._file.saved
+
+
+def _require_absent(path: Path) -> None:
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise RecordingError(f"cannot write a bag to {path}: it exists already; remove it or name another")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import struct
-import subprocess
+import subprocess  # nosec B404 # argument lists, no shell
 import sys
 import tempfile
 import threading
@@ -251,7 +251,7 @@ def _listening() -> Iterator[Listener]:
 @contextmanager
 def _cameras(folder: Path, names: tuple[str, ...], domain_id: int | None) -> Iterator[subprocess.Popen[str]]:
     """The process that sends for all cameras, once they are listened to; it ends when this does."""
-    process = subprocess.Popen(
+    process = subprocess.Popen(  # nosec B603 # no shell, no argument from the wire
         [sys.executable, "-m", "ltm_ros.bench.graph_cameras", str(folder), *names],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -259,7 +259,7 @@ def _cameras(folder: Path, names: tuple[str, ...], domain_id: int | None) -> Ite
         env=ros_environment(domain_id=domain_id, busy=False),
     )
     try:
-        assert process.stdout is not None
+        assert process.stdout is not None  # nosec B101 # tells the type checker what holds
         if process.stdout.readline().strip() != "ready":
             raise LtmError("the cameras of the benchmark found no graph that listens")
         yield process
@@ -269,8 +269,8 @@ def _cameras(folder: Path, names: tuple[str, ...], domain_id: int | None) -> Ite
 
 def _stream(sender: subprocess.Popen[str], frames: int, period: float) -> dict[str, Any]:
     """Have every camera send so many frames, `period` seconds apart: the report."""
-    assert sender.stdin is not None
-    assert sender.stdout is not None
+    assert sender.stdin is not None  # nosec B101 # tells the type checker what holds
+    assert sender.stdout is not None  # nosec B101 # tells the type checker what holds
     sender.stdin.write(json.dumps({"frames": frames, "period": period, "begin": time.time() + 0.5}) + "\n")
     sender.stdin.flush()
     report: dict[str, Any] = json.loads(sender.stdout.readline())

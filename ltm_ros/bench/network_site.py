@@ -53,6 +53,7 @@ def write_region(folder: Path, towers: int, extent: float, views: int, seed: int
         "crs": "EPSG:32611",
         "origin": [400_005.0, 3_800_025.0],
         "dem": {"path": "dem.tif"},
+        "possible_ground": {"highest": 0.0},
         "cameras": {name: {} for name in names},
     }
     path = folder / "site.yaml"
@@ -63,7 +64,7 @@ def write_region(folder: Path, towers: int, extent: float, views: int, seed: int
     caster = VoteCaster(
         config.fuel_geometry(ground), ground, labels.votes_table[: len(labels)], config.fuel.max_range, config.bend
     )
-    tracer = TerrainTracer(ground, config.curvature, config.refraction)
+    tracer = TerrainTracer(ground, config.curvature, config.refraction, config.possible_ground)
     messages: dict[str, list[bytes]] = {}
     cells = []
     for name in names:

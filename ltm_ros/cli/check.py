@@ -89,8 +89,8 @@ def _add_recorded(found: SiteCheck, bag: Path) -> None:
     from ltm_core.site_check import Finding, check_views
     from ltm_ros.recordings.recorded_views import recorded_views
 
-    assert found.site is not None
-    assert found.dem is not None
+    assert found.site is not None  # nosec B101 # tells the type checker what holds
+    assert found.dem is not None  # nosec B101 # tells the type checker what holds
     try:
         views = recorded_views(bag, found.site)
     except LtmError as error:
@@ -112,14 +112,14 @@ def _picture(found: SiteCheck) -> RgbImage:
     from ltm_core.visibility.viewshed import viewshed
 
     site, dem = found.site, found.dem
-    assert site is not None
-    assert dem is not None
+    assert site is not None  # nosec B101 # tells the type checker what holds
+    assert dem is not None  # nosec B101 # tells the type checker what holds
     geometry = dem.geometry
     above = [view for view in found.views if not view.pose.position[2] <= dem.elevation_at(*view.pose.position[:2])]
     seen = None
     if above:
         finest = math.sqrt(geometry.width * geometry.height / _CELLS) * geometry.resolution
-        sight = PointVisibility(dem, site.curvature, site.refraction)
+        sight = PointVisibility(dem, site.curvature, site.refraction, site.possible_ground)
         seen = viewshed(sight, above, max(geometry.resolution, finest))
     names = [view.name for view in found.views]
     named = {names.index(name) + (names.count(name) - 1) // 2 for name in names}  # of several views the middle one
@@ -145,7 +145,7 @@ def _picture(found: SiteCheck) -> RgbImage:
 
 
 def _told(found: SiteCheck) -> str:
-    assert found.site is not None
+    assert found.site is not None  # nosec B101 # tells the type checker what holds
     shown = {view.name for view in found.views}
     absent = [name for name in found.site.cameras if name not in shown]
     what = "ground that cameras see" if shown else "terrain"

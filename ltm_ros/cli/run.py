@@ -73,13 +73,14 @@ def _checked(path: Path, wanted: Wanted) -> Site:
     """The site, whose doubts are printed; ends with a line a fault where it cannot work."""
     from ltm_core.site_check import Verdict
     from ltm_core.site_io import load_site
+    from ltm_ros.launching.shared_memory import SHM_FOLDER
     from ltm_ros.launching.site_check import examined_apart, exit_status
 
     findings = examined_apart(path, wanted)
     for finding in findings:
         if finding.verdict is Verdict.WRONG:
             typer.echo(f"ltm: {finding.area}, {finding.name}: {finding.said}", err=True)
-        elif finding.verdict is Verdict.DOUBTFUL and finding.name != "/dev/shm":  # of which the runner tells
+        elif finding.verdict is Verdict.DOUBTFUL and finding.name != str(SHM_FOLDER):  # of which the runner tells
             typer.echo(f"-- doubtful: {finding.area}, {finding.name}: {finding.said}")
     if status := exit_status(findings):
         raise typer.Exit(status)

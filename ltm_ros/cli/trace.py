@@ -36,6 +36,7 @@ def trace(
     from ltm_core.raster.dem_stack import open_terrain
     from ltm_core.tracing import TerrainTracer
     from ltm_core.tracing.trace_io import cell_counts, load_picture_config, read_photo, set_up_picture, write_trace
+    from ltm_core.unknown_share import MOST_UNKNOWN, unknown_share
 
     console = Console()
     require_files((out / name for name in OUTPUTS), overwrite)
@@ -45,7 +46,7 @@ def trace(
         console.print(f"[yellow]{doubt}", highlight=False)
     photo = None if image is None else read_photo(image, setup.camera)
     with console.status("tracing"):
-        tracer = TerrainTracer(setup.dem, config.curvature, config.refraction)
+        tracer = TerrainTracer(setup.dem, config.curvature, config.refraction, config.possible_ground)
         traced = tracer.trace(setup.camera, setup.pose)
     with console.status("writing"):
         counts = cell_counts(traced)
@@ -80,6 +81,9 @@ def trace(
     seen = int((counts > 0).sum())
     table.add_row("DEM cells seen", f"{seen:,} ({seen * cell_area / 1e6:,.2f} km²)")
     console.print(table)
+    unknown = unknown_share(ranges)
+    if known.size and unknown.whole > MOST_UNKNOWN:
+        console.print(f"[yellow]{unknown.reason}.")
     if not known.size:
         x, y = setup.frame.x_origin + setup.pose.position[0], setup.frame.y_origin + setup.pose.position[1]
         covered = setup.dem.geometry.translated(setup.frame.x_origin, setup.frame.y_origin).bounds

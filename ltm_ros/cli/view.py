@@ -59,7 +59,7 @@ def view(
         return
     if screenshot is not None:
         raise ConfigError("--screenshot takes a recording: give --rrd, not --site")
-    assert site is not None
+    assert site is not None  # nosec B101 # tells the type checker what holds
     _show_graph(site, save, in_browser, open_browser, web_port, grpc_port)
 
 

@@ -114,7 +114,8 @@ def _from_site(path: Path) -> tuple[PointVisibility, SiteFrame, list[PosedCamera
             views.append(PosedCamera(name, camera.calibration.camera(), camera.pose.pose(terrain, site.frame)))
     if not views:
         raise ConfigError(f"{path}: no camera has both calibration and pose ({', '.join(skipped)} come as topics)")
-    return PointVisibility(terrain, site.curvature, site.refraction), site.frame, views, skipped
+    rays = site.curvature, site.refraction, site.possible_ground
+    return PointVisibility(terrain, *rays), site.frame, views, skipped
 
 
 def _from_pose(path: Path, dem: list[Path], crs: str | None) -> tuple[PointVisibility, SiteFrame, list[PosedCamera]]:
@@ -129,5 +130,5 @@ def _from_pose(path: Path, dem: list[Path], crs: str | None) -> tuple[PointVisib
     setup = set_up_picture(config, open_terrain([(dem[0], crs), *((raster, None) for raster in dem[1:])]))
     for doubt in setup.doubts:
         Console().print(f"[yellow]{doubt}", highlight=False)
-    sight = PointVisibility(setup.dem, config.curvature, config.refraction)
+    sight = PointVisibility(setup.dem, config.curvature, config.refraction, config.possible_ground)
     return sight, setup.frame, [PosedCamera(path.stem, setup.camera, setup.pose)]

@@ -113,7 +113,7 @@ def run_real_demo(
 def control_points(path: Path, frame: RecordedFrame, dem: Dem, site: Site) -> list[ControlPoint]:
     """Each control point of the file against the point traced for its pixel. The file counts pixels from 1."""
     traced = RangeImage.from_depth(frame.depth, frame.camera, frame.pose, site.bend).points()
-    tracer = TerrainTracer(dem, site.curvature, site.refraction)
+    tracer = TerrainTracer(dem, site.curvature, site.refraction, site.possible_ground)
     x0, y0 = site.origin
     found = []
     with path.open(newline="", encoding="utf-8") as file:

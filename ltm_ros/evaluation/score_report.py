@@ -201,7 +201,7 @@ def _change_figures(recorded: Recorded, inputs: ReportInputs, dem: Dem, cameras:
             with FuelSource.open(inputs.before.bag, inputs.before.site) as earlier:
                 before, name = earlier.layers, "the earlier run"
         coverage = now.coverage()
-        assert coverage is not None, "the bag has votes"
+        assert coverage is not None, "the bag has votes"  # nosec B101 # tells the type checker what holds
         window = seen_window(grid, coverage.count() > 0, places)
         canvas = canvas_of(recorded.site, dem, grid, places, window)
         palette = life_form_labels(now.labels)

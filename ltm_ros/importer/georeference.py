@@ -174,11 +174,10 @@ def _camera(photo: Photo, row: PhotoPose, assumed: Assumptions) -> Camera:
         fx = from_exif
     cx = row.cx if row.cx is not None else (width - 1) / 2
     cy = row.cy if row.cy is not None else (height - 1) / 2
-    if not (0 <= cx < width and 0 <= cy < height):
-        turned = f" ({photo.turned}; calibrations are of the upright image)" if photo.turned else ""
+    if photo.turned and not (0 <= cx < width and 0 <= cy < height):  # of a part of a picture it may lie beside it
         raise CameraError(
             f"{photo.path}: principal point cx, cy = ({cx:g}, {cy:g}) lies beside the image of {width} x {height} "
-            f"pixels{turned}: give that of this image size"
+            f"pixels, as {photo.turned}: give that of the upright image"
         )
     return Camera(
         width,

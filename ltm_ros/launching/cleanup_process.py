@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import subprocess
+import subprocess  # nosec B404 # argument lists, no shell
 import sys
 import threading
 from collections.abc import Callable, Mapping
@@ -88,7 +88,7 @@ class CleanupProcess:
             if self._stopping.is_set():
                 return 0
             process = self._process = self._start()
-            assert process.stdin is not None
+            assert process.stdin is not None  # nosec B101 # tells the type checker what holds
             os.set_blocking(process.stdin.fileno(), False)
             for order in self._listed:
                 self._send(order)
@@ -100,7 +100,7 @@ class CleanupProcess:
         return status
 
     def _start(self) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
+        return subprocess.Popen(  # nosec B603 # no shell, no argument from the wire
             [sys.executable, "-m", "ltm_ros.launching.orphan_cleanup"],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,

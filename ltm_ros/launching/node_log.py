@@ -57,7 +57,7 @@ class NodeLog:
             raise OSError(None, "No space left on device")
 
     def _turn_over(self) -> None:
-        assert self._file is not None
+        assert self._file is not None  # nosec B101 # tells the type checker what holds
         self._file.close()
         for number in range(LOG_FILES - 1, 0, -1):
             former = self._path if number == 1 else self._numbered(number - 1)

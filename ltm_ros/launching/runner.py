@@ -6,7 +6,7 @@ import contextlib
 import os
 import shutil
 import signal
-import subprocess
+import subprocess  # nosec B404 # argument lists, no shell
 import sys
 import tempfile
 import threading
@@ -138,7 +138,7 @@ class Runner:
         watch, heartbeat = start_supervised([*command, *names], self._environment(busy=False))
         self._cleanup.group(watch.pid, alive=True)
         missing = dict(names)
-        assert watch.stdout is not None
+        assert watch.stdout is not None  # nosec B101 # tells the type checker what holds
 
         def read(output: TextIO) -> None:
             for line in output:
@@ -236,7 +236,7 @@ class Runner:
                     self._say(f"-- {line}")
 
     def _process(self, spec: NodeSpec) -> NodeProcess:
-        assert self._folder is not None
+        assert self._folder is not None  # nosec B101 # tells the type checker what holds
         parameters = self._folder / f"{spec.label.replace('/', '.')}.yaml"
         parameters.write_text(parameters_yaml(spec.parameters), encoding="utf-8")
         remappings = [("__ns", spec.namespace), ("__node", spec.name), *spec.remappings]

@@ -17,7 +17,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-SHM_FOLDER = Path("/dev/shm")
+SHM_FOLDER = Path("/dev/shm")  # nosec B108 # not ours: the system's shared memory
 
 # A participant creates a file and locks it an instant later; what is younger than this may be in between.
 MIN_AGE_S = 1.0

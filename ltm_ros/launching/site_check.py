@@ -6,6 +6,7 @@ import importlib
 import socket
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -50,10 +51,14 @@ def examine(path: Path, wanted: Wanted) -> SiteCheck:
 
 def examined_apart(path: Path, wanted: Wanted) -> list[Finding]:
     """The findings of `examine`, made in a process of its own: the one that watches a tower for months shall not keep
-    the memory of a DEM and of what reads it.
+    the memory of a DEM and of what reads it. Where that process is killed, that is what was found.
     """
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return pool.submit(_findings, path, wanted).result()
+    try:
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            return pool.submit(_findings, path, wanted).result()
+    except BrokenProcessPool:
+        said = "the check was killed: is the DEM larger than the memory? Clip it, with coarser rasters around it"
+        return [Finding(MACHINE, "memory", Verdict.WRONG, said)]
 
 
 def exit_status(findings: Sequence[Finding]) -> int:
@@ -92,9 +97,9 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
         said = f"{free >> 20} MB free, {len(graph)} nodes take {needed >> 20} MB"
         remedy = ": images will be slow or lost; enlarge it (mount -o remount,size=2G /dev/shm)"
         yield (
-            Finding(MACHINE, "/dev/shm", Verdict.OK, said)
+            Finding(MACHINE, str(shared_memory.SHM_FOLDER), Verdict.OK, said)
             if free >= needed
-            else Finding(MACHINE, "/dev/shm", Verdict.DOUBTFUL, said + remedy)
+            else Finding(MACHINE, str(shared_memory.SHM_FOLDER), Verdict.DOUBTFUL, said + remedy)
         )
 
 

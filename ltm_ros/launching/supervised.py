@@ -11,7 +11,7 @@ import faulthandler
 import os
 import runpy
 import signal
-import subprocess
+import subprocess  # nosec B404 # argument lists, no shell
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -41,7 +41,7 @@ def start_supervised(command: Sequence[str], environment: Mapping[str, str]) -> 
     """
     heard, told = os.pipe()
     try:
-        process = subprocess.Popen(
+        process = subprocess.Popen(  # nosec B603 # no shell, no argument from the wire
             list(command),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,

@@ -193,7 +193,7 @@ class NodeProcess:
             self.pid = process.pid
             self.starts += 1
             self.state = ProcessState.RUNNING
-        assert process.stdout is not None
+        assert process.stdout is not None  # nosec B101 # tells the type checker what holds
         reader = threading.Thread(target=self._read, args=(process.stdout,), name=f"read {self.label}", daemon=True)
         reader.start()
         self._hang = self._follow(process.pid, heartbeat)

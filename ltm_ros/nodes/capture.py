@@ -151,8 +151,8 @@ class Capture(Handler[CaptureConfig]):
     def _offer(self, image: Any, pose: tuple[Pose, Any] | None = None, calibration: Camera | None = None) -> None:
         where, covariance = (self._fixed_pose, None) if pose is None else pose
         camera = self._fixed_calibration if calibration is None else calibration
-        assert where is not None
-        assert camera is not None
+        assert where is not None  # nosec B101 # tells the type checker what holds
+        assert camera is not None  # nosec B101 # tells the type checker what holds
         # A JPEG or PNG whose first bytes say that it is not this camera's takes no other's place at the door.
         if self._raw or self._fits(image, camera):
             self._admission.offer(stamp_of(image), _Frame(image, where, covariance, camera))

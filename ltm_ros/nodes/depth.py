@@ -51,8 +51,9 @@ class Depth(Handler[DepthConfig]):
         site.camera(config.camera)
         ground = site.open_dem()
         traced = site.open_surface(ground) if config.surface else ground
-        self._tracer = TerrainTracer(traced, site.curvature, site.refraction)
-        self._bare = self._tracer if traced is ground else TerrainTracer(ground, site.curvature, site.refraction)
+        rays = site.curvature, site.refraction, site.possible_ground
+        self._tracer = TerrainTracer(traced, *rays)
+        self._bare = self._tracer if traced is ground else TerrainTracer(ground, *rays)
         self._most_pixels = site.limits.pixels
         self._frame_id = f"{config.camera}_optical"
         self._join = StampJoin(("info", "pose"), self._trace, health, max_wait=config.max_wait)

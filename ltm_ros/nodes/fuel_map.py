@@ -184,7 +184,7 @@ class FuelMap(Handler[FuelMapConfig]):
 
     def on_surface_change(self, message: Any) -> None:
         """What the terrain has found gone or grown is told to the map, in the store, and then to all."""
-        assert self._surface is not None
+        assert self._surface is not None  # nosec B101 # tells the type checker what holds
         if self._surface.on_change(message):
             self._settle(write_tiles=True)
 

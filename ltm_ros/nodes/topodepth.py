@@ -87,7 +87,9 @@ class TopoDepth(Handler[TopoDepthConfig]):
         self._classes = ClassPriors.of(LabelSet.load(config_path(site.labels)), self._config)
         # Depth is traced to a surface raster where the site has one; bare ground is then traced here besides.
         self._ground = (
-            TerrainTracer(site.open_dem(), site.curvature, site.refraction) if site.surface is not None else None
+            TerrainTracer(site.open_dem(), site.curvature, site.refraction, site.possible_ground)
+            if site.surface is not None
+            else None
         )
         labels = Part("labels", wait_s=config.label_wait, remembered=2 * config.max_waiting)
         parts = ("image", "info", "pose", "depth", labels)

@@ -182,7 +182,7 @@ class BoundedRecording:
     def _try(self, act: Callable[[], None]) -> bool:
         """False where the disk has failed."""
         writer = self._writer
-        assert writer is not None
+        assert writer is not None  # nosec B101 # tells the type checker what holds
         lost = writer.lost
         try:
             act()

@@ -8,7 +8,7 @@ import os
 import shutil
 import signal
 import socket
-import subprocess
+import subprocess  # nosec B404 # argument lists, no shell
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -52,7 +52,7 @@ class RerunProcess:
 
     def __init__(self, arguments: Sequence[str], quiet: bool = True) -> None:
         sink = subprocess.DEVNULL if quiet else None
-        self._process = subprocess.Popen(
+        self._process = subprocess.Popen(  # nosec B603 # no shell, no argument from the wire
             [str(rerun_binary()), "--bind", LOOPBACK, "--hide-welcome-screen", *arguments],
             stdin=subprocess.DEVNULL,
             stdout=sink,

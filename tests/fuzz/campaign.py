@@ -14,6 +14,7 @@ import shutil
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -118,8 +119,15 @@ class Worker:
             self._running = None
 
 
-def campaign(names: list[str], seconds: float, seed: int, kept: Path) -> dict[str, Tally]:
-    """Cases `seed`, `seed` + 1 and so on of each target, for its share of the time. Faults are kept in `kept`."""
+def campaign(
+    names: list[str],
+    seconds: float,
+    seed: int,
+    kept: Path,
+    progress: Callable[[str, Tally], None] = lambda name, tally: None,
+) -> dict[str, Tally]:
+    """Cases `seed`, `seed` + 1 and so on of each target, for its share of the time. Faults are kept in `kept`.
+    `progress` is told of each target that is done."""
     tallies = {name: Tally() for name in names}
     whole = sum(target_named(name).weight for name in names)
     for name in names:
@@ -139,6 +147,7 @@ def campaign(names: list[str], seconds: float, seed: int, kept: Path) -> dict[st
                     if len(tally.faults) >= 20:
                         break
                 number += 1
+        progress(name, tally)
     return tallies
 
 
@@ -190,7 +199,14 @@ def main() -> None:
         sys.exit(bool(fault))
     seed = random.SystemRandom().randrange(1, 1 << 31) if given.seed is None else given.seed
     print(f"seed {seed}", flush=True)
-    tallies = campaign(given.target or [t.name for t in TARGETS], 60 * given.minutes, seed, given.out)
+    names = given.target or [t.name for t in TARGETS]
+    tallies = campaign(
+        names,
+        60 * given.minutes,
+        seed,
+        given.out,
+        lambda name, tally: print(f"{name}: {tally.cases} cases, {len(tally.faults)} faults", flush=True),
+    )
     print(report(tallies))
     sys.exit(any(t.faults for t in tallies.values()))
 

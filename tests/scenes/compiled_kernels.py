@@ -17,8 +17,8 @@ from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
 from ltm_ros.nodes.fuel_votes import FuelVotes
 from ltm_ros.nodes.terrain import Terrain, TerrainNodeConfig
 from ltm_ros.nodes.topodepth import TopoDepth, TopoDepthConfig
-from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.stamp_join import JoinConfig
 from scenes.outlets import Kept
 from scenes.terrain_frames import write_fusing_site
 
@@ -33,7 +33,7 @@ def _terrain(site: str) -> None:
 
 def _fuel(site: str) -> None:
     Depth(DepthConfig(site=site, camera="mast"), Kept(), Health())
-    FuelVotes(NodeConfig(site=site, camera="mast"), Kept(), Health()).start()
+    FuelVotes(JoinConfig(site=site, camera="mast"), Kept(), Health()).start()
     FuelMap(FuelMapConfig(site=site), Kept(), Health()).start()
 
 

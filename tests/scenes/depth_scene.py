@@ -15,6 +15,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
 from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.types import BoolArray, Float32Array, UInt8Array
 
 CAMERA = Camera.from_fov(640, 360, 50.0)
@@ -51,7 +52,7 @@ class DepthScene:
         """What the tracer gives where the pose is wrong by `pitch_deg`."""
         azimuth, pitch, roll = self.traced.pose.angles_deg
         pose = Pose.from_angles(self.traced.pose.position, azimuth, pitch + pitch_deg, roll)
-        return TerrainTracer(self.dem).trace(CAMERA, pose)
+        return TerrainTracer(self.dem, possible=NOTHING_BEYOND).trace(CAMERA, pose)
 
 
 @lru_cache(maxsize=1)
@@ -70,7 +71,7 @@ def depth_scene() -> DepthScene:
     grown = Dem(np.where(stand, bare + np.float32(STAND_HEIGHT), bare).astype(np.float32), geometry)
     ground = float(dem.elevation_at(0.0, -40.0))
     pose = Pose.from_angles((0.0, -40.0, ground + 45.0), 3.0, -3.5)
-    traced, seen = TerrainTracer(dem).trace(CAMERA, pose), TerrainTracer(grown).trace(CAMERA, pose)
+    traced, seen = (TerrainTracer(z, possible=NOTHING_BEYOND).trace(CAMERA, pose) for z in (dem, grown))
     truth = seen.depth()
     points = seen.points()
     with np.errstate(invalid="ignore"):

@@ -33,6 +33,7 @@ def write_site(folder: Path, **changes: Any) -> Path:
         "crs": "EPSG:26911",
         "origin": [480_015.0, 4_148_815.0],
         "dem": {"path": "dem.tif"},
+        "possible_ground": {"highest": 0.0},
         "cameras": {camera: {} for camera in CAMERAS},
         "nodes": {"fuel_map": {"max_behind": 1e9}},  # frames of years ago are sent to graphs that live today
     }

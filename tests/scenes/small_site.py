@@ -85,7 +85,7 @@ class SmallSite:
 
     @cached_property
     def tracer(self) -> TerrainTracer:
-        return TerrainTracer(self.dem, self.site.curvature, self.site.refraction)
+        return TerrainTracer(self.dem, self.site.curvature, self.site.refraction, self.site.possible_ground)
 
     def frames(self, count: int = FRAMES, begin_ns: int = BEGIN_NS) -> list[Frame]:
         """`count` frames of each camera in the order of their stamps, from `begin_ns` on."""
@@ -162,6 +162,7 @@ def write_small_site(folder: Path, recording: bool = True) -> SmallSite:
         "crs": "EPSG:26911",
         "origin": [480_015.0, 4_150_015.0],
         "dem": {"path": "dem.tif"},
+        "possible_ground": {"highest": 0.0},
         "model": "colors.yaml",
         "nodes": {"capture": {"max_wait": 1.5}, "fuel_map": {"max_behind": YEARS}, "terrain": {"max_behind": YEARS}},
         "cameras": {

@@ -12,6 +12,7 @@ from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.types import BoolArray, UInt8Array
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
@@ -72,7 +73,7 @@ def mast_pose(small: SmallSite) -> Pose:
 
 def photo_of_depth(surface: Dem, camera: Camera, pose: Pose) -> UInt8Array:
     """(H, W, 3): inverse depth in green, sky blue."""
-    depth = TerrainTracer(surface).trace(camera, pose).depth()
+    depth = TerrainTracer(surface, possible=NOTHING_BEYOND).trace(camera, pose).depth()
     land = np.isfinite(depth)
     photo = np.zeros((*depth.shape, 3), np.uint8)
     photo[..., 1] = np.where(land, np.round(255 * NEAR / np.where(land, depth, 1e9)).clip(1, 255), 0)
@@ -84,7 +85,7 @@ def measured_messages(small: SmallSite, surface: Dem, stamp: int, raised: float 
     """What would be measured of a surface from the mast if it stood `raised` metres higher, by topic."""
     pose = mast_pose(small)
     pose = Pose(pose.position + np.array([0.0, 0.0, raised]), pose.rotation)
-    depth = TerrainTracer(surface).trace(MAST, pose).depth()
+    depth = TerrainTracer(surface, possible=NOTHING_BEYOND).trace(MAST, pose).depth()
     ids = np.full(depth.shape, 3, np.uint8)
     frame = "mast_optical"
     return {

@@ -14,6 +14,7 @@ from ltm_core.raster.tile_store import TileStore
 from ltm_core.site import TerrainConfig
 from ltm_core.terrain import DepthFrame, Reference, SurfaceMap
 from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.types import BoolArray, Float64Array
 
 GEOMETRY = GridGeometry(0.0, 230.0, 1.0, 300, 230)
@@ -56,7 +57,7 @@ def frame(
     x, y, azimuth = PLACES[source]
     pose = Pose.from_angles((x, y, float(dem(BARE).elevation_at(x, y)) + 25.0), azimuth, -2.0)
     rng = np.random.default_rng(round(hours * 100) + len(source))
-    depth = TerrainTracer(dem(heights)).trace(CAMERA, pose).depth()
+    depth = TerrainTracer(dem(heights), possible=NOTHING_BEYOND).trace(CAMERA, pose).depth()
     depth = (depth + noise * rng.standard_normal(depth.shape)).astype(np.float32)
     whole = DepthFrame(
         depth,

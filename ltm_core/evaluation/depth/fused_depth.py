@@ -26,6 +26,7 @@ from ltm_core.evaluation.truth_frames_io import TruthFrame
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
 from ltm_core.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.labels import LabelSet
 
@@ -145,7 +146,7 @@ class Given:
 
 class DepthEvaluation:
     """Scores frames under one condition; `dem` is as given. With a `surface` raster, of what once stood there, its own
-    traced depth is scored too, and fusion gets it."""
+    traced depth is scored too, and fusion gets it. `possible`: ground beyond the DEM; rendered worlds have none."""
 
     def __init__(
         self,
@@ -155,6 +156,7 @@ class DepthEvaluation:
         bend_curvature: bool = True,
         surface: Dem | None = None,
         config: FusionConfig | None = None,
+        possible: PossibleGround = NOTHING_BEYOND,
     ) -> None:
         self.condition = condition
         self._config = FusionConfig() if config is None else config
@@ -162,8 +164,10 @@ class DepthEvaluation:
             self._config = without(self._config, condition.without)
             classes = ClassPriors.of(LabelSet.load(), self._config)
         self._classes = classes
-        self._tracer = TerrainTracer(condition.dem(dem), bend_curvature)
-        self._over = None if surface is None else TerrainTracer(condition.dem(surface), bend_curvature)
+        self._tracer = TerrainTracer(condition.dem(dem), bend_curvature, possible=possible)
+        self._over = None
+        if surface is not None:
+            self._over = TerrainTracer(condition.dem(surface), bend_curvature, possible=possible)
         self._tallies: dict[tuple[str, str], DepthTally] = {}
         self._verdicts: Counter[str] = Counter()
         self._checked = 0

@@ -11,6 +11,7 @@ from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.site import FuelConfig
 from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmenter
@@ -36,7 +37,7 @@ def simulated_votes(folder: Path, segmenter: Segmenter, labels: LabelSet) -> Sim
     frame = site_frame(folder)
     grid = grid.translated(-frame.x_origin, -frame.y_origin)
     dem = open_dem(folder)
-    tracer = TerrainTracer(dem, is_curved(folder))
+    tracer = TerrainTracer(dem, is_curved(folder), possible=NOTHING_BEYOND)
     caster = VoteCaster(grid, dem, labels.votes_table[: len(labels)], FuelConfig().max_range, tracer.bend)
     votes = []
     for shot in read_truth_frames(folder):

@@ -23,6 +23,7 @@ from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.types import Float32Array, Float64Array, UInt8Array
 from ltm_core.vision.labels import LabelSet
 
@@ -88,7 +89,7 @@ TRIALS = (
 def frames(world: World, trial: Trial, errors: LabelErrors, labels: LabelSet, seed: int) -> Iterator[CellVotes]:
     """The votes of all frames in order of time: each tower looks in six directions, twice or as often as it says."""
     rng = np.random.default_rng([seed, 77])
-    tracer = TerrainTracer(world.dem)
+    tracer = TerrainTracer(world.dem, possible=NOTHING_BEYOND)
     caster = VoteCaster(world.geometry, world.dem, labels.votes_table[: len(labels)], REACH, tracer.bend)
     views = tower_views(world.towers) + (_near_views(world) if trial.near else [])
     each = trial.pose_deg / np.sqrt(3)  # of three angles, for a rotation of that much

@@ -16,6 +16,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.simulator import noise_fields
 from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.types import BoolArray, Int16Array, UInt8Array
 
 SUBCELLS = 3
@@ -142,7 +143,7 @@ def _patch_centre(
     dem: Dem, geometry: GridGeometry, towers: tuple[tuple[float, float, float], ...], plants: UInt8Array
 ) -> tuple[int, int]:
     """Where shrubs are most on ground that the towers see, the better placed the rather."""
-    tracer = TerrainTracer(dem)
+    tracer = TerrainTracer(dem, possible=NOTHING_BEYOND)
     caster = VoteCaster(geometry, dem, np.array([False, True]), REACH, tracer.bend)
     ones = np.ones((CAMERA.height, CAMERA.width), np.uint8)
     turns = np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0]) * np.radians(1.0) ** 2

@@ -72,11 +72,9 @@ def with_interval(
     value = distance(a, b)
     if min(len(a), len(b)) < 4:
         return Estimate(value, float("nan"), float("nan"))
-    random = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     halves = [
-        distance(
-            a[random.choice(len(a), len(a) // 2, replace=False)], b[random.choice(len(b), len(b) // 2, replace=False)]
-        )
+        distance(a[rng.choice(len(a), len(a) // 2, replace=False)], b[rng.choice(len(b), len(b) // 2, replace=False)])
         for _ in range(resamples)
     ]
     error = 1.96 * float(np.std(halves, ddof=1))
@@ -88,8 +86,8 @@ def mean_with_interval(values: NDArray[np.floating[Any]], seed: int = 0, resampl
     values = np.asarray(values, np.float64)
     if values.size == 0:
         raise ImageError("no pair of images: nothing to average")
-    random = np.random.default_rng(seed)
-    means = values[random.integers(0, len(values), (resamples, len(values)))].mean(axis=1)
+    rng = np.random.default_rng(seed)
+    means = values[rng.integers(0, len(values), (resamples, len(values)))].mean(axis=1)
     low, high = np.percentile(means, [2.5, 97.5])
     return Estimate(float(values.mean()), float(low), float(high))
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-import pickle
+import pickle  # nosec B403 # see _ArraysOnly
 import warnings
 from pathlib import Path
 from typing import Any, BinaryIO

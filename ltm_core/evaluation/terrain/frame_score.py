@@ -27,6 +27,7 @@ from ltm_core.terrain.observation import DepthFrame
 from ltm_core.terrain.reference_surface import Reference
 from ltm_core.terrain.surface_map import SurfaceMap
 from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.types import BoolArray, Float32Array
 from ltm_core.vision.segmenter import Segmenter
 
@@ -150,7 +151,7 @@ def network_depth(ground: Dem, before: Dem, network: DepthNetwork, segmenter: Se
     """What a network measures in the frame's photo, fitted to the terrain as it was, bare and with what grew there, as
     the graph does it; where fusion suspects the pose, nothing.
     """
-    to_ground, to_surface = TerrainTracer(ground), TerrainTracer(before)
+    to_ground, to_surface = (TerrainTracer(dem, possible=NOTHING_BEYOND) for dem in (ground, before))
     settings = FusionSettings(label_columns=segmenter.manifest.label_columns)
     classes = ClassPriors.of(segmenter.labels, network.fusion)
     known: dict[tuple[str, int], tuple[DepthFrame, str]] = {}

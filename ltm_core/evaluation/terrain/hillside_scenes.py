@@ -32,6 +32,7 @@ from ltm_core.evaluation.terrain.hillside_ground import (
 from ltm_core.pose import Pose
 from ltm_core.terrain.observation import DepthFrame
 from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.types import Float32Array
 
 BEGIN_NS = 1_700_000_000_000_000_000
@@ -151,7 +152,7 @@ def frames_of(surface: Dem, conditions: SceneConditions, begin_ns: int) -> Itera
     """What the towers measure of a surface, from `begin_ns` on."""
     rng = np.random.default_rng((conditions.seed, begin_ns // HOUR_NS))
     camera = Camera.from_fov(conditions.width, conditions.height, conditions.hfov_deg).scaled(conditions.pixel_step)
-    tracer = TerrainTracer(surface)
+    tracer = TerrainTracer(surface, possible=NOTHING_BEYOND)
     length = conditions.noise.correlation / conditions.pixel_step
     lasting = {name: _correlated(rng, camera, length) for name in TOWERS}
     for look in range(conditions.looks):

@@ -14,6 +14,7 @@ from scipy import ndimage
 
 from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
+from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.types import BoolArray, Float32Array, Float64Array
 
 TOUCH = 1e-9
@@ -21,49 +22,79 @@ TOUCH = 1e-9
 _TOUCHING = np.ones((3, 3), dtype=bool)
 
 
-def trace_reference(dem: Dem, origin: Float64Array, directions: Float64Array, bend: float) -> Float64Array:
+def trace_reference(
+    dem: Dem,
+    origin: Float64Array,
+    directions: Float64Array,
+    bend: float,
+    possible: PossibleGround = PossibleGround(),
+) -> Float64Array:
     """Slant ranges in metres, (N,): finite, +inf sky, NaN unknown.
 
     Args:
         origin: (3,) x, y, z; above the ground.
         directions: (N, 3), of any length, none of them plumb.
         bend: curvature coefficient, 1/m.
+        possible: how high the ground may be where it is not known.
     """
-    rasters = [_Raster(level.elevation, with_ceilings(level.elevation), level.geometry, origin) for level in dem.levels]
+    highest = possible.limit(float(max(np.nanmax(level.elevation) for level in dem.levels)))
+    rasters = []
+    for level in dem.levels:
+        filled, outer = with_ceilings(level.elevation, possible.steepest * level.geometry.resolution, highest)
+        rasters.append(_Raster(level.elevation, filled, outer, level.geometry, origin))
     ranges = np.empty(len(directions))
     for k, (east, north, up) in enumerate(directions):
         across = float(np.hypot(east, north))
         heading = east / across, -north / across
-        metres = _horizontal_range(rasters, float(origin[2]), heading, up / across, bend)
+        height = _Parabola(float(origin[2]), up / across, bend)
+        metres = _horizontal_range(rasters, heading, height, possible.steepest, highest)
         ranges[k] = metres * float(np.hypot(1.0, up / across))
     return ranges
 
 
-def with_ceilings(elevation: Float32Array) -> Float32Array:
-    """(H, W) elevations in which each NaN node of an enclosed hole holds the hole's ceiling (see `holes`); NaN nodes of
-    outer holes stay NaN.
+def with_ceilings(elevation: Float32Array, rise: float, highest: float) -> tuple[Float32Array, BoolArray]:
+    """(H, W) elevations in which each NaN node holds its ceiling (see `holes`), and which nodes are of outer holes.
+
+    Every node takes the least of its eight neighbours plus a step, all at once, until none changes any more.
     """
     missing = np.isnan(elevation)
     hole_of_node, _ = ndimage.label(missing, structure=_TOUCHING)
     edge = np.concatenate([hole_of_node[0], hole_of_node[-1], hole_of_node[:, 0], hole_of_node[:, -1]])
-    enclosed = missing & ~np.isin(hole_of_node, np.unique(edge[edge > 0]))
-    if not enclosed.any():
-        return elevation
+    outer = missing & np.isin(hole_of_node, np.unique(edge[edge > 0]))
+    filled = np.where(missing, np.float32(np.inf), elevation)
+    straight, diagonal = np.float32(rise), np.float32(rise * np.sqrt(2))
+    while True:
+        padded = np.pad(filled, 1, constant_values=np.inf)
+        beside = [padded[1:-1, :-2], padded[1:-1, 2:], padded[:-2, 1:-1], padded[2:, 1:-1]]
+        corners = [padded[:-2, :-2], padded[:-2, 2:], padded[2:, :-2], padded[2:, 2:]]
+        reached = np.minimum(np.min(beside, axis=0) + straight, np.min(corners, axis=0) + diagonal)
+        lower = missing & (reached < filled)
+        if not lower.any():
+            break
+        filled[lower] = reached[lower]
     highest_neighbour = ndimage.maximum_filter(np.where(missing, np.float32(-np.inf), elevation), footprint=_TOUCHING)
-    rows, cols = np.nonzero(enclosed)
-    holes, member_of = np.unique(hole_of_node[rows, cols], return_inverse=True)
-    ceiling = np.full(holes.size, -np.inf, dtype=np.float32)
-    np.maximum.at(ceiling, member_of, highest_neighbour[rows, cols])
-    filled = elevation.copy()
-    filled[rows, cols] = ceiling[member_of]
-    return filled
+    filled[outer] = np.minimum(filled[outer], np.float32(highest))
+    rows, cols = np.nonzero(missing & ~outer)
+    if rows.size:
+        holes, member_of = np.unique(hole_of_node[rows, cols], return_inverse=True)
+        rim = np.full(holes.size, -np.inf, dtype=np.float32)
+        np.maximum.at(rim, member_of, highest_neighbour[rows, cols])
+        filled[rows, cols] = np.minimum(filled[rows, cols], rim[member_of])
+    return filled, outer
 
 
 class _Raster:
     """One raster and where the camera stands on it."""
 
-    def __init__(self, nodes: Float32Array, filled: Float32Array, geometry: GridGeometry, origin: Float64Array) -> None:
-        self.nodes, self.filled, self.resolution = nodes, filled, geometry.resolution
+    def __init__(
+        self,
+        nodes: Float32Array,
+        filled: Float32Array,
+        outer: BoolArray,
+        geometry: GridGeometry,
+        origin: Float64Array,
+    ) -> None:
+        self.nodes, self.filled, self.outer, self.resolution = nodes, filled, outer, geometry.resolution
         self.oy, self.ox = (float(v) for v in geometry.to_grid(origin[0], origin[1]))
 
     def over(self, heading: tuple[float, float]) -> tuple[float, float]:
@@ -105,17 +136,25 @@ class _Raster:
             south = (1 - u) * south_west + u * south_east
             return np.asarray(height.at(q * self.resolution) - ((1 - v) * north + v * south))
 
-        filled = self.filled
+        filled, outside = self.filled, self.outer
         ceilings = np.stack([filled[i, j], filled[i, j + 1], filled[i + 1, j], filled[i + 1, j + 1]])
         hole = np.isnan(north_west + north_east + south_west + south_east)
-        outer = np.isnan(ceilings).any(axis=0)
+        outer = outside[i, j] | outside[i, j + 1] | outside[i + 1, j] | outside[i + 1, j + 1]
         root = _first_roots(above(start), above(middle), above(end))
         lowest = height.lowest(start * self.resolution, end * self.resolution)
-        with np.errstate(invalid="ignore"):
-            blocked = hole & ~outer & (lowest <= np.where(outer, np.inf, ceilings.max(axis=0)))
+        blocked = hole & (lowest <= ceilings.max(axis=0))
         hit = ~hole & ~np.isnan(root)
         place = (start + np.where(hit, root, 0.0) * (end - start)) * self.resolution
         return _Pieces(hit, blocked, outer, place, above(start) < 0)
+
+    def filled_at(self, metres: float, heading: tuple[float, float]) -> float:
+        """Bilinear height of the ground, known or possible, on a ray's way over the nodes."""
+        height, width = self.nodes.shape
+        x = min(max(self.ox + heading[0] * metres / self.resolution, 0.0), width - 1.0)
+        y = min(max(self.oy + heading[1] * metres / self.resolution, 0.0), height - 1.0)
+        j, i = min(int(x), width - 2), min(int(y), height - 2)
+        corners = self.filled[i : i + 2, j : j + 2].astype(np.float64)
+        return float(np.array([1 - (y - i), y - i]) @ corners @ np.array([1 - (x - j), x - j]))
 
 
 @dataclass(frozen=True)
@@ -139,8 +178,8 @@ class _Parabola:
 
 @dataclass(frozen=True, eq=False)
 class _Pieces:
-    """Cells along a ray, in order: whether it hits the ground in each, meets an enclosed hole below its ceiling, or is
-    over an outer hole; the horizontal metres of the hit; and whether it begins below the ground.
+    """Cells along a ray, in order: whether it hits the ground in each, comes below the ceiling of a hole, or is over an
+    outer hole; the horizontal metres of the hit; and whether it begins below the ground.
     """
 
     hit: BoolArray
@@ -151,14 +190,12 @@ class _Pieces:
 
 
 def _horizontal_range(
-    rasters: list[_Raster], z: float, heading: tuple[float, float], slope: float, bend: float
+    rasters: list[_Raster], heading: tuple[float, float], height: _Parabola, steepest: float, highest: float
 ) -> float:
     """Horizontal metres to the first hit; `heading` is a unit (column, row) vector."""
     near, far = rasters[-1].over(heading)
     if near > far:
-        return np.inf if slope >= 0 else np.nan
-    beyond = np.inf if slope + 2 * bend * far >= 0 else np.nan
-    height = _Parabola(z, slope, bend)
+        return _beyond(height, 0.0, height.z, steepest, highest)
     pieces: list[_Pieces] = []
     covered: tuple[float, float] | None = None
     for raster in rasters:  # from the finest outwards: each adds what lies before and after those within it
@@ -176,19 +213,28 @@ def _horizontal_range(
         np.concatenate([getattr(p, name) for p in pieces]) for name in ("hit", "blocked", "outer", "below")
     )
     place = np.concatenate([p.place for p in pieces])
+    if outer.all():
+        return _beyond(height, 0.0, height.z, steepest, highest)
+    entered = int(np.argmin(outer))  # what is before the first cell of the DEM counts as free
+    blocked[:entered] = False
     ends = np.flatnonzero(hit | blocked)
     if ends.size == 0:
-        return float(beyond)
+        return _beyond(height, far, rasters[-1].filled_at(far, heading), steepest, highest)
     first = int(ends[0])
-    if blocked[first]:
-        return np.nan
-    known_before = ~outer[:first]
-    entered = int(np.argmax(known_before)) if known_before.any() else first
-    lost = bool(outer[entered:first].any())
-    emerges_below = entered == first and below[first]
-    if lost or emerges_below:
+    if blocked[first] or (first == entered and below[first]):
         return np.nan
     return float(place[first])
+
+
+def _beyond(height: _Parabola, leaves: float, ground: float, steepest: float, highest: float) -> float:
+    """+inf where a ray stays above ground that rises from `ground` at `leaves`, steeply, up to `highest`; else NaN."""
+    if height.slope + 2 * height.bend * leaves < 0:
+        return np.nan
+    if height.at(np.array(leaves)) > highest:
+        return np.inf
+    reaches = leaves + max(highest - ground, 0.0) / steepest
+    relative = _Parabola(height.z - (ground - steepest * leaves), height.slope - steepest, height.bend)
+    return np.inf if relative.lowest(np.array(leaves), np.array(reaches)) >= 0 else np.nan
 
 
 def _first_roots(f0: Float64Array, f_half: Float64Array, f1: Float64Array) -> Float64Array:

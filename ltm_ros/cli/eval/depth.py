@@ -78,6 +78,7 @@ def depth(
     from ltm_core.pictures import to_png
     from ltm_core.raster.dem_stack import with_surface
     from ltm_core.resources import project_path
+    from ltm_core.tracing.possible_ground import NOTHING_BEYOND
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
     from ltm_ros.evaluation.figures_io import write_figures
@@ -88,6 +89,7 @@ def depth(
     name = segmentation or DEFAULT_MODEL
     if (place / "frames.json").is_file():
         dem, frames, curved = open_dem(place), read_truth_frames(place, date), is_curved(place)
+        possible = NOTHING_BEYOND
         frame_of_map = site_frame(place)
     else:
         from ltm_ros.evaluation.truth_frames import recorded_truth_frames
@@ -97,6 +99,7 @@ def depth(
         name = segmentation or recorded.site.model
         dem, frames = recorded.site.open_dem(), recorded_truth_frames(place, recorded.site)
         curved, frame_of_map = recorded.site.curvature, recorded.site.frame
+        possible = recorded.site.possible_ground
     over = None if surface is None else with_surface(dem, Dem.open(surface).in_frame(frame_of_map))
     network = None if depth_maps is not None else DepthNetwork.open(model)
     config = FusionConfig() if network is None else network.fusion
@@ -104,7 +107,7 @@ def depth(
     folder = None if depth_maps is None else DepthMapFolder.open(depth_maps.name, depth_maps)
     segmenter = Segmenter.open(name) if labels is Labels.model else None
     runs = [
-        DepthEvaluation(condition, dem, classes, curved, over, config)
+        DepthEvaluation(condition, dem, classes, curved, over, config, possible)
         for condition in conditions(_numbers(pose_error), _numbers(occlude), _numbers(coarsen), _numbers(shift), stages)
     ]
     count = 0

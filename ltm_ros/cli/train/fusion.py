@@ -35,6 +35,7 @@ def fusion(
     from ltm_core.evaluation.truth_frames_io import is_curved, open_dem, read_truth_frames, site_frame
     from ltm_core.raster.dem_stack import with_surface
     from ltm_core.tracing import TerrainTracer
+    from ltm_core.tracing.possible_ground import NOTHING_BEYOND
     from ltm_core.training.fusion_fit import fit_fusion
     from ltm_core.training.fusion_samples import FrameSamples, frame_samples
     from ltm_core.vision.labels import LabelSet
@@ -52,9 +53,10 @@ def fusion(
         name, _, raster = str(given).partition(":")
         folder = Path(name)
         dem, curved = open_dem(folder), is_curved(folder)
-        tracer, over = TerrainTracer(dem, curved), None
+        tracer, over = TerrainTracer(dem, curved, possible=NOTHING_BEYOND), None
         if raster:
-            over = TerrainTracer(with_surface(dem, Dem.open(raster).in_frame(site_frame(folder))), curved)
+            tops = with_surface(dem, Dem.open(raster).in_frame(site_frame(folder)))
+            over = TerrainTracer(tops, curved, possible=NOTHING_BEYOND)
         found = []
         for frame in read_truth_frames(folder, ""):
             traced = tracer.trace(frame.camera, frame.pose)

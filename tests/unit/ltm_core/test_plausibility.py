@@ -42,6 +42,7 @@ def test_one_right_azimuth_in_57_is_doubted() -> None:
         (2988.8, 900.0, "as feet it would be 911 m"),
         (1300.0, 900.0, "higher than masts"),
         (911.0, 2953.0, "if the DEM's heights are feet, the ground is at 900 m"),
+        (90.0, 100.0, "10.00 m under the ground, which is at 100.00 m"),
         (880.0, 900.0, "20.00 m under the ground, which is at 900.00 m"),
         (900.0, 900.0, "0.00 m under the ground"),
     ],

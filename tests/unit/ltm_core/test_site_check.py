@@ -16,14 +16,14 @@ from ltm_core.pose import Pose
 from ltm_core.site_check import SiteCheck, Verdict, check_site, check_views
 from ltm_core.visibility.viewshed import PosedCamera
 
-FINE = GridGeometry(346_500.0, 3_784_000.0, 10.0, 40, 30, "EPSG:32611")
+FINE = GridGeometry(346_500.0, 3_784_000.0, 10.0, 120, 100, "EPSG:32611")
 COARSE = GridGeometry(345_000.0, 3_785_500.0, 50.0, 70, 60, "EPSG:32611")
 
 
 def checked(folder: Path, height: float, **changes: Any) -> SiteCheck:
     """Of a gentle slope at `height`, with a coarser raster around it that says 900 m."""
-    rows, cols = np.mgrid[0:30, 0:40]
-    Dem((height + rows + 0.5 * cols).astype(np.float32), FINE).save(folder / "fine.tif")
+    rows, cols = np.mgrid[0:100, 0:120]
+    Dem((height + 0.1 * rows + 0.05 * cols).astype(np.float32), FINE).save(folder / "fine.tif")
     Dem(np.full(COARSE.shape, 900.0, np.float32), COARSE).save(folder / "coarse.tif")
     site = {
         "name": "ridge",

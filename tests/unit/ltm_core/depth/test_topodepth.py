@@ -222,6 +222,39 @@ def test_land_beyond_the_dem_stays_unknown() -> None:
     assert np.isnan(result.sigma[result.source == Source.UNKNOWN]).all()
 
 
+def without_sky(scene: DepthScene) -> RangeImage:
+    """As the tracer gives it where there may be land beyond the DEM."""
+    return replace(
+        scene.traced, range=np.where(np.isposinf(scene.traced.range), np.float32(np.nan), scene.traced.range)
+    )
+
+
+def test_labels_say_what_is_sky_where_land_may_lie_beyond_the_dem() -> None:
+    scene = depth_scene()
+    known = fuse(scene.traced, scene.network(), scene.photo, scene.labels, CLASSES)
+    found = fuse(without_sky(scene), scene.network(), scene.photo, scene.labels, CLASSES)
+    np.testing.assert_array_equal(found.source == Source.SKY, known.source == Source.SKY)
+    np.testing.assert_array_equal(found.depth, known.depth)
+    assert found.pose.columns == known.pose.columns > 0
+    # Without labels nobody knows.
+    unlabelled = fuse(without_sky(scene), scene.network(), scene.photo, None, CLASSES)
+    assert not np.isinf(unlabelled.depth).any()
+
+
+def test_a_photo_that_is_mostly_unknown_is_not_just_ok() -> None:
+    scene = depth_scene()
+    nearest = np.quantile(scene.traced.range[np.isfinite(scene.traced.range)], 0.3)
+    near = np.where(scene.traced.range < nearest, scene.traced.range, np.float32(np.nan))
+    labels = np.full(scene.labels.shape, Label.BARE, np.uint8)
+    result = fuse(replace(scene.traced, range=near), None, scene.photo, labels, CLASSES)
+    share = np.isnan(result.depth).mean()
+    assert 0.5 < share < 1
+    assert result.verdict is Verdict.MOSTLY_UNKNOWN
+    assert f"{share:.0%}" in result.reason
+    assert "over the DEM's edge" in result.reason
+    assert result.info()["verdict"] == "mostly_unknown"
+
+
 def test_a_canopy_raster_is_taken_where_trees_are_labelled_and_both_hits_are_kept() -> None:
     scene = depth_scene()
     rows, cols = np.mgrid[0 : scene.dem.geometry.height, 0 : scene.dem.geometry.width]

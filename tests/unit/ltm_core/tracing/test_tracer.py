@@ -15,6 +15,7 @@ from ltm_core.geodesy import ray_bend
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
 from ltm_core.types import Float64Array
 
 pytestmark = pytest.mark.kernel
@@ -45,7 +46,7 @@ def first_positive_root(a: Float64Array, b: Float64Array, c: Float64Array) -> Fl
 def test_tilted_plane(curvature: bool, azimuth_deg: float, pitch_deg: float, roll_deg: float) -> None:
     scene = tilted_plane()
     pose = Pose.from_angles((-12.3, 7.9, 420 - 3 + 40.0), azimuth_deg, pitch_deg, roll_deg)
-    traced = TerrainTracer(scene.dem, curvature).trace(CAMERA, pose)
+    traced = TerrainTracer(scene.dem, curvature, possible=NOTHING_BEYOND).trace(CAMERA, pose)
 
     ray = CAMERA.rays() @ pose.rotation.T
     across = np.hypot(ray[..., 0], ray[..., 1])
@@ -75,7 +76,7 @@ def test_cone_from_the_side() -> None:
     origin = np.array([-70.0, 61.0, 140.0])
     rng = np.random.default_rng(0)
     rays = directions(rng, 4000, -45, 10)
-    traced = TerrainTracer(scene.dem, curvature=False).trace_rays(origin, rays)
+    traced = TerrainTracer(scene.dem, curvature=False, possible=NOTHING_BEYOND).trace_rays(origin, rays)
 
     # On the cone 0.6 hypot(x, y) = 150 - z: a quadratic in the ray's length, of which the branch z <= 150 counts.
     x, y, z = origin
@@ -173,7 +174,10 @@ def test_a_bent_ray_that_only_grazes_the_plain_hits_it() -> None:
     height = slope * slope / (4 * bend) - 0.01
     # Columns are x / 100: the camera at 47.2, the lowest point at 92, between block edges 88 and 96.
     dips, clears = (
-        TerrainTracer(plain).trace_rays((4720.0, 2010.0, height + more), [(1.0, 0.0, slope)])[0] for more in (0.0, 0.02)
+        TerrainTracer(plain, possible=NOTHING_BEYOND).trace_rays((4720.0, 2010.0, height + more), [(1.0, 0.0, slope)])[
+            0
+        ]
+        for more in (0.0, 0.02)
     )
     assert dips == pytest.approx((lowest_at - np.sqrt(0.01 / bend)) * np.hypot(1, slope), abs=0.01)
     assert np.isposinf(clears)
@@ -199,7 +203,7 @@ def test_straight_down_and_straight_up() -> None:
 
 def test_camera_outside_the_raster_sees_in() -> None:
     scene = tilted_plane(east=0.0, north=0.0, base=100.0)
-    tracer = TerrainTracer(scene.dem, curvature=False)
+    tracer = TerrainTracer(scene.dem, curvature=False, possible=NOTHING_BEYOND)
     towards, away_down, away_up, below_the_edge, over = tracer.trace_rays(
         (-400.0, 0.0, 130.0), [(1, 0, -0.1), (-1, 0, -0.1), (-1, 0, 0.1), (1, 0, -0.5), (1, 0, 0.01)]
     )
@@ -236,17 +240,83 @@ def test_an_enclosed_hole_blocks_only_below_its_rim() -> None:
 
 
 @pytest.mark.parametrize("first", [40, 41])
-def test_an_outer_hole_is_outside_the_dem(first: int) -> None:
+def test_a_ray_goes_on_over_an_outer_hole_while_it_is_above_possible_ground(first: int) -> None:
     """Whether its edges fall between the pyramid's blocks (41) or into them (40)."""
-    tracer = TerrainTracer(with_nodata((slice(0, 60), slice(first, 60))), curvature=False)
+    dem = with_nodata((slice(0, 60), slice(first, 60)))
     origin = (10.5, 29.5, 60.0)
-    before, across_to_the_step, across_to_the_sky, into = tracer.trace_rays(
-        origin, [(1, 0, -0.5), (1, 0, -0.05), (1, 0, 0.4), (1, 0, -0.25)]
+    rays = [(1, 0, -0.5), (1, 0, -0.05), (1, 0, 0.4), (1, 0, -0.25)]
+    # Between its edges, 50 m high, the ground may rise by `steepest` for ten metres: the second ray is there at 58 m.
+    for steepest, passes in ((0.7, True), (0.9, False)):
+        tracer = TerrainTracer(dem, curvature=False, possible=PossibleGround(steepest=steepest, margin=0.0))
+        before, across_to_the_step, across_to_the_sky, into = tracer.trace_rays(origin, rays)
+        assert before == pytest.approx(20 * np.hypot(1, 0.5), rel=1e-5)
+        if passes:
+            assert across_to_the_step == pytest.approx((69 + (57 - 0.45 - 50) / 30) * np.hypot(1, 0.05), rel=1e-3)
+        else:
+            assert np.isnan(across_to_the_step)
+        assert np.isposinf(across_to_the_sky)
+        assert np.isnan(into)
+
+
+def test_an_outer_hole_is_no_higher_than_stated() -> None:
+    dem = with_nodata(MARGIN)
+    tracer = TerrainTracer(dem, curvature=False, possible=PossibleGround(steepest=3.0, highest=56.0))
+    (hit,) = tracer.trace_rays((10.5, 29.5, 60.0), [(1, 0, -0.05)])
+    assert np.isfinite(hit)
+
+
+def plateau(edge: float) -> Dem:
+    """100 x 60 m: 50 m high, with a tower of 80 m in the north-west, behind a camera, and `edge` in the east."""
+    z = np.full((60, 100), 50.0, np.float32)
+    z[2:5, 2:5] = 80.0
+    z[:, 95:] = edge
+    return Dem(z, GridGeometry(0.0, 60.0, 1.0, 100, 60))
+
+
+def test_sky_is_above_all_that_may_lie_beyond_the_end() -> None:
+    """The raster ends 89 m from the camera; beyond, ground of slope 1 is 80 m high 30 m on."""
+    origin = (10.5, 29.5, 52.0)
+    tracer = TerrainTracer(plateau(50.0), curvature=False, possible=PossibleGround(steepest=1.0, margin=0.0))
+    slope = 28.0 / (89 + 30)
+    below, above, down = tracer.trace_rays(origin, [(1, 0, slope - 1e-3), (1, 0, slope + 1e-3), (1, 0, -0.01)])
+    assert np.isnan(below)
+    assert np.isposinf(above)
+    assert np.isnan(down)
+    # From a higher edge it is reached sooner, and where the user states higher ground, later.
+    (sooner,) = TerrainTracer(
+        plateau(55.0), curvature=False, possible=PossibleGround(steepest=1.0, margin=0.0)
+    ).trace_rays(origin, [(1, 0, slope + 1e-3)])
+    assert np.isnan(sooner)
+    stated = PossibleGround(steepest=1.0, highest=150.0)
+    higher = 98.0 / (89 + 100)
+    below, above = TerrainTracer(plateau(50.0), curvature=False, possible=stated).trace_rays(
+        origin, [(1, 0, higher - 1e-3), (1, 0, higher + 1e-3)]
     )
-    assert before == pytest.approx(20 * np.hypot(1, 0.5), rel=1e-5)
-    assert np.isnan(across_to_the_step)
-    assert np.isposinf(across_to_the_sky)
-    assert np.isnan(into)
+    assert np.isnan(below)
+    assert np.isposinf(above)
+
+
+def test_a_camera_above_all_ground_sees_sky_over_the_horizon() -> None:
+    level, up = TerrainTracer(plateau(50.0), possible=PossibleGround(margin=0.0)).trace_rays(
+        (10.5, 29.5, 80.5), [(1, 0, 0), (1, 0, 0.3)]
+    )
+    assert np.isposinf(level)
+    assert np.isposinf(up)
+
+
+def test_where_nothing_is_stated_ground_beyond_may_be_higher_than_the_dem() -> None:
+    (stated,) = TerrainTracer(plateau(50.0)).trace_rays((10.5, 29.5, 80.5), [(1, 0, 0)])
+    assert np.isnan(stated)
+    tracer = TerrainTracer(plateau(50.0))
+    (level,) = tracer.trace_rays((10.5, 29.5, 80.0 + tracer.possible.margin + 0.5), [(1, 0, 0)])
+    assert np.isposinf(level)
+
+
+def test_where_nothing_beyond_is_stated_what_climbs_is_sky() -> None:
+    tracer = TerrainTracer(plateau(50.0), curvature=False, possible=NOTHING_BEYOND)
+    up, down = tracer.trace_rays((10.5, 29.5, 52.0), [(1, 0, 0.001), (1, 0, -0.01)])
+    assert np.isposinf(up)
+    assert np.isnan(down)
 
 
 def test_a_camera_in_a_margin_sees_the_known_ground() -> None:

@@ -83,3 +83,14 @@ def test_a_camera_under_the_ground_is_refused(tmp_path: Path, dem_file: Path) ->
     with pytest.raises(PoseError, match="under the ground"):
         trace(dem=[dem_file], pose=pose_file(tmp_path, 700.0), out=tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_picture_that_is_mostly_unknown_says_so(
+    tmp_path: Path, dem_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From 60 m before the raster's eastern edge, looking out and down."""
+    path = pose_file(tmp_path, 890.0, 90.0)
+    path.write_text(path.read_text().replace("400060.5", "400200.5").replace("-12", "-30"))
+    trace(dem=[dem_file], pose=path, out=tmp_path / "out")
+    said = " ".join(capsys.readouterr().out.split())
+    assert "of the picture is unknown ground: the camera looks" in said

@@ -387,7 +387,8 @@ def test_a_photo_that_exif_turns_says_so(tmp_path: Path, site: Site) -> None:
     poses = tmp_path / "poses.csv"
     poses.write_text(f"name,cx,cy\nportrait.jpg,{W - 5},{H / 2}\n")
     with pytest.raises(
-        CameraError, match=r"portrait.jpg: principal point .* beside the image of 40 x 64 .*by 90 degrees"
+        CameraError,
+        match=r"portrait.jpg: principal point .* beside the image of 40 x 64 pixels, as EXIF turns it by 90 degrees",
     ):
         import_photos([file], tmp_path / "beside", poses, site=site)
     assert not (tmp_path / "beside").exists()

@@ -1,0 +1,178 @@
+"""Faults one after the other, and how long the graph takes to be whole again after each."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import signal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+from chaos.acknowledgements import Acknowledgements
+from chaos.cameras import CAMERAS
+from chaos.faults import Arena, Fault, draw_fault
+from chaos.heartbeats import Heartbeats
+from chaos.resources import usage_of
+
+BACK_S = 15.0
+"""In which every camera's frames are acknowledged again, and every node reports again, after a fault is over."""
+START_S = 60.0
+"""The same after the whole graph was started anew."""
+GAP_S = 5.0
+"""Longest time without an acknowledgement of a camera that a fault does not touch, beyond its period."""
+PATIENCE_S = 90.0
+"""After which a camera is given up and what hangs is ended, so that the run can go on."""
+QUIET_S = (1.0, 5.0)
+"""Between faults."""
+MOST_PSS_KB = 1 << 20
+MOST_MORE = {"descriptors": 32, "threads": 16}
+"""By which a process may have more of them at its end than when it was first whole."""
+
+
+@dataclass
+class Outcome:
+    """What became of one fault. Seconds after its end; None: not within `PATIENCE_S`."""
+
+    fault: str
+    begun: float
+    lasted: float
+    cameras: dict[str, float | None] = field(default_factory=dict)
+    nodes: dict[str, float | None] = field(default_factory=dict)
+    gaps: dict[str, float] = field(default_factory=dict)
+    """Of cameras that it does not touch: longest time between two acknowledgements."""
+    most_pss_kb: int = 0
+    most_pss_of: str = ""
+    load: float = 0.0
+    """Processes that wanted a core of this machine over the last minute, on average: what delays may be due to."""
+    missed: list[str] = field(default_factory=list)
+
+
+class Sampler:
+    """Looks at the memory of all processes once a second."""
+
+    def __init__(self, arena: Arena) -> None:
+        self._arena = arena
+        self._peaks: dict[str, int] = {}
+        self._lock = threading.Lock()
+        self.sums: list[int] = []
+        """kB of PSS of all processes together."""
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="sampler", daemon=True)
+        self._thread.start()
+
+    def take_peaks(self) -> dict[str, int]:
+        """kB by process since the last call."""
+        with self._lock:
+            peaks, self._peaks = self._peaks, {}
+            return peaks
+
+    def stop(self) -> None:
+        self._stopping.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stopping.wait(1.0):
+            usage = usage_of(self._arena.site.processes())
+            with self._lock:
+                for label, one in usage.items():
+                    self._peaks[label] = max(one.pss, self._peaks.get(label, 0))
+            self.sums.append(sum(one.pss for one in usage.values()))
+
+
+class ChaosRun:
+    """Injects faults into a graph that is whole; `outcomes` says what became of each."""
+
+    def __init__(
+        self,
+        arena: Arena,
+        acknowledgements: Acknowledgements,
+        heartbeats: Heartbeats,
+        kinds: list[str],
+        rng: random.Random,
+        tell: Callable[[Outcome], None],
+        slack: float = 1.0,
+    ) -> None:
+        """`slack`: by which times may be longer, on a machine that has other work."""
+        self.outcomes: list[Outcome] = []
+        self._arena, self._acknowledgements, self._heartbeats = arena, acknowledgements, heartbeats
+        self._kinds, self._rng, self._tell = kinds, rng, tell
+        self._slack = slack
+        self._begun = time.monotonic()
+        self.sampler = Sampler(arena)
+
+    def run(self, minutes: float) -> None:
+        """Faults until the time is over."""
+        while time.monotonic() - self._begun < 60.0 * minutes:
+            fault = draw_fault(self._kinds, self._arena, self._rng)
+            self.outcomes.append(self._inject(fault))
+            self._tell(self.outcomes[-1])
+            time.sleep(self._rng.uniform(*QUIET_S))
+        self.sampler.stop()
+
+    def _inject(self, fault: Fault) -> Outcome:
+        former = self._arena.site.processes()
+        begun = time.monotonic()
+        missed = fault.act()
+        over = time.monotonic()
+        outcome = Outcome(fault.name, begun - self._begun, over - begun, missed=missed)
+        self._wait_back(fault, former, over, outcome)
+        whole = time.monotonic()
+        bound = self._slack * (START_S if fault.whole_start else BACK_S)
+        for name, seconds in (outcome.cameras | outcome.nodes).items():
+            if seconds is None or seconds > bound:
+                late = "never back" if seconds is None else f"back after {seconds:.1f} s"
+                outcome.missed.append(f"{name} {late}")
+        for camera in [camera for camera in CAMERAS if camera not in fault.touches]:
+            gap = outcome.gaps[camera] = self._longest_gap(camera, begun, whole)
+            if gap > self._slack * GAP_S + self._arena.cameras.period_s:
+                outcome.missed.append(f"{camera}, which is not touched, paused for {gap:.1f} s")
+        if not fault.whole_start:
+            now = self._arena.site.processes()
+            ended = [label for label in former if now.get(label) != former[label] and label not in fault.restarts]
+            outcome.missed += [f"{label} was ended by it" for label in ended]
+        outcome.load = os.getloadavg()[0]
+        peaks = self.sampler.take_peaks()
+        if peaks:
+            outcome.most_pss_of = max(peaks, key=lambda label: peaks[label])
+            outcome.most_pss_kb = peaks[outcome.most_pss_of]
+        outcome.missed += [f"{label} took {kb >> 10} MB" for label, kb in peaks.items() if kb > MOST_PSS_KB]
+        return outcome
+
+    def _wait_back(self, fault: Fault, former: dict[str, int], over: float, outcome: Outcome) -> None:
+        """Until frames sent after the fault are told of, and those that took the place of ended processes report."""
+        outcome.cameras = dict.fromkeys(CAMERAS)
+        nodes = list(self._arena.site.nodes) if fault.whole_start else list(fault.restarts)
+        outcome.nodes = dict.fromkeys(nodes)
+        while time.monotonic() < over + self._slack * PATIENCE_S:
+            for camera in [camera for camera, at in outcome.cameras.items() if at is None]:
+                outcome.cameras[camera] = self._back(camera, over)
+            processes = self._arena.site.processes()
+            for label in [label for label, at in outcome.nodes.items() if at is None]:
+                pid = processes.get(label)
+                if pid not in (None, former.get(label)) and self._heartbeats.since(label, over):
+                    outcome.nodes[label] = time.monotonic() - over
+            if None not in (*outcome.cameras.values(), *outcome.nodes.values()):
+                return
+            time.sleep(0.2)
+        for label in nodes:
+            pid = self._arena.site.processes().get(label)
+            if pid is not None and pid == former.get(label):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+
+    def _back(self, camera: str, over: float) -> float | None:
+        sent = [frame for frame in self._arena.cameras.sent_of(camera) if frame.at > over]
+        told = [self._acknowledgements.when(frame.stamp_ns) for frame in sent]
+        return min((at - over for at in told if at is not None), default=None)
+
+    def _longest_gap(self, camera: str, begun: float, end: float) -> float:
+        """Between two acknowledgements of a camera, the last before `begun` and up to `end`."""
+        told = (self._acknowledgements.when(frame.stamp_ns) for frame in self._arena.cameras.sent_of(camera))
+        times = sorted(at for at in told if at is not None and at <= end)
+        before = [at for at in times if at < begun]
+        moments = [*before[-1:], *(at for at in times if at >= begun), end]
+        return max((later - earlier for earlier, later in pairwise(moments)), default=0.0)

@@ -1,0 +1,47 @@
+"""When each node last reported on `/diagnostics`, and what it has counted."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+
+from chaos.running_site import CLEANUP
+
+
+class Heartbeats:
+    """By label, as `tower/depth`."""
+
+    def __init__(self, node: Node) -> None:
+        self._at: dict[str, float] = {}
+        self._latest: dict[str, dict[str, str]] = {}
+        self._lock = threading.Lock()
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 200)
+
+    def since(self, label: str, at: float) -> bool:
+        """Whether it has reported after that moment; the cleanup process has no report to make."""
+        with self._lock:
+            return label == CLEANUP or self._at.get(label, 0.0) > at
+
+    def counted(self) -> Counter[str]:
+        """What living nodes have dropped and noted by now: a restarted node begins at zero."""
+        with self._lock:
+            return Counter(
+                {
+                    f"{label} {key}": int(value)
+                    for label, summary in self._latest.items()
+                    for key, value in summary.items()
+                    if key.startswith(("dropped.", "noted."))
+                }
+            )
+
+    def _take(self, message: Any) -> None:
+        with self._lock:
+            for status in message.status:
+                label = status.name.partition("/")[2].partition("/")[2]
+                self._at[label] = time.monotonic()
+                self._latest[label] = {item.key: item.value for item in status.values}

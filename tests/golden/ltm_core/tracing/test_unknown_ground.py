@@ -1,0 +1,82 @@
+"""Rays over the edges of two real surveys: what is given up, and what is called sky, before unknown ground had bounds
+and since. `pytest -s` prints the shares.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import LtmError
+from ltm_core.evaluation.terrain.canyon_io import read_canyon
+from ltm_core.geodesy import SiteFrame
+from ltm_core.pose import Pose
+from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
+from ltm_core.types import BoolArray, Float32Array
+
+FRAME = SiteFrame("EPSG:32633", 446_000.0, 7_396_000.0)
+ENGABREEN = Camera(4290, 2856, 6017.0, 6017.0, 2144.5, 1427.5, (-0.1155, 0.0, 0.0, 0.0, 0.0)).scaled(8)
+TOWARDS = Pose.from_angles((722.0, 671.0, 770.0), 230.77, -5.79, -0.77)
+SNOTINDEN = 1594.0
+"""Metres: the highest ground about the glacier."""
+RIM = 1700.0
+"""Metres: the canyon's rim about river mile 22."""
+
+
+def came_back(dem: Dem, camera: Camera, pose: Pose, ranges: Float32Array) -> BoolArray:
+    """Which rays with a range have been over known ground and then over none, by small steps: those that were given up
+    before unknown ground had bounds.
+    """
+    directions = camera.rays() @ pose.rotation.T
+    left, entered = np.zeros(ranges.shape, np.bool_), np.zeros(ranges.shape, np.bool_)
+    step = dem.geometry.resolution / 2
+    for at in np.arange(0.0, float(np.nanmax(np.where(np.isfinite(ranges), ranges, np.nan))), step):
+        under_way = np.isfinite(ranges) & (ranges > at)
+        points = pose.position[:2] + at * directions[..., :2]
+        known = np.isfinite(dem.elevation_at(points[..., 0], points[..., 1]))
+        left |= under_way & entered & ~known
+        entered |= under_way & known
+    return left
+
+
+def test_stripes_over_a_ragged_survey(shared_data: Path) -> None:
+    try:
+        canyon = read_canyon(shared_data / "grandcanyon_rm22")
+    except LtmError as error:
+        pytest.skip(str(error))
+    camera, pose = canyon.resection.camera.scaled(8), canyon.resection.pose
+    hits = before = now = 0
+    for date, dem in canyon.surveys.items():
+        free = TerrainTracer(dem, possible=NOTHING_BEYOND).trace(camera, pose).range
+        hit = np.isfinite(free)
+        given_up = came_back(dem, camera, pose, free)[hit]
+        unknown = np.isnan(TerrainTracer(dem).trace(camera, pose).range[hit])
+        print(f"{date}: {hit.sum()} rays hit, given up before {given_up.mean():.2%}, now {unknown.mean():.2%}")
+        hits, before, now = hits + int(hit.sum()), before + int(given_up.sum()), now + int(unknown.sum())
+    print(f"all: {hits} rays hit, given up before {before / hits:.2%}, now {now / hits:.2%}")
+    assert now < 0.4 * before
+
+
+def test_no_rock_wall_beyond_a_survey_is_sky(shared_data: Path) -> None:
+    """What is sky for a tracer without bounds is rock in both photos, but for a strip along the top of Engabreen's."""
+    path = shared_data / "engabreen" / "dem_3m_f64.tif"
+    if not path.is_file():
+        pytest.skip(f"{path} is not there")
+    canyon = read_canyon(shared_data / "grandcanyon_rm22")
+    views = (
+        ("Engabreen", Dem.open(path).in_frame(FRAME), ENGABREEN, TOWARDS, SNOTINDEN),
+        ("canyon", canyon.surveys["121004"], canyon.resection.camera.scaled(8), canyon.resection.pose, RIM),
+    )
+    for name, dem, camera, pose, highest in views:
+        sky = []
+        for possible in (NOTHING_BEYOND, PossibleGround(), PossibleGround(highest=highest)):
+            ranges = TerrainTracer(dem, possible=possible).trace(camera, pose).range
+            sky.append(float(np.isposinf(ranges).mean()))
+            print(f"{name}, {possible}: sky {sky[-1]:.1%}, unknown {np.isnan(ranges).mean():.1%}")
+        assert sky[0] > 0.1
+        assert sky[1] == sky[2] == 0.0

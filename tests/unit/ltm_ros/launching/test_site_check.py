@@ -1,0 +1,56 @@
+"""What a graph needs of its machine, and how a run that cannot be ends."""
+
+from __future__ import annotations
+
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+import pytest
+from scenes.small_site import write_small_site
+
+from ltm_core.site_check import Finding, Verdict
+from ltm_ros.launching import site_check
+from ltm_ros.launching.site_check import MACHINE, Wanted, examine, examined_apart, exit_status
+
+
+def finding(area: str, verdict: Verdict) -> Finding:
+    return Finding(area, "x", verdict, "")
+
+
+@pytest.mark.parametrize(
+    ("findings", "status"),
+    [
+        ([], 0),
+        ([finding("terrain", Verdict.OK), finding("cameras", Verdict.DOUBTFUL)], 0),
+        ([finding(MACHINE, Verdict.WRONG), finding("terrain", Verdict.OK)], 1),
+        ([finding(MACHINE, Verdict.WRONG), finding("fuel", Verdict.WRONG)], 78),
+    ],
+)
+def test_exit_status(findings: list[Finding], status: int) -> None:
+    """78 only for what the site file must be mended for: a disk that is full today may have room tomorrow."""
+    assert exit_status(findings) == status
+
+
+@pytest.mark.parametrize(
+    ("free", "verdict"), [(50 << 20, Verdict.WRONG), (1 << 30, Verdict.DOUBTFUL), (9 << 30, Verdict.OK)]
+)
+def test_room_for_what_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free: int, verdict: Verdict) -> None:
+    monkeypatch.setattr(site_check, "free_bytes", lambda folder: free)
+    site = write_small_site(tmp_path, recording=False).path
+    found = examine(site, Wanted(folders={"state": tmp_path / "map"})).findings
+    (room,) = [one for one in found if one.name == "state"]
+    assert room.verdict is verdict
+    assert f"{free / 1e9:.1f} GB free" in room.said
+    assert ("make room" in room.said) is (verdict is not Verdict.OK)
+
+
+def test_a_check_that_is_killed_is_a_finding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Killed:
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            raise BrokenProcessPool("a child was killed")
+
+    monkeypatch.setattr(site_check, "ProcessPoolExecutor", Killed)
+    (found,) = examined_apart(tmp_path / "site.yaml", Wanted())
+    assert (found.area, found.verdict) == (MACHINE, Verdict.WRONG)
+    assert "larger than the memory" in found.said
