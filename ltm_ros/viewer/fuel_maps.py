@@ -44,6 +44,7 @@ class FuelMaps:
         self.geometry = geometry
         self._dem, self._palette, self._places = dem, palette, places
         self._canvas = FuelCanvas(geometry, dem, places)
+        self._whole = self._canvas.view
         self.window: Bounds | None = None
         """West, south, east and north of what is drawn; None: everything."""
         self._size: tuple[int, int] | None = None
@@ -74,7 +75,7 @@ class FuelMaps:
             return
         needed = seen_window(self.geometry, touched, self._places)
         if self.window is None or not _within(needed, self.window):
-            self.window = _shaped(needed, self._canvas.view)
+            self.window = _shaped(needed, self._whole)
             self._canvas = FuelCanvas(self.geometry, self._dem, self._places, self.window)
 
 
@@ -83,13 +84,13 @@ def _within(inner: Bounds, outer: Bounds) -> bool:
 
 
 def _shaped(bounds: Bounds, view: GridGeometry) -> Bounds:
-    """Bounds with room around, as high for their width as `view` is, so that all pictures have one size."""
+    """Bounds with room around, inside `view` and as high for their width, so that all pictures have one size."""
     west, south, east, north = bounds
-    aspect = view.width / view.height
-    half_x, half_y = (east - west) / 2 * (1 + _ROOM), (north - south) / 2 * (1 + _ROOM)
-    half_x = max(half_x, half_y * aspect)
-    half_y = half_x / aspect
-    x, y = (west + east) / 2, (south + north) / 2
+    x_min, y_min, x_max, y_max = view.bounds
+    share = min(max((east - west) / (x_max - x_min), (north - south) / (y_max - y_min)) * (1 + _ROOM), 1.0)
+    half_x, half_y = share * (x_max - x_min) / 2, share * (y_max - y_min) / 2
+    x = min(max((west + east) / 2, x_min + half_x), x_max - half_x)
+    y = min(max((south + north) / 2, y_min + half_y), y_max - half_y)
     return x - half_x, y - half_y, x + half_x, y + half_y
 
 
