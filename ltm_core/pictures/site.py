@@ -41,7 +41,7 @@ class _Palette:
 
 
 _SEEN: Final = _Palette(
-    ("seen by no camera", "by one", "by two", "by three or more"),
+    ("seen in no view", "in one", "in two", "in three or more"),
     ((140, 146, 158), (253, 190, 92), (236, 112, 58), (158, 38, 84)),
 )
 
@@ -57,9 +57,9 @@ def site_picture(
 ) -> RgbImage:
     """What cameras see over relief, and beside it the prior fuel map where there is one, (H, W, 3).
 
-    `dem`, `seen_geometry`, `prior.geometry`: in the map frame. `seen_by`: (h, w) number of cameras that see a cell, -1
-    where the ground is not known; None: no camera's view is known. `offset`: of the map frame in its CRS, for the axes.
-    `titles`: of the two maps.
+    `dem`, `seen_geometry`, `prior.geometry`: in the map frame. `seen_by`: (h, w) number of views that show a cell, -1
+    where the ground is not known, a camera that turns having several; None: no view is known. `offset`: of the map
+    frame in its CRS, for the axes. `titles`: of the two maps.
     """
     bounds = _bounds(dem.geometry, cameras)
     view = view_of(bounds, _WIDTH)

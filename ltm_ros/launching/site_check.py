@@ -10,6 +10,9 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from types import ModuleType
+
+from pydantic import BaseModel
 
 from ltm_core.config_io import checked
 from ltm_core.errors import LtmError
@@ -73,6 +76,12 @@ def _findings(path: Path, wanted: Wanted) -> list[Finding]:
     return examine(path, wanted).findings
 
 
+def _config_of(module: ModuleType) -> type[BaseModel]:
+    """What a node takes as parameters; the recorder, which decodes nothing, is no handler's node."""
+    model: type[BaseModel] = module.NODE.config if hasattr(module, "NODE") else module.CONFIG
+    return model
+
+
 def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
     """The parameters of each node type, which it would refuse itself."""
     try:
@@ -86,7 +95,7 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
     for spec in {spec.module: spec for spec in graph}.values():
         given = {name: value for name, value in spec.parameters.items() if name != "use_sim_time"}
         try:
-            checked(importlib.import_module(spec.module).NODE.config, given, f"nodes.{spec.executable}")
+            checked(_config_of(importlib.import_module(spec.module)), given, f"nodes.{spec.executable}")
         except LtmError as error:
             wrong = True
             yield Finding.of("site", "nodes", error)

@@ -172,6 +172,7 @@ def _patterns(config: RecorderConfig) -> list[str]:
     return [*names, *(site_topic(site.name, topic) for topic in whole_site), "/diagnostics"]
 
 
+CONFIG = RecorderConfig
 main = partial(run_until_stopped, "recorder", Recorder)
 
 if __name__ == "__main__":

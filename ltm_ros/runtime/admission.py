@@ -12,6 +12,9 @@ from ltm_ros.runtime.health import Health, cause_of
 
 FrameT = TypeVar("FrameT")
 
+HEARS_WITHIN_S = 1.0
+"""For which a worker is waited for that has finished no frame yet: DDS names it before it hears all that it needs."""
+
 
 @dataclass
 class _InFlight:
@@ -32,7 +35,8 @@ class Admission(Generic[FrameT]):
     A frame is in flight until every node has finished it that was known as a worker when it was let in. Nothing is
     asked of who works on it: a worker that goes is not awaited any more, one that finishes a later frame has done with
     those before, and one that has a frame and finishes none for `finish_within` is left out of account until it does.
-    So the slowest worker that lives sets the pace, and where there is none nothing limits.
+    So the slowest worker that lives sets the pace, and where there is none nothing limits. One that has finished none
+    yet may not hear us, so each frame waits only `HEARS_WITHIN_S` for it.
 
     Args:
         admit: takes a frame that is let in. May raise LtmError: then it is not in flight.
@@ -65,6 +69,8 @@ class Admission(Generic[FrameT]):
         self._in_flight: OrderedDict[int, _InFlight] = OrderedDict()
         self._late: set[str] = set()
         """Workers that let a frame grow too old, and have finished none since."""
+        self._heard: set[str] = set()
+        """Workers that have finished a frame since they came."""
         self._finished = 0
 
     def offer(self, stamp_ns: int, frame: FrameT) -> None:
@@ -82,6 +88,7 @@ class Admission(Generic[FrameT]):
     def finished(self, worker: str, stamp_ns: int) -> None:
         """A worker has finished a frame. Raises as `offer`."""
         self._late.discard(worker)
+        self._heard.add(worker)
         if stamp_ns in self._in_flight:
             self._in_flight[stamp_ns].awaited.pop(worker, None)
             for stamp in list(self._in_flight):
@@ -96,10 +103,14 @@ class Admission(Generic[FrameT]):
 
     def tick(self, waited: float) -> None:
         """So many seconds have passed. Raises as `offer`."""
-        there = self._workers() if self._in_flight else ()
+        there = self._workers() if self._in_flight else set()
+        if self._in_flight:
+            self._heard &= there
         for stamp, frame in self._in_flight.items():
             frame.give_up(frame.awaited.keys() - there)
             frame.awaited = {worker: silent + waited for worker, silent in frame.awaited.items()}
+            new = frame.awaited.keys() - self._heard
+            frame.give_up({worker for worker in new if frame.awaited[worker] >= HEARS_WITHIN_S})
             late = {worker for worker, silent in frame.awaited.items() if silent > self._finish_within}
             if late - self._late:
                 self._health.trouble(

@@ -19,7 +19,9 @@ from chaos.heartbeats import Heartbeats
 from chaos.resources import usage_of
 
 BACK_S = 15.0
-"""In which every camera's frames are acknowledged again, and every node reports again, after a fault is over."""
+"""In which every camera's frames are acknowledged again after a fault is over."""
+REPORTS_S = 30.0
+"""In which a process that took the place of another reports: those that no acknowledgement waits for, too."""
 START_S = 60.0
 """The same after the whole graph was started anew."""
 GAP_S = 5.0
@@ -52,7 +54,7 @@ class Outcome:
 
 
 class Sampler:
-    """Looks at the memory of all processes once a second."""
+    """Looks at the memory of all processes every two seconds."""
 
     def __init__(self, arena: Arena) -> None:
         self._arena = arena
@@ -75,7 +77,7 @@ class Sampler:
         self._thread.join()
 
     def _run(self) -> None:
-        while not self._stopping.wait(1.0):
+        while not self._stopping.wait(2.0):
             usage = usage_of(self._arena.site.processes())
             with self._lock:
                 for label, one in usage.items():
@@ -121,9 +123,9 @@ class ChaosRun:
         outcome = Outcome(fault.name, begun - self._begun, over - begun, missed=missed)
         self._wait_back(fault, former, over, outcome)
         whole = time.monotonic()
-        bound = self._slack * (START_S if fault.whole_start else BACK_S)
+        bounds = dict.fromkeys(outcome.cameras, BACK_S) | dict.fromkeys(outcome.nodes, REPORTS_S)
         for name, seconds in (outcome.cameras | outcome.nodes).items():
-            if seconds is None or seconds > bound:
+            if seconds is None or seconds > self._slack * (START_S if fault.whole_start else bounds[name]):
                 late = "never back" if seconds is None else f"back after {seconds:.1f} s"
                 outcome.missed.append(f"{name} {late}")
         for camera in [camera for camera in CAMERAS if camera not in fault.touches]:
@@ -157,7 +159,7 @@ class ChaosRun:
                     outcome.nodes[label] = time.monotonic() - over
             if None not in (*outcome.cameras.values(), *outcome.nodes.values()):
                 return
-            time.sleep(0.2)
+            time.sleep(0.4)
         for label in nodes:
             pid = self._arena.site.processes().get(label)
             if pid is not None and pid == former.get(label):

@@ -109,10 +109,10 @@ def fill_disk(arena: Arena, rng: random.Random) -> Fault:
         try:
             with ballast.open("wb", buffering=0) as file, contextlib.suppress(OSError):
                 while True:
-                    file.write(bytes(1 << 16))
+                    file.write(bytes(1 << 20))
             with ballast.open("ab", buffering=0) as file, contextlib.suppress(OSError):
                 while True:
-                    file.write(b"\0")
+                    file.write(bytes(1 << 9))
             time.sleep(seconds)
         finally:
             ballast.unlink(missing_ok=True)

@@ -13,7 +13,7 @@ from ltm_core.raster.raster_io import write_geotiff
 
 PRIOR_CODE = 183
 """Of every cell: timber litter, so that grass and houses contradict it."""
-SILENT_S = 8.0
+SILENT_S = 5.0
 """After which a node without a sign of life is given up, so that its camera is back in time."""
 NO_CHANGE = 1000.0
 """Metres by which the surface would have to move: what becomes of the fuel map then is for other tests, and here the

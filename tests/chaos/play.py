@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bystander import Bystander
-from leftovers import ports_of_domain, wait_gone
+from leftovers import ports_of_domain
 from scenes.compiled_kernels import compile_kernels
 from scenes.small_site import SmallSite
 from scenes.waiting import wait_for
@@ -28,8 +28,12 @@ from chaos.resources import Usage, usage_of
 from chaos.running_site import RunningSite
 from chaos.soak import SUM, Soak
 from chaos.verdict import judge, votes_of_phases
+from ltm_core.errors import RecordingError
+from ltm_msgs_py.bag.reader import BagReader
+from ltm_ros.launching import shared_memory
 
-DISK_MB = {"state": 64, "recording": 256}
+DISK_MB = {"state": 320, "recording": 640}
+"""More than `ltm run` asks for before it starts."""
 START_S = 300.0
 """For the first frames."""
 ENDING_S = 20.0
@@ -59,7 +63,9 @@ class Stage:
         for name, disk in self.disks.items():
             mount_disk(disk, DISK_MB[name])
         self.state = folder / "state"
-        self.site = RunningSite(self.small.path, self.state, folder / "recording" / "bag", folder / "logs", domain)
+        self._domain = domain
+        self.recording = folder / "recording" / "bag"
+        self.site = RunningSite(self.small.path, self.state, self.recording, folder / "logs", domain)
         self.cameras = Cameras(bystander.node, self.photos, period_s)
         self.acknowledgements = Acknowledgements(bystander.node)
         self.heartbeats = Heartbeats(bystander.node)
@@ -96,6 +102,9 @@ class Stage:
                 missed += [f"{label} has {more} more {what} than at first"] if more > most else []
         if status := self.site.stop():
             missed.append(f"the graph stopped with exit code {status}")
+        # Ours is in use, and not stale.
+        if left := set(ports_of_domain(self._domain)) & set(shared_memory.survey().stale):
+            missed.append(f"shared memory left behind: {', '.join(sorted(left))}")
         time.sleep(1.0)  # the last acknowledgements
         return missed
 
@@ -108,6 +117,20 @@ class Stage:
         found.missed += [f"{len(verdict.lost)} acknowledged frames are lost"] if verdict.lost else []
         found.missed += [f"{len(verdict.told_twice)} frames were told of twice"] if verdict.told_twice else []
         found.missed += verdict.faults
+        found.missed += self._damaged_recordings()
+
+    def _damaged_recordings(self) -> list[str]:
+        """The graph has stopped in order, so whatever happened to recorders before, all files must be whole."""
+        damaged, messages = [], 0
+        for bag in sorted(self.recording.parent.glob(f"{self.recording.name}*")):
+            try:
+                reader = BagReader(bag)
+                messages += sum(1 for _ in reader.messages())
+                damaged += [f"{bag.name}: {note}" for note in reader.damage]
+            except RecordingError as error:
+                damaged.append(str(error))
+        print(f"{messages} messages in the recordings that are left")
+        return damaged
 
 
 @contextmanager
@@ -125,8 +148,6 @@ def on_stage(folder: Path, domain: int, period_s: float, own_disks: bool, found:
         found.content["counted"] = dict(stage.heartbeats.counted())
         found.missed += stage.end()
     stage.judge(found)
-    if left := wait_gone(lambda: ports_of_domain(domain)):
-        found.missed.append(f"shared memory left behind: {', '.join(left)}")
 
 
 def play_chaos(

@@ -45,6 +45,19 @@ def test_room_for_what_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     assert ("make room" in room.said) is (verdict is not Verdict.OK)
 
 
+def test_parameters_of_every_node_are_looked_at(tmp_path: Path) -> None:
+    """Of the recorder and the viewer too, where they run."""
+    site = write_small_site(tmp_path, recording=False).path
+    wanted = Wanted(view={"serve": True}, record={"bag": str(tmp_path / "bag")})
+    (found,) = [one for one in examine(site, wanted).findings if one.name == "nodes"]
+    assert (found.verdict, found.said) == (Verdict.OK, "11 processes, parameters as they take them")
+    wrong = Wanted(record={"bag": str(tmp_path / "bag"), "max_bytes": -7})
+    (found,) = [one for one in examine(site, wrong).findings if one.name == "nodes"]
+    assert found.verdict is Verdict.WRONG
+    assert "nodes.recorder" in found.said
+    assert "max_bytes" in found.said
+
+
 def test_a_check_that_is_killed_is_a_finding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Killed:
         def __init__(self, *arguments: Any, **options: Any) -> None:
