@@ -27,7 +27,7 @@ TITLES = {
 """By the last part of the entity `fuel_layers/...`."""
 
 
-_ROOM = 0.2
+_ROOM = 0.1
 """Share of its size by which a window is larger than what is seen, so that it is not drawn anew for every cell."""
 _SLACK = 60
 """Pixels by which the axes and legends of two windows may differ."""
