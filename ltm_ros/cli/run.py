@@ -45,7 +45,7 @@ def run(
     What `ltm check` finds wrong ends it before any process starts: exit code 78 where the site file must be mended.
     """
     from ltm_ros.launching.graph import describe
-    from ltm_ros.launching.runner import Runner, new_log_folder
+    from ltm_ros.launching.runner import Runner, new_log_folder, print_line
     from ltm_ros.launching.site_check import Wanted
 
     folders: dict[str, Path] = {}
@@ -72,7 +72,8 @@ def run(
     if view:
         typer.echo(f"-- live view, as soon as the nodes are up: {_address(graph.node('viewer').parameters)}")
     status = runner.run()
-    typer.echo(f"-- {config.name} has ended; its logs: {runner.log_folder}")
+    # Not by echo: a console that has gone meanwhile is no error of the run.
+    print_line(f"-- {config.name} has ended; its logs: {runner.log_folder}")
     raise typer.Exit(status)
 
 
