@@ -10,15 +10,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from ltm_core.camera import Camera
+from ltm_core.camera_config import CalibrationConfig, PoseConfig
 from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, PoseError, RasterError
+from ltm_core.errors import ConfigError, RasterError
 from ltm_core.fuel.prior_config import PriorConfig
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.geodesy import SiteFrame, ray_bend
 from ltm_core.grid import GridGeometry
-from ltm_core.plausibility import AzimuthDeg, PitchDeg, RollDeg, doubt_of_height
-from ltm_core.pose import Pose
 from ltm_core.raster.dem_stack import open_terrain, with_surface
 from ltm_core.raster.shared_rasters import shared
 from ltm_core.tracing.possible_ground import PossibleGround
@@ -171,77 +169,6 @@ class TerrainConfig(Config):
     """Memory for cells; the others wait in the store."""
     views_mb: float = Field(34.0, ge=0)
     """Memory for what the reference shows in the pixels of cameras that stand still: 17 MB each at 1080p."""
-
-
-class CalibrationConfig(Config):
-    """Either `hfov_deg` or fx (and fy, cx, cy where they are known)."""
-
-    width: int = Field(gt=0)
-    height: int = Field(gt=0)
-    hfov_deg: float | None = Field(None, gt=0, lt=180)
-    fx: float | None = Field(None, gt=0)
-    fy: float | None = Field(None, gt=0)
-    cx: float | None = None
-    cy: float | None = None
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    """(k1, k2, p1, p2, k3), Brown-Conrady, the order of CameraInfo's plumb_bob."""
-
-    @model_validator(mode="after")
-    def _one_focal_length(self) -> CalibrationConfig:
-        if (self.hfov_deg is None) == (self.fx is None):
-            raise ValueError("give either hfov_deg or fx, not both and not neither")
-        return self
-
-    def camera(self) -> Camera:
-        if self.fx is None:
-            assumed = Camera.from_fov(self.width, self.height, self.hfov_deg or 0.0)
-            fx, fy = assumed.fx, assumed.fy
-        else:
-            fx, fy = self.fx, self.fy if self.fy is not None else self.fx
-        cx = self.cx if self.cx is not None else (self.width - 1) / 2
-        cy = self.cy if self.cy is not None else (self.height - 1) / 2
-        return Camera(self.width, self.height, fx, fy, cx, cy, self.distortion)
-
-
-class PoseConfig(Config):
-    """A surveyed pose. Give z (metres, in the DEM's vertical datum) or `height_above_ground` (mast, tripod)."""
-
-    x: float
-    """Metres in the site's CRS (not minus its origin)."""
-    y: float
-    z: float | None = None
-    height_above_ground: float | None = Field(None, gt=0)
-    azimuth_deg: AzimuthDeg
-    """Clockwise from grid north."""
-    pitch_deg: PitchDeg = 0.0
-    """Up from the horizon."""
-    roll_deg: RollDeg = 0.0
-    """Of the camera, clockwise about its viewing direction."""
-
-    @model_validator(mode="after")
-    def _one_height(self) -> PoseConfig:
-        if (self.z is None) == (self.height_above_ground is None):
-            raise ValueError("give either z or height_above_ground, not both and not neither")
-        return self
-
-    def pose(self, dem: Dem, frame: SiteFrame) -> Pose:
-        """In the map frame. Raises PoseError for a camera under the ground, and where the ground under one that is
-        given above it is not known.
-        """
-        x, y = self.x - frame.x_origin, self.y - frame.y_origin
-        ground = float(dem.elevation_at(x, y))
-        z = self.z
-        if z is None:
-            if ground != ground:
-                covered = dem.levels[-1].geometry.translated(frame.x_origin, frame.y_origin)
-                raise PoseError(
-                    f"no terrain under the camera at ({self.x}, {self.y}): give its z instead, or check x and y; the "
-                    f"DEM covers {covered.described()} in {frame.crs}"
-                )
-            z = ground + (self.height_above_ground or 0.0)
-        elif z <= ground:
-            raise PoseError(f"camera at ({self.x}, {self.y}): {doubt_of_height(z, ground)}")
-        return Pose.from_angles((x, y, z), self.azimuth_deg, self.pitch_deg, self.roll_deg)
 
 
 class CameraConfig(Config):

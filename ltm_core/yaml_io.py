@@ -6,7 +6,7 @@ whoever walks over them, and values that look like dates or numbers and are none
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +101,24 @@ def parse_yaml(text: str, place: str) -> Any:
         return _BoundedLoader(text).get_single_data()
     except _BROKEN as error:
         raise ConfigError(f"{place}: not YAML ({error or type(error).__name__})") from error
+
+
+def line_of(path: Path, keys: Sequence[int | str]) -> int | None:
+    """The line on which a key stands in a YAML file that `read_yaml` has read; sections that the file does not have are
+    stepped over. None where it stands nowhere.
+    """
+    node = _BoundedLoader(read_text(path, LARGEST_FILE, ConfigError)).get_single_node()
+    line = None
+    for key in keys:
+        if isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(node.value):
+            node = node.value[key]
+            line = node.start_mark.line + 1
+        elif isinstance(node, yaml.MappingNode):
+            for name, value in node.value:
+                if name.value == str(key):
+                    node, line = value, name.start_mark.line + 1
+                    break
+    return line
 
 
 def read_yaml(path: Path) -> Any:

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +16,10 @@ from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, PoseError
 from ltm_core.geodesy import SiteFrame
-from ltm_core.plausibility import AzimuthDeg
 from ltm_core.pose_estimation.control_points import ControlPoints
 from ltm_core.pose_estimation.resection import Resection
 from ltm_core.text_io import LARGEST_TABLE, read_text
-from ltm_core.tracing.trace_io import PictureConfig, PlaceConfig, set_up_picture
+from ltm_core.tracing.trace_io import PoseFile, near_frame
 from ltm_core.types import Float64Array
 
 _COLUMNS = {
@@ -33,18 +32,11 @@ _COLUMNS = {
 }
 
 
-class GuessConfig(PlaceConfig):
+class GuessConfig(PoseFile):
     """What is known of a camera before its resection: a pose file whose angles may be left out.
 
-    The position is held, or is where the search starts.
+    The position is held, or is where the search starts. Without `azimuth_deg` all directions are searched.
     """
-
-    azimuth_deg: AzimuthDeg | None = None
-    """None: all directions are searched."""
-
-    @property
-    def angles_deg(self) -> tuple[float, float, float] | None:
-        return None if self.azimuth_deg is None else (self.azimuth_deg, self.pitch_deg, self.roll_deg)
 
 
 @dataclass(frozen=True)
@@ -54,6 +46,8 @@ class ResectionSetup:
     frame: SiteFrame
     camera: Camera
     position: Float64Array
+    angles_deg: tuple[float, float, float] | None
+    """(azimuth, pitch, roll), from grid north; None: nothing is known of them."""
     dem: Dem | None
 
 
@@ -62,19 +56,25 @@ def set_up_resection(guess: GuessConfig, dem: Dem | None, crs: str | None) -> Re
 
     Raises ConfigError where a DEM or a CRS is missing, and what `set_up_picture` raises.
     """
+    pose = guess.pose
     if dem is not None:
-        values = guess.model_dump()
-        values["azimuth_deg"] = guess.azimuth_deg or 0.0
-        setup = set_up_picture(PictureConfig.model_validate(values), dem, surveyed=False)
-        return ResectionSetup(setup.frame, setup.camera, np.array(setup.pose.position), setup.dem)
-    crs = crs or guess.crs
-    if crs is None:
-        raise ConfigError("without a DEM the CRS of the control points must be named: --crs EPSG:..., or give --dem")
-    if guess.height_above_ground is not None or guess.crs not in (None, crs):
-        raise ConfigError(f"without a DEM the position must be [x, y, z] in {crs}; or give --dem")
-    x, y, z = (float(v) for v in guess.position)
-    frame = SiteFrame(crs, round(x / 1000) * 1000.0, round(y / 1000) * 1000.0)
-    return ResectionSetup(frame, guess.camera.camera(), np.array([x - frame.x_origin, y - frame.y_origin, z]), None)
+        frame, local = near_frame(guess, dem)
+        position = pose.position(local, frame)
+    else:
+        crs = crs or pose.crs
+        local = None
+        if crs is None:
+            raise ConfigError(
+                "without a DEM the CRS of the control points must be named: --crs EPSG:..., or give --dem"
+            )
+        if pose.z is None:
+            raise ConfigError("without a DEM the camera's height above the ground does not help: give its z, or --dem")
+        x, y = pose.xy(SiteFrame(crs)) or (0.0, 0.0)
+        frame = SiteFrame(crs, round(x / 1000) * 1000.0, round(y / 1000) * 1000.0)
+        position = (x - frame.x_origin, y - frame.y_origin, pose.z)
+    azimuth = pose.grid_azimuth_deg(frame, position, None)
+    angles = None if azimuth is None else (azimuth, pose.pitch_deg or 0.0, pose.roll_deg or 0.0)
+    return ResectionSetup(frame, guess.calibration.camera(), np.array(position), angles, local)
 
 
 def read_control_points(path: Path | str, frame: SiteFrame, first_pixel: float = 0.0) -> ControlPoints:
@@ -140,20 +140,26 @@ def write_pose(path: Path | str, result: Resection, guess: GuessConfig, frame: S
     camera, pose = result.camera, result.pose
     x, y, z = (float(v) for v in pose.position)
     azimuth, pitch, roll = pose.angles_deg
+    k1, k2, p1, p2, k3 = (float(k) for k in camera.distortion)
     content = {
-        "position": [round(x + frame.x_origin, 4), round(y + frame.y_origin, 4), round(z, 4)],
-        "crs": frame.crs,
-        "azimuth_deg": round(azimuth, 6),
-        "pitch_deg": round(pitch, 6),
-        "roll_deg": round(roll, 6),
-        "camera": {
+        "pose": {
+            "x": round(x + frame.x_origin, 4),
+            "y": round(y + frame.y_origin, 4),
+            "z": round(z, 4),
+            "crs": frame.crs,
+            "azimuth_deg": round(azimuth, 6),
+            "pitch_deg": round(pitch, 6),
+            "roll_deg": round(roll, 6),
+            **_pose_sigmas(result),
+        },
+        "calibration": {
             "width": camera.width,
             "height": camera.height,
             "fx": round(camera.fx, 4),
             "fy": round(camera.fy, 4),
             "cx": camera.cx,
             "cy": camera.cy,
-            "distortion": [float(k) for k in camera.distortion],
+            **{"k1": k1, "k2": k2, "p1": p1, "p2": p2, "k3": k3},
         },
         "curvature": guess.curvature,
         "refraction": guess.refraction,
@@ -167,11 +173,50 @@ def write_pose(path: Path | str, result: Resection, guess: GuessConfig, frame: S
     if result.outliers:
         notes.append(f"Left out as outliers: {', '.join(result.outliers)}")
     head = "".join(f"# {note}\n" for note in notes)
-    Path(path).write_text(head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None), encoding="utf-8")
+    Path(path).write_text(head + yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
 
 
-def write_report(path: Path | str, result: Resection) -> None:
-    """Write residuals, sigmas and the pose's covariance as JSON."""
+def _pose_sigmas(result: Resection) -> dict[str, float]:
+    """By the keys of a pose file; none of a held position of unknown sigma."""
+    x, y, z = np.sqrt(np.diag(result.pose_covariance)[:3])
+    sigmas = {"position_sigma": max(x, y), "height_sigma": z}
+    sigmas |= {f"{angle}_sigma_deg": result.sigmas[f"{angle}_deg"] for angle in ("azimuth", "pitch", "roll")}
+    return {key: float(f"{sigma:.3g}") for key, sigma in sigmas.items() if sigma > 0}
+
+
+def held_notes(result: Resection, position: Float64Array, frame: SiteFrame) -> list[str]:
+    """A line for each parameter that was to be fitted and is held: why, what it would have been, how to have it.
+
+    `position`: as it was given, map metres.
+    """
+    notes = []
+    median = float(np.median(result.residual_px))
+    for name, reason in result.held.items():
+        note = f"{name} is held: {reason}"
+        rejected = result.rejected.get(name)
+        if rejected is not None:
+            values = ", ".join(
+                f"{key} {value:{'.5f' if key == 'k1' else '.2f'}} +- {rejected.sigmas[key]:.3g}"
+                for key, value in _in_crs(rejected.values, frame).items()
+            )
+            if name == "position":
+                away = float(np.linalg.norm(np.array(list(rejected.values.values())) - position))
+                values += f" ({away:.1f} m from the given place)"
+            note += (
+                f". Fitted, it would be {values}, with a median residual of {rejected.median_px:.2f} px, now "
+                f"{median:.2f} px; --force {name} takes it"
+            )
+        notes.append(note)
+    return notes
+
+
+def _in_crs(values: dict[str, float], frame: SiteFrame) -> dict[str, float]:
+    shift = {"x": frame.x_origin, "y": frame.y_origin}
+    return {key: value + shift.get(key, 0.0) for key, value in values.items()}
+
+
+def write_report(path: Path | str, result: Resection, frame: SiteFrame) -> None:
+    """Write residuals, sigmas, the pose's covariance and what was rejected as JSON; positions in the frame's CRS."""
     points = [
         {
             "name": name,
@@ -190,6 +235,10 @@ def write_report(path: Path | str, result: Resection) -> None:
         "sigma_px": result.sigma_px,
         "fitted": ["angles", *result.fitted],
         "held": result.held,
+        "rejected": {
+            name: asdict(rejected) | {"values": _in_crs(rejected.values, frame)}
+            for name, rejected in result.rejected.items()
+        },
         "sigmas": result.sigmas,
         "pose_covariance": result.pose_covariance.tolist(),
         "points": points,

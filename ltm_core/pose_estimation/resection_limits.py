@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ltm_core.camera import Camera
@@ -74,8 +76,12 @@ def check_fit(points: ControlPoints, fit: Fit) -> None:
         )
 
 
-def unbearable(fit: Fit, free: tuple[Parameter, ...], points: ControlPoints) -> tuple[Parameter, str] | None:
-    """The free parameter that the points bear least, and why; None where they bear all. Raises for the angles."""
+def unbearable(
+    fit: Fit, free: tuple[Parameter, ...], points: ControlPoints, forced: Sequence[Parameter] = ()
+) -> tuple[Parameter, str] | None:
+    """The free parameter that the points bear least, and why; None where they bear all but those that are `forced`.
+    Raises for the angles.
+    """
     camera = fit.camera
     sigma = np.sqrt(np.diag(fit.covariance))
     sights = points.places[fit.used] - fit.pose.position
@@ -99,16 +105,19 @@ def unbearable(fit: Fit, free: tuple[Parameter, ...], points: ControlPoints) -> 
             reason = f"its sigma would be {own:.3g} m (limit {limit:.3g} m, {MAX_POSITION_SIGMA:.0%} of the distance)"
             if _in_line(points.places[fit.used]):
                 reason += "; the points lie in one line"
-        if excess > 1 and (worst is None or excess > worst[0]):
+        if name not in forced and excess > 1 and (worst is None or excess > worst[0]):
             worst = excess, name, f"{reason}: mark points that differ more in distance and place in the image"
     if worst is not None:
         return worst[1], worst[2]
     turn = float(np.degrees(np.sqrt(np.linalg.eigvalsh(fit.covariance[:3, :3]).max())))
     if turn <= MAX_ANGLE_SIGMA_DEG:
         return None
-    if free:
-        name = "position" if "position" in free else free[-1]
+    loose = [name for name in free if name not in forced]
+    if loose:
+        name = "position" if "position" in loose else loose[-1]
         return name, f"with it the angles' sigma would be {turn:.2g} degrees (limit {MAX_ANGLE_SIGMA_DEG:g})"
+    if free:
+        return None
     raise PoseError(
         f"the camera's angles do not follow from the control points {', '.join(points.names)}: sigma {turn:.2g} "
         f"degrees (limit {MAX_ANGLE_SIGMA_DEG:g}); mark points further apart in the image, and check their pixels"

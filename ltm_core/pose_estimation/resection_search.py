@@ -1,8 +1,10 @@
-"""Initial poses of a resection, from pairs of control points.
+"""Initial poses of a resection, from few control points at a time.
 
-With the position known, two points and a focal length give a rotation in closed form (TRIAD: Black 1964). All pairs and
-a range of focal lengths are tried and scored by how many points they bring near their marks, so that a start is found
-without angles and in spite of gross errors, after the idea of RANSAC (Fischler and Bolles 1981).
+With the position known, two points and a focal length give a rotation in closed form (TRIAD: Black 1964). Where it is
+free, three points and a focal length give up to four poses, wherever the camera stands (P3P: Ding et al., CVPR 2023, as
+OpenCV has it), so that the stated position does not decide what is found. Pairs, triples and a range of focal lengths
+are tried and scored by how many points they bring near their marks, so that a start is found without angles and in
+spite of gross errors, after the idea of RANSAC (Fischler and Bolles 1981).
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import combinations
 
+import cv2
 import numpy as np
 
 from ltm_core.camera import Camera
@@ -25,6 +28,12 @@ MAX_PAIRS = 400
 MIN_SEPARATION = 0.03
 """Of the image's diagonal: points that are closer give no rotation."""
 STARTS = 4
+MAX_TRIPLES = 150
+MIN_TRIANGLE = 0.002
+"""Of the image's diagonal squared: marks of three points that span less give no position."""
+FREE_STARTS = 6
+APART = 0.05
+"""Of the points' median distance: starts of a free position lie that far from each other."""
 
 
 def coarse_poses(
@@ -54,6 +63,8 @@ def coarse_poses(
                 candidates.append((float(costs[k]), scaled, Pose(position, _orthonormal(rotations[k]))))
     candidates.sort(key=lambda candidate: candidate[0])
     starts = [(camera, pose) for _, camera, pose in candidates[:STARTS]]
+    if position_free:
+        starts += _poses_from_triples(points, camera, focal_free, bend, limit)
     if angles_deg is not None:
         starts.append((camera, Pose.from_angles(position, *angles_deg)))
     if not starts:
@@ -62,6 +73,63 @@ def coarse_poses(
             f"{camera.distortion}: check it"
         )
     return starts
+
+
+def _poses_from_triples(
+    points: ControlPoints, camera: Camera, focal_free: bool, bend: float, limit: float
+) -> list[tuple[Camera, Pose]]:
+    """The best few (camera, pose) at any position, apart from each other."""
+    triples = _triples(points, float(np.hypot(camera.width, camera.height)))
+    candidates: list[tuple[float, float, Camera, Pose]] = []
+    for factor in FOCAL_FACTORS[::2] if focal_free else (1.0,):
+        scaled = replace(camera, fx=camera.fx * float(factor), fy=camera.fy * float(factor))
+        rays = pixel_rays(scaled, points.pixels)
+        poses = [pose for triple in triples for pose in _three_point_poses(points.places[triple], rays[triple])]
+        if not poses:
+            continue
+        positions, rotations = (np.array(part) for part in zip(*poses, strict=True))
+        sights = points.places - positions[:, None]
+        sights[..., 2] -= bend * (sights[..., 0] ** 2 + sights[..., 1] ** 2)
+        costs = _costs(scaled, rotations, sights, points.pixels, limit)
+        for k in np.argsort(costs, kind="stable")[:FREE_STARTS]:
+            distance = float(np.median(np.linalg.norm(sights[k], axis=1)))
+            candidates.append((float(costs[k]), distance, scaled, Pose(positions[k], _orthonormal(rotations[k]))))
+    candidates.sort(key=lambda candidate: candidate[0])
+    starts: list[tuple[Camera, Pose]] = []
+    for _, distance, scaled, pose in candidates:
+        near = (np.linalg.norm(pose.position - other.position) < APART * distance for _, other in starts)
+        if len(starts) < FREE_STARTS and not any(near):
+            starts.append((scaled, pose))
+    return starts
+
+
+def _triples(points: ControlPoints, diagonal: float) -> Int64Array:
+    """Triples of points whose marks span a triangle, at most MAX_TRIPLES of them: (T, 3)."""
+    triples = np.array(list(combinations(range(len(points.names)), 3))).reshape(-1, 3)
+    a, b, c = (points.pixels[triples[:, k]] for k in range(3))
+    area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
+    triples = triples[area > MIN_TRIANGLE * diagonal**2]
+    if len(triples) > MAX_TRIPLES:
+        triples = triples[np.random.default_rng(0).choice(len(triples), MAX_TRIPLES, replace=False)]
+    return np.asarray(triples, np.int64)
+
+
+def _three_point_poses(places: Float64Array, rays: Float64Array) -> list[tuple[Float64Array, Float64Array]]:
+    """(position, rotation from optical to map) of the cameras that see three places along three rays."""
+    if not np.isfinite(rays).all():
+        return []
+    # Near zero, so that the solver's polynomials keep their digits.
+    middle = places.mean(axis=0)
+    _, turns, shifts = cv2.solveP3P(
+        places - middle, rays[:, :2] / rays[:, 2:], np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_P3P
+    )
+    found = []
+    for turn, shift in zip(turns, shifts, strict=True):
+        rotation = cv2.Rodrigues(turn)[0].T
+        position = middle - rotation @ shift[:, 0]
+        if np.isfinite(rotation).all() and np.isfinite(position).all():
+            found.append((position, rotation))
+    return found
 
 
 def _pairs(points: ControlPoints, sights: Float64Array, diagonal: float) -> tuple[Int64Array, Int64Array]:

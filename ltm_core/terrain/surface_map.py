@@ -13,7 +13,7 @@ from ltm_core.raster.tile_store import CellChanges, FrameRecord, Key, TileStore
 from ltm_core.site import PoseErrorConfig, TerrainConfig
 from ltm_core.terrain.cell_layout import TILE
 from ltm_core.terrain.cell_update import Rules, merge
-from ltm_core.terrain.change import Changed, decide, margin_of
+from ltm_core.terrain.change import Changed, decide, margin_of, mosaic
 from ltm_core.terrain.free_space import INSIDE, see_through
 from ltm_core.terrain.layers import SurfaceLayers, layers_of
 from ltm_core.terrain.observation import DepthFrame, Observer
@@ -182,6 +182,11 @@ class SurfaceMap:
     def layers(self, window: tuple[int, int, int, int] | None = None) -> SurfaceLayers:
         """Height, sigma, change and age of a window (row, col, height, width); default: of the whole grid."""
         return layers_of(self._pool, self.reference, window, self._rules)
+
+    def accepted_shift(self, window: tuple[int, int, int, int]) -> Float32Array:
+        """(H, W) metres by which accepted change has moved the surface of a window, 0 where there is none."""
+        parts = mosaic(self._pool.peek, window, ("shift",))
+        return np.asarray(parts["shift"], np.float32) if parts else np.zeros(window[2:], np.float32)
 
     def seen_window(self) -> tuple[int, int, int, int] | None:
         """The smallest window (row, col, height, width) of whole tiles that any frame has touched."""

@@ -223,7 +223,7 @@ def one_by_one(
                 q = hit_between(ground, stage, cx, cy, s, bend, begin, end, state, level)
             elif how == HIT:
                 q = begin
-        q = finished(ground, stage, cx, cy, s, bend, q)
+        q = finished(stage, cx, cy, s, bend, q)
         out[at + i] = q * stage.resolution * per_major if q >= 0.0 else q
 
 

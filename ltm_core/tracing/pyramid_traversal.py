@@ -52,10 +52,6 @@ class TerrainRaster(NamedTuple):
     outside: UInt8Array
     top: float
     """No ground of this raster, the coarser ones around it, or beyond them, is higher."""
-    rise: float
-    """The most that unknown ground rises over a cell, metres."""
-    highest: float
-    """No ground outside the DEM is higher."""
 
 
 WHOLE, BEFORE, AFTER = 0, 1, 2
@@ -86,6 +82,10 @@ class RasterStage(NamedTuple):
     part: int
     last: bool
     """Whether a ray that meets nothing here meets nothing at all."""
+    rise: float
+    """The most that unknown ground rises over a cell, metres."""
+    highest: float
+    """No ground outside the DEM is higher."""
 
 
 # A ray that has met nothing yet carries, in place of a range, what it has been over: a negative number.
@@ -141,30 +141,26 @@ def stretch(stage: RasterStage, cx: float, cy: float) -> tuple[float, float]:
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
-def finished(ground: TerrainRaster, stage: RasterStage, cx: float, cy: float, s: float, bend: float, q: float) -> float:
-    """The answer of the last stage: what a ray that has met nothing gives, +inf where it leaves climbing and above all
-    ground that may lie ahead, else NaN.
+def finished(stage: RasterStage, cx: float, cy: float, s: float, bend: float, q: float) -> float:
+    """The answer of the last stage: what a ray that has met nothing gives, +inf where it leaves climbing and no ground
+    that may lie ahead is as high or as steep, else NaN.
     """
     if not (stage.last and q < 0.0):
         return q
+    known = q == OVER_KNOWN
     if bend >= 0.0:
-        if s >= 0.0 and stage.oz > ground.highest:
-            return np.inf
+        # No ray leaves after `farthest`, and one from a camera over the raster none before `nearest`.
         farthest = max(abs(stage.east), abs(stage.west)) + max(abs(stage.south), abs(stage.north))
         if s < 0.0 and s + 2.0 * bend * farthest < 0.0:
             return np.nan
-    leaves = over_raster(stage, cx, cy)[1] if q == OVER_KNOWN else 0.0
+        nearest = min(min(stage.east, -stage.west), min(stage.south, -stage.north)) if known else 0.0
+        if s >= 0.0 and ray_height(stage.oz, s, bend, max(nearest, 0.0)) > stage.highest:
+            return np.inf
+    leaves = over_raster(stage, cx, cy)[1] if known else 0.0
     if s + 2.0 * bend * leaves < 0.0:
         return np.nan
-    if ray_height(stage.oz, s, bend, leaves) > ground.highest:
-        return np.inf
-    # Where nothing is known, the ground is below the camera at least.
-    below = filled_height_at(ground, stage.ox + cx * leaves, stage.oy + cy * leaves) if leaves > 0.0 else stage.oz
-    rise = ground.rise * math.sqrt(cx * cx + cy * cy)
-    reaches = leaves + max(ground.highest - below, 0.0) / rise
-    # How far the ray stays above a line that rises from there, up to where possible ground is as high as it gets.
-    clear = lowest(stage.oz, s - rise, bend, leaves, reaches) - (below - rise * leaves)
-    return np.inf if clear >= 0.0 else np.nan
+    steep = s > 0.0 and s * s >= stage.rise * stage.rise * (cx * cx + cy * cy)
+    return np.inf if steep or ray_height(stage.oz, s, bend, leaves) > stage.highest else np.nan
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
@@ -322,21 +318,6 @@ def height_at(ground: TerrainRaster, x: float, y: float) -> float:
     return h
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def filled_height_at(ground: TerrainRaster, x: float, y: float) -> float:
-    """Bilinear height at the nearest grid position on the raster to (x, y), ceilings where it is unknown."""
-    x = min(max(x, 0.0), ground.width - 1.0)
-    y = min(max(y, 0.0), ground.height - 1.0)
-    ix = min(int(x), ground.width - 2)
-    iy = min(int(y), ground.height - 2)
-    at = iy * ground.width + ix
-    u, v = x - ix, y - iy
-    north = (1.0 - u) * filled_at(ground.nodes, ground, at) + u * filled_at(ground.nodes, ground, at + 1)
-    at += ground.width
-    south = (1.0 - u) * filled_at(ground.nodes, ground, at) + u * filled_at(ground.nodes, ground, at + 1)
-    return (1.0 - v) * north + v * south
-
-
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH, parallel=True, nogil=True)  # type: ignore[untyped-decorator]
 def trace_directions(
     ground: TerrainRaster,
@@ -378,5 +359,5 @@ def trace_directions(
                     cx, cy = _normal(cx), _normal(cy)
                     start, end = stretch(stage, cx, cy)
                     q = hit_between(ground, stage, cx, cy, s, stage.bend, start, end, state, START_LEVEL)
-                    q = finished(ground, stage, cx, cy, s, stage.bend, q)
+                    q = finished(stage, cx, cy, s, stage.bend, q)
                     out[k] = q * stage.resolution / across if q >= 0.0 else q

@@ -35,7 +35,7 @@ def grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
     heights.
     """
     made: list[TerrainRaster] = []
-    highest = possible.limit(max(float(np.fmax.reduce(level.elevation, axis=None)) for level in dem.levels))
+    highest = highest_possible(dem, possible)
     top = highest
     for level in reversed(dem.levels):
         elevation = level.elevation
@@ -48,12 +48,21 @@ def grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
         pyramid = build_pyramid(elevation, holes)
         height, width = elevation.shape
         top = max(top, float(np.fmax.reduce(elevation, axis=None)))
-        made.append(TerrainRaster(elevation.ravel(), *holes, width, height, *pyramid, top, rise, highest))
+        made.append(TerrainRaster(elevation.ravel(), *holes, width, height, *pyramid, top))
     return tuple(reversed(made))
 
 
-def stages(dem: Dem, position: Float64Array, bend: float) -> list[tuple[int, RasterStage]]:
-    """Levels and their stages in the order in which rays from `position` (3,) come to them; `bend` in 1/m."""
+def highest_possible(dem: Dem, possible: PossibleGround) -> float:
+    """Metres above which there is no ground outside the DEM."""
+    return possible.limit(max(float(np.fmax.reduce(level.elevation, axis=None)) for level in dem.levels))
+
+
+def stages(
+    dem: Dem, position: Float64Array, bend: float, steepest: float, highest: float
+) -> list[tuple[int, RasterStage]]:
+    """Levels and their stages in the order in which rays from `position` (3,) come to them; `bend` in 1/m. `steepest`,
+    `highest`: of the ground that may lie beyond.
+    """
     windows = [_window(level, position) for level in dem.levels]
     last = len(windows) - 1
     stands_on = next((k for k, w in enumerate(windows) if _is_inside(w)), last)
@@ -69,7 +78,17 @@ def stages(dem: Dem, position: Float64Array, bend: float) -> list[tuple[int, Ras
         ends = k == last and part != BEFORE
         grid_bend = bend * resolution**2
         return k, RasterStage(
-            -own.west, -own.north, float(position[2]), resolution, grid_bend, *own, *finer, part, ends
+            -own.west,
+            -own.north,
+            float(position[2]),
+            resolution,
+            grid_bend,
+            *own,
+            *finer,
+            part,
+            ends,
+            steepest * resolution,
+            highest,
         )
 
     inwards = [stage(k, BEFORE) for k in range(stands_on, 0, -1)]

@@ -6,57 +6,60 @@ import json
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ltm_core.camera import Camera
+from ltm_core.camera_config import CalibrationConfig, PlacedPose, PoseConfig
 from ltm_core.config_io import load_yaml
 from ltm_core.dem import Dem
-from ltm_core.errors import ConfigError, ImageError, PoseError
+from ltm_core.errors import ConfigError, ImageError
 from ltm_core.geodesy import SiteFrame
-from ltm_core.plausibility import AzimuthDeg, PitchDeg, RollDeg, doubt_of_height, doubt_of_radians
+from ltm_core.plausibility import doubt_of_height, doubt_of_radians
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
 from ltm_core.raster.raster_io import write_geotiff
-from ltm_core.site import CalibrationConfig, Config
+from ltm_core.strict_model import StrictModel
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.types import UInt8Array, UInt32Array
 
+_FORMER_POSE = ("position", "crs", "height_above_ground", "azimuth_deg", "pitch_deg", "roll_deg")
+"""Keys of `pose` that stood beside it in former pose files."""
 
-class PlaceConfig(Config):
-    """Where a camera stood and its calibration: what every pose file holds."""
 
-    position: tuple[float, float] | tuple[float, float, float]
-    """[x, y, z], or [x, y] with `height_above_ground`; z in metres in the DEM's vertical datum."""
-    crs: str | None = None
-    """CRS of x and y; default the DEM's. In EPSG:4326 they are longitude, latitude in degrees."""
-    height_above_ground: float | None = Field(None, gt=0)
-    """Metres above the DEM: mast or tripod."""
-    pitch_deg: PitchDeg = 0.0
-    """Up from the horizon."""
-    roll_deg: RollDeg = 0.0
-    """Of the camera, clockwise about its viewing direction."""
-    camera: CalibrationConfig
+class PoseFile(StrictModel):
+    """A pose file: one picture's `pose` and `calibration`, as a camera has them in a site file.
+
+    In former ones the keys of `pose` stood at the top, and `calibration` was called `camera`; they are still read.
+    """
+
+    pose: PlacedPose
+    calibration: CalibrationConfig
     curvature: bool = True
     refraction: float = Field(0.13, ge=0, lt=1)
     possible_ground: PossibleGround = PossibleGround()
     """How high the ground may be where the DEM does not know it."""
 
-    @model_validator(mode="after")
-    def _one_height(self) -> Self:
-        if (len(self.position) == 3) == (self.height_above_ground is not None):
-            raise ValueError("give either position [x, y, z], or position [x, y] and height_above_ground")
-        return self
+    @model_validator(mode="before")
+    @classmethod
+    def _former_sections(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        data = dict(data)
+        if "calibration" not in data and "camera" in data:
+            data["calibration"] = data.pop("camera")
+        if "pose" not in data:
+            data["pose"] = {key: data.pop(key) for key in _FORMER_POSE if key in data}
+        return data
 
 
-class PictureConfig(PlaceConfig):
+class PictureConfig(PoseFile):
     """One picture: where its camera stood, how it looked, and its calibration."""
 
-    azimuth_deg: AzimuthDeg
-    """Of the optical axis, clockwise from the grid north of the DEM's CRS."""
+    pose: PoseConfig
 
 
 @dataclass(frozen=True)
@@ -76,63 +79,36 @@ def load_picture_config(path: Path | str) -> PictureConfig:
     return load_yaml(path, PictureConfig)
 
 
-def set_up_picture(config: PictureConfig, dem: Dem, surveyed: bool = True) -> PictureSetup:
+def set_up_picture(config: PictureConfig, dem: Dem) -> PictureSetup:
     """Place the camera of `config` on `dem`, which is in a CRS.
 
-    `surveyed`: the position is right, not where a search starts. Raises PoseError for a surveyed camera under the
-    ground, and where the ground under one that is given above it is not known; ConfigError for a CRS that is none.
+    Raises PoseError for a camera under the ground, and where the ground under one that is given above it is not known;
+    ConfigError for a CRS that is none.
     """
+    frame, local = near_frame(config, dem)
+    pose = config.pose.pose(local, frame)
+    x, y, z = (float(v) for v in pose.position)
+    ground = float(local.elevation_at(x, y))
+    beside = None
+    if ground != ground:
+        covered = dem.levels[-1].geometry
+        beside = (
+            f"camera at {config.pose.described(frame)}, beside the DEM's known ground ({covered.described()} in "
+            f"{frame.crs}): check position and crs"
+        )
+    doubts = (doubt_of_radians([config.pose.azimuth_deg]), doubt_of_height(z, ground), beside)
+    camera = config.calibration.camera()
+    return PictureSetup(local, frame, camera, pose, tuple(doubt for doubt in doubts if doubt))
+
+
+def near_frame(config: PoseFile, dem: Dem) -> tuple[SiteFrame, Dem]:
+    """A map frame in the DEM's CRS whose origin is near the camera of `config`, and the DEM in it."""
     crs = dem.geometry.crs
     if crs is None:
         raise ConfigError("the DEM must be in a CRS to place a camera on it")
-    x, y = _in_crs(config.position[0], config.position[1], config.crs, crs)
+    x, y = config.pose.xy(SiteFrame(crs)) or (0.0, 0.0)
     frame = SiteFrame(crs, round(x / 1000) * 1000.0, round(y / 1000) * 1000.0)
-    local = dem.in_frame(frame)
-    where = _place(config, (x, y), crs)
-    beside = f"{where}, beside the DEM's known ground ({dem.levels[-1].geometry.described()} in {crs})"
-    x, y = x - frame.x_origin, y - frame.y_origin
-    ground = float(local.elevation_at(x, y))
-    if config.height_above_ground is None:
-        z = config.position[-1]
-        if surveyed and z <= ground:
-            raise PoseError(f"{where}: {doubt_of_height(z, ground)}")
-    else:
-        if ground != ground:
-            raise PoseError(
-                f"{beside}: check position and crs, or give position [x, y, z] instead of height_above_ground"
-            )
-        z = ground + config.height_above_ground
-    pose = Pose.from_angles((x, y, z), config.azimuth_deg, config.pitch_deg, config.roll_deg)
-    doubts = (
-        doubt_of_radians([config.azimuth_deg]),
-        doubt_of_height(z, ground),
-        f"{beside}: check position and crs" if ground != ground else None,
-    )
-    return PictureSetup(local, frame, config.camera.camera(), pose, tuple(doubt for doubt in doubts if doubt))
-
-
-def _place(config: PlaceConfig, there: tuple[float, float], crs: str) -> str:
-    """The camera's position as it was given, and as what it is in the DEM's CRS."""
-    given = f"({config.position[0]:.10g}, {config.position[1]:.10g})"
-    if config.crs is None or config.crs == crs:
-        return f"camera at {given}"
-    return f"camera at {given} in {config.crs}, that is ({there[0]:.0f}, {there[1]:.0f}) in {crs}"
-
-
-def _in_crs(x: float, y: float, source: str | None, target: str) -> tuple[float, float]:
-    from pyproj import Transformer
-    from pyproj.exceptions import CRSError
-
-    if source is None:
-        return x, y
-    try:
-        transformer = Transformer.from_crs(source, target, always_xy=True)
-    except CRSError as error:
-        raise ConfigError(f"position crs {source!r} is not known ({error}); use a name such as EPSG:4326") from error
-    x_target, y_target = transformer.transform(x, y)
-    if not (np.isfinite(x_target) and np.isfinite(y_target)):
-        raise PoseError(f"position ({x}, {y}) in {source} has no place in {target}; EPSG:4326 wants longitude first")
-    return float(x_target), float(y_target)
+    return frame, dem.in_frame(frame)
 
 
 def read_photo(path: Path | str, camera: Camera) -> UInt8Array:

@@ -18,9 +18,8 @@ than that (see `holes`). In a hole's cell it is as high as the highest of the fo
 * NaN (unknown) if, before that but after it has been over known ground, it comes as low as unknown ground may be high;
   and NaN if it comes into known ground from outside the DEM already below the surface;
 * +inf (sky) if it meets no ground and leaves the raster while it climbs against the local horizon (s + 2 bend r >= 0)
-  and above all that unknown ground may be, there and ahead: from the place where it leaves, as high as the ground may
-  be there, this rises by `steepest` up to `highest`. Else NaN. A ray that has never been over known ground is judged at
-  the camera, where unknown ground is no higher than the camera.
+  and is there above `highest`, or climbs by `steepest` or more, so that no ground ahead can reach it. Else NaN. A ray
+  that has never been over known ground is judged at the camera.
 
 A camera may stand outside the DEM: space between it and the first known ground counts as free.
 
@@ -49,7 +48,7 @@ from ltm_core.tracing.column_sweep import sweep_image
 from ltm_core.tracing.horizon_profile import SECTOR, WEDGES_A_FACE, Wedges, extended, mark_sectors, no_wedges
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.tracing.pyramid_traversal import FRESH, OVER_KNOWN, trace_directions
-from ltm_core.tracing.raster_stages import filled_corners, grounds, stages
+from ltm_core.tracing.raster_stages import filled_corners, grounds, highest_possible, stages
 from ltm_core.types import Float32Array, Float64Array
 
 # Numba's fallback threading layer dies when two threads launch parallel kernels at once.
@@ -88,6 +87,7 @@ class TerrainTracer:
         self.bend = ray_bend(curvature, refraction)
         self.possible = possible
         self._grounds = grounds(dem, possible)
+        self._beyond = possible.steepest, highest_possible(dem, possible)
         self._profiles = BoundedCache[Profile](PROFILE_BYTES, lambda levels: sum(a.nbytes for w in levels for a in w))
         self._frames = BoundedCache[Float32Array](FRAME_BYTES, lambda ranges: ranges.nbytes)
         self._counts = TracerStatistics()
@@ -143,7 +143,7 @@ class TerrainTracer:
             marked = np.zeros(4 * WEDGES_A_FACE // SECTOR, np.bool_)
             mark_sectors(rays, rotation, _MARK_EVERY, marked)
             wanted = (np.flatnonzero(marked)[:, None] * SECTOR + np.arange(SECTOR)).ravel()
-            for level, stage in stages(self.dem, pose.position, self.bend):
+            for level, stage in stages(self.dem, pose.position, self.bend, *self._beyond):
                 before = no_wedges() if kept is None else kept[level]
                 profile.append(extended(before, wanted, self._grounds[level], stage))
                 sweep_image(self._grounds[level], stage, profile[-1], rotation, rays, ranges)
@@ -187,7 +187,7 @@ class TerrainTracer:
         ranges = np.full(len(rays), FRESH, np.float32)
         turned = np.ascontiguousarray(rotation, np.float64)
         with _ONE_LAUNCH:
-            for number, (level, stage) in enumerate(stages(self.dem, origin, self.bend)):
+            for number, (level, stage) in enumerate(stages(self.dem, origin, self.bend, *self._beyond)):
                 trace_directions(self._grounds[level], stage, turned, rays, number == 0, ranges)
         return ranges
 

@@ -16,7 +16,7 @@ from ltm_core.errors import PoseError
 from ltm_core.geodesy import ray_bend
 from ltm_core.pose import Pose
 from ltm_core.tracing.possible_ground import PossibleGround
-from ltm_core.tracing.raster_stages import grounds, stages
+from ltm_core.tracing.raster_stages import grounds, highest_possible, stages
 from ltm_core.types import BoolArray, Float64Array, UInt8Array
 from ltm_core.visibility.line_of_sight import line_of_sight_vectors
 from ltm_core.visibility.occlusion_kernels import BEYOND, BY_CEILING, OVER_KNOWN, raise_slopes
@@ -74,6 +74,7 @@ class PointVisibility:
         self.dem = dem
         self.bend = ray_bend(curvature, refraction)
         self._grounds = grounds(dem, possible)
+        self._beyond = possible.steepest, highest_possible(dem, possible)
 
     def lifts(self, origin: ArrayLike, points: ArrayLike) -> tuple[Float64Array, BoolArray]:
         """How far points must be raised to be seen from `origin`, (N,) metres, 0 where they are seen; and where that
@@ -95,7 +96,7 @@ class PointVisibility:
             own = np.where(plumb, 0.0, (targets[:, 2] - position[2]) / across - self.bend * across)
         own[~np.isfinite(own)] = np.nan
         slopes, came_to = own.copy(), np.zeros(len(targets), np.uint8)
-        passed = stages(self.dem, position, self.bend)
+        passed = stages(self.dem, position, self.bend, *self._beyond)
 
         def work(start: int) -> None:
             part = slice(start, start + _CHUNK)

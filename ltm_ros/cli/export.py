@@ -1,4 +1,4 @@
-"""`ltm export`: writes the fuel map of a recording, a store or a GeoTIFF in formats of fire models and GIS."""
+"""`ltm export`: writes a fuel map in formats of fire models and GIS, and the living terrain as GeoTIFF."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ class Format(StrEnum):
     layers = "layers"
     png = "png"
     change = "change"
+    surface = "surface"
     coverage = "coverage"
     kmz = "kmz"
     ply = "ply"
@@ -45,7 +46,10 @@ _BY_SUFFIX |= {".kmz": Format.kmz, ".ply": Format.ply, ".las": Format.las}
 
 def export(
     source: Annotated[
-        Path, typer.Argument(help="Store of a site's fuel map (.ltm), bag with a fuel_map topic, or fuel map GeoTIFF.")
+        Path,
+        typer.Argument(
+            help="Store of a site's fuel map (.ltm) or terrain (.sqlite), bag with a fuel_map topic, fuel map GeoTIFF."
+        ),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="File, or folder for elmfire and layers.")],
     site: Annotated[
@@ -60,7 +64,8 @@ def export(
             "--format",
             help="auto: by the suffix of --out. classes: label map; lcp, landscape (GeoTIFF of 8 bands), elmfire "
             "(folder): for fire models; layers: folder of Cloud Optimized GeoTIFFs; ply, las: 3D points; pictures: png "
-            "(what the map says and how surely), change (before and after), coverage (who saw what), kmz (on a globe).",
+            "(what the map says and how surely), change (before and after), coverage (who saw what), kmz (on a globe). "
+            "Of a terrain, as GeoTIFF: change (shift, sigma, kind, since), surface (height, sigma).",
         ),
     ] = Format.auto,
     system: Annotated[Codes, typer.Option(help="Fuel models of a landscape.")] = Codes.fbfm40,
@@ -72,10 +77,18 @@ def export(
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write a fuel map; into another CRS by nearest cell, on a grid with edges at 15 mod 30."""
+    """Write a fuel map, into another CRS by nearest cell on a grid with edges at 15 mod 30; or a living terrain."""
     from ltm_core.errors import ConfigError
     from ltm_core.output_io import require_files, require_folder
 
+    if source.suffix == ".sqlite":
+        geometry = _export_terrain(source, out, site, format_, [crs, as_of, since])
+        typer.echo(
+            f"wrote {out}: {geometry.width} x {geometry.height} cells of {geometry.resolution:g} m, {geometry.crs}"
+        )
+        return
+    if format_ is Format.surface:
+        raise ConfigError(f"{source} is no terrain: surface is of a store terrain.sqlite")
     kind = _BY_SUFFIX.get(out.suffix.lower()) if format_ is Format.auto else format_
     if kind is None:
         raise ConfigError(f"{out}: its suffix names no format; give --format, or one of {', '.join(_BY_SUFFIX)}")
@@ -100,6 +113,29 @@ def export(
         with FuelSource.open(source, load_site(site)) as map_:
             geometry = _export_site(map_, out, crs, kind, system, as_of, since)
     typer.echo(f"wrote {out}: {geometry.width} x {geometry.height} cells of {geometry.resolution:g} m, {geometry.crs}")
+
+
+def _export_terrain(source: Path, out: Path, site: Path | None, kind: Format, unfit: list[str | None]) -> GridGeometry:
+    """`unfit`: options that a terrain does not have."""
+    from ltm_core.errors import ConfigError
+    from ltm_core.site_io import load_site
+    from ltm_core.terrain.stored_surface import open_stored_surface
+    from ltm_core.terrain.terrain_io import BANDS, write_export
+
+    if site is None:
+        raise ConfigError(f"{source} holds what differs from its site's terrain: name the site file with --site")
+    if any(unfit):
+        raise ConfigError("a terrain is exported as it is now, in its site's CRS: leave --crs, --as-of, --since away")
+    what = next((name for name in BANDS if name == kind.value), None)
+    if what is None or out.suffix.lower() not in (".tif", ".tiff"):
+        raise ConfigError(f"{out}: a terrain is written as a GeoTIFF (.tif), with --format change or --format surface")
+    if not out.parent.is_dir():
+        raise ConfigError(f"{out}: the folder {out.parent} does not exist; make it first")
+    loaded = load_site(site)
+    surface = open_stored_surface(source, loaded)
+    geometry = loaded.in_crs(surface.reference.geometry)
+    write_export(out, surface, what, geometry)
+    return geometry
 
 
 def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None, as_of: str | None) -> GridGeometry:

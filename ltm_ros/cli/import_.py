@@ -19,7 +19,9 @@ def import_(
     ] = None,
     site: Annotated[Path | None, typer.Option("--site", help="Site file: frame, DEM, camera names.")] = None,
     camera: Annotated[str | None, typer.Option("--camera", help="Camera that took the photos.")] = None,
-    pitch_deg: Annotated[float, typer.Option(help="Pitch of photos without one; EXIF has none.")] = 0.0,
+    pitch_deg: Annotated[
+        float | None, typer.Option(help="Pitch of photos without one (EXIF has none); else they are refused.")
+    ] = None,
     roll_deg: Annotated[float, typer.Option(help="Roll of photos without one; EXIF has none.")] = 0.0,
     height_above_ground: Annotated[float, typer.Option(min=0, help="Metres, where no height is known.")] = 2.0,
     geoid_undulation_m: Annotated[
@@ -28,6 +30,14 @@ def import_(
     sensor_width_mm: Annotated[
         float | None, typer.Option(min=0.1, help="Long side of the sensor, for EXIF focal lengths in mm.")
     ] = None,
+    time_zone: Annotated[
+        str | None, typer.Option(help="Of EXIF dates that state none and have no GPS stamp, as Europe/Oslo.")
+    ] = None,
+    gps_sigma: Annotated[float, typer.Option(min=0.01, help="Metres, of EXIF positions that state no error.")] = 5.0,
+    compass_sigma_deg: Annotated[
+        float, typer.Option(min=0.01, help="Of EXIF directions; a phone's compass is 5.5 degrees off in the median.")
+    ] = 8.2,
+    tilt_sigma_deg: Annotated[float, typer.Option(min=0.01, help="Of an assumed pitch or roll.")] = 3.0,
     skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Leave out photos that cannot be taken.")] = False,
 ) -> None:
     """Make a bag from photos: image_raw/compressed, camera_info and pose, ready for `ltm replay`."""
@@ -38,7 +48,9 @@ def import_(
     from ltm_core.site_io import load_site
     from ltm_ros.importer.build import import_photos
     from ltm_ros.importer.georeference import Assumptions
+    from ltm_ros.importer.photo_time import time_zone as zone_named
 
+    zone = zone_named(time_zone) if time_zone is not None else None
     console = Console()
     columns = (TextColumn("Importing photos"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as bar:
@@ -49,7 +61,17 @@ def import_(
             poses,
             load_site(site) if site is not None else None,
             camera,
-            Assumptions(pitch_deg, roll_deg, height_above_ground, geoid_undulation_m, sensor_width_mm),
+            Assumptions(
+                pitch_deg,
+                roll_deg,
+                height_above_ground,
+                geoid_undulation_m,
+                sensor_width_mm,
+                zone,
+                gps_sigma,
+                compass_sigma_deg=compass_sigma_deg,
+                tilt_sigma_deg=tilt_sigma_deg,
+            ),
             skip_bad,
             lambda done, total: bar.update(task, completed=done, total=total),
         )

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from ltm_core.camera import Camera
     from ltm_core.pose_estimation.resection import Resection
+    from ltm_core.pose_estimation.resection_check import TracedErrors
     from ltm_core.pose_estimation.resection_io import ResectionSetup
 
 
@@ -26,6 +27,9 @@ def pose(
         typer.Option(help="Elevation raster: the points are traced to it too; again for coarser ones around it."),
     ] = None,
     free: Annotated[str, typer.Option(help="Fitted besides the angles: focal, k1, position; or none.")] = "focal,k1",
+    force: Annotated[
+        str, typer.Option(help="Fitted however badly the points determine it: focal, k1, position.")
+    ] = "none",
     first_pixel: Annotated[
         float, typer.Option(help="Number of the first pixel's centre in the CSV: 0 (OpenCV), 1 (Matlab), 0.5.")
     ] = 0.0,
@@ -47,6 +51,7 @@ def pose(
     from ltm_core.pose_estimation.resection_adjustment import Parameter
     from ltm_core.pose_estimation.resection_io import (
         GuessConfig,
+        held_notes,
         read_control_points,
         set_up_resection,
         write_pose,
@@ -58,31 +63,35 @@ def pose(
     guess = load_yaml(pose_guess, GuessConfig)
     terrain = open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])]) if dem else None
     setup = set_up_resection(guess, terrain, crs)
-    names = [name.strip() for name in free.split(",") if name.strip() not in ("", "none", "angles")]
     result = resect(
         read_control_points(gcps, setup.frame, first_pixel),
         setup.camera,
         setup.position,
-        guess.angles_deg,
-        cast("list[Parameter]", names),
+        setup.angles_deg,
+        cast("list[Parameter]", _names(free)),
         ray_bend(guess.curvature, guess.refraction),
         position_sigma,
         sigma_px,
+        cast("list[Parameter]", _names(force)),
     )
     for place in (out, report):
         if place is not None:
             place.parent.mkdir(parents=True, exist_ok=True)
     write_pose(out, result, guess, setup.frame)
     if report is not None:
-        write_report(report, result)
+        write_report(report, result, setup.frame)
     console = Console()
+    for note in held_notes(result, setup.position, setup.frame):
+        console.print(f"[yellow]{note}", highlight=False)
+    if result.outliers:
+        console.print(f"[yellow]left out as outliers: {', '.join(result.outliers)}", highlight=False)
     console.print(_parameters(result, setup.camera, setup))
     console.print(_points(result, setup, guess.curvature, guess.refraction))
-    for name, reason in result.held.items():
-        console.print(f"[yellow]{name} is held[/]: {reason}", highlight=False)
-    if result.outliers:
-        console.print(f"[yellow]left out as outliers[/]: {', '.join(result.outliers)}", highlight=False)
     console.print(f"  {out}", highlight=False)
+
+
+def _names(listed: str) -> list[str]:
+    return [name.strip() for name in listed.split(",") if name.strip() not in ("", "none", "angles")]
 
 
 def _parameters(result: Resection, start: Camera, setup: ResectionSetup) -> Table:
@@ -127,18 +136,33 @@ def _points(result: Resection, setup: ResectionSetup, curvature: bool, refractio
 
         tracer = TerrainTracer(setup.dem, curvature, refraction)
         traced = traced_errors(result, tracer)
-        seen = traced.visible
-        table.add_column("traced off by")
-        table.add_column("terrain")
-        title += f"; traced against surveyed: median {np.median(traced.errors):.2f} m"
-        if seen.any():
-            title += f", {np.median(traced.errors[seen]):.2f} m on the {seen.sum()} that the DEM does not hide"
+        table.add_column("traced off by", justify="right")
+        table.add_column("over the DEM", justify="right")
+        table.add_column("the DEM says")
+        title += f"\n{_summary(traced)}"
     for k, name in enumerate(result.points.names):
         u, v = result.points.pixels[k]
         du, dv = result.residuals[k]
         cells = [name, f"{u:.1f}", f"{v:.1f}", f"{du:.2f}", f"{dv:.2f}", f"{result.residual_px[k]:.2f}"]
         if traced is not None:
-            cells += [f"{traced.errors[k]:.2f} m", "seen" if traced.visible[k] else "hidden or outside"]
+            off, above = float(traced.errors[k]), float(traced.above_ground[k])
+            cells += [f"{off:.2f} m" if traced.met[k] else "no terrain", "" if np.isnan(above) else f"{above:+.1f} m"]
+            cells.append(str(traced.states[k]))
         table.add_row(*cells, style=None if result.used[k] else "red")
     table.title = title
     return table
+
+
+def _summary(traced: TracedErrors) -> str:
+    """How far traced places lie from surveyed ones, of the points that it can be said of."""
+    import numpy as np
+
+    met, seen = traced.met, traced.met & traced.visible
+    if not met.any():
+        return "no marked pixel meets known terrain: check the DEM and the camera's position"
+    said = f"traced against surveyed: median {np.median(traced.errors[met]):.2f} m"
+    if not met.all():
+        said += f" of {met.sum()} points ({(~met).sum()} meet no known terrain)"
+    if seen.any():
+        said += f", {np.median(traced.errors[seen]):.2f} m on the {seen.sum()} that the camera sees on the DEM"
+    return said

@@ -43,7 +43,7 @@ def replay(
     from ltm_core.output_io import require_files
     from ltm_msgs_py.bag.writer import BagWriter
     from ltm_ros.cli.progress import message_bar, stop_on_signals
-    from ltm_ros.cli.summary import node_rows, print_nodes
+    from ltm_ros.cli.summary import node_rows, print_nodes, print_outcome
     from ltm_ros.replay.run import ReplayOptions, run_live, run_offline
 
     if offline and (loop or rrd or publish_only or rate != 1.0):
@@ -76,6 +76,7 @@ def replay(
             with stop_on_signals(stopping):
                 summaries = run_live(bag, site, options, progress, console.print, out / "log", stopping.is_set)
     print_nodes(console, node_rows(summaries))
+    print_outcome(console, summaries)
     console.print(f"fuel map: {out / 'fuel_map.tif'}")
 
 

@@ -1,4 +1,4 @@
-"""Table of the messages that each node received, sent and dropped."""
+"""Tables of what each node received, sent and dropped, and of what became of it."""
 
 from __future__ import annotations
 
@@ -37,6 +37,46 @@ def print_nodes(console: Console, rows: Sequence[NodeRow]) -> None:
         for reason in row.reasons:
             console.print(f"[red]{escape(_short(row))}[/red] dropped by {escape(reason)}", highlight=False)
     console.print("in, out: frames; p50, p95: latency since the frame was taken; work: the node's own time, median")
+
+
+def print_outcome(console: Console, summaries: Mapping[str, Mapping[str, str]]) -> None:
+    """What became of a replay: verdicts of depth fusion, cells that were seen and changed, what was noted. What was
+    refused and why stands under the nodes (`print_nodes`).
+    """
+    said = outcome(summaries)
+    if not said:
+        return
+    table = Table(title="what became of it", title_justify="left", show_header=False)
+    table.add_column("what", no_wrap=True)
+    table.add_column("how much")
+    for what, how_much in said:
+        table.add_row(what, escape(how_much))  # reasons may hold brackets
+    console.print(table)
+
+
+def outcome(summaries: Mapping[str, Mapping[str, str]]) -> list[tuple[str, str]]:
+    """Rows (what, how much) from the key -> value texts of the nodes' diagnostics."""
+    rows = []
+    for name, summary in sorted(summaries.items()):
+        node = "/".join(name.split("/")[2:]) or name
+        verdicts = _counts(summary, "noted.verdict.")
+        if verdicts:
+            counted = sum(verdicts.values())
+            shares = (f"{verdict} {n} ({n / counted:.0%})" for verdict, n in verdicts.items())
+            rows.append((f"{node}: verdicts", ", ".join(shares)))
+            if "last_verdict" in summary:
+                rows.append((f"{node}: the last that was not ok", summary["last_verdict"]))
+        cells = _counts(summary, "cells.")
+        if cells:
+            rows.append((f"{node}: cells", ", ".join(f"{what} {n:,}" for what, n in cells.items())))
+        events = {k: n for k, n in _counts(summary, "noted.").items() if not k.startswith("verdict.")}
+        if events:
+            rows.append((f"{node}: noted", ", ".join(f"{event} {n:,}" for event, n in events.items())))
+    return rows
+
+
+def _counts(summary: Mapping[str, str], prefix: str) -> dict[str, int]:
+    return {key.removeprefix(prefix): int(value) for key, value in summary.items() if key.startswith(prefix)}
 
 
 def _short(row: NodeRow) -> str:

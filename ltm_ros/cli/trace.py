@@ -17,7 +17,7 @@ def trace(
         list[Path],
         typer.Option(help="Elevation raster that GDAL reads, projected, in metres; again for coarser ones around it."),
     ],
-    pose: Annotated[Path, typer.Option(help="YAML: position, azimuth, pitch, roll, camera (see docs/tracing.md).")],
+    pose: Annotated[Path, typer.Option(help="Pose file: pose and calibration (see docs/poses.md).")],
     out: Annotated[Path, typer.Option(help="Folder for the results; made if it is not there.")],
     image: Annotated[Path | None, typer.Option(help="The photo, to draw the depth over.")] = None,
     crs: Annotated[

@@ -22,6 +22,17 @@ class ShownLayers:
         layers = evidence.layers()
         self.life_form: UInt8Array = layers.life_form
         self.code: Int16Array = layers.code
+        self._seen, self._changed = layers.evidence > 0, layers.changed.copy()
+
+    @property
+    def seen_cells(self) -> int:
+        """On which there is evidence."""
+        return int(self._seen.sum())
+
+    @property
+    def changed_cells(self) -> int:
+        """Whose code is not the prior's."""
+        return int(self._changed.sum())
 
     def refresh(self, windows: Sequence[Window]) -> list[CellChanges]:
         """Decide these parts of the map anew; what has changed there."""
@@ -54,6 +65,7 @@ class ShownLayers:
             shown, now = getattr(self, name)[part], getattr(layers, name)
             found += self._changes(name, shown, now, (row, col), self._evidence.newest_ns)
             shown[...] = now
+        self._seen[part], self._changed[part] = layers.evidence > 0, layers.changed
         return found
 
     def _changes(

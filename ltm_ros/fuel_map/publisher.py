@@ -59,8 +59,10 @@ class FuelPublisher:
 
     def send_map(self) -> None:
         self._map_due, self._since_map = False, 0.0
-        shown = self._persistence.shown.life_form
-        self._outlet.publish(FUEL_MAP, classes_to_msg(shown, self._geometry, self._persistence.map.newest_ns))
+        shown = self._persistence.shown
+        self._health.gauge("cells.seen", shown.seen_cells)
+        self._health.gauge("cells.changed", shown.changed_cells)
+        self._outlet.publish(FUEL_MAP, classes_to_msg(shown.life_form, self._geometry, self._persistence.map.newest_ns))
 
     def send_cells(self) -> None:
         """All layers of the cells that evidence has touched, while somebody listens."""

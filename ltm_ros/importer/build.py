@@ -16,7 +16,7 @@ from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_ros.importer.georeference import Assumptions, PlacedPhoto, place
+from ltm_ros.importer.georeference import Assumptions, PlacedPhoto, Surroundings, place
 from ltm_ros.importer.photo import find_photos, read_photo
 from ltm_ros.importer.pose_file import PhotoPose, read_pose_file
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
@@ -48,12 +48,13 @@ def import_photos(
     skip_bad: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> ImportReport:
-    """Write a bag with image_raw/compressed, camera_info and pose of every photo, in the order of their stamps.
+    """Write a bag with image_raw/compressed, camera_info and pose with covariance of every photo, by their stamps.
 
-    `images`: photo files and folders. With `poses`, only photos that it names are taken. `site`: frame, DEM and camera
-    names; without it the frame is the UTM zone of the first photo, with an origin near it. `camera`: for photos whose
-    row names none; by default the site's only camera. `skip_bad`: leave photos out that cannot be taken, instead
-    of stopping. `progress(done, total)`: each photo is read twice, to place it and to write it.
+    `images`: photo files and folders. With `poses`, only photos that it names are taken. `site`: frame, DEM, and the
+    cameras, of which fixed ones have pose and calibration there; without it the frame is the UTM zone of the first
+    photo, with an origin near it. `camera`: for photos whose row names none; by default the site's only camera.
+    `skip_bad`: leave photos out that cannot be taken, instead of stopping. `progress(done, total)`: each photo is read
+    twice, to place it and to write it.
 
     Raises LtmError children, each with photo, value and remedy; the bag is not begun unless every photo is placed.
     """
@@ -65,7 +66,9 @@ def import_photos(
         found = len(files)
         files = _named_in(files, rows, poses)
     frame = site.frame if site is not None else _frame_of(files, rows)
-    dem = site.open_dem() if site is not None else None
+    around = Surroundings(frame)
+    if site is not None:
+        around = Surroundings(frame, site.open_dem(), site.cameras, site.assumed_pose_error)
     report = ImportReport(out, site.name if site is not None else "site", frame.crs, (frame.x_origin, frame.y_origin))
 
     if rows is not None and len(files) < found:
@@ -76,7 +79,7 @@ def import_photos(
         row = rows[file.name] if rows is not None else PhotoPose(name=file.name)
         try:
             name = _camera_name(row, camera, site)
-            item = place(read_photo(file), row, frame, dem, assumed)
+            item = place(read_photo(file), row, name, around, assumed)
             _check_size(item, name, site)
         except ConfigError:
             raise
@@ -92,7 +95,7 @@ def import_photos(
     if not placed:
         raise RecordingError(f"none of {len(files)} photos could be taken; the first: {report.skipped[0][1]}")
     placed = _apart(placed, report)
-    doubt = doubt_of_radians([row.azimuth_deg for _, _, row, _ in placed if row.azimuth_deg is not None])
+    doubt = doubt_of_radians([azimuth for _, _, row, _ in placed if (azimuth := row.pose.azimuth_deg) is not None])
     if doubt is not None:
         report.notes.append((str(poses), doubt))
 
@@ -100,7 +103,7 @@ def import_photos(
     custom = {"ltm_source": "photos", "ltm_site": report.site, "ltm_crs": frame.crs, "ltm_origin": origin}
     with BagWriter(out, compression=None, custom_data=custom) as writer:  # JPEG does not get smaller
         for done, (name, file, row, stamp_ns) in enumerate(placed):
-            _write(writer, report.site, name, place(read_photo(file), row, frame, dem, assumed), stamp_ns)
+            _write(writer, report.site, name, place(read_photo(file), row, name, around, assumed), stamp_ns)
             report.cameras[name] = report.cameras.get(name, 0) + 1
             progress(len(files) + done + 1, len(files) + len(placed))
     return report
@@ -111,7 +114,7 @@ def _write(writer: BagWriter, site: str, camera: str, item: PlacedPhoto, stamp_n
     image = compressed_to_msg(item.photo.data, item.photo.image_format, stamp_ns, optical)
     for topic, msg in (
         (CAMERA_INFO, camera_to_msg(item.camera, stamp_ns, optical)),
-        (POSE, pose_to_msg(item.pose, stamp_ns)),
+        (POSE, pose_to_msg(item.pose, stamp_ns, covariance=item.covariance)),
         (IMAGE_COMPRESSED, image),
     ):
         writer.write(camera_topic(site, camera, topic), msg, stamp_ns)
@@ -164,9 +167,9 @@ def _frame_of(files: list[Path], rows: dict[str, PhotoPose] | None) -> SiteFrame
     """The UTM zone of the first photo that has a position, with an origin on the nearest kilometre."""
     for file in files:
         row = rows[file.name] if rows is not None else PhotoPose(name=file.name)
-        if row.x is not None:
+        if row.pose.x is not None and row.pose.crs is None:
             raise ConfigError(f"{file.name} has x, y in the pose file: name the site that they belong to, with --site")
-        lon, lat = row.lon, row.lat
+        lon, lat = row.pose.lonlat()
         if lon is None or lat is None:
             exif = read_photo(file).exif
             lon, lat = exif.lon, exif.lat

@@ -20,6 +20,7 @@ _FOCAL_LENGTH, _FOCAL_LENGTH_35MM, _PIXEL_X_DIMENSION = 0x920A, 0xA405, 0xA002
 _FOCAL_PLANE_X_RESOLUTION, _FOCAL_PLANE_RESOLUTION_UNIT = 0xA20E, 0xA210
 _LATITUDE_REF, _LATITUDE, _LONGITUDE_REF, _LONGITUDE = 1, 2, 3, 4
 _ALTITUDE_REF, _ALTITUDE, _GPS_TIME, _DIRECTION_REF, _DIRECTION, _GPS_DATE = 5, 6, 7, 16, 17, 29
+_POSITION_ERROR = 31
 
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 _FULL_FRAME_WIDTH_MM = 36.0
@@ -30,15 +31,18 @@ class ExifFacts:
     """EXIF of one photo, each None where it is absent or not a number.
 
     `altitude`: metres above sea level, negative below (tag 5). `direction_deg`: of the optical axis, clockwise from
-    true ("T") or magnetic ("M") north by `direction_ref`. `taken`: with its time zone, or naive where none is stated.
+    true ("T") or magnetic ("M") north by `direction_ref`. `taken`: by the camera's clock, with its time zone, or naive
+    where none is stated. `gps_time`: of the fix, UTC. `position_error`: horizontal, metres (tag 31).
     `focal_plane_px_per_mm`: sensor pixels a millimetre, of an image `original_width` pixels wide.
     """
 
     orientation: int = 1
     taken: datetime | None = None
+    gps_time: datetime | None = None
     lat: float | None = None
     lon: float | None = None
     altitude: float | None = None
+    position_error: float | None = None
     direction_deg: float | None = None
     direction_ref: Literal["T", "M"] | None = None
     focal_mm: float | None = None
@@ -86,10 +90,12 @@ def exif_facts(exif: Exif, what: str) -> ExifFacts:
     original_width = _positive(photo.get(_PIXEL_X_DIMENSION))
     return ExifFacts(
         orientation=orientation if orientation in range(1, 9) else 1,
-        taken=_taken(main, photo, gps),
+        taken=_taken(main, photo),
+        gps_time=_gps_time(gps),
         lat=lat,
         lon=lon,
         altitude=altitude,
+        position_error=_positive(gps.get(_POSITION_ERROR)),
         direction_deg=direction % 360.0 if direction is not None else None,
         direction_ref="M" if reference == "M" else "T" if reference == "T" else None,
         focal_mm=_positive(photo.get(_FOCAL_LENGTH)),
@@ -99,27 +105,30 @@ def exif_facts(exif: Exif, what: str) -> ExifFacts:
     )
 
 
-def _taken(main: Mapping[int, Any], photo: Mapping[int, Any], gps: Mapping[int, Any]) -> datetime | None:
+def _taken(main: Mapping[int, Any], photo: Mapping[int, Any]) -> datetime | None:
     local = _date_time(_text(photo.get(_DATE_TIME_ORIGINAL)) or _text(main.get(_DATE_TIME)))
-    if local is not None:
-        fraction = _text(photo.get(_SUBSEC_TIME_ORIGINAL))
-        if fraction.isdigit():
-            local += timedelta(seconds=float(f"0.{fraction}"))
-        offset = _text(photo.get(_OFFSET_TIME_ORIGINAL)) or _text(photo.get(_OFFSET_TIME))
-        try:
-            return local.replace(tzinfo=datetime.strptime(offset, "%z").tzinfo)
-        except ValueError:
-            pass
+    if local is None:
+        return None
+    fraction = _text(photo.get(_SUBSEC_TIME_ORIGINAL))
+    if fraction.isdigit():
+        local += timedelta(seconds=float(f"0.{fraction}"))
+    offset = _text(photo.get(_OFFSET_TIME_ORIGINAL)) or _text(photo.get(_OFFSET_TIME))
+    try:
+        return local.replace(tzinfo=datetime.strptime(offset, "%z").tzinfo)
+    except ValueError:
+        return local
+
+
+def _gps_time(gps: Mapping[int, Any]) -> datetime | None:
     clock = gps.get(_GPS_TIME)
-    day = _text(gps.get(_GPS_DATE))
-    if isinstance(clock, tuple) and len(clock) == 3 and all(_number(v) is not None for v in clock):
-        try:
-            midnight = datetime.strptime(day, "%Y:%m:%d").replace(tzinfo=UTC)
-        except ValueError:
-            return local
-        hours, minutes, seconds = (float(v) for v in clock)
-        return midnight + timedelta(hours=hours, minutes=minutes, seconds=seconds)
-    return local
+    if not (isinstance(clock, tuple) and len(clock) == 3 and all(_number(v) is not None for v in clock)):
+        return None
+    try:
+        midnight = datetime.strptime(_text(gps.get(_GPS_DATE)), "%Y:%m:%d").replace(tzinfo=UTC)
+    except ValueError:
+        return None
+    hours, minutes, seconds = (float(v) for v in clock)
+    return midnight + timedelta(hours=hours, minutes=minutes, seconds=seconds)
 
 
 def _date_time(text: str) -> datetime | None:

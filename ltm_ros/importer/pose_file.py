@@ -6,73 +6,54 @@ import csv
 import io
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
+from ltm_core.camera_config import PartialCalibration, PartialPose
 from ltm_core.config_io import checked
 from ltm_core.errors import ConfigError
-from ltm_core.plausibility import AzimuthDeg, PitchDeg, RollDeg
-from ltm_core.site import Config, RosName
+from ltm_core.site import RosName
+from ltm_core.strict_model import StrictModel
 from ltm_core.text_io import LARGEST_TABLE, read_text
 from ltm_core.yaml_io import read_yaml
 
+_SECTIONS: dict[str, type[StrictModel]] = {"pose": PartialPose, "calibration": PartialCalibration}
+_FORMER = {"pose": ("position",), "calibration": ("distortion",)}
 
-def _unquoted(value: object) -> object:
-    return "true" if value is True else value  # YAML reads the bare word as a boolean
 
+class PhotoPose(StrictModel):
+    """What is known of one photo. What is left out comes from the site file's camera, or from EXIF.
 
-class PhotoPose(Config):
-    """One row. What is left out comes from EXIF, or, for pitch, roll and the lens's distortion, is 0.
-
-    Pixels and calibration are those of the upright image.
+    `pose` and `calibration` are those of a site file. In a CSV, and in former YAML files, their keys stand beside
+    `name`.
     """
 
     name: str = Field(min_length=1)
     """File name of the photo, without its folder."""
     camera: RosName | None = None
-    x: float | None = None
-    """Metres in the site's CRS (not minus its origin), as is y."""
-    y: float | None = None
-    lon: float | None = Field(None, ge=-180, le=180)
-    """WGS 84 degrees, as is lat; instead of x and y."""
-    lat: float | None = Field(None, ge=-90, le=90)
-    z: float | None = None
-    """Metres, in the DEM's vertical datum."""
-    height_above_ground: float | None = Field(None, ge=0)
-    """Metres; instead of z."""
-    azimuth_deg: AzimuthDeg | None = None
-    """Of the optical axis, clockwise from the north that `azimuth_ref` names."""
-    azimuth_ref: Annotated[Literal["grid", "true", "magnetic"], BeforeValidator(_unquoted)] = "grid"
-    pitch_deg: PitchDeg | None = None
-    roll_deg: RollDeg | None = None
-    fx: float | None = Field(None, gt=0)
-    """Focal length, pixels; fy is the same unless given."""
-    fy: float | None = Field(None, gt=0)
-    cx: float | None = None
-    """Principal point, pixels; the image's centre unless given."""
-    cy: float | None = None
-    hfov_deg: float | None = Field(None, gt=0, lt=180)
-    """Between the image's outer edges; instead of fx."""
-    k1: float = 0.0
-    k2: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-    k3: float = 0.0
     stamp: datetime | None = None
     """ISO 8601; UTC unless it names a zone."""
+    pose: PartialPose = PartialPose()
+    calibration: PartialCalibration = PartialCalibration()
 
-    @model_validator(mode="after")
-    def _no_contradiction(self) -> PhotoPose:
-        for a, b in (("x", "y"), ("lon", "lat")):
-            if (getattr(self, a) is None) != (getattr(self, b) is None):
-                raise ValueError(f"give both {a} and {b}, or neither")
-        for a, b in (("x", "lon"), ("z", "height_above_ground"), ("fx", "hfov_deg")):
-            if getattr(self, a) is not None and getattr(self, b) is not None:
-                raise ValueError(f"give either {a} or {b}, not both")
-        if self.fy is not None and self.fx is None:
-            raise ValueError("fy needs fx")
-        return self
+    @model_validator(mode="before")
+    @classmethod
+    def _gathered(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        rest, sections = dict(data), {}
+        for section, model in _SECTIONS.items():
+            keys = data.keys() & {*model.model_fields, *_FORMER[section]}
+            if section not in data and keys:
+                sections[section] = {key: rest.pop(key) for key in data if key in keys}
+        return rest | sections
+
+
+def columns() -> list[str]:
+    """All columns that a CSV may have."""
+    own = [name for name in PhotoPose.model_fields if name not in _SECTIONS]
+    return own + [name for model in _SECTIONS.values() for name in model.model_fields]
 
 
 def read_pose_file(path: Path) -> dict[str, PhotoPose]:
@@ -86,8 +67,9 @@ def read_pose_file(path: Path) -> dict[str, PhotoPose]:
     if reader is None:
         raise ConfigError(f"pose file {path} must end in .csv, .yaml or .yml")
     poses: dict[str, PhotoPose] = {}
+    unnamed = _SECTIONS if path.suffix.lower() == ".csv" else ()
     for place, row in reader(path):
-        pose = checked(PhotoPose, row, place)
+        pose = checked(PhotoPose, row, place, unnamed=unnamed)
         if pose.name in poses:
             raise ConfigError(f"{place}: {pose.name} comes twice")
         poses[pose.name] = pose
@@ -100,19 +82,19 @@ def _csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
     lines = io.StringIO(read_text(path, LARGEST_TABLE, ConfigError, "utf-8-sig"), newline="")
     try:
         reader = csv.DictReader((line for line in lines if line.strip()), skipinitialspace=True, strict=True)
-        columns = [name.strip() for name in reader.fieldnames or []]
-        unknown = sorted(set(columns) - PhotoPose.model_fields.keys())
-        if unknown or len(set(columns)) < len(columns):
+        header = [name.strip() for name in reader.fieldnames or []]
+        unknown = sorted(set(header) - set(columns()))
+        if unknown or len(set(header)) < len(header):
             raise ConfigError(
                 f"pose file {path}: columns {', '.join(unknown) or 'that come twice'} are not known; "
-                f"known: {', '.join(PhotoPose.model_fields)}"
+                f"known: {', '.join(columns())}"
             )
-        reader.fieldnames = columns
+        reader.fieldnames = header
         rows = []
         for number, row in enumerate(reader, start=1):
             place = f"{path}, row {number}"
             if None in row or None in row.values():
-                raise ConfigError(f"{place}: has more or fewer values than the header's {len(columns)} columns")
+                raise ConfigError(f"{place}: has more or fewer values than the header's {len(header)} columns")
             rows.append((place, {name: value.strip() for name, value in row.items() if value.strip()}))
         return rows
     except csv.Error as error:

@@ -15,6 +15,7 @@ from ltm_core.errors import ImageError
 from ltm_core.frame import PosedImage
 from ltm_core.pose import Pose
 from ltm_core.site_io import load_site
+from ltm_core.types import Float64Array
 from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, image_to_msg, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
@@ -74,8 +75,11 @@ class Capture(Handler[CaptureConfig]):
         self._raw = camera.image == "raw"
         self._frame_id = f"{config.camera}_optical"
         self._fixed_pose: Pose | None = None
+        self._fixed_covariance: Float64Array | None = None
         if camera.pose is not None:
             self._fixed_pose = camera.pose.pose(site.open_dem(), site.frame)
+            assumed = site.assumed_pose_error
+            self._fixed_covariance = camera.pose.covariance(self._fixed_pose, assumed.position, assumed.angle_deg)
         self._fixed_calibration = camera.calibration.camera() if camera.calibration else None
         parts = [Part("image")]
         if self._fixed_pose is None:
@@ -149,7 +153,7 @@ class Capture(Handler[CaptureConfig]):
         self._admission.finish()
 
     def _offer(self, image: Any, pose: tuple[Pose, Any] | None = None, calibration: Camera | None = None) -> None:
-        where, covariance = (self._fixed_pose, None) if pose is None else pose
+        where, covariance = (self._fixed_pose, self._fixed_covariance) if pose is None else pose
         camera = self._fixed_calibration if calibration is None else calibration
         assert where is not None  # nosec B101 # tells the type checker what holds
         assert camera is not None  # nosec B101 # tells the type checker what holds

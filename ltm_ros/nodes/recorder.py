@@ -32,8 +32,9 @@ from ltm_ros.runtime.node import read_parameters
 from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
 from ltm_ros.runtime.topics import RECORDED, camera_topic, site_topic
 
-QUEUE_BYTES = 512 << 20
-"""Bytes that may wait for the disk before messages are dropped and counted."""
+QUEUE_BYTES = 256 << 20
+"""Bytes that may wait for the disk before messages are dropped and counted. DDS holds as much besides where messages
+are large, and all of it shall stay below a gigabyte."""
 CLOSE_S = 5.0
 """For which a recorder that is told to stop goes on writing what waits."""
 

@@ -297,7 +297,13 @@ class Terrain(Handler[TerrainNodeConfig]):
         self._dirty, self._since_grid = False, 0.0
         window = self._map.seen_window()
         if window is not None:
-            self.outlet.publish(TERRAIN_CHANGE, change_to_msg(self._map.layers(window), self._map.newest_ns))
+            layers = self._map.layers(window)
+            self.outlet.publish(TERRAIN_CHANGE, change_to_msg(layers, self._map.newest_ns))
+            self.health.gauge("cells.seen", int((layers.frames > 0).sum()))
+            self.health.gauge("cells.judged", int(layers.observed.sum()))
+            for kind in ChangeKind:
+                if kind is not ChangeKind.NONE:
+                    self.health.gauge(f"cells.{kind.name.lower()}", int((layers.change == kind).sum()))
 
     def _open_store(self, reference: Reference) -> TileStore:
         schema = schema_of(self._site.in_crs(reference.geometry))

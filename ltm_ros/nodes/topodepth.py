@@ -152,8 +152,8 @@ class TopoDepth(Handler[TopoDepthConfig]):
 
     def _publish(self, fused: FusedDepth, stamp: int) -> None:
         frame = self._frame_id
+        self.health.note(f"verdict.{fused.verdict.value}")
         if fused.verdict is not Verdict.OK:
-            self.health.note(fused.verdict.value)
             self.health.gauge("last_verdict", f"{fused.verdict.value}: {fused.reason}")
         self.health.gauge("verdict", fused.verdict.value)
         self.health.gauge("inlier_ratio", f"{fused.inlier_ratio:.3f}")

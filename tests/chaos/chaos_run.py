@@ -46,8 +46,8 @@ class Outcome:
     nodes: dict[str, float | None] = field(default_factory=dict)
     gaps: dict[str, float] = field(default_factory=dict)
     """Of cameras that it does not touch: longest time between two acknowledgements."""
-    most_pss_kb: int = 0
-    most_pss_of: str = ""
+    pss_kb: dict[str, int] = field(default_factory=dict)
+    """The most that each process held until it was over."""
     load: float = 0.0
     """Processes that wanted a core of this machine over the last minute, on average: what delays may be due to."""
     missed: list[str] = field(default_factory=list)
@@ -137,11 +137,8 @@ class ChaosRun:
             ended = [label for label in former if now.get(label) != former[label] and label not in fault.restarts]
             outcome.missed += [f"{label} was ended by it" for label in ended]
         outcome.load = os.getloadavg()[0]
-        peaks = self.sampler.take_peaks()
-        if peaks:
-            outcome.most_pss_of = max(peaks, key=lambda label: peaks[label])
-            outcome.most_pss_kb = peaks[outcome.most_pss_of]
-        outcome.missed += [f"{label} took {kb >> 10} MB" for label, kb in peaks.items() if kb > MOST_PSS_KB]
+        outcome.pss_kb = self.sampler.take_peaks()
+        outcome.missed += [f"{label} took {kb >> 10} MB" for label, kb in outcome.pss_kb.items() if kb > MOST_PSS_KB]
         return outcome
 
     def _wait_back(self, fault: Fault, former: dict[str, int], over: float, outcome: Outcome) -> None:

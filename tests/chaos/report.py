@@ -21,7 +21,8 @@ def line(outcome: Outcome) -> str:
     node = _seconds(max(outcome.nodes.values(), key=lambda s: s or 1e9)) if outcome.nodes else _nothing()
     pause = _seconds(max(outcome.gaps.values())) if outcome.gaps else _nothing()
     row = f"{outcome.begun:6.0f}  {outcome.fault:<44}{outcome.lasted:7.1f}{back}{node}{pause}{outcome.load:6.1f}"
-    row += f"{outcome.most_pss_kb >> 10:8d}  {outcome.most_pss_of}"
+    largest = max(outcome.pss_kb, key=lambda label: outcome.pss_kb[label], default="")
+    row += f"{outcome.pss_kb.get(largest, 0) >> 10:8d}  {largest}"
     return "\n".join([row, *(f"        MISSED: {text}" for text in outcome.missed)])
 
 

@@ -71,6 +71,7 @@ class Stranger:
         self.camera, self.rng = camera, rng
         self.input = topics.IMAGE_RAW if camera == "mast" else topics.IMAGE_COMPRESSED
         self._lens = MAST if camera == "mast" else TOWER
+        self._labels = LabelSet.load().names
         self._numbers = np.random.default_rng(rng.randrange(2**32))
 
     def stamp(self) -> int:
@@ -246,7 +247,7 @@ class Stranger:
     def _votes(self, stamp: int, cells: int, shift: float = 0.0) -> Any:
         """Of so many cells; the grid is none of the site's, so that none of them is counted where it is not refused
         for its stamp."""
-        names = LabelSet.load().names
+        names = self._labels
         grid = GridGeometry(3.0 + shift, 900.0, 7.0, 30, 20)
         where = np.arange(cells, dtype=np.int32)
         counts = np.ones((cells, len(names)), np.uint32)

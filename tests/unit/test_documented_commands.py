@@ -254,7 +254,7 @@ def test_yaml_keys_exist(page: Path) -> None:
         given = yaml.safe_load(block.text)
         if not isinstance(given, dict):
             continue
-        if "position" in given:
+        if "position" in given or {"pose", "calibration"} <= given.keys():
             PictureConfig.model_validate(given)
         elif given.keys() <= SITE_KEYS:
             whole = {"name": "a", "crs": "EPSG:32611", "origin": [0, 0], "dem": {"path": "d.tif"}, "cameras": {"a": {}}}

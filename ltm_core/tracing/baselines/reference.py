@@ -147,15 +147,6 @@ class _Raster:
         place = (start + np.where(hit, root, 0.0) * (end - start)) * self.resolution
         return _Pieces(hit, blocked, outer, place, above(start) < 0)
 
-    def filled_at(self, metres: float, heading: tuple[float, float]) -> float:
-        """Bilinear height of the ground, known or possible, on a ray's way over the nodes."""
-        height, width = self.nodes.shape
-        x = min(max(self.ox + heading[0] * metres / self.resolution, 0.0), width - 1.0)
-        y = min(max(self.oy + heading[1] * metres / self.resolution, 0.0), height - 1.0)
-        j, i = min(int(x), width - 2), min(int(y), height - 2)
-        corners = self.filled[i : i + 2, j : j + 2].astype(np.float64)
-        return float(np.array([1 - (y - i), y - i]) @ corners @ np.array([1 - (x - j), x - j]))
-
 
 @dataclass(frozen=True)
 class _Parabola:
@@ -195,7 +186,7 @@ def _horizontal_range(
     """Horizontal metres to the first hit; `heading` is a unit (column, row) vector."""
     near, far = rasters[-1].over(heading)
     if near > far:
-        return _beyond(height, 0.0, height.z, steepest, highest)
+        return _beyond(height, 0.0, steepest, highest)
     pieces: list[_Pieces] = []
     covered: tuple[float, float] | None = None
     for raster in rasters:  # from the finest outwards: each adds what lies before and after those within it
@@ -214,27 +205,23 @@ def _horizontal_range(
     )
     place = np.concatenate([p.place for p in pieces])
     if outer.all():
-        return _beyond(height, 0.0, height.z, steepest, highest)
+        return _beyond(height, 0.0, steepest, highest)
     entered = int(np.argmin(outer))  # what is before the first cell of the DEM counts as free
     blocked[:entered] = False
     ends = np.flatnonzero(hit | blocked)
     if ends.size == 0:
-        return _beyond(height, far, rasters[-1].filled_at(far, heading), steepest, highest)
+        return _beyond(height, far, steepest, highest)
     first = int(ends[0])
     if blocked[first] or (first == entered and below[first]):
         return np.nan
     return float(place[first])
 
 
-def _beyond(height: _Parabola, leaves: float, ground: float, steepest: float, highest: float) -> float:
-    """+inf where a ray stays above ground that rises from `ground` at `leaves`, steeply, up to `highest`; else NaN."""
+def _beyond(height: _Parabola, leaves: float, steepest: float, highest: float) -> float:
+    """+inf where a ray leaves climbing and no ground ahead can be as high or as steep; else NaN."""
     if height.slope + 2 * height.bend * leaves < 0:
         return np.nan
-    if height.at(np.array(leaves)) > highest:
-        return np.inf
-    reaches = leaves + max(highest - ground, 0.0) / steepest
-    relative = _Parabola(height.z - (ground - steepest * leaves), height.slope - steepest, height.bend)
-    return np.inf if relative.lowest(np.array(leaves), np.array(reaches)) >= 0 else np.nan
+    return np.inf if height.slope >= steepest or height.at(np.array(leaves)) > highest else np.nan
 
 
 def _first_roots(f0: Float64Array, f_half: Float64Array, f1: Float64Array) -> Float64Array:

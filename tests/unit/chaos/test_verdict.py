@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+import time
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,14 +13,16 @@ import numpy as np
 import pytest
 from chaos.cameras import CAMERAS, PHASES, Sent
 from chaos.living_site import write_living_site
+from chaos.stranger import ATTACKS, Stranger
 from chaos.verdict import Verdict, judge
 from scenes.outlets import Kept
 from scenes.small_site import SmallSite
 
+from ltm_core.errors import MessageError
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.stamp import ns_to_time
-from ltm_msgs_py.votes import votes_to_msg
+from ltm_msgs_py.votes import msg_to_votes, votes_to_msg
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_MAP_UPDATE
@@ -99,3 +103,17 @@ def test_a_frame_of_other_content(small: SmallSite, votes: dict[tuple[str, int],
     verdict = Ran(small, votes, tmp_path / "state", [*FRAMES[:4], other, *FRAMES[5:]]).judged()
     assert not verdict.lost
     assert any(fault.startswith("tile (0, 0)") for fault in verdict.faults)
+
+
+def test_what_strangers_forge_is_no_vote_of_the_site(small: SmallSite) -> None:
+    """Else the map would hold what nobody sent, and a run would fail for nothing."""
+    names, grid = LabelSet.load().names, small.site.fuel_geometry(small.dem)
+    near = [
+        message
+        for _, message in ATTACKS["forged votes"](Stranger("tower", random.Random(1)))
+        if abs(message.header.stamp.sec - time.time()) < 60 and message.width
+    ]
+    assert near
+    for message in near:
+        with pytest.raises(MessageError):
+            msg_to_votes(message, grid, names, "tower")

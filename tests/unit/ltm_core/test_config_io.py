@@ -69,4 +69,16 @@ def test_missing_and_nested_keys_are_named() -> None:
         checked(Site, {"name": "a", "dem": {"path": "d.tif", "size": 3}, "cameras": {"b": {"pose": {"x": 1}}}}, "here")
     lines = str(raised.value).splitlines()
     assert lines[0] == "here:"
-    assert {"  crs: missing", "  origin: missing", "  dem.size: unknown key", "  cameras.b.pose.y: missing"} <= {*lines}
+    assert {
+        "  crs: missing",
+        "  origin: missing",
+        "  dem.size: unknown key",
+        "  cameras.b.pose.azimuth_deg: missing",
+    } <= {*lines}
+
+
+def test_the_line_of_a_wrong_value_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as raised:
+        load(tmp_path, "# sizes\nresolution: 30\nfusion:\n  # how\n  memory_days: often\nphase: wide\n")
+    assert "got 'wide', line 6)" in str(raised.value)
+    assert "line 5" in str(raised.value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,9 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation.control_points import ControlPoints
 from ltm_core.pose_estimation.resection import resect
-from ltm_core.pose_estimation.resection_io import read_control_points
+from ltm_core.pose_estimation.resection_check import traced_errors
+from ltm_core.pose_estimation.resection_io import held_notes, read_control_points
+from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.trace_io import load_picture_config
 from ltm_core.types import Float64Array
 from ltm_core.visibility.line_of_sight import line_of_sight_vectors, pixel_rays
@@ -76,6 +79,30 @@ def test_finds_the_position_too() -> None:
     result = resect(scattered(), START, start, free=("focal", "k1", "position"), bend=BEND)
     assert np.abs(result.pose.position - POSE.position).max() < 1e-3
     assert turn_between(result.pose, POSE) < 1e-4
+
+
+@pytest.mark.parametrize("start", [(-80.0, 75.0, 60.0), (420.0, -430.0, -50.0), (-1500.0, 4700.0, 300.0)])
+def test_a_free_position_is_found_from_far_away(start: tuple[float, float, float]) -> None:
+    points = moved(scattered(9, noise=0.5), {4: (200.0, -80.0)})
+    camera = replace(CAMERA, fx=1500.0, fy=1500.0)
+    result = resect(points, camera, POSE.position + start, free=("focal", "position"), bend=BEND)
+    assert result.fitted == ("focal", "position")
+    assert np.linalg.norm(result.pose.position - POSE.position) < 3.0
+    assert turn_between(result.pose, POSE) < 0.1
+    assert result.outliers == ("p4",)
+
+
+def test_of_poses_that_explain_the_points_alike_the_nearest_is_taken() -> None:
+    # Four points on a plane, seen from either side of it, look alike: the wanted side is that of the stated position.
+    plane = np.array([[-80.0, 300.0, 0.0], [90.0, 320.0, 0.0], [60.0, 500.0, 0.0], [-120.0, 480.0, 0.0]])
+    camera = replace(CAMERA, distortion=(0.0,) * 5)
+    pose = Pose.from_angles((0.0, 0.0, 150.0), 0.0, -20.0)
+    points = ControlPoints(
+        tuple("abcd"), plane, camera.project(line_of_sight_vectors(pose.position, plane, 0.0) @ pose.rotation)
+    )
+    for shift in ((30.0, -40.0, 10.0), (-60.0, 20.0, -30.0)):
+        found = resect(points, camera, pose.position + shift, free=("position",))
+        assert np.abs(found.pose.position - pose.position).max() < 1e-3
 
 
 def test_sigmas_are_those_that_noise_makes() -> None:
@@ -174,16 +201,79 @@ def test_k1_is_held_where_all_points_are_central() -> None:
     assert "k1" not in result.sigmas
 
 
-def test_position_is_held_where_the_points_lie_in_one_line() -> None:
+def in_line() -> ControlPoints:
+    """Seven points in one line, which no position follows from."""
     at = np.linspace(0, 1, 7)[:, None]
     start = POSE.position + 900 * POSE.rotation @ [-0.35, 0.1, 1]
     end = POSE.position + 1500 * POSE.rotation @ [0.35, -0.1, 1]
     places = start + at * (end - start)
     pixels = CAMERA.project(line_of_sight_vectors(POSE.position, places, BEND) @ POSE.rotation)
-    points = ControlPoints(tuple("abcdefg"), places, pixels)
+    return ControlPoints(tuple("abcdefg"), places, pixels)
+
+
+def test_position_is_held_where_the_points_lie_in_one_line() -> None:
+    points = in_line()
     result = resect(points, CAMERA, POSE.position, free=("position",), bend=BEND)
     assert "one line" in result.held["position"]
     assert turn_between(result.pose, POSE) < 1e-6
+    assert np.array_equal(result.pose.position, POSE.position)
+    rejected = result.rejected["position"]
+    assert set(rejected.values) == set(rejected.sigmas) == {"x", "y", "z"}
+    assert max(rejected.sigmas.values()) > 10
+    forced = resect(points, CAMERA, POSE.position, free=("position",), bend=BEND, force=("position",))
+    assert forced.fitted == ("position",)
+    assert not forced.held
+    assert dict(zip("xyz", forced.pose.position, strict=True)) == pytest.approx(rejected.values, abs=0.5)
+    assert forced.sigmas["x"] == pytest.approx(rejected.sigmas["x"], rel=0.1)
+
+
+def test_what_is_held_is_told_with_what_it_would_have_been() -> None:
+    start = POSE.position + np.array([3.0, -2.0, 1.0])
+    result = resect(in_line(), CAMERA, start, free=("position",), bend=BEND)
+    (note,) = held_notes(result, start, FRAME)
+    x, y, z = (result.rejected["position"].values[axis] for axis in "xyz")
+    assert note.startswith("position is held: its sigma would be ")
+    assert f"Fitted, it would be x {x + FRAME.x_origin:.2f} +- " in note
+    assert f"y {y + FRAME.y_origin:.2f} +- " in note
+    assert f"({np.linalg.norm(np.array([x, y, z]) - start):.1f} m from the given place)" in note
+    assert "--force position" in note
+    assert np.array_equal(result.pose.position, start)
+
+
+WALL = GridGeometry(-60.0, 305.0, 1.0, 121, 310)
+"""Level ground at 10 m around a wall of 40 m, from y = 120 to 125."""
+
+
+def test_what_the_dem_says_of_each_point() -> None:
+    _, y = WALL.to_map(np.arange(310)[:, None] + np.zeros((1, 121)), np.arange(121)[None] + np.zeros((310, 1)))
+    dem = Dem(np.where((y > 120) & (y < 125), 40.0, 10.0).astype(np.float32), WALL)
+    pose = Pose.from_angles((0.0, 5.0, 60.0), 0.0, -15.0)
+    camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
+    places = {
+        "on the ground": (-20.0, 80.0, 10.0),
+        "in the ground": (22.0, 100.0, 2.0),
+        "behind the wall": (10.0, 130.0, 10.0),
+        "buried behind the wall": (-15.0, 131.0, 4.0),
+        "on a pole on the wall": (-30.0, 122.0, 52.0),
+        "beyond the raster": (40.0, 420.0, 70.0),
+    }
+    xyz = np.array(list(places.values()))
+    pixels = camera.project(line_of_sight_vectors(pose.position, xyz, 0.0) @ pose.rotation)
+    result = resect(ControlPoints(tuple(places), xyz, pixels), camera, pose.position, free=())
+    traced = traced_errors(result, TerrainTracer(dem, curvature=False))
+    said = dict(zip(places, map(str, traced.states), strict=True))
+    assert said == {
+        "on the ground": "seen",
+        "in the ground": "below its surface",
+        "behind the wall": "hidden",
+        "buried behind the wall": "hidden",
+        "on a pole on the wall": "above its surface",
+        "beyond the raster": "beside the DEM",
+    }
+    assert traced.visible.tolist() == [True] + [False] * 5
+    assert traced.above_ground[:5] == pytest.approx([0, -8, 0, -6, 12], abs=0.01)
+    assert np.isnan(traced.above_ground[5])
+    assert not traced.met[5]
 
 
 def test_too_few_points() -> None:
@@ -327,11 +417,17 @@ def test_the_command_writes_a_pose_that_trace_reads(
         report=tmp_path / "report.json",
     )
     config = load_picture_config(fitted)
-    assert (config.azimuth_deg, config.pitch_deg, config.roll_deg) == pytest.approx((312.0, -20.0, 2.0), abs=1e-3)
-    assert config.camera.fx == pytest.approx(300.0, abs=0.01)
-    assert config.position == pytest.approx(tuple(position), abs=1e-3)
+    assert (config.pose.azimuth_deg, config.pose.pitch_deg, config.pose.roll_deg) == pytest.approx(
+        (312.0, -20.0, 2.0), abs=1e-3
+    )
+    assert config.calibration.fx == pytest.approx(300.0, abs=0.01)
+    stated = json.loads((tmp_path / "report.json").read_text())["sigmas"]
+    assert config.pose.azimuth_sigma_deg == pytest.approx(stated["azimuth_deg"], rel=0.01)
+    assert config.pose.position_sigma is None
+    assert (config.pose.x, config.pose.y, config.pose.z) == pytest.approx(tuple(position), abs=1e-3)
     said = capsys.readouterr().out
     assert "traced against surveyed" in said
+    assert "inf" not in said.lower().replace("info", "")
     assert "median residual 0.00 px" in said
     assert '"pose_covariance"' in (tmp_path / "report.json").read_text()
     trace_command(dem=[dem], pose=fitted, out=tmp_path / "traced")
@@ -342,3 +438,30 @@ def test_the_command_needs_a_crs_where_there_is_no_dem(tmp_path: Path) -> None:
     (tmp_path / "guess.yaml").write_text("position: [1, 2, 3]\ncamera: {width: 320, height: 200, fx: 260}\n")
     with pytest.raises(ConfigError, match="--crs"):
         pose_command(gcps=tmp_path / "no.csv", pose_guess=tmp_path / "guess.yaml", out=tmp_path / "pose.yaml")
+
+
+def test_the_command_tells_of_what_is_held_before_its_tables(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "300")
+    points = in_line()
+    lines = [
+        f"{name},{x + FRAME.x_origin},{y + FRAME.y_origin},{z},{u},{v}"
+        for name, (x, y, z), (u, v) in zip(points.names, points.places.tolist(), points.pixels.tolist(), strict=True)
+    ]
+    (tmp_path / "points.csv").write_text("\n".join(["id,x,y,z,u,v", *lines]))
+    x, y, z = np.add(POSE.position, (FRAME.x_origin, FRAME.y_origin, 0.0))
+    (tmp_path / "guess.yaml").write_text(
+        f"pose: {{x: {x}, y: {y}, z: {z}, crs: EPSG:32611}}\n"
+        "calibration: {width: 1600, height: 1100, fx: 1850, cx: 801, cy: 547, k1: -0.12}\ncurvature: true\n"
+    )
+    files = {"gcps": tmp_path / "points.csv", "pose_guess": tmp_path / "guess.yaml", "out": tmp_path / "pose.yaml"}
+    pose_command(**files, free="position", report=tmp_path / "report.json")
+    said = capsys.readouterr().out
+    assert said.index("position is held") < said.index("parameter")
+    assert "--force position" in said
+    rejected = json.loads((tmp_path / "report.json").read_text())["rejected"]["position"]
+    assert rejected["values"]["x"] == pytest.approx(x, abs=500)
+    pose_command(**files, free="none", force="position", overwrite=True)
+    assert "position is held" not in capsys.readouterr().out
+    assert ", x " in (tmp_path / "pose.yaml").read_text()  # a sigma of its own

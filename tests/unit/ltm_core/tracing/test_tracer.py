@@ -107,7 +107,7 @@ def test_ridge_hides_the_valley_behind_it() -> None:
     scene = ridge()
     pose = Pose.from_angles((-150.0, 20.0, 275.0), 90.0, -3.0, 0.0)
     camera = Camera(width=5, height=301, fx=300.0, fy=300.0, cx=2.0, cy=150.0)
-    column = TerrainTracer(scene.dem, curvature=False).trace(camera, pose).range[:, 2]
+    column = TerrainTracer(scene.dem, curvature=False, possible=NOTHING_BEYOND).trace(camera, pose).range[:, 2]
 
     ray = (camera.rays() @ pose.rotation.T)[:, 2]
     x, z = pose.position[0], pose.position[2]
@@ -273,27 +273,19 @@ def plateau(edge: float) -> Dem:
     return Dem(z, GridGeometry(0.0, 60.0, 1.0, 100, 60))
 
 
-def test_sky_is_above_all_that_may_lie_beyond_the_end() -> None:
-    """The raster ends 89 m from the camera; beyond, ground of slope 1 is 80 m high 30 m on."""
-    origin = (10.5, 29.5, 52.0)
-    tracer = TerrainTracer(plateau(50.0), curvature=False, possible=PossibleGround(steepest=1.0, margin=0.0))
-    slope = 28.0 / (89 + 30)
-    below, above, down = tracer.trace_rays(origin, [(1, 0, slope - 1e-3), (1, 0, slope + 1e-3), (1, 0, -0.01)])
-    assert np.isnan(below)
-    assert np.isposinf(above)
-    assert np.isnan(down)
-    # From a higher edge it is reached sooner, and where the user states higher ground, later.
-    (sooner,) = TerrainTracer(
-        plateau(55.0), curvature=False, possible=PossibleGround(steepest=1.0, margin=0.0)
-    ).trace_rays(origin, [(1, 0, slope + 1e-3)])
-    assert np.isnan(sooner)
-    stated = PossibleGround(steepest=1.0, highest=150.0)
-    higher = 98.0 / (89 + 100)
-    below, above = TerrainTracer(plateau(50.0), curvature=False, possible=stated).trace_rays(
-        origin, [(1, 0, higher - 1e-3), (1, 0, higher + 1e-3)]
+@pytest.mark.parametrize(("highest", "rise"), [(None, 28.0), (120.0, 68.0)])
+def test_sky_is_above_all_that_may_lie_beyond_the_end(highest: float | None, rise: float) -> None:
+    """The raster ends 89 m from the camera, `rise` metres below the highest possible ground."""
+    possible = PossibleGround(steepest=1.0, highest=highest, margin=0.0)
+    tracer = TerrainTracer(plateau(50.0), curvature=False, possible=possible)
+    slope = rise / 89
+    below, above, down, steep = tracer.trace_rays(
+        (10.5, 29.5, 52.0), [(1, 0, slope - 1e-3), (1, 0, slope + 1e-3), (1, 0, -0.01), (-1, 0, 1.01)]
     )
     assert np.isnan(below)
     assert np.isposinf(above)
+    assert np.isnan(down)
+    assert np.isposinf(steep)  # no ground ahead climbs like that
 
 
 def test_a_camera_above_all_ground_sees_sky_over_the_horizon() -> None:

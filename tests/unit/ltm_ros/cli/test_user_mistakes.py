@@ -157,7 +157,7 @@ MISTAKES = [
         "a camera beside the DEM",
         mast_with(x=400_000.0),
         CHECK,
-        ("(400000.0,", "the DEM covers x 480015", "check x and y"),
+        ("(400000,", "the DEM covers x 480015", "check position and crs"),
     ),
     Mistake(
         "another zone than the DEM's",

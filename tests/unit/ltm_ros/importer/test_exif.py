@@ -77,18 +77,25 @@ def test_a_position_off_the_globe_is_refused(gps: dict[int, Any]) -> None:
         facts(gps=gps)
 
 
-def test_without_a_zone_gps_time_goes_before_local_time() -> None:
+def test_the_camera_clock_and_the_gps_stamp_are_two_things() -> None:
     photo = {0x9003: "2024:07:04 18:30:15"}
     gps = {7: (1.0, 30.0, 16.5), 29: "2024:07:05"}
-    assert facts(photo=photo, gps=gps).taken == datetime(2024, 7, 5, 1, 30, 16, 500_000, UTC)
-    assert facts(photo=photo).taken == datetime(2024, 7, 4, 18, 30, 15)
+    found = facts(photo=photo, gps=gps)
+    assert found.taken == datetime(2024, 7, 4, 18, 30, 15)
+    assert found.gps_time == datetime(2024, 7, 5, 1, 30, 16, 500_000, UTC)
+    assert facts(photo=photo).gps_time is None
     assert facts(main={0x0132: "2013:08:25 11:04:17"}).taken == datetime(2013, 8, 25, 11, 4, 17)
+
+
+@pytest.mark.parametrize(("value", "known"), [(4.75, 4.75), (0, None), (IFDRational(0, 0), None)])
+def test_the_horizontal_positioning_error(value: Any, known: float | None) -> None:
+    assert facts(gps={31: value}).position_error == known
 
 
 @pytest.mark.parametrize("text", ["0000:00:00 00:00:00", "    :  :     :  :  ", "yesterday", ""])
 def test_dates_that_are_none_are_left_out(text: str) -> None:
     assert facts(photo={0x9003: text}).taken is None
-    assert facts(photo={0x9003: text}, gps={7: (1, 2, 3), 29: "2024:13:40"}).taken is None
+    assert facts(photo={0x9003: text}, gps={7: (1, 2, 3), 29: "2024:13:40"}).gps_time is None
 
 
 @pytest.mark.parametrize("orientation", [0, 9, 65535])

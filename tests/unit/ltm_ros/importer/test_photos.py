@@ -18,18 +18,20 @@ from ltm_core.errors import CameraError, ConfigError, ImageError, LtmError, Pose
 from ltm_core.geodesy import SiteFrame, magnetic_declination_deg
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
+from ltm_core.pose_covariance import pose_covariance
 from ltm_core.site import Site
 from ltm_core.site_io import load_site
-from ltm_core.types import UInt8Array
+from ltm_core.types import Float64Array, UInt8Array
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import compressed_to_rgb
-from ltm_msgs_py.pose import msg_to_pose
+from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.importer.build import import_photos
 from ltm_ros.importer.georeference import Assumptions
 from ltm_ros.importer.photo import find_photos, read_photo
 
+LEVEL = Assumptions(pitch_deg=0.0)
 W, H = 64, 40
 LON, LAT = -118.06, 34.225
 X0, Y0 = 402_000.0, 3_787_000.0
@@ -107,7 +109,7 @@ def contents(bag: Path, prefix: str = "/ridge/phone/") -> list[tuple[int, Camera
 
 def test_a_phone_photo_is_placed_by_its_exif(tmp_path: Path, site: Site) -> None:
     file = save(tmp_path / "a.jpg", phone())
-    report = import_photos([file], tmp_path / "bag", site=site)
+    report = import_photos([file], tmp_path / "bag", site=site, assumed=LEVEL)
     ((stamp, camera, pose, image),) = contents(tmp_path / "bag")
     assert stamp == 1_720_143_015 * 10**9  # 2024-07-05 01:30:15 UTC
     assert camera == Camera(W, H, 48.0, 48.0, (W - 1) / 2, (H - 1) / 2)
@@ -118,14 +120,14 @@ def test_a_phone_photo_is_placed_by_its_exif(tmp_path: Path, site: Site) -> None
     np.testing.assert_allclose(pose.angles_deg, [90.0 - convergence, 0.0, 0.0], atol=0.01)
     assert bytes(image.data) == file.read_bytes()
     assert image.format == "jpeg"
-    assert any("pitch is not known" in note for _, note in report.notes)
+    assert any("pitch is not known (EXIF has none): taken as 0 +- 3 deg" in note for _, note in report.notes)
     assert report.cameras == {"phone": 1}
 
 
 def test_a_compass_direction_is_turned_by_the_declination_of_its_day(tmp_path: Path, site: Site) -> None:
     save(tmp_path / "true.jpg", phone())
     save(tmp_path / "magnetic.jpg", phone(gps_16="M", **{"photo_0x9003": "2024:07:04 18:30:16"}))
-    import_photos([tmp_path / "true.jpg", tmp_path / "magnetic.jpg"], tmp_path / "bag", site=site)
+    import_photos([tmp_path / "true.jpg", tmp_path / "magnetic.jpg"], tmp_path / "bag", site=site, assumed=LEVEL)
     (_, _, true, _), (_, _, magnetic, _) = contents(tmp_path / "bag")
     turned = (magnetic.angles_deg[0] - true.angles_deg[0]) % 360
     assert turned == pytest.approx(magnetic_declination_deg(LON, LAT, date(2024, 7, 5), GROUND + 12), abs=0.01)
@@ -135,7 +137,7 @@ def test_a_compass_direction_is_turned_by_the_declination_of_its_day(tmp_path: P
 def test_png_stays_and_heic_becomes_jpeg(tmp_path: Path, site: Site) -> None:
     png = save(tmp_path / "a.png", phone())
     heic = save(tmp_path / "b.heic", phone(**{"photo_0x9003": "2024:07:04 18:30:16"}))
-    import_photos([png, heic], tmp_path / "bag", site=site)
+    import_photos([png, heic], tmp_path / "bag", site=site, assumed=LEVEL)
     (_, _, _, first), (_, camera, _, second) = contents(tmp_path / "bag")
     assert bytes(first.data) == png.read_bytes()
     assert (first.format, second.format) == ("png", "jpeg")
@@ -152,7 +154,7 @@ def test_photos_taken_upright_are_turned(tmp_path: Path, site: Site, suffix: str
     photo = read_photo(file)
     assert photo.reencoded
     assert (photo.height, photo.width) == upright.shape[:2]
-    import_photos([file], tmp_path / "bag", site=site)
+    import_photos([file], tmp_path / "bag", site=site, assumed=LEVEL)
     ((_, camera, _, image),) = contents(tmp_path / "bag")
     assert (camera.height, camera.width) == upright.shape[:2]
     assert camera.fx == 27 / 36 * W  # the long side stays the long side
@@ -171,17 +173,17 @@ def test_photos_taken_upright_are_turned(tmp_path: Path, site: Site, suffix: str
 def test_heights(tmp_path: Path, site: Site, altitude: float | None, expected: float, note: str | None) -> None:
     save(tmp_path / "a.jpg", phone(gps_6=altitude))
     report = import_photos(
-        [tmp_path / "a.jpg"], tmp_path / "bag", site=site, assumed=Assumptions(height_above_ground=1.75)
+        [tmp_path / "a.jpg"], tmp_path / "bag", site=site, assumed=Assumptions(0.0, height_above_ground=1.75)
     )
     ((_, _, pose, _),) = contents(tmp_path / "bag")
     assert pose.position[2] == pytest.approx(expected, abs=0.01)
-    notes = [text for _, text in report.notes if "pitch" not in text]
+    notes = [text for _, text in report.notes if not text.startswith(("pitch", "roll"))]
     assert (len(notes) == 1 and note in notes[0]) if note else not notes
 
 
 def test_ellipsoidal_altitudes_lose_the_geoid_undulation(tmp_path: Path, site: Site) -> None:
     save(tmp_path / "a.jpg", phone(gps_6=GROUND + 12.0 - 35.4))
-    import_photos([tmp_path / "a.jpg"], tmp_path / "bag", site=site, assumed=Assumptions(geoid_undulation=-35.4))
+    import_photos([tmp_path / "a.jpg"], tmp_path / "bag", site=site, assumed=Assumptions(0.0, geoid_undulation=-35.4))
     ((_, _, pose, _),) = contents(tmp_path / "bag")
     assert pose.position[2] == pytest.approx(GROUND + 12.0, abs=1e-3)
 
@@ -198,7 +200,7 @@ def test_a_pose_file_goes_before_exif_and_chooses_the_photos(tmp_path: Path, sit
         "2013-08-25T11:04:17.5+02:00\n"
         "a.jpg,,,,12,,,,,,,,,,,,\n"
     )
-    report = import_photos([folder], tmp_path / "bag", tmp_path / "poses.csv", site)
+    report = import_photos([folder], tmp_path / "bag", tmp_path / "poses.csv", site, assumed=LEVEL)
     (early, camera, pose, _), (_, _, by_exif, _) = contents(tmp_path / "bag")
     assert early == 1_377_421_457_500_000_000
     assert camera == Camera(W, H, 61, 62, 30, 21, (-0.1, 0.02, 0.001, 0.002, 0.03))
@@ -216,7 +218,7 @@ def test_two_cameras_by_column_and_bursts_kept_apart(tmp_path: Path) -> None:
         "- {name: a.jpg, camera: east}\n- {name: b.jpg, camera: east}\n- {name: c.jpg, camera: west}\n"
     )
     files = [tmp_path / name for name in ("a.jpg", "b.jpg", "c.jpg")]
-    report = import_photos(files, tmp_path / "bag", tmp_path / "poses.yaml")
+    report = import_photos(files, tmp_path / "bag", tmp_path / "poses.yaml", assumed=LEVEL)
     assert report.cameras == {"east": 2, "west": 1}
     reader = BagReader(tmp_path / "bag")
     stamps = [m.log_time_ns for m in reader.messages(topics=["/site/east/pose"])]
@@ -227,7 +229,7 @@ def test_two_cameras_by_column_and_bursts_kept_apart(tmp_path: Path) -> None:
 
 
 def test_without_a_site_the_frame_is_the_utm_zone(tmp_path: Path) -> None:
-    report = import_photos([save(tmp_path / "a.jpg", phone())], tmp_path / "bag")
+    report = import_photos([save(tmp_path / "a.jpg", phone())], tmp_path / "bag", assumed=LEVEL)
     assert (report.crs, report.origin) == ("EPSG:32611", (402_000.0, 3_788_000.0))
     ((_, _, pose, _),) = contents(tmp_path / "bag", "/site/camera/")
     x, y = SiteFrame("EPSG:32611").from_lonlat(LON, LAT)
@@ -256,9 +258,9 @@ def test_photos_that_cannot_be_placed_are_named_and_no_bag_is_begun(
     save(tmp_path / "bad.jpg", phone(**changes))
     good = save(tmp_path / "good.jpg", phone())
     with pytest.raises(error, match=rf"bad\.jpg.*({complaint})"):
-        import_photos([good, tmp_path / "bad.jpg"], tmp_path / "bag", site=site)
+        import_photos([good, tmp_path / "bad.jpg"], tmp_path / "bag", site=site, assumed=LEVEL)
     assert not (tmp_path / "bag").exists()
-    report = import_photos([good, tmp_path / "bad.jpg"], tmp_path / "bag", site=site, skip_bad=True)
+    report = import_photos([good, tmp_path / "bad.jpg"], tmp_path / "bag", site=site, assumed=LEVEL, skip_bad=True)
     assert [path.name for path, _ in report.skipped] == ["bad.jpg"]
     assert len(contents(tmp_path / "bag")) == 1
 
@@ -266,7 +268,7 @@ def test_photos_that_cannot_be_placed_are_named_and_no_bag_is_begun(
 def test_nothing_left_is_an_error(tmp_path: Path, site: Site) -> None:
     save(tmp_path / "bad.jpg")
     with pytest.raises(RecordingError, match="none of 1 photos"):
-        import_photos([tmp_path / "bad.jpg"], tmp_path / "bag", site=site, skip_bad=True)
+        import_photos([tmp_path / "bad.jpg"], tmp_path / "bag", site=site, assumed=LEVEL, skip_bad=True)
 
 
 def _cut(path: Path) -> None:
@@ -330,7 +332,7 @@ def test_options_that_do_not_fit_are_refused(tmp_path: Path, site: Site) -> None
     (tmp_path / "full").mkdir()
     (tmp_path / "full/kept").touch()
     with pytest.raises(RecordingError, match="exists already"):
-        import_photos([file], tmp_path / "full", site=site)
+        import_photos([file], tmp_path / "full", site=site, assumed=LEVEL)
     assert not (tmp_path / "bag").exists()
 
 
@@ -344,7 +346,16 @@ def test_the_command_prints_what_it_took_and_assumed(tmp_path: Path, site: Site)
     save(tmp_path / "a.jpg", phone())
     save(tmp_path / "b.jpg", phone(gps_17=None))
     arguments = ["--images", str(tmp_path / "a.jpg"), "--images", str(tmp_path / "b.jpg"), "--skip-bad"]
-    arguments += ["--site", str(tmp_path / "site.yaml"), "--out", str(tmp_path / "bag"), "--pitch-deg", "-4.5"]
+    arguments += [
+        "--site",
+        str(tmp_path / "site.yaml"),
+        "--out",
+        str(tmp_path / "bag"),
+        "--pitch-deg",
+        "-4.5",
+        "--time-zone",
+        "Europe/Oslo",
+    ]
     result = CliRunner().invoke(app, arguments, env={"COLUMNS": "200"}, catch_exceptions=False)
     assert result.exit_code == 0
     assert "pitch is not known" in result.output
@@ -352,6 +363,95 @@ def test_the_command_prints_what_it_took_and_assumed(tmp_path: Path, site: Site)
     assert "/ridge/phone/" in result.output
     ((_, _, pose, _),) = contents(tmp_path / "bag")
     assert pose.angles_deg[1] == pytest.approx(-4.5)
+
+
+def covariance_of(bag: Path) -> Float64Array | None:
+    (message,) = BagReader(bag).messages(topics=["/ridge/phone/pose"])
+    return msg_to_covariance(BagReader(bag).decode(message))
+
+
+def test_an_unknown_pitch_is_refused_and_never_taken_as_level(tmp_path: Path, site: Site) -> None:
+    file = save(tmp_path / "a.jpg", phone())
+    with pytest.raises(PoseError, match=r"a\.jpg: its pitch is not known .*pitch_deg in a pose file.*--pitch-deg"):
+        import_photos([file], tmp_path / "bag", site=site)
+    assert not (tmp_path / "bag").exists()
+
+
+@pytest.mark.parametrize(("stated", "sigma"), [(4.75, 4.75), (None, 5.0)])
+def test_a_phones_pose_is_as_sure_as_its_sensors(
+    tmp_path: Path, site: Site, stated: float | None, sigma: float
+) -> None:
+    file = save(tmp_path / "a.jpg", phone(gps_31=stated))
+    import_photos([file], tmp_path / "bag", site=site, assumed=Assumptions(-4.0, tilt_sigma_deg=2.0))
+    ((_, _, pose, _),) = contents(tmp_path / "bag")
+    covariance = covariance_of(tmp_path / "bag")
+    assert covariance is not None
+    np.testing.assert_allclose(covariance, pose_covariance(pose, sigma, 10.0, 8.2, 2.0, 2.0), atol=1e-12)
+    assert np.degrees(np.sqrt(covariance[5, 5])) > 8
+
+
+def test_what_a_row_states_is_as_sure_as_the_site_assumes_or_as_it_says(tmp_path: Path, site: Site) -> None:
+    file = save(tmp_path / "a.jpg", phone())
+    rows = tmp_path / "poses.csv"
+    whole = f"{X0 + 100},{Y0 + 700},1777,230,-5,0.5"
+    rows.write_text(f"name,x,y,z,azimuth_deg,pitch_deg,roll_deg\na.jpg,{whole}\n")
+    import_photos([file], tmp_path / "bag", rows, site)
+    assert covariance_of(tmp_path / "bag") is None
+    rows.write_text(f"name,x,y,z,azimuth_deg,pitch_deg,roll_deg,azimuth_sigma_deg\na.jpg,{whole},1.5\n")
+    import_photos([file], tmp_path / "sure", rows, site)
+    ((_, _, pose, _),) = contents(tmp_path / "sure")
+    found = covariance_of(tmp_path / "sure")
+    assert found is not None
+    np.testing.assert_allclose(found, pose_covariance(pose, 0.5, 0.5, 1.5, 0.3, 0.3), atol=1e-12)
+    rows.write_text("name,azimuth_deg,pitch_deg,roll_deg\na.jpg,230,-5,0.5\n")
+    import_photos([file], tmp_path / "mixed", rows, site)
+    ((_, _, pose, _),) = contents(tmp_path / "mixed")
+    found = covariance_of(tmp_path / "mixed")
+    assert found is not None
+    np.testing.assert_allclose(found, pose_covariance(pose, 5.0, 10.0, 0.3, 0.3, 0.3), atol=1e-12)
+
+
+def fixed(tmp_path: Path, **calibration: Any) -> Site:
+    """The site with a camera of stated pose and calibration."""
+    document = yaml.safe_load((tmp_path / "site.yaml").read_text())
+    pose = {
+        "x": X0 + 110.0,
+        "y": Y0 + 720.0,
+        "z": 1600.0,
+        "azimuth_deg": 75.0,
+        "pitch_deg": -6.0,
+        "position_sigma": 2.0,
+    }
+    lens = {"width": W, "height": H, "hfov_deg": 50.0, "k1": -0.05}
+    document["cameras"] = {"phone": {"pose": pose, "calibration": lens | calibration}}
+    (tmp_path / "site.yaml").write_text(yaml.safe_dump(document))
+    return load_site(tmp_path / "site.yaml")
+
+
+def test_a_fixed_cameras_pose_and_calibration_come_from_the_site_file(tmp_path: Path, site: Site) -> None:
+    tower = fixed(tmp_path)
+    bare = save(tmp_path / "a.jpg", {"main": {}, "photo": {0x9003: "2024:07:04 18:30:15", 0x9011: "-07:00"}, "gps": {}})
+    import_photos([bare], tmp_path / "bag", site=tower)
+    ((_, camera, pose, _),) = contents(tmp_path / "bag")
+    np.testing.assert_allclose(pose.position, [110.0, 720.0, 1600.0], atol=1e-9)
+    np.testing.assert_allclose(pose.angles_deg, [75.0, -6.0, 0.0], atol=1e-9)
+    assert camera == tower.camera("phone").calibration.camera()  # type: ignore[union-attr]
+    found = covariance_of(tmp_path / "bag")
+    assert found is not None
+    np.testing.assert_allclose(found, pose_covariance(pose, 2.0, 0.5, 0.3, 0.3, 0.3), atol=1e-12)
+    # A row goes before it, EXIF does not.
+    rows = tmp_path / "poses.csv"
+    rows.write_text("name,azimuth_deg\nb.jpg,80\n")
+    import_photos([save(tmp_path / "b.jpg", phone())], tmp_path / "row", rows, tower)
+    ((_, _, pose, _),) = contents(tmp_path / "row")
+    np.testing.assert_allclose(pose.angles_deg, [80.0, -6.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(pose.position, [110.0, 720.0, 1600.0], atol=1e-9)
+
+
+def test_a_calibration_of_another_size_is_refused(tmp_path: Path, site: Site) -> None:
+    tower = fixed(tmp_path, width=2 * W)
+    with pytest.raises(ImageError, match=r"a\.jpg is 64 x 40 pixels but camera .* 128 x 40"):
+        import_photos([save(tmp_path / "a.jpg", phone())], tmp_path / "bag", site=tower)
 
 
 def test_the_engabreen_photo_projects_its_control_points(tmp_path: Path, shared_data: Path) -> None:
@@ -377,7 +477,7 @@ def test_the_engabreen_photo_projects_its_control_points(tmp_path: Path, shared_
 
 def test_a_photo_that_exif_turns_says_so(tmp_path: Path, site: Site) -> None:
     file = save(tmp_path / "portrait.jpg", phone(main_0x0112=6))
-    report = import_photos([file], tmp_path / "bag", site=site)
+    report = import_photos([file], tmp_path / "bag", site=site, assumed=LEVEL)
     ((_, camera, _, image),) = contents(tmp_path / "bag")
     assert (camera.width, camera.height) == (H, W)
     assert compressed_to_rgb(image).shape == (W, H, 3)
@@ -390,7 +490,7 @@ def test_a_photo_that_exif_turns_says_so(tmp_path: Path, site: Site) -> None:
         CameraError,
         match=r"portrait.jpg: principal point .* beside the image of 40 x 64 pixels, as EXIF turns it by 90 degrees",
     ):
-        import_photos([file], tmp_path / "beside", poses, site=site)
+        import_photos([file], tmp_path / "beside", poses, site=site, assumed=LEVEL)
     assert not (tmp_path / "beside").exists()
 
 
@@ -400,23 +500,25 @@ def test_a_photo_of_another_size_than_the_sites_camera_is_refused(tmp_path: Path
     document["cameras"]["phone"] = {"calibration": {"width": W, "height": H, "hfov_deg": 60}}
     (tmp_path / "site.yaml").write_text(yaml.safe_dump(document))
     fixed = load_site(tmp_path / "site.yaml")
-    import_photos([save(tmp_path / "level.jpg", phone())], tmp_path / "bag", site=fixed)
+    import_photos([save(tmp_path / "level.jpg", phone())], tmp_path / "bag", site=fixed, assumed=LEVEL)
     with pytest.raises(
         ImageError, match=r"portrait.jpg is 40 x 64 pixels, as EXIF turns it .* phone .* 64 x 40.*exiftool"
     ):
-        import_photos([save(tmp_path / "portrait.jpg", phone(main_0x0112=8))], tmp_path / "other", site=fixed)
+        import_photos(
+            [save(tmp_path / "portrait.jpg", phone(main_0x0112=8))], tmp_path / "other", site=fixed, assumed=LEVEL
+        )
     small = save(tmp_path / "small.jpg", phone(), pixels=picture()[:30])
     with pytest.raises(ImageError, match=r"small.jpg is 64 x 30 pixels but camera phone .* 64 x 40: give it a photo"):
-        import_photos([small], tmp_path / "other", site=fixed)
+        import_photos([small], tmp_path / "other", site=fixed, assumed=LEVEL)
 
 
 def test_angles_and_heights_in_another_unit_are_noted(tmp_path: Path, site: Site) -> None:
     files = [save(tmp_path / f"{name}.jpg", phone()) for name in "ab"]
     poses = tmp_path / "poses.csv"
     poses.write_text(f"name,azimuth_deg,z\na.jpg,0.7,{(GROUND + 8) / 0.3048}\nb.jpg,5.9,{GROUND + 8}\n")
-    notes = import_photos(files, tmp_path / "bag", poses, site=site).notes
+    notes = import_photos(files, tmp_path / "bag", poses, site=site, assumed=LEVEL).notes
     assert any(name == str(poses) and "all azimuths, 0.7 to 5.9, lie within 2 pi" in note for name, note in notes)
     assert any(name == "a.jpg" and "as feet it would be 1508 m" in note for name, note in notes)
     poses.write_text(f"name,z\na.jpg,{GROUND - 30}\n")
     with pytest.raises(PoseError, match=r"a.jpg: z = 1470 m is 30.00 m under the ground"):
-        import_photos(files, tmp_path / "other", poses, site=site)
+        import_photos(files, tmp_path / "other", poses, site=site, assumed=LEVEL)

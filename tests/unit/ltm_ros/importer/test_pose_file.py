@@ -20,9 +20,14 @@ def test_csv_with_spaces_a_byte_order_mark_and_blank_lines(tmp_path: Path) -> No
         "\ufeffname, x, y, z, azimuth_deg, fx, k1, stamp\n\na.jpg, 446722.0, 7396671.0, 770, 230.77, 6017, -0.1155,\n"
     )
     (pose,) = read_pose_file(csv_file(tmp_path, text)).values()
-    assert (pose.name, pose.x, pose.y, pose.z) == ("a.jpg", 446722.0, 7396671.0, 770.0)
-    assert (pose.azimuth_deg, pose.azimuth_ref, pose.fx, pose.k1) == (230.77, "grid", 6017.0, -0.1155)
-    assert (pose.pitch_deg, pose.stamp, pose.k2) == (None, None, 0.0)
+    assert (pose.name, pose.pose.x, pose.pose.y, pose.pose.z) == ("a.jpg", 446722.0, 7396671.0, 770.0)
+    assert (pose.pose.azimuth_deg, pose.pose.azimuth_ref, pose.calibration.fx, pose.calibration.k1) == (
+        230.77,
+        "grid",
+        6017.0,
+        -0.1155,
+    )
+    assert (pose.pose.pitch_deg, pose.stamp, pose.calibration.k2) == (None, None, 0.0)
 
 
 def test_yaml_says_the_same(tmp_path: Path) -> None:
@@ -32,7 +37,7 @@ def test_yaml_says_the_same(tmp_path: Path) -> None:
         "- {name: b.jpg, camera: north, hfov_deg: 54, stamp: 2024-07-04T18:30:15Z}\n"
     )
     poses = read_pose_file(path)
-    assert (poses["a.jpg"].lon, poses["a.jpg"].azimuth_ref) == (13.75, "true")
+    assert (poses["a.jpg"].pose.lon, poses["a.jpg"].pose.azimuth_ref) == (13.75, "true")
     assert poses["b.jpg"].camera == "north"
     assert poses["b.jpg"].stamp == datetime(2024, 7, 4, 18, 30, 15, tzinfo=UTC)
 
@@ -40,7 +45,7 @@ def test_yaml_says_the_same(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("name,yaw\na.jpg,3\n", "yaw.*known: name, camera, x"),
+        ("name,yaw\na.jpg,3\n", "yaw.*known: name, camera, stamp, x"),
         ("name,Azimuth_deg\na.jpg,3\n", "Azimuth_deg"),
         ("name,x,x\na.jpg,3,4\n", "twice"),
         ("x,y\n1,2\n", "row 1:\n  name: missing"),
@@ -52,7 +57,7 @@ def test_yaml_says_the_same(tmp_path: Path) -> None:
         ("name,lat\na.jpg,3\n", "give both lon and lat"),
         ("name,x,y,lon,lat\na.jpg,1,2,3,4\n", "either x or lon"),
         ("name,z,height_above_ground\na.jpg,1,2\n", "either z or height_above_ground"),
-        ("name,fx,hfov_deg\na.jpg,1,2\n", "either fx or hfov_deg"),
+        ("name,fx,hfov_deg\na.jpg,1,2\n", "either hfov_deg or fx"),
         ("name,fy\na.jpg,1\n", "fy needs fx"),
         ("name,lon,lat\na.jpg,200,4\n", "lon"),
         ("name,pitch_deg\na.jpg,91\n", "pitch_deg"),

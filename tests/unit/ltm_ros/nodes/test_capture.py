@@ -22,9 +22,10 @@ from ltm_core.dem import Dem
 from ltm_core.errors import CameraError, ConfigError, ImageError, PoseError
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
+from ltm_core.pose_covariance import pose_covariance
 from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg, msg_to_rgb
-from ltm_msgs_py.pose import msg_to_pose, pose_to_msg
+from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_msgs_py.stamp import make_header, stamp_of
 from ltm_ros.nodes.capture import Capture, CaptureConfig
 from ltm_ros.runtime.health import Health
@@ -241,6 +242,20 @@ def test_bad_parts_are_refused_and_leave_nothing(capture_of: CaptureOf) -> None:
     with pytest.raises(ImageError, match="image of eye is 12 x 7 pixels, its calibration is for 13 x 7"):
         capture.on_camera_info(camera_to_msg(Camera.from_fov(13, 7, 50.0), S, "x"))
     assert outlet.sent == []
+
+
+def test_a_fixed_pose_is_as_sure_as_the_site_file_says(capture_of: CaptureOf) -> None:
+    where = {"x": 500_321.0, "y": 4_000_123.0, "z": 900.0, "azimuth_deg": 70.0, "pitch_deg": -3.0}
+    for sigmas in ({}, {"azimuth_sigma_deg": 1.25, "position_sigma": 2.0}):
+        capture, outlet, _ = capture_of({"pose": where | sigmas})
+        capture.on_camera_info(info(S))
+        capture.on_image(image(S))
+        (message,) = outlet.on(POSED_POSE)
+        expected = pose_covariance(msg_to_pose(message), 2.0, 0.5, 1.25, 0.3, 0.3) if sigmas else None
+        found = msg_to_covariance(message)
+        assert (found is None) == (expected is None)
+        if expected is not None:
+            np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_site_file_may_give_pose_and_calibration(capture_of: CaptureOf) -> None:

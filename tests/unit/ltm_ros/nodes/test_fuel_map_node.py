@@ -109,6 +109,10 @@ def test_what_was_counted_is_there_after_a_stop(kept: Callable[..., Node], site:
     whole = Node(site)
     whole.feed(*range(9))
     assert_same_state(second.map, whole.map)
+    second.handler.finish()
+    layers = second.map.layers()
+    assert second.gauge("cells.seen") == str((layers.evidence > 0).sum()) != "0"
+    assert second.gauge("cells.changed") == str(layers.changed.sum())
 
 
 @pytest.mark.parametrize("logged", [1, 4, 1000])

@@ -79,6 +79,9 @@ def test_change_goes_out_once_views_agree(small: SmallSite) -> None:
     kinds, geometry = msg_to_classes(outlet.on(TERRAIN_CHANGE)[-1])
     assert set(np.unique(kinds)) <= {0, 3, 255}
     assert int((kinds == 3).sum()) == len(z)
+    said = health.summary()
+    assert (said["cells.lowered"], said["cells.grown"]) == (str(len(z)), "0")
+    assert int(said["cells.seen"]) >= int(said["cells.judged"]) == int((kinds != 255).sum())
     assert geometry.resolution == 10.0
     info = json.loads(outlet.on(TERRAIN_INFO)[0].data)
     assert (info["kinds"]["grown"], info["resolution"], info["cameras"]) == (2, 10.0, ["mast", "tower"])

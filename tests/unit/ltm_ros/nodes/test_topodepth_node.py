@@ -190,6 +190,7 @@ def test_a_wrong_pose_is_marked_and_nothing_is_fused(tmp_path: Path, monkeypatch
     node = Node(tmp_path, monkeypatch)
     node.feed(pitch=0.8)
     assert node.infos[0]["verdict"] == "pose_suspected"
+    assert node.health.summary()["noted.verdict.pose_suspected"] == "1"
     assert node.infos[0]["pose"]["pitch_deg"] == pytest.approx(-0.8, abs=0.15)
     np.testing.assert_array_equal(msg_to_depth(node.kept.on(FUSED_DEPTH)[0]), depth_scene().turned(0.8).depth())
 

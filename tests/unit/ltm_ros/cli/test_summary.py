@@ -1,0 +1,36 @@
+"""What `ltm replay` says at its end."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+from ltm_ros.cli.summary import node_rows, outcome, print_nodes
+from ltm_ros.runtime.health import Health
+
+
+def test_verdicts_and_cells_are_counted() -> None:
+    fusion, terrain, idle = Health(), Health(), Health()
+    for verdict in ("ok", "ok", "ok", "network_unusable"):
+        fusion.note(f"verdict.{verdict}")
+    fusion.note("unlabelled")
+    fusion.gauge("last_verdict", "network_unusable: explains 3 % of the terrain")
+    terrain.gauge("cells.seen", 12_345)
+    terrain.gauge("cells.removed", 80)
+    nodes = {"/a/north/topodepth": fusion, "/a/terrain": terrain, "/a/viewer": idle}
+    said = outcome({name: health.summary() for name, health in nodes.items()})
+    assert said == [
+        ("north/topodepth: verdicts", "network_unusable 1 (25%), ok 3 (75%)"),
+        ("north/topodepth: the last that was not ok", "network_unusable: explains 3 % of the terrain"),
+        ("north/topodepth: noted", "unlabelled 1"),
+        ("terrain: cells", "seen 12,345, removed 80"),
+    ]
+
+
+def test_reasons_keep_their_brackets() -> None:
+    health, console = Health(), Console(width=120)
+    health.drop("pose", "pose is given in frame [odom], wanted [map]")
+    health.drop("pose", "camera 4 m under the ground")
+    with console.capture() as said:
+        print_nodes(console, node_rows({"/a/north/capture": health.summary()}))
+    assert "dropped by pose: pose is given in frame [odom], wanted [map]" in said.get()
+    assert "4 m" not in said.get(), "one reason a cause will do, the first"
