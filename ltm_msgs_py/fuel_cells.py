@@ -40,8 +40,8 @@ class FuelCells:
     cols: Int64Array
     layers: dict[str, NDArray[Any]]
 
-    def raster(self, name: str, shape: tuple[int, int], elsewhere: float) -> NDArray[Any]:
-        """A layer as (H, W), `elsewhere` where no cell is given."""
+    def raster(self, name: str, shape: tuple[int, int], elsewhere: float | NDArray[Any]) -> NDArray[Any]:
+        """A layer as (H, W); where no cell is given `elsewhere`, a value or (H, W)."""
         whole = np.full(shape, elsewhere, self.layers[name].dtype)
         whole[self.rows, self.cols] = self.layers[name]
         return whole

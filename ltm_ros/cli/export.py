@@ -217,10 +217,16 @@ def _draw(map_: FuelSource, out: Path, kind: Format, as_of: str | None, since: s
     from ltm_core.fuel.life_form import life_form_labels
     from ltm_core.pictures import to_png
     from ltm_core.pictures.fuel_sheets import change_sheet, coverage_sheet, fuel_sheet, seen_sheet
-    from ltm_ros.fuel_map.pictures import canvas_of
+    from ltm_ros.fuel_map.pictures import canvas_of, places_of, seen_window
 
     layers, palette = map_.at(as_of), life_form_labels(map_.labels)
-    canvas = canvas_of(map_.site, map_.site.open_dem(), map_.site.in_map(map_.geometry))
+    dem, grid, bounds = map_.site.open_dem(), map_.site.in_map(map_.geometry), None
+    places = places_of(map_.site, dem)
+    if kind is Format.change:
+        # What cameras have seen: of a large prior, changed cells would be dots.
+        touched = (map_.layers.last_seen > 0) | map_.layers.changed
+        bounds = seen_window(grid, touched, places) if touched.any() else None
+    canvas = canvas_of(map_.site, dem, grid, places, bounds)
     if kind is Format.png:
         sheet = fuel_sheet(canvas, layers, palette)
     elif kind is Format.change:

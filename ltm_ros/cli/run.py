@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from ltm_core.site import Site
+    from ltm_ros.launching.graph import ParameterValue
     from ltm_ros.launching.site_check import Wanted
 
 
@@ -41,8 +44,8 @@ def run(
 
     What `ltm check` finds wrong ends it before any process starts: exit code 78 where the site file must be mended.
     """
-    from ltm_ros.launching.graph import ParameterValue, describe
-    from ltm_ros.launching.runner import Runner, new_log_folder
+    from ltm_ros.launching.graph import describe
+    from ltm_ros.launching.runner import Runner, new_log_folder, print_line
     from ltm_ros.launching.site_check import Wanted
 
     folders: dict[str, Path] = {}
@@ -66,7 +69,20 @@ def run(
     )
     runner = Runner(graph, log_folder=logs or new_log_folder(config.name), domain_id=domain)
     typer.echo(f"-- {config.name}: {len(graph)} nodes, logs in {runner.log_folder}; Ctrl-C stops them")
-    raise typer.Exit(runner.run())
+    if view:
+        typer.echo(f"-- live view, as soon as the nodes are up: {_address(graph.node('viewer').parameters)}")
+    status = runner.run()
+    # Not by echo: a console that has gone meanwhile is no error of the run.
+    print_line(f"-- {config.name} has ended; its logs: {runner.log_folder}")
+    raise typer.Exit(status)
+
+
+def _address(viewer: Mapping[str, ParameterValue]) -> str:
+    """The page of the viewer node, whose ports the site file may name."""
+    from ltm_ros.viewer.server import GRPC_PORT, WEB_PORT, web_url
+
+    web, grpc = (int(str(viewer.get(*port))) for port in (("web_port", WEB_PORT), ("grpc_port", GRPC_PORT)))
+    return web_url(web, grpc)
 
 
 def _checked(path: Path, wanted: Wanted) -> Site:

@@ -193,6 +193,8 @@ class NodeProcess:
             self.pid = process.pid
             self.starts += 1
             self.state = ProcessState.RUNNING
+        with self._log_lock:  # so that a node that says nothing has a log too
+            self._log.write(f"-- started as process {process.pid}")
         assert process.stdout is not None  # nosec B101 # tells the type checker what holds
         reader = threading.Thread(target=self._read, args=(process.stdout,), name=f"read {self.label}", daemon=True)
         reader.start()

@@ -11,7 +11,8 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import Field
 
-from ltm_core.fuel.life_form import NODATA, life_form_labels
+from ltm_core.fuel.life_form import life_form_labels
+from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.range_image import RangeImage
 from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
@@ -44,6 +45,7 @@ from ltm_ros.runtime.topics import (
     site_topic,
 )
 from ltm_ros.viewer import RerunView
+from ltm_ros.viewer.server import GRPC_PORT, WEB_PORT
 
 DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray)
 POINT_STEP = 12
@@ -55,8 +57,8 @@ class ViewerConfig(NodeConfig):
     """.rrd file to write; empty: none. Where it exists, `<name>_1.rrd` and so on is written instead."""
     serve: bool = False
     """Serve a live view on loopback."""
-    web_port: int = Field(9090, ge=0, lt=65536)
-    grpc_port: int = Field(9876, ge=1, lt=65536)
+    web_port: int = Field(WEB_PORT, ge=0, lt=65536)
+    grpc_port: int = Field(GRPC_PORT, ge=1, lt=65536)
 
 
 class Viewer(Handler[ViewerConfig]):
@@ -65,11 +67,17 @@ class Viewer(Handler[ViewerConfig]):
         self._site = load_site(config.site)
         dem = self._site.open_dem()
         self._fuel_grid = self._site.fuel_geometry(dem)
+        labels = LabelSet.load(config_path(self._site.labels))
+        prior = site_evidence_map(self._site, self._fuel_grid, labels).layers()
+        self._untouched = {
+            name: getattr(prior, name) for name in ("life_form", "code", "entropy", "changed", "seen_by")
+        }
+        """What is known of cells that no camera has touched: the prior; the graph sends the others alone."""
         self._view = RerunView(
             f"ltm {self._site.name}",
             self._site,
             dem,
-            life_form_labels(LabelSet.load(config_path(self._site.labels))),
+            life_form_labels(labels),
             save=free_path(Path(config.save)) if config.save else None,
             serve=config.serve,
             web_port=config.web_port,
@@ -120,9 +128,8 @@ class Viewer(Handler[ViewerConfig]):
 
     def on_fuel_cells(self, message: Any) -> None:
         cells = msg_to_fuel_cells(message, self._fuel_grid)
-        nothing = {"life_form": 255, "code": NODATA, "entropy": 1.0, "changed": 0, "seen_by": 0}
         shape = self._fuel_grid.shape
-        rasters = {name: cells.raster(name, shape, elsewhere) for name, elsewhere in nothing.items()}
+        rasters = {name: cells.raster(name, shape, elsewhere) for name, elsewhere in self._untouched.items()}
         self._view.log_fuel_layers(stamp_of(message), rasters)
 
     def on_change(self, message: Any) -> None:

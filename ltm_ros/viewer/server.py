@@ -19,6 +19,8 @@ from urllib.parse import quote
 from ltm_core.errors import ConfigError
 
 LOOPBACK = "127.0.0.1"
+WEB_PORT, GRPC_PORT = 9090, 9876
+"""Of the page, and of what feeds it, unless others are named."""
 _PR_SET_PDEATHSIG = 1
 
 

@@ -26,7 +26,7 @@ from ltm_core.types import Float32Array, Int32Array, RgbImage, UInt8Array
 from ltm_ros.viewer import archetypes, scene_geometry
 from ltm_ros.viewer.blueprint import TIMELINE, MapWindow, Tabs, site_blueprint
 from ltm_ros.viewer.fuel_maps import FuelMaps
-from ltm_ros.viewer.server import RerunProcess, grpc_url, web_url
+from ltm_ros.viewer.server import GRPC_PORT, WEB_PORT, RerunProcess, grpc_url, web_url
 from ltm_ros.viewer.terrain_change import ChangeLayer, ChangePicture, change_classes
 
 MAX_POINTS = 15_000
@@ -54,8 +54,8 @@ class RerunView:
         *,
         save: Path | None = None,
         serve: bool = False,
-        web_port: int = 9090,
-        grpc_port: int = 9876,
+        web_port: int = WEB_PORT,
+        grpc_port: int = GRPC_PORT,
     ) -> None:
         self._site, self._dem, self._palette = site, dem, label_set
         self._lock = Lock()

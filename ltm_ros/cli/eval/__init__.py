@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 from ltm_ros.cli.eval.bag import bag
 from ltm_ros.cli.eval.depth import depth
 from ltm_ros.cli.eval.fuel import fuel
+from ltm_ros.cli.eval.gallery import gallery
 from ltm_ros.cli.eval.relative_depth import relative_depth
 from ltm_ros.cli.eval.segmentation import segmentation
 from ltm_ros.cli.eval.sim2real import sim2real
@@ -34,6 +35,7 @@ evaluate = typer.Typer(cls=EvalGroup, no_args_is_help=True, help="Score a record
 evaluate.command(WHOLE)(bag)
 evaluate.command()(depth)
 evaluate.command()(fuel)
+evaluate.command()(gallery)
 evaluate.command()(relative_depth)
 evaluate.command()(segmentation)
 evaluate.command()(sim2real)

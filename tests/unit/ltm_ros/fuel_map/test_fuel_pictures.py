@@ -15,6 +15,7 @@ from scenes.fuel_frames import BEGIN_NS, LABELS, NAME, camera_of, grid_of, messa
 from scenes.outlets import Kept
 from typer.testing import CliRunner
 
+import ltm_ros.fuel_map.pictures
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, ImageError
 from ltm_core.fuel.codes import FuelRegion, fuel_models
@@ -41,7 +42,7 @@ from ltm_core.site_io import load_site
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_ros.cli.main import cli
-from ltm_ros.fuel_map.pictures import seen_window, when
+from ltm_ros.fuel_map.pictures import places_of, seen_window, when
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
 from ltm_ros.runtime.health import Health
 
@@ -253,6 +254,22 @@ def test_a_store_is_drawn_and_told_as_of_any_date(kept: tuple[Path, Path, FuelMa
         store, "--site", site, "--out", since, "--format", "change", "--since", "2023-11-15", "--as-of", "2025-12-31"
     )
     assert since.read_bytes() != (tmp_path / "change.png").read_bytes()
+
+
+def test_change_is_drawn_of_the_part_that_cameras_have_seen(
+    kept: tuple[Path, Path, FuelMap], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site, store, node = kept
+    grid, layers = grid_of(site), node.persistence.map.layers()
+    drawn: list[Any] = []
+    draw = ltm_ros.fuel_map.pictures.canvas_of
+    monkeypatch.setattr(ltm_ros.fuel_map.pictures, "canvas_of", lambda *given: drawn.append(given[4]) or draw(*given))
+    for kind in ("change", "png"):
+        export(store, "--site", site, "--out", tmp_path / f"{kind}.png", "--format", kind)
+    places = places_of(load_site(site), load_site(site).open_dem())
+    part, whole = drawn
+    assert part == seen_window(grid, layers.last_seen > 0, places)
+    assert whole is None
 
 
 def test_a_bag_has_coverage_but_no_history(tmp_path: Path) -> None:

@@ -80,8 +80,17 @@ def test_output_of_both_kinds_goes_to_console_and_log(tmp_path: Path) -> None:
     assert one.lines[0] == "[north/depth] out"
     assert one.lines[1].startswith("[north/depth] err")
     log = (tmp_path / "logs/north.depth.log").read_text().splitlines()
-    assert [line.split(" ", 2)[2][:3] for line in log] == ["out", "err"]
+    assert [line.split(" ", 2)[2][:3] for line in log] == ["-- ", "out", "err"]
     assert one.process.state is ProcessState.STOPPED
+
+
+def test_a_node_that_says_nothing_has_a_log_with_its_start(tmp_path: Path) -> None:
+    one = Supervised(tmp_path, "import time; time.sleep(60)")
+    log = tmp_path / "logs/north.depth.log"
+    one.wait_for(lambda: log.is_file() and log.read_text().endswith("\n"))
+    assert log.read_text().strip().endswith(f"-- started as process {one.process.pid}")
+    assert not one.lines, "the console is told of nodes that are not as they should be"
+    one.end()
 
 
 def test_restarts_whatever_way_it_dies(tmp_path: Path) -> None:

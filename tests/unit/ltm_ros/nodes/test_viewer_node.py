@@ -17,6 +17,7 @@ from ltm_core.fuel.codes import FuelRegion
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.grid import GridGeometry
+from ltm_core.raster.raster_io import write_geotiff
 from ltm_core.terrain.change import Changed, ChangeKind
 from ltm_msgs_py.fuel_cells import fuel_cells_to_msg
 from ltm_msgs_py.grid import classes_to_msg
@@ -40,6 +41,7 @@ pytest.importorskip("rerun", reason="the viewer's extra is not installed")
 from rerun.chunk import RrdReader
 
 from ltm_ros.nodes.viewer import Viewer, ViewerConfig
+from ltm_ros.viewer import RerunView
 
 STAMP = 1_700_000_000_000_000_000
 
@@ -108,6 +110,32 @@ def test_changes_of_the_surface_lie_where_they_are_on_the_fuel_grid(tmp_path: Pa
     (points,) = found["/map/change"]
     x, y = window.to_map(1, 1)
     assert points["Points3D:positions"][0][0] == pytest.approx([float(x), float(y), 300.0])
+
+
+def test_the_prior_is_shown_under_what_cameras_have_touched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    small = write_small_site(tmp_path)
+    grid = small.site.fuel_geometry(small.dem)
+    codes = np.full(grid.shape, 102, np.int16)
+    codes[:, : grid.width // 3] = 183
+    write_geotiff(tmp_path / "prior.tif", codes, small.site.in_crs(grid), -9999)
+    site = yaml.safe_load(small.path.read_text())
+    site["fuel"] = site.get("fuel", {}) | {"prior": "prior.tif"}
+    small.path.write_text(yaml.safe_dump(site))
+    drawn: list[Any] = []
+    monkeypatch.setattr(RerunView, "log_fuel_layers", lambda view, stamp, rasters: drawn.append(rasters))
+    node = viewer(small.path, tmp_path / "view.rrd")
+    take = {topic.name: callback for topic, callback in node.subscriptions.items()}
+    layers = layers_of_classes(np.full(grid.shape, LifeForm.SHRUB, np.uint8), None, FuelRegion.named("dry"))
+    touched = np.zeros(grid.shape, np.bool_)
+    touched[1:3, 2:5] = True
+    seen = replace(layers, last_seen=np.where(touched, STAMP, 0), changed=touched, seen_by=touched.astype(np.uint8))
+    take[site_topic(small.site.name, FUEL_MAP_CELLS)](fuel_cells_to_msg(seen, np.zeros(grid.shape), grid, STAMP))
+    node.finish()
+    (rasters,) = drawn
+    np.testing.assert_array_equal(rasters["code"][~touched], codes[~touched])
+    assert set(np.unique(rasters["life_form"][~touched])) == {LifeForm.GRASS, LifeForm.TREE}
+    assert (rasters["life_form"][touched] == LifeForm.SHRUB).all()
+    assert not rasters["seen_by"][~touched].any()
 
 
 def test_the_layers_of_the_fuel_map_are_shown_with_burned_cells(tmp_path: Path) -> None:
