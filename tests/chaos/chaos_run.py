@@ -16,7 +16,7 @@ from chaos.acknowledgements import Acknowledgements
 from chaos.cameras import CAMERAS
 from chaos.faults import Arena, Fault, draw_fault
 from chaos.heartbeats import Heartbeats
-from chaos.resources import usage_of
+from chaos.resources import usage_of, waited_s
 
 BACK_S = 15.0
 """In which every camera's frames are acknowledged again after a fault is over."""
@@ -44,6 +44,8 @@ class Outcome:
     lasted: float
     cameras: dict[str, float | None] = field(default_factory=dict)
     nodes: dict[str, float | None] = field(default_factory=dict)
+    waited: float = 0.0
+    """Of that, seconds for which a new process waited for a core, the longest of them: the machine has other work."""
     gaps: dict[str, float] = field(default_factory=dict)
     """Of cameras that it does not touch: longest time between two acknowledgements."""
     pss_kb: dict[str, int] = field(default_factory=dict)
@@ -157,6 +159,7 @@ class ChaosRun:
                 pid = processes.get(label)
                 if pid not in (None, former.get(label)) and self._heartbeats.since(label, over):
                     outcome.nodes[label] = time.monotonic() - over
+                    outcome.waited = max(outcome.waited, waited_s(processes[label]))
             if None not in (*outcome.cameras.values(), *outcome.nodes.values()):
                 return
             time.sleep(0.4)

@@ -206,11 +206,11 @@ def _node(arena: Arena, rng: random.Random) -> str:
 
 
 def _touched(label: str) -> tuple[str, ...]:
-    """A node of the site touches all cameras where their frames go through it."""
+    """A node of the site touches all cameras where their frames go through it, or wait at their door for it."""
     camera, _, name = label.rpartition("/")
     if camera:
         return (camera,)
-    return CAMERAS if name == "fuel_map" else ()
+    return CAMERAS if name in ("fuel_map", "terrain") else ()
 
 
 def _signal(arena: Arena, label: str, number: int) -> list[str]:

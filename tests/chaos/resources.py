@@ -35,6 +35,14 @@ def usage(pid: int) -> Usage | None:
     return Usage(sizes["Pss"], sizes["Private_Clean"] + sizes["Private_Dirty"], descriptors, int(threads[1]))
 
 
+def waited_s(pid: int) -> float:
+    """Seconds for which a process's main thread was ready to run, and others had the cores; 0 where it is gone."""
+    try:
+        return int(Path(f"/proc/{pid}/task/{pid}/schedstat").read_text().split()[1]) / 1e9
+    except (OSError, IndexError):
+        return 0.0
+
+
 def usage_of(processes: Mapping[str, int]) -> dict[str, Usage]:
     """By label; without those that are gone."""
     found = {label: usage(pid) for label, pid in processes.items()}

@@ -13,7 +13,7 @@ from chaos.faults import FAULTS, Arena, Fault, draw_fault
 from chaos.stranger import ATTACKS, FLOODS, Stranger
 from rclpy.serialization import serialize_message
 
-NODES = ("fuel_map", "recorder", "tower/depth", "mast/capture")
+NODES = ("fuel_map", "terrain", "recorder", "tower/depth", "mast/capture")
 
 
 def drawn(seed: int, count: int = 300) -> list[Fault]:
@@ -35,6 +35,7 @@ def test_whom_a_fault_touches() -> None:
     assert by_name["kill tower/depth"].touches == ("tower",)
     assert by_name["kill tower/depth"].restarts == ("tower/depth",)
     assert by_name["hang fuel_map"].touches == CAMERAS
+    assert by_name["hang terrain"].touches == CAMERAS, "their frames wait for it to finish others"
     assert by_name["terminate recorder"].touches == ()
     assert by_name["kill orphan_cleanup"].touches == ()
     assert by_name["kill runner and orphan_cleanup"].whole_start

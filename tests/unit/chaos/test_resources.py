@@ -7,7 +7,7 @@ import threading
 from pathlib import Path
 
 import numpy as np
-from chaos.resources import Usage, folder_bytes, usage
+from chaos.resources import Usage, folder_bytes, usage, waited_s
 from chaos.soak import SUM, Soak
 
 
@@ -28,6 +28,8 @@ def test_usage_of_this_process(tmp_path: Path) -> None:
     assert after.descriptors - before.descriptors == 1
     assert after.threads - before.threads == 1
     assert usage(2**22 + 1) is None
+    assert waited_s(os.getpid()) > 0
+    assert waited_s(2**22 + 1) == 0
 
 
 def test_bytes_of_a_folder(tmp_path: Path) -> None:
