@@ -11,12 +11,13 @@ from chaos.verdict import Verdict
 
 def heading() -> str:
     cameras = "".join(f"{camera:>8}" for camera in CAMERAS)
-    return f"{'at s':>6}  {'fault':<44}{'lasted':>7}{cameras}{'node':>8}{'waited':>8}{'pause':>8}{'load':>6}{'PSS MB':>8}  of"
+    times = f"{'lasted':>7}{cameras}{'node':>8}{'waited':>8}{'pause':>8}"
+    return f"{'at s':>6}  {'fault':<44}{times}{'load':>6}{'PSS MB':>8}  of"
 
 
 def line(outcome: Outcome) -> str:
-    """A row: seconds until each camera's frames were acknowledged again, until the node reported again, how much of this
-    it waited for a core, the longest pause of a camera that was not touched, and the largest process."""
+    """A row: seconds until each camera's frames were acknowledged again, until the node reported again, how much of
+    that it waited for a core, the longest pause of a camera that was not touched, and the largest process."""
     back = "".join(_seconds(outcome.cameras.get(camera)) for camera in CAMERAS)
     node = _seconds(max(outcome.nodes.values(), key=lambda s: s or 1e9)) if outcome.nodes else _nothing()
     waited = _seconds(outcome.waited) if outcome.nodes else _nothing()
