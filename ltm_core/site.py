@@ -118,8 +118,9 @@ class Limits(Config):
 class WatchdogConfig(Config):
     """When the runner takes a node for hung, kills it and starts it again. Seconds in which both run."""
 
-    silent: float = Field(20.0, ge=2)
-    """Without a sign of life, while it does not compute: stopped, or deadlocked with Python's lock in hand."""
+    silent: float = Field(8.0, ge=2)
+    """Without a sign of life, while it neither computes nor waits for a core or a disk: stopped, or deadlocked with
+    Python's lock in hand."""
     stuck: float = Field(120.0, ge=2)
     """On one message, or in one callback of its executor."""
     slow: float = Field(600.0, ge=2)

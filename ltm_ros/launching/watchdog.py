@@ -11,6 +11,8 @@ from ltm_core.site import WatchdogConfig
 
 BUSY = 0.05
 """Share of a core from which a process that says nothing is taken to compute, in code that holds Python's lock."""
+WAITING = ("R", "D")
+"""States in which a process would go on if it had a core, or its disk answered: no sign that it hangs."""
 INTERRUPTED_S = 5.0
 """Between two looks, which come once a second: then the watch itself lay still (the runner was stopped)."""
 PARDON_S = 5.0
@@ -66,7 +68,8 @@ class HangWatch:
             return ""
         self._begun_s += elapsed_s
         self._silent_s = 0.0 if heard else self._silent_s + elapsed_s
-        self._idle_s = 0.0 if heard or cpu_s > BUSY * elapsed_s else self._idle_s + elapsed_s
+        works = cpu_s > BUSY * elapsed_s or use.state in WAITING
+        self._idle_s = 0.0 if heard or works else self._idle_s + elapsed_s
         self._pardon_s -= elapsed_s
         return "" if self._pardon_s > 0 else self._verdict(use)
 
@@ -78,7 +81,7 @@ class HangWatch:
             stopped = ", it is stopped (SIGSTOP)" if use.state == "T" else ""
             return f"no sign of life for {self._idle_s:.0f} s{stopped}"
         if self._silent_s > limits.stuck:
-            computes = ", though it computes" if self._idle_s < self._silent_s else ""
+            computes = ", though it is at work or waits for it" if self._idle_s < self._silent_s else ""
             return f"no sign of life for {self._silent_s:.0f} s{computes}"
         for age_s, slow, what in self._beat if self.started else ():
             if age_s > (limits.slow if slow else limits.stuck):

@@ -42,6 +42,17 @@ def test_a_silent_process_hangs_and_one_that_is_stopped_is_said_to_be() -> None:
     assert watched.hang(1000, use=ProcessUse("T", 0.0))[1].endswith("it is stopped (SIGSTOP)")
 
 
+@pytest.mark.parametrize("state", ["R", "D"])
+def test_what_waits_for_a_core_or_a_disk_has_as_long_as_a_message(state: str) -> None:
+    """A machine that is busy, or whose disk stands still for a while, is not helped by another start."""
+    watched = Watched()
+    watched.watch.look(1.0, beat(WELL), IDLE)
+    assert watched.hang(1000, use=ProcessUse(state, 0.0)) == (
+        61,
+        "no sign of life for 61 s, though it is at work or waits for it",
+    )
+
+
 def test_a_worker_that_stands_is_seen_though_the_process_lives() -> None:
     def at_work(age: float, slow: bool = False) -> bytes:
         return beat([(0.0, False, "executor: callback"), (age, slow, "depth worker: CameraInfo")])
@@ -73,7 +84,9 @@ def test_what_computes_without_a_word_has_as_long_as_a_message() -> None:
     watch.look(1.0, beat(WELL), IDLE)
     for second in range(1, 61):
         assert watch.look(1.0, b"", ProcessUse("R", 0.2 * second)) == ""
-    assert watch.look(1.0, b"", ProcessUse("R", 20.0)) == "no sign of life for 61 s, though it computes"
+    assert (
+        watch.look(1.0, b"", ProcessUse("R", 20.0)) == "no sign of life for 61 s, though it is at work or waits for it"
+    )
 
 
 def test_nobody_is_judged_for_the_time_in_which_the_watch_lay_still() -> None:
