@@ -12,8 +12,9 @@ from ltm_ros.runtime.health import Health, cause_of
 
 FrameT = TypeVar("FrameT")
 
-HEARS_WITHIN_S = 1.0
-"""For which a worker is waited for that has finished no frame yet: DDS names it before it hears all that it needs."""
+HEARS_WITHIN = 0.4
+"""Share of `finish_within` for which a frame waits for a worker that has finished none yet: DDS names it before it hears
+all that it needs, and its first frame may take longer than others."""
 
 
 @dataclass
@@ -36,7 +37,7 @@ class Admission(Generic[FrameT]):
     asked of who works on it: a worker that goes is not awaited any more, one that finishes a later frame has done with
     those before, and one that has a frame and finishes none for `finish_within` is left out of account until it does.
     So the slowest worker that lives sets the pace, and where there is none nothing limits. One that has finished none
-    yet may not hear us, so each frame waits only `HEARS_WITHIN_S` for it.
+    yet may not hear us, so a frame waits less for it.
 
     Args:
         admit: takes a frame that is let in. May raise LtmError: then it is not in flight.
@@ -110,7 +111,7 @@ class Admission(Generic[FrameT]):
             frame.give_up(frame.awaited.keys() - there)
             frame.awaited = {worker: silent + waited for worker, silent in frame.awaited.items()}
             new = frame.awaited.keys() - self._heard
-            frame.give_up({worker for worker in new if frame.awaited[worker] >= HEARS_WITHIN_S})
+            frame.give_up({worker for worker in new if frame.awaited[worker] > HEARS_WITHIN * self._finish_within})
             late = {worker for worker, silent in frame.awaited.items() if silent > self._finish_within}
             if late - self._late:
                 self._health.trouble(

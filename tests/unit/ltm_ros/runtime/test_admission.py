@@ -140,7 +140,7 @@ def test_a_worker_that_has_just_come_may_not_hear_yet() -> None:
     door.offer(1, 2, 3)
     door.finished(1, "vote")
     door.finished(2, "vote")
-    door.admission.tick(0.5)
+    door.admission.tick(4.0)
     assert door.admitted == [1, 2]
     door.admission.tick(0.5)
     assert door.admitted == [1, 2, 3]
@@ -157,7 +157,7 @@ def test_a_worker_that_has_just_come_may_not_hear_yet() -> None:
     door.workers.add("fuse")
     door.offer(7, 8, 9)
     door.finished(7, "vote")
-    door.admission.tick(1.0)
+    door.admission.tick(4.5)
     assert door.admitted[-1] == 9
 
 
