@@ -13,8 +13,8 @@ from ltm_ros.runtime.health import Health, cause_of
 FrameT = TypeVar("FrameT")
 
 HEARS_WITHIN = 0.4
-"""Share of `finish_within` for which a frame waits for a worker that has finished none yet: DDS names it before it hears
-all that it needs, and its first frame may take longer than others."""
+"""Share of `finish_within` for which a frame waits for a worker that has finished none yet: DDS names it before it
+hears all that it needs, and its first frame may take longer than others."""
 
 
 @dataclass
