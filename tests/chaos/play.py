@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from bystander import Bystander
-from leftovers import ports_of_domain
 from scenes.compiled_kernels import compile_kernels
 from scenes.small_site import SmallSite
 from scenes.waiting import wait_for
@@ -63,7 +62,6 @@ class Stage:
         for name, disk in self.disks.items():
             mount_disk(disk, DISK_MB[name])
         self.state = folder / "state"
-        self._domain = domain
         self.recording = folder / "recording" / "bag"
         self.site = RunningSite(self.small.path, self.state, self.recording, folder / "logs", domain)
         self.cameras = Cameras(bystander.node, self.photos, period_s)
@@ -102,9 +100,9 @@ class Stage:
                 missed += [f"{label} has {more} more {what} than at first"] if more > most else []
         if status := self.site.stop():
             missed.append(f"the graph stopped with exit code {status}")
-        # Ours is in use, and not stale.
-        if left := set(ports_of_domain(self._domain)) & set(shared_memory.survey().stale):
-            missed.append(f"shared memory left behind: {', '.join(sorted(left))}")
+        if left := self.site.left:
+            missed.append(f"processes left behind: {', '.join(left)}")
+        shared_memory.remove_stale()  # of strangers that were ended, who had no runner to clean up after them
         time.sleep(1.0)  # the last acknowledgements
         return missed
 

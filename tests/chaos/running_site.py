@@ -34,6 +34,8 @@ class RunningSite:
         """Of processes in the same domain."""
         self._process: subprocess.Popen[bytes] | None = None
         self.starts = 0
+        self.left: list[str] = []
+        """Labels of processes that were still there after the runner had stopped."""
         self.nodes = tuple(spec.label for spec in self._graph(site, recording))
         """Labels of all nodes."""
 
@@ -66,7 +68,8 @@ class RunningSite:
         try:
             return self._process.wait(patience_s)
         finally:
-            for pid in self.processes().values():  # what should not be there any more
+            self.left = list(self.processes())
+            for pid in self.processes().values():
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGKILL)
 
