@@ -22,6 +22,7 @@ from ltm_core.terrain.reference_surface import Reference
 from ltm_core.terrain.registration import Registration, register
 from ltm_core.terrain.tile_pool import TilePool, schema_of
 from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.types import Float32Array, Float64Array, Int32Array
 
 CAMERAS = 32
@@ -88,7 +89,8 @@ class SurfaceMap:
             raise ConfigError(f"a terrain tells {CAMERAS} cameras apart, this site has {len(cameras)}; split the site")
         self.reference, self.config, self.cameras = reference, config, tuple(cameras)
         self._assumed_covariance = (assumed_pose_error or PoseErrorConfig()).covariance()
-        self._tracer = TerrainTracer(reference.surface_dem, curvature, refraction)
+        # What lies beyond the map is not its business: where no ground of it is, anything that is seen stands free.
+        self._tracer = TerrainTracer(reference.surface_dem, curvature, refraction, NOTHING_BEYOND)
         self._limits = Limits(
             config.min_range,
             config.max_range,

@@ -32,6 +32,7 @@ from ltm_core.tracing.horizon_profile import WEDGES_A_FACE, Wedges
 from ltm_core.tracing.prefetch import prefetch
 from ltm_core.tracing.pyramid_traversal import (
     AFTER,
+    OVER_KNOWN,
     PLUMB_SINE,
     START_LEVEL,
     RasterStage,
@@ -190,6 +191,10 @@ def one_by_one(
 ) -> None:
     """Answer a block's rays that are not yet answered; `at`: flat index of the first pixel."""
     columns, rows = width - 1, height - 1
+    last, oz, top, resolution = stage.last, stage.oz, stage.highest, stage.resolution
+    # No ray leaves the raster after `farthest`, and one from a camera over it none before `nearest`.
+    farthest = max(abs(stage.east), abs(stage.west)) + max(abs(stage.south), abs(stage.north))
+    nearest = max(min(min(stage.east, -stage.west), min(stage.south, -stage.north)), 0.0)
     for i in range(count):
         near, state = block[NEAR + i], float(out[at + i])
         if not state < 0.0:
@@ -223,8 +228,15 @@ def one_by_one(
                 q = hit_between(ground, stage, cx, cy, s, bend, begin, end, state, level)
             elif how == HIT:
                 q = begin
-        q = finished(stage, cx, cy, s, bend, q)
-        out[at + i] = q * stage.resolution * per_major if q >= 0.0 else q
+        if last and q < 0.0:
+            # What most rays end with needs no call, to which all of a stage would be handed for each pixel.
+            if s >= 0.0 and q == OVER_KNOWN and bend >= 0.0 and oz + nearest * (s + bend * nearest) > top:
+                q = np.inf
+            elif bend >= 0.0 and s + 2.0 * bend * farthest < 0.0:
+                q = np.nan
+            else:
+                q = finished(stage, cx, cy, s, bend, q)
+        out[at + i] = q * resolution * per_major if q >= 0.0 else q
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]

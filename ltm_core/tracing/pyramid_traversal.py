@@ -147,16 +147,7 @@ def finished(stage: RasterStage, cx: float, cy: float, s: float, bend: float, q:
     """
     if not (stage.last and q < 0.0):
         return q
-    known = q == OVER_KNOWN
-    if bend >= 0.0:
-        # No ray leaves after `farthest`, and one from a camera over the raster none before `nearest`.
-        farthest = max(abs(stage.east), abs(stage.west)) + max(abs(stage.south), abs(stage.north))
-        if s < 0.0 and s + 2.0 * bend * farthest < 0.0:
-            return np.nan
-        nearest = min(min(stage.east, -stage.west), min(stage.south, -stage.north)) if known else 0.0
-        if s >= 0.0 and ray_height(stage.oz, s, bend, max(nearest, 0.0)) > stage.highest:
-            return np.inf
-    leaves = over_raster(stage, cx, cy)[1] if known else 0.0
+    leaves = over_raster(stage, cx, cy)[1] if q == OVER_KNOWN else 0.0
     if s + 2.0 * bend * leaves < 0.0:
         return np.nan
     steep = s > 0.0 and s * s >= stage.rise * stage.rise * (cx * cx + cy * cy)

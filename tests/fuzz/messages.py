@@ -46,8 +46,9 @@ from ltm_ros.nodes.segmentation import Segmentation, SegmentationConfig
 from ltm_ros.nodes.terrain import Terrain, TerrainNodeConfig
 from ltm_ros.nodes.topodepth import TopoDepth, TopoDepthConfig
 from ltm_ros.nodes.viewer import Viewer, ViewerConfig
-from ltm_ros.runtime.handler import Handler, NodeConfig
+from ltm_ros.runtime.handler import Handler
 from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.stamp_join import JoinConfig
 
 _FLOATS = (
     0.0,
@@ -279,7 +280,7 @@ def _depth(small: SmallSite, folder: Path) -> Handler[Any]:
 
 
 def _fuel_votes(small: SmallSite, folder: Path) -> Handler[Any]:
-    return FuelVotes(NodeConfig(site=str(small.path), camera="tower"), _outlet(), Health())
+    return FuelVotes(JoinConfig(site=str(small.path), camera="tower"), _outlet(), Health())
 
 
 def _segmentation(small: SmallSite, folder: Path) -> Handler[Any]:

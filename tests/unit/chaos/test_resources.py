@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import os
 import threading
 from pathlib import Path
@@ -9,6 +10,8 @@ from pathlib import Path
 import numpy as np
 from chaos.resources import Usage, folder_bytes, usage, waited_s
 from chaos.soak import SUM, Soak
+
+_BYTES = 10_000 * mmap.PAGESIZE
 
 
 def test_usage_of_this_process(tmp_path: Path) -> None:
@@ -18,13 +21,14 @@ def test_usage_of_this_process(tmp_path: Path) -> None:
     thread = threading.Thread(target=done.wait)
     thread.start()
     with (tmp_path / "open").open("wb"):
-        block = np.ones(5_000_000)  # 40 MB of this process alone
+        block = mmap.mmap(-1, _BYTES)  # not from a heap that may have had it already
+        block[:: mmap.PAGESIZE] = bytes(_BYTES // mmap.PAGESIZE)
         after = usage(os.getpid())
     done.set()
     thread.join()
     assert after is not None
-    assert after.private - before.private > 0.9 * block.nbytes / 1024
-    assert after.pss - before.pss > 0.9 * block.nbytes / 1024
+    assert after.private - before.private > 0.9 * _BYTES / 1024
+    assert after.pss - before.pss > 0.9 * _BYTES / 1024
     assert after.descriptors - before.descriptors == 1
     assert after.threads - before.threads == 1
     assert usage(2**22 + 1) is None

@@ -10,6 +10,7 @@ from ltm_core.pictures.trace import depth_picture, draw_skyline, map_picture, sh
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
 from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.tracing.trace_io import cell_counts
 
 CAMERA = Camera.from_fov(330, 210, 60.0)
@@ -17,7 +18,9 @@ DEM = rough_terrain(51)
 
 
 def traced() -> RangeImage:
-    return TerrainTracer(DEM).trace(CAMERA, Pose.from_angles(standing(DEM, 60, 60, 12.0), 270.0, -4.0, 3.0))
+    return TerrainTracer(DEM, possible=NOTHING_BEYOND).trace(
+        CAMERA, Pose.from_angles(standing(DEM, 60, 60, 12.0), 270.0, -4.0, 3.0)
+    )
 
 
 def test_the_photo_shows_through_and_its_sky_stays_as_it_is() -> None:
@@ -38,7 +41,9 @@ def test_the_photo_shows_through_and_its_sky_stays_as_it_is() -> None:
 def test_large_photos_are_drawn_smaller() -> None:
     camera = Camera.from_fov(4500, 90, 60.0)
     pose = Pose.from_angles(standing(DEM, 150, 40, 12.0), 50.0, -14.0, 0.0)
-    picture = depth_picture(TerrainTracer(DEM).trace(camera, pose), DEM, np.zeros((90, 4500, 3), np.uint8))
+    picture = depth_picture(
+        TerrainTracer(DEM, possible=NOTHING_BEYOND).trace(camera, pose), DEM, np.zeros((90, 4500, 3), np.uint8)
+    )
     assert picture.shape[1] == 1500
 
 
@@ -77,7 +82,9 @@ def test_the_map_marks_what_is_seen() -> None:
 
 
 def test_a_map_is_drawn_even_when_nothing_is_seen() -> None:
-    up = TerrainTracer(DEM).trace(CAMERA, Pose.from_angles(standing(DEM, 60, 70, 10.0), 0.0, 80.0, 0.0))
+    up = TerrainTracer(DEM, possible=NOTHING_BEYOND).trace(
+        CAMERA, Pose.from_angles(standing(DEM, 60, 70, 10.0), 0.0, 80.0, 0.0)
+    )
     assert np.isposinf(up.range).all()
     assert map_picture(up, DEM, cell_counts(up)).shape[2] == 3
     assert depth_picture(up, DEM).shape[1] == 330

@@ -70,12 +70,12 @@ def simulate(folder: Path, text: str, *more: str) -> None:
     [
         ("mast: 3.0", "z: 100.0", 20, r"cameras\.0: walker stands at 100\.00 m, .* under the ground.*give z above"),
         ("dem: ground.tif", "dem: nowhere.tif", 9, r"terrain\.dem: .*has no CRS.*gdal_edit"),
-        ("dem: ground.tif", "dem: lost.tif", 9, r"terrain\.dem: .*cannot be read"),
+        ("dem: ground.tif", "dem: lost.tif", 9, r"terrain\.dem: .*lost\.tif: not a raster"),
         ("surroundings: 512.0", "surroundings: 900.0", 9, r"terrain\.dem: .*no elevation in .*move `origin`"),
         ("size: 240.0", "size: 900.0", 11, r"terrain\.surroundings is 512 m, narrower than the site of 900 m"),
         ("to: conifer", "to: sequoia", 18, r"'conifer', 'oak', 'shrub', 'grass' or 'bare'.*sequoia"),
         ("220, 220]", "220, 250]", 18, r"changes\.0 .*outside the site.*draw it inside"),
-        ("{detail_radius", "{fuel: ground2.tif, detail_radius", 13, r"vegetation\.fuel: .*cannot be read"),
+        ("{detail_radius", "{fuel: ground2.tif, detail_radius", 13, r"vegetation\.fuel: .*ground2\.tif: not a raster"),
         (
             "to: conifer, mask: {box: [20, 120, 220, 220]",
             "to: conifer, mask: {box: [20, 120, 220, 220]}}\n"
