@@ -161,15 +161,17 @@ def _photo(seed: int) -> np.ndarray:
 
 
 def _write_points(path: Path, dem: Dem, pose: Pose) -> None:
-    """Eight points of the ground on the picture's lower half, where a camera over it would have them."""
-    rows = ["id,x,y,z,u,v"]
-    distance = np.geomspace(200.0, 0.4 * dem.geometry.width * dem.geometry.resolution, 8)
-    turn = np.deg2rad(AZIMUTHS_DEG["east"] + np.linspace(-22.0, 22.0, 8)[[0, 4, 1, 5, 2, 6, 3, 7]])
+    """Points of the ground that lie in the picture, hidden or not, where a camera over it would have them."""
+    rng = np.random.default_rng(0)
+    distance = rng.uniform(200.0, 0.4 * dem.geometry.width * dem.geometry.resolution, 1000)
+    turn = np.deg2rad(AZIMUTHS_DEG["east"] + rng.uniform(-25.0, 25.0, 1000))
     x, y = pose.position[0] + distance * np.sin(turn), pose.position[1] + distance * np.cos(turn)
     places = np.stack([x, y, dem.elevation_at(x, y)], axis=-1)
     pixels = CAMERA.project((places - pose.position) @ pose.rotation)
-    for number, (place, pixel) in enumerate(zip(places.tolist(), pixels.tolist(), strict=True)):
-        rows.append(",".join([f"p{number}", *(f"{value:.3f}" for value in (*place, *pixel))]))
+    inside = ((pixels > 20) & (pixels < np.array([CAMERA.width, CAMERA.height]) - 20)).all(axis=1)
+    rows = ["id,x,y,z,u,v"]
+    for number in np.flatnonzero(inside)[:10]:
+        rows.append(",".join([f"p{number}", *(f"{value:.3f}" for value in (*places[number], *pixels[number]))]))
     path.write_text("\n".join(rows) + "\n")
 
 
