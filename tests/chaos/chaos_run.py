@@ -17,6 +17,7 @@ from chaos.cameras import CAMERAS
 from chaos.faults import Arena, Fault, draw_fault
 from chaos.heartbeats import Heartbeats
 from chaos.resources import usage_of, waited_s
+from chaos.running_site import CLEANUP, RUNNER
 
 BACK_S = 15.0
 """In which every camera's frames are acknowledged again after a fault is over."""
@@ -107,6 +108,8 @@ class ChaosRun:
         self._arena, self._acknowledgements, self._heartbeats = arena, acknowledgements, heartbeats
         self._kinds, self._rng, self._tell = kinds, rng, tell
         self._slack = slack
+        self._touched: tuple[str, ...] = ()
+        """Cameras that the fault before has touched."""
         self._begun = time.monotonic()
         self.sampler = Sampler(arena)
 
@@ -132,13 +135,16 @@ class ChaosRun:
             if seconds is None or seconds > self._slack * (START_S if fault.whole_start else bounds[name]):
                 late = "never back" if seconds is None else f"back after {seconds:.1f} s"
                 outcome.missed.append(f"{name} {late}")
-        for camera in [camera for camera in CAMERAS if camera not in fault.touches]:
+        # Frames may wait for a node that was killed before, up to `finish_within`.
+        touched, self._touched = {*fault.touches, *self._touched}, fault.touches
+        for camera in [camera for camera in CAMERAS if camera not in touched]:
             gap = outcome.gaps[camera] = self._longest_gap(camera, begun, whole)
             if gap > self._slack * GAP_S + self._arena.cameras.period_s:
                 outcome.missed.append(f"{camera}, which is not touched, paused for {gap:.1f} s")
         if not fault.whole_start:
             now = self._arena.site.processes()
-            ended = [label for label in former if now.get(label) != former[label] and label not in fault.restarts]
+            lasting = former.keys() & {*self._arena.site.nodes, CLEANUP, RUNNER} - {*fault.restarts}
+            ended = [label for label in sorted(lasting) if now.get(label) != former[label]]
             outcome.missed += [f"{label} was ended by it" for label in ended]
         outcome.load = os.getloadavg()[0]
         outcome.pss_kb = self.sampler.take_peaks()

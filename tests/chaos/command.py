@@ -38,7 +38,7 @@ def main() -> None:
     kinds = [kind for kind in options.only or FAULTS if kind not in options.without]
     if unknown := {*options.only, *options.without} - FAULTS.keys():
         parser.error(f"no such fault: {', '.join(sorted(unknown))}; there are {', '.join(FAULTS)}")
-    with tempfile.TemporaryDirectory(prefix="ltm-chaos-") as temporary:
+    with tempfile.TemporaryDirectory(prefix="ltm-chaos-", ignore_cleanup_errors=True) as temporary:
         folder = options.folder.resolve() if options.folder else Path(temporary)
         if options.soak:
             found = play_soak(folder, options.domain, options.period, options.minutes)

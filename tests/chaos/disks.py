@@ -33,3 +33,8 @@ def mount_disk(folder: Path, megabytes: int) -> None:
     """A file system of that size in a folder, which is made; after `enter_own_mounts`."""
     folder.mkdir(parents=True)
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={megabytes}m", "tmpfs", str(folder)], check=True)
+
+
+def unmount_disk(folder: Path) -> None:
+    """With all that lies there; so that the folder can be removed."""
+    subprocess.run(["umount", "--lazy", str(folder)], check=False)

@@ -19,7 +19,7 @@ from chaos import report
 from chaos.acknowledgements import Acknowledgements
 from chaos.cameras import CAMERAS, Cameras, Photos
 from chaos.chaos_run import MOST_MORE, ChaosRun, Outcome
-from chaos.disks import mount_disk
+from chaos.disks import mount_disk, unmount_disk
 from chaos.faults import Arena
 from chaos.heartbeats import Heartbeats
 from chaos.living_site import write_living_site
@@ -146,6 +146,8 @@ def on_stage(folder: Path, domain: int, period_s: float, own_disks: bool, found:
         found.content["counted"] = dict(stage.heartbeats.counted())
         found.missed += stage.end()
     stage.judge(found)
+    for disk in stage.disks.values():
+        unmount_disk(disk)
 
 
 def play_chaos(
