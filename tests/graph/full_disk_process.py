@@ -43,7 +43,7 @@ def send(bystander: Bystander, site: SmallSite) -> int:
 
 
 def stopped_while_full(disk: Path, site_path: Path) -> dict[str, Any]:
-    make_disk(disk, "96m")
+    make_disk(disk, "320m")  # with less than 200 MB free nothing is started
     site, update = SmallSite(site_path.parent), site_topic(NAME, FUEL_MAP_UPDATE)
     command = [sys.executable, "-c", LTM, "run", str(site_path), "--only", "tower", "--record", str(disk / "bag")]
     command += ["--state", str(disk / "state"), "--logs", str(disk / "logs")]

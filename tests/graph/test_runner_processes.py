@@ -130,7 +130,7 @@ def test_wrong_configuration_is_given_up_with_its_reason(start: Callable[..., St
 def test_names_the_node_that_is_not_ready(start: Callable[..., Started]) -> None:
     graph = start(spec("depth", behaviour="silent"), spec("capture"))
     with pytest.raises(GraphError, match="not ready: north/depth\n"):
-        graph.runner.wait_until_ready(3)
+        graph.runner.wait_until_ready(8)
     graph.runner.wait_until_ready(30, discovered_suffices=True)
 
 
