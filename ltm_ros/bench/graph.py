@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import json
 import os
-import struct
 import subprocess  # nosec B404 # argument lists, no shell
 import sys
 import tempfile
-import threading
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
@@ -21,23 +19,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import OccupancyGrid
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 
 from ltm_core.errors import LtmError
 from ltm_core.resources import project_path
 from ltm_core.site_io import load_site
 from ltm_ros.bench.graph_site import NAME, write_site
-from ltm_ros.launching.dds_shutdown import wait_for_quiet
+from ltm_ros.bench.listener import Listener
 from ltm_ros.launching.graph import describe
 from ltm_ros.launching.ros_environment import apply_to_process, ros_environment
 from ltm_ros.launching.runner import Runner
-from ltm_ros.runtime.node import stream_qos
-from ltm_ros.runtime.topics import FUEL_MAP_UPDATE, site_topic
+from ltm_ros.launching.watchdog import process_use
 
 READY_S = 300.0
 WARM_UP = 2
@@ -98,56 +89,6 @@ class GraphResult:
         return asdict(self) | {"lost": self.lost}
 
 
-class Listener:
-    """Stamps of the map's updates with their time of arrival, and every node's last diagnostics."""
-
-    def __init__(self) -> None:
-        self._context = Context()
-        rclpy.init(context=self._context)
-        self._node = Node("bench", context=self._context, enable_rosout=False)
-        self.arrived: dict[int, float] = {}
-        self.summaries: dict[str, dict[str, str]] = {}
-        qos = stream_qos(depth=FUEL_MAP_UPDATE.depth)
-        self._node.create_subscription(OccupancyGrid, site_topic(NAME, FUEL_MAP_UPDATE), self._updated, qos, raw=True)
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, 200)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._spin, daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        self._stopping.set()
-        self._thread.join()
-        self._executor.shutdown()
-        wait_for_quiet(self._node)
-        self._node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
-
-    def settle(self, stamps: set[int]) -> None:
-        """Until the map has told of all these frames, or of none for a while; then until diagnostics say so too."""
-        deadline, last, since = time.monotonic() + LONGEST_SETTLE_S, -1, time.monotonic()
-        while (told := len(stamps & self.arrived.keys())) < len(stamps) and time.monotonic() < deadline:
-            if told != last:
-                last, since = told, time.monotonic()
-            if time.monotonic() - since > QUIET_S:
-                break
-            time.sleep(0.1)
-        time.sleep(2.2)  # diagnostics come once a second
-
-    def _updated(self, cdr: bytes) -> None:
-        sec, nanosec = struct.unpack_from("<iI" if cdr[1] & 1 else ">iI", cdr, 4)
-        self.arrived.setdefault(sec * 10**9 + nanosec, time.time())
-
-    def _diagnosed(self, message: Any) -> None:
-        for status in message.status:
-            self.summaries[status.name] = {item.key: item.value for item in status.values}
-
-    def _spin(self) -> None:
-        while not self._stopping.is_set():
-            self._executor.spin_once(timeout_sec=0.1)
-
-
 def run_graph(
     cameras: int, rate: float, seconds: float, fusion: bool = True, domain_id: int | None = None
 ) -> GraphResult:
@@ -161,16 +102,16 @@ def run_graph(
             load_site(traffic.site), traffic.site, parameters={"fuel_map": {"folder": str(folder / "kept")}}
         )
         runner = Runner(graph, domain_id=domain_id, log_folder=folder / "log", console=lambda line: None)
-        with runner, _listening() as listener:
+        with runner, Listener(NAME) as listener:
             runner.wait_until_ready(READY_S)
             with _cameras(folder, traffic.cameras, domain_id) as sender:
                 warmed = _stream(sender, WARM_UP, 2.0 * cameras)
-                listener.settle({stamp for stamps in warmed["sent"].values() for stamp in stamps})
+                _settle(listener, {stamp for stamps in warmed["sent"].values() for stamp in stamps})
                 before, cpu = dict(listener.summaries), _cpu_by_job(runner)
                 load = os.getloadavg()[0]
                 report = _stream(sender, max(1, round(seconds * rate)), 1.0 / rate)
                 sent: dict[str, list[int]] = report["sent"]
-                listener.settle({stamp for stamps in sent.values() for stamp in stamps})
+                _settle(listener, {stamp for stamps in sent.values() for stamp in stamps})
                 after, cpu_after = dict(listener.summaries), _cpu_by_job(runner)
             restarted = [label for label, process in runner.processes.items() if process.starts > 1]
             if restarted:
@@ -239,13 +180,16 @@ def _result(
     )
 
 
-@contextmanager
-def _listening() -> Iterator[Listener]:
-    listener = Listener()
-    try:
-        yield listener
-    finally:
-        listener.close()
+def _settle(listener: Listener, stamps: set[int]) -> None:
+    """Until the map has told of all these frames, or of none for a while; then until diagnostics say so too."""
+    deadline, last, since = time.monotonic() + LONGEST_SETTLE_S, -1, time.monotonic()
+    while (told := len(stamps & listener.arrived.keys())) < len(stamps) and time.monotonic() < deadline:
+        if told != last:
+            last, since = told, time.monotonic()
+        if time.monotonic() - since > QUIET_S:
+            break
+        time.sleep(0.1)
+    time.sleep(2.2)  # diagnostics come once a second
 
 
 @contextmanager
@@ -281,6 +225,6 @@ def _cpu_by_job(runner: Runner) -> dict[str, float]:
     """Processor seconds so far, by type of node."""
     spent: defaultdict[str, float] = defaultdict(float)
     for label, process in runner.processes.items():
-        fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
-        spent[label.rpartition("/")[2]] += (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        if process.pid is not None:
+            spent[label.rpartition("/")[2]] += process_use(process.pid).cpu_s
     return spent

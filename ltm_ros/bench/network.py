@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import json
 import os
-import struct
 import subprocess  # nosec B404 # argument lists, no shell
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,25 +18,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import OccupancyGrid
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 
 from ltm_core.errors import LtmError
 from ltm_core.fuel.stored_map import STORE_FILE
 from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
+from ltm_ros.bench.listener import Listener
 from ltm_ros.bench.network_site import NAME, Traffic, write_region
-from ltm_ros.launching.dds_shutdown import wait_for_quiet
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.ros_environment import apply_to_process, ros_environment
 from ltm_ros.launching.runner import Runner
-from ltm_ros.runtime.node import stream_qos
-from ltm_ros.runtime.topics import FUEL_MAP_UPDATE, site_topic
+from ltm_ros.launching.watchdog import process_use
 
 TOWERS_A_PROCESS = 25
 SETTLE_S = 20.0
@@ -75,47 +66,6 @@ class NetworkResult:
         return self.sent - min(self.told, self.stored)
 
 
-class Listener:
-    """Stamps of updates with their time of arrival, and the aggregator's last diagnostics."""
-
-    def __init__(self) -> None:
-        self._context = Context()
-        rclpy.init(context=self._context)
-        self._node = Node("bench", context=self._context, enable_rosout=False)
-        self.arrived: dict[int, float] = {}
-        self.summary: dict[str, str] = {}
-        topic = site_topic(NAME, FUEL_MAP_UPDATE)
-        qos = stream_qos(depth=FUEL_MAP_UPDATE.depth)
-        self._node.create_subscription(OccupancyGrid, topic, self._updated, qos, raw=True)
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, 10)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._spin, daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        self._stopping.set()
-        self._thread.join()
-        self._executor.shutdown()
-        wait_for_quiet(self._node)
-        self._node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
-
-    def _updated(self, cdr: bytes) -> None:
-        sec, nanosec = struct.unpack_from("<iI" if cdr[1] & 1 else ">iI", cdr, 4)
-        self.arrived.setdefault(sec * 10**9 + nanosec, time.time())
-
-    def _diagnosed(self, message: Any) -> None:
-        for status in message.status:
-            if status.name == f"/{NAME}/fuel_map":
-                self.summary = {item.key: item.value for item in status.values}
-
-    def _spin(self) -> None:
-        while not self._stopping.is_set():
-            self._executor.spin_once(timeout_sec=0.1)
-
-
 def run_network(
     towers: int, rate: float, seconds: float, extent: float, views: int, domain_id: int | None = None
 ) -> NetworkResult:
@@ -136,11 +86,11 @@ def _run(
     whole = describe(load_site(traffic.site), traffic.site, parameters={"fuel_map": {"folder": str(folder / "kept")}})
     graph = Graph(NAME, (whole.node("fuel_map"),))
     runner = Runner(graph, domain_id=domain_id, log_folder=folder / "log", console=lambda line: None)
-    with runner, _listening() as listener:
+    with runner, Listener(NAME) as listener:
         runner.wait_until_ready(120.0)
-        pid = runner.processes["fuel_map"].pid
+        pid = runner.processes["fuel_map"].pid or 0
         with _towers(folder, list(traffic.messages), rate, seconds, domain_id) as senders:
-            before = _cpu_s(pid)
+            before = process_use(pid).cpu_s
             begin = time.time() + 1.0
             for sender in senders:
                 _tell(sender, {"begin": begin})
@@ -149,9 +99,9 @@ def _run(
             deadline = time.monotonic() + SETTLE_S
             while len(listener.arrived.keys() & set(sent)) < len(sent) and time.monotonic() < deadline:
                 time.sleep(0.1)
-            cpu, memory = _cpu_s(pid) - before, _resident_mb(pid)
+            cpu, memory = process_use(pid).cpu_s - before, _resident_mb(pid)
         time.sleep(1.2)  # for the last diagnostics
-        summary = dict(listener.summary)
+        summary = listener.summaries.get(f"/{NAME}/fuel_map", {})
         restarts = runner.processes["fuel_map"].starts - 1
         runner.kill("fuel_map")
     if restarts:
@@ -182,15 +132,6 @@ def _run(
         bytes_a_frame=traffic.bytes,
         towers_late_s=max(report["late"] for report in reports),
     )
-
-
-@contextmanager
-def _listening() -> Iterator[Listener]:
-    listener = Listener()
-    try:
-        yield listener
-    finally:
-        listener.close()
 
 
 @contextmanager
@@ -257,12 +198,7 @@ def _opened(site_path: Path, store: Path) -> tuple[int, float]:
     return frames, min(times)
 
 
-def _cpu_s(pid: int | None) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def _resident_mb(pid: int | None) -> float:
+def _resident_mb(pid: int) -> float:
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltm_ros.cli.findings import findings_table
 from ltm_ros.cli.output import Overwrite
 
 if TYPE_CHECKING:
@@ -59,28 +60,13 @@ def check(
 
 
 def _print(console: Console, findings: list[Finding]) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
     from ltm_core.site_check import Verdict
 
     styles = {Verdict.OK: "green", Verdict.DOUBTFUL: "yellow", Verdict.WRONG: "bold red"}
-    table = Table("", "", "what", "found")
     order = list(dict.fromkeys(finding.area for finding in findings))
-    area = ""
-    for finding in sorted(findings, key=lambda one: order.index(one.area)):
-        if finding.area != area:
-            table.add_section()
-        table.add_row(
-            escape(finding.area) if finding.area != area else "",
-            f"[{styles[finding.verdict]}]{finding.verdict}[/]",
-            escape(finding.name),
-            escape(finding.said),
-        )
-        area = finding.area
-    for column in table.columns:
-        column.overflow = "fold"
-    console.print(table)
+    sorted_by_area = sorted(findings, key=lambda one: order.index(one.area))
+    rows = [(one.area, str(one.verdict), styles[one.verdict], one.name, one.said) for one in sorted_by_area]
+    console.print(findings_table(rows))
 
 
 def _add_recorded(found: SiteCheck, bag: Path) -> None:

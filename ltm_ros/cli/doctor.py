@@ -6,12 +6,12 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.cli.findings import findings_table
+
 
 def doctor(json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False) -> None:
     """Look at the installation. Exit code 1 when something required is missing."""
     from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
 
     from ltm_ros.doctor import Condition, as_json, examine, healthy, summed_up
 
@@ -25,21 +25,8 @@ def doctor(json: Annotated[bool, typer.Option("--json", help="Print the findings
         Condition.WARNING: "yellow",
         Condition.MISSING: "bold red",
     }
-    table = Table("", "", "what", "found")
-    area = ""
-    for finding in summed_up(findings):
-        if finding.area != area:
-            table.add_section()
-        table.add_row(
-            escape(finding.area) if finding.area != area else "",
-            f"[{styles[finding.state]}]{finding.state}[/]",
-            escape(finding.name),
-            escape(finding.detail),
-        )
-        area = finding.area
-    for column in table.columns:
-        column.overflow = "fold"
-    Console().print(table)
+    rows = [(one.area, str(one.state), styles[one.state], one.name, one.detail) for one in summed_up(findings)]
+    Console().print(findings_table(rows))
     # Below the table, unbroken, so that they can be copied.
     for finding in findings:
         if finding.remedy:

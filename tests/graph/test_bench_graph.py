@@ -16,7 +16,7 @@ def test_all_frames_are_finished_or_counted(
     ros_domain: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     report = tmp_path / "new" / "graph.json"
-    graph(cameras="1", rates="1", seconds=4.0, fusion=False, domain=ros_domain, json=report)
+    graph(cameras="1", rates="1", seconds=4.0, fusion=False, domain=ros_domain, json_path=report)
     (run,) = json.loads(report.read_text())["runs"]
     assert (run["cameras"], run["offered"], run["lost"], run["unlabelled"]) == (1, 4, 0, 0)
     assert run["finished"] == run["admitted"] == run["voted"] == run["stored"] >= 2

@@ -12,6 +12,7 @@ from ltm_ros.cli.bench.graph import graph
 from ltm_ros.cli.bench.memory import memory
 from ltm_ros.cli.bench.network import network
 from ltm_ros.cli.bench.render import render
+from ltm_ros.cli.bench.runs import print_conditions
 from ltm_ros.cli.bench.segmentation import segmentation
 from ltm_ros.cli.bench.terrain import terrain
 from ltm_ros.cli.bench.votes import votes
@@ -63,9 +64,7 @@ def trace(
     if not chosen:
         raise typer.BadParameter(f"no scene is called {scenes!r}; there are {', '.join(s.name for s in SCENES)}")
     state = conditions(("numpy", "numba", "llvmlite", "embreex", "open3d", "mitsuba", "drjit"))
-    load = " ".join(f"{v:.2f}" for v in state.load_average)
-    console.print(f"{state.cpu}, {state.cores} cores, load average {load}, Python {state.python}, ", end="")
-    console.print(", ".join(f"{name} {number}" for name, number in state.versions.items()))
+    print_conditions(console, state)
     measured: list[Measured] = []
     skipped: list[Skipped] = []
     try:

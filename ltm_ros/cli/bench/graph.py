@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from ltm_ros.cli.bench.runs import numbers, print_conditions, runs_table, write_runs
+from ltm_ros.cli.output import JsonFile
 
 
 def graph(
@@ -15,34 +17,27 @@ def graph(
     seconds: Annotated[float, typer.Option(help="Length of each run.", min=2)] = 30.0,
     fusion: Annotated[bool, typer.Option(help="Fuse traced depth with a network's.")] = True,
     domain: Annotated[int | None, typer.Option(min=0, max=232, help="ROS domain.")] = None,
-    json: Annotated[Path | None, typer.Option(help="Write the figures here.")] = None,
+    json_path: JsonFile = None,
 ) -> None:
     """Send the demo's 1080p frames from simulated cameras into the real graph, and count what comes out of it."""
-    import json as json_module
-
     from rich.console import Console
-    from rich.table import Table
 
     from ltm_core.bench.measure import conditions
     from ltm_ros.bench.graph import GraphResult, run_graph
-    from ltm_ros.cli.bench.network import numbers
 
     console = Console()
     counts, offered = [round(value) for value in numbers(cameras)], numbers(rates)
     state = conditions(("numpy", "numba", "onnxruntime", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp"))
-    load = " ".join(f"{v:.2f}" for v in state.load_average)
-    console.print(f"{state.cpu}, {state.cores} cores, load average {load}, Python {state.python}, ", end="")
-    console.print(", ".join(f"{name} {number}" for name, number in state.versions.items()))
+    print_conditions(console, state)
     results = []
     for count in counts:
         for rate in offered:
             with console.status(f"{count} cameras, {rate:g} frames a second each"):
                 results.append(run_graph(count, rate, seconds, fusion, domain))
-    table = Table(
-        title=f"the demo's frames, 1080p, {'with' if fusion else 'without'} fusion, {seconds:g} s a run",
-        caption="finished: labelled, traced, fused with its labels, voted and stored; latency: from stamp to the map's "
-        "update, and to fused depth of the slowest camera",
-        show_header=False,
+    title = f"the demo's frames, 1080p, {'with' if fusion else 'without'} fusion, {seconds:g} s a run"
+    caption = (
+        "finished: labelled, traced, fused with its labels, voted and stored; latency: from stamp to the map's update, "
+        "and to fused depth of the slowest camera"
     )
     rows: dict[str, Callable[[GraphResult], object]] = {
         "cameras": lambda r: r.cameras,
@@ -64,13 +59,6 @@ def graph(
         "load average before": lambda r: f"{r.load_average:.1f}",
         "cameras late by at most, s": lambda r: f"{r.cameras_late_s:.2f}",
     }
-    table.add_column("")
-    for _ in results:
-        table.add_column(justify="right")
-    for name, value in rows.items():
-        table.add_row(name, *(str(value(result)) for result in results))
-    console.print(table)
-    if json is not None:
-        json.parent.mkdir(parents=True, exist_ok=True)
-        report = {"conditions": state.as_dict(), "runs": [r.as_dict() for r in results]}
-        json.write_text(json_module.dumps(report, indent=2))
+    console.print(runs_table(title, caption, rows, results))
+    if json_path is not None:
+        write_runs(json_path, state, [r.as_dict() for r in results])

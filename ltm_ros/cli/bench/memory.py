@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.cli.bench.runs import print_conditions, write_runs
 from ltm_ros.cli.output import JsonFile
 
 
@@ -18,12 +19,10 @@ def memory(
     json_path: JsonFile = None,
 ) -> None:
     """Run each command on a site with a large DEM, in a process of its own, and tell the most memory that it held."""
-    import json
     import tempfile
     from dataclasses import asdict
 
     from rich.console import Console
-    from rich.table import Table
 
     from ltm_core.bench.measure import conditions
     from ltm_core.errors import ConfigError
@@ -33,23 +32,18 @@ def memory(
     if folder is not None and folder.exists() and any(folder.iterdir()):
         raise ConfigError(f"{folder} is not empty; name a new folder")
     state = conditions(("numpy", "numba", "rasterio", "onnxruntime"))
+    print_conditions(console, state)
+    console.print(
+        f"DEM of {size:,} x {size:,} cells, {size**2 * 4 / 1e6:,.0f} MB; photos of 1920 x 1080; most memory held:"
+    )
+    used = []
     with tempfile.TemporaryDirectory(prefix="ltm-memory-") as own:
         place = folder or Path(own)
         place.mkdir(parents=True, exist_ok=True)
-        with console.status("making the site"):
+        with console.status("making the site") as status:
             make_site(place, size)
-        with console.status("running") as status:
-            used = list(measure(place, lambda name: status.update(name)))
-    table = Table(
-        title=f"most memory held; DEM of {size:,} x {size:,} cells, {size**2 * 4 / 1e6:,.0f} MB; photos of 1920 x 1080",
-        caption=f"{state.cpu}, Python {state.python}, "
-        + ", ".join(f"{name} {number}" for name, number in state.versions.items()),
-    )
-    table.add_column("command")
-    table.add_column("MB", justify="right")
-    for use in used:
-        table.add_row(f"ltm {use.name}", f"{use.peak_mb:,.0f}")
-    console.print(table)
+            for use in measure(place, lambda name: status.update(f"ltm {name}")):
+                used.append(use)
+                console.print(f"{use.peak_mb:8,.0f} MB  ltm {use.name}", highlight=False)
     if json_path is not None:
-        content = {"size": size, "conditions": state.as_dict(), "commands": [asdict(use) for use in used]}
-        json_path.write_text(json.dumps(content, indent=1))
+        write_runs(json_path, state, [{"size": size} | asdict(use) for use in used])

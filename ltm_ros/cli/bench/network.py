@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ltm_ros.cli.bench.runs import numbers, print_conditions, runs_table, write_runs
 from ltm_ros.cli.output import JsonFile
 
 
@@ -20,10 +21,7 @@ def network(
     json_path: JsonFile = None,
 ) -> None:
     """Send votes of simulated towers through DDS into one fuel map that keeps them, and measure it."""
-    import json
-
     from rich.console import Console
-    from rich.table import Table
 
     from ltm_core.bench.measure import conditions
     from ltm_ros.bench.network import NetworkResult, as_dict, run_network
@@ -31,9 +29,7 @@ def network(
     console = Console()
     counts, offered = [round(value) for value in numbers(towers)], numbers(rates)
     state = conditions(("numpy", "numba", "scipy", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "zstandard"))
-    load = " ".join(f"{v:.2f}" for v in state.load_average)
-    console.print(f"{state.cpu}, {state.cores} cores, load average {load}, Python {state.python}, ", end="")
-    console.print(", ".join(f"{name} {number}" for name, number in state.versions.items()))
+    print_conditions(console, state)
     results = []
     for count in counts:
         for rate in offered:
@@ -43,11 +39,8 @@ def network(
             console.print(
                 f"{count} towers: {last.sustained_hz:.1f} Hz, {last.lost} lost, p95 {last.latency_p95_s:.2f} s"
             )
-    table = Table(
-        title=f"one fuel map of {extent / 1000:g} x {extent / 1000:g} km, {seconds:g} s a run, evidence on disk",
-        caption="latency: from stamp to update, once it is stored; lost: not told of, or not there after a kill",
-        show_header=False,
-    )
+    title = f"one fuel map of {extent / 1000:g} x {extent / 1000:g} km, {seconds:g} s a run, evidence on disk"
+    caption = "latency: from stamp to update, once it is stored; lost: not told of, or not there after a kill"
     rows: dict[str, Callable[[NetworkResult], object]] = {
         "towers": lambda r: r.towers,
         "frames a second, offered": lambda r: f"{r.offered_hz:.1f}",
@@ -66,27 +59,9 @@ def network(
         "kB a frame": lambda r: f"{r.bytes_a_frame / 1e3:.1f}",
         "towers late by at most, s": lambda r: f"{r.towers_late_s:.2f}",
     }
-    table.add_column("")
-    for _ in results:
-        table.add_column(justify="right")
-    for name, value in rows.items():
-        table.add_row(name, *(str(value(result)) for result in results))
-    console.print(table)
+    console.print(runs_table(title, caption, rows, results))
     for r in results:
         if r.dropped:
             console.print(f"{r.towers} towers at {r.offered_hz:g} Hz dropped {r.dropped}")
     if json_path is not None:
-        json_path.parent.mkdir(parents=True, exist_ok=True)
-        report = {"conditions": state.as_dict(), "runs": [as_dict(r) for r in results]}
-        json_path.write_text(json.dumps(report, indent=2))
-
-
-def numbers(text: str) -> list[float]:
-    """Positive numbers with commas. Raises BadParameter."""
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError as error:
-        raise typer.BadParameter(f"give numbers with commas, got {text!r}") from error
-    if min(values) <= 0:
-        raise typer.BadParameter(f"give positive numbers, got {text!r}")
-    return values
+        write_runs(json_path, state, [as_dict(r) for r in results])
