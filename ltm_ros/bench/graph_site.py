@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import yaml
 
@@ -12,6 +13,7 @@ from ltm_core.site_io import load_site
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
 
+Layout = Literal["site", "node"]
 NAME = "bench"
 SENT = {"info": CAMERA_INFO, "pose": POSE, "image": IMAGE_COMPRESSED}
 """What a camera sends of each frame, in this order; the names are the suffixes of its files."""
@@ -26,9 +28,9 @@ class Traffic:
     frames: int
 
 
-def write_site(folder: Path, demo: Path, cameras: int, fusion: bool = True) -> Traffic:
+def write_site(folder: Path, demo: Path, cameras: int, fusion: bool = True, processes: Layout | None = None) -> Traffic:
     """Site file and serialised frames in `folder`; camera i looks as tower i modulo the number of towers, each of them
-    beginning with another frame. Without `fusion` the site has no depth network."""
+    beginning with another frame. Without `fusion` the site has no depth network. `processes`: as in a site file."""
     original = load_site(demo / "site.yaml")
     names = tuple(f"c{number:02d}" for number in range(cameras))
     content = {
@@ -39,7 +41,7 @@ def write_site(folder: Path, demo: Path, cameras: int, fusion: bool = True) -> T
         "fuel": {"prior": str((demo / "prior.tif").resolve())},
         "depth_model": original.depth_model if fusion else "",
         "cameras": {name: {} for name in names},
-    }
+    } | ({} if processes is None else {"processes": processes})
     path = folder / "site.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     towers = _frames_of(original, BagReader(demo / "recording"))

@@ -25,7 +25,7 @@ from ltm_ros.launching.dds_shutdown import wait_for_quiet
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.ros_environment import apply_to_process
 from ltm_ros.launching.runner import Runner
-from ltm_ros.runtime.node import stream_qos
+from ltm_ros.runtime.outlet_node import stream_qos
 from ltm_ros.runtime.topics import LABELS_IMAGE, POSED_IMAGE, camera_topic
 
 IN_FLIGHT = 2  # photos sent and not yet answered: the next one waits at the node, as on a busy tower

@@ -107,6 +107,7 @@ class Capture(Handler[CaptureConfig]):
             config.shed,
             lambda frame: data_bytes(frame.image),
             site.limits.waiting_bytes,
+            outlet.more_waits,
         )
         self._newest = -1
 
@@ -144,6 +145,9 @@ class Capture(Handler[CaptureConfig]):
     def on_finished(self, message: Any) -> None:
         self._admission.finished(message.frame_id, time_to_ns(message.stamp))
 
+    def idle(self) -> None:
+        self._admission.idle(self.outlet.prompt_workers(FINISHED))
+
     def tick(self, waited: float) -> None:
         self._join.tick(waited)
         self._admission.tick(waited)
@@ -168,7 +172,7 @@ class Capture(Handler[CaptureConfig]):
         posed = PosedImage(photo, frame.camera, frame.pose, stamp, self.config.camera)
         self.outlet.publish(POSED_CAMERA_INFO, camera_to_msg(posed.camera, stamp, self._frame_id))
         self.outlet.publish(POSED_POSE, pose_to_msg(posed.pose, stamp, "map", frame.covariance))
-        self.outlet.publish(POSED_IMAGE, image_to_msg(posed.image, "rgb8", stamp, self._frame_id))
+        self.outlet.provide(POSED_IMAGE, stamp, lambda: image_to_msg(posed.image, "rgb8", stamp, self._frame_id))
 
     def _too_large(self, message: Any) -> bool:
         """Whether an image holds more than may wait here; the size that its first bytes state is looked at later."""

@@ -28,8 +28,8 @@ from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.message_loss import LossCounter, loss_report, writers_of
-from ltm_ros.runtime.node import read_parameters
 from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
+from ltm_ros.runtime.outlet_node import read_parameters
 from ltm_ros.runtime.topics import RECORDED, camera_topic, site_topic
 
 QUEUE_BYTES = 256 << 20
@@ -80,7 +80,7 @@ class Recorder(Node):  # type: ignore[misc]
             1.0, lambda: self._queue.put(self._recording.flush), clock=DiagnosticsPublisher.steady_clock()
         )
         self.create_timer(0.2, self._discover, clock=DiagnosticsPublisher.steady_clock())
-        self._diagnostics = DiagnosticsPublisher(self, self.health)
+        self._diagnostics = DiagnosticsPublisher(self, {self.get_fully_qualified_name(): self.health})
         self._thread = threading.Thread(target=self._write, name="recorder disk", daemon=True)
         self._thread.start()
 

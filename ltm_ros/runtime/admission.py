@@ -49,6 +49,8 @@ class Admission(Generic[FrameT]):
         shed: False: all frames wait, in order, while there is room for what they hold (a recording's frames).
         size_of: bytes that a waiting frame holds.
         waiting_bytes: that waiting frames hold at most; a frame alone always has room.
+        more_waits: whether further frames may be offered at once. While it says so none is let in, for a newer one may
+            be among them; `idle` is called then.
     """
 
     def __init__(
@@ -61,10 +63,12 @@ class Admission(Generic[FrameT]):
         shed: bool,
         size_of: Callable[[FrameT], int],
         waiting_bytes: int,
+        more_waits: Callable[[], bool] = bool,
     ) -> None:
         self._admit, self._workers, self._health = admit, workers, health
         self._capacity, self._finish_within, self._shed = capacity, finish_within, shed
         self._size_of, self._waiting_bytes = size_of, waiting_bytes
+        self._more_waits = more_waits
         self._waiting: OrderedDict[int, FrameT] = OrderedDict()
         self._held = 0
         self._in_flight: OrderedDict[int, _InFlight] = OrderedDict()
@@ -102,6 +106,14 @@ class Admission(Generic[FrameT]):
             self._release()
         self._state(self._let_in())
 
+    def idle(self, prompt: Set[str]) -> None:
+        """Let one frame in, now that no further one is offered at once. `prompt`: workers that have done all that they
+        will do with frames in flight: what they have not finished has failed there. Raises as `offer`."""
+        for frame in self._in_flight.values():
+            frame.give_up(prompt)
+        self._release()
+        self._state(self._let_in(1))
+
     def tick(self, waited: float) -> None:
         """So many seconds have passed. Raises as `offer`."""
         there = self._workers() if self._in_flight else set()
@@ -131,9 +143,12 @@ class Admission(Generic[FrameT]):
             self._turn_away(stamp, "the node ended")
         self._state([])
 
-    def _let_in(self) -> list[LtmError]:
-        errors = []
-        while self._waiting and len(self._in_flight) < self._capacity:
+    def _let_in(self, most: int | None = None) -> list[LtmError]:
+        errors: list[LtmError] = []
+        if self._more_waits():
+            return errors
+        left = most
+        while self._waiting and len(self._in_flight) < self._capacity and left != 0:
             stamp, frame = self._waiting.popitem(last=False)
             self._held -= self._size_of(frame)
             awaited = dict.fromkeys(self._workers() - self._late, 0.0)
@@ -142,6 +157,7 @@ class Admission(Generic[FrameT]):
             except LtmError as error:
                 errors.append(error)
                 continue
+            left = None if left is None else left - 1
             if awaited:
                 self._in_flight[stamp] = _InFlight(awaited)
         return errors
@@ -156,10 +172,10 @@ class Admission(Generic[FrameT]):
     def _turn_away(self, stamp: int, why: str) -> None:
         self._held -= self._size_of(self._waiting.pop(stamp))
         awaited = sorted({worker for frame in self._in_flight.values() for worker in frame.awaited})
+        others = f"{len(self._in_flight)} are in flight (at {', '.join(awaited)})" if awaited else "others are at work"
         self._health.drop(
             "shed",
-            f"the frame of stamp {stamp} ns: {why}, and {len(self._in_flight)} are in flight (at "
-            f"{', '.join(awaited)}); slow the camera down or give it more cores",
+            f"the frame of stamp {stamp} ns: {why}, and {others}; slow the camera down or give it more cores",
         )
 
     def _state(self, errors: list[LtmError]) -> None:
