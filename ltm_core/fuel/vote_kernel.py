@@ -113,7 +113,7 @@ def _tangents(camera: Camera) -> tuple[Float32Array, Float32Array]:
     return x[None].astype(np.float32), y[:, None].astype(np.float32)
 
 
-@numba.njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _scan(
     distance: Any,
     along_axis: bool,

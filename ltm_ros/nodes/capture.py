@@ -3,7 +3,8 @@ under one stamp, as many as these can finish."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,6 +63,14 @@ class _Frame:
     camera: Camera
 
 
+def _view_of(frame: _Frame) -> Hashable:
+    """The direction in which a frame was taken, in steps of a quarter of what it shows."""
+    camera, axis = frame.camera, frame.pose.rotation[:, 2]
+    step = math.atan2(camera.width, 2 * camera.fx) / 2
+    azimuth, pitch = math.atan2(axis[0], axis[1]), math.asin(max(-1.0, min(1.0, axis[2])))
+    return round(azimuth / step), round(pitch / step)
+
+
 class Capture(Handler[CaptureConfig]):
     """An image leaves when its pose and a calibration are there (the newest calibration up to its stamp counts), and
     when the nodes that work on the camera's frames have room for it (`Admission`)."""
@@ -108,6 +117,7 @@ class Capture(Handler[CaptureConfig]):
             lambda frame: data_bytes(frame.image),
             site.limits.waiting_bytes,
             outlet.more_waits,
+            _view_of,
         )
         self._newest = -1
 

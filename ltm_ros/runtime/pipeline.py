@@ -85,8 +85,6 @@ class Pipeline:
 
     def deliver(self, job: Job, topic: Topic, message: Any) -> None:
         """Give a message to one job at once."""
-        if topic.counted:
-            job.health.received(topic.name)
         self._run(job, lambda: job.callbacks[topic](message), job.topic(topic), message)
 
     def drain(self) -> None:
@@ -95,6 +93,8 @@ class Pipeline:
             topic, message = self._waiting.popleft()
             self._cleared = False
             for job, own in self._listeners.get(topic, ()):
+                if own.counted:
+                    job.health.received(own.name)
                 self.deliver(job, own, message)
                 if self._cleared:
                     break

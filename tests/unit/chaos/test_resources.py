@@ -8,8 +8,10 @@ import threading
 from pathlib import Path
 
 import numpy as np
-from chaos.resources import Usage, folder_bytes, usage, waited_s
+from chaos.resources import folder_bytes, waited_s
 from chaos.soak import SUM, Soak
+
+from ltm_ros.bench.process_usage import Usage, usage
 
 _BYTES = 10_000 * mmap.PAGESIZE
 
