@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import runpy
 import sys
 import tempfile
@@ -14,7 +15,7 @@ import pytest
 
 from ltm_core.errors import ConfigError
 from ltm_core.site_io import load_site
-from ltm_ros.launching import ros_environment
+from ltm_ros.launching import ros_environment, site_check
 from ltm_ros.launching.graph import describe, nodes_of_json
 
 LAUNCH_FILE = Path(__file__).parents[4] / "ltm_ros/launch/site.launch.py"
@@ -70,6 +71,9 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         for name in names:
             setattr(module, name, Configuration if name == "LaunchConfiguration" else _recorder(name))
         monkeypatch.setitem(sys.modules, module_name, module)
+    sys.modules["launch"].logging = logging  # type: ignore[attr-defined]
+    # What it looks at is tested with the command line's; these sites have no DEM.
+    monkeypatch.setattr(site_check, "require_ready", lambda path, wanted, tell: load_site(path))
     return runpy.run_path(str(LAUNCH_FILE))
 
 
