@@ -8,7 +8,7 @@ import sys
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any, List  # noqa: UP035
 
 import pytest
@@ -71,7 +71,7 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         for name in names:
             setattr(module, name, Configuration if name == "LaunchConfiguration" else _recorder(name))
         monkeypatch.setitem(sys.modules, module_name, module)
-    sys.modules["launch"].logging = logging  # type: ignore[attr-defined]
+    sys.modules["launch"].logging = SimpleNamespace(get_logger=logging.getLogger)  # type: ignore[attr-defined]
     # What it looks at is tested with the command line's; these sites have no DEM.
     monkeypatch.setattr(site_check, "require_ready", lambda path, wanted, tell: load_site(path))
     return runpy.run_path(str(LAUNCH_FILE))
