@@ -17,6 +17,7 @@ from ltm_ros.runtime.clock_watch import ClockWatch
 from ltm_ros.runtime.discovery_check import LISTENERS, unheard
 from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
 from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.message_info import with_info
 from ltm_ros.runtime.message_loss import LossCounter, loss_report, writers_of
 
 WIRING_S = 5.0
@@ -105,7 +106,7 @@ class OutletNode(Node):  # type: ignore[misc]
                 self.health.drop("lost", loss_report(lost, name), lost)
             offer(message)
 
-        self.create_subscription(topic.type, name, take, _qos(topic))
+        self.create_subscription(topic.type, name, with_info(take), _qos(topic))
 
     def state_listeners(self) -> None:
         """State how many listen to what is published here."""
