@@ -207,7 +207,7 @@ class Site(Config):
     depth_model: str = ""
     """Manifest of a depth network, likewise; where given, traced depth is fused with it (`fused/depth`)."""
     cameras: dict[CameraName, CameraConfig] = Field(min_length=1)
-    processes: Literal["site", "node"] = "node"
+    processes: Literal["site", "node"] = "site"
     """`site`: the nodes of all cameras share one process: a frame runs straight through them, terrain and networks are
     there once. `node`: each node has a process of its own, for development, and for several hosts."""
     workers: int | None = Field(None, ge=1)
