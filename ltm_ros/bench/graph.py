@@ -24,9 +24,9 @@ import numpy as np
 from ltm_core.errors import LtmError
 from ltm_core.resources import project_path
 from ltm_core.site_io import load_site
-from ltm_ros.bench.graph_site import NAME, Layout, write_site
+from ltm_ros.bench.graph_site import NAME, Load, write_site
 from ltm_ros.bench.listener import Listener
-from ltm_ros.bench.process_usage import usage_of
+from ltm_ros.bench.process_usage import Usage, usage_of
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.ros_environment import apply_to_process, ros_environment
 from ltm_ros.launching.runner import Runner
@@ -52,6 +52,11 @@ class GraphResult:
     processes: str
     """Layout: `site` or `node`."""
     fusion: bool
+    width: int
+    """Of the photos, pixels."""
+    patrol: bool
+    """Whether the cameras turn."""
+    dem_cells: int
     offered_hz: float
     """Of each camera."""
     seconds: float
@@ -85,6 +90,10 @@ class GraphResult:
     """Processor time of all processes, before the run, while nothing came: ms a second."""
     pss_mb: dict[str, float]
     """Memory after the run by process, of the cameras' nodes in sum, and in `all`; shared pages are counted once."""
+    grown_pss_mb: float
+    """Of all processes, from before the run, after the first frames of each camera, to its end; so the next two."""
+    grown_descriptors: int
+    grown_threads: int
     ready_s: float
     """From the start until every node had reported."""
     load_average: float
@@ -102,20 +111,13 @@ class GraphResult:
         return asdict(self) | {"lost": self.lost}
 
 
-def run_graph(
-    cameras: int,
-    rate: float,
-    seconds: float,
-    fusion: bool = True,
-    domain_id: int | None = None,
-    processes: Layout | None = None,
-) -> GraphResult:
-    """The graph of `cameras`, each of which sends `rate` frames a second for `seconds`. `processes`: as in a site file;
-    None: the default there. Raises LtmError where it does not run."""
+def run_graph(load: Load, rate: float, seconds: float, domain_id: int | None = None) -> GraphResult:
+    """The graph of `load`, each of whose cameras sends `rate` frames a second for `seconds`. Raises LtmError where it
+    does not run."""
     apply_to_process(domain_id)
     with tempfile.TemporaryDirectory(prefix="ltm-bench-") as name:
         folder = Path(name)
-        traffic = write_site(folder, project_path("bags/demo"), cameras, fusion, processes)
+        traffic = write_site(folder, project_path("bags/demo"), load)
         site = load_site(traffic.site)
         graph = describe(site, traffic.site, parameters={"fuel_map": {"folder": str(folder / "kept")}})
         runner = Runner(graph, domain_id=domain_id, log_folder=folder / "log", console=lambda line: None)
@@ -124,16 +126,16 @@ def run_graph(
             runner.wait_until_ready(READY_S)
             ready_s = time.monotonic() - started
             with _cameras(folder, traffic.cameras, domain_id) as sender:
-                warmed = _stream(sender, WARM_UP, 2.0 * cameras)
+                warmed = _stream(sender, WARM_UP, 2.0 * load.cameras)
                 _settle(listener, {stamp for stamps in warmed["sent"].values() for stamp in stamps})
-                idle_ms_s = _idle_cpu_ms_s(runner)
-                load = os.getloadavg()[0]
+                idle_ms_s, at_first = _idle_cpu_ms_s(runner), _usage(runner)
+                busy = os.getloadavg()[0]
                 before, cpu = dict(listener.summaries), _cpu_by_process(runner)
                 report = _stream(sender, max(1, round(seconds * rate)), 1.0 / rate)
                 sent: dict[str, list[int]] = report["sent"]
                 _settle(listener, {stamp for stamps in sent.values() for stamp in stamps})
                 after, cpu_after = dict(listener.summaries), _cpu_by_process(runner)
-                pss_mb = _pss_mb(runner)
+                at_last = _usage(runner)
             restarted = [label for label, process in runner.processes.items() if process.starts > 1]
             if restarted:
                 raise LtmError(f"died and were started again: {', '.join(restarted)}")
@@ -141,15 +143,21 @@ def run_graph(
             measured = {
                 "offered_hz": rate,
                 "seconds": seconds,
+                "width": load.width,
+                "patrol": load.patrol,
+                "dem_cells": site.open_dem().elevation.size,
                 "processes": site.processes,
                 "idle_cpu_ms_s": idle_ms_s,
-                "pss_mb": pss_mb,
+                "pss_mb": _pss_mb(at_last),
+                "grown_pss_mb": _pss_mb(at_last)["all"] - _pss_mb(at_first)["all"],
+                "grown_descriptors": _total(at_last, "descriptors") - _total(at_first, "descriptors"),
+                "grown_threads": _total(at_last, "threads") - _total(at_first, "threads"),
                 "ready_s": ready_s,
-                "load_average": load,
+                "load_average": busy,
                 "cameras_late_s": report["late"],
             }
             jobs = _cpu_by_job(graph, spent, before, after)
-            return _result(fusion, sent, listener.arrived, before, after, jobs, measured)
+            return _result(load.fusion, sent, listener.arrived, before, after, jobs, measured)
 
 
 def _result(
@@ -271,8 +279,15 @@ def _idle_cpu_ms_s(runner: Runner) -> float:
     return 1000 * used / (time.monotonic() - since)
 
 
-def _pss_mb(runner: Runner) -> dict[str, float]:
-    found = usage_of({label: process.pid for label, process in runner.processes.items() if process.pid})
+def _usage(runner: Runner) -> dict[str, Usage]:
+    return usage_of({label: process.pid for label, process in runner.processes.items() if process.pid})
+
+
+def _total(found: Mapping[str, Usage], what: str) -> int:
+    return sum(getattr(use, what) for use in found.values())
+
+
+def _pss_mb(found: Mapping[str, Usage]) -> dict[str, float]:
     by_process: defaultdict[str, float] = defaultdict(float)
     for label, use in found.items():
         by_process["cameras" if "/" in label else label] += use.pss * 1024 / 1e6
