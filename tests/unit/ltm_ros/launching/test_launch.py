@@ -26,6 +26,7 @@ origin: [400000.0, 3800000.0]
 dem: {path: dem.tif}
 cameras: {north: {}, south: {image: raw}}
 nodes: {fuel_map: {export_path: "on"}, capture: {tolerance: 0.25, hosts: ["y", "n"]}}
+processes: node
 """
 
 
@@ -136,7 +137,7 @@ def test_renders_one_process_for_the_nodes_that_share_it(
     launch_file: dict[str, Any], site_file: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    site_file.write_text(f"{SITE}processes: site\n")
+    site_file.write_text(SITE.replace("processes: node", "processes: site"))
     graph = describe(load_site(site_file), site_file, cameras=["south"])
     actions = rendered(launch_file, site=str(site_file), cameras="south")
     nodes = [action.options for action in actions if type(action).__name__ == "Node"]
