@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
@@ -14,7 +15,7 @@ from ltm_core.evaluation.metrics.segmentation import score_labels
 from ltm_core.types import BoolArray, UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, InputSpec
-from ltm_core.vision.segmenter import Segmenter, input_tensor
+from ltm_core.vision.segmenter import Segmentation, Segmenter, input_tensor
 from ltm_core.vision.upsample import upsampled_winner
 
 SIZE = (110, 170)  # of the photos: no multiple of the network's size
@@ -131,6 +132,23 @@ def test_normalisation_follows_the_manifest() -> None:
     assert tensor.dtype == np.float32
     expected = (photo[2, 4, ::-1] * 0.5 - np.array([1, 2, 3])) / np.array([2, 4, 8])
     np.testing.assert_allclose(tensor[0, :, 2, 4], expected, rtol=1e-6)
+
+
+def test_cameras_of_one_process_run_one_network_at_once(tmp_path: Path) -> None:
+    """Each with a segmenter of its own, over the same file, from threads of their own."""
+    manifest = write_classifier(tmp_path)
+    photos = [np.roll(_photo()[0], 11 * turn, axis=1) for turn in range(4)]
+    expected = [Segmenter.open(manifest).segment(photo) for photo in photos]
+    segmenters = [Segmenter.open(manifest) for _ in photos]
+
+    def label(at: int) -> list[Segmentation]:
+        return [segmenters[at].segment(photos[at]) for _ in range(8)]
+
+    with ThreadPoolExecutor(len(photos)) as pool:
+        for alone, several in zip(expected, pool.map(label, range(len(photos))), strict=True):
+            for found in several:
+                np.testing.assert_array_equal(found.labels, alone.labels)
+                np.testing.assert_array_equal(found.confidence, alone.confidence)
 
 
 @pytest.mark.parametrize(
