@@ -21,8 +21,8 @@ map shall follow from the votes alone."""
 
 
 def write_living_site(folder: Path, processes: str = "site") -> SmallSite:
-    """In an empty folder. Its cameras' frames must bear the stamps of the machine's clock, as in the field. `processes`:
-    as in a site file."""
+    """In an empty folder. Its cameras' frames must bear the stamps of the machine's clock, as in the field.
+    `processes`: as in a site file."""
     small = write_fusing_site(folder, recording=False)
     grid = small.site.in_crs(small.site.fuel_geometry(small.dem))
     write_geotiff(folder / "prior.tif", np.full(grid.shape, PRIOR_CODE, np.int16), grid, -9999)
