@@ -75,6 +75,6 @@ def test_a_live_replay_is_checked_before_any_process(tmp_path: Path, monkeypatch
     monkeypatch.setattr(site_check, "examined_apart", lambda path, wanted: examine(path, wanted).findings)
     small = write_small_site(tmp_path)
     small.path.write_text(small.path.read_text().replace("EPSG:26911", "EPSG:26910"))
-    with pytest.raises(NotReadyError, match="terrain, dem: .*EPSG:26911, the site in EPSG:26910") as told:
+    with pytest.raises(NotReadyError, match=r"terrain, dem: .*EPSG:26911, the site in EPSG:26910") as told:
         replay_run.run_live(small.bag, small.path, replay_run.ReplayOptions(), lambda *_: None, print, tmp_path)
     assert told.value.status == 78

@@ -1,0 +1,143 @@
+"""Measures each node at the bounds of the site's `limits`: the memory that the largest frame which is taken costs it,
+and what it costs to drop a larger one. Without DDS, each node in a process of its own.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from ltm_core.bench.measure import peak_mb
+from ltm_core.camera import Camera
+from ltm_core.site import Limits
+from ltm_core.site_io import load_site
+from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.camera_info import camera_to_msg
+from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
+from ltm_ros.bench import memory
+from ltm_ros.launching.graph import Graph, NodeSpec, describe
+from ltm_ros.replay.offline import OfflineGraph
+from ltm_ros.replay.run import ReplayOptions, run_offline
+from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, IMAGE_RAW, POSED_CAMERA_INFO
+
+CAMERA = "east"
+DEM_CELLS = 2000
+STAMP_NS = 1_800_000_000_000_000_000
+
+
+@dataclass(frozen=True)
+class NodeAtBound:
+    """MB that a node's process held at most: before its first frame, and with frames of the most pixels taken."""
+
+    node: str
+    ready_mb: float
+    most_mb: float
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """A message beyond a bound. `cpu_ms`: from its handing over until it is dropped; `grown_mb`: by which the most that
+    the process ever held has grown meanwhile."""
+
+    node: str
+    message: str
+    cause: str
+    cpu_ms: float
+    grown_mb: float
+
+
+def largest_camera(limits: Limits) -> Camera:
+    """4:3, of as many pixels as are taken."""
+    quarter = int((limits.pixels / 12) ** 0.5)
+    return Camera.from_fov(4 * quarter, 3 * quarter, 60.0)
+
+
+def nodes_at_bound(folder: Path, begin: Callable[[str], None] = lambda name: None) -> Iterator[NodeAtBound]:
+    """Each node of a site of two cameras with fusion and terrain, written into `folder`, whose frames are as large as
+    is taken. Raises BenchError.
+    """
+    begin("making frames")
+    memory.make_site(folder, DEM_CELLS, largest_camera(Limits()))
+    site_path, bag, results = folder / "site.yaml", folder / "bag", folder / "results"
+    content = yaml.safe_load(site_path.read_text())
+    site_path.write_text(yaml.safe_dump(content | {"terrain": {}}, sort_keys=False))
+    memory.run_command(memory.commands(folder)["import"])
+    _apart(_record, bag, site_path, results)
+    for spec in describe(load_site(site_path), site_path):
+        if spec.label.startswith(f"{CAMERA}/") or "/" not in spec.label:
+            begin(spec.label)
+            ready, most = _apart(_memory_of, spec, results)
+            yield NodeAtBound(spec.label, ready, most)
+
+
+def dropped(folder: Path) -> Iterator[Dropped]:
+    """Messages beyond the bounds, to the nodes that cameras talk to; `folder`: as `nodes_at_bound` left it."""
+    site_path = folder / "site.yaml"
+    graph = describe(load_site(site_path), site_path)
+    for node, cases in (("capture", _beyond_capture()), ("depth", _beyond_depth())):
+        spec = graph.node(f"{CAMERA}/{node}")
+        for name, (topic, message) in cases.items():
+            cause, cpu_ms, grown = _apart(_drop, spec, f"{spec.namespace}/{topic}", message)
+            yield Dropped(f"{CAMERA}/{node}", name, cause, cpu_ms, grown)
+
+
+def _beyond_capture() -> dict[str, tuple[str, Any]]:
+    limits, optical = Limits(), f"{CAMERA}_optical"
+    most = largest_camera(limits)
+    larger = np.zeros((most.height + 12, most.width + 16, 3), np.uint8)
+    padded = encode_rgb(larger[:8, :8]) + bytes(limits.image_bytes)
+    return {
+        "JPEG of more pixels": (
+            IMAGE_COMPRESSED.name,
+            compressed_to_msg(encode_rgb(larger), "jpeg", STAMP_NS, optical),
+        ),
+        "JPEG of more bytes": (IMAGE_COMPRESSED.name, compressed_to_msg(padded, "jpeg", STAMP_NS, optical)),
+        "raw image of more pixels": (IMAGE_RAW.name, image_to_msg(larger, "rgb8", STAMP_NS, optical)),
+        "calibration of 12,000 x 9,000": (
+            CAMERA_INFO.name,
+            camera_to_msg(Camera.from_fov(12_000, 9_000, 60.0), STAMP_NS, optical),
+        ),
+    }
+
+
+def _beyond_depth() -> dict[str, tuple[str, Any]]:
+    vast = camera_to_msg(Camera.from_fov(12_000, 9_000, 60.0), STAMP_NS, f"{CAMERA}_optical")
+    return {"calibration of 12,000 x 9,000": (POSED_CAMERA_INFO.name, vast)}
+
+
+def _record(bag: Path, site: Path, results: Path) -> None:
+    run_offline(bag, site, ReplayOptions(record=results), lambda done, total: None)
+
+
+def _memory_of(spec: NodeSpec, results: Path) -> tuple[float, float]:
+    """MB at most before and after all that a node listens to of a recording with results."""
+    offline = OfflineGraph(Graph("bound", (spec,)))
+    reader, ready = BagReader(results), peak_mb()
+    for message in reader.messages([topic for topic in reader.topics() if offline.listened(topic)]):
+        offline.feed(message.topic, reader.decode(message), message.log_time_ns)
+    offline.finish()
+    return ready, peak_mb()
+
+
+def _drop(spec: NodeSpec, topic: str, message: Any) -> tuple[str, float, float]:
+    """Cause, processor time in ms and growth in MB."""
+    offline = OfflineGraph(Graph("bound", (spec,)))
+    before, begun = peak_mb(), time.process_time()
+    offline.feed(topic, message, STAMP_NS)
+    spent, grown = time.process_time() - begun, peak_mb() - before
+    causes = offline.healths[spec.full_name].summary()
+    return ", ".join(key for key in causes if key.startswith("dropped.")) or "taken", spent * 1e3, grown
+
+
+def _apart(work: Callable[..., Any], *arguments: Any) -> Any:
+    """In a process of its own, whose memory is that of the work alone."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(work, *arguments).result()
