@@ -5,7 +5,7 @@ and what it costs to drop a larger one. Without DDS, each node in a process of i
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -17,16 +17,18 @@ import yaml
 
 from ltm_core.bench.measure import peak_mb
 from ltm_core.camera import Camera
+from ltm_core.pose import Pose
 from ltm_core.site import Limits
 from ltm_core.site_io import load_site
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
+from ltm_msgs_py.pose import pose_to_msg
 from ltm_ros.bench import memory
 from ltm_ros.launching.graph import Graph, NodeSpec, describe
 from ltm_ros.replay.offline import OfflineGraph
 from ltm_ros.replay.run import ReplayOptions, run_offline
-from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, IMAGE_RAW, POSED_CAMERA_INFO
+from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, IMAGE_RAW, POSE, POSED_CAMERA_INFO, POSED_POSE
 
 CAMERA = "east"
 DEM_CELLS = 2000
@@ -80,37 +82,41 @@ def nodes_at_bound(folder: Path, begin: Callable[[str], None] = lambda name: Non
 
 def dropped(folder: Path) -> Iterator[Dropped]:
     """Messages beyond the bounds, to the nodes that cameras talk to; `folder`: as `nodes_at_bound` left it."""
-    site_path = folder / "site.yaml"
-    graph = describe(load_site(site_path), site_path)
-    for node, cases in (("capture", _beyond_capture()), ("depth", _beyond_depth())):
-        spec = graph.node(f"{CAMERA}/{node}")
-        for name, (topic, message) in cases.items():
-            cause, cpu_ms, grown = _apart(_drop, spec, f"{spec.namespace}/{topic}", message)
-            yield Dropped(f"{CAMERA}/{node}", name, cause, cpu_ms, grown)
+    content = yaml.safe_load((folder / "site.yaml").read_text())
+    for node, kind, name, messages in _beyond():
+        path = folder / f"site_{kind}.yaml"  # whose cameras send their poses and calibrations
+        path.write_text(yaml.safe_dump(content | {"cameras": {CAMERA: {"image": kind}}}, sort_keys=False))
+        spec = describe(load_site(path), path).node(f"{CAMERA}/{node}")
+        cause, cpu_ms, grown = _apart(_drop, spec, messages)
+        yield Dropped(spec.label, name, cause, cpu_ms, grown)
 
 
-def _beyond_capture() -> dict[str, tuple[str, Any]]:
+def _beyond() -> Iterator[tuple[str, str, str, list[tuple[str, Any]]]]:
+    """Node, kind of its camera's images, what is too large, and messages by topic, of which the last is dropped."""
     limits, optical = Limits(), f"{CAMERA}_optical"
     most = largest_camera(limits)
-    larger = np.zeros((most.height + 12, most.width + 16, 3), np.uint8)
-    padded = encode_rgb(larger[:8, :8]) + bytes(limits.image_bytes)
-    return {
-        "JPEG of more pixels": (
-            IMAGE_COMPRESSED.name,
-            compressed_to_msg(encode_rgb(larger), "jpeg", STAMP_NS, optical),
-        ),
-        "JPEG of more bytes": (IMAGE_COMPRESSED.name, compressed_to_msg(padded, "jpeg", STAMP_NS, optical)),
-        "raw image of more pixels": (IMAGE_RAW.name, image_to_msg(larger, "rgb8", STAMP_NS, optical)),
-        "calibration of 12,000 x 9,000": (
-            CAMERA_INFO.name,
-            camera_to_msg(Camera.from_fov(12_000, 9_000, 60.0), STAMP_NS, optical),
-        ),
-    }
+    larger = Camera.from_fov(most.width + 16, most.height + 12, 60.0)
+    image = np.zeros((larger.height, larger.width, 3), np.uint8)
+    jpeg, calibration = encode_rgb(image), camera_to_msg(larger, STAMP_NS, optical)
+    pose = pose_to_msg(Pose.from_angles((0.0, 0.0, 1000.0), 0.0), STAMP_NS, "map")
+    yield "capture", "compressed", "JPEG of more bytes", [_compressed(jpeg + bytes(limits.image_bytes), optical)]
+    # It has no calibration, for one as large is not taken either.
+    fitting = camera_to_msg(most, STAMP_NS, optical)
+    ready = [(POSE.name, pose), (CAMERA_INFO.name, fitting)]
+    yield "capture", "compressed", "JPEG of more pixels", [*ready, _compressed(jpeg, optical)]
+    yield (
+        "capture",
+        "raw",
+        "raw image of more pixels",
+        [(IMAGE_RAW.name, image_to_msg(image, "rgb8", STAMP_NS, optical))],
+    )
+    yield "capture", "raw", "calibration of more pixels", [(CAMERA_INFO.name, calibration)]
+    posed = [(POSED_POSE.name, pose), (POSED_CAMERA_INFO.name, calibration)]
+    yield "depth", "raw", "calibration of more pixels", posed
 
 
-def _beyond_depth() -> dict[str, tuple[str, Any]]:
-    vast = camera_to_msg(Camera.from_fov(12_000, 9_000, 60.0), STAMP_NS, f"{CAMERA}_optical")
-    return {"calibration of 12,000 x 9,000": (POSED_CAMERA_INFO.name, vast)}
+def _compressed(jpeg: bytes, frame_id: str) -> tuple[str, Any]:
+    return IMAGE_COMPRESSED.name, compressed_to_msg(jpeg, "jpeg", STAMP_NS, frame_id)
 
 
 def _record(bag: Path, site: Path, results: Path) -> None:
@@ -127,14 +133,20 @@ def _memory_of(spec: NodeSpec, results: Path) -> tuple[float, float]:
     return ready, peak_mb()
 
 
-def _drop(spec: NodeSpec, topic: str, message: Any) -> tuple[str, float, float]:
-    """Cause, processor time in ms and growth in MB."""
+def _drop(spec: NodeSpec, messages: Sequence[tuple[str, Any]]) -> tuple[str, float, float]:
+    """Why the last of some messages, by topic, was dropped, with the processor time in ms and the growth in MB of that.
+    Raises BenchError where it was not."""
     offline = OfflineGraph(Graph("bound", (spec,)))
-    before, begun = peak_mb(), time.process_time()
-    offline.feed(topic, message, STAMP_NS)
-    spent, grown = time.process_time() - begun, peak_mb() - before
-    causes = offline.healths[spec.full_name].summary()
-    return ", ".join(key for key in causes if key.startswith("dropped.")) or "taken", spent * 1e3, grown
+    *before, (topic, last) = messages
+    for name, message in before:
+        offline.feed(f"{spec.namespace}/{name}", message, STAMP_NS)
+    held, begun = peak_mb(), time.process_time()
+    offline.feed(f"{spec.namespace}/{topic}", last, STAMP_NS)
+    spent, grown = time.process_time() - begun, peak_mb() - held
+    causes = [key for key in offline.healths[spec.full_name].summary() if key.startswith("dropped.")]
+    if not causes:
+        raise memory.BenchError(f"{spec.label} took a message on {topic} that is beyond its bounds")
+    return ", ".join(causes), spent * 1e3, grown
 
 
 def _apart(work: Callable[..., Any], *arguments: Any) -> Any:
