@@ -15,7 +15,7 @@ PER_MAJOR, T, SLOPE, FACE, WEDGE, HINT, NEAR, BEGIN = range(0, 8 * COLUMNS, COLU
 """1 / |major| of the unit ray; t; slope in metres a major cell; face and wedge; place of the entry of the row below
 within its wedge; node line where the ray's entry begins, or one of the following; range from which the pyramid goes on.
 """
-MEETS_NOTHING, BY_PYRAMID, ON_FROM_CELL, ANSWERED = -1.0, -2.0, -3.0, -4.0
+MEETS_NOTHING, BY_PYRAMID, ON_FROM_CELL = -1.0, -2.0, -3.0
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

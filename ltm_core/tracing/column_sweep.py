@@ -16,7 +16,6 @@ from numba import njit, prange
 
 from ltm_core.tracing.cell_intersection import FASTMATH, clearance, first_root, meets, ray_height, surface
 from ltm_core.tracing.column_block import (
-    ANSWERED,
     BEGIN,
     BY_PYRAMID,
     COLUMNS,
@@ -105,9 +104,11 @@ def _sweep_tile(
     for k in range(height):
         at = (height - 1 - k) * width + first
         turn(rays, 3 * at, count, rotation, stage.resolution, block)
-        enter(highest, entries, starts, tangents, strips, count, block)
-        prefetch_starts(nodes, n_x, stage, count, block)
-        if through_cells(nodes, n_x, n_y, stage, count, block, at, out):
+        left = count
+        if enter(highest, entries, starts, tangents, strips, count, block):
+            prefetch_starts(nodes, n_x, stage, count, block)
+            left = through_cells(nodes, n_x, n_y, stage, count, block, at, out)
+        if left:
             by_pyramid(ground, stage, count, block, at, out)
 
 
@@ -149,8 +150,9 @@ def enter(
     strips: Int32Array,
     count: int,
     block: Float64Array,
-) -> None:
-    """Find the entries of a block's rays, in the fields of `Wedges`."""
+) -> int:
+    """Find the entries of a block's rays, in the fields of `Wedges`; returns how many have one."""
+    found = 0
     for i in range(count):
         wedge, s = int(block[WEDGE + i]), block[SLOPE + i]
         if not (s <= highest[wedge]):
@@ -161,6 +163,8 @@ def enter(
             place = first_reaching(tangents, starts[wedge], entries[wedge], int(block[HINT + i]), s)
             block[HINT + i] = place
             block[NEAR + i] = strips[starts[wedge] + place]
+            found += 1
+    return found
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -204,7 +208,6 @@ def through_cells(
     for i in range(count):
         near, per_major = block[NEAR + i], block[PER_MAJOR + i]
         if not out[at + i] < 0.0:
-            block[NEAR + i] = ANSWERED
             continue
         if not (near >= 0.0 and per_major <= 1.0 / PLUMB_SINE):
             left += 1
@@ -227,7 +230,6 @@ def through_cells(
         q, how = cell_hit(nodes, o_major, o_minor, oz, s, bend, t, sign, begin, cell, n_major, n_minor, along, over)
         if how == HIT:
             out[at + i] = q * resolution * per_major
-            block[NEAR + i] = ANSWERED
         else:
             block[NEAR + i], block[BEGIN + i] = (MEETS_NOTHING if how == LEFT else ON_FROM_CELL), q
             left += 1
@@ -244,8 +246,8 @@ def by_pyramid(
     farthest = max(abs(stage.east), abs(stage.west)) + max(abs(stage.south), abs(stage.north))
     nearest = max(min(min(stage.east, -stage.west), min(stage.south, -stage.north)), 0.0)
     for i in range(count):
-        near = block[NEAR + i]
-        if near == ANSWERED:
+        near, q = block[NEAR + i], float(out[at + i])
+        if not q < 0.0:
             continue
         s, t, per_major, face = block[SLOPE + i], block[T + i], block[PER_MAJOR + i], int(block[FACE + i])
         if not (per_major <= 1.0 / PLUMB_SINE):
@@ -254,7 +256,6 @@ def by_pyramid(
         sign = 1.0 if (face & 1) == 0 else -1.0
         cx, cy = (sign, t) if face < 2 else (t, sign)
         bend = stage.bend * (1.0 + t * t)
-        q = float(out[at + i])
         if near != MEETS_NOTHING:
             level, begin = (0, block[BEGIN + i]) if near == ON_FROM_CELL else (START_LEVEL, 0.0)
             if near == BY_PYRAMID and stage.part == AFTER:

@@ -15,24 +15,9 @@ from fuzz.self_test import SELF_TEST
 CASES = 150
 OF_FAST = dict.fromkeys(
     (
-        *(
-            "photo_jpg",
-            "photo_png",
-            "photo_heic",
-            "photo_progressive",
-            "poses_csv",
-            "control_points",
-            "simulated_index",
-        ),
-        *(
-            "simulated_index",
-            "npz",
-            "depth_map_npy",
-            "depth_map_png",
-            "depth_map_tif",
-            "node_capture",
-            "node_segmentation",
-        ),
+        *("photo_jpg", "photo_png", "photo_heic", "photo_progressive", "poses_csv", "control_points"),
+        *("simulated_index", "npz", "depth_map_npy", "depth_map_png", "depth_map_tif"),
+        *("node_capture", "node_segmentation"),
     ),
     600,
 )
