@@ -207,6 +207,11 @@ class Site(Config):
     depth_model: str = ""
     """Manifest of a depth network, likewise; where given, traced depth is fused with it (`fused/depth`)."""
     cameras: dict[CameraName, CameraConfig] = Field(min_length=1)
+    processes: Literal["site", "node"] = "site"
+    """`site`: the nodes of all cameras share one process: a frame runs straight through them, terrain and networks are
+    there once. `node`: each node has a process of its own, for development, and for several hosts."""
+    workers: int | None = Field(None, ge=1)
+    """Threads that work on frames in a site's process, each on one frame at a time; None: one for each core."""
     limits: Limits = Limits()
     watchdog: WatchdogConfig = WatchdogConfig()
     nodes: dict[RosName, dict[str, Any]] = {}

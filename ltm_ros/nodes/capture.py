@@ -3,7 +3,8 @@ under one stamp, as many as these can finish."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,6 +63,14 @@ class _Frame:
     camera: Camera
 
 
+def _view_of(frame: _Frame) -> Hashable:
+    """The direction in which a frame was taken, in steps of a quarter of what it shows."""
+    camera, axis = frame.camera, frame.pose.rotation[:, 2]
+    step = math.atan2(camera.width, 2 * camera.fx) / 2
+    azimuth, pitch = math.atan2(axis[0], axis[1]), math.asin(max(-1.0, min(1.0, axis[2])))
+    return round(azimuth / step), round(pitch / step)
+
+
 class Capture(Handler[CaptureConfig]):
     """An image leaves when its pose and a calibration are there (the newest calibration up to its stamp counts), and
     when the nodes that work on the camera's frames have room for it (`Admission`)."""
@@ -107,6 +116,8 @@ class Capture(Handler[CaptureConfig]):
             config.shed,
             lambda frame: data_bytes(frame.image),
             site.limits.waiting_bytes,
+            outlet.more_waits,
+            _view_of,
         )
         self._newest = -1
 
@@ -144,6 +155,9 @@ class Capture(Handler[CaptureConfig]):
     def on_finished(self, message: Any) -> None:
         self._admission.finished(message.frame_id, time_to_ns(message.stamp))
 
+    def idle(self) -> None:
+        self._admission.idle(self.outlet.prompt_workers(FINISHED))
+
     def tick(self, waited: float) -> None:
         self._join.tick(waited)
         self._admission.tick(waited)
@@ -168,7 +182,7 @@ class Capture(Handler[CaptureConfig]):
         posed = PosedImage(photo, frame.camera, frame.pose, stamp, self.config.camera)
         self.outlet.publish(POSED_CAMERA_INFO, camera_to_msg(posed.camera, stamp, self._frame_id))
         self.outlet.publish(POSED_POSE, pose_to_msg(posed.pose, stamp, "map", frame.covariance))
-        self.outlet.publish(POSED_IMAGE, image_to_msg(posed.image, "rgb8", stamp, self._frame_id))
+        self.outlet.provide(POSED_IMAGE, stamp, lambda: image_to_msg(posed.image, "rgb8", stamp, self._frame_id))
 
     def _too_large(self, message: Any) -> bool:
         """Whether an image holds more than may wait here; the size that its first bytes state is looked at later."""

@@ -29,6 +29,7 @@ def write_living_site(folder: Path) -> SmallSite:
     del content["nodes"]
     content["fuel"] = {"prior": "prior.tif"}
     content["terrain"]["threshold"] = NO_CHANGE
+    content["processes"] = "node"
     content["watchdog"] = {"silent": SILENT_S}
     small.path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return SmallSite(folder)

@@ -23,12 +23,12 @@ from chaos.disks import mount_disk, unmount_disk
 from chaos.faults import Arena
 from chaos.heartbeats import Heartbeats
 from chaos.living_site import write_living_site
-from chaos.resources import Usage, usage_of
 from chaos.running_site import RunningSite
 from chaos.soak import SUM, Soak
 from chaos.verdict import judge, votes_of_phases
 from ltm_core.errors import RecordingError
 from ltm_msgs_py.bag.reader import BagReader
+from ltm_ros.bench.process_usage import Usage, usage_of
 from ltm_ros.launching import shared_memory
 
 DISK_MB = {"state": 320, "recording": 640}
