@@ -14,7 +14,6 @@ from ltm_core.pose_estimation.image_contours import ORIENTATIONS, ImageContours
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
 from ltm_core.types import Float32Array, Float64Array, IndexArray
 
-
 _MOST_POINTS = 4000
 _ONE_EDGE = 8.0
 """Pixels of the edges' picture along a ridge within which an edge goes on."""
@@ -163,7 +162,7 @@ def _scores(
             du = (fx * (m[0, 0] * x + m[1, 0] * y + m[2, 0] * t) / z + cx + 0.5) / scale - u
             dv = (fy * (m[0, 1] * x + m[1, 1] * y + m[2, 1] * t) / z + cy + 0.5) / scale - v
             normal = math.atan2(du, -dv)
-            o = int(math.floor(normal * (ORIENTATIONS / math.pi) + 0.5)) % ORIENTATIONS
+            o = math.floor(normal * (ORIENTATIONS / math.pi) + 0.5) % ORIENTATIONS
             total += response[o, int(v), int(u)] - mean[o]
             count += 1
         scores[p], counts[p] = total / math.sqrt(count + 20.0), count

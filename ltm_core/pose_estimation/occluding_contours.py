@@ -20,8 +20,8 @@ _SHORTEST = math.radians(0.6)
 
 @dataclass(frozen=True, eq=False)
 class OccludingContours:
-    """Points of contours. (M,) each: `azimuth` (rad), `tangent`, `range` to the near side, `behind` and the DEM's `cell`
-    there, metres, and `following`: the index of the contour's next point in azimuth, -1 at its end."""
+    """Points of contours. (M,) each: `azimuth` (rad), `tangent`, `range` to the near side, `behind` and the
+    DEM's `cell` there, metres, and `following`: the index of the contour's next point in azimuth, -1 at its end."""
 
     azimuth: Float64Array
     tangent: Float64Array
@@ -35,8 +35,8 @@ class OccludingContours:
 
 
 def link_contours(start: float, step: float, points: Float64Array, found: Int32Array) -> OccludingContours:
-    """Link points (N, K, 4) of N azimuths, of which `found` (N,) are set, each (tangent, range, range behind, cell), from
-    one azimuth to the next; what stays shorter than 0.6 degrees is left out.
+    """Link points (N, K, 4) of N azimuths, of which `found` (N,) are set, each (tangent, range, range behind,
+    cell), from one azimuth to the next; what stays shorter than 0.6 degrees is left out.
     """
     following, length = _link(points, found, step)
     kept = (np.arange(points.shape[1]) < found[:, None]) & (length * step >= _SHORTEST)
@@ -47,7 +47,7 @@ def link_contours(start: float, step: float, points: Float64Array, found: Int32A
     ends = (after < 0) | (rows + 1 >= len(found))
     linked = np.where(ends, -1, number[np.minimum(rows + 1, len(found) - 1), np.maximum(after, 0)])
     t, r, behind, cell = (values.copy() for values in points[rows, cols].T)
-    return OccludingContours(start + step * rows, t, r, behind, cell, linked)
+    return OccludingContours(np.asarray(start + step * rows, np.float64), t, r, behind, cell, linked)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]

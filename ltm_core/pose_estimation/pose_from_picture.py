@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,9 +18,9 @@ from ltm_core.dem import Dem
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation.contour_scores import ContourDirections, contour_scores
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, search_reach
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, rotations_of
 from ltm_core.pose_estimation.pose_refinement import PictureEvidence, refine
-from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, search_reach
 from ltm_core.pose_estimation.pose_verdict import Verdict, judge
 from ltm_core.pose_estimation.ridge_search import search_ridges
 from ltm_core.pose_estimation.skyline_search import search_azimuths
@@ -48,7 +48,7 @@ class Terrain:
 
     dem: Dem
     bend: float
-    possible: PossibleGround = PossibleGround()
+    possible: PossibleGround = field(default_factory=PossibleGround)
 
     def horizon_for(self, camera: Camera, prior: PosePrior, config: PicturePoseConfig) -> TerrainHorizon:
         """Seen from the prior position, as far round as the search may look."""
@@ -100,7 +100,7 @@ def _search_skyline(
     step = math.radians(s.step_deg if prior.heading_known else s.wide_step_deg)
     azimuth, pitch, roll = prior.pose.angles_deg
     n = math.ceil(reach / step)
-    azimuths = math.radians(azimuth) + step * np.arange(-n, n + 1)
+    azimuths = np.asarray(math.radians(azimuth) + step * np.arange(-n, n + 1), np.float64)
     ridges = ContourDirections.of(horizon, config.contours.nearest)
     coarse = ridges.thinned(max(1, len(ridges.range) // (_MOST_RIDGE_POINTS * (6 if horizon.whole else 2))))
     position_sigma = 0.5 * prior.position_sigma
@@ -118,7 +118,7 @@ def _search_skyline(
             position_sigma,
             config.skyline,
         )
-        angles = np.degrees(np.column_stack([costs.azimuth, costs.pitch, costs.roll])) + (0.0, pitch, roll)
+        angles = np.degrees(np.column_stack([costs.azimuth, costs.pitch, costs.roll])) + np.array([0.0, pitch, roll])
         scores = _best_over_pitch(rotations_of(angles), coarse, camera, evidence)
         candidates.append((camera, angles, costs.cost, scores))
     everything = np.concatenate([scores for *_, scores in candidates])

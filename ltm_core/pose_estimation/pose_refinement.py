@@ -23,7 +23,7 @@ from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
 from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
 
 # Pixels at width 640 within which an edge is sought about a ridge, and by which sigmas of the skyline are widened.
-_ROUNDS = ((14.0, 3.0), (10.0, 2.0), (7.0, 1.5), (5.0, 1.0), (4.0, 1.0), (3.0, 1.0), (3.0, 1.0), (3.0, 1.0))
+ROUNDS = ((14.0, 3.0), (10.0, 2.0), (7.0, 1.5), (5.0, 1.0), (4.0, 1.0), (3.0, 1.0), (3.0, 1.0), (3.0, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,13 +74,13 @@ def refine(
     prior: PosePrior,
     focal_sigma: float,
     config: PicturePoseConfig,
-    rounds: tuple[tuple[float, float], ...] = _ROUNDS,
+    rounds: tuple[tuple[float, float], ...] = ROUNDS,
 ) -> RefinedPose:
     """Refine `start`. `focal_sigma`: of the focal length's logarithm; 0 holds it."""
     pose, focal = start, 0.0
     free = np.concatenate([prior.sigmas[:3] > 0, [True] * 3, [focal_sigma > 0]])
     for search, wide in rounds:
-        normal, gradient = _picture_system(pose, camera, evidence, horizon, ridges, search, wide, config)
+        normal, gradient = picture_system(pose, camera, evidence, horizon, ridges, search, wide, config)
         normal, gradient = _with_prior(normal, gradient, pose, prior, focal, focal_sigma)
         step = np.zeros(7)
         step[free] = np.linalg.solve(normal[np.ix_(free, free)], -gradient[free])
@@ -89,7 +89,7 @@ def refine(
         pose = turned(pose, step[3:6], step[:3])
         focal += step[6]
         camera = replace(camera, fx=camera.fx * math.exp(step[6]), fy=camera.fy * math.exp(step[6]))
-    information, gradient = _picture_system(
+    information, gradient = picture_system(
         pose, camera, evidence, horizon, ridges, rounds[-1][0], 1.0, config, expected=True
     )
     normal, _ = _with_prior(information, gradient, pose, prior, focal, focal_sigma)
@@ -137,7 +137,7 @@ def _with_prior(
     return normal, gradient
 
 
-def _picture_system(
+def picture_system(
     pose: Pose,
     camera: Camera,
     evidence: PictureEvidence,
@@ -305,7 +305,7 @@ def _nearest_edges(
     found, strength = np.zeros(len(pixels)), np.zeros(len(pixels))
     for k in range(len(pixels)):
         angle = math.atan2(normal[k, 1], normal[k, 0])
-        o = int(math.floor(angle * (ORIENTATIONS / math.pi) + 0.5)) % ORIENTATIONS
+        o = math.floor(angle * (ORIENTATIONS / math.pi) + 0.5) % ORIENTATIONS
         best = 0.0
         n = int(search / step)
         for i in range(-n, n + 1):

@@ -111,7 +111,7 @@ def _restarts() -> list[Float64Array]:
 
 def _steps(reach: float, step: float) -> Float64Array:
     n = max(1, math.ceil(reach / step))
-    return step * np.arange(-n, n + 1)
+    return np.asarray(step * np.arange(-n, n + 1), np.float64)
 
 
 def _prior_cost(grid: Float64Array, prior: PosePrior) -> Float64Array:

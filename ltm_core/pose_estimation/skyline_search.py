@@ -138,7 +138,8 @@ def _search(
             for wide in _ROUNDS:
                 paa, pab, pbb = 1 / pitch_sigma**2, 0.0, 1 / roll_sigma**2
                 pa, pb = 0.0, 0.0
-                for k in used:
+                for n in range(used.size):
+                    k = int(used[n])
                     e = error[k] + a * columns[k, 2] + b * columns[k, 3]
                     free = e if e < 0 else max(0.0, e - gap[k])
                     if gap[k] > 0 and free == 0.0:
@@ -157,7 +158,8 @@ def _search(
                 d = paa * pbb - pab * pab
                 a, b = (pbb * pa - pab * pb) / d, (paa * pb - pab * pa) / d
             cost = 0.5 * (a / pitch_sigma) ** 2 + 0.5 * (b / roll_sigma) ** 2
-            for k in used:
+            for n in range(used.size):
+                k = int(used[n])
                 e = error[k] + a * columns[k, 2] + b * columns[k, 3]
                 free = e if e < 0 else max(0.0, e - gap[k])
                 q = 1 + free * free / (4 * sigma[k] ** 2)

@@ -144,7 +144,7 @@ def _height(elevation: Float32Array, row: float, col: float) -> float:
     fr, fc = row - r0, col - c0
     north = (1 - fc) * elevation[r0, c0] + fc * elevation[r0, c0 + 1]
     south = (1 - fc) * elevation[r0 + 1, c0] + fc * elevation[r0 + 1, c0 + 1]
-    return (1 - fr) * north + fr * south
+    return float((1 - fr) * north + fr * south)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
@@ -165,7 +165,7 @@ def _sweep(
     points: Float64Array,
     found: Int32Array,
 ) -> None:
-    """Fill horizon and bound, and of each azimuth's contour points (tangent, range, range of what is seen behind, cell)."""
+    """Fill horizon and bound, and of each azimuth's contour points (tangent, range, range behind, cell)."""
     ox, oy, oz = position
     steepest, limit = possible
     most = points.shape[1]
