@@ -5,6 +5,7 @@ frames.json                 scenario, CRS, origin, dates; of each frame its true
 NNNN.png, NNNN_labels.png   the picture; class ids of every truth_step-th pixel
 NNNN_truth.npz              range_surface, range_ground (slant metres, +inf sky), labels, at the same pixels
 dem.tif                     the DEM handed to the system: an outdated copy of the first date's ground
+dem_around.tif              a coarser one of the whole range about the site
 fuel_truth.tif              class ids on the 30 m grid at the first date (edges = 15 mod 30, 255 none)
 truth/DATE/                 the site at each date; all GeoTIFFs are in the scenario's CRS
     ground.tif              the ground's own cells: bilinear between their centres, it is what is rendered
@@ -48,11 +49,13 @@ _COLORS = {
 
 
 def write_site(out: Path, scenario: Scenario, site: SimulatedSite, truth: SiteRasters) -> None:
-    """`dem.tif` and `fuel_truth.tif` of the first date's site and its rasters."""
+    """`dem.tif`, `dem_around.tif` and `fuel_truth.tif` of the first date's site and its rasters."""
     out.mkdir(parents=True, exist_ok=True)
     x0, y0 = scenario.origin
     elevation, geometry = outdated_dem(site.terrain.site, scenario.dem, scenario.seed)
     write_geotiff(out / "dem.tif", elevation, geometry.translated(x0, y0, scenario.crs))
+    elevation, geometry = outdated_dem(site.terrain.surroundings, scenario.dem_around, scenario.seed + 7)
+    write_geotiff(out / "dem_around.tif", elevation, geometry.translated(x0, y0, scenario.crs))
     write_geotiff(out / "fuel_truth.tif", truth.life_form, truth.coarse, nodata=UNKNOWN, colormap=_COLORS)
 
 
