@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ltm_core.pose import Pose
 from ltm_core.types import Float64Array
+
+UNKNOWN_AZIMUTH_SIGMA_DEG = 360 / math.sqrt(12)
+"""Standard deviation of a heading of which nothing is known: that of one spread evenly over the circle. Such an angle
+is told with a variance that is known and large, so that nothing is placed by it; a variance that is *itself* not known
+(infinite, or greater than a half turn's) is taken as the site's `assumed_pose_error`."""
+UNKNOWN_PITCH_SIGMA_DEG = 180 / math.sqrt(12)
+"""The same of a pitch, from straight down to straight up."""
 
 
 def pose_covariance(

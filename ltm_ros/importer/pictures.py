@@ -1,0 +1,167 @@
+"""Finds the photos of an import, each with what its sensors told: recognises by content what wrote a file or folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from ltm_core.device_attitude import optical_angles_deg, phone_camera
+from ltm_core.errors import RecordingError
+from ltm_core.picture_io import LARGEST_FILE
+from ltm_core.types import Float64Array
+from ltm_ros.importer.assumptions import Assumptions
+from ltm_ros.importer.capture_files import CaptureFiles, is_zip
+from ltm_ros.importer.photo import SUFFIXES, Photo, photo_of, photos_in, read_photo
+from ltm_ros.importer.photo_time import photo_time
+from ltm_ros.importer.sensor_logger import (
+    camera_frames,
+    is_sensor_logger,
+    read_sensor_logger,
+    read_sensor_logger_json,
+)
+from ltm_ros.importer.sensor_track import SensorTrack
+
+_TURNED_DEG = {6: 0.0, 1: 90.0, 8: 180.0, 3: 270.0}
+"""How a phone was held, by the EXIF orientation of its back camera: its sensor's rows lie along the screen's side."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One photo to be imported. `name`: what a pose file calls it. `path`: of its file, or of what it lies in and its
+    name there. `read`: the photo, each time anew: a season's photos do not fit in memory."""
+
+    name: str
+    path: Path
+    read: Callable[[], Photo]
+
+
+def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> list[Picture]:
+    """The photos of files, folders, zips and videos. A recording of a phone's sensors without photos of its own tells
+    of all photos beside it, by their time.
+
+    Raises RecordingError when a path does not exist, two photos share a name, there is none at all, or a file is of no
+    kind that is read.
+    """
+    paths = list(paths)
+    found: list[Picture] = []
+    tracks: list[SensorTrack] = []
+    for path in paths:
+        if not path.exists():
+            raise RecordingError(f"no photo, folder or recording at {path}")
+        for part in _found_in(path):
+            if isinstance(part, SensorTrack):
+                tracks.append(part)
+            else:
+                found.append(part)
+    if tracks:
+        found = [_beside(picture, tracks, assumed) for picture in found]
+    names: dict[str, Path] = {}
+    for picture in found:
+        if picture.name in names:
+            raise RecordingError(f"two photos are called {picture.name}: {names[picture.name]} and {picture.path}")
+        names[picture.name] = picture.path
+    if not found and tracks:
+        raise RecordingError(
+            f"{paths[0]}: a recording of sensors without photos: record the app's sensor `Camera` too, or give the "
+            "photos that were taken meanwhile with a further --images"
+        )
+    if not found:
+        raise RecordingError(
+            f"no photos in {', '.join(map(str, paths))}; looked for {', '.join(SUFFIXES)} and recordings of phones"
+        )
+    return found
+
+
+def _found_in(path: Path) -> list[Picture | SensorTrack]:
+    if path.is_dir():
+        files = CaptureFiles(path)
+        return _sensor_logger(files) if is_sensor_logger(files) else [_photo_file(p) for p in photos_in(path)]
+    if is_zip(path):
+        files = CaptureFiles(path)
+        if is_sensor_logger(files):
+            return _sensor_logger(files)
+        raise RecordingError(
+            f"{path}: a zip of no app that is known (it holds {', '.join(files.names[:5]) or 'nothing'}): without a "
+            "Location table nothing tells where its photos were taken; unpack it and give its folder of photos"
+        )
+    if path.suffix.lower() == ".json":
+        track = read_sensor_logger_json(path)
+        if track is None:
+            raise RecordingError(f"{path}: is no recording of Sensor Logger (a list of objects with `sensor`)")
+        return [track]
+    return [_photo_file(path)]
+
+
+def _photo_file(path: Path) -> Picture:
+    return Picture(path.name, path, lambda: read_photo(path))
+
+
+def _sensor_logger(files: CaptureFiles) -> list[Picture | SensorTrack]:
+    track = read_sensor_logger(files)
+    frames = camera_frames(files)
+    if not frames:
+        return [track]
+
+    def picture(member: str, stamp_ns: int) -> Picture:
+        path = files.path / Path(member).name
+        return Picture(
+            path.name, path, lambda: _told(photo_of(files.read(member, LARGEST_FILE), path), track, stamp_ns)
+        )
+
+    return [picture(member, stamp_ns) for member, stamp_ns in frames.items()]
+
+
+def _beside(picture: Picture, tracks: list[SensorTrack], assumed: Assumptions) -> Picture:
+    """A photo that was taken while sensors were recorded: these tell what its own file does not."""
+
+    def read() -> Photo:
+        photo = picture.read()
+        taken = photo_time(photo, None, assumed.time_zone, [])
+        stamp_ns = _nanoseconds(taken)
+        for track in tracks:
+            told = _told(photo, track, stamp_ns)
+            if told.sensed.lon is not None:
+                return told
+        return photo if photo.sensed.lon is not None else _told(photo, tracks[0], stamp_ns)
+
+    return replace(picture, read=read)
+
+
+def _told(photo: Photo, track: SensorTrack, stamp_ns: int) -> Photo:
+    """The photo with what the track tells of its time; what the track does not, its EXIF tells."""
+    sensed = track.at(stamp_ns, held(photo, track, stamp_ns))
+    own = photo.sensed
+    if sensed.lon is None and own.lon is not None:
+        place = {name: getattr(own, name) for name in ("lon", "lat", "position_sigma", "altitude", "altitude_sigma")}
+        sensed = replace(sensed, **place, ellipsoidal=False)
+    if sensed.azimuth_deg is None:
+        sensed = replace(sensed, azimuth_deg=own.azimuth_deg, azimuth_ref=own.azimuth_ref)
+    return replace(photo, sensed=sensed)
+
+
+def held(photo: Photo, track: SensorTrack, stamp_ns: int) -> Float64Array:
+    """(3, 3): the upright photo's optical frame to the phone's axes, by how it was held.
+
+    EXIF's orientation says so; without one a portrait was held upright, and a landscape to the side on which it stands
+    upright.
+    """
+    turned: tuple[float, ...]
+    if photo.exif.orientation != 1 and photo.exif.orientation in _TURNED_DEG:
+        turned = (_TURNED_DEG[photo.exif.orientation],)
+    else:
+        turned = (0.0,) if photo.height > photo.width else (90.0, 270.0)
+    mounts = [phone_camera(angle) for angle in turned]
+    rotation = track.rotation_at(stamp_ns)
+    if rotation is None:
+        return mounts[0]
+    rolls = [abs(optical_angles_deg(rotation.as_matrix() @ mount)[2]) for mount in mounts]
+    return mounts[int(np.argmin(rolls))]
+
+
+def _nanoseconds(taken: datetime) -> int:
+    since = taken - datetime(1970, 1, 1, tzinfo=UTC)
+    return (since.days * 86_400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000
