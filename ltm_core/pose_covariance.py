@@ -38,3 +38,12 @@ def pose_covariance(
     covariance[:3, :3] = np.diag([position_sigma**2, position_sigma**2, height_sigma**2])
     covariance[3:, 3:] = (axes * variances) @ axes.T
     return covariance
+
+
+def moved_covariance(covariance: Float64Array, offset: Float64Array) -> Float64Array:
+    """Of a second pose that is fixed to the first, `offset` (3,) metres of the map from it: turned by w, it moves by
+    w x offset."""
+    x, y, z = offset
+    jacobian = np.eye(6)
+    jacobian[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    return np.asarray(jacobian @ covariance @ jacobian.T)

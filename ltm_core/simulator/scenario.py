@@ -185,7 +185,7 @@ class Scenario(Strict):
     def _something_to_see(self) -> Scenario:
         if not self.cameras and not self.walks and self.views is None:
             raise ValueError("no camera: give `cameras`, `walks` or `views`")
-        names = [c.name for c in (*self.cameras, *self.walks)]
+        names = [c.name for c in self.cameras] + [w.name for w in self.walks]
         if len(set(names)) != len(names):
             raise ValueError(f"camera names must differ, got {names}")
         dates = [d.name for d in self.dates]

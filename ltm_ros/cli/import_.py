@@ -12,7 +12,9 @@ def import_(
     images: Annotated[
         list[Path],
         typer.Option(
-            "--images", help="Photo (JPEG, PNG, HEIC), folder of photos, or recording of Sensor Logger. Repeatable."
+            "--images",
+            help="Photo (JPEG, PNG, HEIC), video (MP4, MOV), folder of them, or recording of Sensor Logger, Stray "
+            "Scanner or Record3D. Repeatable.",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", help="Bag folder to write.")],
@@ -48,6 +50,7 @@ def import_(
     focal_35mm: Annotated[
         float | None, typer.Option("--focal-35mm", min=1, help="Of photos that state none, as on 36 mm wide film.")
     ] = None,
+    every: Annotated[float, typer.Option(min=0.01, help="Seconds from one frame of a video to the next.")] = 1.0,
     time_zone: Annotated[
         str | None, typer.Option(help="Of EXIF dates that state none and have no GPS stamp, as Europe/Oslo.")
     ] = None,
@@ -95,6 +98,7 @@ def import_(
                 keep_unknown=keep_unknown,
                 start_height=start_height,
                 focal_35mm=focal_35mm,
+                every=every,
             ),
             skip_bad,
             lambda done, total: bar.update(task, completed=done, total=total),

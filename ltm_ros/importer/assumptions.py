@@ -20,10 +20,11 @@ class Assumptions:
     known, so that nothing is placed by it until the angle is found. `geoid_undulation`: height of the geoid above the
     ellipsoid, subtracted from altitudes that are ellipsoidal (H = h - N); where it is given, EXIF's are taken to be so.
     `start_height`: of the camera where a barometer's record begins, in the DEM's vertical datum. `focal_35mm`: focal
-    length as of a 36 mm wide film. Sigmas: `gps_sigma` where a position states none, `altitude_sigma` of altitudes
-    that state none, `ground_sigma` of heights above the terrain, `climb_sigma` of barometric heights above the start,
-    `compass_sigma_deg` of directions that state none (5.5 degrees off in the median are 8.2 for a normal
-    distribution), `tilt_sigma_deg` of an assumed pitch or roll, `attitude_sigma_deg` of one that sensors gave.
+    length as of a 36 mm wide film. `every`: seconds from one frame of a video to the next. Sigmas: `gps_sigma` where a
+    position states none, `altitude_sigma` of altitudes that state none, `ground_sigma` of heights above the terrain,
+    `climb_sigma` of barometric heights above the start, `compass_sigma_deg` of directions that state none (5.5 degrees
+    off in the median are 8.2 for a normal distribution), `tilt_sigma_deg` of an assumed pitch or roll,
+    `attitude_sigma_deg` of one that sensors gave.
     """
 
     pitch_deg: float | None = None
@@ -42,6 +43,7 @@ class Assumptions:
     keep_unknown: bool = False
     start_height: float | None = None
     focal_35mm: float | None = None
+    every: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)

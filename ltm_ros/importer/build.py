@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from ltm_core.camera_config import PartialPose
 from ltm_core.config_io import checked
 from ltm_core.errors import ConfigError, ImageError, LtmError, RecordingError
 from ltm_core.geodesy import SiteFrame
@@ -18,7 +19,9 @@ from ltm_msgs_py.image import compressed_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_ros.importer.assumptions import Assumptions, Surroundings
 from ltm_ros.importer.georeference import PlacedPhoto, place
-from ltm_ros.importer.pictures import Picture, find_pictures
+from ltm_ros.importer.photo import Photo
+from ltm_ros.importer.picture import Picture
+from ltm_ros.importer.pictures import find_pictures
 from ltm_ros.importer.pose_file import PhotoPose, read_pose_file
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
 
@@ -77,10 +80,10 @@ def import_photos(
 
     placed: list[tuple[str, Picture, PhotoPose, int]] = []
     for done, file in enumerate(files):
-        row = rows[file.name] if rows is not None else PhotoPose(name=file.name)
+        row = _row_of(file, rows)
         try:
             name = _camera_name(row, camera, site)
-            item = place(file.read(), row, name, around, assumed)
+            item = place(_read(file, row), row, name, around, assumed)
             _check_size(item, name, site)
         except ConfigError:
             raise
@@ -104,7 +107,7 @@ def import_photos(
     custom = {"ltm_source": "photos", "ltm_site": report.site, "ltm_crs": frame.crs, "ltm_origin": origin}
     with BagWriter(out, compression=None, custom_data=custom) as writer:  # JPEG does not get smaller
         for done, (name, file, row, stamp_ns) in enumerate(placed):
-            _write(writer, report.site, name, place(file.read(), row, name, around, assumed), stamp_ns)
+            _write(writer, report.site, name, place(_read(file, row), row, name, around, assumed), stamp_ns)
             report.cameras[name] = report.cameras.get(name, 0) + 1
             progress(len(files) + done + 1, len(files) + len(placed))
     return report
@@ -122,12 +125,26 @@ def _write(writer: BagWriter, site: str, camera: str, item: PlacedPhoto, stamp_n
 
 
 def _named_in(files: list[Picture], rows: dict[str, PhotoPose], poses: Path | None) -> list[Picture]:
-    missing = sorted(rows.keys() - {file.name for file in files})
+    missing = sorted(rows.keys() - {name for file in files for name in (file.name, file.capture)})
     if missing:
         raise RecordingError(
             f"pose file {poses} names {len(missing)} photos that are not there: {', '.join(missing[:5])}"
         )
-    return [file for file in files if file.name in rows]
+    return [file for file in files if file.name in rows or file.capture in rows]
+
+
+def _row_of(file: Picture, rows: dict[str, PhotoPose] | None) -> PhotoPose:
+    """Its own, or that of its capture, whose begin it then tells."""
+    if rows is None:
+        return PhotoPose(name=file.name)
+    return rows[file.name] if file.name in rows else rows[file.capture]
+
+
+def _read(file: Picture, row: PhotoPose) -> Photo:
+    """A frame with a row of its own is placed by that, and not by the capture's first frame."""
+    photo = file.read()
+    own = file.name == row.name and row.pose != PartialPose()
+    return replace(photo, sensed=replace(photo.sensed, relative=None, seconds=0.0)) if own else photo
 
 
 def _camera_name(row: PhotoPose, given: str | None, site: Site | None) -> str:
@@ -167,7 +184,7 @@ def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
 def _frame_of(files: list[Picture], rows: dict[str, PhotoPose] | None) -> SiteFrame:
     """The UTM zone of the first photo that has a position, with an origin on the nearest kilometre."""
     for file in files:
-        row = rows[file.name] if rows is not None else PhotoPose(name=file.name)
+        row = _row_of(file, rows)
         if row.pose.x is not None and row.pose.crs is None:
             raise ConfigError(f"{file.name} has x, y in the pose file: name the site that they belong to, with --site")
         lon, lat = row.pose.lonlat()

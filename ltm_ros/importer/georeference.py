@@ -11,7 +11,7 @@ from ltm_core.camera_config import PartialCalibration, PartialPose, PoseConfig
 from ltm_core.errors import CameraError, PoseError, RecordingError
 from ltm_core.geodesy import SiteFrame
 from ltm_core.pose import Pose
-from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG
+from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, moved_covariance
 from ltm_core.site import CameraConfig
 from ltm_core.types import Float64Array
 from ltm_ros.importer.assumptions import Assumptions, Surroundings
@@ -65,6 +65,9 @@ def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed
     stated = known.model_dump(include=set(found), exclude_none=True)
     error = site.pose_error
     covariance = known.model_copy(update=found | stated).covariance(pose, error.position, error.angle_deg)
+    if photo.sensed.relative is not None:
+        first, pose = pose, photo.sensed.relative.placed(pose)
+        covariance = None if covariance is None else moved_covariance(covariance, pose.position - first.position)
     return PlacedPhoto(photo, _camera(photo, row, fixed, assumed), pose, covariance, stamp_ns, notes)
 
 

@@ -11,6 +11,7 @@ from PIL import ImageOps
 from ltm_core.errors import ImageError
 from ltm_core.picture_io import opened_picture, read_picture
 from ltm_msgs_py.image import decode_rgb, encode_rgb
+from ltm_ros.importer.dji import sensed_by_xmp
 from ltm_ros.importer.exif import ExifFacts, exif_facts
 from ltm_ros.importer.sensed import Sensed
 
@@ -81,13 +82,16 @@ def photo_of(data: bytes, path: Path) -> Photo:
         if found in _FORMATS and facts.orientation == 1:
             pixels = decode_rgb(data, str(path))
             height, width = pixels.shape[:2]
-            return Photo(path, data, _FORMATS[found], width, height, facts, sensed_by_exif(facts), reencoded=False)
+            sensed = sensed_by_xmp(image.info.get("xmp"), sensed_by_exif(facts), width, height)
+            return Photo(path, data, _FORMATS[found], width, height, facts, sensed, reencoded=False)
+        xmp = image.info.get("xmp")
         upright = image if found == "HEIF" else ImageOps.exif_transpose(image)
         pixels = np.asarray(upright.convert("RGB"), np.uint8)
     image_format = "png" if found == "PNG" else "jpeg"
     height, width = pixels.shape[:2]
     encoded = encode_rgb(pixels, image_format, _REENCODED_QUALITY)
-    return Photo(path, encoded, image_format, width, height, facts, sensed_by_exif(facts), reencoded=True)
+    sensed = sensed_by_xmp(xmp, sensed_by_exif(facts), width, height)
+    return Photo(path, encoded, image_format, width, height, facts, sensed, reencoded=True)
 
 
 def sensed_by_exif(facts: ExifFacts) -> Sensed:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,10 +13,17 @@ from ltm_core.device_attitude import optical_angles_deg, phone_camera
 from ltm_core.errors import RecordingError
 from ltm_core.picture_io import LARGEST_FILE
 from ltm_core.types import Float64Array
+from ltm_ros.importer.arkit import (
+    is_record3d,
+    is_stray_scanner,
+    record3d_pictures,
+    stray_scanner_pictures,
+)
 from ltm_ros.importer.assumptions import Assumptions
 from ltm_ros.importer.capture_files import CaptureFiles, is_zip
 from ltm_ros.importer.photo import SUFFIXES, Photo, photo_of, photos_in, read_photo
 from ltm_ros.importer.photo_time import photo_time
+from ltm_ros.importer.picture import Picture
 from ltm_ros.importer.sensor_logger import (
     camera_frames,
     is_sensor_logger,
@@ -24,19 +31,12 @@ from ltm_ros.importer.sensor_logger import (
     read_sensor_logger_json,
 )
 from ltm_ros.importer.sensor_track import SensorTrack
+from ltm_ros.importer.video import SUFFIXES as VIDEO_SUFFIXES
+from ltm_ros.importer.video import is_video
+from ltm_ros.importer.video_pictures import video_pictures
 
 _TURNED_DEG = {6: 0.0, 1: 90.0, 8: 180.0, 3: 270.0}
 """How a phone was held, by the EXIF orientation of its back camera: its sensor's rows lie along the screen's side."""
-
-
-@dataclass(frozen=True)
-class Picture:
-    """One photo to be imported. `name`: what a pose file calls it. `path`: of its file, or of what it lies in and its
-    name there. `read`: the photo, each time anew: a season's photos do not fit in memory."""
-
-    name: str
-    path: Path
-    read: Callable[[], Photo]
 
 
 def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> list[Picture]:
@@ -52,7 +52,7 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> list[Picture]:
     for path in paths:
         if not path.exists():
             raise RecordingError(f"no photo, folder or recording at {path}")
-        for part in _found_in(path):
+        for part in _found_in(path, assumed):
             if isinstance(part, SensorTrack):
                 tracks.append(part)
             else:
@@ -71,19 +71,25 @@ def find_pictures(paths: Iterable[Path], assumed: Assumptions) -> list[Picture]:
         )
     if not found:
         raise RecordingError(
-            f"no photos in {', '.join(map(str, paths))}; looked for {', '.join(SUFFIXES)} and recordings of phones"
+            f"no photos in {', '.join(map(str, paths))}; looked for {', '.join((*SUFFIXES, *VIDEO_SUFFIXES))} and "
+            "recordings of phones"
         )
     return found
 
 
-def _found_in(path: Path) -> list[Picture | SensorTrack]:
-    if path.is_dir():
-        files = CaptureFiles(path)
-        return _sensor_logger(files) if is_sensor_logger(files) else [_photo_file(p) for p in photos_in(path)]
-    if is_zip(path):
+def _found_in(path: Path, assumed: Assumptions) -> list[Picture | SensorTrack]:
+    if path.is_dir() or is_zip(path):
         files = CaptureFiles(path)
         if is_sensor_logger(files):
             return _sensor_logger(files)
+        if is_stray_scanner(files):
+            return [*stray_scanner_pictures(files, assumed)]
+        if is_record3d(files):
+            return [*record3d_pictures(files, assumed)]
+        if path.is_dir():
+            videos = [p for p in sorted(path.iterdir()) if p.suffix.lower() in VIDEO_SUFFIXES and is_video(p)]
+            frames = [picture for video in videos for picture in video_pictures(video, assumed)]
+            return [*(_photo_file(p) for p in photos_in(path)), *frames]
         raise RecordingError(
             f"{path}: a zip of no app that is known (it holds {', '.join(files.names[:5]) or 'nothing'}): without a "
             "Location table nothing tells where its photos were taken; unpack it and give its folder of photos"
@@ -93,6 +99,9 @@ def _found_in(path: Path) -> list[Picture | SensorTrack]:
         if track is None:
             raise RecordingError(f"{path}: is no recording of Sensor Logger (a list of objects with `sensor`)")
         return [track]
+    # HEIC begins as videos do.
+    if is_video(path) and path.suffix.lower() not in SUFFIXES:
+        return [*video_pictures(path, assumed)]
     return [_photo_file(path)]
 
 
@@ -133,14 +142,7 @@ def _beside(picture: Picture, tracks: list[SensorTrack], assumed: Assumptions) -
 
 def _told(photo: Photo, track: SensorTrack, stamp_ns: int) -> Photo:
     """The photo with what the track tells of its time; what the track does not, its EXIF tells."""
-    sensed = track.at(stamp_ns, held(photo, track, stamp_ns))
-    own = photo.sensed
-    if sensed.lon is None and own.lon is not None:
-        place = {name: getattr(own, name) for name in ("lon", "lat", "position_sigma", "altitude", "altitude_sigma")}
-        sensed = replace(sensed, **place, ellipsoidal=False)
-    if sensed.azimuth_deg is None:
-        sensed = replace(sensed, azimuth_deg=own.azimuth_deg, azimuth_ref=own.azimuth_ref)
-    return replace(photo, sensed=sensed)
+    return replace(photo, sensed=track.at(stamp_ns, held(photo, track, stamp_ns)).over(photo.sensed))
 
 
 def held(photo: Photo, track: SensorTrack, stamp_ns: int) -> Float64Array:

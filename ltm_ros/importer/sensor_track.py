@@ -103,8 +103,8 @@ class SensorTrack:
         near, gap = _nearest(fixes.stamp_ns, stamp_ns)
         if gap > _FIX_GAP_NS:
             return (
-                f"the photo's time {time_of(stamp_ns).isoformat()} is {gap / 1e9:.0f} s from its nearest fix "
-                f"({time_of(int(fixes.stamp_ns[near])).isoformat()}): check the clock, or its time zone (--time-zone)"
+                f"the photo's time {_shown(stamp_ns)} is {gap / 1e9:.0f} s from its nearest fix "
+                f"({_shown(int(fixes.stamp_ns[near]))}): check the clock, or its time zone (--time-zone)"
             )
         facts: dict[str, object] = {
             "lon": _at(fixes.stamp_ns, fixes.lon, stamp_ns),
@@ -158,6 +158,11 @@ def time_of(stamp_ns: int) -> datetime:
         return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=stamp_ns // 1000)
     except OverflowError as error:
         raise RecordingError(f"time {stamp_ns} ns is no nanoseconds since 1970") from error
+
+
+def _shown(stamp_ns: int) -> str:
+    """A date, or seconds of a video."""
+    return time_of(stamp_ns).isoformat() if stamp_ns > 10**17 else f"{stamp_ns / 1e9:.1f} s"
 
 
 def ascending(stamp_ns: Int64Array) -> Int64Array:

@@ -24,6 +24,7 @@ from ltm_msgs_py.stamp import stamp_of
 
 LON, LAT = -118.06, 34.225
 ORIGIN = (402_000.0, 3_787_000.0)
+FRAME = SiteFrame("EPSG:32611", *ORIGIN)
 GROUND = 1500.0
 STAMP = 1_720_143_015_250_000_000
 """2024-07-05 01:30:15.25 UTC."""
@@ -32,8 +33,7 @@ LONG, SHORT = 64, 40
 
 def phone_site(folder: Path) -> Site:
     """A slope that falls eastward by a tenth, GROUND metres high at LON, LAT; its one camera is `phone`."""
-    frame = SiteFrame("EPSG:32611", *ORIGIN)
-    x, y = (float(v) for v in frame.from_lonlat(LON, LAT))
+    x, y = (float(v) for v in FRAME.from_lonlat(LON, LAT))
     grid = GridGeometry(x + ORIGIN[0] - 300.0, y + ORIGIN[1] + 240.0, 10.0, 60, 48, "EPSG:32611")
     centres, _ = grid.to_map(0, np.arange(60))
     slope = np.tile(GROUND - 0.1 * (centres - x - ORIGIN[0]), (48, 1))
@@ -57,7 +57,7 @@ def taken(
     portrait: bool = False,
 ) -> PhonePhoto:
     """A photo `at` so many metres east, north and above GROUND of LON, LAT, ten seconds after the one before."""
-    x, y = (float(v) for v in SiteFrame("EPSG:32611", *ORIGIN).from_lonlat(LON, LAT))
+    x, y = (float(v) for v in FRAME.from_lonlat(LON, LAT))
     place = (x + at[0], y + at[1], GROUND + at[2])
     width, height = (SHORT, LONG) if portrait else (LONG, SHORT)
     camera = Camera(width, height, 48.0, 48.0, (width - 1) / 2, (height - 1) / 2)
