@@ -43,7 +43,9 @@ def sensed_by_xmp(xmp: bytes | str | None, by_exif: Sensed, width: int, height: 
     """What a photo's XMP packet tells beside its EXIF, which stays where the packet is no DJI's. `width`, `height`: of
     the upright image."""
     text = xmp.decode("utf-8", "replace") if isinstance(xmp, bytes) else xmp or ""
-    found = {key: value or content for key, value, content in _ATTRIBUTE.findall(text)}
+    found: dict[str, str] = {}
+    for key, value, content in _ATTRIBUTE.findall(text):  # a closing tag comes after, without a value
+        found.setdefault(key, value or content)
     angles = [_number(found.get(f"Gimbal{axis}Degree")) for axis in ("Yaw", "Pitch", "Roll")]
     if not found or all(angle is None for angle in angles):
         return by_exif
@@ -95,8 +97,8 @@ def read_subtitles(path: Path, zone: tzinfo | None) -> tuple[SensorTrack, dateti
     marks = list(_BLOCK.finditer(text))
     rows: list[dict[str, float]] = []
     begin: datetime | None = None
-    for mark, following in zip(marks, [*marks[1:], None], strict=True):
-        block = text[mark.end() : following.start() if following is not None else len(text)]
+    for number, mark in enumerate(marks, start=1):
+        block = text[mark.end() : marks[number].start() if number < len(marks) else len(text)]
         hours, minutes, seconds, milli = (int(v) for v in mark.groups())
         at = hours * 3600 + minutes * 60 + seconds + milli / 1000
         row = _fields(block)
