@@ -37,6 +37,17 @@ def phone_camera(turned_deg: float = 0.0) -> Float64Array:
     return np.column_stack([right, down, [0.0, 0.0, -1.0]])
 
 
+def held_phone(enu_from_phone: Float64Array | None, portrait: bool, turned_deg: tuple[float, ...] = ()) -> Float64Array:
+    """`phone_camera` of a photo, by how the phone was held: of `turned_deg`, or else of what its image's shape allows,
+    as the picture stands most upright. Without an attitude (None) the first of them.
+    """
+    allowed = turned_deg or ((0.0,) if portrait else (90.0, 270.0))
+    mounts = [phone_camera(angle) for angle in allowed]
+    if enu_from_phone is None or len(mounts) == 1:
+        return mounts[0]
+    return min(mounts, key=lambda mount: abs(optical_angles_deg(enu_from_phone @ mount)[2]))
+
+
 def optical_angles_deg(enu_from_optical: Float64Array) -> tuple[float, float, float]:
     """Azimuth from the world's north, pitch and roll of a camera, as `Pose.from_angles` takes them.
 

@@ -7,9 +7,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
-
-from ltm_core.device_attitude import optical_angles_deg, phone_camera
+from ltm_core.device_attitude import held_phone
 from ltm_core.errors import RecordingError
 from ltm_core.picture_io import LARGEST_FILE
 from ltm_core.types import Float64Array
@@ -151,17 +149,10 @@ def held(photo: Photo, track: SensorTrack, stamp_ns: int) -> Float64Array:
     EXIF's orientation says so; without one a portrait was held upright, and a landscape to the side on which it stands
     upright.
     """
-    turned: tuple[float, ...]
-    if photo.exif.orientation != 1 and photo.exif.orientation in _TURNED_DEG:
-        turned = (_TURNED_DEG[photo.exif.orientation],)
-    else:
-        turned = (0.0,) if photo.height > photo.width else (90.0, 270.0)
-    mounts = [phone_camera(angle) for angle in turned]
+    stated = photo.exif.orientation
+    turned = (_TURNED_DEG[stated],) if stated != 1 and stated in _TURNED_DEG else ()
     rotation = track.rotation_at(stamp_ns)
-    if rotation is None:
-        return mounts[0]
-    rolls = [abs(optical_angles_deg(rotation.as_matrix() @ mount)[2]) for mount in mounts]
-    return mounts[int(np.argmin(rolls))]
+    return held_phone(None if rotation is None else rotation.as_matrix(), photo.height > photo.width, turned)
 
 
 def _nanoseconds(taken: datetime) -> int:
