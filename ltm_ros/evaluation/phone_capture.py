@@ -27,7 +27,7 @@ def write_phone_capture(
     """Write the walk of a `ltm simulate` folder to `out`; the number of its photos.
 
     `photos/IMG_0001.jpg` and so on: JPEG with EXIF. `sensor_logger.zip`: the same walk as the app records it.
-    `true_poses.csv`: where each photo was truly taken, as a photo list for `ltm import` (names of both).
+    `true_poses.csv`: where each photo was truly taken, as a photo list for `ltm import`.
     Raises RecordingError on a folder without frames of exactly one walk, or where photos of an earlier one lie.
     """
     index_file = frames / "frames.json"
@@ -54,15 +54,14 @@ def write_phone_capture(
         photo = _photo(frames, entry, f"IMG_{number:04d}.jpg")
         write_phone_photo(out / PHOTOS / photo.name, photo, frame, quality)
         photos.append(photo)
-        for name in (photo.name, f"{photo.stamp_ns // 1_000_000}.jpg"):
-            rows.append(_true_row(name, entry, frame))
+        rows.append(_true_row(photo.name, entry, frame))
         progress(number, len(entries))
     undulation = float(walks[names.pop()]["geoid_undulation"])
     write_sensor_logger(out / SENSOR_LOGGER, photos, frame, quality, undulation)
     with (out / TRUE_POSES).open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()
-        writer.writerows(sorted(rows, key=lambda row: str(row["name"])))
+        writer.writerows(rows)
     return len(photos)
 
 

@@ -146,6 +146,8 @@ def _opened(path: Path) -> Iterator[Any]:
         with path.open("rb") as file, av.open(file, "r", format="mov") as container:
             if not container.streams.video:
                 raise RecordingError(f"{path}: a video without pictures; give the file that the camera wrote")
+            if container.streams.video[0].codec_context is None:
+                raise RecordingError(f"{path}: FFmpeg does not know how its pictures are packed; export it as H.264")
             yield container
     except (av.FFmpegError, OSError, ValueError, TypeError, OverflowError, MemoryError, ZeroDivisionError) as error:
         raise RecordingError(
