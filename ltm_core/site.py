@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
@@ -19,6 +19,7 @@ from ltm_core.geodesy import SiteFrame, ray_bend
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.dem_stack import open_terrain, with_surface
 from ltm_core.raster.shared_rasters import shared
+from ltm_core.sensor_pose import SensorsConfig
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.types import Float64Array
 
@@ -179,6 +180,16 @@ class CameraConfig(Config):
     """None: from the camera_info topic."""
     pose: PoseConfig | None = None
     """None: from the pose topic."""
+    sensors: SensorsConfig | None = None
+    """Instead of the pose topic: from the topics `fix` (NavSatFix) and `imu` (Imu)."""
+
+    @model_validator(mode="after")
+    def _one_pose(self) -> Self:
+        if self.pose is not None and self.sensors is not None:
+            raise ValueError(
+                "give either pose or sensors, not both: a camera is fixed, or its sensors tell where it is"
+            )
+        return self
 
 
 class Site(Config):
