@@ -129,6 +129,28 @@ class WatchdogConfig(Config):
     After each start in a row that was too slow, the next has twice as long."""
 
 
+class PoseRefinementConfig(Config):
+    """How the poses of mounted cameras are kept by their pictures; a site that has this section runs the node `pose`
+    for each camera. Angles in degrees."""
+
+    every: float = Field(10.0, ge=0)
+    """Seconds between two pictures that are looked at."""
+    gather: int = Field(6, ge=2)
+    """Clear pictures in which a mount's error is sought together,"""
+    most_gathered: int = Field(12, ge=2)
+    """and at most so many, where they leave it open."""
+    judged: int = Field(6, ge=1)
+    """Of a mount whose error is known, so many of the last clear pictures are judged by;"""
+    slipped: int = Field(4, ge=1)
+    """where so many of them say that the camera looks elsewhere, it has slipped."""
+    least_slip_deg: float = Field(0.2, gt=0)
+    """A picture says so where it is off by more than this"""
+    slip_sigmas: float = Field(3.0, gt=0)
+    """and by so many of its standard deviations,"""
+    slip_sigma_deg: float = Field(3.0, gt=0)
+    """and this is the standard deviation of a slip's angles."""
+
+
 class TerrainConfig(Config):
     """The living terrain; a site that has this section runs the node `terrain`. Lengths in metres, times in seconds."""
 
@@ -223,6 +245,8 @@ class Site(Config):
     there once. `node`: each node has a process of its own, for development, and for several hosts."""
     workers: int | None = Field(None, ge=1)
     """Threads that work on frames in a site's process, each on one frame at a time; None: one for each core."""
+    refine_poses: PoseRefinementConfig | None = None
+    """None: poses are taken as they are stated."""
     limits: Limits = Limits()
     watchdog: WatchdogConfig = WatchdogConfig()
     nodes: dict[RosName, dict[str, Any]] = {}

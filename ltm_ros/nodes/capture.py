@@ -15,6 +15,7 @@ from ltm_core.camera import Camera
 from ltm_core.errors import ImageError
 from ltm_core.frame import PosedImage
 from ltm_core.pose import Pose
+from ltm_core.pose_estimation.pose_correction import PoseCorrection
 from ltm_core.sensor_pose import Attitude, Fix, sensed_pose
 from ltm_core.site_io import load_site
 from ltm_core.types import Float64Array
@@ -23,6 +24,7 @@ from ltm_msgs_py.image import compressed_size, compressed_to_rgb, image_to_msg, 
 from ltm_msgs_py.imu import msg_to_attitude
 from ltm_msgs_py.navsat import msg_to_fix
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
+from ltm_msgs_py.pose_correction import msg_to_correction
 from ltm_msgs_py.stamp import stamp_of, time_to_ns
 from ltm_ros.runtime.admission import Admission
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
@@ -38,9 +40,11 @@ from ltm_ros.runtime.topics import (
     IMAGE_RAW,
     IMU,
     POSE,
+    POSE_CORRECTION,
     POSED_CAMERA_INFO,
     POSED_IMAGE,
     POSED_POSE,
+    STATED_POSE,
 )
 
 
@@ -80,7 +84,7 @@ class Capture(Handler[CaptureConfig]):
     """An image leaves when its pose and a calibration are there (the newest calibration up to its stamp counts), and
     when the nodes that work on the camera's frames have room for it (`Admission`)."""
 
-    publications = (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE)
+    publications = (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE, STATED_POSE)
 
     def __init__(self, config: CaptureConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -106,6 +110,8 @@ class Capture(Handler[CaptureConfig]):
         if self._fixed_calibration is None:
             parts.append(Part("calibration", Match.LATEST))
         self._limits = site.limits
+        self._refines = site.refine_poses is not None
+        self._correction: PoseCorrection | None = None
         self._assumed = site.assumed_pose_error.covariance()
         self._stamps = StampCheck(outlet.now_ns, health)
         self._join = StampJoin(
@@ -135,6 +141,8 @@ class Capture(Handler[CaptureConfig]):
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
         topics: dict[Any, Callable[[Any], None]] = {IMAGE_RAW if self._raw else IMAGE_COMPRESSED: self.on_image}
         topics[FINISHED] = self.on_finished
+        if self._refines:
+            topics[POSE_CORRECTION] = self.on_correction
         if self._fixed_calibration is None:
             topics[CAMERA_INFO] = self.on_camera_info
         if self._sensors is not None:
@@ -169,6 +177,9 @@ class Capture(Handler[CaptureConfig]):
 
     def on_imu(self, message: Any) -> None:
         self._join.add("attitude", stamp_of(message), msg_to_attitude(message))
+
+    def on_correction(self, message: Any) -> None:
+        self._correction = msg_to_correction(message)
 
     def on_finished(self, message: Any) -> None:
         self._admission.finished(message.frame_id, time_to_ns(message.stamp))
@@ -208,9 +219,15 @@ class Capture(Handler[CaptureConfig]):
         """Only here is an image decoded: what is turned away costs next to nothing."""
         stamp = stamp_of(frame.image)
         photo = msg_to_rgb(frame.image) if self._raw else compressed_to_rgb(frame.image)
-        posed = PosedImage(photo, frame.camera, frame.pose, stamp, self.config.camera)
+        pose, covariance = frame.pose, frame.covariance
+        if self._refines:
+            self.outlet.publish(STATED_POSE, pose_to_msg(pose, stamp, "map", covariance))
+        if self._correction is not None:
+            pose, covariance = self._correction.applied(pose, self._assumed if covariance is None else covariance)
+            self.health.note("pose_corrected" if self._correction.known else "pose_suspected")
+        posed = PosedImage(photo, frame.camera, pose, stamp, self.config.camera)
         self.outlet.publish(POSED_CAMERA_INFO, camera_to_msg(posed.camera, stamp, self._frame_id))
-        self.outlet.publish(POSED_POSE, pose_to_msg(posed.pose, stamp, "map", frame.covariance))
+        self.outlet.publish(POSED_POSE, pose_to_msg(posed.pose, stamp, "map", covariance))
         self.outlet.provide(POSED_IMAGE, stamp, lambda: image_to_msg(posed.image, "rgb8", stamp, self._frame_id))
 
     def _too_large(self, message: Any) -> bool:
