@@ -84,16 +84,6 @@ def contour_scores(
     return scores_and_counts(rotations, directions, camera, edges)[0]
 
 
-def usual_score(
-    rotations: Float64Array, directions: ContourDirections, camera: Camera, edges: ImageContours
-) -> tuple[float, float]:
-    """Median and robust deviation of the scores of rotations (P, 3, 3) that have a good deal of contours in view."""
-    scores, counts = scores_and_counts(rotations, directions, camera, edges)
-    scores = scores[counts >= 0.4 * counts.max()]
-    middle = float(np.median(scores))
-    return middle, max(1.4826 * float(np.median(np.abs(scores - middle))), 0.3)
-
-
 def ridge_strength(
     pose: Pose, directions: ContourDirections, step: float, camera: Camera, edges: ImageContours
 ) -> float:

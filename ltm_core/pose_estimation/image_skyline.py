@@ -108,6 +108,11 @@ def _sharpened(
             value = strength[row, columns[k]] * np.exp(-0.5 * z * z)
             if value > best:
                 best, at = value, row
+        # From there to the crest of the gradient itself: the labels' edge only says which one.
+        while at + 2 < height and strength[at + 1, columns[k]] > strength[at, columns[k]]:
+            at += 1
+        while at > 1 and strength[at - 1, columns[k]] > strength[at, columns[k]]:
+            at -= 1
         a, b, c = strength[at - 1, columns[k]], strength[at, columns[k]], strength[at + 1, columns[k]]
         curve = a - 2 * b + c
         part = 0.5 * (a - c) / curve if curve < 0 else 0.0

@@ -16,8 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from ltm_core.errors import PoseError
 from ltm_core.pose import Pose
+from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.contour_scores import ContourDirections, ridge_strength
-from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.picture_pose_config import FLOOR_DEG, PicturePoseConfig
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch
 from ltm_core.pose_estimation.pose_prior import PosePrior, turned
 from ltm_core.pose_estimation.pose_refinement import ROUNDS, picture_system, skyline_cost
@@ -191,6 +192,7 @@ def _refined(
         gradient += inverse * state
         if last:
             covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
+            covariance[3:6, 3:6] += pose_covariance(pictures[0].prior.pose, 0.0, 0.0, *FLOOR_DEG)[3:, 3:]
         else:
             state[free] -= np.linalg.solve(normal[np.ix_(free, free)], gradient[free])
     return state[3:6], float(state[6]), state[:3], covariance

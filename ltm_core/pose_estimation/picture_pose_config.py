@@ -39,9 +39,13 @@ class SkylineConfig(StrictModel):
     dem_sigma: float = Field(0.2, gt=0)
     """Metres, of the DEM's heights along a crest,"""
     cell_share: float = Field(0.08, ge=0)
-    """and of its cell: a crest is higher than the cells that it is cut into, by this, and as uncertain as this."""
+    """and of its cell, that crests are cut into,"""
+    cell_lift: float = Field(0.03, ge=0)
+    """which they stand over by this."""
     correlation: float = Field(60.0, gt=0)
-    """Metres along a crest within which these errors are one and the same."""
+    """Metres along a crest within which these errors are one and the same,"""
+    independent: float = Field(24.0, gt=0)
+    """and how many independent places a skyline has at most that goes all through a picture: it is smooth."""
     outliers: float = Field(0.15, gt=0, lt=1)
     """Share of columns whose skyline is something else: near trees, masts, clouds, wrong labels."""
     outlier_span: float = Field(0.2, gt=0)
@@ -71,9 +75,9 @@ class ContourConfig(StrictModel):
     sigma_px: float = Field(1.2, gt=0)
     """Of an edge at width 640."""
     outliers: float = Field(0.5, gt=0, lt=1)
-    correlation_px: float = Field(8.0, gt=0)
+    correlation_px: float = Field(24.0, gt=0)
     """Pixels at width 640 along a ridge within which its errors are one and the same,"""
-    correlation: float = Field(8.0, gt=0)
+    correlation: float = Field(24.0, gt=0)
     """and metres, whichever is longer."""
 
 
@@ -96,13 +100,19 @@ class VerdictConfig(StrictModel):
     alternative_deg: float = Field(2.5, gt=0)
     """An alternative is a pose that differs by more in azimuth."""
     least_gap: float = 6.0
-    """By which its cost must be higher."""
+    """By which its cost must be higher,"""
+    veil_factor: float = Field(25.0, ge=0)
+    """times one more than this times the share of the skyline where plants on a near crest may hide the horizon."""
     most_sigma_deg: float = Field(0.7, gt=0)
     """Of azimuth, pitch and roll."""
     least_support: float = Field(0.35, ge=0, le=1)
     """Share of the skyline that fits."""
     contradiction: float = Field(4.0, gt=0)
     """Sigmas by which an otherwise good pose may differ from the prior one."""
+
+
+FLOOR_DEG = (0.05, 0.03, 0.05)
+"""Of azimuth, pitch and roll: what errors of lens, refraction and datum leave, however sharp the skyline."""
 
 
 class PicturePoseConfig(StrictModel):

@@ -30,6 +30,9 @@ from ltm_core.types import Float64Array
 
 _PITCHES_DEG = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45)
 _MOST_RIDGE_POINTS = 700
+_LEAST_SUPPORT = 0.3
+"""Share of the photo's skyline that must lie on the DEM's; where less does, ridges alone are tried: above trees, and
+where a good skyline leaves two poses open, they mislead more often than not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +81,7 @@ def find_pose(
     if evidence.skyline is not None and not horizon.open.all():
         found = _search_skyline(evidence, horizon, prior, config, focal_sigma)
     verdict = judge(found, False, prior, config)
-    if verdict.word in ("ambiguous", "no_skyline"):
+    if not found or (verdict.word != "accepted" and found[0].refined.support < _LEAST_SUPPORT):
         blind = replace(evidence, skyline=None)
         by_ridges = search_ridges(blind, horizon, prior, config, focal_sigma)
         other = judge(by_ridges, True, prior, config)

@@ -14,16 +14,20 @@ from numba import njit
 
 from ltm_core.camera import Camera
 from ltm_core.pose import Pose
+from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.contour_scores import ContourDirections
 from ltm_core.pose_estimation.image_contours import ORIENTATIONS, ImageContours
 from ltm_core.pose_estimation.image_skyline import ImageSkyline
-from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.picture_pose_config import FLOOR_DEG, PicturePoseConfig
 from ltm_core.pose_estimation.pose_prior import PosePrior, angle_slopes, turned
+from ltm_core.pose_estimation.skyline_search import column_weight
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
 from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
 
 # Pixels at width 640 within which an edge is sought about a ridge, and by which sigmas of the skyline are widened.
 ROUNDS = ((14.0, 3.0), (10.0, 2.0), (7.0, 1.5), (5.0, 1.0), (4.0, 1.0), (3.0, 1.0), (3.0, 1.0), (3.0, 1.0))
+_TELLING = 0.02
+"""Radians: columns of a larger sigma do not support a pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +46,7 @@ class PictureEvidence:
 class RefinedPose:
     """`information`: (7, 7) of the picture alone over x, y, z (m), rotations about them (rad) and the logarithm of the
     focal length; `gradient`: (7,) of its cost there. `cost`: of skyline and prior. `support`: the share of the skyline
-    that fits; `misfit`: its robust mean of z squared.
+    that fits; `veiled`: the share where a nearer crest may hide the horizon.
     """
 
     pose: Pose
@@ -52,17 +56,20 @@ class RefinedPose:
     covariance: Float64Array
     cost: float
     support: float
-    misfit: float
+    veiled: float
 
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Linearised observations: `error` (N,) px, its `slopes` (N, 7), `sigma` and `weight` (N,)."""
+    """Linearised observations: `error` (N,) px, its `slopes` (N, 7), `sigma` and `weight` (N,). `veiled`: the share
+    of the skyline's columns where a nearer crest stands so close below the horizon that its trees may hide it.
+    """
 
     error: Float64Array
     slopes: Float64Array
     sigma: Float64Array
     weight: Float64Array
+    veiled: float = 0.0
 
 
 def refine(
@@ -95,29 +102,31 @@ def refine(
     normal, _ = _with_prior(information, gradient, pose, prior, focal, focal_sigma)
     covariance = np.zeros((7, 7))
     covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
-    cost, support, misfit = skyline_cost(pose, camera, evidence, horizon, config)
+    covariance[3:6, 3:6] += pose_covariance(pose, 0.0, 0.0, *FLOOR_DEG)[3:, 3:]
+    cost, support, veiled = skyline_cost(pose, camera, evidence, horizon, config)
     deviation = prior.deviation(pose) / np.where(prior.sigmas > 0, prior.sigmas, np.inf)
     cost += 0.5 * float(deviation @ deviation)
-    return RefinedPose(pose, camera, information, gradient, covariance, cost, support, misfit)
+    return RefinedPose(pose, camera, information, gradient, covariance, cost, support, veiled)
 
 
 def skyline_cost(
     pose: Pose, camera: Camera, evidence: PictureEvidence, horizon: TerrainHorizon, config: PicturePoseConfig
 ) -> tuple[float, float, float]:
-    """Cost of the skyline alone, the share of its columns that fit, and their robust mean of z squared."""
+    """Cost of the skyline alone, the share of its columns that fit, and that where a crest may hide the horizon."""
     rows = _skyline_rows(pose, camera, evidence, horizon, 1.0, config)
     if rows is None:
-        return 0.0, 0.0, math.inf
+        return 0.0, 0.0, 0.0
     noise = config.skyline
     q = 1 + (rows.error / rows.sigma) ** 2 / 4
     odds = noise.odds * camera.fy / rows.sigma
     like = odds / q**2.5
     fits = rows.weight > 0
-    cost = -float((rows.weight * np.log1p(like)).sum())
-    inlier = like / (1 + like)
+    share = column_weight(evidence.skyline, camera, noise) if evidence.skyline is not None else 0.0
+    cost = -share * float(np.log1p(like)[fits].sum())
+    # A crest so near, or so uncertain, that anything fits says nothing.
+    inlier = like / (1 + like) * (rows.sigma < _TELLING * camera.fy)
     total = len(evidence.skyline.u) if evidence.skyline is not None else 1
-    z = np.minimum((rows.error / rows.sigma) ** 2, 9.0)[fits]
-    return cost, float(inlier[fits].sum()) / max(total, 1), float(z.mean()) if z.size else math.inf
+    return cost, float(inlier[fits].sum()) / max(total, 1), rows.veiled
 
 
 def _with_prior(
@@ -237,7 +246,7 @@ def _skyline_rows(
     down = slopes[left] + part[:, None, None] * (slopes[right] - slopes[left])
     cover = noise.cover.table()[skyline.cover]
     metre = camera.fy / ranges
-    lift = noise.cell_share * cells
+    lift, uneven = noise.cell_lift * cells, noise.cell_share * cells
     v = v - (cover[:, 0] + lift) * metre
     # Negative: terrain where the photo has sky. Positive: open land may stand there instead.
     error = v - skyline.v
@@ -246,11 +255,26 @@ def _skyline_rows(
     free = (error == 0.0) & (above > 0)
     sigma = np.sqrt(
         skyline.sigma_px**2 * (1 + np.minimum(steep, 3.0) ** 2)
-        + (noise.dem_sigma**2 + cover[:, 1] ** 2 + lift**2) * metre**2
+        + (noise.dem_sigma**2 + cover[:, 1] ** 2 + uneven**2) * metre**2
     )
-    weight = np.where(inside & ~free, np.minimum(1.0, skyline.spacing / metre / noise.correlation), 0.0)
+    # A nearer crest just below, whose trees, or haze behind it, may hide the horizon.
+    front = horizon.front_range[seen][near]
+    over = camera.fy / np.where(front > 0, front, 1.0)
+    fallen = (t[near] - horizon.front_tangent[seen][near]) * camera.fy + (cover[:, 0] + lift) * metre
+    behind = v + fallen - cover[:, 0] * over - skyline.v
+    spread = np.hypot(skyline.sigma_px, np.hypot(noise.dem_sigma, cover[:, 1]) * over)
+    hidden = (front > 0) & (np.abs(behind) / spread + np.log(spread) < np.abs(error) / sigma + np.log(sigma))
+    error, sigma, metre = (
+        np.where(hidden, behind, error),
+        np.where(hidden, spread, sigma),
+        np.where(hidden, over, metre),
+    )
+    free &= ~hidden
+    share = column_weight(skyline, camera, noise)
+    weight = np.where(inside & ~free, np.minimum(share, skyline.spacing / metre / noise.correlation), 0.0)
     rows = down[:, 1] - steep[:, None] * down[:, 0]
-    return _Rows(error, rows, sigma * wide, weight)
+    veiled = float(((front > 0) & inside).mean())
+    return _Rows(error, rows, sigma * wide, weight, veiled)
 
 
 def _contour_rows(
@@ -277,7 +301,7 @@ def _contour_rows(
     if len(kept) < 6:
         return None
     pixels, slopes, line, ranges = pixels[kept], slopes[kept], line[kept], ridges.range[kept]
-    lift = config.skyline.cell_share * ridges.cell[kept]
+    lift, uneven = config.skyline.cell_lift * ridges.cell[kept], config.skyline.cell_share * ridges.cell[kept]
     length = np.hypot(line[:, 0], line[:, 1])
     normal = np.column_stack([-line[:, 1], line[:, 0]]) / np.maximum(length, 1e-9)[:, None]
     unit = camera.width / 640.0
@@ -287,7 +311,7 @@ def _contour_rows(
     pixels = pixels - np.column_stack([np.zeros(len(kept)), (cover[:, 0] + lift) * metre])
     found, strength = _nearest_edges(pixels, normal, edges.response, edges.scale, search * unit, 0.5 * edges.scale)
     sigma = np.sqrt(
-        (noise.sigma_px * unit) ** 2 + (config.skyline.dem_sigma**2 + cover[:, 1] ** 2 + lift**2) * metre**2
+        (noise.sigma_px * unit) ** 2 + (config.skyline.dem_sigma**2 + cover[:, 1] ** 2 + uneven**2) * metre**2
     )
     step = ridges.every * (np.median(length[length > 0]) if (length > 0).any() else 1.0)
     correlation = np.maximum(noise.correlation_px * unit, noise.correlation * metre)

@@ -63,9 +63,12 @@ def judge(
         known = "what ridges are in the picture" if by_ridges else "the skyline"
         word: Word = "no_skyline" if by_ridges else "ambiguous"
         return verdict(word, f"{known} leaves azimuth, pitch, roll open by {azimuth:.2f}, {pitch:.2f}, {roll:.2f} deg")
-    if gap < v.least_gap:
+    veiled = best.refined.veiled
+    if gap < v.least_gap * (1 + v.veil_factor * veiled):
         return verdict(
-            "ambiguous", f"azimuth {other:.1f} deg fits nearly as well: its cost is higher by {gap:.1f} only"
+            "ambiguous",
+            f"azimuth {other:.1f} deg costs only {gap:.1f} more"
+            + (f", and plants on near crests may hide {veiled:.0%} of the horizon" if veiled > 0.03 else ""),
         )
     if not by_ridges and support < v.least_support:
         return verdict("ambiguous", f"only {support:.0%} of the photo's skyline lies on the terrain's")

@@ -20,6 +20,8 @@ from ltm_core.types import Float64Array
 _KEPT = 18
 _ANY = CrestCover(tree=(0.3, 0.4), shrub=(0.3, 0.4), grass=(0.2, 0.3), bare=(0.1, 0.3), other=(0.2, 0.3))
 """Whatever the labels are: a picture without sky is of rock and ice more often than labels say."""
+_ALONG = 8.0
+"""Metres and pixels within which a ridge's errors are one and the same: of rock."""
 _MOST_POINTS = 1000
 _COARSE_POINTS = 500
 _NEARBY = np.array([(a, p, r) for a in (-0.25, 0.0, 0.25) for p in (-0.1, 0.0, 0.1) for r in (-0.4, 0.0, 0.4)])
@@ -45,7 +47,12 @@ def search_ridges(
     focal_sigma: float,
 ) -> list[Hypothesis]:
     """Hypotheses from the best down; none where too few ridges may be in view."""
-    config = config.model_copy(update={"skyline": config.skyline.model_copy(update={"cover": _ANY})})
+    config = config.model_copy(
+        update={
+            "skyline": config.skyline.model_copy(update={"cover": _ANY}),
+            "contours": config.contours.model_copy(update={"correlation": _ALONG, "correlation_px": _ALONG}),
+        }
+    )
     ridges = ContourDirections.of(horizon, config.contours.nearest, with_horizon=True)
     if len(ridges.range) < 30:
         return []

@@ -3,7 +3,9 @@
 A column's misfit is a mixture: Student's t (four degrees of freedom) about the horizon, or anything (a tree, a mast).
 The cost is minus its logarithm over that of "anything", so that a horizon which explains nothing gains nothing, be it
 ever so uncertain. Where land beyond the DEM may stand over the horizon, all skylines between it and the bound of that
-land are alike likely. Columns within one correlation length of a crest count as one.
+land are alike likely. Where trees on a nearer crest may hide the horizon, either is what is seen. Neighbouring columns
+are alike: all of a picture count as a few, and in the fit and its covariance those within one correlation length of a
+crest count as one.
 """
 
 from __future__ import annotations
@@ -63,16 +65,32 @@ def search_azimuths(
     out = np.empty((len(azimuths), 3))
     _search(
         columns,
-        np.column_stack([horizon.tangent, horizon.range, horizon.cell, horizon.bound]),
+        np.column_stack(
+            [horizon.tangent, horizon.range, horizon.cell, horizon.bound, horizon.front_tangent, horizon.front_range]
+        ),
         horizon.start,
         horizon.step,
         horizon.whole,
         azimuths,
         np.array([step / 3.5, position_sigma, *tilt_sigma, skyline.spacing / camera.fx]),
-        np.array([config.dem_sigma, config.cell_share, config.correlation, config.odds]),
+        np.array(
+            [
+                config.dem_sigma,
+                config.cell_share,
+                config.cell_lift,
+                config.correlation,
+                config.odds,
+                column_weight(skyline, camera, config),
+            ]
+        ),
         out,
     )
     return SkylineCosts(azimuths, out[:, 0], out[:, 1], out[:, 2])
+
+
+def column_weight(skyline: ImageSkyline, camera: Camera, config: SkylineConfig) -> float:
+    """Of one column among those of a picture, that count as `config.independent` altogether."""
+    return min(1.0, config.independent * skyline.spacing / camera.width)
 
 
 def _level(rays: Float64Array, pitch_deg: float, roll_deg: float) -> tuple[Float64Array, Float64Array]:
@@ -96,9 +114,10 @@ def _search(
     count = len(columns)
     total = len(horizon)
     half_step, position_sigma, pitch_sigma, roll_sigma, spacing = setting
-    dem_sigma, cell_share, correlation, odds = noise
+    dem_sigma, cell_share, cell_lift, correlation, odds, share = noise
     error, sigma = np.empty(count), np.empty(count)
     gap, weight = np.empty(count), np.empty(count)
+    front, front_sigma = np.empty(count), np.empty(count)
     for j in range(len(azimuths)):
         for k in range(count):
             x = (columns[k, 0] + azimuths[j] - start) / step
@@ -117,12 +136,18 @@ def _search(
             t = (1 - part) * horizon[i, 0] + part * horizon[i1, 0]
             slope = (horizon[i1, 0] - horizon[i, 0]) / step
             cell = cell_share * horizon[i, 2]
-            rise = columns[k, 5] + cell
+            rise = columns[k, 5] + cell_lift * horizon[i, 2]
             error[k] = columns[k, 1] - t - rise / r
             s = dem_sigma**2 + columns[k, 6] ** 2 + cell * cell + position_sigma**2
             sigma[k] = np.sqrt(columns[k, 4] ** 2 + (slope * half_step) ** 2 + s / (r * r))
             gap[k] = max(0.0, max(horizon[i, 3], horizon[i1, 3]) - t - rise / r)
-            weight[k] = min(1.0, spacing * r / correlation)
+            weight[k] = min(share, spacing * r / correlation)
+            front_sigma[k] = 0.0
+            r = horizon[i, 5]
+            if r > 0.0:
+                front[k] = columns[k, 1] - horizon[i, 4] - columns[k, 5] / r
+                s = dem_sigma**2 + columns[k, 6] ** 2 + position_sigma**2
+                front_sigma[k] = np.sqrt(columns[k, 4] ** 2 + (0.5 * step) ** 2 + s / (r * r))
         used = np.flatnonzero(weight > 0)
         out[j, 0], out[j, 1], out[j, 2] = 0.0, 0.0, 0.0
         if len(used) < 8:
@@ -147,9 +172,16 @@ def _search(
                     s = sigma[k] * wide
                     q = 1 + free * free / (4 * s * s)
                     like = odds / s / (q * q * np.sqrt(q))
-                    w = weight[k] * like / (1 + like) * 1.25 / q / (s * s)
                     # Towards the nearer end of what fits: the horizon, or the bound above it.
                     target = error[k] if e < 0 else error[k] - gap[k]
+                    w = weight[k] * like / (1 + like) * 1.25 / q / (s * s)
+                    if front_sigma[k] > 0.0:
+                        s2 = front_sigma[k] * wide
+                        q2 = 1 + (front[k] + a * columns[k, 2] + b * columns[k, 3]) ** 2 / (4 * s2 * s2)
+                        other = odds / s2 / (q2 * q2 * np.sqrt(q2))
+                        if other > like:
+                            w = weight[k] * other / (1 + other) * 1.25 / q2 / (s2 * s2)
+                            target = front[k]
                     paa += w * columns[k, 2] ** 2
                     pab += w * columns[k, 2] * columns[k, 3]
                     pbb += w * columns[k, 3] ** 2
@@ -163,7 +195,11 @@ def _search(
                 e = error[k] + a * columns[k, 2] + b * columns[k, 3]
                 free = e if e < 0 else max(0.0, e - gap[k])
                 q = 1 + free * free / (4 * sigma[k] ** 2)
-                cost -= weight[k] * np.log(1 + odds / (sigma[k] + 0.375 * gap[k]) / (q * q * np.sqrt(q)))
+                like = odds / (sigma[k] + 0.375 * gap[k]) / (q * q * np.sqrt(q))
+                if front_sigma[k] > 0.0:
+                    q2 = 1 + (front[k] + a * columns[k, 2] + b * columns[k, 3]) ** 2 / (4 * front_sigma[k] ** 2)
+                    like = 0.5 * (like + odds / front_sigma[k] / (q2 * q2 * np.sqrt(q2)))
+                cost -= share * np.log(1 + like)
             if cost < best:
                 best = cost
                 out[j, 0], out[j, 1], out[j, 2] = cost, a, b

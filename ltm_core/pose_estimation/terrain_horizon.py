@@ -22,6 +22,7 @@ from ltm_core.types import BoolArray, Float32Array, Float64Array, Int32Array
 _NEAREST = 20.0
 """Metres: what the DEM says of nearer ground is as much its error as the ground's shape."""
 _FARTHEST = 80_000.0
+_NEAREST_FRONT, _TREES = 120.0, 5.0
 _MOST_CONTOURS = 24
 """Points of occluding contours that are kept along one azimuth."""
 
@@ -32,7 +33,9 @@ class TerrainHorizon:
 
     `tangent`, `range`: (N,) of the horizon, -inf and 0 where there is no known ground; `cell`: (N,) metres of the DEM
     there; `at_edge`: (N,) the DEM ends there, so that it is no crest. `bound`: (N,) the tangent above which there is
-    certainly no ground, also none beyond the DEM; what lies between the two is open.
+    certainly no ground, also none beyond the DEM; what lies between the two is open. `front_tangent`,
+    `front_range`: (N,) of the nearer crest that trees of 5 m would raise highest, 0 where that is the horizon itself:
+    trees on it, or haze, may hide the horizon.
     """
 
     position: Float64Array
@@ -43,6 +46,8 @@ class TerrainHorizon:
     cell: Float64Array
     at_edge: BoolArray
     bound: Float64Array
+    front_tangent: Float64Array
+    front_range: Float64Array
     contours: OccludingContours
 
     @property
@@ -82,7 +87,7 @@ def terrain_horizon(
     levels = dem.levels
     geometry = np.array([[g.x_min, g.y_max, g.resolution] for g in (level.geometry for level in levels)])
     top = max(float(np.nanmax(level.elevation)) for level in levels)
-    tangent, rng, cell, bound = (np.empty(count) for _ in range(4))
+    tangent, rng, cell, bound, front, front_range = (np.empty(count) for _ in range(6))
     points = np.empty((count, _MOST_CONTOURS, 4))
     found, at_edge = np.zeros(count, np.int32), np.zeros(count, np.bool_)
     _sweep(
@@ -99,6 +104,8 @@ def terrain_horizon(
         cell,
         at_edge,
         bound,
+        front,
+        front_range,
         points,
         found,
     )
@@ -117,6 +124,8 @@ def terrain_horizon(
         cell,
         at_edge,
         bound,
+        front,
+        front_range,
         link_contours(start, step, points, found),
     )
 
@@ -162,6 +171,8 @@ def _sweep(
     cell: Float64Array,
     at_edge: BoolArray,
     bound: Float64Array,
+    front: Float64Array,
+    front_range: Float64Array,
     points: Float64Array,
     found: Int32Array,
 ) -> None:
@@ -174,6 +185,7 @@ def _sweep(
         sx, sy = math.sin(azimuth), math.cos(azimuth)
         highest, at, at_cell = -math.inf, 0.0, 0.0
         last_r, last_h = 0.0, math.nan
+        raised, raised_at, raised_t = -math.inf, 0.0, 0.0
         hidden = False
         n = 0
         r = _NEAREST
@@ -190,6 +202,8 @@ def _sweep(
             if h == h:
                 last_r, last_h = r, h
                 t = (h - oz) / r - bend * r
+                if r > _NEAREST_FRONT and t + _TREES / r > raised:
+                    raised, raised_at, raised_t = t + _TREES / r, r, t
                 if t > highest:
                     if hidden and r > 1.08 * at and r - at > 5 * at_cell and n < most:
                         points[k, n, 0], points[k, n, 1], points[k, n, 2], points[k, n, 3] = highest, at, r, at_cell
@@ -202,6 +216,8 @@ def _sweep(
         tangent[k], rng[k], cell[k] = highest, at, at_cell
         at_edge[k] = last_r - at < 3 * at_cell + 0.005 * at
         found[k] = n
+        front[k] = raised_t
+        front_range[k] = raised_at if raised_at < 0.8 * at else 0.0
         # The highest that land beyond the last known ground may reach.
         top = -math.inf
         if last_r > 0.0 and limit > -1e3:

@@ -14,17 +14,21 @@ from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
 
 
 def rendered_terrain(folder: Path, alone: bool, canopy: bool) -> Terrain:
-    """The site's DEM within that of the range around, at whose end the rendered world ends; `alone`: without it, and
-    nothing is known of what lies beyond. `canopy`: with the true surface raster of the first date. Raises
-    RecordingError where a folder of `ltm simulate` has none of these.
+    """The site's DEM within those of the range around and of the region to the horizon, at whose end the world ends;
+    `alone`: without them, and nothing is known of what lies beyond. `canopy`: with the true surface raster of the first
+    date. Raises RecordingError where a folder of `ltm simulate` has none of these.
     """
     frame = site_frame(folder)
     dem = open_dem(folder)
     if not alone:
-        around = folder / "dem_around.tif"
-        if not around.is_file():
-            raise RecordingError(f"{around} is missing: `ltm simulate SCENARIO --out {folder} --site-only` writes it")
-        dem = DemStack([dem, Dem.open(around).in_frame(frame)])
+        levels = [dem]
+        for name in ("dem_around.tif", "dem_region.tif"):
+            if not (folder / name).is_file():
+                raise RecordingError(
+                    f"{folder / name} is missing: `ltm simulate SCENARIO --out {folder} --site-only` writes it"
+                )
+            levels.append(Dem.open(folder / name).in_frame(frame))
+        dem = DemStack(levels)
     if canopy:
         named = dates(folder)
         surface = folder / "truth" / (named[0] if named else "now") / "surface.tif"
