@@ -82,6 +82,8 @@ class MountWatch:
         """How often the mount was said to have slipped."""
         self._priors: list[PosePrior] = []
         self._searches: list[PictureSearch] = []
+        self._contradictions: list[Float64Array] = []
+        """Of clear pictures that show nothing near the stated pose: azimuth, pitch and roll (deg) from it."""
         self._tracked: deque[_Tracked] = deque(maxlen=config.judged)
         self._seen_from: dict[tuple[object, ...], tuple[TerrainHorizon, ContourDirections]] = {}
 
@@ -105,10 +107,38 @@ class MountWatch:
         search = self._find(evidence, prior)
         if not search.hypotheses or search.verdict.word == "no_skyline":
             return False
+        if evidence.skyline is not None and self._support(evidence, prior, search) < self._search.verdict.least_support:
+            # What is stated as sure holds a search by force: does the picture show another direction?
+            return self._contradicts(evidence, prior)
         self._priors.append(prior)
         self._searches.append(search)
         if len(self._searches) >= self._config.gather:
             self._fit()
+        return True
+
+    def _support(self, evidence: PictureEvidence, prior: PosePrior, search: PictureSearch) -> float:
+        """Share of the picture's skyline that lies on the terrain's, from the best pose."""
+        horizon, _ = self._terrain_from(evidence, prior)
+        best = search.hypotheses[0].refined.pose
+        return skyline_cost(best, evidence.camera, evidence, horizon, self._search)[1]
+
+    def _contradicts(self, evidence: PictureEvidence, prior: PosePrior) -> bool:
+        """Whether a picture is clear that shows nothing from near the stated pose."""
+        sigma = self._config.slip_sigma_deg
+        wide = replace(prior, azimuth_sigma_deg=sigma, pitch_sigma_deg=sigma, roll_sigma_deg=sigma)
+        search = self._find(evidence, wide)
+        if search.verdict.word != "accepted" or search.verdict.support < self._search.verdict.least_support:
+            return False
+        turn = np.degrees(angles_between(prior.pose, search.hypotheses[0].refined.pose))
+        self._contradictions.append(np.asarray(turn, np.float64))
+        if len(self._contradictions) >= self._config.gather:
+            azimuth, pitch, roll = np.median(self._contradictions, axis=0)
+            reason = (
+                f"{len(self._contradictions)} clear pictures show the terrain {azimuth:+.1f}, {pitch:+.1f}, "
+                f"{roll:+.1f} deg in azimuth, pitch and roll from the stated pose, which its sigmas do not allow: mend "
+                "one of them"
+            )
+            self._become(MountState.CONTRADICTED, PoseCorrection(self.correction.rotation, unknown_angles()), reason)
         return True
 
     def _fit(self) -> None:
@@ -132,6 +162,7 @@ class MountWatch:
         self.state, self.correction, self.reason = state, correction, reason
         self._priors.clear()
         self._searches.clear()
+        self._contradictions.clear()
         self._tracked.clear()
 
     def _track(self, evidence: PictureEvidence, pose: Pose) -> bool:

@@ -4,7 +4,7 @@ under one stamp, as many as these can finish."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +27,7 @@ from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_msgs_py.pose_correction import msg_to_correction
 from ltm_msgs_py.stamp import stamp_of, time_to_ns
 from ltm_ros.runtime.admission import Admission
-from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
+from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_check import StampCheck
@@ -84,7 +84,7 @@ class Capture(Handler[CaptureConfig]):
     """An image leaves when its pose and a calibration are there (the newest calibration up to its stamp counts), and
     when the nodes that work on the camera's frames have room for it (`Admission`)."""
 
-    publications = (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE, STATED_POSE)
+    publications: Sequence[Topic] = (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE)
 
     def __init__(self, config: CaptureConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -111,6 +111,8 @@ class Capture(Handler[CaptureConfig]):
             parts.append(Part("calibration", Match.LATEST))
         self._limits = site.limits
         self._refines = site.refine_poses is not None
+        if self._refines:
+            self.publications = (*self.publications, STATED_POSE)
         self._correction: PoseCorrection | None = None
         self._assumed = site.assumed_pose_error.covariance()
         self._stamps = StampCheck(outlet.now_ns, health)
