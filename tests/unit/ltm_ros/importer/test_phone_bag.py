@@ -10,24 +10,11 @@ from scenes.phone_site import imported
 
 from ltm_core.resources import project_path
 from ltm_core.site_io import load_site
-from ltm_core.types import Float64Array
+from ltm_ros.evaluation.recorded_pose_errors import recorded_pose_errors
 from ltm_ros.importer.assumptions import Assumptions
 from ltm_ros.importer.build import import_photos
 
 WALK = project_path("bags/phone")
-
-
-def off(bag: Path, true: Path) -> Float64Array:
-    """(N, 6): east, north, up in metres, azimuth, pitch, roll in degrees."""
-    rows = []
-    for (_, camera, found, _), (_, same, pose, _) in zip(
-        imported(bag, site="phone_walk"), imported(true, site="phone_walk"), strict=True
-    ):
-        assert (camera.width, camera.height) == (same.width, same.height)
-        assert camera.fx == pytest.approx(same.fx, rel=2e-3)
-        turns = np.subtract(found.angles_deg, pose.angles_deg)
-        rows.append([*(found.position - pose.position), *((turns + 180) % 360 - 180)])
-    return np.array(rows)
 
 
 def test_the_recording_errs_as_a_phone_does(tmp_path: Path) -> None:
@@ -37,7 +24,10 @@ def test_the_recording_errs_as_a_phone_does(tmp_path: Path) -> None:
     report = import_photos([WALK / "sensor_logger.zip"], tmp_path / "log", site=site, assumed=lens)
     assert report.cameras == {"phone": 24}
     assert not report.notes
-    errors = off(tmp_path / "log", tmp_path / "true")
+    found = recorded_pose_errors(tmp_path / "log", tmp_path / "true", site)
+    errors = found.errors
+    assert found.unmatched == 0
+    np.testing.assert_allclose(found.sigmas[:, 2:], np.tile([2**0.5, 8.2, 1.0, 1.0], (24, 1)), atol=1e-6)
     mean, spread = errors.mean(axis=0), errors.std(axis=0)
     assert np.hypot(*mean[:2]) < 3 * 5.0  # GPS
     assert np.abs(mean[2]) < 1.5  # the barometer's 4 m are gone: heights count from the ground
@@ -45,8 +35,11 @@ def test_the_recording_errs_as_a_phone_does(tmp_path: Path) -> None:
     assert spread[3] == pytest.approx(1.5, abs=0.6)
     assert (np.abs(mean[4:]) < 0.5).all()
     np.testing.assert_allclose(spread[4:], 0.7, atol=0.25)
-    sizes = {(camera.width, camera.height) for _, camera, _, _ in imported(tmp_path / "log", site="phone_walk")}
-    assert sizes == {(1024, 768), (768, 1024)}
+    told, true = (imported(tmp_path / name, site="phone_walk") for name in ("log", "true"))
+    assert {(camera.width, camera.height) for _, camera, _, _ in told} == {(1024, 768), (768, 1024)}
+    for (_, camera, _, _), (_, same, _, _) in zip(told, true, strict=True):
+        assert (camera.width, camera.height) == (same.width, same.height)
+        assert camera.fx == pytest.approx(same.fx, rel=2e-3)
 
 
 def test_it_stays_small() -> None:
