@@ -67,4 +67,5 @@ def _sigmas(pose: Pose, covariance: Float64Array) -> Float64Array:
     axes = np.column_stack([[0.0, 0.0, 1.0], right, pose.rotation[:, 2]])
     inverse = np.linalg.pinv(axes)
     turns = inverse @ covariance[3:, 3:] @ inverse.T
-    return np.sqrt(np.concatenate([covariance.diagonal()[:3], np.degrees(np.degrees(turns.diagonal()))]))
+    variances = np.concatenate([covariance.diagonal()[:3], np.degrees(np.degrees(turns.diagonal()))])
+    return np.asarray(np.sqrt(variances), np.float64)
