@@ -12,7 +12,7 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from ltm_core.dem import Dem
-from ltm_core.device_attitude import held_phone, optical_angles_deg
+from ltm_core.device_attitude import held_phone, optical_angles_deg, phone_camera
 from ltm_core.errors import PoseError
 from ltm_core.geodesy import SiteFrame
 from ltm_core.pose import Pose
@@ -24,9 +24,10 @@ from ltm_core.types import Float64Array
 class SensorsConfig(StrictModel):
     """How a camera's pose comes from its fixes (sensor_msgs/NavSatFix) and attitudes (sensor_msgs/Imu)."""
 
-    mount: Literal["phone"] | tuple[float, float, float, float] = "phone"
-    """How the camera lies in the frame of the attitude: as a phone's back camera (portrait by images that are higher
-    than wide), or the quaternion (x, y, z, w) of the optical frame in it, as tf has it."""
+    mount: Literal["phone", "phone_sensor"] | tuple[float, float, float, float] = "phone"
+    """How the camera lies in the frame of the attitude: as a phone's back camera, whose images its app turns upright
+    (`phone`) or sends as the sensor reads them, always landscape (`phone_sensor`); or the quaternion (x, y, z, w) of
+    the optical frame in it, as tf has it."""
     north: Literal["magnetic", "true"] = "magnetic"
     """Which north the attitude's world has: Android's magnetic, iOS' true."""
     geoid_undulation: float | None = None
@@ -99,6 +100,8 @@ def sensed_pose(
     z, height_sigma = _height(fix, x, y, dem, config, altitude_sigma)
     if config.mount == "phone":
         mount = held_phone(attitude.rotation, portrait=size[1] > size[0])
+    elif config.mount == "phone_sensor":
+        mount = phone_camera(90.0)
     else:
         mount = Rotation.from_quat(config.mount).as_matrix()
     seen = attitude.rotation @ mount

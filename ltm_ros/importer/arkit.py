@@ -24,13 +24,15 @@ from ltm_core.picture_io import LARGEST_FILE
 from ltm_core.types import Float64Array, UInt8Array
 from ltm_msgs_py.image import decode_rgb
 from ltm_ros.importer.assumptions import Assumptions
-from ltm_ros.importer.capture_files import CaptureFiles, table
+from ltm_ros.importer.capture_files import LARGEST_JSON, CaptureFiles, table
 from ltm_ros.importer.photo import Photo
 from ltm_ros.importer.picture import Picture
 from ltm_ros.importer.sensed import Relative, Sensed
 from ltm_ros.importer.video import later, read_video
 from ltm_ros.importer.video_pictures import frame_photo
 
+_ODOMETRY = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
+_LENS = ("fx", "fy", "cx", "cy")
 _TILT_SIGMA_DEG = 0.5
 """Of ARKit's gravity."""
 _QUARTER = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -59,7 +61,7 @@ def stray_scanner_pictures(files: CaptureFiles, assumed: Assumptions) -> list[Pi
         raise RecordingError(
             f"{files.path}: unpack Stray Scanner's zip and give its folder: its video is not read from a zip"
         )
-    columns = table(files, files.find("odometry.csv") or "")
+    columns = table(files, files.find("odometry.csv") or "", (*_ODOMETRY, *_LENS))
     video = read_video(files.path / (files.find("rgb.mp4") or ""), assumed.every)
     matrix = files.find("camera_matrix.csv")
     whole = _camera_matrix(files, matrix) if matrix is not None else None
@@ -89,7 +91,7 @@ def record3d_pictures(files: CaptureFiles, assumed: Assumptions) -> list[Picture
     metadata = _metadata_name(files) or ""
     place = f"{files.path}: {metadata!r}"
     try:
-        facts = json.loads(files.text(metadata))
+        facts = json.loads(files.text(metadata, LARGEST_JSON))
         fps, poses = float(facts.get("fps") or 30.0), np.asarray(facts["poses"], np.float64)
         one = [float(v) for v in facts["K"]] if "K" in facts else []
         each = facts.get("perFrameIntrinsicCoeffs")
@@ -143,14 +145,13 @@ def _record3d_images(files: CaptureFiles) -> dict[int, str]:
 
 
 def _odometry(columns: dict[str, list[str]], whole: tuple[float, ...] | None, place: str) -> list[_Frame]:
-    lacking = {"timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw"} - columns.keys()
+    lacking = set(_ODOMETRY) - columns.keys()
     if lacking:
         raise RecordingError(
             f"{place}: odometry.csv has no column {', '.join(sorted(lacking))}: is it Stray Scanner's?"
         )
-    names = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
     try:
-        numbers = np.array([[float(v) for v in columns[name]] for name in names]).T
+        numbers = np.array([[float(v) for v in columns[name]] for name in _ODOMETRY]).T
     except ValueError as error:
         raise RecordingError(f"{place}: odometry.csv holds what is no number ({error})") from error
     if not len(numbers) or not np.isfinite(numbers).all():
@@ -171,7 +172,7 @@ def _odometry(columns: dict[str, list[str]], whole: tuple[float, ...] | None, pl
 def _row_lenses(columns: dict[str, list[str]], count: int) -> list[tuple[float, float, float, float]] | None:
     """Of each row, in newer recordings."""
     try:
-        found = np.array([[float(v) for v in columns[name]] for name in ("fx", "fy", "cx", "cy")]).T
+        found = np.array([[float(v) for v in columns[name]] for name in _LENS]).T
     except (KeyError, ValueError):
         return None
     return [tuple(map(float, row)) for row in found] if np.isfinite(found).all() else None  # type: ignore[misc]
@@ -179,7 +180,9 @@ def _row_lenses(columns: dict[str, list[str]], count: int) -> list[tuple[float, 
 
 def _camera_matrix(files: CaptureFiles, name: str) -> tuple[float, float, float, float]:
     try:
-        k = np.array([[float(v) for v in line.split(",")] for line in files.text(name).split("\n") if line.strip()])
+        k = np.array(
+            [[float(v) for v in line.split(",")] for line in files.text(name, LARGEST_JSON).split("\n") if line.strip()]
+        )
         return float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
     except (ValueError, IndexError) as error:
         raise RecordingError(f"{files.path}: {name!r} is no 3 x 3 matrix of numbers ({error})") from error

@@ -3,19 +3,23 @@ reaches the file system: members are read into memory, by what they are called i
 
 from __future__ import annotations
 
+import csv
 import io
 import lzma
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path, PurePosixPath
 
 from ltm_core.errors import RecordingError
 
 MOST_MEMBERS = 100_000
-LARGEST_TEXT = 128 << 20
-"""Bytes of a table: an hour of attitudes at 100 Hz has 55 MB."""
+LARGEST_TABLE = 64 << 20
+"""Bytes of a CSV file: an hour of attitudes at 100 Hz has 55 MB."""
+LARGEST_JSON = 32 << 20
+"""Bytes of a JSON file, which takes twenty times as much while it is read."""
+MOST_ROWS = 1_000_000
 _BROKEN = (
     *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, OSError),
     *(NotImplementedError, RuntimeError, ValueError, LookupError, OverflowError, MemoryError),
@@ -62,10 +66,10 @@ class CaptureFiles:
             )
         return data
 
-    def text(self, name: str) -> str:
+    def text(self, name: str, most: int) -> str:
         """A member that is text in UTF-8."""
         try:
-            return self.read(name, LARGEST_TEXT).decode("utf-8-sig")
+            return self.read(name, most).decode("utf-8-sig")
         except UnicodeDecodeError as error:
             raise RecordingError(f"{self.path}: {name!r} is not text in UTF-8 ({error})") from error
 
@@ -102,23 +106,33 @@ def is_zip(path: Path) -> bool:
         return False
 
 
-def table(files: CaptureFiles, name: str) -> dict[str, list[str]]:
-    """A CSV with a header: columns by their names, blanks beside commas taken off. Raises RecordingError for one that
-    is none, or with rows of another length (the last may be cut short: a phone that dies mid-word)."""
-    import csv
+def table(files: CaptureFiles, name: str, wanted: Collection[str]) -> dict[str, list[str]]:
+    """The wanted columns of a CSV with a header, as far as it has them; blanks beside commas are taken off.
 
-    rows = csv.reader(io.StringIO(files.text(name), newline=""), skipinitialspace=True)
+    Raises RecordingError for one that is none, or with rows of another length (the last may be cut short: a phone that
+    dies mid-word).
+    """
     place = f"{files.path}: {name!r}"
+    lines = io.TextIOWrapper(io.BytesIO(files.read(name, LARGEST_TABLE)), "utf-8-sig", newline="")
+    rows = csv.reader(lines, skipinitialspace=True)
     try:
         header = [column.strip() for column in next(rows, [])]
-        body = [row for row in rows if row]
-    except csv.Error as error:
-        raise RecordingError(f"{place}: cannot be read as CSV ({error})") from error
-    if body and len(body[-1]) < len(header):
-        body.pop()
-    if not header or len(set(header)) < len(header):
-        raise RecordingError(f"{place}: its first line is no header of different columns, got {header[:8]}")
-    for number, row in enumerate(body, start=2):
-        if len(row) < len(header):
-            raise RecordingError(f"{place}, line {number}: has {len(row)} values for {len(header)} columns")
-    return {column: [row[i].strip() for row in body] for i, column in enumerate(header)}
+        if not header or len(set(header)) < len(header):
+            raise RecordingError(f"{place}: its first line is no header of different columns, got {header[:8]}")
+        columns: dict[str, list[str]] = {column: [] for column in header if column in wanted}
+        kept = [(header.index(column), values) for column, values in columns.items()]
+        short = 0
+        for number, row in enumerate(rows, start=2):
+            if short:
+                raise RecordingError(f"{place}, line {short}: has fewer values than the {len(header)} columns")
+            if number > MOST_ROWS:
+                raise RecordingError(f"{place}: has more than {MOST_ROWS} rows: split the recording")
+            if row and len(row) < len(header):
+                short = number
+            elif row:
+                for i, values in kept:
+                    values.append(row[i].strip())
+    except (csv.Error, UnicodeDecodeError) as error:
+        what = "not text in UTF-8" if isinstance(error, UnicodeDecodeError) else "no CSV"
+        raise RecordingError(f"{place} is {what} ({error}); export the recording again") from error
+    return columns

@@ -44,10 +44,11 @@ def height_of(
             if not z < ground:  # also where the ground is not known
                 found["height_sigma"] = sigma
                 return z
-            notes.append(
-                f"{what} {z:.1f} m is {ground - z:.1f} m under the terrain: taken as "
-                f"{assumed.height_above_ground:g} m above it; {_MAYBE_ELLIPSOIDAL}"
-            )
+            under = f"{what} {z:.1f} m is {ground - z:.1f} m under the terrain"
+            _refuse_in_flight(photo, assumed, under)
+            notes.append(f"{under}: taken as {assumed.height_above_ground:g} m above it; {_MAYBE_ELLIPSOIDAL}")
+        else:
+            _refuse_in_flight(photo, assumed, "its altitude is not known")
     above = known.height_above_ground
     if above is None:
         above, found["height_sigma"] = assumed.height_above_ground, assumed.ground_sigma
@@ -59,6 +60,16 @@ def height_of(
     return ground + above
 
 
+def _refuse_in_flight(photo: Photo, assumed: Assumptions, why: str) -> None:
+    """A drone tells by how much it has climbed: it is not at eye height above the terrain. Raises PoseError."""
+    climb = photo.sensed.climb
+    if climb is not None and photo.sensed.walk is None and assumed.start_height is None:
+        raise PoseError(
+            f"{photo.path}: {why}, and {photo.sensed.source} tells {climb:.1f} m above the place of take-off alone: "
+            "give --start-height, how high this is in the DEM's vertical datum"
+        )
+
+
 def _altitude(sensed: Sensed, ground: float, assumed: Assumptions, notes: list[str]) -> tuple[float, float, str] | None:
     """Height in the DEM's datum by an altitude, its sigma, and what to call it; None where there is none."""
     if sensed.altitude is None:
@@ -66,9 +77,8 @@ def _altitude(sensed: Sensed, ground: float, assumed: Assumptions, notes: list[s
     undulation = assumed.geoid_undulation
     if sensed.ellipsoidal and undulation is None:
         notes.append(
-            f"{sensed.source}'s altitude {sensed.altitude:.1f} m is above the WGS 84 ellipsoid, and the geoid's height "
-            f"is not known: taken is {assumed.height_above_ground:g} m above the terrain; --geoid-undulation-m makes "
-            "use of it"
+            f"{sensed.source}'s altitudes are above the WGS 84 ellipsoid, and the geoid's height is not known: taken "
+            f"is {assumed.height_above_ground:g} m above the terrain; --geoid-undulation-m makes use of them"
         )
         return None
     z, what = sensed.altitude - (undulation or 0.0), f"{sensed.source} altitude"

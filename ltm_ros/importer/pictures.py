@@ -97,8 +97,7 @@ def _found_in(path: Path, assumed: Assumptions) -> list[Picture | SensorTrack]:
         if track is None:
             raise RecordingError(f"{path}: is no recording of Sensor Logger (a list of objects with `sensor`)")
         return [track]
-    # HEIC begins as videos do.
-    if is_video(path) and path.suffix.lower() not in SUFFIXES:
+    if is_video(path):
         return [*video_pictures(path, assumed)]
     return [_photo_file(path)]
 

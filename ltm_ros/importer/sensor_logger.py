@@ -22,11 +22,22 @@ from ltm_core.device_attitude import ENU_FROM_ENU, ENU_FROM_NWU
 from ltm_core.errors import RecordingError
 from ltm_core.text_io import read_text
 from ltm_core.types import Float64Array, Int64Array
-from ltm_ros.importer.capture_files import LARGEST_TEXT, CaptureFiles, table
+from ltm_ros.importer.capture_files import LARGEST_JSON, CaptureFiles, table
 from ltm_ros.importer.sensor_track import Attitudes, Climb, Fixes, SensorTrack, ascending
 
 SOURCE = "Sensor Logger"
-TABLES = ("Location", "LocationGps", "Orientation", "Barometer", "Metadata")
+_PLACE = (
+    *("time", "latitude", "longitude", "altitude", "altitudeAboveMeanSeaLevel", "horizontalAccuracy"),
+    "verticalAccuracy",
+)
+TABLES = {
+    "Location": _PLACE,
+    "LocationGps": _PLACE,
+    "Orientation": ("time", "qx", "qy", "qz", "qw", "yaw", "pitch", "roll"),
+    "Barometer": ("time", "relativeAltitude", "pressure"),
+    "Metadata": ("platform",),
+}
+"""The tables that are read, and their columns."""
 _FRAME = re.compile(r"\d{10,16}\.jpe?g", re.IGNORECASE)
 _TILT_SIGMA_DEG = 1.0
 """Of the pitch and roll that a phone's gyroscope and accelerometer give in a hand: 0.5 to 1 degree."""
@@ -45,14 +56,18 @@ def is_sensor_logger(files: CaptureFiles) -> bool:
 
 def read_sensor_logger(files: CaptureFiles) -> SensorTrack:
     """The way and attitude of a zip or folder. Raises RecordingError for tables that are none, or without a place."""
-    tables = {name: table(files, member) for name in TABLES if (member := files.find(f"{name}.csv")) is not None}
+    tables = {
+        name: table(files, member, columns)
+        for name, columns in TABLES.items()
+        if (member := files.find(f"{name}.csv")) is not None
+    }
     return _track(tables, str(files.path))
 
 
 def read_sensor_logger_json(path: Path) -> SensorTrack | None:
     """The same of a JSON file; None for JSON of another kind. Raises RecordingError as `read_sensor_logger`."""
     try:
-        rows = json.loads(read_text(path, LARGEST_TEXT, RecordingError, "utf-8-sig"))
+        rows = json.loads(read_text(path, LARGEST_JSON, RecordingError, "utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise RecordingError(f"{path}: cannot be read as JSON ({error}); export the recording again") from error
     if not isinstance(rows, list) or not all(isinstance(row, dict) and "sensor" in row for row in rows[:10]):
@@ -61,7 +76,7 @@ def read_sensor_logger_json(path: Path) -> SensorTrack | None:
     for row in rows:
         name = str(row.get("sensor", "")) if isinstance(row, dict) else ""
         if name in TABLES:
-            columns = tables.setdefault(name, {str(key): [] for key in row})
+            columns = tables.setdefault(name, {key: [] for key in TABLES[name] if key in row})
             for key, values in columns.items():
                 values.append(str(row.get(key, "")))
     return _track(tables, str(path))
@@ -190,7 +205,8 @@ def _first(columns: Table, name: str) -> str:
 def _column(columns: Table, name: str, place: str, what: str) -> Float64Array:
     if name not in columns:
         raise RecordingError(
-            f"{place}: {what} has no column {name!r}, only {', '.join(list(columns)[:12])}: is it Sensor Logger's?"
+            f"{place}: {what} has no column {name!r}, but {', '.join(columns) or 'none'} of those that are read: is it "
+            "Sensor Logger's?"
         )
     return _numbers(columns[name])
 

@@ -19,6 +19,8 @@ from ltm_core.types import UInt8Array
 
 SUFFIXES = (".mp4", ".mov", ".m4v")
 MOST_FRAMES = 20_000
+_FIRST_BOXES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
+_STILL_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"avif", b"avis")
 _LARGEST_TRACK = 256 << 20
 """Bytes of a track of telemetry: an hour of a GoPro has 60 MB."""
 _ISO6709 = re.compile(r"([+-]\d+(?:\.\d+)?)([+-]\d+(?:\.\d+)?)([+-]\d+(?:\.\d+)?)?(?:CRS[^/]*)?/?")
@@ -74,12 +76,14 @@ class Video:
 
 
 def is_video(path: Path) -> bool:
-    """By its first box: ISO 14496-12's `ftyp`, or one of QuickTime's that stand there in older files."""
+    """By its first box: ISO 14496-12's `ftyp`, or one of QuickTime's that stand there in older files. HEIC and AVIF
+    begin alike and name themselves."""
     try:
         with path.open("rb") as file:
-            return file.read(12)[4:8] in (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
+            head = file.read(12)
     except OSError:
         return False
+    return head[4:8] in _FIRST_BOXES and head[8:12] not in _STILL_BRANDS
 
 
 def read_video(path: Path, every: float) -> Video:

@@ -11,7 +11,7 @@ from PIL import Image
 from scenes.movie_file import movie
 from scenes.phone_site import FRAME, GROUND, LAT, LON, imported, phone_site, picture
 
-from ltm_core.errors import LtmError, RecordingError
+from ltm_core.errors import LtmError, PoseError, RecordingError
 from ltm_core.pose_covariance import pose_covariance
 from ltm_core.site import Site
 from ltm_ros.importer.assumptions import Assumptions
@@ -172,8 +172,17 @@ def test_subtitles_without_a_place_are_told(tmp_path: Path, text: str, complaint
 
 def test_a_position_under_the_ground_is_told(tmp_path: Path, site: Site) -> None:
     path = photo(tmp_path / "DJI_0001.JPG", AbsoluteAltitude="-24.13")
-    report = import_photos([path], tmp_path / "bag", site=site)
-    assert any("DJI altitude -24.1 m is 1524.1 m under the terrain" in note for _, note in report.notes)
+    with pytest.raises(PoseError, match=r"DJI altitude -24\.1 m is 1524\.1 m under the terrain.*--start-height"):
+        import_photos([path], tmp_path / "bag", site=site)
+    assert not (tmp_path / "bag").exists()
+
+
+def test_a_drone_that_tells_its_climb_alone_is_never_at_eye_height(tmp_path: Path, site: Site) -> None:
+    path = photo(tmp_path / "DJI_0001.JPG", AbsoluteAltitude=None)
+    with pytest.raises(
+        PoseError, match=r"its altitude is not known, and DJI tells 60\.0 m above the place of take-off"
+    ):
+        import_photos([path], tmp_path / "bag", site=site)
 
 
 @pytest.mark.parametrize("changes", [{"GimbalYawDegree": "nan"}, {"GimbalYawDegree": None}])

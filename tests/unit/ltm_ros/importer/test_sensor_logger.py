@@ -250,7 +250,7 @@ def nowhere(path: Path) -> dict[str, str | bytes | None]:
         (nowhere, "the phone had no fix"),
         (lambda path: {"Location.csv": "time,lat\n1,2\n"}, "has no column 'latitude'"),
         (lambda path: {"Location.csv": "latitude,longitude\n1,2\n"}, "has no column `time`"),
-        (lambda path: {"Location.csv": "a,b,c\n1,2\n3,4,5\n"}, "line 2: has 2 values for 3 columns"),
+        (lambda path: {"Location.csv": "a,b,c\n1,2\n3,4,5\n"}, "line 2: has fewer values than the 3 columns"),
         (lambda path: {"Location.csv": b"\xff\xfe\x00"}, "is not text in UTF-8"),
         (lambda path: {"Orientation.csv": "time,yaw\n1,2\n"}, "Orientation has no column 'qx'"),
     ],
@@ -303,7 +303,7 @@ class TestArchives:
         assert report.cameras == {"phone": 4}  # read from the archive by its name there, and never unpacked
 
     def test_a_bomb_is_read_no_further_than_its_bound(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(capture_files, "LARGEST_TEXT", 1 << 20)
+        monkeypatch.setattr(capture_files, "LARGEST_TABLE", 1 << 20)
         bomb = changed(recorded(tmp_path), {"Location.csv": b"0" * (40 << 20)})
         assert bomb.stat().st_size < 1 << 20
         with pytest.raises(RecordingError, match=r"'Location.csv': has more than 1 MiB unpacked"):

@@ -156,6 +156,16 @@ def test_a_camera_that_is_mounted_otherwise(tmp_path: Path) -> None:
     np.testing.assert_allclose(sent(outlet)[0].angles_deg[1:], SEEN[1:], atol=1e-9)
 
 
+def test_images_as_the_sensor_reads_them_lie_on_their_side(tmp_path: Path) -> None:
+    """A phone that is held upright: EXIF would turn its image clockwise by a quarter, so its top lies left:
+    the camera is rolled clockwise."""
+    node, outlet, _ = capture(tmp_path, TRUE | {"mount": "phone_sensor"})
+    feed(node, imu(STAMP, SEEN, phone_camera(0.0)))
+    azimuth, pitch, roll = sent(outlet)[0].angles_deg
+    assert (pitch, roll) == pytest.approx((-4.0, 1.5 + 90.0), abs=1e-6)
+    assert azimuth == pytest.approx(FRAME.true_to_grid_deg(231.0, *sent(outlet)[0].position[:2]))
+
+
 def test_an_altitude_under_the_ground_is_not_believed(tmp_path: Path) -> None:
     node, outlet, _ = capture(tmp_path, TRUE | {"geoid_undulation": 20.0})
     feed(node, imu(STAMP))
