@@ -54,7 +54,8 @@ def image_skyline(photo: UInt8Array, labels: UInt8Array) -> ImageSkyline:
     reach = max(3.0, _REACH * width)
     strength = _vertical_gradient(photo)
     v, sharpness = _sharpened(strength, u, rows, reach)
-    below = np.minimum(np.rint(v).astype(np.int64) + max(2, height // 180), height - 1)
+    # Below the labels' own edge, too: what stands between the two edges is called sky.
+    below = np.minimum(np.maximum(np.rint(v).astype(np.int64), rows) + max(2, height // 180), height - 1)
     # Hardly an edge at all (haze, cloud on the crest): no better than the labels.
     blurred = 0.5 * reach / (1.0 + (sharpness / 6.0) ** 2)
     sigma = np.hypot(0.45 * max(1.0, width / 1280), blurred)

@@ -47,8 +47,8 @@ def write_pose_file(
         "calibration": {
             "width": camera.width,
             "height": camera.height,
-            "fx": round(camera.fx, 4),
-            "fy": round(camera.fy, 4),
+            "fx": round(float(camera.fx), 4),
+            "fy": round(float(camera.fy), 4),
             "cx": camera.cx,
             "cy": camera.cy,
             **{"k1": k1, "k2": k2, "p1": p1, "p2": p2, "k3": k3},

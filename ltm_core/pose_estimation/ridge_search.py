@@ -9,6 +9,7 @@ import numpy as np
 
 from ltm_core.camera import Camera
 from ltm_core.pose import Pose
+from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.contour_scores import ContourDirections, contour_scores, ridge_strength
 from ltm_core.pose_estimation.picture_pose_config import CrestCover, PicturePoseConfig
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, search_reach
@@ -22,6 +23,8 @@ _ANY = CrestCover(tree=(0.3, 0.4), shrub=(0.3, 0.4), grass=(0.2, 0.3), bare=(0.1
 """Whatever the labels are: a picture without sky is of rock and ice more often than labels say."""
 _ALONG = 8.0
 """Metres and pixels within which a ridge's errors are one and the same: of rock."""
+_FLOOR_DEG = (0.2, 0.05, 0.2)
+"""Of azimuth, pitch and roll: edges along a ridge may all be of another thing, the margin of a wood say."""
 _MOST_POINTS = 1000
 _COARSE_POINTS = 500
 _NEARBY = np.array([(a, p, r) for a in (-0.25, 0.0, 0.25) for p in (-0.1, 0.0, 0.1) for r in (-0.4, 0.0, 0.4)])
@@ -89,6 +92,9 @@ def search_ridges(
             start = Pose.from_angles(prior.pose.position, *(float(a) for a in angles))
             around = ridges.in_view(start, lens, _MOST_POINTS)
             refined = refine(start, lens, evidence, horizon, around, prior, focal_sigma, config, _ROUNDS)
+            covariance = refined.covariance.copy()
+            covariance[3:6, 3:6] += pose_covariance(refined.pose, 0.0, 0.0, *_FLOOR_DEG)[3:, 3:]
+            refined = replace(refined, covariance=covariance)
             z = ridge_strength(refined.pose, ridges, horizon.step, refined.camera, evidence.edges)
             cost = refined.cost - config.contours.weight * max(z, 0.0) ** 2 / 2
             hypotheses.append(Hypothesis(refined, cost, z))

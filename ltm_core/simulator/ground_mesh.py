@@ -116,6 +116,12 @@ def under(wide: HeightField, site: HeightField) -> BoolArray:
     return np.asarray(inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:], np.bool_)
 
 
+def far_radii(half: float) -> Float64Array:
+    """The 92 radii of `far_surface` about surroundings of twice `half` metres; out to three times `half` each ring goes
+    over from a square to a circle."""
+    return np.concatenate([[0.97 * half, 1.0 * half], np.geomspace(1.1 * half, _HORIZON, 90)])
+
+
 def far_surface(
     wide: HeightField, seed: int, center: Float64Array, bend: float
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
@@ -125,8 +131,7 @@ def far_surface(
     middle = np.array([(g.x_min + g.x_max) / 2, (g.y_min + g.y_max) / 2])
     half = (g.x_max - g.x_min) / 2
     edge = float(np.median(np.concatenate([wide.elevation[[0, -1]].ravel(), wide.elevation[:, [0, -1]].ravel()])))
-    radius = np.concatenate([[0.97 * half, 1.0 * half], np.geomspace(1.1 * half, _HORIZON, 90)])
-    angle = np.linspace(0, 2 * np.pi, 721)
+    radius, angle = far_radii(half), np.linspace(0, 2 * np.pi, 721)
     # A square inner edge that follows the surroundings' border, a circle far out
     square = 1 / np.maximum(np.abs(np.cos(angle)), np.abs(np.sin(angle)))
     blend = np.clip((radius[:, None] - half) / (2 * half), 0, 1)
