@@ -26,9 +26,11 @@ SITE_NODES = ("fuel_map",)
 """Node types that a site has one of, in `/<site>`."""
 TERRAIN_NODES = ("terrain",)
 """Node types that a site has one of where its file has a section `terrain`."""
+LOCATING_NODES = ("locate",)
+"""Node types that a site has one of where its file has a section `locating`."""
 OPTIONAL_NODES = ("viewer", "recorder")
 """Site-level node types that run on request; the graph works without them."""
-NODE_TYPES = CAMERA_NODES + FUSION_NODES + SITE_NODES + TERRAIN_NODES + OPTIONAL_NODES
+NODE_TYPES = CAMERA_NODES + FUSION_NODES + SITE_NODES + TERRAIN_NODES + LOCATING_NODES + OPTIONAL_NODES
 
 BUSY_NODES = ("depth", "segmentation", "topodepth")
 """Node types that compute on several threads; the others get one."""
@@ -147,6 +149,7 @@ def describe(
     for camera in chosen:
         site.camera(camera)
     of_site = SITE_NODES + (TERRAIN_NODES if site.terrain is not None else ())
+    of_site += LOCATING_NODES if site.locating is not None else ()
     nodes = [spec(kind, f"/{site.name}", {}) for kind in of_site]
     kinds = CAMERA_NODES + (FUSION_NODES if site.depth_model else ())
     nodes += [spec(kind, f"/{site.name}/{camera}", {"camera": camera}) for camera in chosen for kind in kinds]
