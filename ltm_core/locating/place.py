@@ -12,7 +12,7 @@ from ltm_core.errors import RegionError
 from ltm_core.locating.sight_fan import sight_fan
 from ltm_core.types import Float64Array
 from ltm_core.visibility.line_of_sight import line_of_sight_vectors
-from ltm_core.visibility.point_visibility import PointState, PointVisibility
+from ltm_core.visibility.point_visibility import TOLERANCE, PointState, PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
 
 _MARGIN = 3.0
@@ -72,7 +72,7 @@ def _view(sight: PointVisibility, camera: PosedCamera, place: Float64Array, exte
         (float(pixel[0]), float(pixel[1])) if there else None,
         state,
         lift,
-        _crest(sight, camera, place) if lift > 0 else None,
+        _crest(sight, camera, place) if lift > TOLERANCE else None,
         math.degrees(math.atan2(vector[0], vector[1])) % 360.0,
         math.degrees(math.atan2(vector[2], level)),
         min(max(hfov, _NARROWEST_DEG), 120.0),

@@ -8,6 +8,8 @@ where the plume comes up over the crest: in height, the running maximum of the t
 place, the same for all places behind one crest; in azimuth, the foot's and what the plume has drifted sideways until
 there. `lifts` says how high smoke must stand at a place; a plume is the less likely to be so high.
 
+Slopes of the place and of the crest have errors by the terrain model's, so that which one is higher may not be certain.
+
 Along a ray the slope changes from sample to sample; the density is averaged over that change in closed form, or near
 and steep ground would fall between the samples.
 """
@@ -28,6 +30,8 @@ from ltm_core.types import Float32Array, Float64Array, Int64Array, UInt8Array
 
 LEVEL_SHARE = 0.1
 """Of a raster's cell size: the least sigma that its heights have between its nodes."""
+APART_CELLS = 4.0
+"""Cells from which errors of a raster's heights count as independent."""
 DRIFTS = np.array([0.0, 0.0015, 0.004, 0.01, 0.025])
 """Radians of sideways drift, sigma, for which azimuths are worked out."""
 _NEXT_DRIFT = np.concatenate([[DRIFTS[1] / 2], np.sqrt(DRIFTS[1:-1] * DRIFTS[2:])])
@@ -43,12 +47,6 @@ class DirectionTable:
     density: Float64Array
     slope: Float64Array
     variance: Float64Array
-
-    @property
-    def peak(self) -> float:
-        """The greatest density of a direction."""
-        here = self.density[0] > 0
-        return float((self.density[0][here] / np.sqrt(2 * np.pi * self.variance[here])).max())
 
 
 def direction_table(directions: MarkedDirections, azimuths: Float64Array, drifting: bool) -> DirectionTable:
@@ -75,9 +73,22 @@ def direction_table(directions: MarkedDirections, azimuths: Float64Array, drifti
     return DirectionTable(density, np.where(none, middle, mean), np.where(none, 1.0, spread))
 
 
-def level_sigmas(dem: Dem, config: LocatingConfig) -> Float64Array:
-    """Sigma of the heights of each raster of the terrain, (L,) metres."""
-    return np.array([max(config.dem_sigma, LEVEL_SHARE * level.geometry.resolution) for level in dem.levels])
+def level_errors(dem: Dem, config: LocatingConfig) -> tuple[Float64Array, Float64Array]:
+    """By raster of the terrain, (L,): variance of heights, and metres from which their errors are independent."""
+    resolutions = np.array([level.geometry.resolution for level in dem.levels])
+    return np.maximum(config.dem_sigma, LEVEL_SHARE * resolutions) ** 2, APART_CELLS * resolutions
+
+
+@dataclass(frozen=True, eq=False)
+class SightLikelihood:
+    """Of the samples of a fan, (A, R) each. `density`: of the marked direction. `fit`: that over the greatest that the
+    sample could have, were the mark where it is best for it: 1 where all agrees. `lifts`: metres above the ground from
+    which something is seen.
+    """
+
+    density: Float64Array
+    fit: Float32Array
+    lifts: Float32Array
 
 
 def sight_likelihood(
@@ -85,26 +96,29 @@ def sight_likelihood(
     table: DirectionTable,
     height: float,
     bend: float,
-    sigmas: Float64Array,
+    variances: Float64Array,
+    apart: Float64Array,
     smoke: bool,
     lean: float = 0.0,
-) -> tuple[Float64Array, Float32Array]:
-    """Density of the marked direction, and metres above ground from which something is seen, (A, R) each.
+) -> SightLikelihood:
+    """What the mark says of each sample.
 
     Args:
         height: of the camera, metres.
-        sigmas: of the terrain's heights, by raster of the stack.
+        variances: of the terrain's heights, by raster of the stack, square metres.
+        apart: metres from which errors of these heights are independent, by raster.
         smoke: what is marked is the lowest visible part of smoke, not something on the ground.
         lean: of a plume, `LocatingConfig.plume_lean`.
     """
     density = np.zeros(fan.heights.shape)
-    lifts = np.zeros(fan.heights.shape, np.float32)
+    fit, lifts = np.zeros(fan.heights.shape, np.float32), np.zeros(fan.heights.shape, np.float32)
     knots = np.clip(np.searchsorted(KNOTS, fan.ranges), 0, len(KNOTS) - 1)
     _likelihood(
         *(fan.heights, fan.levels, fan.ranges, fan.widths, knots, height, bend, table.density),
-        *(table.slope, table.variance, sigmas**2, smoke, lean, _NEXT_DRIFT, density, lifts),
+        *(table.density.max(axis=1), table.slope, table.variance, variances, apart, smoke, lean, _NEXT_DRIFT),
+        *(density, fit, lifts),
     )
-    return density, lifts
+    return SightLikelihood(density, fit, lifts)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -117,51 +131,72 @@ def _likelihood(
     z0: float,
     bend: float,
     azimuth_density: Float64Array,
+    azimuth_peak: Float64Array,
     slope_mean: Float64Array,
     slope_variance: Float64Array,
     height_variance: Float64Array,
+    apart: Float64Array,
     smoke: bool,
     lean: float,
     next_drift: Float64Array,
     density: Float64Array,
+    fit: Float32Array,
     lifts: Float32Array,
 ) -> None:
     drifts = azimuth_density.shape[0]
-    # Density of the slope at which smoke comes up from behind what is nearer than a range, over the marked azimuths.
-    over_crest, marked = np.zeros(len(ranges)), np.zeros(len(ranges))
+    # How smoke from behind what is nearer than a range agrees with the marked slope, over the marked azimuths.
+    over_crest, crest_fit, marked = np.zeros(len(ranges)), np.zeros(len(ranges)), np.zeros(len(ranges))
+    slopes = np.empty(len(ranges))
     for a in range(heights.shape[0]):
         top, top_k = -np.inf, 0
+        far, far_k, behind = -np.inf, 0, 0
         before = np.nan
         for k in range(heights.shape[1]):
-            if levels[a, k] == NO_LEVEL or heights[a, k] != heights[a, k]:
-                before = np.nan  # unknown ground hides nothing and nothing is looked for there
+            level = levels[a, k]
+            if level == NO_LEVEL or heights[a, k] != heights[a, k]:
+                before, slopes[k] = np.nan, -np.inf  # unknown ground hides nothing and nothing is looked for there
                 continue
             r = ranges[k]
             slope = (heights[a, k] - z0) / r - bend * r
-            lift = 0.0
+            slopes[k] = slope
+            # The highest crest whose height has errors of its own.
+            while ranges[behind] < r - apart[level]:
+                if slopes[behind] >= far:
+                    far, far_k = slopes[behind], behind
+                behind += 1
+            if smoke:
+                near, near_k = (slope, k) if slope >= top or top_k == far_k else (top, top_k)
+                edge, own, at = _higher(
+                    near,
+                    height_variance[levels[a, near_k]] / ranges[near_k] ** 2,
+                    near_k,
+                    far,
+                    height_variance[levels[a, far_k]] / ranges[far_k] ** 2,
+                    far_k,
+                )
+            else:
+                edge, own, at = slope, height_variance[level] / r**2, k
+            lift = (max(top, edge) - slope) * r
             if slope >= top:
                 top, top_k = slope, k
-            else:
-                lift = (top - slope) * r
             lifts[a, k] = lift
-            edge = top if smoke else slope
             low = edge if before != before else before
             before = edge
             here = azimuth_density[0, a, knots[k]]
             if here <= 0:
                 continue
-            # What is seen of smoke is seen at the crest: by its error, and the position's at its range.
-            at = top_k if smoke else k
+            sigma = math.sqrt(slope_variance[a, knots[at]] + own)
             mean = slope_mean[a, knots[at]]
-            sigma = math.sqrt(slope_variance[a, knots[at]] + height_variance[levels[a, at]] / ranges[at] ** 2)
-            value = _mean_density((low - mean) / sigma, (edge - mean) / sigma) / sigma
+            value = _mean_density((low - mean) / sigma, (edge - mean) / sigma)
             if smoke:
-                over_crest[k] += value * here * widths[a]
+                over_crest[k] += value / sigma * here * widths[a]
+                crest_fit[k] += value * here * widths[a]
                 marked[k] += here * widths[a]
             elif lift > 0:
                 crest = height_variance[levels[a, top_k]] * (r / ranges[top_k]) ** 2
-                value *= math.erfc(lift / math.sqrt(2.0 * (height_variance[levels[a, k]] + crest) + 1e-6))
-            density[a, k] = value * here
+                value *= math.erfc(lift / math.sqrt(2.0 * (height_variance[level] + crest) + 1e-6))
+            density[a, k] = value / sigma * here
+            fit[a, k] = value * _ROOT_2PI * here / azimuth_peak[0, knots[k]]
     if not smoke or drifts < 2:
         return
     for a in range(heights.shape[0]):
@@ -171,7 +206,32 @@ def _likelihood(
                 number = 1
                 while number < drifts - 1 and drift > next_drift[number]:
                     number += 1
-                density[a, k] = azimuth_density[number, a, knots[k]] * over_crest[k] / marked[k]
+                here = azimuth_density[number, a, knots[k]]
+                density[a, k] = here * over_crest[k] / marked[k]
+                fit[a, k] = _ROOT_2PI * crest_fit[k] / marked[k] * here / azimuth_peak[number, knots[k]]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _higher(
+    near: float, near_variance: float, near_k: int, far: float, far_variance: float, far_k: int
+) -> tuple[float, float, int]:
+    """Mean and variance of the higher of two slopes whose errors are independent, and which it rather is (Clark, The
+    greatest of a finite set of random variables, Operations Research 9, 1961).
+    """
+    if far == -np.inf or near_k == far_k:
+        return near, near_variance, near_k
+    spread = math.sqrt(near_variance + far_variance) + 1e-12
+    off = near - far
+    alpha = off / spread
+    if alpha > 4:
+        return near, near_variance, near_k
+    if alpha < -4:
+        return far, far_variance, far_k
+    share = 0.5 * math.erfc(-alpha / math.sqrt(2.0))
+    shape = spread * math.exp(-0.5 * alpha**2) / _ROOT_2PI
+    above = off * share + shape
+    second = (off**2 + near_variance) * share + far_variance * (1 - share) + off * shape
+    return far + above, max(second - above**2, 0.0), near_k if alpha > 0 else far_k
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]

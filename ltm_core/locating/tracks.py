@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ltm_core.errors import RegionError
-from ltm_core.locating.locator import Location, Locator, Sighting
+from ltm_core.locating.locator import Location, Locator
+from ltm_core.locating.sighting import Sighting
 
 NEARBY_DEG = 4.0
 """Between a sighting's azimuth and a track's place: within it the two may be of one fire, a camera being wrong."""
@@ -91,8 +92,7 @@ class Tracks:
                 location = self.locator.locate([each.sighting for each in together], self.smoke)
             except RegionError:
                 continue
-            cameras = len({each.sighting.name for each in together})
-            if location.misfit <= self.locator.limit(cameras):
+            if _agree(location, self.locator.limit(1, self.smoke)):
                 if best is None or location.misfit < best[0]:
                     best = (location.misfit, track, location)
             elif location.agreement is not None and location.agreement.wrong is not None:
@@ -121,6 +121,11 @@ class Tracks:
             if counts[name] <= self.of_a_camera:
                 kept.append(seen)
         return kept[::-1]
+
+
+def _agree(location: Location, limit: float) -> bool:
+    """`limit`: of one camera's sightings."""
+    return location.misfit <= limit if location.agreement is None else location.agreement.agree
 
 
 def _nearby(sighting: Sighting, track: Track, alone: Location) -> bool:

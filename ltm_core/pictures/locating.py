@@ -164,9 +164,9 @@ def _draw(
     for place, color in ((mean, _FIRST), (truth, _TRUTH)):
         if place is None:
             continue
-        row, col = (round(float(v)) for v in view.to_grid(*place))
-        cv2.drawMarker(picture, (col, row), (255, 255, 255), cv2.MARKER_CROSS, 20, 5, cv2.LINE_AA)
-        cv2.drawMarker(picture, (col, row), color, cv2.MARKER_CROSS, 18, 2, cv2.LINE_AA)
+        at_row, at_col = (round(float(v)) for v in view.to_grid(*place))
+        cv2.drawMarker(picture, (at_col, at_row), (255, 255, 255), cv2.MARKER_CROSS, 20, 5, cv2.LINE_AA)
+        cv2.drawMarker(picture, (at_col, at_row), color, cv2.MARKER_CROSS, 18, 2, cv2.LINE_AA)
 
 
 def _named(picture: RgbImage, view: GridGeometry, ellipses: Sequence[tuple[str, Ellipse]]) -> RgbImage:

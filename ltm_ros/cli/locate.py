@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from ltm_core.locating.answer import Answer
-    from ltm_core.locating.locator import Sighting
     from ltm_core.locating.place import PlaceView
+    from ltm_core.locating.sighting import Sighting
     from ltm_ros.cli.locate_cameras import LocatingScene
 
 FILES = ("locate.png", "locate.json", "locate.geojson", "posterior.tif")
@@ -152,8 +152,8 @@ def _sighting(scene: LocatingScene, name: str, text: str, config: Any, smoke: bo
     import numpy as np
 
     from ltm_core.errors import ConfigError
-    from ltm_core.locating.locator import Sighting
     from ltm_core.locating.region import marked_box, marked_pixel, marked_polygon
+    from ltm_core.locating.sighting import Sighting
 
     camera = scene.camera(name)
     values = numbers(text, "a mark")

@@ -110,11 +110,11 @@ def of_poses(paths: Sequence[str], rasters: Sequence[Path], crs: str | None) -> 
     frame, dem = near_frame(first, terrain)
     assumed = PoseErrorConfig()
     cameras = {}
-    for name, config in configs.items():
-        pose = config.pose.pose(dem, frame)
-        stated = config.pose.covariance(pose, assumed.position, assumed.angle_deg)
+    for name, known in configs.items():
+        pose = known.pose.pose(dem, frame)
+        stated = known.pose.covariance(pose, assumed.position, assumed.angle_deg)
         covariance = assumed.covariance() if stated is None else stated
-        cameras[name] = LocatingCamera(name, config.calibration.camera(), pose, covariance)
+        cameras[name] = LocatingCamera(name, known.calibration.camera(), pose, covariance)
     sight = PointVisibility(dem, first.curvature, first.refraction, first.possible_ground)
     bend = ray_bend(first.curvature, first.refraction)
     return LocatingScene(dem, sight, frame, bend, LocatingConfig(), None, cameras)

@@ -20,8 +20,9 @@ from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.prior_io import load_prior
 from ltm_core.grid import GridGeometry
 from ltm_core.locating.answer import Answer, answer, as_geojson
-from ltm_core.locating.locator import Location, Locator, Sighting
+from ltm_core.locating.locator import Location, Locator
 from ltm_core.locating.region import marked_pixel, marked_polygon
+from ltm_core.locating.sighting import Sighting
 from ltm_core.locating.tracks import SeenAt, Track, Tracks
 from ltm_core.pose import Pose
 from ltm_core.site_io import load_site

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -15,8 +15,9 @@ from ltm_core.errors import RegionError
 from ltm_core.evaluation.locating.smoke_sites import MAST, SmokeSite
 from ltm_core.evaluation.locating.smoke_trials import PoseErrors, SeenPlume, random_plume, seen_plume, sighting
 from ltm_core.geodesy import ray_bend
-from ltm_core.locating.locator import Locator, Sighting
+from ltm_core.locating.locator import Location, Locator
 from ltm_core.locating.settings import LocatingConfig
+from ltm_core.locating.sighting import Sighting
 from ltm_core.types import Float64Array
 from ltm_core.visibility.point_visibility import PointVisibility
 
@@ -26,6 +27,9 @@ _WIDE, _APART, _TOGETHER = 30.0, 15.0, 5.0
 """Degrees at the foot: two cameras that cross well, three that are told apart, two from one direction."""
 _BESIDE = 60.0, 160.0
 """Metres between two towers that look from one direction."""
+
+
+Drawer = Callable[[Location, Sequence[Sighting], tuple[float, float]], None]
 
 
 class Case(StrEnum):
@@ -76,8 +80,9 @@ def smoke_trials(
     boxed: bool,
     seed: int,
     curvature: bool = True,
+    drawer: Drawer | None = None,
 ) -> Iterator[Trial]:
-    """`count` trials of each case on a site."""
+    """`count` trials of each case on a site. `drawer`: is shown each answer, its sightings, and the truth."""
     bend = ray_bend(curvature, 0.13)
     sight = PointVisibility(site.truth, curvature)
     locator = Locator(site.model, bend, config)
@@ -99,7 +104,7 @@ def smoke_trials(
             found = [mark for mark in marks if mark is not None]
             if len(found) == len(views):
                 done += 1
-                yield _score(site.name, case, boxed, locator, views, found, wrong)
+                yield _score(site.name, case, boxed, locator, views, found, wrong, drawer)
 
 
 def _views(rng: np.random.Generator, site: SmokeSite, sight: PointVisibility, case: Case) -> list[SeenPlume] | None:
@@ -151,6 +156,7 @@ def _score(
     views: list[SeenPlume],
     marks: list[Sighting],
     wrong: int,
+    drawer: Drawer | None,
 ) -> Trial:
     foot = views[0].plume.foot
     began = time.perf_counter()
@@ -170,6 +176,8 @@ def _score(
         return replace(nothing, unlocated=str(error))
     spent = 1000 * (time.perf_counter() - began)
     posterior, x, y = location.posterior, float(foot[0]), float(foot[1])
+    if drawer is not None:
+        drawer(location, marks, (x, y))
     half, most = posterior.ellipse(0.5), posterior.ellipse(0.95)
     agreement = location.agreement
     return replace(

@@ -11,9 +11,9 @@ import numpy as np
 
 from ltm_core.camera import Camera
 from ltm_core.errors import RegionError
-from ltm_core.locating.locator import Sighting
 from ltm_core.locating.region import marked_box, marked_pixel
 from ltm_core.locating.settings import LocatingConfig
+from ltm_core.locating.sighting import Sighting
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
 from ltm_core.types import Float64Array

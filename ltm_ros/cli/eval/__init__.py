@@ -13,6 +13,7 @@ from ltm_ros.cli.eval.bag import bag
 from ltm_ros.cli.eval.depth import depth
 from ltm_ros.cli.eval.fuel import fuel
 from ltm_ros.cli.eval.gallery import gallery
+from ltm_ros.cli.eval.locate import locate
 from ltm_ros.cli.eval.relative_depth import relative_depth
 from ltm_ros.cli.eval.segmentation import segmentation
 from ltm_ros.cli.eval.sim2real import sim2real
@@ -36,6 +37,7 @@ evaluate.command(WHOLE)(bag)
 evaluate.command()(depth)
 evaluate.command()(fuel)
 evaluate.command()(gallery)
+evaluate.command()(locate)
 evaluate.command()(relative_depth)
 evaluate.command()(segmentation)
 evaluate.command()(sim2real)
