@@ -43,13 +43,16 @@ class Fused:
         return float(self.misfit.min())
 
 
-def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight]) -> Fused:
-    """All sights together, as finely as the places that they allow in common ask for."""
+def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Sequence[Sight] = ()) -> Fused:
+    """All sights together, as finely as the places that they allow in common ask for.
+
+    `turned`: of a camera whose azimuth may be wrong: they count for the misfit, and by their slope alone.
+    """
     shared = _shared(sights)
     supports = [terrain.support(sight) for sight in sights]
     window = _common_window([bounds for bounds, _ in supports], max(cell for _, cell in supports))
     found = _fused(terrain, sights, shared, window)
-    for _ in range(_ROUNDS):
+    for number in range(_ROUNDS):
         if not np.isfinite(found.least):
             break
         rows, cols = np.nonzero(found.misfit < found.least + _BEYOND)
@@ -57,12 +60,13 @@ def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight]) -> Fused:
         x_max, y_min = (float(v) for v in found.window.to_map(rows.max() + 1.5, cols.max() + 1.5))
         extent = max(x_max - x_min, y_max - y_min)
         wanted = max(_FINEST, extent / _SIDE)
-        if wanted > _SHRINKS * found.window.resolution:
+        if wanted > _SHRINKS * found.window.resolution and (number > 0 or not turned):
             break
         bounds = x_min, y_min, x_max, y_max
         closer = [terrain.look_closer(sight, bounds, wanted) for sight in sights]
-        resolution = max(wanted, *(sight.cell for sight in closer))
-        found = _fused(terrain, closer, shared, covering(bounds, resolution))
+        others = [terrain.look_at_slope(sight, bounds, wanted) for sight in turned]
+        resolution = max(wanted, *(sight.cell for sight in (*closer, *others)))
+        found = _fused(terrain, closer, shared, covering(bounds, resolution), others)
     return found
 
 
@@ -113,7 +117,11 @@ def _common_window(supports: Sequence[Bounds], cell: float) -> GridGeometry:
 
 
 def _fused(
-    terrain: LocatingTerrain, sights: Sequence[Sight], shared: Mapping[str, float], window: GridGeometry
+    terrain: LocatingTerrain,
+    sights: Sequence[Sight],
+    shared: Mapping[str, float],
+    window: GridGeometry,
+    turned: Sequence[Sight] = (),
 ) -> Fused:
     by_camera: dict[str, list[SightRaster]] = {}
     positions: dict[str, Float64Array] = {}
@@ -132,11 +140,14 @@ def _fused(
     for name, rasters in by_camera.items():
         part = 1 / (shared[name] * len(rasters))
         for raster in rasters:
-            fit += np.log(np.maximum(raster.fit[rows, cols], 1e-30)) * part
+            fit += np.log(np.maximum(raster.fit[rows, cols], 1e-30)) / len(rasters)
             density += np.log(raster.density[rows, cols]) * part
             raised = np.maximum(raised, raster.lift[rows, cols])
         squared = (x - positions[name][0]) ** 2 + (y - positions[name][1]) ** 2
         density -= np.log1p(squared / terrain.config.detection_range**2) / shared[name]
+    for sight in turned:
+        raster = sight_raster(sight.fan, sight.likelihood, sight.position, window)
+        fit += np.log(np.maximum(raster.fit[rows, cols], 1e-30)) / len(turned)
     rising = np.log(terrain.chance(raised))
     density += rising
     misfit[rows, cols] = -2 * (fit + rising)

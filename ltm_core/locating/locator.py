@@ -10,10 +10,12 @@ error: their densities are averaged (geometrically) and no number of them makes 
 look in one direction share what is wrong of the terrain model and of the plume: they too are averaged, the more so the
 smaller the angle between them, and those at right angles are multiplied.
 
-Whether cameras agree is judged at the best place: T = -2 log of S and of the densities there, each over the greatest
-one that it could have. Where all are right it is of a chi-squared distribution with 2 n - 2 degrees of freedom, of
-which -2 log S, of exponential heights, adds two (Baarda's test of a network, made for densities). Where they disagree,
-T without each camera says how likely it is that one that is wrong.
+Whether cameras agree is judged at the best place. T = -2 log of S and of the densities there, each over the greatest
+that it could have. A camera that is wrong is most often turned, for mounts slip and encoders lose their zero about the
+vertical: then its slope still agrees with the right place, its azimuth does not. So T is found again with the azimuth
+of each camera let go; where that lowers it by more than chance would (one degree of freedom, Baarda's test of a network
+made for densities), the cameras disagree, and the least T tells which one is wrong. Two cameras tell no more than that
+one of them is.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ MOST_SIGHTINGS = 64
 
 @dataclass(frozen=True)
 class Agreement:
-    """`statistic`: T of all cameras; +inf where no place is possible for all. `limit`: above it they disagree.
+    """`statistic`: T of all cameras; +inf where no place is possible for all. `limit`: of what one camera may cause.
     `suspicion`: by camera, the probability that it is the wrong one, where they disagree; else empty. `wrong`: the one
     that is named.
     """
@@ -97,23 +99,29 @@ class Locator:
         fused = fused_closely(terrain, sights)
         if len(names) == 1:
             return _location(fused, None)
-        limit = self.limit(len(names), smoke)
+        limit = self.limit(len(names))
         if fused.least <= limit:
             return _location(fused, Agreement(fused.least, limit, {}, None))
-        without = {name: fused_closely(terrain, [sight for sight in sights if sight.name != name]) for name in names}
-        chances = _shares([without[name].least for name in names])
+        parted = {
+            name: ([s for s in sights if s.name != name], [s for s in sights if s.name == name]) for name in names
+        }
+        misfits = [fused_closely(terrain, others, wrong).least for others, wrong in parted.values()]
+        if len(names) > 2 and fused.least - min(misfits) <= limit:
+            return _location(fused, Agreement(fused.least, limit, {}, None))
+        chances = _shares(misfits)
         suspicion = dict(zip(names, chances, strict=True))
         suspect = max(suspicion, key=lambda name: suspicion[name])
-        explained = without[suspect].least <= self.limit(len(names) - 1, smoke)
-        named = suspicion[suspect] >= self.config.sure_of_wrong and explained and len(names) > 2
+        named = suspicion[suspect] >= self.config.sure_of_wrong and len(names) > 2
         agreement = Agreement(fused.least, limit, suspicion, suspect if named else None)
         if named:
-            return _location(without[suspect], agreement)
-        return _location(mixture(list(without.values()), chances), agreement)
+            return _location(fused_closely(terrain, parted[suspect][0]), agreement)
+        without = [fused_closely(terrain, others) for others, _ in parted.values()]
+        return _location(mixture(without, chances), agreement)
 
-    def limit(self, cameras: int, smoke: bool) -> float:
-        """T up to which sightings of so many cameras agree."""
-        return float(chdtri(max(2 * cameras - 2, 2) + (2 if smoke else 0), self.config.false_alarm))
+    def limit(self, cameras: int) -> float:
+        """By how much T may fall when a camera's azimuth is let go, where all are right; of two cameras, T itself."""
+        share = self.config.false_alarm
+        return float(chdtri(1, share / cameras) if cameras > 2 else chdtri(2, share))
 
 
 def _location(fused: Fused, agreement: Agreement | None) -> Location:

@@ -27,7 +27,7 @@ class LocatingConfig(StrictModel):
     """Share of a box's or polygon's height by which its lower edge is off, where that is more."""
     focal_sigma: float = Field(0.002, ge=0)
     """Of the focal length, as a share."""
-    false_alarm: float = Field(0.001, gt=0, lt=0.5)
+    false_alarm: float = Field(0.03, gt=0, lt=0.5)
     """Share of agreeing sightings that are taken for disagreeing ones."""
-    sure_of_wrong: float = Field(0.9, gt=0.5, lt=1)
+    sure_of_wrong: float = Field(0.6, gt=0.5, lt=1)
     """Probability from which a camera is named as the wrong one."""

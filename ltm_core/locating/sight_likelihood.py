@@ -73,6 +73,16 @@ def direction_table(directions: MarkedDirections, azimuths: Float64Array, drifti
     return DirectionTable(density, np.where(none, middle, mean), np.where(none, 1.0, spread))
 
 
+def slope_table(directions: MarkedDirections, azimuths: int) -> DirectionTable:
+    """The mark's slope alone, alike at so many azimuths."""
+    slope = float(directions.slope @ directions.weights)
+    variance = (
+        directions.weights @ directions.covariance[..., 1, 1] + directions.weights @ (directions.slope - slope) ** 2
+    )
+    shape = (azimuths, len(KNOTS))
+    return DirectionTable(np.ones((1, *shape)), np.full(shape, slope), np.broadcast_to(variance, shape).copy())
+
+
 def level_errors(dem: Dem, config: LocatingConfig) -> tuple[Float64Array, Float64Array]:
     """By raster of the terrain, (L,): variance of heights, and metres from which their errors are independent."""
     resolutions = np.array([level.geometry.resolution for level in dem.levels])

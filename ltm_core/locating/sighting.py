@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,13 @@ from ltm_core.locating.directions import MarkedDirections, marked_directions
 from ltm_core.locating.region import Mark
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_fan import SightFan, sight_fan
-from ltm_core.locating.sight_likelihood import SightLikelihood, direction_table, level_errors, sight_likelihood
+from ltm_core.locating.sight_likelihood import (
+    SightLikelihood,
+    direction_table,
+    level_errors,
+    sight_likelihood,
+    slope_table,
+)
 from ltm_core.pose import Pose
 from ltm_core.types import Float32Array, Float64Array
 from ltm_core.visibility.point_uncertainty import checked_covariance
@@ -30,6 +36,8 @@ _FIRST, _MOST = 64, 160
 """Azimuths of a fan at first, and at most when it is looked at closely."""
 _WING, _WINGS = math.radians(3.0), 16
 """How far a fan reaches on either side for what plumes drift, and its azimuths there."""
+_TURNED = math.radians(15.0)
+"""How far a camera may be turned without anybody's knowledge."""
 _CREST = 16
 """Azimuths over the mark in every fan for smoke: there it comes up, wherever its foot is."""
 _PER_CELL = 1.5
@@ -120,6 +128,25 @@ class LocatingTerrain:
         within = (fan.ranges >= near) & (fan.ranges <= far)
         spacing = max((high - low) / (count - 1) * far, float(fan.steps[within].max(initial=0.0)))
         return self._sight(sight.sighting, sight.directions, fan, _PER_CELL * spacing)
+
+    def look_at_slope(self, sight: Sight, bounds: Bounds, resolution: float) -> Sight:
+        """As `look_closer`, of a camera whose azimuth is wrong by anything: what it marks agrees with any place that is
+        seen at the marked slope.
+        """
+        around = float(sight.directions.azimuth @ sight.directions.weights)
+        low, high = _azimuths_of(sight.position, bounds, around)
+        low, high = max(low, around - _TURNED), min(high, around + _TURNED)
+        if high <= low:
+            low, high = around - _TURNED, around + _TURNED
+        near, far = ranges_of(sight.position, bounds)
+        far = min(far, float(sight.fan.ranges[-1]))
+        count = int(np.clip(math.ceil(_PER_CELL * (high - low) * far / resolution) + 1, 16, _MOST))
+        azimuths = np.linspace(low, high, count)
+        fan = sight_fan(self.dem, sight.position, azimuths, max(far, 10.0), (near, far, resolution / _PER_CELL))
+        table = slope_table(sight.directions, count)
+        height = float(sight.position[2])
+        likelihood = sight_likelihood(fan, table, height, self.bend, *level_errors(self.dem, self.config), self.smoke)
+        return replace(sight, fan=fan, likelihood=likelihood, cell=_PER_CELL * (high - low) / (count - 1) * far)
 
     def chance(self, lift: Float64Array | Float32Array) -> Float64Array:
         """That a plume is higher."""

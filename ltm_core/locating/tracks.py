@@ -92,7 +92,7 @@ class Tracks:
                 location = self.locator.locate([each.sighting for each in together], self.smoke)
             except RegionError:
                 continue
-            if _agree(location, self.locator.limit(1, self.smoke)):
+            if _agree(location, self.locator.limit(2)):
                 if best is None or location.misfit < best[0]:
                     best = (location.misfit, track, location)
             elif location.agreement is not None and location.agreement.wrong is not None:
@@ -124,7 +124,7 @@ class Tracks:
 
 
 def _agree(location: Location, limit: float) -> bool:
-    """`limit`: of one camera's sightings."""
+    """`limit`: of the misfit of one camera's sightings."""
     return location.misfit <= limit if location.agreement is None else location.agreement.agree
 
 
