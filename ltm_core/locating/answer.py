@@ -123,6 +123,7 @@ def as_data(said: Answer, frame: SiteFrame) -> dict[str, Any]:
     posterior = said.location.posterior
     return {
         "place": asdict(said.name),
+        "likeliest": [_round(posterior.likeliest[0] + frame.x_origin), _round(posterior.likeliest[1] + frame.y_origin)],
         "sigma": _round(posterior.sigma),
         "elevation_sigma": _round(said.elevation_sigma),
         "ellipses": [

@@ -21,7 +21,7 @@ from ltm_core.visibility.line_of_sight import pixel_rays
 
 STEEPEST_DEG = 80.0
 """Below the horizon: a camera that looks straighter down has no azimuth to speak of."""
-KNOTS = np.geomspace(5.0, 80_000.0, 28)
+KNOTS = np.geomspace(5.0, 80_000.0, 15)
 """Ranges, metres, at which covariances are worked out."""
 
 

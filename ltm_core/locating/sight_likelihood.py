@@ -174,7 +174,10 @@ def _likelihood(
                 if slopes[behind] >= far:
                     far, far_k = slopes[behind], behind
                 behind += 1
-            if smoke:
+            here = azimuth_density[0, a, knots[k]]
+            if smoke and here <= 0:
+                edge, own, at = max(slope, top), 0.0, k  # beside the mark only what is hidden matters
+            elif smoke:
                 near, near_k = (slope, k) if slope >= top or top_k == far_k else (top, top_k)
                 edge, own, at = _higher(
                     near,
@@ -192,7 +195,6 @@ def _likelihood(
             lifts[a, k] = lift
             low = edge if before != before else before
             before = edge
-            here = azimuth_density[0, a, knots[k]]
             if here <= 0:
                 continue
             sigma = math.sqrt(slope_variance[a, knots[at]] + own)
@@ -211,8 +213,10 @@ def _likelihood(
         return
     for a in range(heights.shape[0]):
         for k in range(heights.shape[1]):
+            if marked[k] <= 0:
+                continue
             drift = lean * lifts[a, k] / ranges[k]
-            if drift > next_drift[0] and marked[k] > 0:
+            if drift > next_drift[0]:
                 number = 1
                 while number < drifts - 1 and drift > next_drift[number]:
                     number += 1

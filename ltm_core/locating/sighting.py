@@ -34,7 +34,7 @@ _SIGMAS = 5.0
 """Of the azimuth, to which a fan reaches."""
 _FIRST, _MOST = 64, 160
 """Azimuths of a fan at first, and at most when it is looked at closely."""
-_WING, _WINGS = math.radians(3.0), 16
+_WING, _WINGS = math.radians(3.0), 12
 """How far a fan reaches on either side for what plumes drift, and its azimuths there."""
 _TURNED = math.radians(15.0)
 """How far a camera may be turned without anybody's knowledge."""

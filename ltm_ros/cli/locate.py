@@ -186,7 +186,9 @@ def _tell(said: Answer, scene: LocatingScene, console: Console) -> None:
 
     name, posterior = said.name, said.location.posterior
     table = Table(title="smoke, its foot" if said.smoke else "on the ground", show_header=False)
-    table.add_row(f"place in {name.crs}", f"{name.x:.1f}, {name.y:.1f}")
+    table.add_row(f"mean place, {name.crs}", f"{name.x:.1f}, {name.y:.1f}")
+    x, y = posterior.likeliest
+    table.add_row("likeliest place", f"{x + scene.frame.x_origin:.1f}, {y + scene.frame.y_origin:.1f}")
     table.add_row("longitude, latitude", f"{name.lon:.6f}, {name.lat:.6f}")
     table.add_row("MGRS", name.mgrs or "none at this latitude")
     if name.elevation is not None:

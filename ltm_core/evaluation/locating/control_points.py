@@ -25,14 +25,15 @@ from ltm_core.visibility.line_of_sight import pixel_rays
 
 @dataclass(frozen=True)
 class LocatedPoint:
-    """One point. `error`, `traced_error`: horizontal metres from the surveyed place to the posterior's mean, and to
-    where the tracer's ray ends (NaN: nowhere). `densest`: the share of the densest region at whose edge it lies.
-    `major`: half axis of the 95 % ellipse.
+    """One point. `error`, `likeliest_error`, `traced_error`: horizontal metres from the surveyed place to the
+    posterior's mean, to its likeliest place, and to where the tracer's ray ends (NaN: nowhere). `densest`: the share of
+    the densest region at whose edge it lies. `major`, `minor`: half axes of the 95 % ellipse.
     """
 
     name: str
     range: float
     error: float
+    likeliest_error: float
     traced_error: float
     densest: float
     in_50: bool
@@ -76,7 +77,9 @@ def located_points(
                 [Sighting("camera", fit.camera, fit.pose, fit.pose_covariance, mark)]
             )
         except RegionError as error:
-            yield LocatedPoint(name, away, math.nan, traced, 1.0, False, False, math.nan, math.nan, str(error))
+            yield LocatedPoint(
+                name, away, math.nan, math.nan, traced, 1.0, False, False, math.nan, math.nan, str(error)
+            )
             continue
         posterior = location.posterior
         half, most = posterior.ellipse(0.5), posterior.ellipse(0.95)
@@ -84,6 +87,7 @@ def located_points(
             name,
             away,
             math.hypot(posterior.mean[0] - x, posterior.mean[1] - y),
+            math.hypot(posterior.likeliest[0] - x, posterior.likeliest[1] - y),
             traced,
             posterior.credibility(x, y),
             posterior.holds(half, x, y),

@@ -42,7 +42,8 @@ class Case(StrEnum):
 
 @dataclass(frozen=True)
 class Trial:
-    """One trial's outcome. `error`: of the posterior's mean, metres. `range`: mean of the cameras'. `hidden`: metres of
+    """One trial's outcome. `error`: of the posterior's mean, metres; `likeliest_error`: of its
+    likeliest place. `range`: mean of the cameras'. `hidden`: metres of
     the plume that the camera that sees it best does not see. `densest`: the share of the densest region that the truth
     lies at the edge of. `in_50`, `in_95`: whether the ellipses hold it. `major`, `minor`: half axes of the 95 % one.
     `named`: the camera taken for wrong. `unlocated`: why there is no answer.
@@ -54,6 +55,7 @@ class Trial:
     range: float
     hidden: float
     error: float
+    likeliest_error: float
     densest: float
     in_50: bool
     in_95: bool
@@ -166,7 +168,7 @@ def _score(
         boxed,
         float(np.mean([view.range for view in views])),
         min(view.hidden for view in views),
-        *(math.nan, 1.0, False, False, math.nan, math.nan, 0, True, ""),
+        *(math.nan, math.nan, 1.0, False, False, math.nan, math.nan, 0, True, ""),
         f"camera_{wrong}" if wrong >= 0 else "",
         math.nan,
     )
@@ -183,6 +185,7 @@ def _score(
     return replace(
         nothing,
         error=math.hypot(posterior.mean[0] - x, posterior.mean[1] - y),
+        likeliest_error=math.hypot(posterior.likeliest[0] - x, posterior.likeliest[1] - y),
         densest=posterior.credibility(x, y),
         in_50=posterior.holds(half, x, y),
         in_95=posterior.holds(most, x, y),

@@ -25,6 +25,8 @@ class SmokeSummary:
     range: float
     error: float
     error_share: float
+    likeliest_error: float
+    likeliest_share: float
     error_p90: float
     densest_50: float
     densest_95: float
@@ -57,6 +59,8 @@ class SmokeSummary:
             middle([trial.range for trial in trials]),
             middle([trial.error for trial in found]),
             middle([trial.error / trial.range for trial in found]),
+            middle([trial.likeliest_error for trial in found]),
+            middle([trial.likeliest_error / trial.range for trial in found]),
             middle([trial.error for trial in found], 90.0),
             share([trial.densest < 0.5 for trial in trials]),
             share([trial.densest < 0.95 for trial in trials]),

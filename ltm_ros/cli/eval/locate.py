@@ -130,8 +130,8 @@ def _table(trials: list[Trial], boxed: bool) -> Any:
 
     table = Table(title="a detector's box is marked" if boxed else "the lowest visible smoke is clicked on")
     columns = (
-        "case", "trials", "refused", "error m, median", "of range", "p90 m", "densest 50 %", "95 %",
-        "ellipse 50 %", "95 %",        "95 % ellipse, half axes m", "agree", "named", "falsely", "ms",
+        "case", "trials", "refused", "mean off m", "of range", "p90 m", "likeliest off m", "of range",
+        "densest 50 %", "95 %", "ellipse 50 %", "95 %",        "95 % ellipse, half axes m", "agree", "named", "falsely", "ms",
     )  # fmt: skip
     for column in columns:
         table.add_column(column, justify="left" if column == "case" else "right")
@@ -154,6 +154,8 @@ def _table(trials: list[Trial], boxed: bool) -> Any:
                 f"{one.error:.0f}",
                 f"{one.error_share:.2%}",
                 f"{one.error_p90:.0f}",
+                f"{one.likeliest_error:.0f}",
+                f"{one.likeliest_share:.2%}",
                 f"{one.densest_50:.0%}",
                 f"{one.densest_95:.1%}",
                 f"{one.ellipse_50:.0%}",
@@ -222,22 +224,18 @@ def _points(
     with console.status("locating"):
         found = list(located_points(read, setup.camera, setup.position, setup.dem, bend, config))
     table = Table(title=f"each point by the others' pose; sigma of the terrain's heights {config.dem_sigma:g} m")
-    for column in (
-        "point",
-        "range m",
-        "error m",
-        "traced off by m",
-        "densest share",
-        "in 50 %",
-        "in 95 %",
+    columns = (
+        "point", "range m", "mean off m", "likeliest off m", "traced off m", "densest share", "in 50 %", "in 95 %",
         "half axes m",
-    ):
+    )  # fmt: skip
+    for column in columns:
         table.add_column(column, justify="left" if column == "point" else "right")
     for point in found:
         table.add_row(
             point.name,
             f"{point.range:.0f}",
             point.unlocated or f"{point.error:.1f}",
+            f"{point.likeliest_error:.1f}",
             f"{point.traced_error:.1f}",
             f"{point.densest:.2f}",
             "yes" if point.in_50 else "no",
@@ -246,9 +244,10 @@ def _points(
         )
     console.print(table)
     errors = [point.error for point in found if not point.unlocated]
+    likeliest = [point.likeliest_error for point in found]
     console.print(
-        f"median error {np.median(errors):.2f} m, traced {np.nanmedian([p.traced_error for p in found]):.2f} m; the "
-        f"ellipses hold {np.mean([p.in_50 for p in found]):.0%} (50 %), {np.mean([p.in_95 for p in found]):.0%} (95), "
+        f"median error {np.median(errors):.2f} m, of the likeliest place {np.nanmedian(likeliest):.2f} m, traced "
+        f"{np.nanmedian([p.traced_error for p in found]):.2f} m; the ellipses hold {np.mean([p.in_50 for p in found]):.0%} (50 %), {np.mean([p.in_95 for p in found]):.0%} (95), "
         f"the densest regions {np.mean([p.densest < 0.5 for p in found]):.0%}, "
         f"{np.mean([p.densest < 0.95 for p in found]):.0%} of {len(found)} points",
         highlight=False,
