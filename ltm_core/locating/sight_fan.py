@@ -17,9 +17,9 @@ from ltm_core.types import Float32Array, Float64Array, UInt8Array
 NEAREST = 3.0
 """Metres at which a fan begins."""
 _LEAST_STEP = 0.5
-_STEP = 0.002
+_STEP = 0.003
 """Of the range, as a share of it."""
-_STEPS_INSIDE = 1_500
+_STEPS_INSIDE = 1_000
 NO_LEVEL = np.uint8(255)
 
 
@@ -73,7 +73,7 @@ def sight_fan(
 
 
 def fan_ranges(max_range: float, fine: tuple[float, float, float] | None) -> Float64Array:
-    """Ranges of samples, (R,) metres: steps of 0.2 % of the range, not below half a metre, finer where that is asked
+    """Ranges of samples, (R,) metres: steps of 0.3 % of the range, not below half a metre, finer where that is asked
     for.
     """
     turn = _LEAST_STEP / _STEP

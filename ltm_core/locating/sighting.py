@@ -32,7 +32,7 @@ IMPOSSIBLE = math.exp(-15.0)
 """A place that fits a mark worse than this does not explain it."""
 _SIGMAS = 5.0
 """Of the azimuth, to which a fan reaches."""
-_FIRST, _MOST = 64, 160
+_FIRST, _MOST = 40, 120
 """Azimuths of a fan at first, and at most when it is looked at closely."""
 _WING, _WINGS = math.radians(3.0), 12
 """How far a fan reaches on either side for what plumes drift, and its azimuths there."""

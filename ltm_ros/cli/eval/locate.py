@@ -131,7 +131,7 @@ def _table(trials: list[Trial], boxed: bool) -> Any:
     table = Table(title="a detector's box is marked" if boxed else "the lowest visible smoke is clicked on")
     columns = (
         "case", "trials", "refused", "mean off m", "of range", "p90 m", "likeliest off m", "of range",
-        "densest 50 %", "95 %", "ellipse 50 %", "95 %",        "95 % ellipse, half axes m", "agree", "named", "falsely", "ms",
+        "densest 50 %", "95 %", "ellipse 50 %", "95 %", "95 % ellipse, half axes m", "agree", "named", "falsely", "ms",
     )  # fmt: skip
     for column in columns:
         table.add_column(column, justify="left" if column == "case" else "right")
@@ -247,7 +247,8 @@ def _points(
     likeliest = [point.likeliest_error for point in found]
     console.print(
         f"median error {np.median(errors):.2f} m, of the likeliest place {np.nanmedian(likeliest):.2f} m, traced "
-        f"{np.nanmedian([p.traced_error for p in found]):.2f} m; the ellipses hold {np.mean([p.in_50 for p in found]):.0%} (50 %), {np.mean([p.in_95 for p in found]):.0%} (95), "
+        f"{np.nanmedian([p.traced_error for p in found]):.2f} m; the "
+        f"ellipses hold {np.mean([p.in_50 for p in found]):.0%} (50), {np.mean([p.in_95 for p in found]):.0%} (95 %), "
         f"the densest regions {np.mean([p.densest < 0.5 for p in found]):.0%}, "
         f"{np.mean([p.densest < 0.95 for p in found]):.0%} of {len(found)} points",
         highlight=False,

@@ -51,8 +51,8 @@ def test_a_fans_lifts_are_those_of_exact_lines_of_sight(
         )[known]
         exact, _ = PointVisibility(DEM).lifts(position, places)
         off = np.abs(lifts[a][known] - np.maximum(exact, 0))
-        # A crest between two samples, half a metre apart or two thousandths of the range, stands a little higher.
-        assert np.quantile(off, 0.9) < 0.3 + 0.002 * r[known].max()
+        # A crest between two samples, half a metre apart or three thousandths of the range, stands a little higher.
+        assert np.quantile(off, 0.9) < 0.3 + 0.003 * r[known].max()
 
 
 @settings(max_examples=6, deadline=None, derandomize=True)
