@@ -19,6 +19,8 @@ class LocatingConfig(StrictModel):
     """Sigma of the metres by which a plume's axis drifts, in any one direction, for each that it rises."""
     detection_range: float = Field(10_000.0, gt=0)
     """At which a fire is noticed half as often as close by; the chance falls as 1 / (1 + (r / detection_range)^2)."""
+    min_range: float = Field(30.0, ge=3.0)
+    """Nothing is looked for nearer: there a camera whose place is half a metre off may mark anything."""
     max_range: float = Field(40_000.0, ge=100.0)
     """Nothing is looked for beyond it."""
     pixel_sigma: float = Field(2.0, gt=0)

@@ -175,6 +175,8 @@ class LocatingTerrain:
         variances, apart = level_errors(self.dem, self.config)
         height, lean = float(sighting.pose.position[2]), self.config.plume_lean
         likelihood = sight_likelihood(fan, table, height, self.bend, variances, apart, self.smoke, lean)
+        near = fan.ranges < self.config.min_range
+        likelihood.density[:, near], likelihood.fit[:, near] = 0.0, 0.0
         return Sight(sighting, directions, fan, likelihood, cell)
 
     def _check(self, sight: Sight) -> None:
@@ -195,8 +197,11 @@ class LocatingTerrain:
                 f"{name}: the mark shows {what}: it is {above:.1f} degrees above the highest ground known there; mark "
                 + ("its foot, or where it rises from a ridge" if self.smoke else "a place on the ground")
             )
-        if marked < lowest:
-            raise RegionError(f"{name}: the mark shows ground nearer than {fan.ranges[0]:g} m, too near to be located")
+        near = fan.ranges < self.config.min_range
+        if marked < lowest or (near.any() and marked < float(np.nanmax(slopes[:, near], initial=-np.inf))):
+            raise RegionError(
+                f"{name}: the mark shows ground nearer than {self.config.min_range:g} m, too near to be located"
+            )
         raise RegionError(f"{name}: the mark shows ground that the terrain model does not know (a hole, or its edge)")
 
 

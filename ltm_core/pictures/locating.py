@@ -56,7 +56,7 @@ def location_picture(
         picture = _heated(relief(dem, view), posterior, view)
         reach = 0.3 * (bounds[2] - bounds[0])
         drawn = [MapCamera(c.name, c.camera, c.position, c.azimuth_deg, reach) for c in cameras if _within(c, bounds)]
-        picture = furnished(picture, view, drawn, None)
+        picture = furnished(picture, view, drawn, None).copy()  # Pillow's cannot be drawn on
         _draw(picture, view, ellipses, posterior.mean, truth)
         if bounds is close:
             picture = _named(picture, view, ellipses)
