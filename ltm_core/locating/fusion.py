@@ -14,7 +14,7 @@ from ltm_core.locating.sighting import Bounds, LocatingTerrain, Sight
 from ltm_core.locating.splat import SightRaster, sight_raster
 from ltm_core.types import Float64Array
 
-_SIDE = 400
+_SIDE = 240
 """Cells along the longer side of a window."""
 _FINEST = 0.5
 """Metres: no cell is smaller."""

@@ -125,8 +125,8 @@ class LocatingTerrain:
             marked = sight.directions.azimuth
             inside = np.union1d(inside, np.linspace(marked.min() - reach, marked.max() + reach, _CREST))
         fan = sight_fan(self.dem, sight.position, inside, max(far, 10.0), (near, far, resolution / _PER_CELL))
-        within = (fan.ranges >= near) & (fan.ranges <= far)
-        spacing = max((high - low) / (count - 1) * far, float(fan.steps[within].max(initial=0.0)))
+        within = fan.steps[(fan.ranges >= near) & (fan.ranges <= far)][1:]  # the first is a step from before
+        spacing = max((high - low) / (count - 1) * far, float(within.max(initial=0.0)))
         return self._sight(sight.sighting, sight.directions, fan, _PER_CELL * spacing)
 
     def look_at_slope(self, sight: Sight, bounds: Bounds, resolution: float) -> Sight:
