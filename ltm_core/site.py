@@ -105,12 +105,12 @@ class PoseErrorConfig(Config):
 class Limits(Config):
     """How large messages may be; what is larger is dropped, and counted as `too_large`, before anything is made of it.
 
-    By arithmetic, not measured at the bound: 16 million pixels at 44 bytes each keep the node `depth` below a gigabyte.
+    So that each node stays below a gigabyte at the bound (`ltm bench bounds`).
     """
 
     image_bytes: int = Field(32 << 20, ge=1)
     """Size of a compressed image."""
-    pixels: int = Field(16_000_000, ge=1)
+    pixels: int = Field(12_600_000, ge=1)
     """Number in an image and in a calibration: the depth of a pixel takes 44 bytes while it is traced."""
     waiting_bytes: int = Field(128 << 20, ge=1)
     """Size of the image data that waits in a node for the other messages of its frame."""

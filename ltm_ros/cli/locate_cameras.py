@@ -73,8 +73,8 @@ def of_site(path: Path, poses: Sequence[str]) -> LocatingScene:
     for name, camera in site.cameras.items():
         calibration, pose = camera.calibration, camera.pose
         if name in files:
-            config = load_picture_config(files.pop(name))
-            calibration, pose = config.calibration, config.pose
+            known = load_picture_config(files.pop(name))
+            calibration, pose = known.calibration, known.pose
         if calibration is None or pose is None:
             skipped.append(name)
             continue

@@ -10,9 +10,7 @@ import typer
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from ltm_core.site import Site
     from ltm_ros.launching.graph import ParameterValue
-    from ltm_ros.launching.site_check import Wanted
 
 
 def run(
@@ -46,7 +44,7 @@ def run(
     """
     from ltm_ros.launching.graph import describe
     from ltm_ros.launching.runner import Runner, new_log_folder, print_line
-    from ltm_ros.launching.site_check import Wanted
+    from ltm_ros.launching.site_check import NotReadyError, Wanted, require_ready
 
     folders: dict[str, Path] = {}
     kept: dict[str, ParameterValue] = {}
@@ -61,7 +59,12 @@ def run(
         folders["logs"] = logs.expanduser()
     parameters = {"fuel_map": kept, "terrain": kept} if kept else {}
     seen: dict[str, ParameterValue] | None = {"serve": True} if view else None
-    config = _checked(site, Wanted(only or (), seen, recorded, parameters, folders))
+    try:
+        wanted = Wanted(only or (), seen, recorded, parameters, folders)
+        config = require_ready(site, wanted, lambda doubt: typer.echo(f"-- {doubt}"))
+    except NotReadyError as error:
+        typer.echo("\n".join(f"ltm: {line}" for line in str(error).splitlines()), err=True)
+        raise typer.Exit(error.status) from error
     if state is not None:
         folders["state"].mkdir(parents=True, exist_ok=True)
     graph = describe(
@@ -83,21 +86,3 @@ def _address(viewer: Mapping[str, ParameterValue]) -> str:
 
     web, grpc = (int(str(viewer.get(*port))) for port in (("web_port", WEB_PORT), ("grpc_port", GRPC_PORT)))
     return web_url(web, grpc)
-
-
-def _checked(path: Path, wanted: Wanted) -> Site:
-    """The site, whose doubts are printed; ends with a line a fault where it cannot work."""
-    from ltm_core.site_check import Verdict
-    from ltm_core.site_io import load_site
-    from ltm_ros.launching.shared_memory import SHM_FOLDER
-    from ltm_ros.launching.site_check import examined_apart, exit_status
-
-    findings = examined_apart(path, wanted)
-    for finding in findings:
-        if finding.verdict is Verdict.WRONG:
-            typer.echo(f"ltm: {finding.area}, {finding.name}: {finding.said}", err=True)
-        elif finding.verdict is Verdict.DOUBTFUL and finding.name != str(SHM_FOLDER):  # of which the runner tells
-            typer.echo(f"-- doubtful: {finding.area}, {finding.name}: {finding.said}")
-    if status := exit_status(findings):
-        raise typer.Exit(status)
-    return load_site(path)
