@@ -17,6 +17,7 @@ from ltm_core.fuel.prior_config import PriorConfig
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.geodesy import SiteFrame, ray_bend
 from ltm_core.grid import GridGeometry
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.raster.dem_stack import open_terrain, with_surface
 from ltm_core.raster.shared_rasters import shared
 from ltm_core.sensor_pose import SensorsConfig
@@ -35,7 +36,7 @@ RosName = Annotated[str, AfterValidator(_ros_name)]
 FARTHEST_ORIGIN = 100_000.0
 """Metres from the DEM to the origin: beyond it, float32 coordinates no longer hold centimetres."""
 
-SITE_NAMES = ("fuel_map", "terrain", "viewer", "recorder")
+SITE_NAMES = ("fuel_map", "terrain", "locate", "viewer", "recorder")
 """Nodes and topics that stand beside the cameras in `/<site>/`: no camera may be called so."""
 
 
@@ -233,6 +234,8 @@ class Site(Config):
     assumed_pose_error: PoseErrorConfig = PoseErrorConfig()
     terrain: TerrainConfig | None = None
     """Where given, the surface is kept up to date from fused depth."""
+    locating: LocatingConfig | None = None
+    """Where given, what is marked in the cameras' pictures is located on the map."""
     labels: str = "labels.yaml"
     """Label set in config/."""
     model: str = "landscape_lite0"

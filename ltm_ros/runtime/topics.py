@@ -60,6 +60,14 @@ TERRAIN_UPDATE = Topic("terrain/update", PointCloud2)
 TERRAIN_CHANGE = Topic("terrain/change", OccupancyGrid, latched=True)
 TERRAIN_INFO = Topic("terrain/info", String, latched=True)
 
+LOCATE_REGION = Topic("locate/region", PolygonStamped)
+LOCATE_POINT = Topic("locate/point", PointStamped)
+LOCATE_ESTIMATE = Topic("locate/estimate", PoseWithCovarianceStamped)
+LOCATE_GEOJSON = Topic("locate/geojson", String)
+LOCATE_FUSED = Topic("locate/fused", PoseWithCovarianceStamped)
+LOCATE_TRACKS = Topic("locate/tracks", String, latched=True)
+"""What is marked in a camera's picture, by a detector or a person; where that is; and the site's tracks of it."""
+
 TRUTH_DEPTH = Topic("truth/depth", Image)
 TRUTH_GROUND_DEPTH = Topic("truth/ground_depth", Image)
 TRUTH_LABELS = Topic("truth/labels", Image)
@@ -85,8 +93,12 @@ RECORDED = (
             FUSED_INFO,
         ),
         *(NETWORK_DEPTH, LABELS_IMAGE, LABELS_INFO, FUEL_VOTES),
+        *(LOCATE_REGION, LOCATE_POINT, LOCATE_ESTIMATE, LOCATE_GEOJSON),
     ),
-    (FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_INFO, TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO),
+    (
+        *(FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_INFO, TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO),
+        *(LOCATE_FUSED, LOCATE_TRACKS),
+    ),
 )
 """What a recording holds unless told otherwise, of each camera and of the site: all but decoded copies of images."""
 
