@@ -24,17 +24,20 @@ CAMERA_NODES = ("capture", "depth", "segmentation", "fuel_votes")
 """Node types that every camera has one of, in `/<site>/<camera>`."""
 FUSION_NODES = ("topodepth",)
 """Node types that every camera has besides where the site names a depth network."""
+POSE_NODES = ("pose",)
+"""Node types that every camera has besides where the site's file has a section `refine_poses`."""
 SITE_NODES = ("fuel_map",)
 """Node types that a site has one of, in `/<site>`."""
 TERRAIN_NODES = ("terrain",)
 """Node types that a site has one of where its file has a section `terrain`."""
+LOCATING_NODES = ("locate",)
+"""Node types that a site has one of where its file has a section `locating`."""
 OPTIONAL_NODES = ("viewer", "recorder")
 """Site-level node types that run on request; the graph works without them."""
-NODE_TYPES = CAMERA_NODES + FUSION_NODES + SITE_NODES + TERRAIN_NODES + OPTIONAL_NODES
+NODE_TYPES = CAMERA_NODES + FUSION_NODES + POSE_NODES + SITE_NODES + TERRAIN_NODES + LOCATING_NODES + OPTIONAL_NODES
 
 CAMERAS_PROCESS = "cameras"
 """Label of the process in which the nodes of all cameras live, where a site has one for them."""
-
 BUSY_NODES = ("depth", "segmentation", "topodepth")
 """Node types that compute on several threads; the others get one."""
 OWN_PARAMETERS = ("site", "camera", "use_sim_time")
@@ -187,15 +190,17 @@ def describe(
             parameters=common | dict(own) | given.get(kind, {}),
             required=kind not in OPTIONAL_NODES,
             busy=kind in BUSY_NODES,
-            process=CAMERAS_PROCESS if together and kind in CAMERA_NODES + FUSION_NODES else "",
+            process=CAMERAS_PROCESS if together and kind in CAMERA_NODES + FUSION_NODES + POSE_NODES else "",
         )
 
     chosen = list(cameras) or list(site.cameras)
     for camera in chosen:
         site.camera(camera)
     of_site = SITE_NODES + (TERRAIN_NODES if site.terrain is not None else ())
+    of_site += LOCATING_NODES if site.locating is not None else ()
     nodes = [spec(kind, f"/{site.name}", {}) for kind in of_site]
     kinds = CAMERA_NODES + (FUSION_NODES if site.depth_model else ())
+    kinds += POSE_NODES if site.refine_poses is not None else ()
     nodes += [spec(kind, f"/{site.name}/{camera}", {"camera": camera}) for camera in chosen for kind in kinds]
     if view is not None:
         nodes.append(spec("viewer", f"/{site.name}", {}))
