@@ -165,6 +165,7 @@ def write_index(out: Path, scenario: Scenario, entries: list[dict[str, Any]]) ->
         "truth_step": scenario.truth_step,
         "curvature": scenario.curvature,
         "jpeg_quality": scenario.imaging.jpeg_quality,
+        "walks": [{"name": w.name, "geoid_undulation": w.geoid_undulation} for w in scenario.walks],
         "dates": [{"name": d.name, "years": d.years} for d in scenario.dates],
         "frames": sorted(entries, key=lambda e: (e["stamp_ns"], e["camera_name"])),
     }

@@ -11,14 +11,14 @@ from numba import njit
 from ltm_core.types import Float64Array
 
 COLUMNS = 64
-PER_MAJOR, T, SLOPE, FACE, WEDGE, HINT, NEAR = range(0, 7 * COLUMNS, COLUMNS)
+PER_MAJOR, T, SLOPE, FACE, WEDGE, HINT, NEAR, BEGIN = range(0, 8 * COLUMNS, COLUMNS)
 """1 / |major| of the unit ray; t; slope in metres a major cell; face and wedge; place of the entry of the row below
-within its wedge; node line where the ray's entry begins, or one of the following.
+within its wedge; node line where the ray's entry begins, or one of the following; range from which the pyramid goes on.
 """
-MEETS_NOTHING, BY_PYRAMID = -1.0, -2.0
+MEETS_NOTHING, BY_PYRAMID, ON_FROM_CELL = -1.0, -2.0, -3.0
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def new_block() -> Float64Array:
     """A block before its first row."""
-    return np.zeros(7 * COLUMNS)
+    return np.zeros(8 * COLUMNS)

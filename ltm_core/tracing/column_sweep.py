@@ -16,12 +16,14 @@ from numba import njit, prange
 
 from ltm_core.tracing.cell_intersection import FASTMATH, clearance, first_root, meets, ray_height, surface
 from ltm_core.tracing.column_block import (
+    BEGIN,
     BY_PYRAMID,
     COLUMNS,
     FACE,
     HINT,
     MEETS_NOTHING,
     NEAR,
+    ON_FROM_CELL,
     PER_MAJOR,
     SLOPE,
     WEDGE,
@@ -102,9 +104,12 @@ def _sweep_tile(
     for k in range(height):
         at = (height - 1 - k) * width + first
         turn(rays, 3 * at, count, rotation, stage.resolution, block)
-        enter(highest, entries, starts, tangents, strips, count, block)
-        prefetch_starts(nodes, n_x, stage, count, block)
-        one_by_one(ground, nodes, n_x, n_y, stage, count, block, at, out)
+        left = count
+        if enter(highest, entries, starts, tangents, strips, count, block):
+            prefetch_starts(nodes, n_x, stage, count, block)
+            left = through_cells(nodes, n_x, n_y, stage, count, block, at, out)
+        if left:
+            by_pyramid(ground, stage, count, block, at, out)
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
@@ -145,8 +150,9 @@ def enter(
     strips: Int32Array,
     count: int,
     block: Float64Array,
-) -> None:
-    """Find the entries of a block's rays, in the fields of `Wedges`."""
+) -> int:
+    """Find the entries of a block's rays, in the fields of `Wedges`; returns how many have one."""
+    found = 0
     for i in range(count):
         wedge, s = int(block[WEDGE + i]), block[SLOPE + i]
         if not (s <= highest[wedge]):
@@ -157,6 +163,8 @@ def enter(
             place = first_reaching(tangents, starts[wedge], entries[wedge], int(block[HINT + i]), s)
             block[HINT + i] = place
             block[NEAR + i] = strips[starts[wedge] + place]
+            found += 1
+    return found
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
@@ -178,8 +186,7 @@ def prefetch_starts(nodes: Float32Array, width: int, stage: RasterStage, count: 
 
 
 @njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
-def one_by_one(
-    ground: TerrainRaster,
+def through_cells(
     nodes: Float32Array,
     width: int,
     height: int,
@@ -188,46 +195,73 @@ def one_by_one(
     block: Float64Array,
     at: int,
     out: Float32Array,
+) -> int:
+    """Answer those of a block's rays that an entry and single cells answer; returns how many are left for
+    `by_pyramid`. `at`: flat index of the first pixel.
+
+    Apart from the rest, for what the pyramid needs would otherwise be carried past every ray.
+    """
+    columns, rows = width - 1, height - 1
+    ox, oy, oz, plain_bend, resolution = stage.ox, stage.oy, stage.oz, stage.bend, stage.resolution
+    after = stage.part == AFTER
+    left = 0
+    for i in range(count):
+        near, per_major = block[NEAR + i], block[PER_MAJOR + i]
+        if not out[at + i] < 0.0:
+            continue
+        if not (near >= 0.0 and per_major <= 1.0 / PLUMB_SINE):
+            left += 1
+            continue
+        s, t, face = block[SLOPE + i], block[T + i], int(block[FACE + i])
+        along_x = face < 2
+        sign = 1.0 if (face & 1) == 0 else -1.0
+        start = 0.0
+        if after:
+            cx, cy = (sign, t) if along_x else (t, sign)
+            start = stretch(stage, cx, cy)[0]
+        o_major, o_minor = (ox, oy) if along_x else (oy, ox)
+        n_major, n_minor = (columns, rows) if along_x else (rows, columns)
+        along, over = (1, width) if along_x else (width, 1)
+        begin = max(start, sign * (near - o_major))
+        cell = near if sign > 0.0 else near - 1.0
+        if begin == start:
+            cell = min(max(math.floor(o_major + sign * start), 0.0), n_major - 1.0)
+        bend = plain_bend * (1.0 + t * t)
+        q, how = cell_hit(nodes, o_major, o_minor, oz, s, bend, t, sign, begin, cell, n_major, n_minor, along, over)
+        if how == HIT:
+            out[at + i] = q * resolution * per_major
+        else:
+            block[NEAR + i], block[BEGIN + i] = (MEETS_NOTHING if how == LEFT else ON_FROM_CELL), q
+            left += 1
+    return left
+
+
+@njit(cache=True, error_model="numpy", fastmath=FASTMATH)  # type: ignore[untyped-decorator]
+def by_pyramid(
+    ground: TerrainRaster, stage: RasterStage, count: int, block: Float64Array, at: int, out: Float32Array
 ) -> None:
     """Answer a block's rays that are not yet answered; `at`: flat index of the first pixel."""
-    columns, rows = width - 1, height - 1
     last, oz, top, resolution = stage.last, stage.oz, stage.highest, stage.resolution
     # No ray leaves the raster after `farthest`, and one from a camera over it none before `nearest`.
     farthest = max(abs(stage.east), abs(stage.west)) + max(abs(stage.south), abs(stage.north))
     nearest = max(min(min(stage.east, -stage.west), min(stage.south, -stage.north)), 0.0)
     for i in range(count):
-        near, state = block[NEAR + i], float(out[at + i])
-        if not state < 0.0:
+        near, q = block[NEAR + i], float(out[at + i])
+        if not q < 0.0:
             continue
         s, t, per_major, face = block[SLOPE + i], block[T + i], block[PER_MAJOR + i], int(block[FACE + i])
         if not (per_major <= 1.0 / PLUMB_SINE):
             out[at + i] = straight(ground, stage, s)
             continue
-        along_x = face < 2
         sign = 1.0 if (face & 1) == 0 else -1.0
-        cx, cy = (sign, t) if along_x else (t, sign)
+        cx, cy = (sign, t) if face < 2 else (t, sign)
         bend = stage.bend * (1.0 + t * t)
-        q = state
         if near != MEETS_NOTHING:
-            start = stretch(stage, cx, cy)[0] if stage.part == AFTER else 0.0
-            o_major, o_minor = (stage.ox, stage.oy) if along_x else (stage.oy, stage.ox)
-            how, level, begin = OPEN, START_LEVEL, start
-            if near >= 0.0:
-                begin = max(start, sign * (near - o_major))
-                n_major, n_minor = (columns, rows) if along_x else (rows, columns)
-                along, over = (1, width) if along_x else (width, 1)
-                cell = near if sign > 0.0 else near - 1.0
-                if begin == start:
-                    cell = min(max(math.floor(o_major + sign * start), 0.0), n_major - 1.0)
-                begin, how = cell_hit(
-                    nodes, o_major, o_minor, stage.oz, s, bend, t, sign, begin, cell, n_major, n_minor, along, over
-                )
-                level = 0
-            if how == OPEN:
-                end = over_raster(stage, cx, cy)[1]
-                q = hit_between(ground, stage, cx, cy, s, bend, begin, end, state, level)
-            elif how == HIT:
-                q = begin
+            level, begin = (0, block[BEGIN + i]) if near == ON_FROM_CELL else (START_LEVEL, 0.0)
+            if near == BY_PYRAMID and stage.part == AFTER:
+                begin = stretch(stage, cx, cy)[0]
+            end = over_raster(stage, cx, cy)[1]
+            q = hit_between(ground, stage, cx, cy, s, bend, begin, end, q, level)
         if last and q < 0.0:
             # What most rays end with needs no call, to which all of a stage would be handed for each pixel.
             if s >= 0.0 and q == OVER_KNOWN and bend >= 0.0 and oz + nearest * (s + bend * nearest) > top:

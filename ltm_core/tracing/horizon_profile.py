@@ -83,7 +83,8 @@ def extended(wedges: Wedges, wanted: Int64Array, ground: TerrainRaster, stage: R
     _compact(tangent, node, begin, tangents, nodes)
     highest = wedges.highest.copy()
     # A wedge that never comes over this stage's part has no entry.
-    highest[missing] = np.where(found > 0, tangents[np.maximum(begin[1:] - 1, 0)], -np.inf)
+    highest[missing] = -np.inf
+    highest[missing[found > 0]] = tangents[begin[1:][found > 0] - 1]
     return Wedges(start, count, highest, tangents, nodes)
 
 
@@ -159,7 +160,8 @@ def _walk_wedge(ground: TerrainRaster, stage: RasterStage, index: int, tangent: 
         h = _highest(ground, along_x, level, low, j0, j1)
         rise = h - oz
         t = rise / (d0 if rise >= 0.0 else d1) - drop * (d0 if bend >= 0.0 else d1)
-        if not t <= highest:
+        # A camera on a node line looks away from the strip behind it, where a fall over -0 would be a wall.
+        if d1 > 0.0 and not t <= highest:
             if level > 0 and d0 < _FINE_CELLS * level:
                 level = level - 1 if level > LEAF else 0
                 continue

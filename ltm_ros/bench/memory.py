@@ -81,7 +81,7 @@ def commands(folder: Path) -> dict[str, tuple[str, ...]]:
     }
 
 
-def make_site(folder: Path, size: int) -> None:
+def make_site(folder: Path, size: int, camera: Camera = CAMERA) -> None:
     """Write a DEM of `size` x `size` cells of 1 m, a site with two cameras on its middle, a photo of each, and control
     points, into `folder`.
     """
@@ -91,7 +91,7 @@ def make_site(folder: Path, size: int) -> None:
     x, y = CORNER[0] + size / 2, CORNER[1] + size / 2
     ground = float(named.elevation_at(x, y))
     place = {"x": x, "y": y, "height_above_ground": MAST}
-    calibration = {"width": CAMERA.width, "height": CAMERA.height, "fx": CAMERA.fx}
+    calibration = {"width": camera.width, "height": camera.height, "fx": camera.fx}
     cameras = {
         name: {"calibration": calibration, "pose": {**place, "azimuth_deg": azimuth, "pitch_deg": PITCH_DEG}}
         for name, azimuth in AZIMUTHS_DEG.items()
@@ -122,12 +122,12 @@ def make_site(folder: Path, size: int) -> None:
     (folder / "photos").mkdir()
     rows = ["name,camera,x,y,height_above_ground,azimuth_deg,pitch_deg,fx,stamp"]
     for number, (name, azimuth) in enumerate(AZIMUTHS_DEG.items()):
-        cv2.imwrite(str(folder / f"photos/{name}.jpg"), _photo(number))
+        cv2.imwrite(str(folder / f"photos/{name}.jpg"), _photo(camera, number))
         rows.append(
-            f"{name}.jpg,{name},{x},{y},{MAST},{azimuth},{PITCH_DEG},{CAMERA.fx},2026-07-01T12:00:{number:02d}Z"
+            f"{name}.jpg,{name},{x},{y},{MAST},{azimuth},{PITCH_DEG},{camera.fx},2026-07-01T12:00:{number:02d}Z"
         )
     (folder / "poses.csv").write_text("\n".join(rows) + "\n")
-    _write_points(folder / "points.csv", named, Pose.from_angles((x, y, ground + MAST), east, PITCH_DEG))
+    _write_points(folder / "points.csv", named, camera, Pose.from_angles((x, y, ground + MAST), east, PITCH_DEG))
 
 
 def measure(folder: Path, begin: Callable[[str], None] = lambda name: None) -> Iterator[MemoryUse]:
@@ -136,39 +136,40 @@ def measure(folder: Path, begin: Callable[[str], None] = lambda name: None) -> I
     """
     for name, arguments in commands(folder).items():
         begin(name)
-        ran = subprocess.run(  # nosec B603 # no shell, no argument from the wire
-            [sys.executable, "-c", _CHILD, *arguments],
-            capture_output=True,
-            text=True,
-            timeout=LONGEST_S,
-            env=os.environ,
-        )
-        *_, last = ran.stderr.strip().splitlines() or [""]
-        word, _, peak = last.partition(" ")
-        if ran.returncode or word != "peak":
-            raise BenchError(f"ltm {' '.join(arguments)} ended with {ran.returncode}: {ran.stderr.strip()[-1000:]}")
-        yield MemoryUse(name, arguments, float(peak))
+        yield MemoryUse(name, arguments, run_command(arguments))
 
 
-def _photo(seed: int) -> np.ndarray:
+def run_command(arguments: tuple[str, ...]) -> float:
+    """Most MB that `ltm` with these arguments held. Raises BenchError with its last words where it fails."""
+    ran = subprocess.run(  # nosec B603 # no shell, no argument from the wire
+        [sys.executable, "-c", _CHILD, *arguments], capture_output=True, text=True, timeout=LONGEST_S, env=os.environ
+    )
+    *_, last = ran.stderr.strip().splitlines() or [""]
+    word, _, peak = last.partition(" ")
+    if ran.returncode or word != "peak":
+        raise BenchError(f"ltm {' '.join(arguments)} ended with {ran.returncode}: {ran.stderr.strip()[-1000:]}")
+    return float(peak)
+
+
+def _photo(camera: Camera, seed: int) -> np.ndarray:
     """Something that a network takes for a landscape: sky above mottled green."""
     rng = np.random.default_rng(seed)
-    photo = np.full((CAMERA.height, CAMERA.width, 3), (235, 206, 165), np.uint8)
-    half = CAMERA.height // 2
-    mottles = cv2.resize(rng.integers(40, 130, (half // 4, CAMERA.width // 4)).astype(np.uint8), (CAMERA.width, half))
+    photo = np.full((camera.height, camera.width, 3), (235, 206, 165), np.uint8)
+    half = camera.height // 2
+    mottles = cv2.resize(rng.integers(40, 130, (half // 4, camera.width // 4)).astype(np.uint8), (camera.width, half))
     photo[-half:] = mottles[..., None] * np.array([0.5, 1.0, 0.7])
     return photo
 
 
-def _write_points(path: Path, dem: Dem, pose: Pose) -> None:
+def _write_points(path: Path, dem: Dem, camera: Camera, pose: Pose) -> None:
     """Points of the ground that lie in the picture, hidden or not, where a camera over it would have them."""
     rng = np.random.default_rng(0)
     distance = rng.uniform(200.0, 0.4 * dem.geometry.width * dem.geometry.resolution, 1000)
     turn = np.deg2rad(AZIMUTHS_DEG["east"] + rng.uniform(-25.0, 25.0, 1000))
     x, y = pose.position[0] + distance * np.sin(turn), pose.position[1] + distance * np.cos(turn)
     places = np.stack([x, y, dem.elevation_at(x, y)], axis=-1)
-    pixels = CAMERA.project((places - pose.position) @ pose.rotation)
-    inside = ((pixels > 20) & (pixels < np.array([CAMERA.width, CAMERA.height]) - 20)).all(axis=1)
+    pixels = camera.project((places - pose.position) @ pose.rotation)
+    inside = ((pixels > 20) & (pixels < np.array([camera.width, camera.height]) - 20)).all(axis=1)
     rows = ["id,x,y,z,u,v"]
     for number in np.flatnonzero(inside)[:10]:
         rows.append(",".join([f"p{number}", *(f"{value:.3f}" for value in (*places[number], *pixels[number]))]))

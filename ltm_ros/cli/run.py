@@ -10,9 +10,7 @@ import typer
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from ltm_core.site import Site
     from ltm_ros.launching.graph import ParameterValue
-    from ltm_ros.launching.site_check import Wanted
 
 
 def run(
@@ -40,13 +38,13 @@ def run(
         Path | None, typer.Option(help="Folder for the nodes' output. Default: a new one in ~/.local/state/ltm.")
     ] = None,
 ) -> None:
-    """Run a site: each node a process, restarted when it dies; Ctrl-C or SIGTERM stops all of them in order.
+    """Run a site: its nodes' processes, restarted when they die; Ctrl-C or SIGTERM stops all of them in order.
 
     What `ltm check` finds wrong ends it before any process starts: exit code 78 where the site file must be mended.
     """
     from ltm_ros.launching.graph import describe
     from ltm_ros.launching.runner import Runner, new_log_folder, print_line
-    from ltm_ros.launching.site_check import Wanted
+    from ltm_ros.launching.site_check import NotReadyError, Wanted, require_ready
 
     folders: dict[str, Path] = {}
     kept: dict[str, ParameterValue] = {}
@@ -61,14 +59,20 @@ def run(
         folders["logs"] = logs.expanduser()
     parameters = {"fuel_map": kept, "terrain": kept} if kept else {}
     seen: dict[str, ParameterValue] | None = {"serve": True} if view else None
-    config = _checked(site, Wanted(only or (), seen, recorded, parameters, folders))
+    try:
+        wanted = Wanted(only or (), seen, recorded, parameters, folders)
+        config = require_ready(site, wanted, lambda doubt: typer.echo(f"-- {doubt}"))
+    except NotReadyError as error:
+        typer.echo("\n".join(f"ltm: {line}" for line in str(error).splitlines()), err=True)
+        raise typer.Exit(error.status) from error
     if state is not None:
         folders["state"].mkdir(parents=True, exist_ok=True)
     graph = describe(
         config, site, cameras=only or (), sim_time=sim_time, view=seen, record=recorded, parameters=parameters
     )
     runner = Runner(graph, log_folder=logs or new_log_folder(config.name), domain_id=domain)
-    typer.echo(f"-- {config.name}: {len(graph)} nodes, logs in {runner.log_folder}; Ctrl-C stops them")
+    processes = f"{len(graph)} nodes in {len(graph.processes)} processes"
+    typer.echo(f"-- {config.name}: {processes}, logs in {runner.log_folder}; Ctrl-C stops them")
     if view:
         typer.echo(f"-- live view, as soon as the nodes are up: {_address(graph.node('viewer').parameters)}")
     status = runner.run()
@@ -83,21 +87,3 @@ def _address(viewer: Mapping[str, ParameterValue]) -> str:
 
     web, grpc = (int(str(viewer.get(*port))) for port in (("web_port", WEB_PORT), ("grpc_port", GRPC_PORT)))
     return web_url(web, grpc)
-
-
-def _checked(path: Path, wanted: Wanted) -> Site:
-    """The site, whose doubts are printed; ends with a line a fault where it cannot work."""
-    from ltm_core.site_check import Verdict
-    from ltm_core.site_io import load_site
-    from ltm_ros.launching.shared_memory import SHM_FOLDER
-    from ltm_ros.launching.site_check import examined_apart, exit_status
-
-    findings = examined_apart(path, wanted)
-    for finding in findings:
-        if finding.verdict is Verdict.WRONG:
-            typer.echo(f"ltm: {finding.area}, {finding.name}: {finding.said}", err=True)
-        elif finding.verdict is Verdict.DOUBTFUL and finding.name != str(SHM_FOLDER):  # of which the runner tells
-            typer.echo(f"-- doubtful: {finding.area}, {finding.name}: {finding.said}")
-    if status := exit_status(findings):
-        raise typer.Exit(status)
-    return load_site(path)

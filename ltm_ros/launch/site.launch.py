@@ -1,19 +1,28 @@
 """`ros2 launch ltm site.launch.py site:=SITE.yaml`: the graph that `ltm run` starts, under launch."""
 
+import tempfile
 from pathlib import Path
 from typing import List  # noqa: UP035 - launch_ros compares with typing.List
 
-from launch import LaunchContext, LaunchDescription
+from launch import LaunchContext, LaunchDescription, logging
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
 from launch.launch_description_entity import LaunchDescriptionEntity
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.parameter_descriptions import ParameterValue as TypedValue
 
 from ltm_core.errors import ConfigError
-from ltm_core.site_io import load_site
-from ltm_ros.launching.graph import PACKAGE, NodeSpec, describe
+from ltm_ros.launching.graph import (
+    CAMERAS_PROCESS,
+    PACKAGE,
+    NodeSpec,
+    ParameterValue,
+    ProcessSpec,
+    describe,
+    nodes_json,
+)
 from ltm_ros.launching.ros_environment import ros_additions, thread_limits
+from ltm_ros.launching.site_check import Wanted, require_ready
 
 ARGUMENTS = {
     "site": (None, "site file (YAML)"),
@@ -34,16 +43,40 @@ def generate_launch_description() -> LaunchDescription:
 
 def _render(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    site, cameras = Path(given["site"]), [name for name in given["cameras"].split(",") if name]
+    view: dict[str, ParameterValue] | None = {"serve": True} if _boolean("view", given["view"]) else None
+    bag = Path(given["record"]).expanduser().resolve() if given["record"] else None
+    record: dict[str, ParameterValue] | None = {"bag": str(bag)} if bag else None
+    places = {"record": bag} if bag else None
     graph = describe(
-        load_site(given["site"]),
-        given["site"],
-        cameras=[name for name in given["cameras"].split(",") if name],
+        require_ready(site, Wanted(cameras, view, record, folders=places), logging.get_logger("ltm").warning),
+        site,
+        cameras=cameras,
         sim_time=_boolean("use_sim_time", given["use_sim_time"]),
-        view={"serve": True} if _boolean("view", given["view"]) else None,
-        record={"bag": str(Path(given["record"]).expanduser().resolve())} if given["record"] else None,
+        view=view,
+        record=record,
     )
     environment = [SetEnvironmentVariable(name, value) for name, value in ros_additions().items()]
-    return [*environment, *map(_node, graph)]
+    return [*environment, *map(_process, graph.processes)]
+
+
+def _process(spec: ProcessSpec) -> Node:
+    return _shared(spec) if spec.shared else _node(spec.nodes[0])
+
+
+def _shared(spec: ProcessSpec) -> Node:
+    # As launch does with parameters, which it could give to one node alone.
+    with tempfile.NamedTemporaryFile("w", prefix="launch_ltm_", suffix=".json", delete=False) as file:
+        file.write(nodes_json(spec.nodes))
+    return Node(
+        package=PACKAGE,
+        executable=CAMERAS_PROCESS,
+        arguments=[file.name],
+        additional_env=thread_limits(spec.busy),
+        output="both",
+        respawn=True,
+        respawn_delay=2.0,
+    )
 
 
 def _node(spec: NodeSpec) -> Node:
@@ -51,9 +84,9 @@ def _node(spec: NodeSpec) -> Node:
     parameters = {}
     for name, value in spec.parameters.items():
         if isinstance(value, str):
-            parameters[name] = ParameterValue(value, value_type=str)
+            parameters[name] = TypedValue(value, value_type=str)
         elif isinstance(value, list) and isinstance(value[0], str):
-            parameters[name] = ParameterValue(value, value_type=List[str])  # noqa: UP006
+            parameters[name] = TypedValue(value, value_type=List[str])  # noqa: UP006
         else:
             parameters[name] = value
     return Node(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import socket
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -15,10 +15,11 @@ from types import ModuleType
 from pydantic import BaseModel
 
 from ltm_core.config_io import checked
-from ltm_core.errors import LtmError
+from ltm_core.errors import ConfigError, LtmError
 from ltm_core.output_io import free_bytes, require_folder
 from ltm_core.site import Site
 from ltm_core.site_check import Finding, SiteCheck, Verdict, check_site
+from ltm_core.site_io import load_site
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import ParameterValue, describe
 from ltm_ros.launching.supervisor import EX_CONFIG
@@ -50,6 +51,26 @@ def examine(path: Path, wanted: Wanted) -> SiteCheck:
         check.findings += _nodes(check.site, path, wanted)
         check.findings += _places(check.site, path, wanted)
     return check
+
+
+class NotReadyError(ConfigError):
+    """A line a fault. `status`: see `exit_status`."""
+
+    def __init__(self, findings: Sequence[Finding]) -> None:
+        wrong = (finding for finding in findings if finding.verdict is Verdict.WRONG)
+        super().__init__("\n".join(f"{finding.area}, {finding.name}: {finding.said}" for finding in wrong))
+        self.status = exit_status(findings)
+
+
+def require_ready(path: Path, wanted: Wanted, tell: Callable[[str], None]) -> Site:
+    """The site that a graph can be started for. `tell` takes a line a doubt. Raises NotReadyError."""
+    findings = examined_apart(path, wanted)
+    if exit_status(findings):
+        raise NotReadyError(findings)
+    for finding in findings:
+        if finding.verdict is Verdict.DOUBTFUL and finding.name != str(shared_memory.SHM_FOLDER):  # the runner tells
+            tell(f"doubtful: {finding.area}, {finding.name}: {finding.said}")
+    return load_site(path)
 
 
 def examined_apart(path: Path, wanted: Wanted) -> list[Finding]:
@@ -100,10 +121,15 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
             wrong = True
             yield Finding.of("site", "nodes", error)
     if not wrong:
-        yield Finding("site", "nodes", Verdict.OK, f"{len(graph)} processes, parameters as they take them")
-    needed, free = shared_memory.BYTES_PER_PARTICIPANT * (len(graph) + 1), shared_memory.free_bytes()
+        yield Finding(
+            "site",
+            "nodes",
+            Verdict.OK,
+            f"{len(graph)} nodes in {len(graph.processes)} processes, parameters as they take them",
+        )
+    needed, free = shared_memory.BYTES_PER_PARTICIPANT * (len(graph.processes) + 1), shared_memory.free_bytes()
     if free is not None:
-        said = f"{free >> 20} MB free, {len(graph)} nodes take {needed >> 20} MB"
+        said = f"{free >> 20} MB free, {len(graph.processes)} processes take {needed >> 20} MB"
         remedy = ": images will be slow or lost; enlarge it (mount -o remount,size=2G /dev/shm)"
         yield (
             Finding(MACHINE, str(shared_memory.SHM_FOLDER), Verdict.OK, said)

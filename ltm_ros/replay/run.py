@@ -11,6 +11,7 @@ from ltm_core.site_io import load_site
 from ltm_ros.launching.graph import Graph, ParameterValue, describe
 from ltm_ros.launching.ros_environment import apply_to_process
 from ltm_ros.launching.runner import Runner
+from ltm_ros.launching.site_check import Wanted, require_ready
 from ltm_ros.replay import LONGEST_PAUSE
 from ltm_ros.replay.live import LivePlayer
 from ltm_ros.replay.offline import replay_offline
@@ -78,9 +79,10 @@ def run_live(
 ) -> dict[str, dict[str, str]]:
     """With the whole graph as processes of their own; the last diagnostics of every node by full name.
 
-    Raises LtmError when the graph does not come up or does not finish its work.
+    Raises NotReadyError where it cannot work, LtmError when it does not come up or does not finish its work.
     """
-    selection = Selection.open(bag, load_site(site_path), options.start, options.duration)
+    site = require_ready(site_path, Wanted(), console)
+    selection = Selection.open(bag, site, options.start, options.duration)
     apply_to_process(options.domain_id)
     graph = graph_of(site_path, options, sim_time=True)
     if options.rrd is not None:

@@ -8,13 +8,14 @@ PYTHONPATH=tests .venv/bin/python -m fuzz.campaign --target store --file out/fuz
 from __future__ import annotations
 
 import argparse
+import itertools
 import multiprocessing
 import random
 import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -128,27 +129,32 @@ def campaign(
 ) -> dict[str, Tally]:
     """Cases `seed`, `seed` + 1 and so on of each target, for its share of the time. Faults are kept in `kept`.
     `progress` is told of each target that is done."""
-    tallies = {name: Tally() for name in names}
+    tallies = {}
     whole = sum(target_named(name).weight for name in names)
     for name in names:
-        tally, number = tallies[name], seed
-        with Worker(name) as worker:
-            worker.start()  # which is not counted
-            until = time.monotonic() + seconds * target_named(name).weight / whole
-            while time.monotonic() < until:
-                answer = worker.run(number)
-                fault = fault_of(answer)
-                tally.cases += 1
-                tally.taken += not fault and not answer.refused
-                tally.seconds = max(tally.seconds, answer.seconds)
-                tally.bytes = max(tally.bytes, answer.bytes)
-                if fault:
-                    tally.faults.append(_keep(worker, name, number, fault, kept))
-                    if len(tally.faults) >= 20:
-                        break
-                number += 1
-        progress(name, tally)
+        tallies[name] = cases(name, itertools.count(seed), seconds * target_named(name).weight / whole, kept)
+        progress(name, tallies[name])
     return tallies
+
+
+def cases(name: str, numbers: Iterable[int], seconds: float, kept: Path) -> Tally:
+    """The cases of one target, until the time is up (its start is not counted) or twenty are at fault."""
+    tally = Tally()
+    with Worker(name) as worker:
+        worker.start()
+        until = time.monotonic() + seconds
+        for number in numbers:
+            answer = worker.run(number)
+            fault = fault_of(answer)
+            tally.cases += 1
+            tally.taken += not fault and not answer.refused
+            tally.seconds = max(tally.seconds, answer.seconds)
+            tally.bytes = max(tally.bytes, answer.bytes)
+            if fault:
+                tally.faults.append(_keep(worker, name, number, fault, kept))
+            if len(tally.faults) >= 20 or time.monotonic() >= until:
+                break
+    return tally
 
 
 def fault_of(answer: Answer) -> str:

@@ -16,7 +16,7 @@ Prepare = Callable[[Path], None]
 @dataclass(frozen=True)
 class Target:
     """`file`: name of the spoiled file in the folder. `seeds`: whole files, made when asked, small. `read`: takes the
-    folder; whatever it raises but LtmError is a fault. `weight`: share of the cases."""
+    folder; whatever it raises but LtmError is a fault. `weight`: share of a campaign's time."""
 
     name: str
     file: str

@@ -24,11 +24,16 @@ STUDY = {
 """The study wing. The command line is the door to both wings: its modules import when a command runs."""
 DOOR = "ltm_ros.cli"
 TOWER = {
-    "numpy", "numba", "llvmlite", "scipy", "cv2", "onnxruntime", "rasterio", "pyproj", "pygeomag", "PIL", "pillow_heif",
-    "pydantic", "pydantic_core", "yaml", "typer", "rich", "mcap", "zstandard", "lz4", "packaging",
+    "numpy", "numba", "llvmlite", "scipy", "cv2", "onnxruntime", "rasterio", "pyproj", "pygeomag", "mgrs", "PIL",
+    "pillow_heif", "pydantic", "pydantic_core", "yaml", "typer", "rich", "mcap", "zstandard", "lz4", "packaging",
 }  # fmt: skip
 """Packages of others that runtime may import: those that `pip install ltm` brings."""
-ON_DEMAND = {"rerun": "the viewer", "laspy": "LAS export", "rosbags": "message definitions where no ROS is installed"}
+ON_DEMAND = {
+    "rerun": "the viewer",
+    "laspy": "LAS export",
+    "rosbags": "message definitions where no ROS is installed",
+    "av": "videos for `ltm import`",
+}
 
 
 def imported(source: str, package: str) -> Iterator[str]:

@@ -262,6 +262,15 @@ def test_a_png_that_claims_ten_gigapixels_is_refused() -> None:
         compressed_to_rgb(msg)
 
 
+def test_a_png_chunk_longer_than_the_file_is_refused_before_it_is_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """OpenCV would take the gigabyte that such a chunk states."""
+    png = encode_rgb(smooth(), "png")
+    at = png.index(b"IDAT") - 4
+    monkeypatch.setattr("cv2.imdecode", lambda *_: pytest.fail("decoded"))
+    with pytest.raises(ImageError, match="cut short: its chunks state more bytes than it has"):
+        decode_rgb(png[:at] + (0x40000000).to_bytes(4, "big") + png[at + 4 :])
+
+
 def test_a_jpeg_that_claims_gigapixels_is_refused_before_it_is_decoded() -> None:
     data = bytearray(encode_rgb(smooth(), "jpeg"))
     frame = data.index(b"\xff\xc0")

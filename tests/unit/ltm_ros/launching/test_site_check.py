@@ -11,7 +11,8 @@ from scenes.small_site import write_small_site
 
 from ltm_core.site_check import Finding, Verdict
 from ltm_ros.launching import site_check
-from ltm_ros.launching.site_check import MACHINE, Wanted, examine, examined_apart, exit_status
+from ltm_ros.launching.site_check import MACHINE, NotReadyError, Wanted, examine, examined_apart, exit_status
+from ltm_ros.replay import run as replay_run
 
 
 def finding(area: str, verdict: Verdict) -> Finding:
@@ -50,7 +51,7 @@ def test_parameters_of_every_node_are_looked_at(tmp_path: Path) -> None:
     site = write_small_site(tmp_path, recording=False).path
     wanted = Wanted(view={"serve": True}, record={"bag": str(tmp_path / "bag")})
     (found,) = [one for one in examine(site, wanted).findings if one.name == "nodes"]
-    assert (found.verdict, found.said) == (Verdict.OK, "11 processes, parameters as they take them")
+    assert (found.verdict, found.said) == (Verdict.OK, "11 nodes in 4 processes, parameters as they take them")
     wrong = Wanted(record={"bag": str(tmp_path / "bag"), "max_bytes": -7})
     (found,) = [one for one in examine(site, wrong).findings if one.name == "nodes"]
     assert found.verdict is Verdict.WRONG
@@ -67,3 +68,13 @@ def test_a_check_that_is_killed_is_a_finding(tmp_path: Path, monkeypatch: pytest
     (found,) = examined_apart(tmp_path / "site.yaml", Wanted())
     assert (found.area, found.verdict) == (MACHINE, Verdict.WRONG)
     assert "larger than the memory" in found.said
+
+
+def test_a_live_replay_is_checked_before_any_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(replay_run, "Runner", None)
+    monkeypatch.setattr(site_check, "examined_apart", lambda path, wanted: examine(path, wanted).findings)
+    small = write_small_site(tmp_path)
+    small.path.write_text(small.path.read_text().replace("EPSG:26911", "EPSG:26910"))
+    with pytest.raises(NotReadyError, match=r"terrain, dem: .*EPSG:26911, the site in EPSG:26910") as told:
+        replay_run.run_live(small.bag, small.path, replay_run.ReplayOptions(), lambda *_: None, print, tmp_path)
+    assert told.value.status == 78

@@ -394,7 +394,7 @@ def test_images_that_state_too_many_pixels_are_not_decoded(capture_of: CaptureOf
         assert resident() - peak < 32 << 20
     assert outlet.sent == []
     assert health.dropped == {"too_large": 2}
-    assert "10000 x 7900 pixels, at most 16000000" in health.last_error
+    assert "10000 x 7900 pixels, at most 12600000" in health.last_error
 
 
 def test_images_of_too_many_bytes_do_not_wait(capture_of: CaptureOf, site: Callable[..., Path]) -> None:
