@@ -25,6 +25,10 @@ class ImageError(LtmError):
     """An image, depth image or label image that cannot be taken."""
 
 
+class RegionError(LtmError):
+    """A pixel or region of a picture that cannot be located on the map."""
+
+
 class MessageError(LtmError):
     """A message whose fields contradict each other or the contract of its topic."""
 

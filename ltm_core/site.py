@@ -17,6 +17,7 @@ from ltm_core.fuel.prior_config import PriorConfig
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.geodesy import SiteFrame, ray_bend
 from ltm_core.grid import GridGeometry
+from ltm_core.locating.settings import LocatingConfig
 from ltm_core.raster.dem_stack import open_terrain, with_surface
 from ltm_core.raster.shared_rasters import shared
 from ltm_core.sensor_pose import SensorsConfig
@@ -35,7 +36,7 @@ RosName = Annotated[str, AfterValidator(_ros_name)]
 FARTHEST_ORIGIN = 100_000.0
 """Metres from the DEM to the origin: beyond it, float32 coordinates no longer hold centimetres."""
 
-SITE_NAMES = ("fuel_map", "terrain", "viewer", "recorder")
+SITE_NAMES = ("fuel_map", "terrain", "locate", "viewer", "recorder")
 """Nodes and topics that stand beside the cameras in `/<site>/`: no camera may be called so."""
 
 
@@ -129,6 +130,28 @@ class WatchdogConfig(Config):
     After each start in a row that was too slow, the next has twice as long."""
 
 
+class PoseRefinementConfig(Config):
+    """How the poses of mounted cameras are kept by their pictures; a site that has this section runs the node `pose`
+    for each camera. Angles in degrees."""
+
+    every: float = Field(10.0, ge=0)
+    """Seconds between two pictures that are looked at."""
+    gather: int = Field(6, ge=2)
+    """Clear pictures in which a mount's error is sought together,"""
+    most_gathered: int = Field(12, ge=2)
+    """and at most so many, where they leave it open."""
+    judged: int = Field(6, ge=1)
+    """Of a mount whose error is known, so many of the last clear pictures are judged by;"""
+    slipped: int = Field(4, ge=1)
+    """where so many of them say that the camera looks elsewhere, it has slipped."""
+    least_slip_deg: float = Field(0.2, gt=0)
+    """A picture says so where it is off by more than this"""
+    slip_sigmas: float = Field(3.0, gt=0)
+    """and by so many of its standard deviations,"""
+    slip_sigma_deg: float = Field(3.0, gt=0)
+    """and this is the standard deviation of a slip's angles."""
+
+
 class TerrainConfig(Config):
     """The living terrain; a site that has this section runs the node `terrain`. Lengths in metres, times in seconds."""
 
@@ -211,6 +234,8 @@ class Site(Config):
     assumed_pose_error: PoseErrorConfig = PoseErrorConfig()
     terrain: TerrainConfig | None = None
     """Where given, the surface is kept up to date from fused depth."""
+    locating: LocatingConfig | None = None
+    """Where given, what is marked in the cameras' pictures is located on the map."""
     labels: str = "labels.yaml"
     """Label set in config/."""
     model: str = "landscape_lite0"
@@ -218,6 +243,13 @@ class Site(Config):
     depth_model: str = ""
     """Manifest of a depth network, likewise; where given, traced depth is fused with it (`fused/depth`)."""
     cameras: dict[CameraName, CameraConfig] = Field(min_length=1)
+    processes: Literal["site", "node"] = "site"
+    """`site`: the nodes of all cameras share one process: a frame runs straight through them, terrain and networks are
+    there once. `node`: each node has a process of its own, for development, and for several hosts."""
+    workers: int | None = Field(None, ge=1)
+    """Threads that work on frames in a site's process, each on one frame at a time; None: one for each core."""
+    refine_poses: PoseRefinementConfig | None = None
+    """None: poses are taken as they are stated."""
     limits: Limits = Limits()
     watchdog: WatchdogConfig = WatchdogConfig()
     nodes: dict[RosName, dict[str, Any]] = {}

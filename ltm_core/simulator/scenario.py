@@ -164,6 +164,7 @@ class Scenario(Strict):
     smoke: list[SmokeConfig] = Field([])
     lakes: list[LakeConfig] = Field([])
     dem: OutdatedDemConfig = OutdatedDemConfig()
+    dem_around: OutdatedDemConfig = OutdatedDemConfig(resolution=10.0, sigma=1.0)  # of the range about the site
     dates: list[DateConfig] = Field([DateConfig(name="now")], min_length=1)
     changes: list[Change] = Field([])
     cameras: list[CameraSetup] = Field([])

@@ -20,6 +20,11 @@ IMU = Topic("imu", Imu, depth=100, counted=False)  # some phones send two hundre
 POSED_IMAGE = Topic("posed/image", Image)
 POSED_CAMERA_INFO = Topic("posed/camera_info", CameraInfo)
 POSED_POSE = Topic("posed/pose", PoseWithCovarianceStamped)
+STATED_POSE = Topic("posed/stated_pose", PoseWithCovarianceStamped)
+"""As it came, of frames whose poses are refined."""
+POSE_CORRECTION = Topic("pose/correction", PoseWithCovarianceStamped, latched=True)
+"""A rotation about the map's axes by which stated poses are turned, and the covariance of their angles then."""
+POSE_INFO = Topic("pose/info", String, latched=True)
 
 DEPTH_IMAGE = Topic("depth/image", Image)
 DEPTH_CAMERA_INFO = Topic("depth/camera_info", CameraInfo)
@@ -55,6 +60,14 @@ TERRAIN_UPDATE = Topic("terrain/update", PointCloud2)
 TERRAIN_CHANGE = Topic("terrain/change", OccupancyGrid, latched=True)
 TERRAIN_INFO = Topic("terrain/info", String, latched=True)
 
+LOCATE_REGION = Topic("locate/region", PolygonStamped)
+LOCATE_POINT = Topic("locate/point", PointStamped)
+LOCATE_ESTIMATE = Topic("locate/estimate", PoseWithCovarianceStamped)
+LOCATE_GEOJSON = Topic("locate/geojson", String)
+LOCATE_FUSED = Topic("locate/fused", PoseWithCovarianceStamped)
+LOCATE_TRACKS = Topic("locate/tracks", String, latched=True)
+"""What is marked in a camera's picture, by a detector or a person; where that is; and the site's tracks of it."""
+
 TRUTH_DEPTH = Topic("truth/depth", Image)
 TRUTH_GROUND_DEPTH = Topic("truth/ground_depth", Image)
 TRUTH_LABELS = Topic("truth/labels", Image)
@@ -68,10 +81,24 @@ CAMERA_TRUTH = (TRUTH_DEPTH, TRUTH_GROUND_DEPTH, TRUTH_LABELS, TRUTH_CAMERA_INFO
 
 RECORDED = (
     (
-        *(*CAMERA_INPUTS, *CAMERA_TRUTH, POSED_POSE, DEPTH_IMAGE, DEPTH_CAMERA_INFO, FUSED_DEPTH, FUSED_INFO),
+        *(
+            *CAMERA_INPUTS,
+            *CAMERA_TRUTH,
+            POSED_POSE,
+            POSE_CORRECTION,
+            POSE_INFO,
+            DEPTH_IMAGE,
+            DEPTH_CAMERA_INFO,
+            FUSED_DEPTH,
+            FUSED_INFO,
+        ),
         *(NETWORK_DEPTH, LABELS_IMAGE, LABELS_INFO, FUEL_VOTES),
+        *(LOCATE_REGION, LOCATE_POINT, LOCATE_ESTIMATE, LOCATE_GEOJSON),
     ),
-    (FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_INFO, TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO),
+    (
+        *(FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_INFO, TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO),
+        *(LOCATE_FUSED, LOCATE_TRACKS),
+    ),
 )
 """What a recording holds unless told otherwise, of each camera and of the site: all but decoded copies of images."""
 

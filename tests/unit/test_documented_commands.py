@@ -267,7 +267,8 @@ def test_yaml_keys_exist(page: Path) -> None:
 
 
 CAPABILITIES = (
-    "tracing", "pose", "depth", "fuel_map", "terrain", "exports", "recordings", "viewer", "simulator", "evaluation",
+    "tracing", "pose", "depth", "fuel_map", "terrain", "locating", "exports", "recordings", "viewer", "simulator",
+    "evaluation",
 )  # fmt: skip
 
 

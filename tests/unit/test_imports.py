@@ -24,8 +24,8 @@ STUDY = {
 """The study wing. The command line is the door to both wings: its modules import when a command runs."""
 DOOR = "ltm_ros.cli"
 TOWER = {
-    "numpy", "numba", "llvmlite", "scipy", "cv2", "onnxruntime", "rasterio", "pyproj", "pygeomag", "PIL", "pillow_heif",
-    "pydantic", "pydantic_core", "yaml", "typer", "rich", "mcap", "zstandard", "lz4", "packaging",
+    "numpy", "numba", "llvmlite", "scipy", "cv2", "onnxruntime", "rasterio", "pyproj", "pygeomag", "mgrs", "PIL",
+    "pillow_heif", "pydantic", "pydantic_core", "yaml", "typer", "rich", "mcap", "zstandard", "lz4", "packaging",
 }  # fmt: skip
 """Packages of others that runtime may import: those that `pip install ltm` brings."""
 ON_DEMAND = {

@@ -1,0 +1,1 @@
+"""How well places are located: geometric smoke over terrain with known truth, and surveyed control points."""

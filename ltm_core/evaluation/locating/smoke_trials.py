@@ -1,0 +1,141 @@
+"""Geometric smoke as cameras see it: a leaning plume over a place of the true ground, its lowest visible part by lines
+of sight against that ground, and what a detector or a person marks of it. No picture is rendered.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltm_core.camera import Camera
+from ltm_core.errors import RegionError
+from ltm_core.locating.region import marked_box, marked_pixel
+from ltm_core.locating.settings import LocatingConfig
+from ltm_core.locating.sighting import Sighting
+from ltm_core.pose import Pose
+from ltm_core.pose_covariance import pose_covariance
+from ltm_core.types import Float64Array
+from ltm_core.visibility.point_visibility import PointVisibility, in_image, project
+
+CAMERA = Camera.from_fov(1920, 1080, 60.0)
+LEAST_HEIGHT = 15.0
+"""Metres of a plume that must be seen, and pixels: a smaller one is not noticed."""
+LEAST_PIXELS = 8.0
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """Sigmas of what a stated pose has wrong, and what its covariance says: degrees of each angle, metres."""
+
+    angle_deg: float
+    position: float = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Plume:
+    """`foot`: (3,) on the true ground. `lean`: (2,) horizontal drift a metre of height. `height`: above the foot."""
+
+    foot: Float64Array
+    lean: Float64Array
+    height: float
+
+    def axis(self, count: int = 80) -> tuple[Float64Array, Float64Array]:
+        """Heights above the foot, (count,), and the axis there, (count, 3)."""
+        heights = np.concatenate([[0.0], np.geomspace(0.5, self.height, count - 1)])
+        points = self.foot + heights[:, None] * np.array([self.lean[0], self.lean[1], 1.0])
+        return heights, points
+
+
+@dataclass(frozen=True, eq=False)
+class SeenPlume:
+    """What a tower sees of a plume. `hidden`: metres of it below the line of sight; 0 where its foot is seen."""
+
+    plume: Plume
+    tower: Float64Array
+    hidden: float
+    seen: Float64Array
+    """(N, 3) the axis above that."""
+    widths: Float64Array
+    """(N,) metres, half."""
+
+    @property
+    def range(self) -> float:
+        return math.hypot(*(self.plume.foot[:2] - self.tower[:2]).tolist())
+
+    @property
+    def bearing(self) -> float:
+        """Radians, from the tower."""
+        x, y = self.plume.foot[:2] - self.tower[:2]
+        return math.atan2(float(x), float(y))
+
+
+def random_plume(rng: np.random.Generator, place: Float64Array) -> Plume:
+    """Median height 120 m, lognormal with 0.6; leaning by up to 35 degrees in any direction."""
+    angle, size = rng.uniform(0, 2 * np.pi), 0.7 * math.sqrt(rng.uniform())
+    lean = size * np.array([math.cos(angle), math.sin(angle)])
+    return Plume(place, lean, 120.0 * math.exp(0.6 * rng.standard_normal()))
+
+
+def seen_plume(sight: PointVisibility, plume: Plume, tower: Float64Array) -> SeenPlume | None:
+    """None where too little of it is seen to be noticed. `sight`: over the true ground."""
+    heights, points = plume.axis()
+    lifts, _ = sight.lifts(tower, points)
+    shown = np.flatnonzero(lifts <= 0.5)
+    if not len(shown):
+        return None
+    first = int(shown[0])
+    hidden = float(heights[first])
+    if plume.height - hidden < LEAST_HEIGHT:
+        return None
+    return SeenPlume(plume, tower, hidden, points[first:], 6.0 + 0.12 * heights[first:])
+
+
+def sighting(
+    rng: np.random.Generator,
+    name: str,
+    seen: SeenPlume,
+    bend: float,
+    errors: PoseErrors,
+    config: LocatingConfig,
+    boxed: bool,
+    turned_deg: float = 0.0,
+) -> Sighting | None:
+    """What a camera that shows the plume reports: a box around what is seen of it, or a click on its lowest part, with
+    a pose that is wrong by `errors` and, unknown to all, turned by `turned_deg`.
+
+    None where it does not fit the picture.
+    """
+    azimuth = math.degrees(seen.bearing) + rng.uniform(-24, 24)
+    true = Pose.from_angles(seen.tower, azimuth, rng.uniform(-5, 0), 0.5 * rng.standard_normal())
+    pixels = project(CAMERA, true, seen.seen, bend)
+    radius = CAMERA.fx * seen.widths / np.linalg.norm(seen.seen - seen.tower, axis=1)
+    if not in_image(CAMERA, pixels[:1])[0] or pixels[0, 1] - pixels[:, 1].min() < LEAST_PIXELS:
+        return None
+    if boxed:
+        left, right = (pixels[:, 0] - radius).min(), (pixels[:, 0] + radius).max()
+        top, bottom = pixels[:, 1].min(), pixels[:, 1].max()
+        size = np.array([right - left, bottom - top])
+        noise = np.maximum(1.0, 0.03 * size)
+        left, right = left + noise[0] * rng.standard_normal(), right + noise[0] * rng.standard_normal()
+        top, bottom = top + noise[1] * rng.standard_normal(), bottom + noise[1] * rng.standard_normal()
+        corners = (min(left, right), min(top, bottom), max(left, right), max(top, bottom))
+    else:
+        corners = tuple(pixels[0] + 1.5 * rng.standard_normal(2))
+    stated = Pose.from_angles(
+        seen.tower + errors.position * rng.standard_normal(3),
+        true.angles_deg[0] + errors.angle_deg * rng.standard_normal() + turned_deg,
+        true.angles_deg[1] + errors.angle_deg * rng.standard_normal(),
+        true.angles_deg[2] + errors.angle_deg * rng.standard_normal(),
+    )
+    a = errors.angle_deg
+    covariance = pose_covariance(stated, errors.position, errors.position, a, a, a)
+    try:
+        if boxed:
+            mark = marked_box(CAMERA, corners, config.pixel_sigma, config.box_sigma, True)
+        else:
+            mark = marked_pixel(CAMERA, corners, config.pixel_sigma)
+    except RegionError:
+        return None
+    return Sighting(name, CAMERA, stated, covariance, mark)

@@ -1,0 +1,209 @@
+"""What is said of a location, in the coordinates and words that people use; as plain data, and as GeoJSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from ltm_core.dem import Dem
+from ltm_core.fuel.codes import fuel_models
+from ltm_core.fuel.life_form import NODATA
+from ltm_core.fuel.prior import FuelPrior
+from ltm_core.geodesy import SiteFrame
+from ltm_core.locating.locator import Agreement, Location
+from ltm_core.locating.place import PlaceView, place_views
+from ltm_core.locating.posterior import Ellipse
+from ltm_core.types import Float64Array
+from ltm_core.visibility.point_visibility import PointVisibility
+from ltm_core.visibility.viewshed import PosedCamera
+
+SHARES = (0.5, 0.95)
+"""Of the probability, that the ellipses hold."""
+
+
+@dataclass(frozen=True)
+class PlaceName:
+    """A place as people say it. `x`, `y`: in `crs`. `mgrs`: to the metre, WGS 84."""
+
+    crs: str
+    x: float
+    y: float
+    lon: float
+    lat: float
+    mgrs: str | None
+    """None beyond 84 degrees north and 80 south, where MGRS has other grids."""
+    elevation: float | None
+
+
+@dataclass(frozen=True)
+class Fuel:
+    code: int
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """`ellipses`: by SHARES, in the map frame. `views`: of the mean place, by all cameras."""
+
+    location: Location
+    name: PlaceName
+    elevation_sigma: float
+    ellipses: tuple[Ellipse, ...]
+    fuel: Fuel | None
+    views: tuple[PlaceView, ...]
+    smoke: bool
+
+
+def answer(
+    location: Location,
+    sight: PointVisibility,
+    frame: SiteFrame,
+    cameras: Sequence[PosedCamera],
+    prior: FuelPrior | None,
+    smoke: bool,
+) -> Answer:
+    """Everything that is said of a location. `prior`: its geometry in the map frame."""
+    posterior = location.posterior
+    x, y = posterior.mean
+    heights = sight.dem.elevation_at(posterior.places[:, 0], posterior.places[:, 1])
+    known = np.isfinite(heights)
+    weights = posterior.probability * known
+    elevation = sigma = float("nan")
+    if weights.sum() > 0:
+        elevation = float(sight.dem.elevation_at(x, y))
+        mean = float(weights @ np.where(known, heights, 0.0) / weights.sum())
+        elevation = mean if math.isnan(elevation) else elevation
+        sigma = math.sqrt(float(weights @ np.where(known, heights - mean, 0.0) ** 2 / weights.sum()))
+    ellipses = tuple(posterior.ellipse(share) for share in SHARES)
+    views: tuple[PlaceView, ...] = ()
+    if not math.isnan(elevation):
+        views = tuple(place_views(sight, cameras, np.array([x, y, elevation]), ellipses[-1].major))
+    return Answer(location, place_name(frame, x, y, elevation), sigma, ellipses, fuel_at(prior, x, y), views, smoke)
+
+
+def place_name(frame: SiteFrame, x: float, y: float, elevation: float) -> PlaceName:
+    """Of a place in the map frame; `elevation` NaN where it is not known."""
+    lon, lat = (float(v) for v in frame.to_lonlat(x, y))
+    height = None if math.isnan(elevation) else elevation
+    return PlaceName(frame.crs, x + frame.x_origin, y + frame.y_origin, lon, lat, _mgrs(lon, lat), height)
+
+
+def _mgrs(lon: float, lat: float) -> str | None:
+    from mgrs import MGRS
+
+    if not -80.0 <= lat < 84.0:
+        return None
+    text = str(MGRS().toMGRS(lat, lon, MGRSPrecision=5))
+    zone = len(text) - 12
+    return f"{text[:zone]} {text[zone : zone + 2]} {text[zone + 2 : zone + 7]} {text[zone + 7 :]}"
+
+
+def fuel_at(prior: FuelPrior | None, x: float, y: float) -> Fuel | None:
+    """The prior's fuel model at a place of the map; None where it knows none."""
+    if prior is None:
+        return None
+    row, col = (int(v) for v in prior.geometry.cell_of(x, y))
+    if not bool(prior.geometry.contains(row, col)) or prior.codes[row, col] == NODATA:
+        return None
+    code = int(prior.codes[row, col])
+    return Fuel(code, fuel_models().name(code))
+
+
+def heights_of(dem: Dem, places: Float64Array) -> Float64Array:
+    """(N, 3) places on the ground of (N, 2)."""
+    return np.column_stack([places, dem.elevation_at(places[:, 0], places[:, 1])])
+
+
+def as_data(said: Answer, frame: SiteFrame) -> dict[str, Any]:
+    """For JSON: lengths in metres, angles in degrees from grid north, places in the site's CRS."""
+    posterior = said.location.posterior
+    return {
+        "place": asdict(said.name),
+        "likeliest": [_round(posterior.likeliest[0] + frame.x_origin), _round(posterior.likeliest[1] + frame.y_origin)],
+        "sigma": _round(posterior.sigma),
+        "elevation_sigma": _round(said.elevation_sigma),
+        "ellipses": [
+            {
+                "share": share,
+                "semi_major": _round(ellipse.major),
+                "semi_minor": _round(ellipse.minor),
+                "azimuth_deg": _round(ellipse.azimuth_deg),
+            }
+            for share, ellipse in zip(SHARES, said.ellipses, strict=True)
+        ],
+        "modes": [
+            {
+                "share": _round(mode.share),
+                "x": _round(mode.centre[0] + frame.x_origin),
+                "y": _round(mode.centre[1] + frame.y_origin),
+            }
+            for mode in posterior.modes
+        ],
+        "smoke": said.smoke,
+        "least_visible_height": _round(said.location.lift) if said.smoke else None,
+        "fuel": None if said.fuel is None else asdict(said.fuel),
+        "agreement": agreement_data(said.location.agreement),
+        "cameras": [view_data(view, frame) for view in said.views],
+    }
+
+
+def agreement_data(agreement: Agreement | None) -> dict[str, Any] | None:
+    if agreement is None:
+        return None
+    return {
+        "agree": agreement.agree,
+        "statistic": _round(min(agreement.statistic, 1e6)),
+        "limit": _round(agreement.limit),
+        "wrong": agreement.wrong,
+        "suspicion": {name: _round(share) for name, share in agreement.suspicion.items()},
+    }
+
+
+def view_data(view: PlaceView, frame: SiteFrame) -> dict[str, Any]:
+    """One camera's view of a place."""
+    hidden = view.hidden_by
+    return {
+        "camera": view.camera,
+        "state": view.state.name.lower(),
+        "pixel": None if view.pixel is None else [_round(v) for v in view.pixel],
+        "distance": _round(view.distance),
+        "bearing_deg": _round(view.azimuth_deg),
+        "pitch_deg": _round(view.pitch_deg),
+        "hfov_deg": _round(view.hfov_deg),
+        "least_visible_height": None if math.isnan(view.lift) else _round(view.lift),
+        "hidden_by": None
+        if hidden is None
+        else [_round(hidden[0] + frame.x_origin), _round(hidden[1] + frame.y_origin), _round(hidden[2])],
+    }
+
+
+def as_geojson(said: Answer, frame: SiteFrame, properties: dict[str, Any] | None = None) -> dict[str, Any]:
+    """A FeatureCollection (RFC 7946: WGS 84, longitude first): the mean place with all that is said of it, the
+    ellipses, and the modes where there are several.
+    """
+
+    def lonlat(points: Float64Array) -> list[list[float]]:
+        lon, lat = frame.to_lonlat(points[:, 0], points[:, 1])
+        return [[round(float(a), 7), round(float(b), 7)] for a, b in zip(lon, lat, strict=True)]
+
+    def feature(kind: str, coordinates: Any, values: dict[str, Any]) -> dict[str, Any]:
+        return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates}, "properties": values}
+
+    place = [round(said.name.lon, 7), round(said.name.lat, 7)]
+    features = [feature("Point", place, {"role": "place"} | (properties or {}) | as_data(said, frame))]
+    for share, ellipse in zip(SHARES, said.ellipses, strict=True):
+        features.append(feature("Polygon", [lonlat(ellipse.outline())], {"role": "ellipse", "share": share}))
+    modes = said.location.posterior.modes
+    if len(modes) > 1:
+        for mode in modes:
+            (centre,) = lonlat(np.array([mode.centre]))
+            features.append(feature("Point", centre, {"role": "mode", "share": _round(mode.share)}))
+    return {"type": "FeatureCollection", "features": features}
+
+
+def _round(value: float) -> float | None:
+    return round(float(value), 4) if math.isfinite(value) else None

@@ -1,0 +1,97 @@
+"""Directions of marked pixels on the map, with what the pose, the lens and the mark leave unknown of them.
+
+A direction is (azimuth, slope): radians clockwise from grid north, and rise over horizontal range at the camera. To
+first order, with the camera moved by o and turned by the small rotation w, a point at horizontal range r seems to lie
+at (azimuth, slope) + [G / r, -T] (o, w): its covariance is a quadratic in 1 / r.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltm_core.camera import Camera
+from ltm_core.errors import RegionError
+from ltm_core.locating.region import Mark
+from ltm_core.pose import Pose
+from ltm_core.types import Float64Array
+from ltm_core.visibility.line_of_sight import pixel_rays
+
+STEEPEST_DEG = 80.0
+"""Below the horizon: a camera that looks straighter down has no azimuth to speak of."""
+KNOTS = np.geomspace(5.0, 80_000.0, 15)
+"""Ranges, metres, at which covariances are worked out."""
+
+
+@dataclass(frozen=True, eq=False)
+class MarkedDirections:
+    """`azimuth`, `slope`, `weights`: (K,). `covariance`: (K, J, 2, 2) of both at the ranges KNOTS."""
+
+    azimuth: Float64Array
+    slope: Float64Array
+    weights: Float64Array
+    covariance: Float64Array
+
+    @property
+    def azimuth_sigma(self) -> float:
+        """The largest there is beyond 150 m."""
+        return float(np.sqrt(self.covariance[:, KNOTS > 150.0, 0, 0].max()))
+
+
+def marked_directions(
+    mark: Mark, camera: Camera, pose: Pose, covariance: Float64Array, focal_sigma: float
+) -> MarkedDirections:
+    """Raises RegionError for pixels without a ray, and for those that look straight down or up."""
+    rays = pixel_rays(camera, mark.pixels)
+    if np.isnan(rays).any():
+        u, v = mark.pixels[np.isnan(rays).any(axis=1)][0]
+        raise RegionError(f"pixel ({u:g}, {v:g}) lies beyond the lens's model: no ray goes through it; check k1 to k3")
+    d = rays @ pose.rotation.T
+    level = np.hypot(d[:, 0], d[:, 1])
+    slope = d[:, 2] / np.maximum(level, 1e-12)
+    steep = np.abs(slope) > math.tan(math.radians(STEEPEST_DEG))
+    if steep.any():
+        u, v = mark.pixels[steep][0]
+        raise RegionError(
+            f"pixel ({u:g}, {v:g}) looks {math.degrees(math.atan(slope[steep][0])):.0f} degrees from the horizon: "
+            f"only directions within {STEEPEST_DEG:g} degrees of it are located"
+        )
+    first = np.arctan2(d[0, 0], d[0, 1])
+    azimuth = first + (np.arctan2(d[:, 0], d[:, 1]) - first + np.pi) % (2 * np.pi) - np.pi
+    per_pixel = _per_pixel(camera, pose, azimuth, slope)
+    own = np.einsum("kij,kj,klj->kil", per_pixel, mark.sigmas**2, per_pixel)
+    off_axis = np.einsum("kij,kj->ki", per_pixel, mark.pixels - np.array([camera.cx, camera.cy]))
+    own += focal_sigma**2 * off_axis[:, :, None] * off_axis[:, None, :]
+
+    sine, cosine = np.sin(azimuth), np.cos(azimuth)
+    zero = np.zeros_like(sine)
+    # Of the direction with respect to the vector to the point, times its horizontal length.
+    grad = np.stack(
+        [np.stack([cosine, -sine, zero], -1), np.stack([-slope * sine, -slope * cosine, np.ones_like(sine)], -1)], 1
+    )
+    unit = d / level[:, None]
+    turned = np.cross(unit[:, None, :], grad)
+    rows = np.concatenate([-grad[:, None] / KNOTS[:, None, None], np.repeat(-turned[:, None], len(KNOTS), 1)], -1)
+    total = np.einsum("kjab,bc,kjdc->kjad", rows, covariance, rows) + own[:, None]
+    return MarkedDirections(azimuth, slope, mark.weights, np.asarray(total, np.float64))
+
+
+def _per_pixel(camera: Camera, pose: Pose, azimuth: Float64Array, slope: Float64Array) -> Float64Array:
+    """(K, 2, 2): change of (azimuth, slope) a pixel of u and of v, by differences of the projection."""
+    step = 1e-5
+
+    def pixels(a: Float64Array, t: Float64Array) -> Float64Array:
+        return camera.project(np.stack([np.sin(a), np.cos(a), t], axis=-1) @ pose.rotation)
+
+    # One-sided where the other side leaves the lens's model.
+    here = pixels(azimuth, slope)
+    columns = []
+    for da, dt in ((step, 0.0), (0.0, step)):
+        ahead, behind = pixels(azimuth + da, slope + dt) - here, here - pixels(azimuth - da, slope - dt)
+        columns.append(np.nanmean(np.stack([ahead, behind]), axis=0) / step)
+    jacobian = np.stack(columns, axis=-1)
+    if not np.isfinite(jacobian).all():
+        raise RegionError("the region lies at the fold of the lens's model, where pixels have no direction; check k1")
+    return np.asarray(np.linalg.inv(jacobian), np.float64)

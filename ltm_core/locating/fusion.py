@@ -1,0 +1,156 @@
+"""Fuses sights on one raster of the map, first over all places that each allows, then closer and closer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ltm_core.grid import GridGeometry
+from ltm_core.locating.sighting import Bounds, LocatingTerrain, Sight
+from ltm_core.locating.splat import SightRaster, sight_raster
+from ltm_core.types import Float64Array
+
+_SIDE = 240
+"""Cells along the longer side of a window."""
+_FINEST = 0.5
+"""Metres: no cell is smaller."""
+_BEYOND = 20.0
+"""A place whose misfit is that much greater than the best one's is looked at no closer."""
+_ROUNDS = 3
+_ALIKE = 8
+"""Power of the cosine between two cameras' directions by which they count as one: 0.76 at 15 degrees, 0.06 at 45."""
+_SHRINKS = 0.4
+"""A closer look is worth it where the window becomes that much smaller."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fused:
+    """On one raster, (H, W) each. `misfit`: T (see `locator`), +inf where a camera excludes a cell. `weight`: density
+    of the posterior. `lift`: metres above ground from which the camera that sees least of a cell sees something.
+    """
+
+    window: GridGeometry
+    misfit: Float64Array
+    weight: Float64Array
+    lift: Float64Array
+
+    @cached_property
+    def least(self) -> float:
+        return float(self.misfit.min())
+
+
+def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Sequence[Sight] = ()) -> Fused:
+    """All sights together, as finely as the places that they allow in common ask for.
+
+    `turned`: of a camera whose azimuth may be wrong: they count for the misfit, and by their slope alone.
+    """
+    shared = _shared(sights)
+    supports = [terrain.support(sight) for sight in sights]
+    window = _common_window([bounds for bounds, _ in supports], max(cell for _, cell in supports))
+    found = _fused(terrain, sights, shared, window)
+    for number in range(_ROUNDS):
+        if not np.isfinite(found.least):
+            break
+        rows, cols = np.nonzero(found.misfit < found.least + _BEYOND)
+        x_min, y_max = (float(v) for v in found.window.to_map(rows.min() - 1.5, cols.min() - 1.5))
+        x_max, y_min = (float(v) for v in found.window.to_map(rows.max() + 1.5, cols.max() + 1.5))
+        extent = max(x_max - x_min, y_max - y_min)
+        wanted = max(_FINEST, extent / _SIDE)
+        if wanted > _SHRINKS * found.window.resolution and (number > 0 or not turned):
+            break
+        bounds = x_min, y_min, x_max, y_max
+        closer = [terrain.look_closer(sight, bounds, wanted) for sight in sights]
+        others = [terrain.look_at_slope(sight, bounds, wanted) for sight in turned]
+        resolution = max(wanted, *(sight.cell for sight in (*closer, *others)))
+        found = _fused(terrain, closer, shared, covering(bounds, resolution), others)
+    return found
+
+
+def _shared(sights: Sequence[Sight]) -> dict[str, float]:
+    """By camera: of how many, itself included, it is one that looks in the same direction. These are wrong alike of
+    terrain and plume.
+    """
+    azimuths = {sight.name: float(sight.directions.azimuth @ sight.directions.weights) for sight in sights}
+    return {
+        name: sum(math.cos(azimuth - other) ** _ALIKE for other in azimuths.values())
+        for name, azimuth in azimuths.items()
+    }
+
+
+def mixture(parts: Sequence[Fused], shares: Sequence[float]) -> Fused:
+    """Several posteriors of which one is true, on one raster."""
+    bounds = np.array([part.window.bounds for part in parts])
+    low, high = bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)
+    resolution = max(max(part.window.resolution for part in parts), float((high - low).max()) / _SIDE)
+    window = covering((float(low[0]), float(low[1]), float(high[0]), float(high[1])), resolution)
+    weight, lift = np.zeros(window.shape), np.zeros(window.shape)
+    for part, share in zip(parts, shares, strict=True):
+        if not part.weight.any():
+            continue
+        rows, cols = np.nonzero(part.weight)
+        i, j = window.cell_of(*part.window.to_map(rows, cols))
+        values = part.weight[rows, cols] * share / part.weight.sum()
+        np.add.at(weight, (i, j), values)
+        np.add.at(lift, (i, j), values * part.lift[rows, cols])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        lift = np.where(weight > 0, lift / weight, 0.0)
+    least = min(part.least for part in parts)
+    return Fused(window, np.where(weight > 0, least, np.inf), weight, lift)
+
+
+def covering(bounds: Bounds, resolution: float) -> GridGeometry:
+    """Whole multiples of the resolution from the map's origin, so that equal places give equal rasters."""
+    return GridGeometry.snapped(bounds, resolution, 0.0)
+
+
+def _common_window(supports: Sequence[Bounds], cell: float) -> GridGeometry:
+    bounds = np.array(supports)
+    low, high = bounds[:, :2].max(axis=0), bounds[:, 2:].min(axis=0)
+    if (high <= low).any():  # no place for all: the raster says so of every cell
+        low, high = bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)
+    whole = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+    return covering(whole, max(cell, float((high - low).max()) / _SIDE))
+
+
+def _fused(
+    terrain: LocatingTerrain,
+    sights: Sequence[Sight],
+    shared: Mapping[str, float],
+    window: GridGeometry,
+    turned: Sequence[Sight] = (),
+) -> Fused:
+    by_camera: dict[str, list[SightRaster]] = {}
+    positions: dict[str, Float64Array] = {}
+    possible = np.ones(window.shape, np.bool_)
+    for sight in sights:
+        raster = sight_raster(sight.fan, sight.likelihood, sight.position, window)
+        by_camera.setdefault(sight.name, []).append(raster)
+        positions[sight.name] = sight.position
+        possible &= raster.reached
+    rows, cols = np.nonzero(possible)
+    misfit, weight, lift = np.full(window.shape, np.inf), np.zeros(window.shape), np.zeros(window.shape)
+    if not len(rows):
+        return Fused(window, misfit, weight, lift)
+    x, y = window.to_map(rows, cols)
+    fit, density, raised = (np.zeros(len(rows)) for _ in range(3))
+    for name, rasters in by_camera.items():
+        part = 1 / (shared[name] * len(rasters))
+        for raster in rasters:
+            fit += np.log(np.maximum(raster.fit[rows, cols], 1e-30)) / len(rasters)
+            density += np.log(raster.density[rows, cols]) * part
+            raised = np.maximum(raised, raster.lift[rows, cols])
+        squared = (x - positions[name][0]) ** 2 + (y - positions[name][1]) ** 2
+        density -= np.log1p(squared / terrain.config.detection_range**2) / shared[name]
+    for sight in turned:
+        raster = sight_raster(sight.fan, sight.likelihood, sight.position, window)
+        fit += np.log(np.maximum(raster.fit[rows, cols], 1e-30)) / len(turned)
+    rising = np.log(terrain.chance(raised))
+    density += rising
+    misfit[rows, cols] = -2 * (fit + rising)
+    weight[rows, cols] = np.exp(density - density.max())
+    lift[rows, cols] = raised
+    return Fused(window, misfit, weight, lift)

@@ -1,0 +1,176 @@
+"""Probability over places of the map: a sparse raster, its mean, covariance, ellipses, densest regions and modes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import ndimage
+
+from ltm_core.grid import GridGeometry
+from ltm_core.types import BoolArray, Float64Array, Int32Array
+
+
+@dataclass(frozen=True)
+class Ellipse:
+    """`centre`: x, y. `major`, `minor`: half axes, metres. `azimuth_deg`: of the major one, from grid north."""
+
+    centre: tuple[float, float]
+    major: float
+    minor: float
+    azimuth_deg: float
+
+    @property
+    def area(self) -> float:
+        """Square metres."""
+        return math.pi * self.major * self.minor
+
+    def outline(self, count: int = 72) -> Float64Array:
+        """(count + 1, 2) x, y around it, closed, counter-clockwise."""
+        angle = np.linspace(0, 2 * np.pi, count + 1)
+        azimuth = math.radians(self.azimuth_deg)
+        along = np.array([math.sin(azimuth), math.cos(azimuth)])
+        left = np.array([-along[1], along[0]])
+        around = self.major * np.cos(angle)[:, None] * along + self.minor * np.sin(angle)[:, None] * left
+        return np.asarray(around + np.array(self.centre), np.float64)
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One connected part of the densest region. `share`: of all probability. `centre`: its mean, x, y."""
+
+    share: float
+    centre: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Probability of cells; all others have none.
+
+    `geometry`: the raster that the cells are of, in the map frame. `rows`, `cols`: (N,) int32. `probability`: (N,)
+    float64, sums to 1, most probable cell first.
+    """
+
+    geometry: GridGeometry
+    rows: Int32Array
+    cols: Int32Array
+    probability: Float64Array
+
+    @classmethod
+    def of_raster(cls, raster: Float64Array, geometry: GridGeometry, least: float = 1e-9) -> Posterior | None:
+        """From unnormalised densities (H, W); cells with less than `least` of the greatest are left out. None where
+        there is no probability at all.
+        """
+        greatest = float(raster.max(initial=0.0))
+        if not greatest > 0:
+            return None
+        rows, cols = np.nonzero(raster > least * greatest)
+        values = raster[rows, cols]
+        order = np.argsort(-values, kind="stable")
+        return cls(geometry, rows[order].astype(np.int32), cols[order].astype(np.int32), values[order] / values.sum())
+
+    @cached_property
+    def places(self) -> Float64Array:
+        """Cell centres, (N, 2) x, y."""
+        return np.column_stack(self.geometry.to_map(self.rows, self.cols))
+
+    @cached_property
+    def mean(self) -> tuple[float, float]:
+        x, y = self.probability @ self.places
+        return float(x), float(y)
+
+    @cached_property
+    def covariance(self) -> Float64Array:
+        """(2, 2) square metres, the cells' own size included."""
+        off = self.places - np.array(self.mean)
+        return np.asarray((off * self.probability[:, None]).T @ off + np.eye(2) * self.geometry.resolution**2 / 12)
+
+    @property
+    def sigma(self) -> float:
+        """Metres: root mean square of the distance to the mean."""
+        return math.sqrt(float(np.trace(self.covariance)))
+
+    def ellipse(self, share: float) -> Ellipse:
+        """Of the covariance's shape, around the mean, as large as holds `share` of the probability: of a normal
+        distribution the usual ellipse, of any other one that is as honest.
+        """
+        values, vectors = np.linalg.eigh(self.covariance)
+        along = vectors[:, 1]
+        azimuth = math.degrees(math.atan2(along[0], along[1])) % 180.0
+        unit = Ellipse(self.mean, math.sqrt(float(values[1])), math.sqrt(float(values[0])), azimuth)
+        reach = _reach(unit, self.places)
+        order = np.argsort(reach)
+        at = int(np.searchsorted(np.cumsum(self.probability[order]), share))
+        # Where all is in a cell or two, their size decides, which the covariance holds.
+        scale = max(float(reach[order[min(at, len(order) - 1)]]), 0.5 * math.sqrt(-2 * math.log1p(-share)))
+        return Ellipse(unit.centre, unit.major * scale, unit.minor * scale, azimuth)
+
+    def densest(self, share: float) -> BoolArray:
+        """(N,) the cells of the smallest region that holds at least `share` of the probability."""
+        before = np.concatenate([[0.0], np.cumsum(self.probability)[:-1]])
+        return np.asarray(before < share)
+
+    def densest_area(self, share: float) -> float:
+        """Square metres of that region."""
+        return float(self.densest(share).sum()) * self.geometry.resolution**2
+
+    def credibility(self, x: float, y: float) -> float:
+        """Share of the probability in cells more probable than that of a place: it lies in the densest region of any
+        share above this. 1 where it lies in none.
+        """
+        row, col = (int(v) for v in self.geometry.cell_of(x, y))
+        here = np.flatnonzero((self.rows == row) & (self.cols == col))
+        return float(self.probability[: here[0]].sum()) if len(here) else 1.0
+
+    def holds(self, ellipse: Ellipse, x: float, y: float) -> bool:
+        """Whether a place lies in an ellipse."""
+        return bool(_reach(ellipse, np.array([[x, y]]))[0] <= 1)
+
+    @cached_property
+    def modes(self) -> tuple[Mode, ...]:
+        """Connected parts of the densest 95 %, most probable first; those of less than a hundredth are left out."""
+        return self._parts(0.95)
+
+    @cached_property
+    def likeliest(self) -> tuple[float, float]:
+        """Mean of the most probable connected part of the densest half, x, y: where to look first. The mean of all may
+        lie between two places.
+        """
+        return self._parts(0.5)[0].centre
+
+    def _parts(self, share: float) -> tuple[Mode, ...]:
+        """Connected parts of the densest region."""
+        chosen = self.densest(share)
+        rows, cols, probability = self.rows[chosen], self.cols[chosen], self.probability[chosen]
+        top, left = int(rows.min()), int(cols.min())
+        mask = np.zeros((int(rows.max()) - top + 1, int(cols.max()) - left + 1), np.bool_)
+        mask[rows - top, cols - left] = True
+        # Cells with one empty cell between them belong together: rays sampled in steps leave such.
+        labels, count = ndimage.label(ndimage.binary_dilation(mask, np.ones((3, 3))), np.ones((3, 3)))
+        number = labels[rows - top, cols - left]
+        places = self.places[chosen]
+        sums = np.bincount(number, probability, count + 1)
+        found = []
+        for label in np.flatnonzero(sums >= min(0.01, sums.max())):
+            here = number == label
+            x, y = probability[here] @ places[here] / sums[label]
+            found.append(Mode(float(sums[label]), (float(x), float(y))))
+        return tuple(sorted(found, key=lambda mode: -mode.share))
+
+    def raster(self) -> Float64Array:
+        """(H, W) of `geometry`."""
+        full = np.zeros(self.geometry.shape)
+        full[self.rows, self.cols] = self.probability
+        return full
+
+
+def _reach(ellipse: Ellipse, places: Float64Array) -> Float64Array:
+    """Distance from the centre over that of the outline in the same direction, (N,)."""
+    azimuth = math.radians(ellipse.azimuth_deg)
+    along = np.array([math.sin(azimuth), math.cos(azimuth)])
+    off = places - np.array(ellipse.centre)
+    return np.asarray(
+        np.hypot(off @ along / ellipse.major, (off[:, 0] * along[1] - off[:, 1] * along[0]) / ellipse.minor), np.float64
+    )

@@ -1,0 +1,142 @@
+"""Regions marked in a picture, a pixel, a box or a polygon, and their lower edge: where what they show meets ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ltm_core.camera import Camera
+from ltm_core.errors import RegionError
+from ltm_core.types import BoolArray, Float64Array
+
+MOST_VERTICES = 1_000
+"""Of a polygon: a detector's outline has tens."""
+_COLUMNS = 17
+"""Places at which a lower edge is sampled."""
+_OVERLAP = 0.6
+"""Sigma of a sampled place as a share of the distance to the next: their sum is then flat within some percent."""
+_FOOT = 0.15
+"""Of a smoke's height in the picture: a leaning plume's lower edge rises from its foot, and places that much higher
+are the foot e times less often."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mark:
+    """Where in a picture something may meet the ground.
+
+    `pixels`: (K, 2) u, v. `weights`: (K,) sums to 1. `sigmas`: (K, 2) of u and v, pixels.
+    """
+
+    pixels: Float64Array
+    weights: Float64Array
+    sigmas: Float64Array
+
+
+def marked_pixel(camera: Camera, pixel: ArrayLike, sigma: float, mask: BoolArray | None = None) -> Mark:
+    """One place (u, v). Raises RegionError: not in the picture, or masked."""
+    place = np.asarray(pixel, np.float64)
+    if place.shape != (2,) or not np.isfinite(place).all():
+        raise RegionError(f"a pixel is two finite numbers u, v, got {place.tolist()}")
+    u, v = place
+    if not (-0.5 <= u <= camera.width - 0.5 and -0.5 <= v <= camera.height - 0.5):
+        raise RegionError(
+            f"pixel ({u:g}, {v:g}) is not in the picture of {camera.width} x {camera.height}; (0, 0) is the centre of "
+            "its top-left pixel"
+        )
+    if _masked(camera, place[None], mask)[0]:
+        raise RegionError(f"pixel ({u:g}, {v:g}) is masked: what it shows is not to be located")
+    return Mark(place[None], np.ones(1), np.full((1, 2), sigma))
+
+
+def marked_box(
+    camera: Camera, box: ArrayLike, sigma: float, share: float, smoke: bool, mask: BoolArray | None = None
+) -> Mark:
+    """A box (u_min, v_min, u_max, v_max), as `marked_polygon`."""
+    corners = np.asarray(box, np.float64)
+    if corners.shape != (4,) or not np.isfinite(corners).all():
+        raise RegionError(f"a box is four finite numbers u_min, v_min, u_max, v_max, got {corners.tolist()}")
+    u0, v0, u1, v1 = corners
+    if u1 < u0 or v1 < v0:
+        raise RegionError(
+            f"a box goes from its top left to its bottom right, got u {u0:g} to {u1:g}, v {v0:g} to {v1:g}"
+        )
+    outline = np.array([[u0, v0], [u1, v0], [u1, v1], [u0, v1]])
+    return marked_polygon(camera, outline, sigma, share, smoke, mask)
+
+
+def marked_polygon(
+    camera: Camera, outline: ArrayLike, sigma: float, share: float, smoke: bool, mask: BoolArray | None = None
+) -> Mark:
+    """The lower edge of a polygon (N, 2) of u, v, sampled evenly along u.
+
+    Args:
+        sigma: of a place in the picture, pixels.
+        share: of the region's height by which its lower edge is off, where that is more.
+        smoke: the region's lowest part is its foot, what is higher leans over; else every place of the edge may be it.
+        mask: (H, W) of the picture; what is True there is left out (sky, a mast in view).
+
+    Raises RegionError: not a polygon, not in the picture, its lower edge cut off by the picture's border, all masked.
+    """
+    points = np.asarray(outline, np.float64)
+    if points.ndim != 2 or points.shape[1] != 2 or not 1 <= len(points) <= MOST_VERTICES:
+        raise RegionError(f"a region has 1 to {MOST_VERTICES} points u, v, got an array of {points.shape}")
+    if not np.isfinite(points).all():
+        raise RegionError("a region's points must be finite pixels")
+    if len(points) == 1:
+        return marked_pixel(camera, points[0], sigma, mask)
+    u_low, v_low = points.min(axis=0)
+    u_high, v_high = points.max(axis=0)
+    if u_high < -0.5 or v_high < -0.5 or u_low > camera.width - 0.5 or v_low > camera.height - 0.5:
+        raise RegionError(
+            f"the region, u {u_low:g} to {u_high:g}, v {v_low:g} to {v_high:g}, is not in the picture of "
+            f"{camera.width} x {camera.height}"
+        )
+    if v_high >= camera.height - 1:
+        raise RegionError(
+            f"the region's lower edge is cut off by the picture's (row {v_high:g} of {camera.height}): its foot may be "
+            "out of view; turn the camera down, or mark the foot as a pixel"
+        )
+    left, right = max(u_low, 0.0), min(u_high, camera.width - 1.0)
+    columns = np.linspace(left, right, _COLUMNS) if right - left > sigma else np.array([(left + right) / 2])
+    edge = _lower_edge(points, columns)
+    inside = np.isfinite(edge) & (edge >= -0.5)
+    columns, edge = columns[inside], edge[inside]
+    pixels = np.column_stack([columns, edge])
+    kept = ~_masked(camera, pixels, mask) if len(pixels) else np.zeros(0, np.bool_)
+    if not kept.any():
+        raise RegionError("the region's lower edge is masked, or above the picture: there is nothing to locate")
+    spacing = (right - left) / max(1, _COLUMNS - 1)
+    height = float(v_high - v_low)
+    weights = np.ones(len(pixels))
+    if smoke:
+        weights = np.exp(-(edge.max() - edge) / max(_FOOT * height, sigma))
+    weights = np.where(kept, weights, 0.0)
+    sigmas = np.empty((len(pixels), 2))
+    sigmas[:, 0] = max(sigma, _OVERLAP * spacing)
+    sigmas[:, 1] = max(sigma, share * height)
+    return Mark(pixels[kept], weights[kept] / weights.sum(), sigmas[kept])
+
+
+def _lower_edge(points: Float64Array, columns: Float64Array) -> Float64Array:
+    """The greatest v of the outline over each u, NaN where it has none."""
+    ends = np.roll(points, -1, axis=0)
+    u0, v0, u1, v1 = (a[:, None] for a in (points[:, 0], points[:, 1], ends[:, 0], ends[:, 1]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = np.where(u1 == u0, 0.0, (columns[None] - u0) / (u1 - u0))
+    crossed = (columns[None] >= np.minimum(u0, u1)) & (columns[None] <= np.maximum(u0, u1))
+    upright = (u0 == u1) & crossed
+    v = np.where(upright, np.maximum(v0, v1), v0 + along * (v1 - v0))
+    lowest = np.max(np.where(crossed, v, -np.inf), axis=0)
+    return np.asarray(np.where(np.isfinite(lowest), lowest, np.nan), np.float64)
+
+
+def _masked(camera: Camera, pixels: Float64Array, mask: BoolArray | None) -> BoolArray:
+    if mask is None:
+        return np.zeros(len(pixels), np.bool_)
+    if mask.shape != (camera.height, camera.width):
+        raise RegionError(f"a mask of shape {mask.shape} does not fit a picture of {camera.height} x {camera.width}")
+    col = np.clip(np.rint(pixels[:, 0]), 0, camera.width - 1).astype(np.int64)
+    row = np.clip(np.rint(pixels[:, 1]), 0, camera.height - 1).astype(np.int64)
+    return np.asarray(mask[row, col], np.bool_)

@@ -1,0 +1,124 @@
+"""Terrain in a sector around a camera: heights along rays of the map, from near to far, and what stands before what.
+
+A query looks at a sector of a degree or two, so that the terrain is sampled there and nowhere else: no picture needs to
+be traced for it. Its lines of sight are held against `visibility.PointVisibility` by the tests.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from ltm_core.dem import Dem
+from ltm_core.types import Float32Array, Float64Array, UInt8Array
+
+NEAREST = 3.0
+"""Metres at which a fan begins."""
+_LEAST_STEP = 0.5
+_STEP = 0.003
+"""Of the range, as a share of it."""
+_STEPS_INSIDE = 1_000
+NO_LEVEL = np.uint8(255)
+
+
+@dataclass(frozen=True, eq=False)
+class SightFan:
+    """`azimuths`: (A,) radians, ascending. `ranges`: (R,) horizontal metres, ascending; `steps`: (R,) metres from
+    the one before. `heights`: (A, R) float32 metres, NaN where not known. `levels`: (A, R) uint8, the raster of a stack
+    that a height is from, NO_LEVEL where none is.
+    """
+
+    azimuths: Float64Array
+    ranges: Float64Array
+    steps: Float64Array
+    heights: Float32Array
+    levels: UInt8Array
+
+    @property
+    def spacing(self) -> float:
+        """Radians between azimuths, the greatest."""
+        return float(np.diff(self.azimuths).max())
+
+    @property
+    def widths(self) -> Float64Array:
+        """(A,) radians for which each azimuth stands."""
+        return np.asarray(np.gradient(self.azimuths), np.float64)
+
+
+def sight_fan(
+    dem: Dem,
+    position: Float64Array,
+    azimuths: Float64Array,
+    max_range: float,
+    fine: tuple[float, float, float] | None = None,
+) -> SightFan:
+    """Sample the terrain.
+
+    Args:
+        azimuths: (A,) radians, two or more, ascending.
+        fine: (from, to, step) metres: the ranges that are sampled at this step, if that is finer than elsewhere.
+    """
+    ranges = fan_ranges(max_range, fine)
+    heights = np.full((len(azimuths), len(ranges)), np.nan, np.float32)
+    levels = np.full(heights.shape, NO_LEVEL, np.uint8)
+    sines, cosines = np.sin(azimuths), np.cos(azimuths)
+    for number, level in enumerate(dem.levels):
+        g = level.geometry
+        # Grid coordinates of the camera, and cells a metre.
+        col, row = (position[0] - g.x_min) / g.resolution - 0.5, (g.y_max - position[1]) / g.resolution - 0.5
+        _sample(level.elevation, row, col, 1 / g.resolution, sines, cosines, ranges, np.uint8(number), heights, levels)
+    return SightFan(azimuths, ranges, np.diff(ranges, prepend=NEAREST - _LEAST_STEP), heights, levels)
+
+
+def fan_ranges(max_range: float, fine: tuple[float, float, float] | None) -> Float64Array:
+    """Ranges of samples, (R,) metres: steps of 0.3 % of the range, not below half a metre, finer where that is asked
+    for.
+    """
+    turn = _LEAST_STEP / _STEP
+    near = np.arange(NEAREST, min(turn, max_range), _LEAST_STEP)
+    far = turn * (1 + _STEP) ** np.arange(max(0.0, np.ceil(np.log(max_range / turn) / np.log1p(_STEP))))
+    usual = np.concatenate([near, far])
+    usual = usual[usual <= max_range]
+    if fine is None:
+        return usual
+    start, stop, step = max(fine[0], NEAREST), min(fine[1], max_range), fine[2]
+    if stop <= start:
+        return usual
+    inside = usual[(usual >= start) & (usual <= stop)]
+    count = min(_STEPS_INSIDE, int(np.ceil((stop - start) / step)) + 1)
+    if count <= len(inside):
+        return usual
+    return np.concatenate([usual[usual < start], np.linspace(start, stop, count), usual[usual > stop]])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _sample(
+    elevation: Float32Array,
+    row: float,
+    col: float,
+    per_metre: float,
+    sines: Float64Array,
+    cosines: Float64Array,
+    ranges: Float64Array,
+    number: np.uint8,
+    heights: Float32Array,
+    levels: UInt8Array,
+) -> None:
+    """Bilinear heights at the places that no finer raster has been over."""
+    last_row, last_col = elevation.shape[0] - 1, elevation.shape[1] - 1
+    for a in range(len(sines)):
+        for k in range(len(ranges)):
+            if levels[a, k] != NO_LEVEL:
+                continue
+            y = row - cosines[a] * ranges[k] * per_metre
+            x = col + sines[a] * ranges[k] * per_metre
+            if not (0 <= y <= last_row and 0 <= x <= last_col):
+                continue
+            i, j = min(int(y), last_row - 1), min(int(x), last_col - 1)
+            fy, fx = y - i, x - j
+            north = elevation[i, j] * (1 - fx) + elevation[i, j + 1] * fx
+            south = elevation[i + 1, j] * (1 - fx) + elevation[i + 1, j + 1] * fx
+            heights[a, k] = north * (1 - fy) + south * fy
+            levels[a, k] = number

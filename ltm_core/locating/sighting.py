@@ -1,0 +1,227 @@
+"""A sighting: one mark in one picture; and the terrain around its direction, with what the mark says of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import PoseError, RegionError
+from ltm_core.locating.directions import MarkedDirections, marked_directions
+from ltm_core.locating.region import Mark
+from ltm_core.locating.settings import LocatingConfig
+from ltm_core.locating.sight_fan import SightFan, sight_fan
+from ltm_core.locating.sight_likelihood import (
+    SightLikelihood,
+    direction_table,
+    level_errors,
+    sight_likelihood,
+    slope_table,
+)
+from ltm_core.pose import Pose
+from ltm_core.types import Float32Array, Float64Array
+from ltm_core.visibility.point_uncertainty import checked_covariance
+
+Bounds = tuple[float, float, float, float]
+"""x_min, y_min, x_max, y_max."""
+
+IMPOSSIBLE = math.exp(-15.0)
+"""A place that fits a mark worse than this does not explain it."""
+_SIGMAS = 5.0
+"""Of the azimuth, to which a fan reaches."""
+_FIRST, _MOST = 40, 120
+"""Azimuths of a fan at first, and at most when it is looked at closely."""
+_WING, _WINGS = math.radians(3.0), 12
+"""How far a fan reaches on either side for what plumes drift, and its azimuths there."""
+_TURNED = math.radians(15.0)
+"""How far a camera may be turned without anybody's knowledge."""
+_CREST = 16
+"""Azimuths over the mark in every fan for smoke: there it comes up, wherever its foot is."""
+_PER_CELL = 1.5
+"""Samples a cell's side: fewer leave some cells without any."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """One mark in one picture. `covariance`: (6, 6) of the pose, as in geometry_msgs/PoseWithCovariance."""
+
+    name: str
+    """The camera's: sightings of one name share its pose's error."""
+    camera: Camera
+    pose: Pose
+    covariance: Float64Array
+    mark: Mark
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """A sighting with its fan. `cell`: metres, the least size of cells of which each has a sample of the fan."""
+
+    sighting: Sighting
+    directions: MarkedDirections
+    fan: SightFan
+    likelihood: SightLikelihood
+    cell: float
+
+    @property
+    def name(self) -> str:
+        return self.sighting.name
+
+    @property
+    def position(self) -> Float64Array:
+        return self.sighting.pose.position
+
+
+@dataclass(frozen=True, eq=False)
+class LocatingTerrain:
+    """What sightings are looked at over. `dem`: what cameras see of it. `bend`: curvature coefficient of rays."""
+
+    dem: Dem
+    bend: float
+    config: LocatingConfig
+    smoke: bool
+
+    def look(self, sighting: Sighting) -> Sight:
+        """All that a sighting may show.
+
+        Raises PoseError for a camera under the ground or a covariance that is none, RegionError for a mark that has no
+        direction, or that nothing on the ground explains.
+        """
+        covariance = checked_covariance(sighting.covariance)
+        x, y, z = (float(v) for v in sighting.pose.position)
+        clearance = z - float(self.dem.elevation_at(x, y))
+        if clearance <= 0:
+            raise PoseError(f"camera {sighting.name} is {-clearance:.2f} m under the ground; check its height")
+        directions = marked_directions(
+            sighting.mark, sighting.camera, sighting.pose, covariance, self.config.focal_sigma
+        )
+        reach = _SIGMAS * directions.azimuth_sigma
+        azimuths = np.linspace(directions.azimuth.min() - reach, directions.azimuth.max() + reach, _FIRST)
+        if self._drifts:
+            beside = np.arange(1, _WINGS + 1) * (_WING / _WINGS)
+            azimuths = np.concatenate([azimuths[0] - beside[::-1], azimuths, azimuths[-1] + beside])
+        farthest = min(self.config.max_range, ranges_of(sighting.pose.position, self.dem.levels[-1].geometry.bounds)[1])
+        fan = sight_fan(self.dem, sighting.pose.position, azimuths, max(farthest, 10.0))
+        sight = self._sight(sighting, directions, fan, 0.0)
+        self._check(sight)
+        return sight
+
+    def look_closer(self, sight: Sight, bounds: Bounds, resolution: float) -> Sight:
+        """The same sighting over a part of the map, sampled for cells of a resolution, as far as that is feasible."""
+        azimuths = sight.fan.azimuths
+        low, high = _azimuths_of(sight.position, bounds, float(azimuths.mean()))
+        low, high = max(low, float(azimuths[0])), min(high, float(azimuths[-1]))
+        if high <= low:
+            low, high = float(azimuths[0]), float(azimuths[-1])
+        near, far = ranges_of(sight.position, bounds)
+        far = min(far, float(sight.fan.ranges[-1]))
+        count = int(np.clip(math.ceil(_PER_CELL * (high - low) * far / resolution) + 1, 16, _MOST))
+        inside = np.linspace(low, high, count)
+        if self._drifts:
+            reach = 2 * sight.directions.azimuth_sigma
+            marked = sight.directions.azimuth
+            inside = np.union1d(inside, np.linspace(marked.min() - reach, marked.max() + reach, _CREST))
+        fan = sight_fan(self.dem, sight.position, inside, max(far, 10.0), (near, far, resolution / _PER_CELL))
+        within = fan.steps[(fan.ranges >= near) & (fan.ranges <= far)][1:]  # the first is a step from before
+        spacing = max((high - low) / (count - 1) * far, float(within.max(initial=0.0)))
+        return self._sight(sight.sighting, sight.directions, fan, _PER_CELL * spacing)
+
+    def look_at_slope(self, sight: Sight, bounds: Bounds, resolution: float) -> Sight:
+        """As `look_closer`, of a camera whose azimuth is wrong by anything: what it marks agrees with any place that is
+        seen at the marked slope.
+        """
+        around = float(sight.directions.azimuth @ sight.directions.weights)
+        low, high = _azimuths_of(sight.position, bounds, around)
+        low, high = max(low, around - _TURNED), min(high, around + _TURNED)
+        if high <= low:
+            low, high = around - _TURNED, around + _TURNED
+        near, far = ranges_of(sight.position, bounds)
+        far = min(far, float(sight.fan.ranges[-1]))
+        count = int(np.clip(math.ceil(_PER_CELL * (high - low) * far / resolution) + 1, 16, _MOST))
+        azimuths = np.linspace(low, high, count)
+        fan = sight_fan(self.dem, sight.position, azimuths, max(far, 10.0), (near, far, resolution / _PER_CELL))
+        table = slope_table(sight.directions, count)
+        height = float(sight.position[2])
+        likelihood = sight_likelihood(fan, table, height, self.bend, *level_errors(self.dem, self.config), self.smoke)
+        return replace(sight, fan=fan, likelihood=likelihood, cell=_PER_CELL * (high - low) / (count - 1) * far)
+
+    def chance(self, lift: Float64Array | Float32Array) -> Float64Array:
+        """That a plume is higher."""
+        if not self.smoke:
+            return np.ones(lift.shape)
+        return np.exp(-np.asarray(lift, np.float64) / self.config.plume_height)
+
+    def support(self, sight: Sight) -> tuple[Bounds, float]:
+        """Bounds of the places that a sighting allows, and the size of cells there of which each has a sample."""
+        weight = sight.likelihood.density * self.chance(sight.likelihood.lifts)
+        a, k = np.nonzero(weight > weight.max() * IMPOSSIBLE)
+        r, azimuth, fan = sight.fan.ranges[k], sight.fan.azimuths[a], sight.fan
+        x, y = sight.position[0] + r * np.sin(azimuth), sight.position[1] + r * np.cos(azimuth)
+        cell = _PER_CELL * max(float((fan.widths[a] * r).max()), float(fan.steps[k].max()))
+        return (
+            (float(x.min()) - cell, float(y.min()) - cell, float(x.max()) + cell, float(y.max()) + cell),
+            cell,
+        )
+
+    @property
+    def _drifts(self) -> bool:
+        return self.smoke and self.config.plume_lean > 0
+
+    def _sight(self, sighting: Sighting, directions: MarkedDirections, fan: SightFan, cell: float) -> Sight:
+        table = direction_table(directions, fan.azimuths, self._drifts)
+        variances, apart = level_errors(self.dem, self.config)
+        height, lean = float(sighting.pose.position[2]), self.config.plume_lean
+        likelihood = sight_likelihood(fan, table, height, self.bend, variances, apart, self.smoke, lean)
+        near = fan.ranges < self.config.min_range
+        likelihood.density[:, near], likelihood.fit[:, near] = 0.0, 0.0
+        return Sight(sighting, directions, fan, likelihood, cell)
+
+    def _check(self, sight: Sight) -> None:
+        """Raises RegionError where nothing on the ground explains the mark."""
+        if sight.likelihood.fit.max() > IMPOSSIBLE:
+            return
+        name, fan = sight.name, sight.fan
+        if not np.isfinite(fan.heights).any():
+            raise RegionError(f"{name}: no terrain is known in the direction of the mark; is the DEM large enough?")
+        with np.errstate(invalid="ignore"):
+            slopes = (fan.heights - sight.position[2]) / fan.ranges - self.bend * fan.ranges
+        highest, lowest = float(np.nanmax(slopes)), float(np.nanmin(slopes))
+        marked = float(sight.directions.slope @ sight.directions.weights)
+        if marked > highest:
+            above = math.degrees(math.atan(marked) - math.atan(highest))
+            what = "smoke that stands clear of the ground" if self.smoke else "sky"
+            raise RegionError(
+                f"{name}: the mark shows {what}: it is {above:.1f} degrees above the highest ground known there; mark "
+                + ("its foot, or where it rises from a ridge" if self.smoke else "a place on the ground")
+            )
+        near = fan.ranges < self.config.min_range
+        if marked < lowest or (near.any() and marked < float(np.nanmax(slopes[:, near], initial=-np.inf))):
+            raise RegionError(
+                f"{name}: the mark shows ground nearer than {self.config.min_range:g} m, too near to be located"
+            )
+        raise RegionError(f"{name}: the mark shows ground that the terrain model does not know (a hole, or its edge)")
+
+
+def ranges_of(position: Float64Array, bounds: Bounds) -> tuple[float, float]:
+    """Least and greatest horizontal distance to a rectangle."""
+    x_min, y_min, x_max, y_max = bounds
+    x, y = float(position[0]), float(position[1])
+    near = math.hypot(max(x_min - x, x - x_max, 0.0), max(y_min - y, y - y_max, 0.0))
+    far = math.hypot(max(abs(x_min - x), abs(x_max - x)), max(abs(y_min - y), abs(y_max - y)))
+    return near, far
+
+
+def _azimuths_of(position: Float64Array, bounds: Bounds, around: float) -> tuple[float, float]:
+    """Azimuths between which a rectangle is seen, within half a turn of `around`; all where one stands in it."""
+    x_min, y_min, x_max, y_max = bounds
+    x, y = float(position[0]), float(position[1])
+    if x_min <= x <= x_max and y_min <= y <= y_max:
+        return around - math.pi, around + math.pi
+    corners = [math.atan2(cx - x, cy - y) for cx in (x_min, x_max) for cy in (y_min, y_max)]
+    first = corners[0]
+    turned = [first + (c - first + math.pi) % (2 * math.pi) - math.pi for c in corners]
+    shift = 2 * math.pi * round((around - (min(turned) + max(turned)) / 2) / (2 * math.pi))
+    return min(turned) + shift, max(turned) + shift

@@ -1,0 +1,146 @@
+"""Tracks: which sightings, of several cameras and times, are of one fire.
+
+A sighting joins the track whose sightings it agrees with best (`Locator.limit`). Where it agrees with none, but a track
+that other cameras share has a place in its direction, the test of the locator says who of them is wrong: a sighting of
+a camera that is named so is told of, and begins a track of its own. All else begins a new track.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ltm_core.errors import RegionError
+from ltm_core.locating.locator import Location, Locator
+from ltm_core.locating.sighting import Sighting
+
+NEARBY_DEG = 4.0
+"""Between a sighting's azimuth and a track's place: within it the two may be of one fire, a camera being wrong."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenAt:
+    """A sighting with its time and who marked it: `detector` or `person`."""
+
+    sighting: Sighting
+    stamp_ns: int
+    source: str
+
+
+@dataclass(eq=False)
+class Track:
+    """One fire. `sightings`: newest last. `wrong`: the camera whose sightings do not fit it, as far as is known."""
+
+    number: int
+    sightings: list[SeenAt]
+    location: Location
+    wrong: str | None = None
+
+    @property
+    def cameras(self) -> list[str]:
+        return list(dict.fromkeys(seen.sighting.name for seen in self.sightings))
+
+    @property
+    def sources(self) -> list[str]:
+        return sorted({seen.source for seen in self.sightings})
+
+    @property
+    def first_ns(self) -> int:
+        return min(seen.stamp_ns for seen in self.sightings)
+
+    @property
+    def last_ns(self) -> int:
+        return max(seen.stamp_ns for seen in self.sightings)
+
+
+@dataclass
+class Tracks:
+    """The tracks of a site.
+
+    Args:
+        locator: over its terrain.
+        smoke: what is marked is smoke.
+        lifetime_ns: after which a track without a new sighting ends.
+        most: tracks kept; the one that was seen longest ago goes first.
+        of_a_camera: sightings of one camera that a track keeps, the newest.
+    """
+
+    locator: Locator
+    smoke: bool = True
+    lifetime_ns: int = 3_600_000_000_000
+    most: int = 16
+    of_a_camera: int = 2
+    tracks: list[Track] = field(default_factory=list)
+    _next: int = 1
+
+    def add(self, seen: SeenAt) -> tuple[Track, Location, str | None]:
+        """The track that a sighting belongs to now, where the sighting alone is, and a camera that a nearby track's
+        sightings say is wrong. Raises RegionError, PoseError as `Locator.locate`; nothing has changed then.
+        """
+        alone = self.locator.locate([seen.sighting], self.smoke)
+        self.expire(seen.stamp_ns)
+        best: tuple[float, Track, Location] | None = None
+        wrong: str | None = None
+        for track in self.tracks:
+            if not _nearby(seen.sighting, track, alone):
+                continue
+            together = self._kept([*track.sightings, seen])
+            try:
+                location = self.locator.locate([each.sighting for each in together], self.smoke)
+            except RegionError:
+                continue
+            if _agree(location, self.locator.limit(2)):
+                if best is None or location.misfit < best[0]:
+                    best = (location.misfit, track, location)
+            elif location.agreement is not None and location.agreement.wrong is not None:
+                wrong = track.wrong = location.agreement.wrong
+        if best is not None:
+            _, track, location = best
+            track.sightings, track.location = self._kept([*track.sightings, seen]), location
+            return track, alone, wrong
+        track = Track(self._next, [seen], alone)
+        self._next += 1
+        self.tracks = sorted([*self.tracks, track], key=lambda each: each.last_ns)[-self.most :]
+        return track, alone, wrong
+
+    def expire(self, now_ns: int) -> None:
+        """End tracks that nobody has seen for long."""
+        self.tracks = [track for track in self.tracks if now_ns - track.last_ns <= self.lifetime_ns]
+
+    def _kept(self, sightings: Sequence[SeenAt]) -> list[SeenAt]:
+        """The newest of each camera."""
+        ordered = sorted(sightings, key=lambda each: each.stamp_ns)
+        kept: list[SeenAt] = []
+        counts: dict[str, int] = {}
+        for seen in reversed(ordered):
+            name = seen.sighting.name
+            counts[name] = counts.get(name, 0) + 1
+            if counts[name] <= self.of_a_camera:
+                kept.append(seen)
+        return kept[::-1]
+
+
+def _agree(location: Location, limit: float) -> bool:
+    """`limit`: of the misfit of one camera's sightings."""
+    return location.misfit <= limit if location.agreement is None else location.agreement.agree
+
+
+def _nearby(sighting: Sighting, track: Track, alone: Location) -> bool:
+    """Whether a track's place is in the direction of a sighting, as far as a wrong camera may be off."""
+    position = sighting.pose.position
+
+    def azimuths(location: Location) -> tuple[float, float]:
+        """Of the mean place, and how far its densest region reaches from it."""
+        posterior = location.posterior
+        off = posterior.places[posterior.densest(0.95)] - position[:2]
+        x, y = np.array(posterior.mean) - position[:2]
+        middle = math.atan2(x, y)
+        turned = (np.arctan2(off[:, 0], off[:, 1]) - middle + np.pi) % (2 * np.pi) - np.pi
+        return middle, float(np.abs(turned).max())
+
+    (a, spread_a), (b, spread_b) = azimuths(alone), azimuths(track.location)
+    apart = abs((a - b + math.pi) % (2 * math.pi) - math.pi)
+    return apart <= math.radians(NEARBY_DEG) + spread_a + spread_b

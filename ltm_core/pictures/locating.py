@@ -1,0 +1,178 @@
+"""Pictures of locations: the posterior and its ellipses over shaded relief; places drawn over a camera's picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from ltm_core.dem import Dem
+from ltm_core.grid import GridGeometry
+from ltm_core.locating.posterior import Ellipse, Posterior
+from ltm_core.pictures.axes import with_axes
+from ltm_core.pictures.legend import INK, PAPER, with_legend
+from ltm_core.pictures.maps import MapCamera, furnished, relief, scale_bar, view_of
+from ltm_core.pictures.panel import panel
+from ltm_core.pictures.text import Anchor, draw_texts
+from ltm_core.types import Float64Array, RgbImage
+from ltm_core.visibility.point_visibility import PointState
+
+_WIDTH = 760
+_SHIFT = 4  # OpenCV draws at 1/16 pixel
+_LEAST_VIEW = 300.0
+"""Metres that the close map shows at least."""
+_HEAT = np.array([[255, 238, 160], [253, 174, 72], [226, 74, 51], [128, 8, 60]], np.float64)
+_FIRST, _SECOND = (20, 60, 190), (20, 60, 190)
+_TRUTH = (0, 120, 60)
+STATE_COLORS = {
+    PointState.VISIBLE: (40, 190, 90),
+    PointState.HIDDEN: (235, 90, 40),
+    PointState.UNKNOWN: (150, 150, 160),
+    PointState.OUTSIDE: (150, 150, 160),
+}
+
+
+def location_picture(
+    dem: Dem,
+    posterior: Posterior,
+    ellipses: Sequence[tuple[str, Ellipse]],
+    cameras: Sequence[MapCamera],
+    offset: tuple[float, float],
+    titles: tuple[str, str],
+    truth: tuple[float, float] | None = None,
+) -> RgbImage:
+    """Two maps side by side, (H, W, 3): the cameras and the posterior, and the posterior closely.
+
+    `dem`, `posterior`, `cameras`: in the map frame. `ellipses`: with their names, smallest first. `offset`: of the map
+    frame in its CRS, for the axes. `truth`: x, y of a known place, marked.
+    """
+    close = _close_bounds(posterior, ellipses, truth)
+    places = [close[:2], close[2:], *(camera.position for camera in cameras)]
+    whole = _padded(np.array(places), 0.08, _LEAST_VIEW)
+    maps = []
+    for title, bounds in zip(titles, (whole, close), strict=True):
+        view = view_of(bounds, _WIDTH)
+        picture = _heated(relief(dem, view), posterior, view)
+        reach = 0.3 * (bounds[2] - bounds[0])
+        drawn = [MapCamera(c.name, c.camera, c.position, c.azimuth_deg, reach) for c in cameras if _within(c, bounds)]
+        picture = furnished(picture, view, drawn, None).copy()  # Pillow's cannot be drawn on
+        _draw(picture, view, ellipses, posterior.mean, truth)
+        if bounds is close:
+            picture = _named(picture, view, ellipses)
+        framed = with_axes(picture, view, offset)
+        bar = np.full((scale_bar(view).shape[0], framed.shape[1], 3), PAPER, np.uint8)
+        bar[:, framed.shape[1] - view.width :] = scale_bar(view)
+        maps.append((title, with_legend(framed, bar)))
+    return panel(maps, columns=2, width=max(picture.shape[1] for _, picture in maps))
+
+
+def places_picture(
+    photo: RgbImage, places: Sequence[tuple[str, tuple[float, float], PointState]], marked: Float64Array | None = None
+) -> RgbImage:
+    """A photo with places of the map drawn where they lie in it: green seen, orange hidden by terrain, grey where
+    unknown ground decides. `marked`: (N, 2) where they were marked, a cross each with a line to where they lie.
+    """
+    picture = photo.copy()
+    size = max(12, round(photo.shape[1] / 80))
+    line = max(1, size // 8)
+    labels: list[tuple[str, float, float, Anchor]] = []
+    for number, (name, (u, v), state) in enumerate(places):
+        centre = _fixed(np.array([[u, v]]))[0]
+        if marked is not None and np.isfinite(marked[number]).all():
+            there = _fixed(marked[number : number + 1])[0]
+            cv2.line(picture, tuple(centre), tuple(there), (255, 255, 255), line, cv2.LINE_AA, _SHIFT)
+            cross = tuple(round(float(value)) for value in marked[number])
+            cv2.drawMarker(picture, cross, (255, 255, 255), cv2.MARKER_CROSS, size, line, cv2.LINE_AA)
+        color = STATE_COLORS[state]
+        cv2.circle(picture, tuple(centre), (size // 2) << _SHIFT, (255, 255, 255), line + 2, cv2.LINE_AA, _SHIFT)
+        cv2.circle(picture, tuple(centre), (size // 2) << _SHIFT, color, line, cv2.LINE_AA, _SHIFT)
+        labels.append((name, u + size * 0.8, v, "lm"))
+    return draw_texts(picture, labels, size, INK, halo=PAPER)
+
+
+def _fixed(points: Float64Array) -> list[list[int]]:
+    found: list[list[int]] = np.rint(points * 2**_SHIFT).astype(np.int64).tolist()
+    return found
+
+
+def _within(camera: MapCamera, bounds: tuple[float, float, float, float]) -> bool:
+    x, y = camera.position
+    return bounds[0] <= x <= bounds[2] and bounds[1] <= y <= bounds[3]
+
+
+def _close_bounds(
+    posterior: Posterior, ellipses: Sequence[tuple[str, Ellipse]], truth: tuple[float, float] | None
+) -> tuple[float, float, float, float]:
+    outlines = [ellipse.outline() for _, ellipse in ellipses[-1:]]
+    places = [posterior.places[posterior.densest(0.99)], *outlines]
+    if truth is not None:
+        places.append(np.array([truth]))
+    return _padded(np.concatenate(places), 0.12, _LEAST_VIEW)
+
+
+def _padded(points: Float64Array, share: float, least: float) -> tuple[float, float, float, float]:
+    """Bounds of points with a margin, a third as high as wide or more."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    centre, half = (low + high) / 2, (high - low) / 2 * (1 + 2 * share)
+    half = np.maximum(half, least / 2)
+    half = np.maximum(half, half[::-1] * 0.7)
+    return (
+        float(centre[0] - half[0]),
+        float(centre[1] - half[1]),
+        float(centre[0] + half[0]),
+        float(centre[1] + half[1]),
+    )
+
+
+def _heated(picture: RgbImage, posterior: Posterior, view: GridGeometry) -> RgbImage:
+    """Cells by the share of the probability that is in more probable ones: a colour says the same on every map."""
+    before = np.concatenate([[0.0], np.cumsum(posterior.probability)[:-1]])
+    chosen = before < 0.99
+    cells = np.zeros(posterior.geometry.shape)
+    cells[posterior.rows[chosen], posterior.cols[chosen]] = 1 - before[chosen]
+    x, y = view.to_map(0, np.arange(view.width))[0], view.to_map(np.arange(view.height), 0)[1]
+    row, col = posterior.geometry.cell_of(x[None, :], y[:, None])
+    inside = posterior.geometry.contains(row, col)
+    row, col = np.clip(row, 0, posterior.geometry.height - 1), np.clip(col, 0, posterior.geometry.width - 1)
+    heat = np.where(inside, cells[row, col], 0.0)
+    # Cells smaller than a pixel: the most probable shows.
+    row, col = view.cell_of(*posterior.places[chosen].T)
+    inside = view.contains(row, col)
+    np.maximum.at(heat, (row[inside], col[inside]), (1 - before[chosen])[inside])
+    shown = heat > 0
+    place = heat * (len(_HEAT) - 1)
+    colors = np.stack([np.interp(place, np.arange(len(_HEAT)), _HEAT[:, c]) for c in range(3)], axis=-1)
+    mixed = np.clip(colors * (0.45 + 0.55 * picture / 255.0), 0, 255) * 0.75 + picture * 0.25
+    return np.where(shown[..., None], mixed, picture).astype(np.uint8)
+
+
+def _draw(
+    picture: RgbImage,
+    view: GridGeometry,
+    ellipses: Sequence[tuple[str, Ellipse]],
+    mean: tuple[float, float],
+    truth: tuple[float, float] | None,
+) -> None:
+    for number, (_, ellipse) in enumerate(ellipses):
+        outline = ellipse.outline(180)
+        row, col = view.to_grid(outline[:, 0], outline[:, 1])
+        points = np.rint(np.clip(np.column_stack([col, row]), -1e5, 1e5) * 2**_SHIFT).astype(np.int32)
+        color = _FIRST if number == 0 else _SECOND
+        cv2.polylines(picture, [points], True, (255, 255, 255), 4 - number, cv2.LINE_AA, _SHIFT)
+        cv2.polylines(picture, [points], True, color, 2 - min(number, 1), cv2.LINE_AA, _SHIFT)
+    for place, color in ((mean, _FIRST), (truth, _TRUTH)):
+        if place is None:
+            continue
+        at_row, at_col = (round(float(v)) for v in view.to_grid(*place))
+        cv2.drawMarker(picture, (at_col, at_row), (255, 255, 255), cv2.MARKER_CROSS, 20, 5, cv2.LINE_AA)
+        cv2.drawMarker(picture, (at_col, at_row), color, cv2.MARKER_CROSS, 18, 2, cv2.LINE_AA)
+
+
+def _named(picture: RgbImage, view: GridGeometry, ellipses: Sequence[tuple[str, Ellipse]]) -> RgbImage:
+    texts: list[tuple[str, float, float, Anchor]] = []
+    for name, ellipse in ellipses:
+        top = max(ellipse.outline(180).tolist(), key=lambda place: place[1])
+        row, col = view.to_grid(*top)
+        texts.append((name, min(max(float(col), 40), view.width - 40), max(float(row) - 4, 14), "mb"))
+    return draw_texts(picture, texts, 14, _FIRST, halo=PAPER)

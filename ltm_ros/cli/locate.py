@@ -1,0 +1,272 @@
+"""`ltm locate`: from what is marked in pictures to a place on the map, and from a place to the pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ltm_ros.cli.output import Overwrite
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from ltm_core.locating.answer import Answer
+    from ltm_core.locating.place import PlaceView
+    from ltm_core.locating.sighting import Sighting
+    from ltm_ros.cli.locate_cameras import LocatingScene
+
+FILES = ("locate.png", "locate.json", "locate.geojson", "posterior.tif")
+
+
+def locate(
+    site: Annotated[Path | None, typer.Option(help="Site file: its terrain and its cameras with pose.")] = None,
+    pose: Annotated[
+        list[str] | None,
+        typer.Option(help="Pose file of a camera, NAME=FILE; without --site FILE does, with --dem. Repeatable."),
+    ] = None,
+    dem: Annotated[
+        list[Path] | None, typer.Option(help="Elevation raster for --pose; again for coarser ones around it.")
+    ] = None,
+    camera: Annotated[
+        list[str] | None, typer.Option(help="Camera that a mark is in; once for each mark, in their order.")
+    ] = None,
+    pixel: Annotated[list[str] | None, typer.Option(help="Mark: a pixel, u,v. Repeatable.")] = None,
+    box: Annotated[
+        list[str] | None, typer.Option(help="Mark: a box, u_min,v_min,u_max,v_max; its lower edge counts. Repeatable.")
+    ] = None,
+    polygon: Annotated[
+        list[str] | None, typer.Option(help="Mark: a polygon, u,v,u,v,u,v,...; its lower edge counts. Repeatable.")
+    ] = None,
+    mask: Annotated[
+        list[str] | None, typer.Option(help="NAME=PNG: what is not black in it is left out of that camera's marks.")
+    ] = None,
+    smoke: Annotated[
+        bool, typer.Option("--smoke", help="The mark is the lowest visible smoke: its foot may be behind a ridge.")
+    ] = False,
+    place: Annotated[
+        str | None, typer.Option(help="The way back: x,y in the site's CRS, or x,y,height above ground.")
+    ] = None,
+    lonlat: Annotated[str | None, typer.Option(help="As --place, in degrees: lon,lat.")] = None,
+    points: Annotated[
+        Path | None, typer.Option(help="CSV of control points to draw over --photo: id, x, y, z, u, v.")
+    ] = None,
+    first_pixel: Annotated[float, typer.Option(help="With --points: number of the first pixel's centre.")] = 0.0,
+    photo: Annotated[Path | None, typer.Option(help="Picture of the camera, to draw places over; needs --out.")] = None,
+    dem_sigma: Annotated[float | None, typer.Option(help="Sigma of the terrain's heights, metres.", min=0)] = None,
+    plume_height: Annotated[float | None, typer.Option(help="With --smoke: mean height of plumes, metres.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON instead of tables.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for the picture, JSON, GeoJSON and the posterior.")] = None,
+    crs: Annotated[str | None, typer.Option(help="With --dem: CRS of a raster that carries none.")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Where is it? From marks in pictures to a place with its ellipses; with --place, from a place to the pictures."""
+    from rich.console import Console
+
+    from ltm_core.errors import ConfigError
+    from ltm_core.output_io import require_files
+    from ltm_ros.cli.locate_cameras import of_poses, of_site
+
+    reverse = place is not None or lonlat is not None or points is not None
+    marks = [*(pixel or []), *(box or []), *(polygon or [])]
+    if reverse == bool(marks):
+        raise ConfigError(
+            "give a mark (--pixel, --box or --polygon), or for the way back --place, --lonlat or --points"
+        )
+    if photo is not None and out is None:
+        raise ConfigError("--photo is drawn over and written to --out: give a folder")
+    if out is not None:
+        require_files((out / name for name in (FILES if marks else ("places.png", "places.json"))), overwrite)
+    if site is not None:
+        scene = of_site(site, pose or [])
+    elif pose:
+        scene = of_poses(pose, dem or [], crs)
+    else:
+        raise ConfigError("give --site S.yaml, or --pose P.yaml with --dem D.tif")
+    console = Console()
+    if reverse:
+        from ltm_ros.cli.locate_places import show_places
+
+        show_places(scene, place, lonlat, points, first_pixel, photo, camera or [], as_json, out, console)
+        return
+    changed = {"dem_sigma": dem_sigma, "plume_height": plume_height}
+    config = scene.config.model_validate(
+        scene.config.model_dump() | {key: value for key, value in changed.items() if value is not None}
+    )
+    kinds = [kind for kind in (pixel, box, polygon) if kind]
+    if len(kinds) > 1:
+        raise ConfigError("give marks of one kind; a pixel is a --polygon of one point too, a box one of four")
+    names = camera or (list(scene.cameras) if len(scene.cameras) == 1 else [])
+    if len(names) != len(marks):
+        raise ConfigError(f"{len(marks)} marks need as many --camera, in their order; got {', '.join(names) or 'none'}")
+    masks = _masks(scene, mask or [])
+    sightings = [_sighting(scene, name, text, config, smoke, masks) for name, text in zip(names, marks, strict=True)]
+    said = _answer(scene, config, sightings, smoke)
+    if as_json:
+        import json
+
+        from ltm_core.locating.answer import as_data
+
+        print(json.dumps(as_data(said, scene.frame), indent=2))
+    else:
+        _tell(said, scene, console)
+    if out is not None:
+        written = _write(out, said, scene, names)
+        if not as_json:
+            for path in written:
+                console.print(f"  {path}", highlight=False)
+
+
+def numbers(text: str, option: str, counts: tuple[int, ...] = ()) -> list[float]:
+    """Numbers with commas. Raises ConfigError: others, or not as many as the option takes."""
+    import math
+
+    from ltm_core.errors import ConfigError
+
+    try:
+        values = [float(part) for part in text.replace(";", ",").replace(" ", ",").split(",") if part]
+    except ValueError as error:
+        raise ConfigError(f"{option} must be numbers with commas, got {text!r}") from error
+    if not all(math.isfinite(value) for value in values) or (counts and len(values) not in counts) or not values:
+        wanted = f"{' or '.join(map(str, counts))} " if counts else ""
+        raise ConfigError(f"{option} wants {wanted}finite numbers with commas, got {text!r}")
+    return values
+
+
+def _masks(scene: LocatingScene, given: list[str]) -> dict[str, Any]:
+    from ltm_core.errors import ConfigError
+    from ltm_core.locating.locating_io import read_mask
+
+    found = {}
+    for text in given:
+        name, equals, path = text.partition("=")
+        if not equals:
+            raise ConfigError(f"--mask {text!r}: name its camera: --mask north=mast.png")
+        found[name] = read_mask(Path(path), scene.camera(name).camera)
+    return found
+
+
+def _sighting(scene: LocatingScene, name: str, text: str, config: Any, smoke: bool, masks: dict[str, Any]) -> Sighting:
+    import numpy as np
+
+    from ltm_core.errors import ConfigError
+    from ltm_core.locating.region import marked_box, marked_pixel, marked_polygon
+    from ltm_core.locating.sighting import Sighting
+
+    camera = scene.camera(name)
+    values = numbers(text, "a mark")
+    mask = masks.get(name)
+    if len(values) == 2:
+        mark = marked_pixel(camera.camera, values, config.pixel_sigma, mask)
+    elif len(values) == 4:
+        mark = marked_box(camera.camera, values, config.pixel_sigma, config.box_sigma, smoke, mask)
+    elif len(values) % 2 == 0:
+        outline = np.array(values).reshape(-1, 2)
+        mark = marked_polygon(camera.camera, outline, config.pixel_sigma, config.box_sigma, smoke, mask)
+    else:
+        raise ConfigError(f"a mark is u,v, or u_min,v_min,u_max,v_max, or three or more points u,v; got {text!r}")
+    return Sighting(name, camera.camera, camera.pose, camera.covariance, mark)
+
+
+def _answer(scene: LocatingScene, config: Any, sightings: list[Sighting], smoke: bool) -> Answer:
+    from ltm_core.locating.answer import answer
+    from ltm_core.locating.locator import Locator
+
+    location = Locator(scene.dem, scene.bend, config).locate(sightings, smoke)
+    posed = [camera.posed for camera in scene.cameras.values()]
+    return answer(location, scene.sight, scene.frame, posed, scene.prior, smoke)
+
+
+def _tell(said: Answer, scene: LocatingScene, console: Console) -> None:
+    from rich.table import Table
+
+    from ltm_core.locating.answer import SHARES
+
+    name, posterior = said.name, said.location.posterior
+    table = Table(title="smoke, its foot" if said.smoke else "on the ground", show_header=False)
+    table.add_row(f"mean place, {name.crs}", f"{name.x:.1f}, {name.y:.1f}")
+    x, y = posterior.likeliest
+    table.add_row("likeliest place", f"{x + scene.frame.x_origin:.1f}, {y + scene.frame.y_origin:.1f}")
+    table.add_row("longitude, latitude", f"{name.lon:.6f}, {name.lat:.6f}")
+    table.add_row("MGRS", name.mgrs or "none at this latitude")
+    if name.elevation is not None:
+        table.add_row("elevation", f"{name.elevation:.0f} m, sigma {said.elevation_sigma:.0f} m")
+    for share, ellipse in zip(SHARES, said.ellipses, strict=True):
+        table.add_row(
+            f"ellipse, {share:.0%}",
+            f"{ellipse.major:,.0f} m by {ellipse.minor:,.0f} m (half axes), long axis {ellipse.azimuth_deg:.0f}°",
+        )
+    modes = posterior.modes
+    if len(modes) > 1:
+        parts = (
+            f"{mode.share:.0%} at {mode.centre[0] + scene.frame.x_origin:.0f}, "
+            f"{mode.centre[1] + scene.frame.y_origin:.0f}"
+            for mode in modes[:4]
+        )
+        table.add_row(f"{len(modes)} separate areas", "\n".join(parts))
+    if said.smoke and said.location.lift > 1:
+        table.add_row("hidden below", f"{said.location.lift:.0f} m above the ground there (mean)")
+    if said.fuel is not None:
+        table.add_row("fuel (prior map)", f"{said.fuel.name} ({said.fuel.code})")
+    console.print(table)
+    agreement = said.location.agreement
+    if agreement is not None and agreement.wrong is not None:
+        sure = agreement.suspicion[agreement.wrong]
+        console.print(
+            f"[yellow]The cameras disagree: {agreement.wrong} is wrong ({sure:.0%}); it was left out. Check its pose."
+        )
+    elif agreement is not None and not agreement.agree:
+        shares = ", ".join(f"{camera} {share:.0%}" for camera, share in agreement.suspicion.items())
+        console.print(
+            f"[yellow]The cameras disagree, and which one is wrong cannot be told: {shares}.", highlight=False
+        )
+    console.print(views_table(said.views))
+
+
+def views_table(views: tuple[PlaceView, ...] | list[PlaceView]) -> Table:
+    """What each camera has of a place."""
+    from rich.table import Table
+
+    table = Table("camera", "distance", "bearing", "pitch", "look", "pixel", "state", title="seen from the cameras")
+    for view in views:
+        state = view.state.name.lower()
+        if view.hidden_by is not None:
+            state += f": seen from {view.lift:.0f} m above it"
+        table.add_row(
+            view.camera,
+            f"{view.distance / 1000:.2f} km",
+            f"{view.azimuth_deg:.2f}°",
+            f"{view.pitch_deg:+.2f}°",
+            f"{view.hfov_deg:.0f}° wide",
+            "outside" if view.pixel is None else f"{view.pixel[0]:.0f}, {view.pixel[1]:.0f}",
+            state,
+        )
+    return table
+
+
+def _write(out: Path, said: Answer, scene: LocatingScene, marked: list[str]) -> list[Path]:
+    import json
+
+    from ltm_core.locating.answer import SHARES, as_data, as_geojson
+    from ltm_core.locating.locating_io import write_posterior
+    from ltm_core.pictures import MapCamera, to_png
+    from ltm_core.pictures.locating import location_picture
+
+    out.mkdir(parents=True, exist_ok=True)
+    files = [out / name for name in FILES]
+    cameras = []
+    for name in dict.fromkeys(marked):
+        camera = scene.camera(name)
+        x, y, _ = (float(v) for v in camera.pose.position)
+        cameras.append(MapCamera(name, camera.camera, (x, y), camera.pose.angles_deg[0]))
+    ellipses = [(f"{share:.0%}", ellipse) for share, ellipse in zip(SHARES, said.ellipses, strict=True)]
+    offset = (scene.frame.x_origin, scene.frame.y_origin)
+    titles = (f"seen by {', '.join(dict.fromkeys(marked))}", said.name.mgrs or "closely")
+    picture = location_picture(scene.dem, said.location.posterior, ellipses, cameras, offset, titles)
+    files[0].write_bytes(to_png(picture))
+    files[1].write_text(json.dumps(as_data(said, scene.frame), indent=2) + "\n", encoding="utf-8")
+    files[2].write_text(json.dumps(as_geojson(said, scene.frame)) + "\n", encoding="utf-8")
+    write_posterior(files[3], said.location.posterior, scene.frame)
+    return files

@@ -1,0 +1,127 @@
+"""The cameras and the terrain that `ltm locate` works on: of a site, of pose files, or of both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import ConfigError
+from ltm_core.fuel.prior import FuelPrior
+from ltm_core.geodesy import SiteFrame, ray_bend
+from ltm_core.locating.settings import LocatingConfig
+from ltm_core.pose import Pose
+from ltm_core.site import PoseErrorConfig
+from ltm_core.types import Float64Array
+from ltm_core.visibility.point_visibility import PointVisibility
+from ltm_core.visibility.viewshed import PosedCamera
+
+
+@dataclass(frozen=True, eq=False)
+class LocatingCamera:
+    """A camera with what is known of its pose: `covariance` (6, 6)."""
+
+    name: str
+    camera: Camera
+    pose: Pose
+    covariance: Float64Array
+
+    @property
+    def posed(self) -> PosedCamera:
+        return PosedCamera(self.name, self.camera, self.pose)
+
+
+@dataclass(frozen=True, eq=False)
+class LocatingScene:
+    """`dem`: what the cameras see. `skipped`: cameras of the site whose pose or calibration come as topics."""
+
+    dem: Dem
+    sight: PointVisibility
+    frame: SiteFrame
+    bend: float
+    config: LocatingConfig
+    prior: FuelPrior | None
+    cameras: dict[str, LocatingCamera]
+    skipped: tuple[str, ...] = field(default=())
+
+    def camera(self, name: str) -> LocatingCamera:
+        """Raises ConfigError naming the cameras there are."""
+        if name in self.cameras:
+            return self.cameras[name]
+        if name in self.skipped:
+            raise ConfigError(
+                f"camera {name!r} has no calibration or pose in the site file: give its pose file, --pose {name}=FILE"
+            )
+        raise ConfigError(f"no camera {name!r}; there are {', '.join([*self.cameras, *self.skipped]) or 'none'}")
+
+
+def of_site(path: Path, poses: Sequence[str]) -> LocatingScene:
+    """A site, with pose files `NAME=FILE` for cameras that have none there, or in the place of theirs."""
+    from ltm_core.fuel.prior_io import load_prior
+    from ltm_core.site_io import load_site
+    from ltm_core.tracing.trace_io import load_picture_config
+
+    site = load_site(path)
+    ground = site.open_dem()
+    dem = site.open_surface(ground)
+    assumed = site.assumed_pose_error
+    files = dict(_named(text) for text in poses)
+    cameras: dict[str, LocatingCamera] = {}
+    skipped = []
+    for name, camera in site.cameras.items():
+        calibration, pose = camera.calibration, camera.pose
+        if name in files:
+            known = load_picture_config(files.pop(name))
+            calibration, pose = known.calibration, known.pose
+        if calibration is None or pose is None:
+            skipped.append(name)
+            continue
+        placed = pose.pose(ground, site.frame)
+        stated = pose.covariance(placed, assumed.position, assumed.angle_deg)
+        covariance = assumed.covariance() if stated is None else stated
+        cameras[name] = LocatingCamera(name, calibration.camera(), placed, covariance)
+    if files:
+        raise ConfigError(
+            f"--pose {', '.join(files)}: site {site.name} has no such camera; it has {', '.join(site.cameras)}"
+        )
+    prior = None
+    if site.fuel.prior is not None:
+        geometry = site.fuel_geometry(ground)
+        read = load_prior(site.fuel.prior, site.in_crs(geometry))
+        prior = FuelPrior(read.codes, geometry, read.system)
+    sight = PointVisibility(dem, site.curvature, site.refraction, site.possible_ground)
+    config = site.locating or LocatingConfig()
+    return LocatingScene(dem, sight, site.frame, site.bend, config, prior, cameras, tuple(skipped))
+
+
+def of_poses(paths: Sequence[str], rasters: Sequence[Path], crs: str | None) -> LocatingScene:
+    """Cameras that are known by pose files, `FILE` or `NAME=FILE`, over one terrain; the first one's rays' bend."""
+    from ltm_core.raster.dem_stack import open_terrain
+    from ltm_core.tracing.trace_io import load_picture_config, near_frame
+
+    if not rasters:
+        raise ConfigError("--pose without --site needs the terrain too: --dem D.tif")
+    terrain = open_terrain([(rasters[0], crs), *((raster, None) for raster in rasters[1:])])
+    named = [_named(text) if "=" in text else (Path(text).stem, Path(text)) for text in paths]
+    configs = {name: load_picture_config(path) for name, path in named}
+    first = next(iter(configs.values()))
+    frame, dem = near_frame(first, terrain)
+    assumed = PoseErrorConfig()
+    cameras = {}
+    for name, known in configs.items():
+        pose = known.pose.pose(dem, frame)
+        stated = known.pose.covariance(pose, assumed.position, assumed.angle_deg)
+        covariance = assumed.covariance() if stated is None else stated
+        cameras[name] = LocatingCamera(name, known.calibration.camera(), pose, covariance)
+    sight = PointVisibility(dem, first.curvature, first.refraction, first.possible_ground)
+    bend = ray_bend(first.curvature, first.refraction)
+    return LocatingScene(dem, sight, frame, bend, LocatingConfig(), None, cameras)
+
+
+def _named(text: str) -> tuple[str, Path]:
+    name, given, path = text.partition("=")
+    if not given or not name or not path:
+        raise ConfigError(f"--pose {text!r}: with --site, name the camera: --pose north=north.yaml")
+    return name, Path(path)

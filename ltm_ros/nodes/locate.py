@@ -1,0 +1,234 @@
+"""locate: finds where on the map the things stand that a detector or a person marks in the cameras' pictures."""
+
+from __future__ import annotations
+
+import json
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+from std_msgs.msg import String
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import ConfigError, MessageError
+from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.prior_io import load_prior
+from ltm_core.grid import GridGeometry
+from ltm_core.locating.answer import Answer, answer, as_geojson
+from ltm_core.locating.locator import Location, Locator
+from ltm_core.locating.region import marked_pixel, marked_polygon
+from ltm_core.locating.sighting import Sighting
+from ltm_core.locating.tracks import SeenAt, Track, Tracks
+from ltm_core.pose import Pose
+from ltm_core.site_io import load_site
+from ltm_core.types import Float64Array
+from ltm_core.visibility.point_visibility import PointVisibility
+from ltm_core.visibility.viewshed import PosedCamera
+from ltm_msgs_py.camera_info import msg_to_camera
+from ltm_msgs_py.located import msg_to_outline, place_to_msg
+from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.stamp_check import MAX_AHEAD_S, MAX_BEHIND_S, StampCheck
+from ltm_ros.runtime.topics import (
+    LOCATE_ESTIMATE,
+    LOCATE_FUSED,
+    LOCATE_GEOJSON,
+    LOCATE_POINT,
+    LOCATE_REGION,
+    LOCATE_TRACKS,
+    POSED_CAMERA_INFO,
+    POSED_POSE,
+    camera_topic,
+)
+
+_POSES = 200
+"""Poses of a camera that are remembered."""
+
+
+class LocateConfig(NodeConfig):
+    smoke: bool = True
+    """What is marked is smoke, whose foot may be hidden; else it stands on the ground that is marked."""
+    pose_age: float = Field(120.0, gt=0)
+    """Seconds by which a camera's pose may be older than a region that has none of its own stamp."""
+    track_lifetime: float = Field(3600.0, gt=0)
+    """Seconds without a new sighting after which a track ends."""
+    max_tracks: int = Field(16, ge=1, le=100)
+    """The one seen longest ago goes first."""
+    max_ahead: float = Field(MAX_AHEAD_S, gt=0)
+    """Seconds by which a region's stamp may be ahead."""
+    max_behind: float = Field(MAX_BEHIND_S, gt=0)
+    """Seconds by which it may be late."""
+
+
+class Locate(Handler[LocateConfig]):
+    """Answers each region in its camera's namespace, and keeps the site's tracks."""
+
+    def __init__(self, config: LocateConfig, outlet: Outlet, health: Health) -> None:
+        super().__init__(config, outlet, health)
+        self._site = site = load_site(config.site)
+        if site.locating is None:
+            raise ConfigError(
+                f"{config.site}: has no section `locating`; add one (`locating: {{}}` takes the defaults)"
+            )
+        ground = site.open_dem()
+        dem = site.open_surface(ground)
+        self._locator = Locator(dem, site.bend, site.locating)
+        self._sight = PointVisibility(dem, site.curvature, site.refraction, site.possible_ground)
+        self._prior: FuelPrior | None = None
+        if site.fuel.prior is not None:
+            grid = site.fuel_geometry(ground)
+            read = load_prior(site.fuel.prior, site.in_crs(grid))
+            self._prior = FuelPrior(read.codes, grid, read.system)
+        self._assumed = site.assumed_pose_error.covariance()
+        self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, config.max_behind)
+        lifetime = round(config.track_lifetime * 1e9)
+        self._tracks = Tracks(self._locator, config.smoke, lifetime, config.max_tracks)
+        self._cameras: dict[str, Camera] = {}
+        self._poses: dict[str, OrderedDict[int, tuple[Pose, Float64Array]]] = {
+            name: OrderedDict() for name in site.cameras
+        }
+        per_camera = (LOCATE_ESTIMATE, LOCATE_GEOJSON)
+        self.publications = (
+            *(self._of(name, topic) for name in site.cameras for topic in per_camera),
+            LOCATE_FUSED,
+            LOCATE_TRACKS,
+        )
+
+    @property
+    def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
+        found: dict[Topic, Callable[[Any], None]] = {}
+        for name in self._site.cameras:
+            found[self._of(name, POSED_CAMERA_INFO)] = partial(self.on_camera_info, name)
+            found[self._of(name, POSED_POSE)] = partial(self.on_pose, name)
+            found[self._of(name, LOCATE_REGION)] = partial(self.on_region, name, "detector")
+            found[self._of(name, LOCATE_POINT)] = partial(self.on_region, name, "person")
+        return found
+
+    def start(self) -> None:
+        _compile_kernels()
+        self._publish_tracks(0)
+
+    def on_camera_info(self, name: str, message: Any) -> None:
+        self._cameras[name] = msg_to_camera(message)
+
+    def on_pose(self, name: str, message: Any) -> None:
+        covariance = msg_to_covariance(message, self._assumed)
+        assert covariance is not None  # nosec B101 # tells the type checker what holds
+        poses = self._poses[name]
+        poses[stamp_of(message)] = (msg_to_pose(message, "map"), covariance)
+        while len(poses) > _POSES:
+            poses.popitem(last=False)
+
+    def on_region(self, name: str, source: str, message: Any) -> None:
+        outline = msg_to_outline(message, f"{name}_optical")
+        stamp = stamp_of(message)
+        if stamp and self._stamps.refuses(f"a region of {name}", stamp):
+            return
+        pose, covariance, stamp = self._pose_at(name, stamp)
+        camera = self._cameras.get(name)
+        if camera is None:
+            raise MessageError(f"a region of {name}, of which no calibration has come yet: {POSED_CAMERA_INFO.name}")
+        config = self._locator.config
+        if len(outline) == 1:
+            mark = marked_pixel(camera, outline[0], config.pixel_sigma)
+        else:
+            mark = marked_polygon(camera, outline, config.pixel_sigma, config.box_sigma, self.config.smoke)
+        seen = SeenAt(Sighting(name, camera, pose, covariance, mark), stamp, source)
+        track, alone, wrong = self._tracks.add(seen)
+        self._publish_estimate(name, alone, track, source, stamp)
+        if wrong is not None:
+            self.health.note(f"disagrees.{wrong}")
+        self.health.gauge("tracks", len(self._tracks.tracks))
+        self._publish_fused(track, stamp)
+        self._publish_tracks(stamp)
+
+    def _of(self, name: str, topic: Topic) -> Topic:
+        return replace(topic, name=camera_topic(self._site.name, name, topic))
+
+    def _pose_at(self, name: str, stamp: int) -> tuple[Pose, Float64Array, int]:
+        """The pose of a stamp, or the last before it; of stamp 0, the newest. Raises MessageError: there is none."""
+        poses = self._poses[name]
+        if not poses:
+            raise MessageError(f"a region of {name}, of which no pose has come yet: {POSED_POSE.name}")
+        if stamp == 0:
+            newest = max(poses)
+            return *poses[newest], newest
+        earlier = [known for known in poses if known <= stamp]
+        if not earlier or stamp - max(earlier) > self.config.pose_age * 1e9:
+            raise MessageError(
+                f"a region of {name} of stamp {stamp} ns: no pose is known of then, or of {self.config.pose_age:g} s "
+                "before; send the stamp of the picture in which it was marked"
+            )
+        return *poses[max(earlier)], stamp
+
+    def _said(self, location: Location) -> Answer:
+        cameras = [
+            PosedCamera(name, self._cameras[name], poses[max(poses)][0])
+            for name, poses in self._poses.items()
+            if poses and name in self._cameras
+        ]
+        return answer(location, self._sight, self._site.frame, cameras, self._prior, self.config.smoke)
+
+    def _publish_estimate(self, name: str, alone: Location, track: Track, source: str, stamp: int) -> None:
+        said = self._said(alone)
+        self.outlet.publish(self._of(name, LOCATE_ESTIMATE), _place_msg(said, stamp))
+        properties = {"camera": name, "source": source, "track": track.number, "stamp_ns": stamp}
+        collection = as_geojson(said, self._site.frame, properties)
+        self.outlet.publish(self._of(name, LOCATE_GEOJSON), String(data=json.dumps(collection)))
+
+    def _publish_fused(self, track: Track, stamp: int) -> None:
+        self.outlet.publish(LOCATE_FUSED, _place_msg(self._said(track.location), stamp))
+
+    def _publish_tracks(self, stamp: int) -> None:
+        features: list[Any] = []
+        for track in self._tracks.tracks:
+            properties = {
+                "track": track.number,
+                "seen_by": track.cameras,
+                "sources": track.sources,
+                "first_ns": track.first_ns,
+                "last_ns": track.last_ns,
+                "disagrees": track.wrong,
+            }
+            features += as_geojson(self._said(track.location), self._site.frame, properties)["features"]
+        collection = {"type": "FeatureCollection", "stamp_ns": stamp, "features": features}
+        self.outlet.publish(LOCATE_TRACKS, String(data=json.dumps(collection)))
+
+
+def _place_msg(said: Answer, stamp: int) -> Any:
+    posterior = said.location.posterior
+    x, y = posterior.mean
+    height = said.name.elevation
+    place = np.array([x, y, 0.0 if height is None else height])
+    variance = said.elevation_sigma**2 if height is not None else 1e9
+    return place_to_msg(place, posterior.covariance, variance, stamp)
+
+
+def _compile_kernels() -> None:
+    """Now, or load them from numba's cache: the first region shall not wait for it."""
+    plain = Dem(np.zeros((60, 80), np.float32), GridGeometry(0.0, 600.0, 10.0, 80, 60))
+    camera, pose = Camera.from_fov(64, 48, 50.0), Pose.from_angles((400.0, 50.0, 40.0), 0.0, -10.0)
+    mark = marked_pixel(camera, (32.0, 24.0), 1.0)
+    covariance = np.diag([0.1] * 3 + [1e-5] * 3)
+    for smoke in (False, True):
+        Locator(plain, 0.0).locate([Sighting("any", camera, pose, covariance, mark)], smoke)
+    PointVisibility(plain).visible(camera, pose, np.array([[400.0, 300.0, 0.0]]))
+
+
+NODE = NodeType("locate", LocateConfig, Locate)
+
+
+def main() -> None:
+    run_node(NODE)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,66 @@
+"""Tracks: which sightings are of one fire."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes.located import hills, sighting
+
+from ltm_core.errors import RegionError
+from ltm_core.locating.locator import Locator
+from ltm_core.locating.tracks import SeenAt, Tracks
+
+pytestmark = pytest.mark.kernel
+
+FIRE, OTHER = np.array([-100.0, 2480.0, 64.0]), np.array([900.0, 2500.0, 80.0])
+TOWERS = {"a": (-900.0, 1300.0, 180.0), "b": (200.0, 1250.0, 160.0), "c": (1200.0, 1700.0, 190.0)}
+MINUTE = 60_000_000_000
+
+
+def seen(camera: str, place: np.ndarray, minute: int, turned_deg: float = 0.0) -> SeenAt:
+    return SeenAt(sighting(camera, TOWERS[camera], place, 0.05, turned_deg), minute * MINUTE, "detector")
+
+
+def test_sightings_of_one_fire_make_one_track_and_others_another() -> None:
+    tracks = Tracks(Locator(hills(), 0.0))
+    first, alone, _ = tracks.add(seen("a", FIRE, 0))
+    again, _, _ = tracks.add(seen("a", FIRE, 1))
+    crossed, _, _ = tracks.add(seen("c", FIRE, 2))
+    other, _, _ = tracks.add(seen("b", OTHER, 3))
+    assert first is again is crossed
+    assert first.cameras == ["a", "c"]
+    assert first.location.posterior.sigma < alone.posterior.sigma
+    assert first.location.posterior.mean == pytest.approx(tuple(FIRE[:2]), abs=20)
+    assert other.number == 2
+    assert (first.first_ns, first.last_ns) == (0, 2 * MINUTE)
+
+
+def test_a_turned_camera_is_told_and_does_not_move_the_track() -> None:
+    tracks = Tracks(Locator(hills(), 0.0))
+    tracks.add(seen("a", FIRE, 0))
+    fire, _, _ = tracks.add(seen("b", FIRE, 1))
+    before = fire.location.posterior.mean
+    turned, _, wrong = tracks.add(seen("c", FIRE, 2, turned_deg=2.0))
+    assert wrong == fire.wrong == "c"
+    assert turned is not fire
+    assert fire.location.posterior.mean == before
+
+
+def test_what_is_kept_is_bounded() -> None:
+    tracks = Tracks(Locator(hills(), 0.0), lifetime_ns=10 * MINUTE, most=2)
+    for minute in range(6):
+        fire, _, _ = tracks.add(seen("a", FIRE, minute))
+    assert len(fire.sightings) == 2
+    tracks.add(seen("b", OTHER, 30))
+    assert [track.number for track in tracks.tracks] == [2]
+    tracks.add(seen("a", FIRE, 31))
+    tracks.add(seen("c", np.array([0.0, 900.0, 50.0]), 32))
+    assert [track.number for track in tracks.tracks] == [3, 4]
+
+
+def test_a_bad_sighting_changes_nothing() -> None:
+    tracks = Tracks(Locator(hills(), 0.0))
+    tracks.add(seen("a", FIRE, 0))
+    with pytest.raises(RegionError):
+        tracks.add(seen("a", np.array([0.0, 2500.0, 900.0]), 100))
+    assert [track.number for track in tracks.tracks] == [1]
