@@ -34,9 +34,7 @@ LOCATING_NODES = ("locate",)
 """Node types that a site has one of where its file has a section `locating`."""
 OPTIONAL_NODES = ("viewer", "recorder")
 """Site-level node types that run on request; the graph works without them."""
-NODE_TYPES = (
-    CAMERA_NODES + FUSION_NODES + POSE_NODES + SITE_NODES + TERRAIN_NODES + LOCATING_NODES + OPTIONAL_NODES
-)
+NODE_TYPES = CAMERA_NODES + FUSION_NODES + POSE_NODES + SITE_NODES + TERRAIN_NODES + LOCATING_NODES + OPTIONAL_NODES
 
 CAMERAS_PROCESS = "cameras"
 """Label of the process in which the nodes of all cameras live, where a site has one for them."""
