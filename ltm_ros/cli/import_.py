@@ -20,7 +20,10 @@ def import_(
     out: Annotated[Path, typer.Option("--out", help="Bag folder to write.")],
     poses: Annotated[
         Path | None,
-        typer.Option("--poses", help="CSV or YAML: name, x y z or lon lat, azimuth_deg, fx, ... Before EXIF."),
+        typer.Option(
+            "--poses",
+            help="CSV or YAML: name, x y z or lon lat, azimuth_deg, fx, ...; or a folder of pose files. Before EXIF.",
+        ),
     ] = None,
     site: Annotated[Path | None, typer.Option("--site", help="Site file: frame, DEM, camera names.")] = None,
     camera: Annotated[str | None, typer.Option("--camera", help="Camera that took the photos.")] = None,

@@ -133,25 +133,30 @@ def _write(writer: BagWriter, site: str, camera: str, item: PlacedPhoto, stamp_n
 
 
 def _named_in(files: list[Picture], rows: dict[str, PhotoPose], poses: Path | None) -> list[Picture]:
-    missing = sorted(rows.keys() - {name for file in files for name in (file.name, file.capture)})
+    missing = sorted(rows.keys() - {name for file in files for name in _names_of(file)})
     if missing:
         raise RecordingError(
             f"pose file {poses} names {len(missing)} photos that are not there: {', '.join(missing[:5])}"
         )
-    return [file for file in files if file.name in rows or file.capture in rows]
+    return [file for file in files if any(name in rows for name in _names_of(file))]
+
+
+def _names_of(file: Picture) -> tuple[str, str, str]:
+    """By which a pose file may call it: its own, that without the suffix, and its capture's."""
+    return file.name, Path(file.name).stem, file.capture
 
 
 def _row_of(file: Picture, rows: dict[str, PhotoPose] | None) -> PhotoPose:
     """Its own, or that of its capture, whose begin it then tells."""
     if rows is None:
         return PhotoPose(name=file.name)
-    return rows[file.name] if file.name in rows else rows[file.capture]
+    return next(rows[name] for name in _names_of(file) if name in rows)
 
 
 def _read(file: Picture, row: PhotoPose) -> Photo:
     """A frame with a row of its own is placed by that, and not by the capture's first frame."""
     photo = file.read()
-    own = file.name == row.name and row.pose != PartialPose()
+    own = row.name in (file.name, Path(file.name).stem) and row.pose != PartialPose()
     return replace(photo, sensed=replace(photo.sensed, relative=None, seconds=0.0)) if own else photo
 
 

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from scenes.phone_site import FRAME, imported, phone_site, taken
 
-from ltm_core.errors import RecordingError
+from ltm_core.errors import ConfigError, RecordingError
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance, pose_sigmas
 from ltm_core.simulator.phone_photo_io import write_phone_photo
@@ -64,3 +65,32 @@ def test_a_folder_with_something_in_it_is_left_alone(tmp_path: Path) -> None:
             [tmp_path / "walk.zip"], tmp_path / "bag", site=site, assumed=LENS, photos_out=tmp_path / "photos"
         )
     assert not (tmp_path / "bag").exists()
+
+
+def test_a_folder_of_pose_files_places_the_photos_that_it_names(tmp_path: Path) -> None:
+    """As `ltm pose --photo` leaves it, one a photo; the recording keeps the time."""
+    site = phone_site(tmp_path)
+    write_sensor_logger(tmp_path / "walk.zip", WALK, FRAME, 90, -35.4)
+    folder = tmp_path / "found"
+    folder.mkdir()
+    x, y, z = (float(v) for v in WALK[1].pose.position)
+    found = {
+        "pose": {"x": x + 402_000.0, "y": y + 3_787_000.0, "z": z, "crs": "EPSG:32611", "azimuth_deg": 112.5},
+        "calibration": {"width": 40, "height": 64, "fx": 47.0, "fy": 47.0, "cx": 19.5, "cy": 31.5},
+        "curvature": True,
+        "refraction": 0.13,
+    }
+    found["pose"] |= {"pitch_deg": 3.25, "roll_deg": -1.5, "azimuth_sigma_deg": 0.3}
+    (folder / f"{WALK[1].stamp_ns // 1_000_000}.yaml").write_text(yaml.safe_dump(found))
+    report = import_photos([tmp_path / "walk.zip"], tmp_path / "bag", folder, site, assumed=LENS)
+    assert any("does not name 1 of the 2 photos" in note for _, note in report.notes)
+    ((stamp, camera, pose, covariance),) = imported(tmp_path / "bag")
+    assert (stamp, camera.fx) == (WALK[1].stamp_ns, 47.0)
+    np.testing.assert_allclose(pose.angles_deg, [112.5, 3.25, -1.5], atol=1e-9)
+    assert pose_sigmas(pose, covariance)[3] == pytest.approx(0.3)
+    (folder / "other.yaml").write_text("camera: 3\n")
+    with pytest.raises(ConfigError, match=r"other\.yaml is no pose file"):
+        import_photos([tmp_path / "walk.zip"], tmp_path / "again", folder, site, assumed=LENS)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ConfigError, match="holds no pose files"):
+        read_pose_file(tmp_path / "empty")
