@@ -120,8 +120,10 @@ class Pipeline:
         delivered."""
         upstream: dict[str, set[str]] = {name: set() for name in self.jobs}
         for topic, listeners in self._listeners.items():
-            for job, _ in listeners:
-                upstream[job.name] |= self._sources.get(topic, set())
+            for job, own in listeners:
+                # What is latched is a state, which may be fed back to where its frames came from.
+                if not own.latched:
+                    upstream[job.name] |= self._sources.get(topic, set())
         for name in TopologicalSorter(upstream).static_order():
             job = self.jobs[name]
             self._run(job, lambda j=job: j.handler.finish(), "", None)  # type: ignore[misc]

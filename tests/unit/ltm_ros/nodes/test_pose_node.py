@@ -19,12 +19,15 @@ from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.pose_correction import PoseCorrection
 from ltm_core.pose_estimation.pose_prior import angles_between, turned
+from ltm_core.site_io import load_site
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import image_to_msg
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_msgs_py.pose_correction import correction_to_msg, msg_to_correction
+from ltm_ros.launching.graph import describe
 from ltm_ros.nodes.capture import Capture, CaptureConfig
 from ltm_ros.nodes.pose import PoseKeeping
+from ltm_ros.replay.offline import OfflineGraph
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.stamp_join import JoinConfig
 from ltm_ros.runtime.topics import (
@@ -138,3 +141,13 @@ def test_without_the_section_there_is_no_such_node_and_capture_says_nothing_more
     capture.subscriptions[IMAGE_RAW](image_to_msg(black, "rgb8", STAMP, "mast_optical"))
     assert len(sent.on(POSED_POSE)) == 1
     assert not sent.on(STATED_POSE)
+
+
+def test_the_correction_is_fed_back_within_a_graph(tmp_path: Path) -> None:
+    """Which ends in order all the same: what is latched holds up nobody's end."""
+    site = write_site(tmp_path, every=0.0, gather=2)
+    offline = OfflineGraph(describe(load_site(site), site))
+    truth = PoseCorrection(np.array([0.0, 0.0, 0.02]), np.diag([1e-6, 1e-6, 1e-6]))
+    offline.feed("/rim/mast/pose/correction", correction_to_msg(truth, STAMP), STAMP)
+    offline.finish()
+    assert {"/rim/mast/pose", "/rim/mast/capture"} <= offline.healths.keys()
