@@ -99,14 +99,20 @@ class VerdictConfig(StrictModel):
 
     alternative_deg: float = Field(2.5, gt=0)
     """An alternative is a pose that differs by more in azimuth."""
-    least_gap: float = 6.0
+    least_gap: float = 4.0
     """By which its cost must be higher,"""
-    veil_factor: float = Field(25.0, ge=0)
+    veil_factor: float = Field(10.0, ge=0)
     """times one more than this times the share of the skyline where plants on a near crest may hide the horizon."""
-    most_sigma_deg: float = Field(0.7, gt=0)
+    most_sigma_deg: float = Field(0.6, gt=0)
     """Of azimuth, pitch and roll."""
-    least_support: float = Field(0.35, ge=0, le=1)
+    least_support: float = Field(0.75, ge=0, le=1)
     """Share of the skyline that fits."""
+    ridges_gap: float = 6.0
+    """`least_gap` where ridges alone are known,"""
+    plants_gap: float = 10.0
+    """and where trees and shrubs are half of the land in the picture or more, whose margins look like ridges;"""
+    plants_score: float = 8.0
+    """then ridges must also lie on edges so many times more than chance."""
     contradiction: float = Field(4.0, gt=0)
     """Sigmas by which an otherwise good pose may differ from the prior one."""
 

@@ -53,6 +53,12 @@ class Terrain:
     bend: float
     possible: PossibleGround = field(default_factory=PossibleGround)
 
+    def above(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+        """Without those whose camera a free place has brought under the ground."""
+        places = np.array([h.refined.pose.position for h in hypotheses]).reshape(-1, 3)
+        under = places[:, 2] <= self.dem.elevation_at(places[:, 0], places[:, 1])
+        return [h for h, bad in zip(hypotheses, under, strict=True) if not bad]
+
     def horizon_for(self, camera: Camera, prior: PosePrior, config: PicturePoseConfig) -> TerrainHorizon:
         """Seen from the prior position, as far round as the search may look."""
         reach = search_reach(prior, config)
@@ -79,12 +85,12 @@ def find_pose(
     horizon = terrain.horizon_for(evidence.camera, prior, config) if horizon is None else horizon
     found: list[Hypothesis] = []
     if evidence.skyline is not None and not horizon.open.all():
-        found = _search_skyline(evidence, horizon, prior, config, focal_sigma)
+        found = terrain.above(_search_skyline(evidence, horizon, prior, config, focal_sigma))
     verdict = judge(found, False, prior, config)
     if not found or (verdict.word != "accepted" and found[0].refined.support < _LEAST_SUPPORT):
         blind = replace(evidence, skyline=None)
-        by_ridges = search_ridges(blind, horizon, prior, config, focal_sigma)
-        other = judge(by_ridges, True, prior, config)
+        by_ridges = terrain.above(search_ridges(blind, horizon, prior, config, focal_sigma))
+        other = judge(by_ridges, True, prior, config, evidence.plants)
         if other.word == "accepted" or not found:
             found, verdict = by_ridges, other
     return PictureSearch(tuple(found), evidence, horizon, verdict)

@@ -23,6 +23,7 @@ from ltm_core.pose_estimation.pose_prior import PosePrior, angle_slopes, turned
 from ltm_core.pose_estimation.skyline_search import column_weight
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
 from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
+from ltm_core.vision.labels import Label
 
 # Pixels at width 640 within which an edge is sought about a ridge, and by which sigmas of the skyline are widened.
 ROUNDS = ((14.0, 3.0), (10.0, 2.0), (7.0, 1.5), (5.0, 1.0), (4.0, 1.0), (3.0, 1.0), (3.0, 1.0), (3.0, 1.0))
@@ -40,6 +41,13 @@ class PictureEvidence:
     skyline: ImageSkyline | None
     edges: ImageContours
     coarse_edges: ImageContours
+
+    @property
+    def plants(self) -> float:
+        """The share of trees and shrubs in the land."""
+        land = self.labels != np.uint8(Label.SKY)
+        grown = (self.labels == np.uint8(Label.TREE)) | (self.labels == np.uint8(Label.SHRUB))
+        return float(grown.sum()) / max(float(land.sum()), 1.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,8 @@ from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis
 from ltm_core.pose_estimation.pose_prior import PosePrior, angle_slopes, angles_between
 
+MANY_PLANTS = 0.5
+"""Share of trees and shrubs in the land from which on edges are theirs as well as the ground's."""
 Word = Literal["accepted", "ambiguous", "no_skyline", "contradicts_prior"]
 
 
@@ -35,8 +37,11 @@ def judge(
     by_ridges: bool,
     prior: PosePrior,
     config: PicturePoseConfig,
+    plants: float = 0.0,
 ) -> Verdict:
-    """Judge the first of `hypotheses`, from the best down; `by_ridges`: they were found without a skyline."""
+    """Judge the first of `hypotheses`, from the best down; `by_ridges`: they were found without a skyline. `plants`:
+    the share of trees and shrubs in the picture's land.
+    """
     v = config.verdict
     nowhere = (math.inf, math.inf, math.inf)
     if not hypotheses:
@@ -64,7 +69,12 @@ def judge(
         word: Word = "no_skyline" if by_ridges else "ambiguous"
         return verdict(word, f"{known} leaves azimuth, pitch, roll open by {azimuth:.2f}, {pitch:.2f}, {roll:.2f} deg")
     veiled = best.refined.veiled
-    if gap < v.least_gap * (1 + v.veil_factor * veiled):
+    least = v.least_gap * (1 + v.veil_factor * veiled)
+    if by_ridges:
+        least = v.plants_gap if plants >= MANY_PLANTS else v.ridges_gap
+        if plants >= MANY_PLANTS and best.ridge_score < v.plants_score:
+            return verdict("ambiguous", f"ridges lie on edges only {best.ridge_score:.1f} times more than by chance")
+    if gap < least:
         return verdict(
             "ambiguous",
             f"azimuth {other:.1f} deg costs only {gap:.1f} more"

@@ -15,6 +15,7 @@ from ltm_core.pose_estimation.picture_pose_config import CrestCover, PicturePose
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, search_reach
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, rotations_of
 from ltm_core.pose_estimation.pose_refinement import PictureEvidence, refine
+from ltm_core.pose_estimation.pose_verdict import MANY_PLANTS
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
 from ltm_core.types import Float64Array
 
@@ -23,8 +24,8 @@ _ANY = CrestCover(tree=(0.3, 0.4), shrub=(0.3, 0.4), grass=(0.2, 0.3), bare=(0.1
 """Whatever the labels are: a picture without sky is of rock and ice more often than labels say."""
 _ALONG = 8.0
 """Metres and pixels within which a ridge's errors are one and the same: of rock."""
-_FLOOR_DEG = (0.2, 0.05, 0.2)
-"""Of azimuth, pitch and roll: edges along a ridge may all be of another thing, the margin of a wood say."""
+_FLOOR_DEG, _FLOOR_OF_PLANTS_DEG = (0.15, 0.05, 0.15), (0.45, 0.15, 0.2)
+"""Of azimuth, pitch and roll: edges along a ridge may all be of another thing; among plants, of their margins."""
 _MOST_POINTS = 1000
 _COARSE_POINTS = 500
 _NEARBY = np.array([(a, p, r) for a in (-0.25, 0.0, 0.25) for p in (-0.1, 0.0, 0.1) for r in (-0.4, 0.0, 0.4)])
@@ -72,6 +73,7 @@ def search_ridges(
         axis=-1,
     ).reshape(-1, 3)
     points = ridges.thinned(max(1, len(ridges.range) // _MOST_POINTS))
+    floor = _FLOOR_OF_PLANTS_DEG if evidence.plants >= MANY_PLANTS else _FLOOR_DEG
     few = ridges.thinned(max(1, len(ridges.range) // _COARSE_POINTS))
     found: list[tuple[float, Float64Array, Camera]] = []
     for factor in focal_candidates(focal_sigma):
@@ -93,7 +95,7 @@ def search_ridges(
             around = ridges.in_view(start, lens, _MOST_POINTS)
             refined = refine(start, lens, evidence, horizon, around, prior, focal_sigma, config, _ROUNDS)
             covariance = refined.covariance.copy()
-            covariance[3:6, 3:6] += pose_covariance(refined.pose, 0.0, 0.0, *_FLOOR_DEG)[3:, 3:]
+            covariance[3:6, 3:6] += pose_covariance(refined.pose, 0.0, 0.0, *floor)[3:, 3:]
             refined = replace(refined, covariance=covariance)
             z = ridge_strength(refined.pose, ridges, horizon.step, refined.camera, evidence.edges)
             cost = refined.cost - config.contours.weight * max(z, 0.0) ** 2 / 2

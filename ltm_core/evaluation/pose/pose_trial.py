@@ -29,7 +29,9 @@ class PoseTrial:
     """`before`, `after`: errors of azimuth, pitch and roll, degrees, of the pose that came in and of the best that was
     found; `z`: the latter in its own sigmas. `open_share`: of the horizon in view, over which land beyond the DEM may
     stand. `traced`, `traced_before`: metres, median, between the places of pixels that see ground at about 1 km and
-    where the pose puts them; NaN where none does. `focal`: the focal length found over the true one. `seconds`: of CPU.
+    where the pose puts them; NaN where none does. `veiled`: the share of the horizon that plants on near crests may
+    hide. `focal`: the
+    focal length found over the true one. `seconds`: of CPU.
     """
 
     frame: str
@@ -40,6 +42,7 @@ class PoseTrial:
     z: tuple[float, float, float]
     gap: float
     support: float
+    veiled: float
     sigma: tuple[float, float, float]
     open_share: float
     traced_before: float
@@ -117,6 +120,7 @@ def run_trial(
         _three(after / sigma),
         search.verdict.gap,
         search.verdict.support,
+        0.0 if found is None else found.veiled,
         _three(sigma),
         prepared_frame.open_share,
         traced_error(frame, near, prior.pose, tracer),

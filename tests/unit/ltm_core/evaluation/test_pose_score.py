@@ -71,7 +71,22 @@ def trial_of(azimuth: float, verdict: str = "accepted", open_share: float = 0.0)
     off = (azimuth, 0.1, -0.2)
     z = (azimuth / 0.5, 1.0, 1.0)
     return PoseTrial(
-        "f", Sensor.mount, verdict, (1.5, 0, 0), off, z, 9.0, 0.9, (0.5, 0.1, 0.2), open_share, 25.0, 4.0, 1.01, 0.3, ()
+        "f",
+        Sensor.mount,
+        verdict,
+        (1.5, 0, 0),
+        off,
+        z,
+        9.0,
+        0.9,
+        0.02,
+        (0.5, 0.1, 0.2),
+        open_share,
+        25.0,
+        4.0,
+        1.01,
+        0.3,
+        (),
     )
 
 
