@@ -10,6 +10,7 @@ import numba
 import numpy as np
 
 from ltm_core.errors import CameraError
+from ltm_core.kernel_launch import ONE_LAUNCH
 from ltm_core.types import Float32Array, Float64Array
 
 _MOST_PIXELS = 65_535  # a side: as many as a JPEG can have
@@ -138,12 +139,10 @@ def _fold_radius_squared(distortion: tuple[float, float, float, float, float]) -
 def _rays(camera: Camera) -> Float64Array:
     rays = np.empty((camera.height, camera.width, 3))
     if any(camera.distortion):
-        _undistorted_rays(
-            rays,
-            np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
-            np.array(camera.distortion),
-            _fold_radius_squared(camera.distortion),
-        )
+        intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        fold = _fold_radius_squared(camera.distortion)
+        with ONE_LAUNCH:
+            _undistorted_rays(rays, intrinsics, np.array(camera.distortion), fold)
     else:
         rays[..., 0] = (np.arange(camera.width) - camera.cx) / camera.fx
         rays[..., 1] = ((np.arange(camera.height) - camera.cy) / camera.fy)[:, None]
@@ -153,7 +152,7 @@ def _rays(camera: Camera) -> Float64Array:
     return rays
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)  # of a site's cameras, each of which needs its own for every frame: 8 MB at 1080p
 def _cosines(camera: Camera) -> Float32Array:
     cosines = np.ascontiguousarray(_rays(camera)[..., 2], np.float32)
     cosines.flags.writeable = False

@@ -32,6 +32,13 @@ BROKEN = (
 def open_picture(path: Path) -> Iterator[tuple[Image.Image, bytes]]:
     """The opened image, nothing of it decoded, and the file's bytes. Raises ImageError: no picture, too large, and for
     whatever Pillow raises in the block; what else the block does shall raise ImageError itself."""
+    data = read_picture(path)
+    with opened_picture(data, path) as image:
+        yield image, data
+
+
+def read_picture(path: Path) -> bytes:
+    """A photo file's bytes. Raises ImageError: no file, or too large."""
     try:
         with path.open("rb") as file:
             data = file.read(LARGEST_FILE + 1)
@@ -39,6 +46,12 @@ def open_picture(path: Path) -> Iterator[tuple[Image.Image, bytes]]:
         raise ImageError(f"{path}: cannot be read ({error})") from error
     if len(data) > LARGEST_FILE:
         raise ImageError(f"{path}: cannot be read: it has more than {LARGEST_FILE >> 20} MiB; send a smaller photo")
+    return data
+
+
+@contextmanager
+def opened_picture(data: bytes, path: Path) -> Iterator[Image.Image]:
+    """The image of a file's bytes, nothing of it decoded. `path`: what errors call it. Raises as `open_picture`."""
     from pillow_heif import register_heif_opener  # here, for live nodes take JPEG and PNG alone
 
     register_heif_opener()
@@ -51,7 +64,7 @@ def open_picture(path: Path) -> Iterator[tuple[Image.Image, bytes]]:
                         f"{path}: states a size of {image.width} x {image.height}: more than "
                         f"{MAX_PIXELS // 1_000_000} million pixels are not decoded; send a smaller photo"
                     )
-                yield image, data
+                yield image
     except UnidentifiedImageError as error:
         raise ImageError(
             f"{path}: cannot be read: it is no photo that can be read, of another format or cut short"

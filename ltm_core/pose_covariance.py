@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ltm_core.pose import Pose
 from ltm_core.types import Float64Array
+
+UNKNOWN_AZIMUTH_SIGMA_DEG = 360 / math.sqrt(12)
+"""Standard deviation of a heading of which nothing is known: that of one spread evenly over the circle. Such an angle
+is told with a variance that is known and large, so that nothing is placed by it; a variance that is *itself* not known
+(infinite, or greater than a half turn's) is taken as the site's `assumed_pose_error`."""
+UNKNOWN_PITCH_SIGMA_DEG = 180 / math.sqrt(12)
+"""The same of a pitch, from straight down to straight up."""
 
 
 def pose_covariance(
@@ -29,3 +38,24 @@ def pose_covariance(
     covariance[:3, :3] = np.diag([position_sigma**2, position_sigma**2, height_sigma**2])
     covariance[3:, 3:] = (axes * variances) @ axes.T
     return covariance
+
+
+def moved_covariance(covariance: Float64Array, offset: Float64Array) -> Float64Array:
+    """Of a second pose that is fixed to the first, `offset` (3,) metres of the map from it: turned by w, it moves by
+    w x offset."""
+    x, y, z = offset
+    jacobian = np.eye(6)
+    jacobian[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    return np.asarray(jacobian @ covariance @ jacobian.T)
+
+
+def pose_sigmas(pose: Pose, covariance: Float64Array) -> Float64Array:
+    """Standard deviations of x, y, z (m), azimuth, pitch and roll (deg), (6,), from a covariance as `pose_covariance`
+    makes it: the turns about the map's axes as turns about the vertical, the level right and the viewing direction.
+    """
+    azimuth = np.radians(pose.angles_deg[0])
+    right = np.array([np.cos(azimuth), -np.sin(azimuth), 0.0])
+    inverse = np.linalg.pinv(np.column_stack([[0.0, 0.0, 1.0], right, pose.rotation[:, 2]]))
+    turns = inverse @ covariance[3:, 3:] @ inverse.T
+    variances = np.concatenate([covariance.diagonal()[:3], np.degrees(np.degrees(turns.diagonal()))])
+    return np.asarray(np.sqrt(np.maximum(variances, 0.0)), np.float64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
@@ -20,6 +20,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.raster.dem_stack import open_terrain, with_surface
 from ltm_core.raster.shared_rasters import shared
+from ltm_core.sensor_pose import SensorsConfig
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.types import Float64Array
 
@@ -129,6 +130,28 @@ class WatchdogConfig(Config):
     After each start in a row that was too slow, the next has twice as long."""
 
 
+class PoseRefinementConfig(Config):
+    """How the poses of mounted cameras are kept by their pictures; a site that has this section runs the node `pose`
+    for each camera. Angles in degrees."""
+
+    every: float = Field(10.0, ge=0)
+    """Seconds between two pictures that are looked at."""
+    gather: int = Field(6, ge=2)
+    """Clear pictures in which a mount's error is sought together,"""
+    most_gathered: int = Field(12, ge=2)
+    """and at most so many, where they leave it open."""
+    judged: int = Field(6, ge=1)
+    """Of a mount whose error is known, so many of the last clear pictures are judged by;"""
+    slipped: int = Field(4, ge=1)
+    """where so many of them say that the camera looks elsewhere, it has slipped."""
+    least_slip_deg: float = Field(0.2, gt=0)
+    """A picture says so where it is off by more than this"""
+    slip_sigmas: float = Field(3.0, gt=0)
+    """and by so many of its standard deviations,"""
+    slip_sigma_deg: float = Field(3.0, gt=0)
+    """and this is the standard deviation of a slip's angles."""
+
+
 class TerrainConfig(Config):
     """The living terrain; a site that has this section runs the node `terrain`. Lengths in metres, times in seconds."""
 
@@ -180,6 +203,16 @@ class CameraConfig(Config):
     """None: from the camera_info topic."""
     pose: PoseConfig | None = None
     """None: from the pose topic."""
+    sensors: SensorsConfig | None = None
+    """Instead of the pose topic: from the topics `fix` (NavSatFix) and `imu` (Imu)."""
+
+    @model_validator(mode="after")
+    def _one_pose(self) -> Self:
+        if self.pose is not None and self.sensors is not None:
+            raise ValueError(
+                "give either pose or sensors, not both: a camera is fixed, or its sensors tell where it is"
+            )
+        return self
 
 
 class Site(Config):
@@ -210,6 +243,13 @@ class Site(Config):
     depth_model: str = ""
     """Manifest of a depth network, likewise; where given, traced depth is fused with it (`fused/depth`)."""
     cameras: dict[CameraName, CameraConfig] = Field(min_length=1)
+    processes: Literal["site", "node"] = "site"
+    """`site`: the nodes of all cameras share one process: a frame runs straight through them, terrain and networks are
+    there once. `node`: each node has a process of its own, for development, and for several hosts."""
+    workers: int | None = Field(None, ge=1)
+    """Threads that work on frames in a site's process, each on one frame at a time; None: one for each core."""
+    refine_poses: PoseRefinementConfig | None = None
+    """None: poses are taken as they are stated."""
     limits: Limits = Limits()
     watchdog: WatchdogConfig = WatchdogConfig()
     nodes: dict[RosName, dict[str, Any]] = {}

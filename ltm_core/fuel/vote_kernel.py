@@ -102,7 +102,7 @@ def _window(geometry: GridGeometry, east: float, north: float, max_range: float)
     return int(rows[0]), int(cols[0]), int(rows[1] - rows[0]), int(cols[1] - cols[0])
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)  # of a site's cameras, each of which needs its own for every frame: 17 MB at 1080p
 def _tangents(camera: Camera) -> tuple[Float32Array, Float32Array]:
     """x / z and y / z of the pixels' rays; (1, W) and (H, 1) without distortion, else (H, W) both, NaN without ray."""
     if any(camera.distortion):
@@ -113,7 +113,7 @@ def _tangents(camera: Camera) -> tuple[Float32Array, Float32Array]:
     return x[None].astype(np.float32), y[:, None].astype(np.float32)
 
 
-@numba.njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _scan(
     distance: Any,
     along_axis: bool,

@@ -10,16 +10,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, PoseError
 from ltm_core.geodesy import SiteFrame
 from ltm_core.pose_estimation.control_points import ControlPoints
+from ltm_core.pose_estimation.pose_file_io import GuessConfig, write_pose_file
 from ltm_core.pose_estimation.resection import Resection
 from ltm_core.text_io import LARGEST_TABLE, read_text
-from ltm_core.tracing.trace_io import PoseFile, near_frame
+from ltm_core.tracing.trace_io import near_frame
 from ltm_core.types import Float64Array
 
 _COLUMNS = {
@@ -30,13 +30,6 @@ _COLUMNS = {
     "u": ("u", "col", "column", "px"),
     "v": ("v", "row", "line", "py"),
 }
-
-
-class GuessConfig(PoseFile):
-    """What is known of a camera before its resection: a pose file whose angles may be left out.
-
-    The position is held, or is where the search starts. Without `azimuth_deg` all directions are searched.
-    """
 
 
 @dataclass(frozen=True)
@@ -137,33 +130,6 @@ def _numbers(row: dict[str, str], columns: dict[str, str], place: str) -> tuple[
 
 def write_pose(path: Path | str, result: Resection, guess: GuessConfig, frame: SiteFrame) -> None:
     """Write a pose file that `ltm trace` reads; how it was found stands in its comments."""
-    camera, pose = result.camera, result.pose
-    x, y, z = (float(v) for v in pose.position)
-    azimuth, pitch, roll = pose.angles_deg
-    k1, k2, p1, p2, k3 = (float(k) for k in camera.distortion)
-    content = {
-        "pose": {
-            "x": round(x + frame.x_origin, 4),
-            "y": round(y + frame.y_origin, 4),
-            "z": round(z, 4),
-            "crs": frame.crs,
-            "azimuth_deg": round(azimuth, 6),
-            "pitch_deg": round(pitch, 6),
-            "roll_deg": round(roll, 6),
-            **_pose_sigmas(result),
-        },
-        "calibration": {
-            "width": camera.width,
-            "height": camera.height,
-            "fx": round(camera.fx, 4),
-            "fy": round(camera.fy, 4),
-            "cx": camera.cx,
-            "cy": camera.cy,
-            **{"k1": k1, "k2": k2, "p1": p1, "p2": p2, "k3": k3},
-        },
-        "curvature": guess.curvature,
-        "refraction": guess.refraction,
-    }
     lengths = result.residual_px
     notes = [
         f"Resection from {len(lengths)} control points: median residual {np.median(lengths):.2f} px.",
@@ -172,8 +138,7 @@ def write_pose(path: Path | str, result: Resection, guess: GuessConfig, frame: S
     ]
     if result.outliers:
         notes.append(f"Left out as outliers: {', '.join(result.outliers)}")
-    head = "".join(f"# {note}\n" for note in notes)
-    Path(path).write_text(head + yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    write_pose_file(path, result.camera, result.pose, _pose_sigmas(result), guess, frame, notes)
 
 
 def _pose_sigmas(result: Resection) -> dict[str, float]:

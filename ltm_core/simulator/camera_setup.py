@@ -90,6 +90,13 @@ PHONE = SensorConfig(
 """A smartphone held by hand: compass within 5-10 degrees, pitch and roll 0.5-1 degree, GPS 5 m, height 3-10 m."""
 
 
+def sensor_config(kind: Literal["tower", "phone"] | SensorConfig) -> SensorConfig:
+    """The errors that a kind stands for."""
+    if isinstance(kind, SensorConfig):
+        return kind
+    return PHONE if kind == "phone" else SensorConfig()
+
+
 class CameraSetup(Strict):
     """A camera on a mast at map (x, y), `mast` metres above the true ground of the first date.
 
@@ -107,9 +114,36 @@ class CameraSetup(Strict):
 
     def sensors(self) -> SensorConfig:
         """The camera's errors, its kind spelt out."""
-        if isinstance(self.sensor, SensorConfig):
-            return self.sensor
-        return PHONE if self.sensor == "phone" else SensorConfig()
+        return sensor_config(self.sensor)
+
+
+class WalkConfig(Strict):
+    """A person who walks along `path`, stops at evenly spaced places and takes photos there with a phone in the hand.
+
+    `azimuth_deg`, `pitch_deg`: of the photos in turn, over and over. `portrait`: the same of how the phone is held; a
+    portrait has the scenario's image size turned. `hfov_deg` is across the long side. `sway_deg`: standard deviation of
+    the hand's pitch and roll about what was meant.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    path: Annotated[list[tuple[float, float]], Field(min_length=2)]
+    stops: int = Field(8, ge=2)
+    photos: int = Field(3, ge=1)  # at each stop
+    interval_s: float = Field(6.0, gt=0)  # between the photos of a stop
+    speed: float = Field(1.2, gt=0)  # m/s between stops
+    eye: float = Field(1.6, gt=0)  # m above the ground
+    hfov_deg: float = Field(69.4, gt=0, lt=170)  # a main camera's 26 mm on 36 mm wide film
+    azimuth_deg: Annotated[list[float], Field(min_length=1)]
+    pitch_deg: list[float] = Field([-2.0], min_length=1)
+    portrait: list[bool] = Field([False, True], min_length=1)
+    sway_deg: float = Field(1.5, ge=0)
+    geoid_undulation: float = 0.0  # m of the geoid above the ellipsoid there, for altitudes that a phone tells
+    sensor: Literal["tower", "phone"] | SensorConfig = "phone"
+
+    def sensors(self) -> SensorConfig:
+        """The phone's errors; it stores its photos, so that none is lost or late."""
+        config = sensor_config(self.sensor)
+        return config.model_copy(update={"lost": 0.0, "late": 0.0})
 
 
 class ViewsConfig(Strict):

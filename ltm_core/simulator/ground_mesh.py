@@ -116,14 +116,22 @@ def under(wide: HeightField, site: HeightField) -> BoolArray:
     return np.asarray(inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:], np.bool_)
 
 
-def far_ranges(wide: HeightField, colors: Reflectances, seed: int, center: Float64Array, bend: float) -> Triangles:
-    """A plain with mountain ranges from the edge of the surroundings `wide` to 70 km, for the horizon."""
+def far_radii(half: float) -> Float64Array:
+    """The 92 radii of `far_surface` about surroundings of twice `half` metres; out to three times `half` each ring goes
+    over from a square to a circle."""
+    return np.concatenate([[0.97 * half, 1.0 * half], np.geomspace(1.1 * half, _HORIZON, 90)])
+
+
+def far_surface(
+    wide: HeightField, seed: int, center: Float64Array, bend: float
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """x, y, z (92, 721), from the inside out and round, of a plain with mountain ranges from the edge of the
+    surroundings `wide` to 70 km, sunk as `bend` has it."""
     g = wide.geometry
     middle = np.array([(g.x_min + g.x_max) / 2, (g.y_min + g.y_max) / 2])
     half = (g.x_max - g.x_min) / 2
     edge = float(np.median(np.concatenate([wide.elevation[[0, -1]].ravel(), wide.elevation[:, [0, -1]].ravel()])))
-    radius = np.concatenate([[0.97 * half, 1.0 * half], np.geomspace(1.1 * half, _HORIZON, 90)])
-    angle = np.linspace(0, 2 * np.pi, 721)
+    radius, angle = far_radii(half), np.linspace(0, 2 * np.pi, 721)
     # A square inner edge that follows the surroundings' border, a circle far out
     square = 1 / np.maximum(np.abs(np.cos(angle)), np.abs(np.sin(angle)))
     blend = np.clip((radius[:, None] - half) / (2 * half), 0, 1)
@@ -140,9 +148,15 @@ def far_ranges(wide: HeightField, colors: Reflectances, seed: int, center: Float
     )
     z[0] = edge - 120.0
     z -= _drop(x, y, center, bend)
+    return x, y, z
+
+
+def far_ranges(wide: HeightField, colors: Reflectances, seed: int, center: Float64Array, bend: float) -> Triangles:
+    """The mountain ranges of `far_surface`, for the horizon."""
+    x, y, z = far_surface(wide, seed, center, bend)
     color = 0.62 * colors.chamise + 0.2 * colors.grass + 0.18 * colors.soil
     tint = 1 + 0.5 * noise_fields.at_points(x.ravel(), y.ravel(), 1500.0, seed + 507)[:, None]
     vertices = np.stack([x, y, z], axis=-1).reshape(-1, 3)
-    faces = _grid_faces(np.ones((len(radius) - 1, len(angle) - 1), bool))
+    faces = _grid_faces(np.ones((x.shape[0] - 1, x.shape[1] - 1), bool))
     shades = np.clip(color * tint, 0.02, 0.6)
     return Triangles(vertices.astype(np.float32), faces, colors=shades.astype(np.float32))

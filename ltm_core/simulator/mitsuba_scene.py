@@ -29,7 +29,7 @@ EARTH_RADIUS = 6_371_000.0  # m
 REFRACTION = 0.13
 _KINDS = (BARE, BUILT, GRASS, SHRUB, TREE)
 _SITE_TEXEL, _WIDE_TEXEL = 2.0, 8.0  # m
-_SURROUNDINGS_SINK = 1.5  # m, so that they stay under the site along its border
+SURROUNDINGS_SINK = 1.5  # m, so that they stay under the site along its border
 
 
 def mitsuba() -> Any:
@@ -158,7 +158,7 @@ class SceneBuilder:
         whole = np.ones((site.geometry.height - 1, site.geometry.width - 1), bool)
         pieces: list[tuple[Triangles, Any]] = [
             (field_triangles(site, whole, center, bend, parts=twist_parts(site.elevation)), self._site_ground),
-            (field_triangles(wide, ~under(wide, site), center, bend, sink=_SURROUNDINGS_SINK), self._wide_ground),
+            (field_triangles(wide, ~under(wide, site), center, bend, sink=SURROUNDINGS_SINK), self._wide_ground),
             (far_ranges(wide, self.colors, self.scenario.seed, center, bend), self._leaf),
         ]
         groups = []

@@ -5,6 +5,8 @@ frames.json                 scenario, CRS, origin, dates; of each frame its true
 NNNN.png, NNNN_labels.png   the picture; class ids of every truth_step-th pixel
 NNNN_truth.npz              range_surface, range_ground (slant metres, +inf sky), labels, at the same pixels
 dem.tif                     the DEM handed to the system: an outdated copy of the first date's ground
+dem_around.tif              a coarser one of the range about the site
+dem_region.tif              a coarse one to the mountains on the horizon
 fuel_truth.tif              class ids on the 30 m grid at the first date (edges = 15 mod 30, 255 none)
 truth/DATE/                 the site at each date; all GeoTIFFs are in the scenario's CRS
     ground.tif              the ground's own cells: bilinear between their centres, it is what is rendered
@@ -29,8 +31,10 @@ import numpy as np
 
 from ltm_core.errors import ImageError
 from ltm_core.raster.raster_io import write_geotiff
+from ltm_core.simulator.mitsuba_scene import SURROUNDINGS_SINK
 from ltm_core.simulator.outdated import outdated_dem
 from ltm_core.simulator.rasters import UNKNOWN, SiteRasters, site_change
+from ltm_core.simulator.regional_dem import regional_dem
 from ltm_core.simulator.run import SimulatedFrame, SimulatedSite
 from ltm_core.simulator.scenario import Scenario
 from ltm_core.simulator.sensors import Report
@@ -48,11 +52,16 @@ _COLORS = {
 
 
 def write_site(out: Path, scenario: Scenario, site: SimulatedSite, truth: SiteRasters) -> None:
-    """`dem.tif` and `fuel_truth.tif` of the first date's site and its rasters."""
+    """`dem.tif`, `dem_around.tif`, `dem_region.tif` and `fuel_truth.tif` of the first date's site and its rasters."""
     out.mkdir(parents=True, exist_ok=True)
     x0, y0 = scenario.origin
     elevation, geometry = outdated_dem(site.terrain.site, scenario.dem, scenario.seed)
     write_geotiff(out / "dem.tif", elevation, geometry.translated(x0, y0, scenario.crs))
+    elevation, geometry = outdated_dem(site.terrain.surroundings, scenario.dem_around, scenario.seed + 7)
+    elevation -= np.float32(SURROUNDINGS_SINK)  # as it is rendered
+    write_geotiff(out / "dem_around.tif", elevation, geometry.translated(x0, y0, scenario.crs))
+    elevation, geometry = regional_dem(site.terrain, scenario.seed)
+    write_geotiff(out / "dem_region.tif", elevation, geometry.translated(x0, y0, scenario.crs))
     write_geotiff(out / "fuel_truth.tif", truth.life_form, truth.coarse, nodata=UNKNOWN, colormap=_COLORS)
 
 
@@ -156,6 +165,7 @@ def write_index(out: Path, scenario: Scenario, entries: list[dict[str, Any]]) ->
         "truth_step": scenario.truth_step,
         "curvature": scenario.curvature,
         "jpeg_quality": scenario.imaging.jpeg_quality,
+        "walks": [{"name": w.name, "geoid_undulation": w.geoid_undulation} for w in scenario.walks],
         "dates": [{"name": d.name, "years": d.years} for d in scenario.dates],
         "frames": sorted(entries, key=lambda e: (e["stamp_ns"], e["camera_name"])),
     }

@@ -26,6 +26,7 @@ from ltm_core.simulator.terrain_synthesis import SyntheticTerrain, make_terrain,
 from ltm_core.simulator.truth import FrameTruth, frame_truth
 from ltm_core.simulator.vegetation import Planting
 from ltm_core.simulator.viewpoints import draw_viewpoints
+from ltm_core.simulator.walks import walk_photos
 from ltm_core.simulator.weather import mirrored, smoke
 from ltm_core.simulator.works import with_lakes
 from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
@@ -143,6 +144,14 @@ def plan_shots(scenario: Scenario, site: SimulatedSite, date: DateConfig | None 
             report = sensors.report(pose, stamp)
             if report is not None:
                 shots.append(Shot(setup.name, camera, pose, stamp, height - ground, date.name, report))
+    for walk in scenario.walks:
+        sensors = SensorModel(walk.sensors(), f"{walk.name} {date.name}", scenario.seed)
+        for seconds, pose, portrait in walk_photos(walk, site.terrain.site, scenario.seed):
+            stamp = start + round(seconds * 1e9)
+            report = sensors.report(pose, stamp)
+            if report is not None:
+                camera = scenario.camera_model(walk.hfov_deg, portrait)
+                shots.append(Shot(walk.name, camera, pose, stamp, walk.eye, date.name, report))
     if scenario.views is not None:
         for place, views in enumerate(draw_viewpoints(site.terrain.site, scenario.views, scenario.seed)):
             for v in views:

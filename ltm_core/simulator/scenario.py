@@ -11,7 +11,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from ltm_core.camera import Camera
-from ltm_core.simulator.camera_setup import CameraSetup, ImagingConfig, ViewsConfig
+from ltm_core.simulator.camera_setup import CameraSetup, ImagingConfig, ViewsConfig, WalkConfig
 from ltm_core.simulator.changes import Change, Strict
 
 LAST_NS = 2**31 * 10**9 - 1
@@ -164,9 +164,11 @@ class Scenario(Strict):
     smoke: list[SmokeConfig] = Field([])
     lakes: list[LakeConfig] = Field([])
     dem: OutdatedDemConfig = OutdatedDemConfig()
+    dem_around: OutdatedDemConfig = OutdatedDemConfig(resolution=10.0, sigma=1.0)  # of the range about the site
     dates: list[DateConfig] = Field([DateConfig(name="now")], min_length=1)
     changes: list[Change] = Field([])
     cameras: list[CameraSetup] = Field([])
+    walks: list[WalkConfig] = Field([])
     views: ViewsConfig | None = None
 
     @field_validator("crs")
@@ -182,9 +184,9 @@ class Scenario(Strict):
 
     @model_validator(mode="after")
     def _something_to_see(self) -> Scenario:
-        if not self.cameras and self.views is None:
-            raise ValueError("no camera: give `cameras` or `views`")
-        names = [c.name for c in self.cameras]
+        if not self.cameras and not self.walks and self.views is None:
+            raise ValueError("no camera: give `cameras`, `walks` or `views`")
+        names = [c.name for c in self.cameras] + [w.name for w in self.walks]
         if len(set(names)) != len(names):
             raise ValueError(f"camera names must differ, got {names}")
         dates = [d.name for d in self.dates]
@@ -224,6 +226,7 @@ class Scenario(Strict):
                     f"y {y_min:g} .. {y_max:g}, outside the site {within}; draw it inside"
                 )
         points = [(f"cameras.{i}: {c.name}", c.x, c.y) for i, c in enumerate(self.cameras)]
+        points += [(f"walks.{i}: {w.name}'s path", x, y) for i, w in enumerate(self.walks) for x, y in w.path]
         points += [(f"smoke.{i}: the column", column.x, column.y) for i, column in enumerate(self.smoke)]
         for i, date in enumerate(self.dates):
             points += [(f"dates.{i}: smoke", column.x, column.y) for column in date.smoke or []]
@@ -246,7 +249,11 @@ class Scenario(Strict):
             own["vegetation"] = self.vegetation.model_copy(update={"green": date.green})
         return self.model_copy(update=own)
 
-    def camera_model(self, hfov_deg: float) -> Camera:
-        """The camera of this scenario's image size and lens; `hfov_deg` is its field of view without distortion."""
-        plain = Camera.from_fov(self.image.width, self.image.height, hfov_deg)
+    def camera_model(self, hfov_deg: float, portrait: bool = False) -> Camera:
+        """The camera of this scenario's image size and lens; `hfov_deg` is its field of view without distortion.
+        `portrait`: the same turned by a quarter."""
+        width, height = self.image.width, self.image.height
+        plain = Camera.from_fov(width, height, hfov_deg)
+        if portrait:
+            plain = Camera(height, width, plain.fx, plain.fy, (height - 1) / 2, (width - 1) / 2)
         return replace(plain, distortion=self.imaging.distortion)

@@ -15,7 +15,7 @@ from ltm_core.text_io import read_text
 from ltm_core.yaml_io import LARGEST_FILE, parse_yaml
 
 _PLACE = re.compile(
-    r"\b(changes|lakes|cameras|dates|smoke)\.(\d+)|\b(terrain)\.(dem|surroundings)\b|\b(vegetation)\.(fuel)\b"
+    r"\b(changes|lakes|cameras|walks|dates|smoke)\.(\d+)|\b(terrain)\.(dem|surroundings)\b|\b(vegetation)\.(fuel)\b"
 )
 
 

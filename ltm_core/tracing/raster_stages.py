@@ -7,7 +7,9 @@ finest, and from there outwards to the coarsest, and in between leaves each one 
 
 from __future__ import annotations
 
+import threading
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numba import njit
@@ -30,10 +32,23 @@ class _Window(NamedTuple):
     south: float
 
 
+_known: WeakKeyDictionary[Dem, dict[PossibleGround, tuple[TerrainRaster, ...]]] = WeakKeyDictionary()
+_highest: WeakKeyDictionary[Dem, float] = WeakKeyDictionary()
+_one_at_a_time = threading.Lock()
+
+
 def grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
-    """What the kernels know of each level, finest first, and of unknown ground. Raises RasterError for infinite
-    heights.
+    """What the kernels know of each level, finest first, and of unknown ground; the same for all who ask while the
+    terrain is in use. Raises RasterError for infinite heights.
     """
+    with _one_at_a_time:
+        made = _known.setdefault(dem, {})
+        if possible not in made:
+            made[possible] = _grounds(dem, possible)
+        return made[possible]
+
+
+def _grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
     made: list[TerrainRaster] = []
     highest = highest_possible(dem, possible)
     top = highest
@@ -54,7 +69,10 @@ def grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
 
 def highest_possible(dem: Dem, possible: PossibleGround) -> float:
     """Metres above which there is no ground outside the DEM."""
-    return possible.limit(max(float(np.fmax.reduce(level.elevation, axis=None)) for level in dem.levels))
+    highest = _highest.get(dem)
+    if highest is None:
+        highest = _highest[dem] = max(float(np.fmax.reduce(level.elevation, axis=None)) for level in dem.levels)
+    return possible.limit(highest)
 
 
 def stages(

@@ -30,7 +30,6 @@ pyramid (`pyramid_traversal`). Both give the same answer for every ray.
 
 from __future__ import annotations
 
-import threading
 from dataclasses import replace
 from typing import Literal
 
@@ -41,6 +40,7 @@ from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import PoseError
 from ltm_core.geodesy import ray_bend
+from ltm_core.kernel_launch import ONE_LAUNCH
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
 from ltm_core.tracing.caches import BoundedCache, TracerStatistics
@@ -51,8 +51,6 @@ from ltm_core.tracing.pyramid_traversal import FRESH, OVER_KNOWN, trace_directio
 from ltm_core.tracing.raster_stages import filled_corners, grounds, highest_possible, stages
 from ltm_core.types import Float32Array, Float64Array
 
-# Numba's fallback threading layer dies when two threads launch parallel kernels at once.
-_ONE_LAUNCH = threading.Lock()
 # Fewer pixels than this do not repay the profile of a position that may never be seen again.
 _FEW_PIXELS = 40_000
 _MARK_EVERY = 8  # pixels
@@ -68,7 +66,7 @@ class TerrainTracer:
     """Traces images over one DEM.
 
     Args:
-        dem: the terrain, in the frame of the poses. Adds a twelfth of its elevations' memory.
+        dem: the terrain, in the frame of the poses. Adds a twelfth of its elevations' memory, once for all its tracers.
         curvature: bend rays for the earth's curvature and refraction.
         refraction: coefficient k; 0.13 is the surveyors' daytime mean.
         possible: how high the ground may be where the DEM does not know it.
@@ -118,7 +116,7 @@ class TerrainTracer:
                 self._frames.put(seen, ranges)
         else:
             profile_hit = False
-        with _ONE_LAUNCH:
+        with ONE_LAUNCH:
             self._counts = replace(
                 self._counts,
                 frames=self._counts.frames + 1,
@@ -139,7 +137,7 @@ class TerrainTracer:
         rotation = np.ascontiguousarray(pose.rotation, np.float64)
         ranges = np.full((camera.height, camera.width), OVER_KNOWN, np.float32)
         profile: list[Wedges] = []
-        with _ONE_LAUNCH:
+        with ONE_LAUNCH:
             marked = np.zeros(4 * WEDGES_A_FACE // SECTOR, np.bool_)
             mark_sectors(rays, rotation, _MARK_EVERY, marked)
             wanted = (np.flatnonzero(marked)[:, None] * SECTOR + np.arange(SECTOR)).ravel()
@@ -186,7 +184,7 @@ class TerrainTracer:
     def _trace(self, origin: Float64Array, rotation: Float64Array, rays: Float64Array) -> Float32Array:
         ranges = np.full(len(rays), FRESH, np.float32)
         turned = np.ascontiguousarray(rotation, np.float64)
-        with _ONE_LAUNCH:
+        with ONE_LAUNCH:
             for number, (level, stage) in enumerate(stages(self.dem, origin, self.bend, *self._beyond)):
                 trace_directions(self._grounds[level], stage, turned, rays, number == 0, ranges)
         return ranges

@@ -1,8 +1,10 @@
 """Runs one ONNX network in ONNX Runtime, on one image at a time; file and tensors are checked when it is opened."""
 
 import hashlib
+import threading
 from pathlib import Path
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -12,11 +14,16 @@ from ltm_core.errors import ModelError
 from ltm_core.types import Float32Array
 from ltm_core.vision.manifest import Manifest
 
+_sessions: WeakValueDictionary[tuple[str, int], ort.InferenceSession] = WeakValueDictionary()
+_one_at_a_time = threading.Lock()
+
 _ELEMENT_TYPES = {"float32": "tensor(float)", "uint8": "tensor(uint8)"}
 
 
 class OnnxModel:
     """The network of a manifest, its file's checksum and its tensors compared with what the manifest states.
+
+    Several threads may run it at once. A file is in memory once a process, for all who open it with as many threads.
 
     Raises ModelError, with what was expected and what was found, when the file is absent, has another checksum,
     is not an ONNX network that the runtime can load, or has other inputs or outputs.
@@ -32,7 +39,12 @@ class OnnxModel:
                 f"model {manifest.name!r}: {self.path} has sha256 {found}, expected {manifest.sha256}; "
                 "fetch the file again, or state the new checksum if the network was changed on purpose"
             )
-        self._session = _session(content, self.path, threads)
+        # Who opens the same file in this process gets the same session, which any number of threads may run.
+        with _one_at_a_time:
+            session = _sessions.get((found, threads))
+            if session is None:
+                session = _sessions[found, threads] = _session(content, self.path, threads)
+        self._session = session
         self._input_name = self._checked_input()
         self._output_name = self._checked_output()
         # A file with heads of labels and of depth computes only the one that is asked for.

@@ -50,7 +50,8 @@ def _interpolate(
 ) -> None:
     classes, rows, cols = probabilities.shape
     height, width = winner.shape
-    line = np.empty(cols + 1, dtype=np.float32)
+    lines = np.empty((classes, cols + 1), dtype=np.float32)
+    peaks = np.empty(classes, dtype=np.float32)
     best = np.empty(width, dtype=np.float32)
     for row in range(height):
         upper = row_first[row]
@@ -59,13 +60,30 @@ def _interpolate(
         for k in range(classes):
             for col in range(cols):
                 above = probabilities[k, upper, col]
-                line[col] = above + down * (probabilities[k, lower, col] - above)
-            line[cols] = line[cols - 1]
-            if k == 0:
+                lines[k, col] = above + down * (probabilities[k, lower, col] - above)
+            lines[k, cols] = lines[k, cols - 1]
+            peaks[k] = lines[k].max()
+        # Between two samples the winner has at least half of what the weaker of their winners has; a class that has
+        # less all along the row wins nowhere in it.
+        least = np.float32(1.0)
+        for col in range(cols):
+            highest = lines[0, col]
+            for k in range(1, classes):
+                highest = max(highest, lines[k, col])
+            least = min(least, highest)
+        # Networks may give probabilities a thousandth below 0.
+        least = least * np.float32(0.49) if least > np.float32(0.05) else np.float32(-1.0)
+        first = True
+        for k in range(classes):
+            if peaks[k] < least:
+                continue
+            line = lines[k]
+            if first:
+                first = False
                 for col in range(width):
                     left = line[col_first[col]]
                     best[col] = left + col_weight[col] * (line[col_first[col] + 1] - left)
-                    winner[row, col] = 0
+                    winner[row, col] = k
             else:
                 for col in range(width):
                     left = line[col_first[col]]

@@ -1,6 +1,7 @@
 """`ltm bench graph`: load test of a site's whole graph with the demo's frames, through real DDS.
 
-Measures how many frames are finished, how many are shed, the latency to the fuel map, and processor time by job.
+Measures how many frames are finished, how many are shed, the latency to the fuel map, processor time by job, memory by
+process, and what the graph costs while nothing comes.
 """
 
 from __future__ import annotations
@@ -23,9 +24,10 @@ import numpy as np
 from ltm_core.errors import LtmError
 from ltm_core.resources import project_path
 from ltm_core.site_io import load_site
-from ltm_ros.bench.graph_site import NAME, write_site
+from ltm_ros.bench.graph_site import NAME, Load, write_site
 from ltm_ros.bench.listener import Listener
-from ltm_ros.launching.graph import describe
+from ltm_ros.bench.process_usage import Usage, usage_of
+from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.ros_environment import apply_to_process, ros_environment
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.watchdog import process_use
@@ -36,6 +38,8 @@ WARM_UP = 2
 QUIET_S = 6.0
 """Without any update of the map, after which no more will come."""
 LONGEST_SETTLE_S = 60.0
+IDLE_S = 5.0
+"""For which it is measured what the graph takes while nothing comes."""
 
 Summaries = Mapping[str, Mapping[str, str]]
 
@@ -45,7 +49,14 @@ class GraphResult:
     """One run. Counts are of frames of all cameras; latencies in seconds, from the stamp to `fuel_map/update`."""
 
     cameras: int
+    processes: str
+    """Layout: `site` or `node`."""
     fusion: bool
+    width: int
+    """Of the photos, pixels."""
+    patrol: bool
+    """Whether the cameras turn."""
+    dem_cells: int
     offered_hz: float
     """Of each camera."""
     seconds: float
@@ -73,7 +84,18 @@ class GraphResult:
     fusion."""
     fused_p95_s: float | None
     cpu_ms_a_frame: dict[str, float]
-    """Processor time by job and in `all`, over the frames that were finished; of starting nothing is in it."""
+    """Processor time by job and in `all`, over the frames that were finished; of starting nothing is in it. What a
+    process that nodes share takes besides their work stands under its own name."""
+    idle_cpu_ms_s: float
+    """Processor time of all processes, before the run, while nothing came: ms a second."""
+    pss_mb: dict[str, float]
+    """Memory after the run by process, of the cameras' nodes in sum, and in `all`; shared pages are counted once."""
+    grown_pss_mb: float
+    """Of all processes, from before the run, after the first frames of each camera, to its end; so the next two."""
+    grown_descriptors: int
+    grown_threads: int
+    ready_s: float
+    """From the start until every node had reported."""
     load_average: float
     """Of the minute before the run: what else the machine had to do."""
     cameras_late_s: float
@@ -89,48 +111,63 @@ class GraphResult:
         return asdict(self) | {"lost": self.lost}
 
 
-def run_graph(
-    cameras: int, rate: float, seconds: float, fusion: bool = True, domain_id: int | None = None
-) -> GraphResult:
-    """The graph of `cameras`, each of which sends `rate` frames a second for `seconds`. Raises LtmError where it does
-    not run."""
+def run_graph(load: Load, rate: float, seconds: float, domain_id: int | None = None) -> GraphResult:
+    """The graph of `load`, each of whose cameras sends `rate` frames a second for `seconds`. Raises LtmError where it
+    does not run."""
     apply_to_process(domain_id)
     with tempfile.TemporaryDirectory(prefix="ltm-bench-") as name:
         folder = Path(name)
-        traffic = write_site(folder, project_path("bags/demo"), cameras, fusion)
-        graph = describe(
-            load_site(traffic.site), traffic.site, parameters={"fuel_map": {"folder": str(folder / "kept")}}
-        )
+        traffic = write_site(folder, project_path("bags/demo"), load)
+        site = load_site(traffic.site)
+        graph = describe(site, traffic.site, parameters={"fuel_map": {"folder": str(folder / "kept")}})
         runner = Runner(graph, domain_id=domain_id, log_folder=folder / "log", console=lambda line: None)
         with runner, Listener(NAME) as listener:
+            started = time.monotonic()
             runner.wait_until_ready(READY_S)
+            ready_s = time.monotonic() - started
             with _cameras(folder, traffic.cameras, domain_id) as sender:
-                warmed = _stream(sender, WARM_UP, 2.0 * cameras)
+                warmed = _stream(sender, WARM_UP, 2.0 * load.cameras)
                 _settle(listener, {stamp for stamps in warmed["sent"].values() for stamp in stamps})
-                before, cpu = dict(listener.summaries), _cpu_by_job(runner)
-                load = os.getloadavg()[0]
+                idle_ms_s, at_first = _idle_cpu_ms_s(runner), _usage(runner)
+                busy = os.getloadavg()[0]
+                before, cpu = dict(listener.summaries), _cpu_by_process(runner)
                 report = _stream(sender, max(1, round(seconds * rate)), 1.0 / rate)
                 sent: dict[str, list[int]] = report["sent"]
                 _settle(listener, {stamp for stamps in sent.values() for stamp in stamps})
-                after, cpu_after = dict(listener.summaries), _cpu_by_job(runner)
+                after, cpu_after = dict(listener.summaries), _cpu_by_process(runner)
+                at_last = _usage(runner)
             restarted = [label for label, process in runner.processes.items() if process.starts > 1]
             if restarted:
                 raise LtmError(f"died and were started again: {', '.join(restarted)}")
-            spent = {job: cpu_after[job] - cpu[job] for job in cpu}
-            return _result(rate, seconds, fusion, sent, listener.arrived, before, after, spent, load, report["late"])
+            spent = {process: cpu_after[process] - cpu[process] for process in cpu}
+            measured = {
+                "offered_hz": rate,
+                "seconds": seconds,
+                "width": load.width,
+                "patrol": load.patrol,
+                "dem_cells": site.open_dem().elevation.size,
+                "processes": site.processes,
+                "idle_cpu_ms_s": idle_ms_s,
+                "pss_mb": _pss_mb(at_last),
+                "grown_pss_mb": _pss_mb(at_last)["all"] - _pss_mb(at_first)["all"],
+                "grown_descriptors": _total(at_last, "descriptors") - _total(at_first, "descriptors"),
+                "grown_threads": _total(at_last, "threads") - _total(at_first, "threads"),
+                "ready_s": ready_s,
+                "load_average": busy,
+                "cameras_late_s": report["late"],
+            }
+            jobs = _cpu_by_job(graph, spent, before, after)
+            return _result(load.fusion, sent, listener.arrived, before, after, jobs, measured)
 
 
 def _result(
-    rate: float,
-    seconds: float,
     fusion: bool,
     sent: Mapping[str, list[int]],
     arrived: Mapping[int, float],
     before: Summaries,
     after: Summaries,
     cpu_s: Mapping[str, float],
-    load: float,
-    late: float,
+    measured: Mapping[str, Any],
 ) -> GraphResult:
     def counted(camera: str, node: str, key: str) -> int:
         name = f"/{NAME}/{camera}/{node}"
@@ -163,8 +200,6 @@ def _result(
     return GraphResult(
         cameras=len(sent),
         fusion=fusion,
-        offered_hz=rate,
-        seconds=seconds,
         finished=sum(finished),
         least_finished=min(finished),
         latency_p50_s=float(p50),
@@ -174,9 +209,7 @@ def _result(
         fused_p50_s=fused_latency("latency_p50_ms"),
         fused_p95_s=fused_latency("latency_p95_ms"),
         cpu_ms_a_frame=per_frame | {"all": sum(per_frame.values())},
-        load_average=load,
-        cameras_late_s=late,
-        **{key: total[key] for key in ("offered", "admitted", "shed", "voted", "fused", "unlabelled", "stored")},
+        **dict(measured) | total,
     )
 
 
@@ -221,10 +254,41 @@ def _stream(sender: subprocess.Popen[str], frames: int, period: float) -> dict[s
     return report
 
 
-def _cpu_by_job(runner: Runner) -> dict[str, float]:
-    """Processor seconds so far, by type of node."""
-    spent: defaultdict[str, float] = defaultdict(float)
-    for label, process in runner.processes.items():
-        if process.pid is not None:
-            spent[label.rpartition("/")[2]] += process_use(process.pid).cpu_s
-    return spent
+def _cpu_by_process(runner: Runner) -> dict[str, float]:
+    """Processor seconds so far, by label."""
+    return {label: process_use(process.pid).cpu_s for label, process in runner.processes.items() if process.pid}
+
+
+def _cpu_by_job(graph: Graph, spent: Mapping[str, float], before: Summaries, after: Summaries) -> dict[str, float]:
+    """Processor seconds by type of node; of a shared process as its nodes state them, the rest under its label."""
+    jobs: defaultdict[str, float] = defaultdict(float)
+    for process in graph.processes:
+        rest = spent[process.label]
+        for node in process.nodes if process.shared else ():
+            stated = [float(said.get(node.full_name, {}).get("cpu_s", "0")) for said in (before, after)]
+            jobs[node.name] += stated[1] - stated[0]
+            rest -= stated[1] - stated[0]
+        jobs[process.label if process.shared else process.nodes[0].name] += rest
+    return dict(jobs)
+
+
+def _idle_cpu_ms_s(runner: Runner) -> float:
+    before, since = _cpu_by_process(runner), time.monotonic()
+    time.sleep(IDLE_S)
+    used = sum(_cpu_by_process(runner).values()) - sum(before.values())
+    return 1000 * used / (time.monotonic() - since)
+
+
+def _usage(runner: Runner) -> dict[str, Usage]:
+    return usage_of({label: process.pid for label, process in runner.processes.items() if process.pid})
+
+
+def _total(found: Mapping[str, Usage], what: str) -> int:
+    return sum(getattr(use, what) for use in found.values())
+
+
+def _pss_mb(found: Mapping[str, Usage]) -> dict[str, float]:
+    by_process: defaultdict[str, float] = defaultdict(float)
+    for label, use in found.items():
+        by_process["cameras" if "/" in label else label] += use.pss * 1024 / 1e6
+    return dict(by_process) | {"all": sum(by_process.values())}

@@ -17,7 +17,7 @@ from rclpy.node import Node
 from ltm_ros.bench.graph_site import NAME, SENT
 from ltm_ros.bench.network_towers import stamped
 from ltm_ros.launching.dds_shutdown import limit_shutdown
-from ltm_ros.runtime.node import stream_qos
+from ltm_ros.runtime.outlet_node import stream_qos
 from ltm_ros.runtime.topics import camera_topic
 
 PATIENCE_S = 120.0

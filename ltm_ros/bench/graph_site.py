@@ -2,19 +2,45 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
+import cv2
+import numpy as np
 import yaml
+from rclpy.serialization import deserialize_message, serialize_message
 
+from ltm_core.dem import Dem
 from ltm_core.site import Site
 from ltm_core.site_io import load_site
 from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
+from ltm_msgs_py.image import compressed_to_msg, compressed_to_rgb, encode_rgb
+from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
 
+Layout = Literal["site", "node"]
 NAME = "bench"
 SENT = {"info": CAMERA_INFO, "pose": POSE, "image": IMAGE_COMPRESSED}
 """What a camera sends of each frame, in this order; the names are the suffixes of its files."""
+
+
+@dataclass(frozen=True)
+class Load:
+    """What a site of the load test consists of.
+
+    `fusion`: whether it has a depth network. `processes`: as in a site file; None: the default there. `patrol`: whether
+    cameras turn as the demo's towers do; else each sends one view again and again. `width`: of the photos, pixels; the
+    demo's are enlarged. `dem_size`: cells a side of the DEM; None: the demo's as it is, else resampled.
+    """
+
+    cameras: int
+    fusion: bool = True
+    processes: Layout | None = None
+    patrol: bool = True
+    width: int = 1920
+    dem_size: int | None = None
 
 
 @dataclass(frozen=True)
@@ -26,30 +52,62 @@ class Traffic:
     frames: int
 
 
-def write_site(folder: Path, demo: Path, cameras: int, fusion: bool = True) -> Traffic:
+def write_site(folder: Path, demo: Path, load: Load) -> Traffic:
     """Site file and serialised frames in `folder`; camera i looks as tower i modulo the number of towers, each of them
-    beginning with another frame. Without `fusion` the site has no depth network."""
+    beginning with another frame."""
     original = load_site(demo / "site.yaml")
-    names = tuple(f"c{number:02d}" for number in range(cameras))
+    names = tuple(f"c{number:02d}" for number in range(load.cameras))
     content = {
         "name": NAME,
         "crs": original.crs,
         "origin": list(original.origin),
-        "dem": {"path": str((demo / "dem.tif").resolve())},
+        "dem": {"path": str(_dem(folder, (demo / "dem.tif").resolve(), load.dem_size))},
         "fuel": {"prior": str((demo / "prior.tif").resolve())},
-        "depth_model": original.depth_model if fusion else "",
+        "depth_model": original.depth_model if load.fusion else "",
         "cameras": {name: {} for name in names},
-    }
+    } | ({} if load.processes is None else {"processes": load.processes})
     path = folder / "site.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    towers = _frames_of(original, BagReader(demo / "recording"))
+    towers = [_enlarged(frames, load.width) for frames in _frames_of(original, BagReader(demo / "recording"))]
     for number, name in enumerate(names):
         frames = towers[number % len(towers)]
+        first = number // len(towers)
         (folder / name).mkdir()
-        for at in range(len(frames)):
-            for part, cdr in frames[(at + number // len(towers)) % len(frames)].items():
+        for at in range(len(frames) if load.patrol else 1):
+            for part, cdr in frames[(at + first) % len(frames)].items():
                 (folder / name / f"{at:03d}.{part}.cdr").write_bytes(cdr)
-    return Traffic(path, names, min(map(len, towers)))
+    return Traffic(path, names, min(map(len, towers)) if load.patrol else 1)
+
+
+def _dem(folder: Path, demo: Path, size: int | None) -> Path:
+    """The demo's, or the same terrain in as many cells as asked for."""
+    if size is None:
+        return demo
+    dem = Dem.open(demo)
+    place = dem.geometry
+    heights = cv2.resize(dem.elevation, (size, size), interpolation=cv2.INTER_LINEAR)
+    finer = replace(place, resolution=place.resolution * place.width / size, width=size, height=size)
+    Dem(np.asarray(heights, np.float32), finer).save(folder / "dem.tif")
+    return folder / "dem.tif"
+
+
+def _enlarged(frames: list[dict[str, bytes]], width: int) -> list[dict[str, bytes]]:
+    """With photos and calibrations of another width, at the same field of view."""
+    return [frame | _resized(frame, width) for frame in frames]
+
+
+def _resized(frame: dict[str, bytes], width: int) -> dict[str, bytes]:
+    info, image = (deserialize_message(frame[part], SENT[part].type) for part in ("info", "image"))
+    camera = msg_to_camera(info)
+    if camera.width == width:
+        return {}
+    larger = camera.resized(width, round(camera.height * width / camera.width))
+    photo = cv2.resize(compressed_to_rgb(image), (larger.width, larger.height), interpolation=cv2.INTER_CUBIC)
+    jpeg = encode_rgb(np.asarray(photo, np.uint8))
+    return {
+        "info": serialize_message(camera_to_msg(larger, stamp_of(info), info.header.frame_id)),
+        "image": serialize_message(compressed_to_msg(jpeg, "jpeg", stamp_of(image), image.header.frame_id)),
+    }
 
 
 def _frames_of(site: Site, reader: BagReader) -> list[list[dict[str, bytes]]]:

@@ -16,7 +16,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from ltm_ros.launching.dds_shutdown import wait_for_quiet
-from ltm_ros.runtime.node import stream_qos
+from ltm_ros.runtime.outlet_node import stream_qos
 from ltm_ros.runtime.topics import FUEL_MAP_UPDATE, site_topic
 
 

@@ -18,7 +18,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
 from ltm_ros.launching.dds_shutdown import limit_shutdown
-from ltm_ros.runtime.node import stream_qos
+from ltm_ros.runtime.outlet_node import stream_qos
 from ltm_ros.runtime.topics import FUEL_VOTES, camera_topic
 
 PATIENCE_S = 60.0

@@ -6,7 +6,7 @@ import os
 import struct
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from ltm_ros.launching.dds_shutdown import wait_for_quiet
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.ros_environment import apply_to_process
 from ltm_ros.launching.runner import Runner
-from ltm_ros.runtime.node import stream_qos
+from ltm_ros.runtime.outlet_node import stream_qos
 from ltm_ros.runtime.topics import LABELS_IMAGE, POSED_IMAGE, camera_topic
 
 IN_FLIGHT = 2  # photos sent and not yet answered: the next one waits at the node, as on a busy tower
@@ -55,6 +55,7 @@ def run_segmentation(
         site.write_text("{name: bench, crs: 'EPSG:32611', origin: [0, 0], dem: {path: dem.tif}, cameras: {one: {}}}\n")
         own: dict[str, Any] = {"model": model, "threads": threads}
         node = describe(load_site(site), site, parameters={"segmentation": own}).node("one/segmentation")
+        node = replace(node, process="")
         graph = Graph("bench", (node,))
         with Runner(graph, domain_id=domain_id, log_folder=folder / "log", console=lambda line: None) as runner:
             runner.wait_until_ready(60.0)

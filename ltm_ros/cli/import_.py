@@ -1,4 +1,4 @@
-"""`ltm import`: makes a recording from photos with a pose file or EXIF."""
+"""`ltm import`: makes a recording from photos, by EXIF, a phone's recording of its sensors, or a pose file."""
 
 from __future__ import annotations
 
@@ -10,44 +10,75 @@ import typer
 
 def import_(
     images: Annotated[
-        list[Path], typer.Option("--images", help="Photo or folder of photos: JPEG, PNG, HEIC. Repeatable.")
+        list[Path],
+        typer.Option(
+            "--images",
+            help="Photo (JPEG, PNG, HEIC), video (MP4, MOV), folder of them, or recording of Sensor Logger, Stray "
+            "Scanner or Record3D. Repeatable.",
+        ),
     ],
     out: Annotated[Path, typer.Option("--out", help="Bag folder to write.")],
     poses: Annotated[
         Path | None,
-        typer.Option("--poses", help="CSV or YAML: name, x y z or lon lat, azimuth_deg, fx, ... Before EXIF."),
+        typer.Option(
+            "--poses",
+            help="CSV or YAML: name, x y z or lon lat, azimuth_deg, fx, ...; or a folder of pose files. Before EXIF.",
+        ),
     ] = None,
     site: Annotated[Path | None, typer.Option("--site", help="Site file: frame, DEM, camera names.")] = None,
     camera: Annotated[str | None, typer.Option("--camera", help="Camera that took the photos.")] = None,
     pitch_deg: Annotated[
         float | None, typer.Option(help="Pitch of photos without one (EXIF has none); else they are refused.")
     ] = None,
+    keep_unknown: Annotated[
+        bool,
+        typer.Option(
+            "--keep-unknown",
+            help="Take photos of unknown direction or pitch as such: nothing is placed by them until a pose is found.",
+        ),
+    ] = False,
     roll_deg: Annotated[float, typer.Option(help="Roll of photos without one; EXIF has none.")] = 0.0,
     height_above_ground: Annotated[float, typer.Option(min=0, help="Metres, where no height is known.")] = 2.0,
+    start_height: Annotated[
+        float | None,
+        typer.Option(help="Metres in the DEM's datum at which a barometer's record begins; else by the terrain."),
+    ] = None,
     geoid_undulation_m: Annotated[
-        float, typer.Option(help="Geoid above ellipsoid, metres, where EXIF altitudes are ellipsoidal.")
-    ] = 0.0,
+        float | None,
+        typer.Option(help="Geoid above ellipsoid, metres, for ellipsoidal altitudes; EXIF's are then taken as such."),
+    ] = None,
     sensor_width_mm: Annotated[
         float | None, typer.Option(min=0.1, help="Long side of the sensor, for EXIF focal lengths in mm.")
     ] = None,
+    focal_35mm: Annotated[
+        float | None, typer.Option("--focal-35mm", min=1, help="Of photos that state none, as on 36 mm wide film.")
+    ] = None,
+    every: Annotated[float, typer.Option(min=0.01, help="Seconds from one frame of a video to the next.")] = 1.0,
     time_zone: Annotated[
         str | None, typer.Option(help="Of EXIF dates that state none and have no GPS stamp, as Europe/Oslo.")
     ] = None,
-    gps_sigma: Annotated[float, typer.Option(min=0.01, help="Metres, of EXIF positions that state no error.")] = 5.0,
+    gps_sigma: Annotated[float, typer.Option(min=0.01, help="Metres, of positions that state no error.")] = 5.0,
     compass_sigma_deg: Annotated[
-        float, typer.Option(min=0.01, help="Of EXIF directions; a phone's compass is 5.5 degrees off in the median.")
+        float,
+        typer.Option(
+            min=0.01, help="Of directions that state no error; a phone's compass is 5.5 degrees off in the median."
+        ),
     ] = 8.2,
     tilt_sigma_deg: Annotated[float, typer.Option(min=0.01, help="Of an assumed pitch or roll.")] = 3.0,
+    write_photos: Annotated[
+        Path | None,
+        typer.Option(help="Also write the upright photos and poses.csv of what is known, for `ltm pose --photo`."),
+    ] = None,
     skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Leave out photos that cannot be taken.")] = False,
 ) -> None:
-    """Make a bag from photos: image_raw/compressed, camera_info and pose, ready for `ltm replay`."""
+    """Make a bag from photos and recordings of phones: image_raw/compressed, camera_info and pose with covariance."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
     from rich.table import Table
 
     from ltm_core.site_io import load_site
+    from ltm_ros.importer.assumptions import Assumptions
     from ltm_ros.importer.build import import_photos
-    from ltm_ros.importer.georeference import Assumptions
     from ltm_ros.importer.photo_time import time_zone as zone_named
 
     zone = zone_named(time_zone) if time_zone is not None else None
@@ -71,9 +102,14 @@ def import_(
                 gps_sigma,
                 compass_sigma_deg=compass_sigma_deg,
                 tilt_sigma_deg=tilt_sigma_deg,
+                keep_unknown=keep_unknown,
+                start_height=start_height,
+                focal_35mm=focal_35mm,
+                every=every,
             ),
             skip_bad,
             lambda done, total: bar.update(task, completed=done, total=total),
+            write_photos,
         )
     by_note: dict[str, list[str]] = {}
     for name, note in report.notes:

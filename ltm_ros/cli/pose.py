@@ -1,4 +1,4 @@
-"""`ltm pose`: fits a camera's pose and calibration to ground control points."""
+"""`ltm pose`: finds a camera's pose in its photo, or fits it and its calibration to ground control points."""
 
 from __future__ import annotations
 
@@ -19,14 +19,38 @@ if TYPE_CHECKING:
 
 
 def pose(
-    gcps: Annotated[Path, typer.Option(help="CSV of control points: id, x, y, z (or lon, lat, z), u, v.")],
-    pose_guess: Annotated[Path, typer.Option(help="Pose file of what is known: position, camera; angles if they are.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Pose file to write; `ltm trace --pose` reads it.")],
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", help="Pose file to write; `ltm trace --pose` reads it. With --poses a folder."),
+    ],
+    pose_guess: Annotated[
+        Path | None, typer.Option(help="Pose file of what is known: position, camera; angles if they are.")
+    ] = None,
+    photo: Annotated[
+        Path | None, typer.Option(help="Photo whose skyline and ridges show its pose; with --poses a folder of them.")
+    ] = None,
+    gcps: Annotated[
+        Path | None, typer.Option(help="CSV of control points: id, x, y, z (or lon, lat, z), u, v.")
+    ] = None,
     dem: Annotated[
         list[Path] | None,
-        typer.Option(help="Elevation raster: the points are traced to it too; again for coarser ones around it."),
+        typer.Option(help="Elevation raster, needed with --photo; again for coarser ones around it."),
     ] = None,
-    free: Annotated[str, typer.Option(help="Fitted besides the angles: focal, k1, position; or none.")] = "focal,k1",
+    poses: Annotated[Path | None, typer.Option(help="Photo list (CSV, YAML) of what is known of each photo.")] = None,
+    mount: Annotated[
+        bool, typer.Option("--mount", help="With --poses: one head's presets, or one camera's days: one correction.")
+    ] = False,
+    labels: Annotated[
+        Path | None, typer.Option(help="With --photo: PNG of class ids instead of the segmentation network's.")
+    ] = None,
+    model: Annotated[str, typer.Option(help="Segmentation network; default: the shipped one.")] = "",
+    canopy: Annotated[
+        bool, typer.Option("--canopy", help="The DEM is a surface with the tops of trees, not bare earth.")
+    ] = False,
+    free: Annotated[
+        str | None,
+        typer.Option(help="Fitted besides the angles: focal, k1, position; or none. Default: focal,k1 with --gcps."),
+    ] = None,
     force: Annotated[
         str, typer.Option(help="Fitted however badly the points determine it: focal, k1, position.")
     ] = "none",
@@ -35,22 +59,117 @@ def pose(
     ] = 0.0,
     position_sigma: Annotated[float | None, typer.Option(help="How well the position is known, metres.")] = None,
     sigma_px: Annotated[float, typer.Option(help="What a marked pixel is worth at best, pixels.")] = 1.0,
-    report: Annotated[Path | None, typer.Option(help="JSON with residuals and covariance.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="With --photo: PNG of the terrain's lines over the photo, before and after.")
+    ] = None,
+    report: Annotated[Path | None, typer.Option(help="JSON with residuals, verdict and covariance.")] = None,
     crs: Annotated[str | None, typer.Option(help="CRS of the control points where no DEM states it.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Fit a camera to surveyed points marked in its picture."""
+    """Find a camera's pose: in its photo, by the terrain's skyline and ridges, or from surveyed points marked in it.
+
+    With both, the points' pose is where the search in the photo starts.
+    """
+    from ltm_core.errors import ConfigError
+    from ltm_core.output_io import require_files, require_folder
+
+    if photo is None and gcps is None:
+        raise ConfigError("give --photo (a skyline in the picture), --gcps (surveyed points), or both")
+    if poses is not None:
+        require_folder(out)
+        require_files([] if report is None else [report], overwrite)
+    else:
+        require_files([place for place in (out, report, picture) if place is not None], overwrite)
+    if pose_guess is None and poses is None:
+        raise ConfigError("give --pose-guess, a pose file of what is known (docs/poses.md), or --poses for many photos")
+    if gcps is not None:
+        assert pose_guess is not None  # nosec B101 # tells the type checker what holds
+        fitted = _control_points(
+            gcps, pose_guess, out, dem, free or "focal,k1", force, first_pixel, position_sigma, sigma_px, report, crs
+        )
+        if photo is None:
+            return
+        pose_guess = fitted
+    assert photo is not None  # nosec B101 # tells the type checker what holds
+    if not dem:
+        raise ConfigError("--photo needs --dem, the elevation raster whose skyline it shows")
+    _photos(photo, pose_guess, poses, dem, crs, labels, model, free or "none", canopy, mount, out, picture, report)
+
+
+def _photos(
+    photo: Path,
+    pose_guess: Path | None,
+    poses: Path | None,
+    dem: list[Path],
+    crs: str | None,
+    labels: Path | None,
+    model: str,
+    free: str,
+    canopy: bool,
+    mount: bool,
+    out: Path,
+    picture: Path | None,
+    report: Path | None,
+) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from ltm_core.config_io import load_yaml
+    from ltm_core.errors import ConfigError
+    from ltm_core.pose_estimation.pose_file_io import GuessConfig
+    from ltm_core.raster.dem_stack import open_terrain
+    from ltm_ros.cli.pose_photo import PhotoOptions, guesses_of, search_photos, write_photos
+
+    unknown = set(_names(free)) - {"focal", "position"}
+    if unknown:
+        raise ConfigError(f"--free {free}: a photo's skyline fits focal and position; k1 needs --gcps")
+    if poses is not None:
+        guesses = guesses_of(photo, poses)
+    else:
+        assert pose_guess is not None  # nosec B101 # tells the type checker what holds
+        guesses = {photo: load_yaml(pose_guess, GuessConfig)}
+    terrain = open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])])
+    options = PhotoOptions(labels, model, tuple(_names(free)), canopy, mount)
+    found = search_photos(guesses, terrain, options)
+    write_photos(found, out, picture, report, poses is not None)
+    table = Table("photo", "verdict", "azimuth", "pitch", "roll", "sigma, deg", "from what was given", title="poses")
+    for f in found:
+        angles, given = f.result.pose.angles_deg, f.setup.prior.pose.angles_deg
+        moved = ((angles[0] - given[0] + 180) % 360 - 180, angles[1] - given[1], angles[2] - given[2])
+        sigma = ", ".join(f"{s:.2f}" for s in f.search.verdict.sigma_deg) if f.result.accepted else "as given"
+        table.add_row(f.name, f.word, *(f"{a:.3f}" for a in angles), sigma, ", ".join(f"{m:+.2f}" for m in moved))
+    console = Console()
+    console.print(table)
+    for f in found:
+        if not f.result.accepted:
+            console.print(f"[yellow]{f.name}: {f.word}, the pose stays as given: {f.reason}", highlight=False)
+    console.print(f"  {out}", highlight=False)
+
+
+def _control_points(
+    gcps: Path,
+    pose_guess: Path,
+    out: Path,
+    dem: list[Path] | None,
+    free: str,
+    force: str,
+    first_pixel: float,
+    position_sigma: float | None,
+    sigma_px: float,
+    report: Path | None,
+    crs: str | None,
+) -> Path:
+    """Fit to control points; returns the pose file that was written."""
     from typing import cast
 
     from rich.console import Console
 
     from ltm_core.config_io import load_yaml
     from ltm_core.geodesy import ray_bend
-    from ltm_core.output_io import require_files
+    from ltm_core.pose_estimation.pose_file_io import GuessConfig
     from ltm_core.pose_estimation.resection import resect
     from ltm_core.pose_estimation.resection_adjustment import Parameter
     from ltm_core.pose_estimation.resection_io import (
-        GuessConfig,
         held_notes,
         read_control_points,
         set_up_resection,
@@ -59,7 +178,6 @@ def pose(
     )
     from ltm_core.raster.dem_stack import open_terrain
 
-    require_files([out, *([report] if report is not None else [])], overwrite)
     guess = load_yaml(pose_guess, GuessConfig)
     terrain = open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])]) if dem else None
     setup = set_up_resection(guess, terrain, crs)
@@ -88,6 +206,7 @@ def pose(
     console.print(_parameters(result, setup.camera, setup))
     console.print(_points(result, setup, guess.curvature, guess.refraction))
     console.print(f"  {out}", highlight=False)
+    return out
 
 
 def _names(listed: str) -> list[str]:

@@ -38,7 +38,7 @@ def run(
         Path | None, typer.Option(help="Folder for the nodes' output. Default: a new one in ~/.local/state/ltm.")
     ] = None,
 ) -> None:
-    """Run a site: each node a process, restarted when it dies; Ctrl-C or SIGTERM stops all of them in order.
+    """Run a site: its nodes' processes, restarted when they die; Ctrl-C or SIGTERM stops all of them in order.
 
     What `ltm check` finds wrong ends it before any process starts: exit code 78 where the site file must be mended.
     """
@@ -71,7 +71,8 @@ def run(
         config, site, cameras=only or (), sim_time=sim_time, view=seen, record=recorded, parameters=parameters
     )
     runner = Runner(graph, log_folder=logs or new_log_folder(config.name), domain_id=domain)
-    typer.echo(f"-- {config.name}: {len(graph)} nodes, logs in {runner.log_folder}; Ctrl-C stops them")
+    processes = f"{len(graph)} nodes in {len(graph.processes)} processes"
+    typer.echo(f"-- {config.name}: {processes}, logs in {runner.log_folder}; Ctrl-C stops them")
     if view:
         typer.echo(f"-- live view, as soon as the nodes are up: {_address(graph.node('viewer').parameters)}")
     status = runner.run()

@@ -23,6 +23,10 @@ def simulate(
             help="Also write the frames as a recording (MCAP) with truth topics; of several such dates, in BAG/DATE."
         ),
     ] = None,
+    phone: Annotated[
+        Path | None,
+        typer.Option(help="Also write the scenario's walk as a phone stores it: photos, sensor recording, true poses."),
+    ] = None,
     site_only: Annotated[bool, typer.Option("--site-only", help="Write the rasters only.")] = False,
 ) -> None:
     """Render SCENARIO: pictures with truth (ranges, labels), frames.json, the DEM handed to the system, and true
@@ -92,6 +96,11 @@ def simulate(
             except ConfigError as error:
                 raise located(scenario, error) from error
             begin += len(shots)
+        if phone is not None:
+            from ltm_ros.evaluation.phone_capture import write_phone_capture
+
+            task = progress.add_task(f"{config.name}: photos in {phone}", total=None)
+            write_phone_capture(out, phone, lambda done, total: progress.update(task, completed=done, total=total))
         if bag is not None:
             from ltm_ros.evaluation.simulated_bag import write_simulated_bag
 

@@ -167,13 +167,16 @@ def _padded(picture: RgbImage, height: int) -> RgbImage:
     return np.pad(picture, ((0, missing), (0, 0), (0, 0)), mode="edge")
 
 
+LAYOUTS = {"node": "one process a node", "site": "one process for the nodes of all cameras"}
+
+
 def conditions(site: Site, seconds: float, frames: int) -> list[tuple[str, str]]:
     """What a reader must know to judge the figures."""
     return [
         ("site", f"{site.name}: {len(site.cameras)} camera{'s' * (len(site.cameras) != 1)}, {site.crs}"),
         ("frames", str(frames)),
         ("network", site.model),
-        ("graph", "one process a node, Fast DDS over shared memory"),
+        ("graph", f"{LAYOUTS[site.processes]}, Fast DDS over shared memory"),
         ("wall time", f"{seconds:.0f} s, start of the graph included"),
         ("machine", f"{len(os.sched_getaffinity(0))} cores, {platform.machine()}, Python {platform.python_version()}"),
     ]

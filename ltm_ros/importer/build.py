@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from ltm_core.camera_config import PartialPose
 from ltm_core.config_io import checked
 from ltm_core.errors import ConfigError, ImageError, LtmError, RecordingError
 from ltm_core.geodesy import SiteFrame
@@ -16,8 +18,12 @@ from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_ros.importer.georeference import Assumptions, PlacedPhoto, Surroundings, place
-from ltm_ros.importer.photo import find_photos, read_photo
+from ltm_ros.importer.assumptions import Assumptions, Surroundings
+from ltm_ros.importer.georeference import PlacedPhoto, place
+from ltm_ros.importer.photo import Photo
+from ltm_ros.importer.photo_folder import PhotoFolder
+from ltm_ros.importer.picture import Picture
+from ltm_ros.importer.pictures import find_pictures
 from ltm_ros.importer.pose_file import PhotoPose, read_pose_file
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
 
@@ -47,20 +53,22 @@ def import_photos(
     assumed: Assumptions | None = None,
     skip_bad: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    photos_out: Path | None = None,
 ) -> ImportReport:
     """Write a bag with image_raw/compressed, camera_info and pose with covariance of every photo, by their stamps.
 
-    `images`: photo files and folders. With `poses`, only photos that it names are taken. `site`: frame, DEM, and the
-    cameras, of which fixed ones have pose and calibration there; without it the frame is the UTM zone of the first
-    photo, with an origin near it. `camera`: for photos whose row names none; by default the site's only camera.
-    `skip_bad`: leave photos out that cannot be taken, instead of stopping. `progress(done, total)`: each photo is read
-    twice, to place it and to write it.
+    `images`: photo files, folders of photos, and recordings of phones (`find_pictures`). With `poses`, only photos that
+    it names are taken. `site`: frame, DEM, and the cameras, of which fixed ones have pose and calibration there;
+    without it the frame is the UTM zone of the first photo, with an origin near it. `camera`: for photos whose row
+    names none; by default the site's only camera. `skip_bad`: leave photos out that cannot be taken, instead of
+    stopping. `progress(done, total)`: each photo is read twice, to place it and to write it. `photos_out`: a folder for
+    the upright photos with a list of what is known of them (`PhotoFolder`).
 
     Raises LtmError children, each with photo, value and remedy; the bag is not begun unless every photo is placed.
     """
     assumed = assumed or Assumptions()
     BagWriter.require_free(out)
-    files = find_photos(images)
+    files = find_pictures(images, assumed)
     rows = read_pose_file(poses) if poses is not None else None
     if rows is not None:
         found = len(files)
@@ -74,19 +82,19 @@ def import_photos(
     if rows is not None and len(files) < found:
         report.notes.append((str(poses), f"does not name {found - len(files)} of the {found} photos: left out"))
 
-    placed: list[tuple[str, Path, PhotoPose, int]] = []
+    placed: list[tuple[str, Picture, PhotoPose, int]] = []
     for done, file in enumerate(files):
-        row = rows[file.name] if rows is not None else PhotoPose(name=file.name)
+        row = _row_of(file, rows)
         try:
             name = _camera_name(row, camera, site)
-            item = place(read_photo(file), row, name, around, assumed)
+            item = place(_read(file, row), row, name, around, assumed)
             _check_size(item, name, site)
         except ConfigError:
             raise
         except LtmError as error:
             if not skip_bad:
                 raise
-            report.skipped.append((file, str(error)))
+            report.skipped.append((file.path, str(error)))
         else:
             # Only what orders the photos is kept: a season's photos do not fit in memory.
             placed.append((name, file, row, item.stamp_ns))
@@ -101,9 +109,13 @@ def import_photos(
 
     origin = f"{frame.x_origin!r} {frame.y_origin!r}"
     custom = {"ltm_source": "photos", "ltm_site": report.site, "ltm_crs": frame.crs, "ltm_origin": origin}
-    with BagWriter(out, compression=None, custom_data=custom) as writer:  # JPEG does not get smaller
+    folder = PhotoFolder(photos_out, frame) if photos_out is not None else None
+    with BagWriter(out, compression=None, custom_data=custom) as writer, folder or nullcontext():  # JPEG stays as it is
         for done, (name, file, row, stamp_ns) in enumerate(placed):
-            _write(writer, report.site, name, place(read_photo(file), row, name, around, assumed), stamp_ns)
+            item = place(_read(file, row), row, name, around, assumed)
+            _write(writer, report.site, name, item, stamp_ns)
+            if folder is not None:
+                folder.add(file.name, name, item, stamp_ns)
             report.cameras[name] = report.cameras.get(name, 0) + 1
             progress(len(files) + done + 1, len(files) + len(placed))
     return report
@@ -120,13 +132,32 @@ def _write(writer: BagWriter, site: str, camera: str, item: PlacedPhoto, stamp_n
         writer.write(camera_topic(site, camera, topic), msg, stamp_ns)
 
 
-def _named_in(files: list[Path], rows: dict[str, PhotoPose], poses: Path | None) -> list[Path]:
-    missing = sorted(rows.keys() - {file.name for file in files})
+def _named_in(files: list[Picture], rows: dict[str, PhotoPose], poses: Path | None) -> list[Picture]:
+    missing = sorted(rows.keys() - {name for file in files for name in _names_of(file)})
     if missing:
         raise RecordingError(
             f"pose file {poses} names {len(missing)} photos that are not there: {', '.join(missing[:5])}"
         )
-    return [file for file in files if file.name in rows]
+    return [file for file in files if any(name in rows for name in _names_of(file))]
+
+
+def _names_of(file: Picture) -> tuple[str, str, str]:
+    """By which a pose file may call it: its own, that without the suffix, and its capture's."""
+    return file.name, Path(file.name).stem, file.capture
+
+
+def _row_of(file: Picture, rows: dict[str, PhotoPose] | None) -> PhotoPose:
+    """Its own, or that of its capture, whose begin it then tells."""
+    if rows is None:
+        return PhotoPose(name=file.name)
+    return next(rows[name] for name in _names_of(file) if name in rows)
+
+
+def _read(file: Picture, row: PhotoPose) -> Photo:
+    """A frame with a row of its own is placed by that, and not by the capture's first frame."""
+    photo = file.read()
+    own = row.name in (file.name, Path(file.name).stem) and row.pose != PartialPose()
+    return replace(photo, sensed=replace(photo.sensed, relative=None, seconds=0.0)) if own else photo
 
 
 def _camera_name(row: PhotoPose, given: str | None, site: Site | None) -> str:
@@ -163,27 +194,27 @@ def _check_size(item: PlacedPhoto, name: str, site: Site | None) -> None:
     )
 
 
-def _frame_of(files: list[Path], rows: dict[str, PhotoPose] | None) -> SiteFrame:
+def _frame_of(files: list[Picture], rows: dict[str, PhotoPose] | None) -> SiteFrame:
     """The UTM zone of the first photo that has a position, with an origin on the nearest kilometre."""
     for file in files:
-        row = rows[file.name] if rows is not None else PhotoPose(name=file.name)
+        row = _row_of(file, rows)
         if row.pose.x is not None and row.pose.crs is None:
             raise ConfigError(f"{file.name} has x, y in the pose file: name the site that they belong to, with --site")
         lon, lat = row.pose.lonlat()
         if lon is None or lat is None:
-            exif = read_photo(file).exif
-            lon, lat = exif.lon, exif.lat
+            sensed = file.read().sensed
+            lon, lat = sensed.lon, sensed.lat
         if lon is not None and lat is not None:
             zone = min(math.floor((lon + 180) / 6) + 1, 60)
             crs = f"EPSG:{32600 + zone if lat >= 0 else 32700 + zone}"
             x, y = SiteFrame(crs).from_lonlat(lon, lat)
             return SiteFrame(crs, round(float(x), -3), round(float(y), -3))
-    raise RecordingError("no photo has a position in EXIF: give them x, y or lon, lat in a pose file (--poses)")
+    raise RecordingError("no photo has a position: give them x, y or lon, lat in a pose file (--poses)")
 
 
 def _apart(
-    placed: list[tuple[str, Path, PhotoPose, int]], report: ImportReport
-) -> list[tuple[str, Path, PhotoPose, int]]:
+    placed: list[tuple[str, Picture, PhotoPose, int]], report: ImportReport
+) -> list[tuple[str, Picture, PhotoPose, int]]:
     """In the order of their stamps, with no stamp twice for a camera."""
     ordered = sorted(placed, key=lambda item: (item[3], item[1].name))
     last: dict[str, int] = {}

@@ -23,7 +23,7 @@ _ALTITUDE_REF, _ALTITUDE, _GPS_TIME, _DIRECTION_REF, _DIRECTION, _GPS_DATE = 5, 
 _POSITION_ERROR = 31
 
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
-_FULL_FRAME_WIDTH_MM = 36.0
+FULL_FRAME_WIDTH_MM = 36.0
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class ExifFacts:
         long_side = max(width, height)
         if sensor_width_mm is not None and self.focal_mm is not None:
             return self.focal_mm / sensor_width_mm * long_side
-        by_35mm = self.focal_35mm / _FULL_FRAME_WIDTH_MM * long_side if self.focal_35mm is not None else None
+        by_35mm = self.focal_35mm / FULL_FRAME_WIDTH_MM * long_side if self.focal_35mm is not None else None
         by_plane = None
         if self.focal_mm is not None and self.focal_plane_px_per_mm is not None:
             scale = long_side / self.original_width if self.original_width else 1.0

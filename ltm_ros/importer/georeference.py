@@ -1,52 +1,28 @@
-"""Camera, pose and stamp of one photo, from its row in the pose file, the site's fixed camera and its EXIF."""
+"""Camera, pose and stamp of one photo: by its row in the pose file, the site's fixed camera and its sensors."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, tzinfo
+from datetime import UTC, datetime
 
 from ltm_core.camera import Camera
 from ltm_core.camera_config import PartialCalibration, PartialPose, PoseConfig
-from ltm_core.dem import Dem
 from ltm_core.errors import CameraError, PoseError, RecordingError
 from ltm_core.geodesy import SiteFrame
-from ltm_core.plausibility import doubt_of_height
 from ltm_core.pose import Pose
-from ltm_core.site import CameraConfig, PoseErrorConfig
+from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, moved_covariance
+from ltm_core.site import CameraConfig
 from ltm_core.types import Float64Array
+from ltm_ros.importer.assumptions import Assumptions, Surroundings
+from ltm_ros.importer.exif import FULL_FRAME_WIDTH_MM
+from ltm_ros.importer.height import height_of
 from ltm_ros.importer.photo import Photo
 from ltm_ros.importer.photo_time import photo_time
 from ltm_ros.importer.pose_file import PhotoPose
 
 _NS_PER_S = 1_000_000_000
-_SUSPECT_HEIGHT = 25.0
-_MAYBE_ELLIPSOIDAL = "if all photos are off alike, their altitudes are ellipsoidal: give --geoid-undulation-m"
-
-
-@dataclass(frozen=True)
-class Assumptions:
-    """What to take where neither pose file, site nor EXIF says it. Angles in degrees, lengths in metres.
-
-    `pitch_deg`: None: a photo of unknown pitch is refused, since a wrong one moves all that it sees.
-    `geoid_undulation`: height of the geoid above the ellipsoid, subtracted from EXIF altitudes that are ellipsoidal
-    (H = h - N); 0 for those above sea level. Sigmas: `gps_sigma` where EXIF states none, `altitude_sigma` of EXIF
-    altitudes, `ground_sigma` of heights above the terrain, `compass_sigma_deg` of EXIF directions (5.5 degrees off in
-    the median are 8.2 for a normal distribution), `tilt_sigma_deg` of an assumed pitch or roll.
-    """
-
-    pitch_deg: float | None = None
-    roll_deg: float = 0.0
-    height_above_ground: float = 2.0
-    geoid_undulation: float = 0.0
-    sensor_width_mm: float | None = None
-    time_zone: tzinfo | None = None
-    gps_sigma: float = 5.0
-    altitude_sigma: float = 10.0
-    ground_sigma: float = 1.0
-    compass_sigma_deg: float = 8.2
-    tilt_sigma_deg: float = 3.0
+_NOT_PLACED = "so that nothing is placed by it until a pose is found (ltm pose)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,21 +39,9 @@ class PlacedPhoto:
     notes: list[str] = field(default_factory=list)
 
 
-@dataclass(frozen=True, eq=False)
-class Surroundings:
-    """Where photos are placed: the map frame, its DEM where there is one (else heights must be known), what is known of
-    the cameras by name, and the error of poses that state none.
-    """
-
-    frame: SiteFrame
-    dem: Dem | None = None
-    cameras: Mapping[str, CameraConfig] = field(default_factory=dict)
-    pose_error: PoseErrorConfig = field(default_factory=PoseErrorConfig)
-
-
 def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed: Assumptions) -> PlacedPhoto:
     """Join what is known of a photo: its row goes before the site's fixed pose and calibration of `camera`, which go
-    before EXIF.
+    before its sensors and EXIF.
 
     Raises PoseError, CameraError or RecordingError where position, azimuth, pitch, focal length or date are known from
     nowhere, with the remedy.
@@ -89,21 +53,9 @@ def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed
     known = row.pose.over(_whole(fixed.pose))
     found: dict[str, float] = {}
     x, y = _position(photo, known, site.frame, assumed, found)
-    z = _height(photo, known, x, y, site.dem, assumed, notes, found)
+    z = height_of(photo, known, x, y, site, assumed, notes, found)
     azimuth = _azimuth_deg(photo, known, site.frame, (x, y, z), taken, assumed, notes, found)
-    pitch, roll = known.pitch_deg, known.roll_deg
-    if pitch is None:
-        pitch = assumed.pitch_deg
-        if pitch is None:
-            raise PoseError(
-                f"{photo.path}: its pitch is not known (EXIF has none): give pitch_deg in a pose file (--poses), or "
-                "--pitch-deg for all photos"
-            )
-        found["pitch_sigma_deg"] = assumed.tilt_sigma_deg
-        notes.append(f"pitch is not known (EXIF has none): taken as {pitch:g} +- {assumed.tilt_sigma_deg:g} deg")
-    if roll is None:
-        roll, found["roll_sigma_deg"] = assumed.roll_deg, assumed.tilt_sigma_deg
-        notes.append(f"roll is not known: taken as {roll:g} +- {assumed.tilt_sigma_deg:g} deg")
+    pitch, roll = _tilt(photo, known, assumed, notes, found)
     if photo.turned:
         notes.append(
             f"{photo.turned}: taken upright, as {photo.width} x {photo.height} pixels, of which calibration, pitch and "
@@ -113,7 +65,39 @@ def place(photo: Photo, row: PhotoPose, camera: str, site: Surroundings, assumed
     stated = known.model_dump(include=set(found), exclude_none=True)
     error = site.pose_error
     covariance = known.model_copy(update=found | stated).covariance(pose, error.position, error.angle_deg)
+    if photo.sensed.relative is not None:
+        first, pose = pose, photo.sensed.relative.placed(pose)
+        covariance = None if covariance is None else moved_covariance(covariance, pose.position - first.position)
     return PlacedPhoto(photo, _camera(photo, row, fixed, assumed), pose, covariance, stamp_ns, notes)
+
+
+def _tilt(
+    photo: Photo, known: PartialPose, assumed: Assumptions, notes: list[str], found: dict[str, float]
+) -> tuple[float, float]:
+    """Pitch and roll, degrees."""
+    sensed, sigma = photo.sensed, photo.sensed.tilt_sigma_deg or assumed.attitude_sigma_deg
+    pitch, roll = known.pitch_deg, known.roll_deg
+    if pitch is None and sensed.pitch_deg is not None:
+        pitch, found["pitch_sigma_deg"] = sensed.pitch_deg, sigma
+    if roll is None and sensed.roll_deg is not None:
+        roll, found["roll_sigma_deg"] = sensed.roll_deg, sigma
+    if pitch is None and assumed.pitch_deg is not None:
+        pitch, found["pitch_sigma_deg"] = assumed.pitch_deg, assumed.tilt_sigma_deg
+        notes.append(
+            f"pitch is not known ({sensed.source} has none): taken as {pitch:g} +- {assumed.tilt_sigma_deg:g} deg"
+        )
+    if pitch is None and assumed.keep_unknown:
+        pitch, found["pitch_sigma_deg"] = 0.0, UNKNOWN_PITCH_SIGMA_DEG
+        notes.append(f"pitch is not known: taken as unknown (0 +- {UNKNOWN_PITCH_SIGMA_DEG:.0f} deg), {_NOT_PLACED}")
+    if pitch is None:
+        raise PoseError(
+            f"{photo.path}: its pitch is not known ({sensed.source} has none): give pitch_deg in a pose file "
+            "(--poses), or --pitch-deg for all photos, or --keep-unknown to take it as unknown"
+        )
+    if roll is None:
+        roll, found["roll_sigma_deg"] = assumed.roll_deg, assumed.tilt_sigma_deg
+        notes.append(f"roll is not known: taken as {roll:g} +- {assumed.tilt_sigma_deg:g} deg")
+    return pitch, roll
 
 
 def _whole(fixed: PoseConfig | None) -> PartialPose | None:
@@ -138,59 +122,18 @@ def _position(
     stated = known.xy(frame)
     if stated is not None:
         return stated
-    lon, lat = photo.exif.lon, photo.exif.lat
+    sensed = photo.sensed
+    lon, lat = sensed.lon, sensed.lat
     if lon is None or lat is None:
-        raise PoseError(f"{photo.path} has no position in EXIF: give it x, y or lon, lat in a pose file (--poses)")
-    found["position_sigma"] = photo.exif.position_error or assumed.gps_sigma
+        why = f": {sensed.missing}" if sensed.missing else ""
+        raise PoseError(
+            f"{photo.path} has no position in {sensed.source}{why}; give it x, y or lon, lat in a pose file (--poses)"
+        )
+    found["position_sigma"] = sensed.position_sigma or assumed.gps_sigma
     x, y = frame.from_lonlat(lon, lat)
     if not (math.isfinite(x) and math.isfinite(y)):
         raise PoseError(f"{photo.path}: position lon {lon}, lat {lat} lies outside the site's CRS {frame.crs}")
     return float(x), float(y)
-
-
-def _height(
-    photo: Photo,
-    known: PartialPose,
-    x: float,
-    y: float,
-    dem: Dem | None,
-    assumed: Assumptions,
-    notes: list[str],
-    found: dict[str, float],
-) -> float:
-    ground = float(dem.elevation_at(x, y)) if dem is not None else math.nan
-    if known.z is not None:
-        return _stated_height(photo, known.z, ground, notes)
-    altitude = photo.exif.altitude
-    if known.height_above_ground is None and altitude is not None:
-        z = altitude - assumed.geoid_undulation
-        if not z < ground:  # also where the ground is not known
-            if z > ground + _SUSPECT_HEIGHT:
-                notes.append(f"EXIF altitude {z:.1f} m is {z - ground:.1f} m above the terrain: {_MAYBE_ELLIPSOIDAL}")
-            found["height_sigma"] = assumed.altitude_sigma
-            return z
-        notes.append(
-            f"EXIF altitude {z:.1f} m is {ground - z:.1f} m under the terrain: taken as "
-            f"{assumed.height_above_ground:g} m above it; {_MAYBE_ELLIPSOIDAL}"
-        )
-    above = known.height_above_ground
-    if above is None:
-        above, found["height_sigma"] = assumed.height_above_ground, assumed.ground_sigma
-        if altitude is None:
-            notes.append(f"height is not known: taken as {above:g} m above the terrain")
-    if math.isnan(ground):
-        why = "there is no DEM (give --site)" if dem is None else "it stands outside the DEM"
-        raise PoseError(f"{photo.path} at map ({x:.1f}, {y:.1f}): height above ground does not help, {why}; give its z")
-    return ground + above
-
-
-def _stated_height(photo: Photo, z: float, ground: float, notes: list[str]) -> float:
-    doubt = doubt_of_height(z, ground)
-    if z <= ground:
-        raise PoseError(f"{photo.path}: {doubt}")
-    if doubt is not None:
-        notes.append(doubt)
-    return z
 
 
 def _azimuth_deg(
@@ -207,14 +150,24 @@ def _azimuth_deg(
     if stated is not None:
         return stated
     x, y, z = position
-    azimuth = photo.exif.direction_deg
+    sensed = photo.sensed
+    azimuth = sensed.azimuth_deg
+    if azimuth is None and assumed.keep_unknown:
+        found["azimuth_sigma_deg"] = UNKNOWN_AZIMUTH_SIGMA_DEG
+        notes.append(
+            f"direction is not known: taken as unknown (0 +- {UNKNOWN_AZIMUTH_SIGMA_DEG:.0f} deg), {_NOT_PLACED}"
+        )
+        return 0.0
     if azimuth is None:
-        raise PoseError(f"{photo.path} has no direction in EXIF: give it azimuth_deg in a pose file (--poses)")
-    found["azimuth_sigma_deg"] = assumed.compass_sigma_deg
-    if photo.exif.direction_ref == "M":
+        raise PoseError(
+            f"{photo.path} has no direction in {sensed.source}: give it azimuth_deg in a pose file (--poses), or "
+            "--keep-unknown to take it as unknown"
+        )
+    found["azimuth_sigma_deg"] = sensed.azimuth_sigma_deg or assumed.compass_sigma_deg
+    if sensed.azimuth_ref == "M":
         return frame.magnetic_to_grid_deg(azimuth, x, y, taken.date(), z)
-    if photo.exif.direction_ref is None:
-        notes.append(f"EXIF direction {azimuth:.1f} deg does not say from which north: taken as true north")
+    if sensed.azimuth_ref is None:
+        notes.append(f"{sensed.source} direction {azimuth:.1f} deg does not say from which north: taken as true north")
     return frame.true_to_grid_deg(azimuth, x, y)
 
 
@@ -229,6 +182,8 @@ def _camera(photo: Photo, row: PhotoPose, fixed: CameraConfig, assumed: Assumpti
         )
     if stated == PartialCalibration() and fixed.calibration is not None:
         stated = fixed.calibration
+    if stated == PartialCalibration():
+        stated = photo.sensed.calibration
     cx, cy = stated.cx or 0.0, stated.cy or 0.0
     if photo.turned and not (0 <= cx < width and 0 <= cy < height):  # of a part of a picture it may lie beside it
         raise CameraError(
@@ -238,8 +193,10 @@ def _camera(photo: Photo, row: PhotoPose, fixed: CameraConfig, assumed: Assumpti
     if stated.fx is not None or stated.hfov_deg is not None:
         return stated.camera_of(width, height, 0.0)
     fx = photo.exif.focal_px(width, height, assumed.sensor_width_mm)
+    if fx is None and assumed.focal_35mm is not None:
+        fx = assumed.focal_35mm / FULL_FRAME_WIDTH_MM * max(width, height)
     if fx is None:
-        remedy = "give fx or hfov_deg in a pose file (--poses)"
+        remedy = "give fx or hfov_deg in a pose file (--poses), --focal-35mm"
         if photo.exif.focal_mm is not None:
             remedy += f" or, as EXIF has a focal length of {photo.exif.focal_mm:g} mm, --sensor-width-mm"
         raise CameraError(f"{photo.path}: EXIF does not tell the focal length in pixels: {remedy}")

@@ -1,18 +1,19 @@
-"""Finds photo files, and reads them upright as JPEG or PNG bytes."""
+"""Finds photo files, and reads them upright as JPEG or PNG bytes, with what their sensors told."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from PIL import ImageOps
 
-from ltm_core.errors import ImageError, RecordingError
-from ltm_core.picture_io import open_picture
+from ltm_core.errors import ImageError
+from ltm_core.picture_io import opened_picture, read_picture
 from ltm_msgs_py.image import decode_rgb, encode_rgb
+from ltm_ros.importer.dji import sensed_by_xmp
 from ltm_ros.importer.exif import ExifFacts, exif_facts
+from ltm_ros.importer.sensed import Sensed
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".heic", ".heif")
 _FORMATS = {"JPEG": "jpeg", "MPO": "jpeg", "PNG": "png"}
@@ -31,7 +32,8 @@ _TURNS = {
 
 @dataclass(frozen=True)
 class Photo:
-    """One photo. `data`: `image_format` (jpeg or png) bytes of the upright image, `width` x `height` pixels.
+    """One photo. `data`: `image_format` (jpeg or png) bytes of the upright image, `width` x `height` pixels. `sensed`:
+    what is known of its place and direction.
 
     `reencoded`: whether `data` differs from the file, because it is HEIC or was turned upright.
     """
@@ -42,6 +44,7 @@ class Photo:
     width: int
     height: int
     exif: ExifFacts
+    sensed: Sensed
     reencoded: bool
 
     @property
@@ -52,29 +55,11 @@ class Photo:
         return f"EXIF {_TURNS[self.exif.orientation]}" if known else ""
 
 
-def find_photos(paths: Iterable[Path]) -> list[Path]:
-    """The photos among files and in folders (not below them), by name in each folder.
-
-    Raises RecordingError when a path does not exist, two photos share a file name, or there is none at all.
-    """
-    found: list[Path] = []
-    for path in paths:
-        if path.is_dir():
-            found += sorted(
-                p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and p.is_file()
-            )
-        elif path.is_file():
-            found.append(path)
-        else:
-            raise RecordingError(f"no photo or folder at {path}")
-    names: dict[str, Path] = {}
-    for path in found:
-        if path.name in names:
-            raise RecordingError(f"two photos are called {path.name}: {names[path.name]} and {path}")
-        names[path.name] = path
-    if not found:
-        raise RecordingError(f"no photos in {', '.join(map(str, paths))}; looked for {', '.join(SUFFIXES)}")
-    return found
+def photos_in(folder: Path) -> list[Path]:
+    """The photos in a folder (not below it), by name."""
+    return sorted(
+        p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and p.is_file()
+    )
 
 
 def read_photo(path: Path) -> Photo:
@@ -83,7 +68,12 @@ def read_photo(path: Path) -> Photo:
     JPEG and PNG keep their very bytes unless EXIF says that the image is to be turned; then, and for HEIC, the upright
     image is compressed anew (JPEG quality 95). Raises ImageError on anything else, or on a file that does not decode.
     """
-    with open_picture(path) as (image, data):
+    return photo_of(read_picture(path), path)
+
+
+def photo_of(data: bytes, path: Path) -> Photo:
+    """The photo of a file's bytes; `path`: what errors call it. Raises as `read_photo` does."""
+    with opened_picture(data, path) as image:
         found = image.format or "unknown"
         if found not in _FORMATS and found != "HEIF":
             raise ImageError(f"{path} is {found}; photos must be JPEG, PNG or HEIC")
@@ -92,10 +82,25 @@ def read_photo(path: Path) -> Photo:
         if found in _FORMATS and facts.orientation == 1:
             pixels = decode_rgb(data, str(path))
             height, width = pixels.shape[:2]
-            return Photo(path, data, _FORMATS[found], width, height, facts, reencoded=False)
+            sensed = sensed_by_xmp(image.info.get("xmp"), sensed_by_exif(facts), width, height)
+            return Photo(path, data, _FORMATS[found], width, height, facts, sensed, reencoded=False)
+        xmp = image.info.get("xmp")
         upright = image if found == "HEIF" else ImageOps.exif_transpose(image)
         pixels = np.asarray(upright.convert("RGB"), np.uint8)
     image_format = "png" if found == "PNG" else "jpeg"
     height, width = pixels.shape[:2]
     encoded = encode_rgb(pixels, image_format, _REENCODED_QUALITY)
-    return Photo(path, encoded, image_format, width, height, facts, reencoded=True)
+    sensed = sensed_by_xmp(xmp, sensed_by_exif(facts), width, height)
+    return Photo(path, encoded, image_format, width, height, facts, sensed, reencoded=True)
+
+
+def sensed_by_exif(facts: ExifFacts) -> Sensed:
+    """EXIF tells place and direction; it has no pitch and no roll."""
+    return Sensed(
+        lon=facts.lon,
+        lat=facts.lat,
+        position_sigma=facts.position_error,
+        altitude=facts.altitude,
+        azimuth_deg=facts.direction_deg,
+        azimuth_ref=facts.direction_ref,
+    )

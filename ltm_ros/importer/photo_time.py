@@ -28,12 +28,16 @@ def time_zone(name: str) -> ZoneInfo:
 def photo_time(photo: Photo, stated: datetime | None, zone: tzinfo | None, notes: list[str]) -> datetime:
     """With its zone.
 
-    In this order: `stated` (UTC unless it names a zone); EXIF's clock with the zone that EXIF states; the clock in
-    `zone`; the GPS stamp, which is UTC; the clock as UTC. `notes` gets what was assumed, and where clock and GPS stamp
-    contradict each other. Raises RecordingError where there is no date at all.
+    In this order: `stated` (UTC unless it names a zone; of a capture's frame, when the capture began); what a recording
+    of sensors names it by; EXIF's clock with the zone that EXIF states; the clock in `zone`; the GPS stamp, which is
+    UTC; the clock as UTC. `notes` gets what was assumed, and where clock and GPS stamp contradict each other. Raises
+    RecordingError where there is no date at all.
     """
     if stated is not None:
-        return stated if stated.tzinfo is not None else stated.replace(tzinfo=UTC)
+        begun = stated if stated.tzinfo is not None else stated.replace(tzinfo=UTC)
+        return begun + timedelta(seconds=photo.sensed.seconds)
+    if photo.sensed.stamp is not None:
+        return photo.sensed.stamp
     clock, gps = photo.exif.taken, photo.exif.gps_time
     if clock is None:
         if gps is None:

@@ -1,5 +1,6 @@
 """`ros2 launch ltm site.launch.py site:=SITE.yaml`: the graph that `ltm run` starts, under launch."""
 
+import tempfile
 from pathlib import Path
 from typing import List  # noqa: UP035 - launch_ros compares with typing.List
 
@@ -11,7 +12,15 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue as TypedValue
 
 from ltm_core.errors import ConfigError
-from ltm_ros.launching.graph import PACKAGE, NodeSpec, ParameterValue, describe
+from ltm_ros.launching.graph import (
+    CAMERAS_PROCESS,
+    PACKAGE,
+    NodeSpec,
+    ParameterValue,
+    ProcessSpec,
+    describe,
+    nodes_json,
+)
 from ltm_ros.launching.ros_environment import ros_additions, thread_limits
 from ltm_ros.launching.site_check import Wanted, require_ready
 
@@ -48,7 +57,26 @@ def _render(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         record=record,
     )
     environment = [SetEnvironmentVariable(name, value) for name, value in ros_additions().items()]
-    return [*environment, *map(_node, graph)]
+    return [*environment, *map(_process, graph.processes)]
+
+
+def _process(spec: ProcessSpec) -> Node:
+    return _shared(spec) if spec.shared else _node(spec.nodes[0])
+
+
+def _shared(spec: ProcessSpec) -> Node:
+    # As launch does with parameters, which it could give to one node alone.
+    with tempfile.NamedTemporaryFile("w", prefix="launch_ltm_", suffix=".json", delete=False) as file:
+        file.write(nodes_json(spec.nodes))
+    return Node(
+        package=PACKAGE,
+        executable=CAMERAS_PROCESS,
+        arguments=[file.name],
+        additional_env=thread_limits(spec.busy),
+        output="both",
+        respawn=True,
+        respawn_delay=2.0,
+    )
 
 
 def _node(spec: NodeSpec) -> Node:

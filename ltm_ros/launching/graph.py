@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,14 @@ ParameterValue = bool | int | float | str | list[bool] | list[int] | list[float]
 
 PACKAGE = "ltm"
 NODES_MODULE = "ltm_ros.nodes"
+CAMERAS_MODULE = f"{NODES_MODULE}.cameras"
 
 CAMERA_NODES = ("capture", "depth", "segmentation", "fuel_votes")
 """Node types that every camera has one of, in `/<site>/<camera>`."""
 FUSION_NODES = ("topodepth",)
 """Node types that every camera has besides where the site names a depth network."""
+POSE_NODES = ("pose",)
+"""Node types that every camera has besides where the site's file has a section `refine_poses`."""
 SITE_NODES = ("fuel_map",)
 """Node types that a site has one of, in `/<site>`."""
 TERRAIN_NODES = ("terrain",)
@@ -30,8 +34,10 @@ LOCATING_NODES = ("locate",)
 """Node types that a site has one of where its file has a section `locating`."""
 OPTIONAL_NODES = ("viewer", "recorder")
 """Site-level node types that run on request; the graph works without them."""
-NODE_TYPES = CAMERA_NODES + FUSION_NODES + SITE_NODES + TERRAIN_NODES + LOCATING_NODES + OPTIONAL_NODES
+NODE_TYPES = CAMERA_NODES + FUSION_NODES + POSE_NODES + SITE_NODES + TERRAIN_NODES + LOCATING_NODES + OPTIONAL_NODES
 
+CAMERAS_PROCESS = "cameras"
+"""Label of the process in which the nodes of all cameras live, where a site has one for them."""
 BUSY_NODES = ("depth", "segmentation", "topodepth")
 """Node types that compute on several threads; the others get one."""
 OWN_PARAMETERS = ("site", "camera", "use_sim_time")
@@ -44,7 +50,7 @@ _NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 
 @dataclass(frozen=True)
 class NodeSpec:
-    """One process of the graph."""
+    """One node of the graph."""
 
     name: str
     namespace: str
@@ -57,6 +63,8 @@ class NodeSpec:
     """Whether the graph is of use without it."""
     busy: bool = False
     """Whether it computes on several threads."""
+    process: str = ""
+    """Label of the process that it shares with other nodes; empty: it has one of its own."""
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
@@ -81,8 +89,30 @@ class NodeSpec:
 
 
 @dataclass(frozen=True)
+class ProcessSpec:
+    """One process of the graph: a node alone, or several that hand messages to each other (`shared`)."""
+
+    label: str
+    nodes: tuple[NodeSpec, ...]
+
+    @property
+    def shared(self) -> bool:
+        return bool(self.nodes[0].process)
+
+    @property
+    def required(self) -> bool:
+        """Whether the graph is of use without it."""
+        return any(node.required for node in self.nodes)
+
+    @property
+    def busy(self) -> bool:
+        """Whether numerical libraries may use several threads in it; a shared one has a thread a core for frames."""
+        return not self.shared and self.nodes[0].busy
+
+
+@dataclass(frozen=True)
 class Graph:
-    """All processes of a site. Labels are unique."""
+    """All nodes of a site. Labels are unique."""
 
     site: str
     nodes: tuple[NodeSpec, ...]
@@ -93,6 +123,22 @@ class Graph:
         twice = sorted({label for label in labels if labels.count(label) > 1})
         if twice:
             raise ConfigError(f"graph of {self.site}: more than one node {', '.join(twice)}")
+
+    @property
+    def processes(self) -> tuple[ProcessSpec, ...]:
+        """In the order of their first nodes."""
+        members: dict[str, list[NodeSpec]] = {}
+        for node in self.nodes:
+            members.setdefault(node.process or node.label, []).append(node)
+        return tuple(ProcessSpec(label, tuple(nodes)) for label, nodes in members.items())
+
+    def process(self, label: str) -> ProcessSpec:
+        """Raises ConfigError naming the processes there are."""
+        for process in self.processes:
+            if process.label == label:
+                return process
+        there = ", ".join(process.label for process in self.processes)
+        raise ConfigError(f"no process {label!r} in the graph of {self.site}; it has {there}")
 
     def __iter__(self) -> Iterator[NodeSpec]:
         return iter(self.nodes)
@@ -133,6 +179,7 @@ def describe(
         given[extra] = given.get(extra, {}) | dict(values or {})
     if sim_time:
         given["capture"] = {"shed": False} | given.get("capture", {})
+    together = site.processes == "site"
     common: dict[str, ParameterValue] = {"site": str(place), "use_sim_time": sim_time}
 
     def spec(kind: str, namespace: str, own: Mapping[str, ParameterValue]) -> NodeSpec:
@@ -143,6 +190,7 @@ def describe(
             parameters=common | dict(own) | given.get(kind, {}),
             required=kind not in OPTIONAL_NODES,
             busy=kind in BUSY_NODES,
+            process=CAMERAS_PROCESS if together and kind in CAMERA_NODES + FUSION_NODES + POSE_NODES else "",
         )
 
     chosen = list(cameras) or list(site.cameras)
@@ -152,6 +200,7 @@ def describe(
     of_site += LOCATING_NODES if site.locating is not None else ()
     nodes = [spec(kind, f"/{site.name}", {}) for kind in of_site]
     kinds = CAMERA_NODES + (FUSION_NODES if site.depth_model else ())
+    kinds += POSE_NODES if site.refine_poses is not None else ()
     nodes += [spec(kind, f"/{site.name}/{camera}", {"camera": camera}) for camera in chosen for kind in kinds]
     if view is not None:
         nodes.append(spec("viewer", f"/{site.name}", {}))
@@ -166,6 +215,18 @@ def parameters_yaml(parameters: Mapping[str, ParameterValue]) -> str:
     for name, value in parameters.items():
         lines.append(f"    {name}: {_scalar_or_list(value)}")
     return "\n".join(lines) + "\n"
+
+
+def nodes_json(nodes: Sequence[NodeSpec]) -> str:
+    """What a process that several nodes share is told of them; `nodes_of_json` reads it."""
+    return json.dumps([asdict(node) for node in nodes], indent=1)
+
+
+def nodes_of_json(text: str) -> tuple[NodeSpec, ...]:
+    return tuple(
+        NodeSpec(**given | {"remappings": tuple((old, new) for old, new in given["remappings"])})
+        for given in json.loads(text)
+    )
 
 
 def _scalar_or_list(value: ParameterValue) -> str:

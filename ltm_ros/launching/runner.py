@@ -1,4 +1,4 @@
-"""Runs a graph without `launch`: one process for each node, restarted when it dies, with a clean end of all."""
+"""Runs a graph without `launch`: its processes, restarted when they die, with a clean end of all."""
 
 from __future__ import annotations
 
@@ -19,13 +19,23 @@ from typing import TextIO
 from ltm_core.errors import LtmError
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.cleanup_process import CleanupProcess
-from ltm_ros.launching.graph import Graph, NodeSpec, parameters_yaml
+from ltm_ros.launching.graph import (
+    CAMERAS_MODULE,
+    Graph,
+    ProcessSpec,
+    nodes_json,
+    parameters_yaml,
+)
 from ltm_ros.launching.ros_environment import ros_environment
 from ltm_ros.launching.supervised import start_supervised, supervised_command
 from ltm_ros.launching.supervisor import Console, NodeProcess, ProcessState, RestartPolicy
 
 KEPT_RUNS = 10
 """Log folders of former runs that `new_log_folder` leaves."""
+
+
+_QUIET = ("--disable-external-lib-logs",)
+"""A node's output is kept by us; ROS's own log files in ~/.ros would grow beside it."""
 
 
 class GraphError(LtmError):
@@ -63,9 +73,9 @@ def new_log_folder(site: str) -> Path:
 class Runner:
     """Starts, watches and stops the processes of `graph`.
 
-    `domain_id`: ROS domain (None: as the environment says). `log_folder`: where each node's output goes, as
-    `<camera>.<node>.log`. `console` gets every line of output with the node's label in front. `stop_s`: how long a node
-    may take to finish after SIGTERM before it is made to. `environment`: more variables for every node.
+    `domain_id`: ROS domain (None: as the environment says). `log_folder`: where each process's output goes, as
+    `<camera>.<node>.log`. `console` gets every line of output with the process's label in front. `stop_s`: how long one
+    may take to finish after SIGTERM before it is made to. `environment`: more variables for all of them.
 
     Used as a context manager it stops on leaving. `start` and `stop` may be called from any thread.
     """
@@ -84,7 +94,7 @@ class Runner:
         self.graph = graph
         self.log_folder = Path(log_folder)
         self.processes: dict[str, NodeProcess] = {}
-        """By label (`north/depth`, `fuel_map`), in the graph's order, from `start` on."""
+        """By label (`north/depth`, `fuel_map`, `cameras`), in the graph's order, from `start` on."""
         self._domain_id = domain_id
         self._console_lock = threading.Lock()
         self._console = console
@@ -108,11 +118,11 @@ class Runner:
 
     @property
     def given_up(self) -> list[str]:
-        """Labels of the nodes that are not started any more because their configuration cannot work."""
+        """Labels of the processes that are not started any more because their configuration cannot work."""
         return [label for label, process in self.processes.items() if process.state is ProcessState.GIVEN_UP]
 
     def start(self) -> None:
-        """Start every node and return at once. Raises GraphError when the runner has been started before."""
+        """Start every process and return at once. Raises GraphError when the runner has been started before."""
         with self._lock:
             if self.processes:
                 raise GraphError(f"the graph of {self.graph.site} has been started already; make a new Runner")
@@ -121,7 +131,7 @@ class Runner:
             self._folder = Path(tempfile.mkdtemp(prefix="ltm-run-"))
             self._cleanup.folder(self._folder, exists=True)
             self._cleanup.start()
-            for spec in self.graph:
+            for spec in self.graph.processes:
                 self.processes[spec.label] = self._process(spec)
             for process in self.processes.values():
                 process.start()
@@ -132,7 +142,8 @@ class Runner:
         Raises GraphError naming the nodes that are missing after `timeout_s`, with the last words of each, or at once
         when a node was given up.
         """
-        names = {spec.full_name: spec.label for spec in self.graph}
+        names = {node.full_name: node.label for node in self.graph}
+        process_of = {node.label: process.label for process in self.graph.processes for node in process.nodes}
         command = supervised_command("ltm_ros.launching.readiness", "--timeout", str(timeout_s))
         command += ["--discovered"] if discovered_suffices else []
         watch, heartbeat = start_supervised([*command, *names], self._environment(busy=False))
@@ -167,15 +178,16 @@ class Runner:
             self._cleanup.group(watch.pid, alive=False)
         lost = self.given_up or list(missing.values())
         if lost:
-            raise GraphError("\n".join([f"not ready: {', '.join(lost)}", *map(self._obituary, lost)]))
+            processes = dict.fromkeys(process_of.get(label, label) for label in lost)
+            raise GraphError("\n".join([f"not ready: {', '.join(lost)}", *map(self._obituary, processes)]))
 
     def kill(self, label: str, number: int = signal.SIGKILL) -> bool:
-        """Send a signal to one node, for tests and drills. False when it does not run just now. Raises ConfigError."""
-        self.graph.node(label)
+        """Send a signal to one process, for tests and drills. False when it does not run now. Raises ConfigError."""
+        self.graph.process(label)
         return self.processes[label].signal(number)
 
     def stop(self) -> None:
-        """End every node (SIGTERM, after `stop_s` SIGKILL) and remove what is left. Idempotent.
+        """End every process (SIGTERM, after `stop_s` SIGKILL) and remove what is left. Idempotent.
 
         Not SIGINT: a Python process that is still importing turns that into an exception, which may get lost there.
         """
@@ -208,7 +220,7 @@ class Runner:
         stopping = threading.Event()
         numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
         former = {number: signal.signal(number, lambda *_: stopping.set()) for number in numbers}
-        required = [spec.label for spec in self.graph if spec.required]
+        required = [process.label for process in self.graph.processes if process.required]
         herald = threading.Thread(target=self._announce, name="announce", daemon=True)
         try:
             self.start()
@@ -235,18 +247,10 @@ class Runner:
                 for line in str(error).splitlines():
                     self._say(f"-- {line}")
 
-    def _process(self, spec: NodeSpec) -> NodeProcess:
-        assert self._folder is not None  # nosec B101 # tells the type checker what holds
-        parameters = self._folder / f"{spec.label.replace('/', '.')}.yaml"
-        parameters.write_text(parameters_yaml(spec.parameters), encoding="utf-8")
-        remappings = [("__ns", spec.namespace), ("__node", spec.name), *spec.remappings]
-        command = supervised_command(spec.module, "--ros-args")
-        command += [part for old, new in remappings for part in ("-r", f"{old}:={new}")]
-        # The node's output is kept by us; ROS's own log files in ~/.ros would grow beside it.
-        command += ["--params-file", str(parameters), "--disable-external-lib-logs"]
+    def _process(self, spec: ProcessSpec) -> NodeProcess:
         return NodeProcess(
             label=spec.label,
-            command=command,
+            command=self._command(spec),
             environment=self._environment(spec.busy),
             log_file=self.log_folder / f"{spec.label.replace('/', '.')}.log",
             console=self._say,
@@ -255,6 +259,21 @@ class Runner:
             on_group=self._on_group,
             on_given_up=self._changed.set,
         )
+
+    def _command(self, spec: ProcessSpec) -> list[str]:
+        assert self._folder is not None  # nosec B101 # tells the type checker what holds
+        file = self._folder / spec.label.replace("/", ".")
+        if spec.shared:
+            nodes = file.with_name(f"{file.name}.json")
+            nodes.write_text(nodes_json(spec.nodes), encoding="utf-8")
+            return supervised_command(CAMERAS_MODULE, str(nodes), "--ros-args", *_QUIET)
+        node = spec.nodes[0]
+        parameters = file.with_name(f"{file.name}.yaml")
+        parameters.write_text(parameters_yaml(node.parameters), encoding="utf-8")
+        remappings = [("__ns", node.namespace), ("__node", node.name), *node.remappings]
+        command = supervised_command(node.module, "--ros-args")
+        command += [part for old, new in remappings for part in ("-r", f"{old}:={new}")]
+        return [*command, "--params-file", str(parameters), *_QUIET]
 
     def _on_group(self, group: int, alive: bool) -> None:
         self._cleanup.group(group, alive)
@@ -294,11 +313,12 @@ class Runner:
             shared_memory.remove_stale()
 
     def _warn_of_small_shm(self) -> None:
-        needed = shared_memory.BYTES_PER_PARTICIPANT * (len(self.graph) + 1)
+        count = len(self.graph.processes)
+        needed = shared_memory.BYTES_PER_PARTICIPANT * (count + 1)
         free = shared_memory.free_bytes()
         if free is not None and free < needed:
             self._say(
-                f"-- /dev/shm has {free >> 20} MB free, {len(self.graph)} nodes take {needed >> 20} MB: images "
+                f"-- /dev/shm has {free >> 20} MB free, {count} processes take {needed >> 20} MB: images "
                 "will be slow or lost; enlarge it (mount -o remount,size=2G /dev/shm; docker run --shm-size=2g)"
             )
 

@@ -121,10 +121,15 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
             wrong = True
             yield Finding.of("site", "nodes", error)
     if not wrong:
-        yield Finding("site", "nodes", Verdict.OK, f"{len(graph)} processes, parameters as they take them")
-    needed, free = shared_memory.BYTES_PER_PARTICIPANT * (len(graph) + 1), shared_memory.free_bytes()
+        yield Finding(
+            "site",
+            "nodes",
+            Verdict.OK,
+            f"{len(graph)} nodes in {len(graph.processes)} processes, parameters as they take them",
+        )
+    needed, free = shared_memory.BYTES_PER_PARTICIPANT * (len(graph.processes) + 1), shared_memory.free_bytes()
     if free is not None:
-        said = f"{free >> 20} MB free, {len(graph)} nodes take {needed >> 20} MB"
+        said = f"{free >> 20} MB free, {len(graph.processes)} processes take {needed >> 20} MB"
         remedy = ": images will be slow or lost; enlarge it (mount -o remount,size=2G /dev/shm)"
         yield (
             Finding(MACHINE, str(shared_memory.SHM_FOLDER), Verdict.OK, said)

@@ -3,7 +3,8 @@ under one stamp, as many as these can finish."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,14 +15,19 @@ from ltm_core.camera import Camera
 from ltm_core.errors import ImageError
 from ltm_core.frame import PosedImage
 from ltm_core.pose import Pose
+from ltm_core.pose_estimation.pose_correction import PoseCorrection
+from ltm_core.sensor_pose import Attitude, Fix, sensed_pose
 from ltm_core.site_io import load_site
 from ltm_core.types import Float64Array
 from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.image import compressed_size, compressed_to_rgb, image_to_msg, msg_to_rgb
+from ltm_msgs_py.imu import msg_to_attitude
+from ltm_msgs_py.navsat import msg_to_fix
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
+from ltm_msgs_py.pose_correction import msg_to_correction
 from ltm_msgs_py.stamp import stamp_of, time_to_ns
 from ltm_ros.runtime.admission import Admission
-from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
+from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_check import StampCheck
@@ -29,12 +35,16 @@ from ltm_ros.runtime.stamp_join import Match, Part, StampJoin, data_bytes
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
     FINISHED,
+    FIX,
     IMAGE_COMPRESSED,
     IMAGE_RAW,
+    IMU,
     POSE,
+    POSE_CORRECTION,
     POSED_CAMERA_INFO,
     POSED_IMAGE,
     POSED_POSE,
+    STATED_POSE,
 )
 
 
@@ -62,11 +72,19 @@ class _Frame:
     camera: Camera
 
 
+def _view_of(frame: _Frame) -> Hashable:
+    """The direction in which a frame was taken, in steps of a quarter of what it shows."""
+    camera, axis = frame.camera, frame.pose.rotation[:, 2]
+    step = math.atan2(camera.width, 2 * camera.fx) / 2
+    azimuth, pitch = math.atan2(axis[0], axis[1]), math.asin(max(-1.0, min(1.0, axis[2])))
+    return round(azimuth / step), round(pitch / step)
+
+
 class Capture(Handler[CaptureConfig]):
     """An image leaves when its pose and a calibration are there (the newest calibration up to its stamp counts), and
     when the nodes that work on the camera's frames have room for it (`Admission`)."""
 
-    publications = (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE)
+    publications: Sequence[Topic] = (POSED_IMAGE, POSED_CAMERA_INFO, POSED_POSE)
 
     def __init__(self, config: CaptureConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -82,11 +100,20 @@ class Capture(Handler[CaptureConfig]):
             self._fixed_covariance = camera.pose.covariance(self._fixed_pose, assumed.position, assumed.angle_deg)
         self._fixed_calibration = camera.calibration.camera() if camera.calibration else None
         parts = [Part("image")]
-        if self._fixed_pose is None:
+        self._sensors, self._frame = camera.sensors, site.frame
+        self._dem = site.open_dem() if camera.sensors is not None else None
+        if camera.sensors is not None:
+            parts.append(Part("fix", Match.LATEST))
+            parts.append(Part("attitude", Match.NEAREST, round(camera.sensors.attitude_age * 1e9)))
+        elif self._fixed_pose is None:
             parts.append(Part("pose", Match.NEAREST, round(config.pose_tolerance * 1e9)))
         if self._fixed_calibration is None:
             parts.append(Part("calibration", Match.LATEST))
         self._limits = site.limits
+        self._refines = site.refine_poses is not None
+        if self._refines:
+            self.publications = (*self.publications, STATED_POSE)
+        self._correction: PoseCorrection | None = None
         self._assumed = site.assumed_pose_error.covariance()
         self._stamps = StampCheck(outlet.now_ns, health)
         self._join = StampJoin(
@@ -107,6 +134,8 @@ class Capture(Handler[CaptureConfig]):
             config.shed,
             lambda frame: data_bytes(frame.image),
             site.limits.waiting_bytes,
+            outlet.more_waits,
+            _view_of,
         )
         self._newest = -1
 
@@ -114,9 +143,13 @@ class Capture(Handler[CaptureConfig]):
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
         topics: dict[Any, Callable[[Any], None]] = {IMAGE_RAW if self._raw else IMAGE_COMPRESSED: self.on_image}
         topics[FINISHED] = self.on_finished
+        if self._refines:
+            topics[POSE_CORRECTION] = self.on_correction
         if self._fixed_calibration is None:
             topics[CAMERA_INFO] = self.on_camera_info
-        if self._fixed_pose is None:
+        if self._sensors is not None:
+            topics |= {FIX: self.on_fix, IMU: self.on_imu}
+        elif self._fixed_pose is None:
             topics[POSE] = self.on_pose
         return topics
 
@@ -141,8 +174,20 @@ class Capture(Handler[CaptureConfig]):
             covariance = msg_to_covariance(message, self._assumed)
         self._join.add("pose", stamp_of(message), (pose, covariance))
 
+    def on_fix(self, message: Any) -> None:
+        self._join.add("fix", stamp_of(message), msg_to_fix(message))
+
+    def on_imu(self, message: Any) -> None:
+        self._join.add("attitude", stamp_of(message), msg_to_attitude(message))
+
+    def on_correction(self, message: Any) -> None:
+        self._correction = msg_to_correction(message)
+
     def on_finished(self, message: Any) -> None:
         self._admission.finished(message.frame_id, time_to_ns(message.stamp))
+
+    def idle(self) -> None:
+        self._admission.idle(self.outlet.prompt_workers(FINISHED))
 
     def tick(self, waited: float) -> None:
         self._join.tick(waited)
@@ -152,8 +197,19 @@ class Capture(Handler[CaptureConfig]):
         self._join.finish()
         self._admission.finish()
 
-    def _offer(self, image: Any, pose: tuple[Pose, Any] | None = None, calibration: Camera | None = None) -> None:
+    def _offer(
+        self,
+        image: Any,
+        pose: tuple[Pose, Any] | None = None,
+        calibration: Camera | None = None,
+        fix: Fix | None = None,
+        attitude: Attitude | None = None,
+    ) -> None:
         where, covariance = (self._fixed_pose, self._fixed_covariance) if pose is None else pose
+        if fix is not None and attitude is not None and self._sensors is not None and self._dem is not None:
+            size = (int(image.width), int(image.height)) if self._raw else compressed_size(image)
+            stamp = stamp_of(image)
+            where, covariance = sensed_pose(fix, attitude, stamp, size, self._frame, self._dem, self._sensors)
         camera = self._fixed_calibration if calibration is None else calibration
         assert where is not None  # nosec B101 # tells the type checker what holds
         assert camera is not None  # nosec B101 # tells the type checker what holds
@@ -165,10 +221,16 @@ class Capture(Handler[CaptureConfig]):
         """Only here is an image decoded: what is turned away costs next to nothing."""
         stamp = stamp_of(frame.image)
         photo = msg_to_rgb(frame.image) if self._raw else compressed_to_rgb(frame.image)
-        posed = PosedImage(photo, frame.camera, frame.pose, stamp, self.config.camera)
+        pose, covariance = frame.pose, frame.covariance
+        if self._refines:
+            self.outlet.publish(STATED_POSE, pose_to_msg(pose, stamp, "map", covariance))
+        if self._correction is not None:
+            pose, covariance = self._correction.applied(pose, self._assumed if covariance is None else covariance)
+            self.health.note("pose_corrected" if self._correction.known else "pose_suspected")
+        posed = PosedImage(photo, frame.camera, pose, stamp, self.config.camera)
         self.outlet.publish(POSED_CAMERA_INFO, camera_to_msg(posed.camera, stamp, self._frame_id))
-        self.outlet.publish(POSED_POSE, pose_to_msg(posed.pose, stamp, "map", frame.covariance))
-        self.outlet.publish(POSED_IMAGE, image_to_msg(posed.image, "rgb8", stamp, self._frame_id))
+        self.outlet.publish(POSED_POSE, pose_to_msg(posed.pose, stamp, "map", covariance))
+        self.outlet.provide(POSED_IMAGE, stamp, lambda: image_to_msg(posed.image, "rgb8", stamp, self._frame_id))
 
     def _too_large(self, message: Any) -> bool:
         """Whether an image holds more than may wait here; the size that its first bytes state is looked at later."""
@@ -204,8 +266,9 @@ class Capture(Handler[CaptureConfig]):
         return True
 
     def _give_up(self, stamp: int, lacking: list[str], why: str) -> None:
-        missing = "pose" if "pose" in lacking else "camera_info"
-        cause = "no_pose" if "pose" in lacking else "no_calibration"
+        name = next((part for part in ("pose", "fix", "attitude") if part in lacking), "calibration")
+        cause = "no_calibration" if name == "calibration" else "no_pose"
+        missing = {"calibration": "camera_info", "attitude": "imu"}.get(name, name)
         self.health.drop(cause, f"image of stamp {stamp} ns has no {missing} ({why}); publish one with its stamp")
 
 

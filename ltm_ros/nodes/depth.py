@@ -66,6 +66,9 @@ class Depth(Handler[DepthConfig]):
             POSED_POSE: lambda m: self._join.add("pose", stamp_of(m), m),
         }
 
+    def discard(self, stamp_ns: int) -> None:
+        self._join.discard(stamp_ns)
+
     def tick(self, waited: float) -> None:
         self._join.tick(waited)
 
@@ -83,7 +86,7 @@ class Depth(Handler[DepthConfig]):
             return
         ranges = self._tracer.trace(camera, where)
         self.outlet.publish(DEPTH_CAMERA_INFO, camera_to_msg(camera, stamp, self._frame_id))
-        self.outlet.publish(DEPTH_IMAGE, depth_to_msg(ranges.depth(), stamp, self._frame_id))
+        self.outlet.provide(DEPTH_IMAGE, stamp, lambda: depth_to_msg(ranges.depth(), stamp, self._frame_id))
         if self.outlet.wanted(GROUND_DEPTH):
             bare = ranges if self._bare is self._tracer else self._bare.trace(camera, where)
             self.outlet.publish(GROUND_DEPTH, depth_to_msg(bare.depth(), stamp, self._frame_id))

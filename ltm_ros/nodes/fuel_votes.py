@@ -66,6 +66,9 @@ class FuelVotes(Handler[JoinConfig]):
         camera, pose = Camera.from_fov(3, 2, 60.0), Pose.from_angles((0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
         self._caster.cast(nothing, camera, pose, zeros, 0, self.config.camera, zeros)
 
+    def discard(self, stamp_ns: int) -> None:
+        self._join.discard(stamp_ns)
+
     def tick(self, waited: float) -> None:
         self._join.tick(waited)
 

@@ -27,9 +27,10 @@ from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import HEARTBEAT
+from ltm_ros.runtime.message_info import with_info
 from ltm_ros.runtime.message_loss import LossCounter, loss_report, writers_of
-from ltm_ros.runtime.node import read_parameters
 from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
+from ltm_ros.runtime.outlet_node import read_parameters
 from ltm_ros.runtime.topics import RECORDED, camera_topic, site_topic
 
 QUEUE_BYTES = 256 << 20
@@ -80,7 +81,7 @@ class Recorder(Node):  # type: ignore[misc]
             1.0, lambda: self._queue.put(self._recording.flush), clock=DiagnosticsPublisher.steady_clock()
         )
         self.create_timer(0.2, self._discover, clock=DiagnosticsPublisher.steady_clock())
-        self._diagnostics = DiagnosticsPublisher(self, self.health)
+        self._diagnostics = DiagnosticsPublisher(self, {self.get_fully_qualified_name(): self.health})
         self._thread = threading.Thread(target=self._write, name="recorder disk", daemon=True)
         self._thread.start()
 
@@ -116,7 +117,8 @@ class Recorder(Node):  # type: ignore[misc]
                 durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
             )
             losses = None if latched else LossCounter(writers_of(self, topic))
-            self.create_subscription(message_type, topic, self._taker(topic, types[0], losses), qos, raw=True)
+            taker = with_info(self._taker(topic, types[0], losses))
+            self.create_subscription(message_type, topic, taker, qos, raw=True)
 
     def _taker(self, topic: str, type_name: str, losses: LossCounter | None) -> Callable[[bytes, Any], None]:
         def take(cdr: bytes, info: Any) -> None:

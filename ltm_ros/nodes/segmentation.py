@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from pydantic import Field
@@ -51,9 +52,9 @@ class Segmentation(Handler[SegmentationConfig]):
 
     def on_image(self, message: Any) -> None:
         stamp, frame_id = stamp_of(message), message.header.frame_id
-        segmentation = self._segmenter.segment(msg_to_rgb(message), self.config.zoom)
-        self.outlet.publish(LABELS_CONFIDENCE, image_to_msg(segmentation.confidence, "mono8", stamp, frame_id))
-        self.outlet.publish(LABELS_IMAGE, image_to_msg(segmentation.labels, "mono8", stamp, frame_id))
+        found = self._segmenter.segment(msg_to_rgb(message), self.config.zoom)
+        for topic, image in ((LABELS_CONFIDENCE, found.confidence), (LABELS_IMAGE, found.labels)):
+            self.outlet.provide(topic, stamp, partial(image_to_msg, image, "mono8", stamp, frame_id))
         self.outlet.acknowledge(FINISHED, stamp)
 
 

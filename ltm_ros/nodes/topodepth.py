@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -107,6 +108,9 @@ class TopoDepth(Handler[TopoDepthConfig]):
             LABELS_IMAGE: lambda m: self._join.add("labels", stamp_of(m), m),
         }
 
+    def discard(self, stamp_ns: int) -> None:
+        self._join.discard(stamp_ns)
+
     def tick(self, waited: float) -> None:
         self._join.tick(waited)
 
@@ -163,12 +167,12 @@ class TopoDepth(Handler[TopoDepthConfig]):
             with np.errstate(divide="ignore"):
                 metres = np.where(fused.fit.inverse > 0, 1.0 / fused.fit.inverse, np.inf).astype(np.float32)
             self.outlet.publish(NETWORK_DEPTH, depth_to_msg(metres, stamp, frame))
-        measured = fused.measured()
-        self.outlet.publish(MEASURED_SIGMA, depth_to_msg(measured.sigma, stamp, frame))
-        self.outlet.publish(MEASURED_DEPTH, depth_to_msg(measured.depth, stamp, frame))
-        self.outlet.publish(FUSED_SIGMA, depth_to_msg(fused.sigma, stamp, frame))
-        self.outlet.publish(FUSED_SOURCE, image_to_msg(fused.source, "mono8", stamp, frame))
-        self.outlet.publish(FUSED_DEPTH, depth_to_msg(fused.depth, stamp, frame))
+        measured = cache(fused.measured)
+        self.outlet.provide(MEASURED_SIGMA, stamp, lambda: depth_to_msg(measured().sigma, stamp, frame))
+        self.outlet.provide(MEASURED_DEPTH, stamp, lambda: depth_to_msg(measured().depth, stamp, frame))
+        self.outlet.provide(FUSED_SIGMA, stamp, lambda: depth_to_msg(fused.sigma, stamp, frame))
+        self.outlet.provide(FUSED_SOURCE, stamp, lambda: image_to_msg(fused.source, "mono8", stamp, frame))
+        self.outlet.provide(FUSED_DEPTH, stamp, lambda: depth_to_msg(fused.depth, stamp, frame))
 
     def _compile_kernels(self) -> None:
         """Now, or load them from numba's cache: the first frame shall not wait for it."""

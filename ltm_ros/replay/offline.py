@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import importlib
-from collections import defaultdict, deque
 from collections.abc import Callable, Mapping, Set
 from functools import partial
-from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +16,9 @@ from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.stamp import stamp_text
 from ltm_ros.launching.graph import Graph, NodeSpec
 from ltm_ros.replay.selection import Selection
-from ltm_ros.runtime.handler import Handler, NodeType, Topic
+from ltm_ros.runtime.handler import NodeType, Topic
 from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.pipeline import Job, Pipeline, absolute
 
 
 class OfflineGraph:
@@ -29,74 +28,55 @@ class OfflineGraph:
         """`source`: where messages come from, for errors."""
         self._source = source
         self.healths: dict[str, Health] = {}
-        self._listeners: dict[str, list[tuple[str, Health, Callable[[Any], None]]]] = defaultdict(list)
-        self._waiting: deque[tuple[str, Any]] = deque()
+        self._pipeline = Pipeline(self._run)
         self._record = record
         self.now_ns = 0
         """Log time of the message at work."""
-        self._handlers: dict[str, tuple[Health, Handler[Any]]] = {}
-        self._publications: dict[str, list[str]] = {}
-        self._subscriptions: dict[str, list[str]] = {}
         for spec in graph:
             self._add(spec)
-        for _, handler in self._handlers.values():
-            handler.start()
-        self._drain()
+        self._pipeline.start()
+        self._pipeline.settle()
 
     def feed(self, topic: str, message: Any, time_ns: int) -> None:
         """Deliver a message and all that follows from it."""
         self.now_ns = time_ns
         self.publish(topic, message)
-        self._drain()
+        self._pipeline.settle()
 
     def finish(self) -> None:
         """Tell every handler that no more will come, each after all that it listens to; what they still publish is
         delivered."""
-        sources: dict[str, set[str]] = defaultdict(set)
-        for name, topics in self._publications.items():
-            for topic in topics:
-                sources[topic].add(name)
-        upstream = {name: set().union(*(sources[t] for t in topics)) for name, topics in self._subscriptions.items()}
-        for name in TopologicalSorter(upstream).static_order():
-            health, handler = self._handlers[name]
-            _guarded(health, handler.finish)
-            self._drain()
+        self._pipeline.finish()
 
     def publish(self, topic: str, message: Any, latched: bool = False) -> None:
-        self._waiting.append((topic, message))
+        self._pipeline.publish(topic, message)
         if self._record is not None:
             self._record.add_topic(topic, type_name_of(message), latched)
             self._record.write(topic, message, self.now_ns)
 
+    def wanted(self, topic: str) -> bool:
+        """Whether anything becomes of a message on it."""
+        return self._record is not None or self.listened(topic)
+
     def listened(self, topic: str) -> bool:
-        return topic in self._listeners
+        return self._pipeline.listened(topic)
 
     def _add(self, spec: NodeSpec) -> None:
         node: NodeType[Any] = importlib.import_module(spec.module).NODE
         given: Mapping[str, Any] = {k: v for k, v in spec.parameters.items() if k != "use_sim_time"}
         health = self.healths[spec.full_name] = Health()
         outlet = _Outlet(self, spec.namespace, health)
-        handler = node.handler(checked(node.config, given, f"parameters of {spec.label}"), outlet, health)
-        self._handlers[spec.full_name] = health, handler
-        self._publications[spec.full_name] = [_absolute(spec.namespace, topic) for topic in handler.publications]
-        self._subscriptions[spec.full_name] = [_absolute(spec.namespace, topic) for topic in handler.subscriptions]
-        for topic, callback in handler.subscriptions.items():
-            self._listeners[_absolute(spec.namespace, topic)].append((topic.name, health, callback))
+        config = checked(node.config, given, f"parameters of {spec.label}")
+        make = partial(node.handler, config, outlet, health)
+        self._pipeline.add(Job(spec.full_name, spec.namespace, health, make))
+
+    def _run(self, job: Job, work: Callable[[], None], topic: str, message: Any) -> None:
+        _guarded(job.health, work, partial(self._place, topic, message) if topic else None)
 
     def _place(self, topic: str, message: Any) -> str:
         """Of a message, for errors: its topic, which names the camera, its stamp, and the recording."""
         parts = [topic, *([f"stamp {stamp_text(message)}"] if hasattr(message, "header") else []), self._source]
         return ", ".join(filter(None, parts))
-
-    def _drain(self) -> None:
-        while self._waiting:
-            while self._waiting:
-                topic, message = self._waiting.popleft()
-                for name, health, callback in self._listeners.get(topic, ()):
-                    health.received(name)
-                    _guarded(health, partial(callback, message), partial(self._place, topic, message))
-            for health, handler in self._handlers.values():
-                _guarded(health, handler.idle)
 
 
 class _Outlet:
@@ -104,12 +84,22 @@ class _Outlet:
         self._graph, self._namespace, self._health = graph, namespace, health
 
     def publish(self, topic: Topic, message: Any) -> None:
-        self._graph.publish(_absolute(self._namespace, topic), message, topic.latched)
+        self._graph.publish(absolute(self._namespace, topic), message, topic.latched)
         if not topic.latched:
             self._health.published(topic.name)
 
+    def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
+        if self._graph.wanted(absolute(self._namespace, topic)):
+            self.publish(topic, make())
+        else:
+            self._health.published(topic.name)
+
     def wanted(self, topic: Topic) -> bool:
-        return self._graph.listened(_absolute(self._namespace, topic))
+        return self._graph.listened(absolute(self._namespace, topic))
+
+    def more_waits(self) -> bool:
+        """Each frame is finished before the next is fed: none need be turned away for a newer one."""
+        return False
 
     def now_ns(self) -> int:
         return self._graph.now_ns
@@ -118,6 +108,9 @@ class _Outlet:
         """Each frame is finished before the next is fed: nobody waits for it."""
 
     def workers(self, topic: Topic) -> Set[str]:
+        return frozenset()
+
+    def prompt_workers(self, topic: Topic) -> Set[str]:
         return frozenset()
 
 
@@ -145,10 +138,6 @@ def replay_offline(
         if writer is not None:
             writer.close()
     return {name: health.summary() for name, health in offline.healths.items()}
-
-
-def _absolute(namespace: str, topic: Topic) -> str:
-    return topic.name if topic.name.startswith("/") else f"{namespace}/{topic.name}"
 
 
 def _deliver(offline: OfflineGraph, reader: BagReader, message: BagMessage) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Set
+from collections.abc import Callable, Hashable, Set
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -15,6 +15,9 @@ FrameT = TypeVar("FrameT")
 HEARS_WITHIN = 0.4
 """Share of `finish_within` for which a frame waits for a worker that has finished none yet: DDS names it before it
 hears all that it needs, and its first frame may take longer than others."""
+
+VIEWS = 1000
+"""Of a camera that are remembered."""
 
 
 @dataclass
@@ -31,7 +34,8 @@ class _InFlight:
 
 
 class Admission(Generic[FrameT]):
-    """The door of one camera's chain. At most `capacity` frames are in flight; of the others the newest waits.
+    """The door of one camera's chain. At most `capacity` frames are in flight; of the others the newest waits, or where
+    the camera looks here and there, the newest of the view that was let in longest ago.
 
     A frame is in flight until every node has finished it that was known as a worker when it was let in. Nothing is
     asked of who works on it: a worker that goes is not awaited any more, one that finishes a later frame has done with
@@ -49,6 +53,9 @@ class Admission(Generic[FrameT]):
         shed: False: all frames wait, in order, while there is room for what they hold (a recording's frames).
         size_of: bytes that a waiting frame holds.
         waiting_bytes: that waiting frames hold at most; a frame alone always has room.
+        more_waits: whether further frames may be offered at once. While it says so none is let in, for a newer one may
+            be among them; `idle` is called then.
+        view_of: what is the same for frames that show the same.
     """
 
     def __init__(
@@ -61,10 +68,16 @@ class Admission(Generic[FrameT]):
         shed: bool,
         size_of: Callable[[FrameT], int],
         waiting_bytes: int,
+        more_waits: Callable[[], bool] = bool,
+        view_of: Callable[[FrameT], Hashable] = lambda _: None,
     ) -> None:
         self._admit, self._workers, self._health = admit, workers, health
         self._capacity, self._finish_within, self._shed = capacity, finish_within, shed
         self._size_of, self._waiting_bytes = size_of, waiting_bytes
+        self._more_waits, self._view_of = more_waits, view_of
+        self._views: OrderedDict[Hashable, int] = OrderedDict()
+        """Those that were let in, longest ago first, and the number of the frame that was."""
+        self._let_in_ever = 0
         self._waiting: OrderedDict[int, FrameT] = OrderedDict()
         self._held = 0
         self._in_flight: OrderedDict[int, _InFlight] = OrderedDict()
@@ -81,7 +94,10 @@ class Admission(Generic[FrameT]):
         errors = self._let_in()
         if self._shed:
             while len(self._waiting) > 1:
-                self._turn_away(min(self._waiting), "a newer one waits")
+                least = min(self._waiting, key=self._claim)
+                newer = any(stamp > least for stamp in self._waiting)
+                why = "a newer one waits" if newer else "an older one waits, of a view that was let in longer ago"
+                self._turn_away(least, why)
         while len(self._waiting) > 1 and self._held > self._waiting_bytes:
             self._turn_away(next(iter(self._waiting)), f"{self._held >> 20} MB wait")
         self._state(errors)
@@ -101,6 +117,14 @@ class Admission(Generic[FrameT]):
                     frame.awaited[worker] = 0.0
             self._release()
         self._state(self._let_in())
+
+    def idle(self, prompt: Set[str]) -> None:
+        """Let one frame in, now that no further one is offered at once. `prompt`: workers that have done all that they
+        will do with frames in flight: what they have not finished has failed there. Raises as `offer`."""
+        for frame in self._in_flight.values():
+            frame.give_up(prompt)
+        self._release()
+        self._state(self._let_in(1))
 
     def tick(self, waited: float) -> None:
         """So many seconds have passed. Raises as `offer`."""
@@ -131,9 +155,12 @@ class Admission(Generic[FrameT]):
             self._turn_away(stamp, "the node ended")
         self._state([])
 
-    def _let_in(self) -> list[LtmError]:
-        errors = []
-        while self._waiting and len(self._in_flight) < self._capacity:
+    def _let_in(self, most: int | None = None) -> list[LtmError]:
+        errors: list[LtmError] = []
+        if self._more_waits():
+            return errors
+        left = most
+        while self._waiting and len(self._in_flight) < self._capacity and left != 0:
             stamp, frame = self._waiting.popitem(last=False)
             self._held -= self._size_of(frame)
             awaited = dict.fromkeys(self._workers() - self._late, 0.0)
@@ -142,9 +169,23 @@ class Admission(Generic[FrameT]):
             except LtmError as error:
                 errors.append(error)
                 continue
+            left = None if left is None else left - 1
+            self._note_view(frame)
             if awaited:
                 self._in_flight[stamp] = _InFlight(awaited)
         return errors
+
+    def _claim(self, stamp: int) -> tuple[int, int]:
+        """Of those that wait, the one with the least is turned away."""
+        return -self._views.get(self._view_of(self._waiting[stamp]), 0), stamp
+
+    def _note_view(self, frame: FrameT) -> None:
+        self._let_in_ever += 1
+        view = self._view_of(frame)
+        self._views[view] = self._let_in_ever
+        self._views.move_to_end(view)
+        if len(self._views) > VIEWS:
+            self._views.popitem(last=False)
 
     def _release(self) -> None:
         for stamp in [stamp for stamp, frame in self._in_flight.items() if not frame.awaited]:
@@ -156,10 +197,10 @@ class Admission(Generic[FrameT]):
     def _turn_away(self, stamp: int, why: str) -> None:
         self._held -= self._size_of(self._waiting.pop(stamp))
         awaited = sorted({worker for frame in self._in_flight.values() for worker in frame.awaited})
+        others = f"{len(self._in_flight)} are in flight (at {', '.join(awaited)})" if awaited else "others are at work"
         self._health.drop(
             "shed",
-            f"the frame of stamp {stamp} ns: {why}, and {len(self._in_flight)} are in flight (at "
-            f"{', '.join(awaited)}); slow the camera down or give it more cores",
+            f"the frame of stamp {stamp} ns: {why}, and {others}; slow the camera down or give it more cores",
         )
 
     def _state(self, errors: list[LtmError]) -> None:

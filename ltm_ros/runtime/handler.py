@@ -41,8 +41,16 @@ class Outlet(Protocol):
 
     def publish(self, topic: Topic, message: Any) -> None: ...
 
+    def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
+        """Publish what `make` gives, of a frame of this stamp, where somebody listens; else it is only counted."""
+        ...
+
     def wanted(self, topic: Topic) -> bool:
         """Whether somebody listens: costly messages are made only then."""
+        ...
+
+    def more_waits(self) -> bool:
+        """Whether this handler gets further messages at once, and then `idle`."""
         ...
 
     def now_ns(self) -> int:
@@ -56,6 +64,11 @@ class Outlet(Protocol):
     def workers(self, topic: Topic) -> Set[str]:
         """Full names of the nodes that acknowledge frames on a topic, as known now; none where frames are fed one by
         one."""
+        ...
+
+    def prompt_workers(self, topic: Topic) -> Set[str]:
+        """Those of `workers` that by the next `idle` have done all that they will do with what was published before:
+        nodes that share this one's process."""
         ...
 
 
@@ -101,6 +114,9 @@ class Handler(Generic[ConfigT]):
 
     def idle(self) -> None:
         """Called after a message when no other waits: what is cheaper for many at once is done here."""
+
+    def discard(self, stamp_ns: int) -> None:
+        """Called where no more will come of a camera's frame: forget its parts that wait."""
 
     def tick(self, waited: float) -> None:
         """Called every half second with the seconds since the last call, on a clock that a replay does not stop."""

@@ -32,6 +32,7 @@ class Health:
         self._gauges: dict[str, str] = {}
         self._ages: deque[float] = deque(maxlen=WINDOW)
         self._work: deque[float] = deque(maxlen=WINDOW)
+        self._cpu_s: float | None = None
         self._published_at: deque[float] = deque(maxlen=WINDOW)
         self._reasons: dict[str, str] = {}
         self._last_error = ""
@@ -53,6 +54,17 @@ class Health:
         """A message was handled in `seconds`."""
         with self._lock:
             self._work.append(seconds)
+
+    def used(self, cpu_s: float) -> None:
+        """Processor time went by on this node's work; stated by nodes that share a process."""
+        with self._lock:
+            self._cpu_s = cpu_s + (self._cpu_s or 0.0)
+
+    @property
+    def results(self) -> int:
+        """Messages published."""
+        with self._lock:
+            return self._published.total()
 
     def drop(self, cause: str, why: str, count: int = 1) -> None:
         """Inputs were given up; `why` holds the value and the remedy. The first of each cause is kept."""
@@ -106,6 +118,8 @@ class Health:
                 if times:
                     p50, p95 = np.percentile(np.array(times) * 1000, (50, 95))
                     values |= {f"{name}_p50_ms": f"{p50:.1f}", f"{name}_p95_ms": f"{p95:.1f}"}
+            if self._cpu_s is not None:
+                values["cpu_s"] = f"{self._cpu_s:.3f}"
             values |= self._gauges
             values["last_error"] = self._last_error
             return values

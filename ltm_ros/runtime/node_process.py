@@ -5,11 +5,11 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from ltm_core.errors import LtmError
@@ -31,12 +31,25 @@ class ClosableNode(Protocol):
     def destroy_node(self) -> None: ...
 
 
+class NodeGroup(Protocol):
+    """Several nodes that live and end together."""
+
+    @property
+    def members(self) -> Sequence[Any]:
+        """The rclpy nodes."""
+        ...
+
+    def close(self) -> int:
+        """As of `ClosableNode`."""
+        ...
+
+
 class _StoppedEarly(BaseException):
     """Told to stop while the node was being made."""
 
 
-def run_until_stopped(name: str, make: Callable[[], ClosableNode]) -> None:
-    """Spin the node that `make` makes until SIGINT or SIGTERM, then `close` it while it can still publish.
+def run_until_stopped(name: str, make: Callable[[], ClosableNode | NodeGroup]) -> None:
+    """Spin what `make` makes until SIGINT or SIGTERM, then `close` it while it can still publish.
 
     The last act of a process: from the return on it has moments left to exit (`limit_shutdown`). Exits with EX_CONFIG
     where the configuration cannot work (LtmError), so that the graph does not start it for ever, with what `close`
@@ -70,8 +83,11 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode]) -> None:
         limit_shutdown()
         rclpy.try_shutdown()
         return
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
+    nodes = node.members if hasattr(node, "members") else [node]
+    # It waits for events; the others build a list of all that they wait for each time that one of it happens.
+    executor = EventsExecutor()
+    for member in nodes:
+        executor.add_node(member)
     activity = HEARTBEAT.activity(name)
     STARTING.end()
     while rclpy.ok() and not stopping.is_set():
@@ -81,7 +97,8 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode]) -> None:
     status = node.close()
     limit_shutdown()
     executor.shutdown()
-    node.destroy_node()
+    for member in nodes:
+        member.destroy_node()
     rclpy.try_shutdown()
     if status:
         sys.exit(status)

@@ -136,6 +136,10 @@ class StampJoin:
         concerned = [stamp_ns] if part.match is Match.EXACT else sorted(self._waiting)
         self._complete_ready([stamp for stamp in concerned if stamp in self._waiting])
 
+    def discard(self, stamp_ns: int) -> None:
+        """Forget a frame: no more of it will come, and it is counted elsewhere."""
+        self._waiting.pop(stamp_ns, None)
+
     def tick(self, waited: float) -> None:
         """So many seconds have passed: frames that have waited long enough go on without, or are given up."""
         for stamp, frame in list(self._waiting.items()):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from geometry_msgs.msg import PointStamped, PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, NavSatFix, PointCloud2
 from std_msgs.msg import Header, String
 
 from ltm_ros.runtime.handler import Topic
@@ -13,10 +13,18 @@ IMAGE_RAW = Topic("image_raw", Image)
 IMAGE_COMPRESSED = Topic("image_raw/compressed", CompressedImage)
 CAMERA_INFO = Topic("camera_info", CameraInfo)
 POSE = Topic("pose", PoseWithCovarianceStamped)
+FIX = Topic("fix", NavSatFix, counted=False)
+IMU = Topic("imu", Imu, depth=100, counted=False)  # some phones send two hundred a second
+"""What tells a camera's pose where its site file says so (`sensors`)."""
 
 POSED_IMAGE = Topic("posed/image", Image)
 POSED_CAMERA_INFO = Topic("posed/camera_info", CameraInfo)
 POSED_POSE = Topic("posed/pose", PoseWithCovarianceStamped)
+STATED_POSE = Topic("posed/stated_pose", PoseWithCovarianceStamped)
+"""As it came, of frames whose poses are refined."""
+POSE_CORRECTION = Topic("pose/correction", PoseWithCovarianceStamped, latched=True)
+"""A rotation about the map's axes by which stated poses are turned, and the covariance of their angles then."""
+POSE_INFO = Topic("pose/info", String, latched=True)
 
 DEPTH_IMAGE = Topic("depth/image", Image)
 DEPTH_CAMERA_INFO = Topic("depth/camera_info", CameraInfo)
@@ -66,14 +74,24 @@ TRUTH_LABELS = Topic("truth/labels", Image)
 TRUTH_CAMERA_INFO = Topic("truth/camera_info", CameraInfo)
 TRUTH_POSE = Topic("truth/pose", PoseWithCovarianceStamped)
 
-CAMERA_INPUTS = (IMAGE_RAW, IMAGE_COMPRESSED, CAMERA_INFO, POSE)
+CAMERA_INPUTS = (IMAGE_RAW, IMAGE_COMPRESSED, CAMERA_INFO, POSE, FIX, IMU)
 """What a recording must hold for the graph to run on it."""
 CAMERA_TRUTH = (TRUTH_DEPTH, TRUTH_GROUND_DEPTH, TRUTH_LABELS, TRUTH_CAMERA_INFO, TRUTH_POSE)
 """What a simulated recording holds besides; no node of the graph listens to it."""
 
 RECORDED = (
     (
-        *(*CAMERA_INPUTS, *CAMERA_TRUTH, POSED_POSE, DEPTH_IMAGE, DEPTH_CAMERA_INFO, FUSED_DEPTH, FUSED_INFO),
+        *(
+            *CAMERA_INPUTS,
+            *CAMERA_TRUTH,
+            POSED_POSE,
+            POSE_CORRECTION,
+            POSE_INFO,
+            DEPTH_IMAGE,
+            DEPTH_CAMERA_INFO,
+            FUSED_DEPTH,
+            FUSED_INFO,
+        ),
         *(NETWORK_DEPTH, LABELS_IMAGE, LABELS_INFO, FUEL_VOTES),
         *(LOCATE_REGION, LOCATE_POINT, LOCATE_ESTIMATE, LOCATE_GEOJSON),
     ),

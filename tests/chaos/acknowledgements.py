@@ -11,7 +11,7 @@ from rclpy.node import Node
 from scenes.small_site import NAME
 
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.node import stream_qos
+from ltm_ros.runtime.outlet_node import stream_qos
 from ltm_ros.runtime.topics import FUEL_MAP_UPDATE, site_topic
 
 DEPTH = 5000

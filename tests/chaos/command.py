@@ -23,6 +23,7 @@ def main() -> None:
     parser.add_argument("--soak", action="store_true", help="no faults: does memory grow?")
     parser.add_argument("--seed", type=int, default=secrets.randbelow(10**6), help="of the faults; drawn if not given")
     parser.add_argument("--period", type=float, default=1.0, help="seconds between two frames of a camera")
+    parser.add_argument("--processes", choices=("site", "node"), default="site", help="as in a site file")
     parser.add_argument("--only", action="append", default=[], help="only this kind of fault; may be given often")
     parser.add_argument("--without", action="append", default=[], help="not this kind of fault; may be given often")
     parser.add_argument("--slack", type=float, default=1.0, help="by which times may be longer, on a busy machine")
@@ -41,7 +42,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="ltm-chaos-", ignore_cleanup_errors=True) as temporary:
         folder = options.folder.resolve() if options.folder else Path(temporary)
         if options.soak:
-            found = play_soak(folder, options.domain, options.period, options.minutes)
+            found = play_soak(folder, options.domain, options.period, options.processes, options.minutes)
         else:
             if not own_disks:
                 kinds = [kind for kind in kinds if kind != "fill-disk"]
@@ -49,7 +50,15 @@ def main() -> None:
             print(f"seed {options.seed}: {', '.join(kinds)}")
             rng = random.Random(options.seed)
             found = play_chaos(
-                folder, options.domain, options.period, options.minutes, kinds, rng, own_disks, options.slack
+                folder,
+                options.domain,
+                options.period,
+                options.processes,
+                options.minutes,
+                kinds,
+                rng,
+                own_disks,
+                options.slack,
             )
     if options.json:
         content = {"options": {name: str(value) for name, value in vars(options).items()}, **found.content}

@@ -16,6 +16,7 @@ from pathlib import Path
 from chaos.cameras import CAMERAS, Cameras
 from chaos.running_site import CLEANUP, RUNNER, RunningSite
 from chaos.stranger import ATTACKS, FLOODS
+from ltm_ros.launching.graph import CAMERAS_PROCESS
 
 ORPHANS_S = 15.0
 """In which all nodes are gone after their runner was killed."""
@@ -210,7 +211,7 @@ def _touched(label: str) -> tuple[str, ...]:
     camera, _, name = label.rpartition("/")
     if camera:
         return (camera,)
-    return CAMERAS if name in ("fuel_map", "terrain") else ()
+    return CAMERAS if name in ("fuel_map", "terrain", CAMERAS_PROCESS) else ()
 
 
 def _signal(arena: Arena, label: str, number: int) -> list[str]:

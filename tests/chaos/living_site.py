@@ -20,8 +20,9 @@ NO_CHANGE = 1000.0
 map shall follow from the votes alone."""
 
 
-def write_living_site(folder: Path) -> SmallSite:
-    """In an empty folder. Its cameras' frames must bear the stamps of the machine's clock, as in the field."""
+def write_living_site(folder: Path, processes: str = "site") -> SmallSite:
+    """In an empty folder. Its cameras' frames must bear the stamps of the machine's clock, as in the field.
+    `processes`: as in a site file."""
     small = write_fusing_site(folder, recording=False)
     grid = small.site.in_crs(small.site.fuel_geometry(small.dem))
     write_geotiff(folder / "prior.tif", np.full(grid.shape, PRIOR_CODE, np.int16), grid, -9999)
@@ -29,6 +30,7 @@ def write_living_site(folder: Path) -> SmallSite:
     del content["nodes"]
     content["fuel"] = {"prior": "prior.tif"}
     content["terrain"]["threshold"] = NO_CHANGE
+    content["processes"] = processes
     content["watchdog"] = {"silent": SILENT_S}
     small.path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return SmallSite(folder)

@@ -23,12 +23,12 @@ from chaos.disks import mount_disk, unmount_disk
 from chaos.faults import Arena
 from chaos.heartbeats import Heartbeats
 from chaos.living_site import write_living_site
-from chaos.resources import Usage, usage_of
 from chaos.running_site import RunningSite
 from chaos.soak import SUM, Soak
 from chaos.verdict import judge, votes_of_phases
 from ltm_core.errors import RecordingError
 from ltm_msgs_py.bag.reader import BagReader
+from ltm_ros.bench.process_usage import Usage, usage_of
 from ltm_ros.launching import shared_memory
 
 DISK_MB = {"state": 320, "recording": 640}
@@ -52,11 +52,13 @@ class Found:
 class Stage:
     """A running site with its cameras, and those who look at it."""
 
-    def __init__(self, folder: Path, domain: int, period_s: float, bystander: Bystander, own_disks: bool) -> None:
+    def __init__(
+        self, folder: Path, domain: int, period_s: float, processes: str, bystander: Bystander, own_disks: bool
+    ) -> None:
         compile_kernels()  # of which no node that comes back shall think
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "site").mkdir()
-        self.small: SmallSite = write_living_site(folder / "site")
+        self.small: SmallSite = write_living_site(folder / "site", processes)
         self.photos = Photos(self.small)
         self.disks = {name: folder / name for name in DISK_MB} if own_disks else {}
         for name, disk in self.disks.items():
@@ -81,7 +83,7 @@ class Stage:
             return dark + [label for label in self.site.nodes if not self.heartbeats.since(label, begun)]
 
         wait_for(lambda: not waits_for(), "a whole graph", waits_for, START_S)
-        print(f"{len(self.site.nodes)} nodes at work after {time.monotonic() - begun:.0f} s", flush=True)
+        print(f"{len(self.site.nodes)} processes at work after {time.monotonic() - begun:.0f} s", flush=True)
         self.first_usage = usage_of(self.site.processes())
 
     def end(self) -> list[str]:
@@ -132,10 +134,12 @@ class Stage:
 
 
 @contextmanager
-def on_stage(folder: Path, domain: int, period_s: float, own_disks: bool, found: Found) -> Iterator[Stage]:
+def on_stage(
+    folder: Path, domain: int, period_s: float, processes: str, own_disks: bool, found: Found
+) -> Iterator[Stage]:
     """The body has a whole graph; after it, all is stopped and judged."""
     with Bystander() as bystander:
-        stage = Stage(folder, domain, period_s, bystander, own_disks)
+        stage = Stage(folder, domain, period_s, processes, bystander, own_disks)
         try:
             stage.begin()
             yield stage
@@ -154,6 +158,7 @@ def play_chaos(
     folder: Path,
     domain: int,
     period_s: float,
+    processes: str,
     minutes: float,
     kinds: list[str],
     rng: random.Random,
@@ -162,7 +167,7 @@ def play_chaos(
 ) -> Found:
     """Faults of these kinds, by chance, for so long."""
     found = Found()
-    with on_stage(folder, domain, period_s, own_disks, found) as stage:
+    with on_stage(folder, domain, period_s, processes, own_disks, found) as stage:
         arena = Arena(stage.site, stage.cameras, stage.disks)
         print(report.heading(), flush=True)
         tell: Callable[[Outcome], None] = lambda outcome: print(report.line(outcome), flush=True)  # noqa: E731
@@ -174,10 +179,10 @@ def play_chaos(
     return found
 
 
-def play_soak(folder: Path, domain: int, period_s: float, minutes: float) -> Found:
+def play_soak(folder: Path, domain: int, period_s: float, processes: str, minutes: float) -> Found:
     """No faults."""
     found, soak = Found(), Soak()
-    with on_stage(folder, domain, period_s, False, found) as stage:
+    with on_stage(folder, domain, period_s, processes, False, found) as stage:
         soak.watch(stage.site, stage.state, minutes, lambda text: print(text, flush=True))
     print("private memory over the last two thirds, kB a minute (95 % interval):")
     for label, (slope, low, high) in soak.slopes().items():

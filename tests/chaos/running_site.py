@@ -13,7 +13,7 @@ import uuid
 from pathlib import Path
 
 from ltm_core.site_io import load_site
-from ltm_ros.launching.graph import Graph, describe
+from ltm_ros.launching.graph import CAMERAS_MODULE, CAMERAS_PROCESS, Graph, describe
 from ltm_ros.launching.ros_environment import ros_environment
 
 RUNNER, CLEANUP = "runner", "orphan_cleanup"
@@ -36,8 +36,8 @@ class RunningSite:
         self.starts = 0
         self.left: list[str] = []
         """Labels of processes that were still there after the runner had stopped."""
-        self.nodes = tuple(spec.label for spec in self._graph(site, recording))
-        """Labels of all nodes."""
+        self.nodes = tuple(spec.label for spec in self._graph(site, recording).processes)
+        """Labels of the processes of all nodes."""
 
     @staticmethod
     def _graph(site: Path, recording: Path | None) -> Graph:
@@ -104,5 +104,7 @@ class RunningSite:
             return RUNNER
         if node := _NODE.search(command):
             return f"{node[1][1:]}/{node[2]}" if node[1] else node[2]
+        if CAMERAS_MODULE in command:
+            return CAMERAS_PROCESS
         module = re.search(r"-m ltm_ros\.\S*?(\w+)(?: |$)", command)
         return module[1] if module else f"{Path(command.split()[0]).name}.{pid}"

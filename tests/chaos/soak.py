@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import theilslopes
 
-from chaos.resources import Usage, folder_bytes, shared_memory_objects, usage_of
+from chaos.resources import folder_bytes
 from chaos.running_site import RunningSite
+from ltm_ros.bench.process_usage import Usage, shared_memory_objects, usage_of
 
 EVERY_S = 30.0
 SETTLED_AFTER = 1 / 3

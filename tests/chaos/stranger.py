@@ -36,7 +36,7 @@ from ltm_msgs_py.votes import votes_to_msg
 from ltm_ros.launching.dds_shutdown import limit_shutdown
 from ltm_ros.runtime import topics
 from ltm_ros.runtime.handler import Topic
-from ltm_ros.runtime.node import stream_qos
+from ltm_ros.runtime.outlet_node import stream_qos
 
 LARGE = 60_000_000
 """Bytes of a message that is too large."""

@@ -24,6 +24,7 @@ from scenes.networks import write_depth_network
 from scenes.outlets import Kept
 from scenes.small_site import BEGIN_NS, NAME, SmallSite, write_small_site
 from scenes.terrain_frames import measured_messages, write_terrain_site
+from sensor_msgs.msg import Imu, NavSatFix
 
 from fuzz.mutations import spoil_bytes
 from fuzz.target import Target
@@ -36,6 +37,7 @@ from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.label_info import label_set_to_msg
 from ltm_msgs_py.pose import pose_to_msg
+from ltm_msgs_py.stamp import make_header
 from ltm_msgs_py.terrain import changed_to_msg
 from ltm_msgs_py.votes import votes_to_msg
 from ltm_ros.nodes.capture import Capture, CaptureConfig
@@ -230,7 +232,15 @@ def _frame(small: SmallSite, stamp: int = BEGIN_NS) -> dict[str, Any]:
     traced = small.tracer.trace(camera, pose).depth()
     photo = np.random.default_rng(2).integers(0, 255, (32, 48, 3), np.uint8)
     labels = np.where(np.isfinite(traced), np.uint8(1), np.uint8(0))
+    lon, lat = (float(v) for v in small.site.frame.to_lonlat(pose.position[0], pose.position[1]))
+    fix = NavSatFix(
+        header=make_header(stamp, "gps"), latitude=lat, longitude=lon, altitude=float(pose.position[2]) - 35
+    )
+    fix.position_covariance, fix.position_covariance_type = np.eye(3).ravel(), 2
+    imu = Imu(header=make_header(stamp, "phone"), orientation_covariance=np.diag([0.01] * 3).ravel())
     return {
+        "fix": fix,
+        "imu": imu,
         "info": camera_to_msg(camera, stamp, "tower_optical"),
         "pose": pose_to_msg(pose, stamp, "map", np.diag([0.1, 0.2, 0.3, 1e-5, 2e-5, 3e-5])),
         "jpeg": compressed_to_msg(encode_rgb(photo), "jpeg", stamp, "tower_optical"),
@@ -274,6 +284,14 @@ def _kept(make: Callable[[SmallSite, Path], Handler[Any]]) -> Callable[[SmallSit
 
 def _capture(small: SmallSite, folder: Path) -> Handler[Any]:
     return Capture(CaptureConfig(site=str(small.path), camera="tower"), _outlet(), Health())
+
+
+def _capture_sensors(small: SmallSite, folder: Path) -> Handler[Any]:
+    document = yaml.safe_load(small.path.read_text())
+    document["cameras"]["tower"]["sensors"] = {"geoid_undulation": -35.0}
+    path = small.path.with_name("sensors.yaml")
+    path.write_text(yaml.safe_dump(document))
+    return Capture(CaptureConfig(site=str(path), camera="tower"), _outlet(), Health())
 
 
 def _depth(small: SmallSite, folder: Path) -> Handler[Any]:
@@ -401,6 +419,10 @@ MESSAGES = (
     Play("capture", _play(_capture, {"camera_info": "info", "pose": "pose", "image_raw/compressed": "jpeg"})).target(
         3.0
     ),
+    Play(
+        "capture_sensors",
+        _play(_capture_sensors, {"camera_info": "info", "fix": "fix", "imu": "imu", "image_raw/compressed": "jpeg"}),
+    ).target(1.5),
     Play("depth", _play(_depth, {"posed/camera_info": "info", "posed/pose": "pose"})).target(1.5),
     Play(
         "fuel_votes",

@@ -54,10 +54,19 @@ def _photo(suffix: str, seeds: Callable[[Path], list[bytes]]) -> Target:
     )
 
 
+_XMP = (
+    b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:Description xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" '
+    b'drone-dji:GpsLatitude="34.225" drone-dji:GpsLongitude="-118.06" drone-dji:AbsoluteAltitude="+1561.50" '
+    b'drone-dji:RelativeAltitude="+60.0" drone-dji:GimbalYawDegree="-128.30" drone-dji:GimbalPitchDegree="-21.50" '
+    b'drone-dji:GimbalRollDegree="+0.40" drone-dji:RtkStdLon="0.03" drone-dji:RtkStdLat="0.05" '
+    b'drone-dji:CalibratedFocalLength="55.5" drone-dji:CalibratedOpticalCenterX="36.0"/></x:xmpmeta>'
+)
+
 PHOTO_FILES = (
     _photo("jpg", _photos("JPEG", quality=90)),
     _photo("png", _photos("PNG")),
     _photo("heic", _photos("HEIF")),
+    Target("photo_dji", "a.jpg", _photos("JPEG", quality=90, xmp=_XMP), lambda folder: _read_photo(folder, "a.jpg")),
     Target(
         "photo_progressive", "a.jpg", _photos("JPEG", progressive=True), lambda folder: _read_photo(folder, "a.jpg")
     ),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fuzz.array_files import ARRAY_FILES
 from fuzz.bag_files import BAG_FILES
+from fuzz.capture_files import CAPTURE_FILES
 from fuzz.messages import MESSAGES
 from fuzz.photo_files import PHOTO_FILES
 from fuzz.raster_files import RASTER_FILES
@@ -13,7 +14,7 @@ from fuzz.target import Target
 from fuzz.text_files import TEXT_FILES
 
 TARGETS: tuple[Target, ...] = (
-    *(*TEXT_FILES, *PHOTO_FILES, *RASTER_FILES, *STORE_FILES, *BAG_FILES, *ARRAY_FILES),
+    *(*TEXT_FILES, *PHOTO_FILES, *CAPTURE_FILES, *RASTER_FILES, *STORE_FILES, *BAG_FILES, *ARRAY_FILES),
     *MESSAGES,
 )
 

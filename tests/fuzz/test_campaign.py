@@ -23,6 +23,7 @@ OF_FAST = dict.fromkeys(
 )
 OF_SLOW = {
     **dict.fromkeys(("fuel_models", "fusion", "node_topodepth", "node_fuel_map"), 50),
+    **dict.fromkeys(("video", "stray_scanner", "record3d"), 60),
     **dict.fromkeys(("network", "node_terrain", "node_viewer"), 15),
 }
 """How many cases, by what they cost: a minute together on two cores. Not so long, but so many: on each machine the same

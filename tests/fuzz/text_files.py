@@ -25,7 +25,8 @@ from ltm_core.fuel.codes import FuelModels, FuelRegion
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.geodesy import SiteFrame
 from ltm_core.grid import GridGeometry
-from ltm_core.pose_estimation.resection_io import GuessConfig, read_control_points, set_up_resection
+from ltm_core.pose_estimation.pose_file_io import GuessConfig
+from ltm_core.pose_estimation.resection_io import read_control_points, set_up_resection
 from ltm_core.resources import config_path
 from ltm_core.simulator.scenario_io import load_scenario
 from ltm_core.site_io import load_site

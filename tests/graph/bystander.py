@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.launching.dds_shutdown import wait_for_quiet
 from ltm_ros.runtime.discovery_check import unmatched
-from ltm_ros.runtime.node import stream_qos
+from ltm_ros.runtime.outlet_node import stream_qos
 
 
 class Bystander:

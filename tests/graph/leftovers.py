@@ -11,13 +11,16 @@ from ltm_ros.launching import shared_memory
 
 
 def processes_of_domain(domain: int) -> list[str]:
-    """Command lines of the processes that were started with this domain in their environment."""
+    """Command lines of the processes that were started with this domain in their environment; without the one that
+    Python keeps beside a process that has started others by `multiprocessing`, as a live replay does for its check."""
     found = []
     mark = f"ROS_DOMAIN_ID={domain}".encode()
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             if mark in (folder / "environ").read_bytes().split(b"\0") and int(folder.name) != os.getpid():
-                found.append(f"{folder.name}: {(folder / 'cmdline').read_bytes().replace(bytes(1), b' ').decode()}")
+                command = (folder / "cmdline").read_bytes().replace(bytes(1), b" ").decode()
+                if "multiprocessing.resource_tracker" not in command:
+                    found.append(f"{folder.name}: {command}")
         except OSError:
             continue
     return found

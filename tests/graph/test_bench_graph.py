@@ -23,4 +23,4 @@ def test_all_frames_are_finished_or_counted(
     assert 0 < run["latency_p50_s"] <= run["latency_p95_s"] <= run["latency_p99_s"] <= run["latency_max_s"]
     assert run["cpu_ms_a_frame"]["all"] > run["cpu_ms_a_frame"]["segmentation"] > 0
     assert "topodepth" not in run["cpu_ms_a_frame"]
-    assert "the demo's frames, 1080p, without fusion" in capsys.readouterr().out
+    assert "the demo's frames, 1920 px wide, without fusion" in capsys.readouterr().out

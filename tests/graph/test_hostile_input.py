@@ -14,7 +14,7 @@ from bystander import Bystander
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.serialization import serialize_message
-from scenes.small_site import BEGIN_NS, MAST, NAME, TOWER, SmallSite
+from scenes.small_site import BEGIN_NS, MAST, NAME, TOWER, SmallSite, apart
 from scenes.waiting import wait_for
 
 from ltm_core.fuel.votes import CellVotes
@@ -133,7 +133,7 @@ class Living:
 @pytest.fixture(scope="module")
 def living(small_site: SmallSite, module_ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Living]:
     # Every frame that is sent is looked for: they wait for each other, as in a replay.
-    whole = describe(small_site.site, small_site.path, parameters={"capture": {"shed": False}})
+    whole = describe(apart(small_site.site), small_site.path, parameters={"capture": {"shed": False}})
     graph = Graph(NAME, tuple(whole.node(label) for label in NODES))
     logs = tmp_path_factory.mktemp("log")
     runner = Runner(graph, domain_id=module_ros_domain, log_folder=logs, console=lambda line: None)

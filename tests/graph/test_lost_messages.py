@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from bystander import Bystander
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from scenes.small_site import BEGIN_NS, NAME, SmallSite
+from scenes.small_site import BEGIN_NS, NAME, SmallSite, apart
 from scenes.waiting import wait_for
 
 from ltm_msgs_py.image import image_to_msg
@@ -27,7 +27,7 @@ SENT_MEANWHILE = 40
 @pytest.fixture
 def capture(small_site: SmallSite, ros_domain: int, tmp_path: Path) -> Iterator[tuple[Runner, Bystander]]:
     """The mast's capture node alone, and somebody beside it."""
-    node = describe(small_site.site, small_site.path).node("mast/capture")
+    node = describe(apart(small_site.site), small_site.path).node("mast/capture")
     with (
         Runner(Graph(NAME, (node,)), domain_id=ros_domain, log_folder=tmp_path) as runner,
         Bystander() as bystander,

@@ -49,6 +49,11 @@ class Cameras:
         self._pose, self._jpeg, self._photo = tower.pose, encode_rgb(small.photo(tower), quality=95), small.photo(mast)
         self.sent: dict[str, list[int]] = {camera: [] for camera in CAMERAS}
 
+    @property
+    def one_process(self) -> bool:
+        """Whether all nodes of the cameras share one."""
+        return "cameras" in self.runner.processes
+
     def offer(self) -> None:
         """A frame of each camera, of now."""
         stamp = time.time_ns()
@@ -105,10 +110,12 @@ class Cameras:
         )
 
 
-@pytest.fixture(scope="module")
-def cameras(module_ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cameras]:
+@pytest.fixture(scope="module", params=["node", "site"])
+def cameras(
+    request: pytest.FixtureRequest, module_ros_domain: int, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Cameras]:
     folder = tmp_path_factory.mktemp("overload")
-    small = write_fusing_site(folder, recording=False)
+    small = write_fusing_site(folder, recording=False, processes=request.param)
     whole = describe(small.site, small.path, parameters={"capture": {"finish_within": FINISH_WITHIN_S}})
     labels = ["terrain", *(f"{camera}/{node}" for camera in CAMERAS for node in ("capture", *WORKERS))]
     runner = Runner(
@@ -153,7 +160,23 @@ def test_what_is_let_in_is_finished_everywhere(cameras: Cameras) -> None:
     )
 
 
+def test_a_killed_process_is_back_with_all_its_cameras(cameras: Cameras) -> None:
+    """All that came while it was away is lost, and what comes then is not."""
+    if not cameras.one_process:
+        pytest.skip("each node has a process of its own")
+    process = cameras.runner.processes["cameras"]
+    with cameras.streaming(RATE_HZ / 3):
+        assert cameras.runner.kill("cameras")
+        wait_for(lambda: process.starts == 2 and process.running, "the process again")
+        later = time.time_ns()
+        for camera in CAMERAS:
+            for node in WORKERS:
+                cameras.wait_for_newer(camera, node, later)
+
+
 def test_a_killed_and_a_hung_node_hold_their_camera_up_for_so_long(cameras: Cameras) -> None:
+    if cameras.one_process:
+        pytest.skip("no node has a process of its own")
     runner = cameras.runner
     with cameras.streaming(RATE_HZ / 3):
         for worker in ("segmentation", "topodepth"):

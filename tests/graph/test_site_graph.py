@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from bystander import Bystander
 from leftovers import ports_of_process
-from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite, paint_at
+from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite, apart, paint_at
 from scenes.waiting import wait_for
 
 from ltm_core.errors import RecordingError
@@ -74,7 +74,7 @@ def replayed(
     (out / "map").mkdir()
     lines: list[str] = []
     graph = describe(
-        small_site.site,
+        apart(small_site.site),
         small_site.path,
         sim_time=True,
         view={"save": str(out / "view.rrd")},

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from bystander import Bystander
 from handler_for_tests import BLOCK, HEARD, SAID, SPIN
-from scenes.small_site import NAME, SmallSite
+from scenes.small_site import NAME, SmallSite, apart
 from scenes.waiting import wait_for
 from std_msgs.msg import Header
 
@@ -31,7 +31,7 @@ IMPATIENT = WatchdogConfig(silent=8.0, stuck=8.0, slow=300.0)
 def test_a_stopped_node_comes_back_and_its_camera_delivers_again(
     small_site: SmallSite, ros_domain: int, tmp_path: Path
 ) -> None:
-    whole = describe(small_site.site, small_site.path)
+    whole = describe(apart(small_site.site), small_site.path)
     labels = [f"{camera}/{kind}" for camera in ("tower", "mast") for kind in ("capture", "depth")]
     graph = Graph(NAME, tuple(whole.node(label) for label in labels), IMPATIENT)
     lines: list[str] = []

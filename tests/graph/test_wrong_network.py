@@ -6,10 +6,9 @@ from pathlib import Path
 
 import pytest
 from scenes.networks import write_classifier
-from scenes.small_site import SmallSite
+from scenes.small_site import SmallSite, apart
 from scenes.waiting import wait_for
 
-from ltm_core.site_io import load_site
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy
@@ -22,7 +21,7 @@ def test_a_changed_network_file_costs_its_node_alone(small_site: SmallSite, ros_
     file = next(tmp_path.glob("*.onnx"))
     file.write_bytes(file.read_bytes() + b"\0")
     parameters = {"segmentation": {"model": str(manifest)}}
-    whole = describe(load_site(small_site.path), small_site.path, cameras=("tower",), parameters=parameters)
+    whole = describe(apart(small_site.site), small_site.path, cameras=("tower",), parameters=parameters)
     graph = Graph(whole.site, (whole.node("tower/segmentation"), whole.node("tower/depth")))
     lines: list[str] = []
     policy = RestartPolicy(initial_s=0.1, maximum_s=0.4, config_tries=2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from ltm_msgs_py.stamp import stamp_of
@@ -19,10 +20,24 @@ class Kept:
         """Frames that the handler said it had finished: topic and stamp."""
         self.working: set[str] = set()
         """Nodes that acknowledge frames."""
+        self.prompt: set[str] = set()
+        """Those of them that share the handler's process."""
+        self.more = False
+        """Whether the handler gets further messages before it is idle."""
         self._wants = wants
 
     def publish(self, topic: Topic, message: Any) -> None:
         self.sent.append((topic, message))
+
+    def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
+        """Everything is kept, so everything is made."""
+        self.sent.append((topic, make()))
+
+    def more_waits(self) -> bool:
+        return self.more
+
+    def prompt_workers(self, _: Topic) -> set[str]:
+        return self.prompt
 
     def now_ns(self) -> int:
         return self.now

@@ -144,6 +144,11 @@ class SmallSite:
         return path
 
 
+def apart(site: Site) -> Site:
+    """With a process for each node, so that a test can kill or stop one alone."""
+    return site.model_copy(update={"processes": "node"})
+
+
 def paint_at(x: NDArray[np.floating], y: NDArray[np.floating]) -> UInt8Array:
     """Cover of the ground at (x, y) of the map frame."""
     with np.errstate(invalid="ignore"):

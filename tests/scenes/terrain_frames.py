@@ -39,10 +39,11 @@ def write_terrain_site(folder: Path, recording: bool = True, **content: Any) -> 
     return SmallSite(small.folder)
 
 
-def write_fusing_site(folder: Path, recording: bool = True) -> SmallSite:
+def write_fusing_site(folder: Path, recording: bool = True, **content: Any) -> SmallSite:
     """One whose depth network reads inverse depth off the photo's green channel, and whose surface is the DEM."""
     write_depth_network(folder)
-    return write_terrain_site(folder, recording, depth_model="depth.yaml", surface={"path": "dem.tif"})
+    fusing = {"depth_model": "depth.yaml", "surface": {"path": "dem.tif"}}
+    return write_terrain_site(folder, recording, **fusing, **content)
 
 
 def sunk(small: SmallSite) -> Dem:

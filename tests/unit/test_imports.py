@@ -28,7 +28,12 @@ TOWER = {
     "pillow_heif", "pydantic", "pydantic_core", "yaml", "typer", "rich", "mcap", "zstandard", "lz4", "packaging",
 }  # fmt: skip
 """Packages of others that runtime may import: those that `pip install ltm` brings."""
-ON_DEMAND = {"rerun": "the viewer", "laspy": "LAS export", "rosbags": "message definitions where no ROS is installed"}
+ON_DEMAND = {
+    "rerun": "the viewer",
+    "laspy": "LAS export",
+    "rosbags": "message definitions where no ROS is installed",
+    "av": "videos for `ltm import`",
+}
 
 
 def imported(source: str, package: str) -> Iterator[str]:

@@ -205,7 +205,8 @@ def _points(
     from ltm_core.evaluation.locating.control_points import located_points
     from ltm_core.geodesy import ray_bend
     from ltm_core.locating.settings import LocatingConfig
-    from ltm_core.pose_estimation.resection_io import GuessConfig, read_control_points, set_up_resection
+    from ltm_core.pose_estimation.pose_file_io import GuessConfig
+    from ltm_core.pose_estimation.resection_io import read_control_points, set_up_resection
     from ltm_core.raster.dem_stack import open_terrain
     from ltm_ros.evaluation.figures_io import write_figures
 

@@ -8,8 +8,10 @@ import threading
 from pathlib import Path
 
 import numpy as np
-from chaos.resources import Usage, folder_bytes, usage, waited_s
+from chaos.resources import folder_bytes, waited_s
 from chaos.soak import SUM, Soak
+
+from ltm_ros.bench.process_usage import Usage, usage
 
 _BYTES = 10_000 * mmap.PAGESIZE
 
@@ -50,8 +52,8 @@ def test_slopes_are_those_of_the_last_two_thirds() -> None:
         minutes = 0.5 * number
         grows = 5000 + min(900 * minutes, 9000) + 12 * minutes + (4000 if number == 70 else 0)
         soak.seconds.append(60 * minutes)
-        soak.usage.append({"grows": Usage(0, round(grows), 9, 3), "stays": Usage(0, 700, 9, 3)})
-    soak.usage[2]["ended early"] = Usage(0, 10**6, 9, 3)
+        soak.usage.append({"grows": Usage(0, round(grows), 9, 3, 0.0), "stays": Usage(0, 700, 9, 3, 0.0)})
+    soak.usage[2]["ended early"] = Usage(0, 10**6, 9, 3, 0.0)
     slopes = soak.slopes()
     assert slopes.keys() == {"grows", "stays", SUM}
     slope, low, high = slopes[SUM]

@@ -11,6 +11,7 @@ from ltm_core.errors import ConfigError, RecordingError
 from ltm_ros.importer.exif import ExifFacts
 from ltm_ros.importer.photo import Photo
 from ltm_ros.importer.photo_time import photo_time, time_zone
+from ltm_ros.importer.sensed import Sensed
 
 SUMMER = datetime(2024, 7, 4, 18, 30, 15)
 WEST = timezone(timedelta(hours=-7))
@@ -19,7 +20,7 @@ WEST = timezone(timedelta(hours=-7))
 def when(
     clock: datetime | None, gps: datetime | None = None, zone: str | None = None, stated: datetime | None = None
 ) -> tuple[datetime, list[str]]:
-    photo = Photo(Path("a.jpg"), b"", "jpeg", 4, 3, ExifFacts(taken=clock, gps_time=gps), reencoded=False)
+    photo = Photo(Path("a.jpg"), b"", "jpeg", 4, 3, ExifFacts(taken=clock, gps_time=gps), Sensed(), False)
     notes: list[str] = []
     return photo_time(photo, stated, time_zone(zone) if zone else None, notes), notes
 

@@ -27,9 +27,10 @@ from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import compressed_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.importer.assumptions import Assumptions
 from ltm_ros.importer.build import import_photos
-from ltm_ros.importer.georeference import Assumptions
-from ltm_ros.importer.photo import find_photos, read_photo
+from ltm_ros.importer.photo import read_photo
+from ltm_ros.importer.pictures import find_pictures
 
 LEVEL = Assumptions(pitch_deg=0.0)
 W, H = 64, 40
@@ -300,17 +301,19 @@ def test_finding_photos(tmp_path: Path) -> None:
     for name in ("b.JPG", "a.png", "c.heic", ".hidden.jpg", "d.txt"):
         (tmp_path / name).touch()
     (tmp_path / "below.jpg").mkdir()
-    assert [p.name for p in find_photos([tmp_path])] == ["a.png", "b.JPG", "c.heic"]
-    assert [p.name for p in find_photos([tmp_path / "d.txt"])] == ["d.txt"]  # named, so taken at its content's word
+    assert [p.name for p in find_pictures([tmp_path], LEVEL)] == ["a.png", "b.JPG", "c.heic"]
+    assert [p.name for p in find_pictures([tmp_path / "d.txt"], LEVEL)] == [
+        "d.txt"
+    ]  # named, so taken at its content's word
     (tmp_path / "other").mkdir()
     (tmp_path / "other/a.png").touch()
     for paths, complaint in (
-        ([tmp_path / "absent"], "no photo or folder at"),
+        ([tmp_path / "absent"], "no photo, folder or recording at"),
         ([tmp_path / "below.jpg"], "no photos in"),
         ([tmp_path, tmp_path / "other"], r"two photos are called a\.png"),
     ):
         with pytest.raises(RecordingError, match=complaint):
-            find_photos(paths)
+            find_pictures(paths, LEVEL)
 
 
 def test_options_that_do_not_fit_are_refused(tmp_path: Path, site: Site) -> None:

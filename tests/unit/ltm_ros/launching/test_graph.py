@@ -10,7 +10,15 @@ import yaml
 
 from ltm_core.errors import ConfigError
 from ltm_core.site import Site
-from ltm_ros.launching.graph import CAMERA_NODES, Graph, NodeSpec, describe, parameters_yaml
+from ltm_ros.launching.graph import (
+    CAMERA_NODES,
+    Graph,
+    NodeSpec,
+    describe,
+    nodes_json,
+    nodes_of_json,
+    parameters_yaml,
+)
 
 
 def site(**changes: Any) -> Site:
@@ -140,3 +148,37 @@ def test_parameters_keep_their_type_through_yaml() -> None:
     assert read == values
     assert [type(value) for value in read.values()] == [type(value) for value in values.values()]
     assert '"y"' in text, "rcl takes a bare y for true"
+
+
+def test_nodes_of_cameras_share_a_process_where_the_site_says_so() -> None:
+    apart, together = (
+        describe(site(processes=processes, depth_model="d"), "ridge.yaml", record={"bag": "/b"})
+        for processes in ("node", "site")
+    )
+    assert [process.label for process in apart.processes] == [node.label for node in apart]
+    assert [node.full_name for node in together] == [node.full_name for node in apart]
+    assert [process.label for process in together.processes] == ["fuel_map", "cameras", "recorder"]
+    cameras = together.process("cameras")
+    assert [node.label for node in cameras.nodes] == [
+        f"{camera}/{kind}" for camera in ("north", "south") for kind in (*CAMERA_NODES, "topodepth")
+    ]
+    assert (cameras.shared, cameras.required, cameras.busy) == (True, True, False)
+    assert (apart.process("north/depth").shared, apart.process("north/depth").busy) == (False, True)
+    assert not together.process("recorder").required
+    with pytest.raises(ConfigError, match=r"no process 'north/depth' .* it has fuel_map, cameras, recorder"):
+        together.process("north/depth")
+
+
+def test_a_part_of_a_graph_keeps_its_processes() -> None:
+    whole = describe(site(processes="site"), "ridge.yaml")
+    part = Graph("ridge", (whole.node("fuel_map"), whole.node("south/depth")))
+    assert [(process.label, len(process.nodes)) for process in part.processes] == [("fuel_map", 1), ("cameras", 1)]
+    assert part.process("cameras").shared
+
+
+def test_what_a_shared_process_is_told_is_what_was_described() -> None:
+    nodes = {"capture": {"pose_tolerance": 2.0, "hosts": ["y", "n"], "title": "on"}}
+    told = describe(site(processes="site", nodes=nodes), "ridge.yaml", sim_time=True).process("cameras").nodes
+    again = nodes_of_json(nodes_json(told))
+    assert again == told
+    assert [type(value) for value in again[0].parameters.values()] == [type(v) for v in told[0].parameters.values()]

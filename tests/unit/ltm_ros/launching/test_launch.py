@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import logging
 import runpy
 import sys
+import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any, List  # noqa: UP035
 
 import pytest
 
 from ltm_core.errors import ConfigError
 from ltm_core.site_io import load_site
-from ltm_ros.launching import ros_environment
-from ltm_ros.launching.graph import describe
+from ltm_ros.launching import ros_environment, site_check
+from ltm_ros.launching.graph import describe, nodes_of_json
 
 LAUNCH_FILE = Path(__file__).parents[4] / "ltm_ros/launch/site.launch.py"
 SITE = """
@@ -24,6 +26,7 @@ origin: [400000.0, 3800000.0]
 dem: {path: dem.tif}
 cameras: {north: {}, south: {image: raw}}
 nodes: {fuel_map: {export_path: "on"}, capture: {tolerance: 0.25, hosts: ["y", "n"]}}
+processes: node
 """
 
 
@@ -69,6 +72,9 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         for name in names:
             setattr(module, name, Configuration if name == "LaunchConfiguration" else _recorder(name))
         monkeypatch.setitem(sys.modules, module_name, module)
+    sys.modules["launch"].logging = SimpleNamespace(get_logger=logging.getLogger)  # type: ignore[attr-defined]
+    # What it looks at is tested with the command line's; these sites have no DEM.
+    monkeypatch.setattr(site_check, "require_ready", lambda path, wanted, tell: load_site(path))
     return runpy.run_path(str(LAUNCH_FILE))
 
 
@@ -125,6 +131,21 @@ def test_renders_the_graph_that_is_described(
         assert plain(parameters) == dict(spec.parameters)
         assert node["respawn"] is True
         assert node["additional_env"] == ros_environment.thread_limits(spec.busy)
+
+
+def test_renders_one_process_for_the_nodes_that_share_it(
+    launch_file: dict[str, Any], site_file: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    site_file.write_text(SITE.replace("processes: node", "processes: site"))
+    graph = describe(load_site(site_file), site_file, cameras=["south"])
+    actions = rendered(launch_file, site=str(site_file), cameras="south")
+    nodes = [action.options for action in actions if type(action).__name__ == "Node"]
+    assert [node["executable"] for node in nodes] == ["fuel_map", "cameras"]
+    (given,) = nodes[1]["arguments"]
+    assert nodes_of_json(Path(given).read_text(encoding="utf-8")) == graph.process("cameras").nodes
+    assert nodes[1]["additional_env"] == ros_environment.thread_limits(busy=False)
+    assert nodes[1]["respawn"] is True
 
 
 def test_sets_the_transport_profile(

@@ -51,7 +51,7 @@ def test_parameters_of_every_node_are_looked_at(tmp_path: Path) -> None:
     site = write_small_site(tmp_path, recording=False).path
     wanted = Wanted(view={"serve": True}, record={"bag": str(tmp_path / "bag")})
     (found,) = [one for one in examine(site, wanted).findings if one.name == "nodes"]
-    assert (found.verdict, found.said) == (Verdict.OK, "11 processes, parameters as they take them")
+    assert (found.verdict, found.said) == (Verdict.OK, "11 nodes in 4 processes, parameters as they take them")
     wrong = Wanted(record={"bag": str(tmp_path / "bag"), "max_bytes": -7})
     (found,) = [one for one in examine(site, wrong).findings if one.name == "nodes"]
     assert found.verdict is Verdict.WRONG

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
@@ -23,11 +26,12 @@ class Door:
     """Whether each worker has finished a frame before."""
     broken: set[int] = field(default_factory=set)
     """Frames that turn out to be none when they are let in."""
+    view_of: Callable[[int], Hashable] = lambda _: None
 
     def __post_init__(self) -> None:
         self.health, self.admitted = Health(), list[int]()
         self.admission = Admission[int](
-            self._admit, lambda: self.workers, self.health, 2, 10.0, self.shed, lambda _: 10, 50
+            self._admit, lambda: self.workers, self.health, 2, 10.0, self.shed, lambda _: 10, 50, view_of=self.view_of
         )
         if self.heard:
             self.finished(0, *self.workers)
@@ -235,6 +239,28 @@ def test_the_end_turns_away_what_waits() -> None:
     door.admission.finish()
     assert door.health.dropped == {"shed": 1}
     assert "the node ended" in door.health.last_error
+
+
+def test_of_a_patrol_the_view_that_was_let_in_longest_ago_comes_first() -> None:
+    """Four views in turn, of which every second finds room: the newest alone would always be of the same two."""
+    door = Door(workers={"fuse"}, view_of=lambda stamp: stamp % 4)
+    door.offer(0, 1)
+    for finished, stamp in enumerate(range(2, 82, 2)):
+        door.offer(stamp, stamp + 1)
+        door.finished(door.admitted[finished], "fuse")
+    assert len(door.admitted) == 42
+    counts = Counter(stamp % 4 for stamp in door.admitted)
+    assert min(counts.values()) >= 10
+    assert all(new > old for old, new in pairwise(door.admitted[::4]))
+
+
+def test_of_one_view_the_newest_waits() -> None:
+    door = Door(view_of=lambda stamp: stamp % 2)
+    door.offer(2, 4, 5, 7, 8)
+    said = "frame of stamp 8 ns: an older one waits, of a view that was let in longer ago"
+    assert said in door.health.summary()["last_error"]
+    door.finished(2, "fuse", "vote")
+    assert door.admitted == [2, 4, 7]
 
 
 STEPS = st.lists(

@@ -1,0 +1,1 @@
+"""Scores poses found in pictures against those that the pictures were rendered with."""

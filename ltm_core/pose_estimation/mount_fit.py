@@ -1,0 +1,211 @@
+"""One correction for several pictures of one mount: presets of a pan-tilt-zoom head, or days of a fixed camera.
+
+A picture's pose is exp(w) R exp(t x): R as the mount states it, w a rotation about the map's axes that all share (the
+mount's yaw, pitch and roll), t the zero of the tilt axis, about each camera's own right; and all share a place.
+Single pictures propose corrections; that which explains all pictures best is refined over all of them at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ltm_core.errors import PoseError
+from ltm_core.pose import Pose
+from ltm_core.pose_covariance import pose_covariance
+from ltm_core.pose_estimation.contour_scores import ContourDirections, ridge_strength
+from ltm_core.pose_estimation.picture_pose_config import FLOOR_DEG, PicturePoseConfig
+from ltm_core.pose_estimation.pose_from_picture import PictureSearch
+from ltm_core.pose_estimation.pose_prior import PosePrior, turned
+from ltm_core.pose_estimation.pose_refinement import ROUNDS, picture_system, skyline_cost
+from ltm_core.pose_estimation.pose_verdict import Word
+from ltm_core.types import Float64Array
+
+TILT_ZERO_SIGMA_DEG = 0.3
+_PROPOSALS = 3
+"""Hypotheses of each picture that are tried on all."""
+_MOST_RIDGE_POINTS = 700
+
+
+@dataclass(frozen=True, eq=False)
+class MountFit:
+    """`rotation`: (3,) about the map's axes (rad), `tilt_zero` (rad), `shift` (3,) m: what is to be added to the stated
+    poses; `covariance`: (7, 7) of shift, rotation, tilt zero. `poses`: of the pictures, with it, where it is accepted,
+    else as stated. `gap`: by which the next best correction costs more.
+    """
+
+    rotation: Float64Array
+    tilt_zero: float
+    shift: Float64Array
+    covariance: Float64Array
+    poses: tuple[Pose, ...]
+    found: tuple[Pose, ...]
+    word: Word
+    reason: str
+    gap: float
+
+    def pose_covariance(self, picture: int) -> Float64Array:
+        """(6, 6) of a picture's pose, as in `pose_covariance`."""
+        to_pose = np.zeros((6, 7))
+        to_pose[:, :6] = np.eye(6)
+        to_pose[3:, 6] = self.found[picture].rotation[:, 0]
+        return np.asarray(to_pose @ self.covariance @ to_pose.T, np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class _Picture:
+    prior: PosePrior
+    search: PictureSearch
+    ridges: ContourDirections
+
+
+def fit_mount(
+    priors: Sequence[PosePrior],
+    searches: Sequence[PictureSearch],
+    config: PicturePoseConfig = PicturePoseConfig(),
+    tilt_zero_sigma_deg: float = TILT_ZERO_SIGMA_DEG,
+) -> MountFit:
+    """Fit one correction to the pictures of `searches`, each searched from its own of `priors`.
+
+    The sigmas of the first prior are those of the mount; of its azimuth about the vertical, of pitch and roll about the
+    level axes. `tilt_zero_sigma_deg`: 0 for a camera that does not tilt. Raises PoseError without pictures.
+    """
+    if not priors or len(priors) != len(searches):
+        raise PoseError(f"{len(priors)} stated poses for {len(searches)} pictures: a mount needs one each")
+    pictures = [
+        _Picture(prior, search, ContourDirections.of(search.horizon, config.contours.nearest))
+        for prior, search in zip(priors, searches, strict=True)
+    ]
+    sigma = _sigmas(priors[0], tilt_zero_sigma_deg)
+    starts = _proposals(pictures)
+    if not starts:
+        return _stated(pictures, "no_skyline", "no picture shows a skyline or a ridge of the DEM", sigma)
+    costs = np.array([_cost(pictures, w, 0.0, np.zeros(3), sigma, config) for w in starts])
+    order = np.argsort(costs)
+    fits = []
+    for k in _apart([starts[j] for j in order], config):
+        w, tilt, shift, covariance = _refined(pictures, starts[order[k]], sigma, config)
+        fits.append((_cost(pictures, w, tilt, shift, sigma, config), w, tilt, shift, covariance))
+    fits.sort(key=lambda fit: fit[0])
+    best, w, tilt, shift, covariance = fits[0]
+    limit = math.radians(config.verdict.alternative_deg)
+    gap = next((cost - best for cost, other, *_ in fits[1:] if abs(other[2] - w[2]) > limit), math.inf)
+    found = tuple(_posed(p.prior.pose, w, tilt, shift) for p in pictures)
+    worst = math.degrees(math.sqrt(float(np.linalg.eigvalsh(covariance[3:6, 3:6])[-1])))
+    away = np.abs(np.array([*w, tilt])) / np.where(sigma[3:] > 0, sigma[3:], np.inf)
+    word: Word = "accepted"
+    reason = f"{len(pictures)} pictures agree"
+    if worst > config.verdict.most_sigma_deg:
+        word, reason = "ambiguous", f"the pictures leave the mount open by {worst:.2f} deg"
+    elif gap < config.verdict.least_gap:
+        word, reason = "ambiguous", f"another azimuth of the mount costs {gap:.1f} more only"
+    elif away.max() > config.verdict.contradiction:
+        word, reason = "contradicts_prior", f"the mount is {away.max():.1f} sigmas from where it is said to be"
+    poses = found if word == "accepted" else tuple(p.prior.pose for p in pictures)
+    return MountFit(w, tilt, shift, covariance, poses, found, word, reason, gap)
+
+
+def _stated(pictures: list[_Picture], word: Word, reason: str, sigma: Float64Array) -> MountFit:
+    poses = tuple(p.prior.pose for p in pictures)
+    return MountFit(np.zeros(3), 0.0, np.zeros(3), np.diag(sigma**2), poses, poses, word, reason, 0.0)
+
+
+def _sigmas(prior: PosePrior, tilt_zero_sigma_deg: float) -> Float64Array:
+    """(7,): x, y, z; rotations about them; tilt zero."""
+    level = max(prior.pitch_sigma_deg, prior.roll_sigma_deg)
+    turns = np.radians([level, level, prior.azimuth_sigma_deg, tilt_zero_sigma_deg])
+    return np.concatenate([prior.sigmas[:3], turns])
+
+
+def _posed(pose: Pose, w: Float64Array, tilt: float, shift: Float64Array) -> Pose:
+    up = Rotation.from_rotvec([tilt, 0.0, 0.0]).as_matrix()
+    return turned(Pose(pose.position, pose.rotation @ up), w, shift)
+
+
+def _proposals(pictures: list[_Picture]) -> list[Float64Array]:
+    found = [np.zeros(3)]
+    for picture in pictures:
+        for hypothesis in picture.search.hypotheses[:_PROPOSALS]:
+            turn = hypothesis.refined.pose.rotation @ picture.prior.pose.rotation.T
+            found.append(Rotation.from_matrix(turn).as_rotvec())
+    return found if len(found) > 1 else []
+
+
+def _apart(turns: list[Float64Array], config: PicturePoseConfig) -> list[int]:
+    """Of corrections from the best down, the first few that differ in azimuth."""
+    kept: list[int] = []
+    for k, turn in enumerate(turns):
+        if len(kept) == 4:
+            break
+        if all(abs(turn[2] - turns[j][2]) > math.radians(config.search.apart_deg) for j in kept):
+            kept.append(k)
+    return kept
+
+
+def _cost(
+    pictures: list[_Picture],
+    w: Float64Array,
+    tilt: float,
+    shift: Float64Array,
+    sigma: Float64Array,
+    config: PicturePoseConfig,
+) -> float:
+    away = np.concatenate([shift, w, [tilt]]) / np.where(sigma > 0, sigma, np.inf)
+    total = 0.5 * float(away @ away)
+    for p in pictures:
+        pose = _posed(p.prior.pose, w, tilt, shift)
+        evidence, horizon = p.search.evidence, p.search.horizon
+        total += skyline_cost(pose, evidence.camera, evidence, horizon, config)[0]
+        z = ridge_strength(pose, p.ridges, horizon.step, evidence.camera, evidence.edges)
+        total -= config.contours.weight * min(max(z, 0.0), config.contours.most) ** 2 / 2
+    return total
+
+
+def _refined(
+    pictures: list[_Picture], w: Float64Array, sigma: Float64Array, config: PicturePoseConfig
+) -> tuple[Float64Array, float, Float64Array, Float64Array]:
+    state = np.concatenate([np.zeros(3), w, [0.0]])
+    free = np.flatnonzero(sigma > 0)
+    covariance = np.zeros((7, 7))
+    for k, (search, wide) in enumerate((*ROUNDS, ROUNDS[-1])):
+        last = k == len(ROUNDS)
+        normal, gradient = np.zeros((7, 7)), np.zeros(7)
+        for p in pictures:
+            pose = _posed(p.prior.pose, state[3:6], float(state[6]), state[:3])
+            camera = p.search.evidence.camera
+            around = p.ridges.in_view(pose, camera, _MOST_RIDGE_POINTS)
+            n, g = picture_system(
+                pose, camera, p.search.evidence, p.search.horizon, around, search, wide, config, expected=last
+            )
+            shared = np.zeros((6, 7))
+            shared[:, :6] = np.eye(6)
+            shared[3:, 6] = pose.rotation[:, 0]
+            alone = 1.0 / _alike(p, pictures)
+            normal += alone * (shared.T @ n[:6, :6] @ shared)
+            gradient += alone * (shared.T @ g[:6])
+        inverse = np.where(sigma > 0, 1 / np.maximum(sigma, 1e-12) ** 2, 0.0)
+        normal += np.diag(inverse)
+        gradient += inverse * state
+        if last:
+            covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
+            covariance[3:6, 3:6] += pose_covariance(pictures[0].prior.pose, 0.0, 0.0, *FLOOR_DEG)[3:, 3:]
+        else:
+            state[free] -= np.linalg.solve(normal[np.ix_(free, free)], gradient[free])
+    return state[3:6], float(state[6]), state[:3], covariance
+
+
+def _alike(picture: _Picture, pictures: list[_Picture]) -> float:
+    """How many pictures look where this one does: they share the DEM's errors, so that they count as one."""
+    width = picture.search.evidence.camera.hfov_deg
+    azimuth = picture.prior.pose.angles_deg[0]
+    away = [abs((p.prior.pose.angles_deg[0] - azimuth + 180.0) % 360.0 - 180.0) for p in pictures]
+    return float(sum(max(0.0, 1.0 - a / width) for a in away))
+
+
+def widened(prior: PosePrior, extra_deg: float) -> PosePrior:
+    """The same prior for a single picture of a mount whose tilt zero, too, is not known."""
+    return replace(prior, pitch_sigma_deg=math.hypot(prior.pitch_sigma_deg, extra_deg))

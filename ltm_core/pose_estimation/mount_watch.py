@@ -1,0 +1,231 @@
+"""Keeps the pose of a mounted camera: corrects what is stated of it by its pictures, and notices when it has slipped.
+
+A mount has one error, of its yaw, pitch and roll, for all that its camera sees. It is found in several clear pictures
+together (`mount_fit`), so that one wrong skyline moves nothing, and fog only delays it. From then on each clear picture
+is laid on the terrain from the corrected pose; where most of the last ones say that the camera looks elsewhere, the
+mount is said to have slipped, its poses are of no use, and the error is sought anew.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ltm_core.pose import Pose
+from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, pose_covariance
+from ltm_core.pose_estimation.contour_scores import ContourDirections
+from ltm_core.pose_estimation.mount_fit import fit_mount
+from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.pose_correction import PoseCorrection
+from ltm_core.pose_estimation.pose_from_picture import PictureSearch, Terrain, find_pose
+from ltm_core.pose_estimation.pose_hypothesis import search_reach
+from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, turned
+from ltm_core.pose_estimation.pose_refinement import PictureEvidence, refine, skyline_cost
+from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
+from ltm_core.site import PoseRefinementConfig
+from ltm_core.types import Float64Array
+
+_KEPT = 16
+"""Horizons: as many as a head has presets."""
+_STEP_DEG = 2.0
+"""Directions that differ by less share a horizon."""
+_MOST_RIDGE_POINTS = 700
+_TRACKED_SIGMA_DEG = 1.0
+"""Of each angle, within which a picture of a mount that is known may say otherwise."""
+
+
+class MountState(Enum):
+    STATED = "stated"
+    """Its poses are taken as they are stated: too few clear pictures yet."""
+    HELD = "held"
+    """They are corrected, and pictures agree."""
+    SLIPPED = "slipped"
+    """Pictures say that it looks elsewhere; where is not known yet."""
+    CONTRADICTED = "contradicted"
+    """Pictures agree with each other, and not with what is stated, by more than its sigmas allow."""
+
+
+@dataclass(frozen=True)
+class _Tracked:
+    """What a picture of a mount that is held says: by how much the camera is off, radians of azimuth, pitch, roll."""
+
+    off: tuple[float, float, float]
+    elsewhere: bool
+
+
+class MountWatch:
+    """What the pictures of one camera say of its mount; give them in time order.
+
+    Args:
+        terrain: what its skylines are compared with.
+        config: how many pictures it takes.
+        picture_config: constants of the search in a single picture.
+    """
+
+    def __init__(
+        self,
+        terrain: Terrain,
+        config: PoseRefinementConfig,
+        picture_config: PicturePoseConfig = PicturePoseConfig(),
+    ) -> None:
+        self._terrain, self._config, self._search = terrain, config, picture_config
+        self.correction = PoseCorrection(np.zeros(3), None)
+        self.state = MountState.STATED
+        self.reason = "too few clear pictures yet"
+        """Of the state, in words."""
+        self.slips = 0
+        """How often the mount was said to have slipped."""
+        self._priors: list[PosePrior] = []
+        self._searches: list[PictureSearch] = []
+        self._contradictions: list[Float64Array] = []
+        """Of clear pictures that show nothing near the stated pose: azimuth, pitch and roll (deg) from it."""
+        self._tracked: deque[_Tracked] = deque(maxlen=config.judged)
+        self._seen_from: dict[tuple[object, ...], tuple[TerrainHorizon, ContourDirections]] = {}
+
+    def look(self, evidence: PictureEvidence, stated: Pose, covariance: Float64Array) -> bool:
+        """Take a picture whose pose is stated with a covariance, (6, 6) as in `pose_covariance`; whether it was clear.
+
+        Raises PoseError for a camera beside the DEM or under its ground.
+        """
+        if self.state is MountState.HELD:
+            return self._track(evidence, turned(stated, self.correction.rotation))
+        return self._gather(evidence, self._prior(stated, covariance))
+
+    def _prior(self, stated: Pose, covariance: Float64Array) -> PosePrior:
+        if self.state is not MountState.SLIPPED:
+            return PosePrior.of_covariance(stated, covariance)
+        # The place stays, whatever has turned the camera.
+        sigma = self._config.slip_sigma_deg
+        return PosePrior(turned(stated, self.correction.rotation), sigma, sigma, sigma)
+
+    def _gather(self, evidence: PictureEvidence, prior: PosePrior) -> bool:
+        search = self._find(evidence, prior)
+        if not search.hypotheses or search.verdict.word == "no_skyline":
+            return False
+        if evidence.skyline is not None and self._support(evidence, prior, search) < self._search.verdict.least_support:
+            # What is stated as sure holds a search by force: does the picture show another direction?
+            return self._contradicts(evidence, prior)
+        self._priors.append(prior)
+        self._searches.append(search)
+        if len(self._searches) >= self._config.gather:
+            self._fit()
+        return True
+
+    def _support(self, evidence: PictureEvidence, prior: PosePrior, search: PictureSearch) -> float:
+        """Share of the picture's skyline that lies on the terrain's, from the best pose."""
+        horizon, _ = self._terrain_from(evidence, prior)
+        best = search.hypotheses[0].refined.pose
+        return skyline_cost(best, evidence.camera, evidence, horizon, self._search)[1]
+
+    def _contradicts(self, evidence: PictureEvidence, prior: PosePrior) -> bool:
+        """Whether a picture is clear that shows nothing from near the stated pose."""
+        sigma = self._config.slip_sigma_deg
+        wide = replace(prior, azimuth_sigma_deg=sigma, pitch_sigma_deg=sigma, roll_sigma_deg=sigma)
+        search = self._find(evidence, wide)
+        if search.verdict.word != "accepted" or search.verdict.support < self._search.verdict.least_support:
+            return False
+        turn = np.degrees(angles_between(prior.pose, search.hypotheses[0].refined.pose))
+        self._contradictions.append(np.asarray(turn, np.float64))
+        if len(self._contradictions) >= self._config.gather:
+            azimuth, pitch, roll = np.median(self._contradictions, axis=0)
+            reason = (
+                f"{len(self._contradictions)} clear pictures show the terrain {azimuth:+.1f}, {pitch:+.1f}, "
+                f"{roll:+.1f} deg in azimuth, pitch and roll from the stated pose, which its sigmas do not allow: mend "
+                "one of them"
+            )
+            self._become(MountState.CONTRADICTED, PoseCorrection(self.correction.rotation, unknown_angles()), reason)
+        return True
+
+    def _fit(self) -> None:
+        fit = fit_mount(self._priors, self._searches, self._search, tilt_zero_sigma_deg=0.0)
+        before = self.correction
+        # Pictures of one view err alike, so that their agreement alone says little.
+        sure = sum(search.verdict.word == "accepted" for search in self._searches)
+        if fit.word == "accepted" and 2 * sure >= len(self._searches):
+            rotation = fit.rotation
+            if self.state is MountState.SLIPPED:  # its poses were those of the former correction
+                both = Rotation.from_rotvec(fit.rotation) * Rotation.from_rotvec(before.rotation)
+                rotation = np.asarray(both.as_rotvec(), np.float64)
+            angles = np.asarray(fit.covariance[3:6, 3:6], np.float64)
+            self._become(MountState.HELD, PoseCorrection(rotation, angles), fit.reason)
+        elif fit.word == "contradicts_prior":
+            nowhere = PoseCorrection(before.rotation, unknown_angles())
+            self._become(MountState.CONTRADICTED, nowhere, fit.reason)
+        elif len(self._searches) >= self._config.most_gathered:
+            half = len(self._searches) // 2  # the others may show more, under another sky
+            del self._priors[:half], self._searches[:half]
+
+    def _become(self, state: MountState, correction: PoseCorrection, reason: str) -> None:
+        self.state, self.correction, self.reason = state, correction, reason
+        self._priors.clear()
+        self._searches.clear()
+        self._contradictions.clear()
+        self._tracked.clear()
+
+    def _track(self, evidence: PictureEvidence, pose: Pose) -> bool:
+        if evidence.skyline is None:
+            return False
+        prior = PosePrior(pose, *(_TRACKED_SIGMA_DEG,) * 3)
+        horizon, ridges = self._terrain_from(evidence, prior)
+        around = ridges.in_view(pose, evidence.camera, _MOST_RIDGE_POINTS)
+        found = refine(pose, evidence.camera, evidence, horizon, around, prior, 0.0, self._search)
+        here = skyline_cost(pose, evidence.camera, evidence, horizon, self._search)[1]
+        refined, covariance, support = found.pose, found.covariance[3:6, 3:6], found.support
+        least = self._search.verdict.least_support
+        if max(here, support) < least:
+            # Far off, or fog: only a search of its own tells.
+            search = self._find(evidence, PosePrior(pose, *(self._config.slip_sigma_deg,) * 3))
+            if search.verdict.word != "accepted":
+                return False
+            best = search.hypotheses[0].refined
+            refined, covariance = best.pose, best.covariance[3:6, 3:6]
+        off = angles_between(pose, refined)
+        assert self.correction.angles is not None  # nosec B101 # tells the type checker what holds
+        variance = float(np.linalg.eigvalsh(covariance + self.correction.angles)[-1])
+        limit = math.radians(self._config.least_slip_deg) + self._config.slip_sigmas * math.sqrt(variance)
+        self._tracked.append(_Tracked((float(off[0]), float(off[1]), float(off[2])), bool(np.abs(off).max() > limit)))
+        self._judge()
+        return True
+
+    def _judge(self) -> None:
+        elsewhere = [np.degrees(tracked.off) for tracked in self._tracked if tracked.elsewhere]
+        if len(elsewhere) < self._config.slipped:
+            return
+        azimuth, pitch, roll = np.median(elsewhere, axis=0)
+        self.slips += 1
+        reason = (
+            f"{len(elsewhere)} of the last {len(self._tracked)} clear pictures say that the camera has turned by "
+            f"{azimuth:+.2f}, {pitch:+.2f}, {roll:+.2f} deg in azimuth, pitch and roll"
+        )
+        self._become(MountState.SLIPPED, PoseCorrection(self.correction.rotation, unknown_angles()), reason)
+
+    def _find(self, evidence: PictureEvidence, prior: PosePrior) -> PictureSearch:
+        horizon, _ = self._terrain_from(evidence, prior)
+        return find_pose(evidence, self._terrain, prior, self._search, horizon=horizon)
+
+    def _terrain_from(self, evidence: PictureEvidence, prior: PosePrior) -> tuple[TerrainHorizon, ContourDirections]:
+        """Horizon and ridges about the prior direction, of the last few that were asked for."""
+        azimuth = round(prior.pose.angles_deg[0] / _STEP_DEG) * _STEP_DEG
+        place = tuple(round(float(v), 2) for v in prior.pose.position)
+        reach = search_reach(prior, self._search)
+        key = (*place, azimuth, round(reach, 3), evidence.camera.fx, evidence.camera.width)
+        if key not in self._seen_from:
+            middle = Pose.from_angles(prior.pose.position, azimuth, 0.0)
+            around = replace(prior, pose=middle, azimuth_sigma_deg=prior.azimuth_sigma_deg + _STEP_DEG)
+            horizon = self._terrain.horizon_for(evidence.camera, around, self._search)
+            ridges = ContourDirections.of(horizon, self._search.contours.nearest)
+            self._seen_from[key] = horizon, ridges
+            if len(self._seen_from) > _KEPT:
+                del self._seen_from[next(iter(self._seen_from))]
+        return self._seen_from[key]
+
+
+def unknown_angles() -> Float64Array:
+    """(3, 3): the covariance of angles by which nothing shall be placed."""
+    nowhere = (UNKNOWN_AZIMUTH_SIGMA_DEG,) * 3
+    return pose_covariance(Pose.from_angles((0.0, 0.0, 0.0), 0.0), 0.0, 0.0, *nowhere)[3:, 3:]

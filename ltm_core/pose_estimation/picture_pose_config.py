@@ -1,0 +1,132 @@
+"""Constants of finding a pose in a picture; chosen on the development sites that docs/pose_from_picture.md names."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from ltm_core.strict_model import StrictModel
+from ltm_core.types import Float64Array
+from ltm_core.vision.labels import Label
+
+
+class CrestCover(StrictModel):
+    """Metres by which a crest of each class stands over the DEM's bare earth, and their standard deviation."""
+
+    tree: tuple[float, float] = (5.0, 3.5)
+    shrub: tuple[float, float] = (1.2, 0.8)
+    grass: tuple[float, float] = (0.3, 0.3)
+    bare: tuple[float, float] = (0.1, 0.3)
+    other: tuple[float, float] = (1.0, 2.0)
+
+    def table(self) -> Float64Array:
+        """(256, 2) metres by label: how high, and its sigma."""
+        table = np.tile(np.array(self.other), (256, 1))
+        for label, values in ((Label.TREE, self.tree), (Label.SHRUB, self.shrub), (Label.GRASS, self.grass)):
+            table[label] = values
+        table[[Label.BARE, Label.WATER]] = self.bare
+        return table
+
+
+BARE_EARTH = CrestCover()
+CANOPY_SURFACE = CrestCover(tree=(0.0, 1.0), shrub=(0.0, 0.5), grass=(0.1, 0.3), bare=(0.1, 0.3), other=(0.0, 1.0))
+"""For a DEM that holds the tops of the canopy already."""
+
+
+class SkylineConfig(StrictModel):
+    """How far a skyline may lie from the terrain's horizon."""
+
+    dem_sigma: float = Field(0.2, gt=0)
+    """Metres, of the DEM's heights along a crest,"""
+    cell_share: float = Field(0.08, ge=0)
+    """and of its cell, that crests are cut into,"""
+    cell_lift: float = Field(0.03, ge=0)
+    """which they stand over by this."""
+    correlation: float = Field(60.0, gt=0)
+    """Metres along a crest within which these errors are one and the same,"""
+    independent: float = Field(24.0, gt=0)
+    """and how many independent places a skyline has at most that goes all through a picture: it is smooth."""
+    outliers: float = Field(0.15, gt=0, lt=1)
+    """Share of columns whose skyline is something else: near trees, masts, clouds, wrong labels."""
+    outlier_span: float = Field(0.2, gt=0)
+    """Radians over which those are spread."""
+    cover: CrestCover = BARE_EARTH
+
+    @property
+    def odds(self) -> float:
+        """The density of a fitting column in one sigma over that of an outlier, for a sigma of one radian."""
+        # 0.375: the density of Student's t with four degrees of freedom at 0
+        return (1 - self.outliers) / self.outliers * self.outlier_span * 0.375
+
+
+class ContourConfig(StrictModel):
+    """What ridges within the scene count."""
+
+    width: int = Field(640, gt=63)
+    """Pixels across the pictures in which edges are sought,"""
+    coarse_width: int = Field(320, gt=31)
+    """and in which poses are compared."""
+    weight: float = Field(0.4, ge=0)
+    """Of half the square of a pose's robust z among all that were compared,"""
+    most: float = Field(8.0, gt=0)
+    """which counts up to here."""
+    nearest: float = Field(150.0, ge=0)
+    """Metres: nearer ridges are trees as much as terrain."""
+    sigma_px: float = Field(1.2, gt=0)
+    """Of an edge at width 640."""
+    outliers: float = Field(0.5, gt=0, lt=1)
+    correlation_px: float = Field(24.0, gt=0)
+    """Pixels at width 640 along a ridge within which its errors are one and the same,"""
+    correlation: float = Field(24.0, gt=0)
+    """and metres, whichever is longer."""
+
+
+class SearchConfig(StrictModel):
+    """Where poses are sought."""
+
+    step_deg: float = Field(0.25, gt=0)
+    wide_step_deg: float = Field(0.4, gt=0)
+    """Where no heading is known."""
+    reach_sigmas: float = Field(4.0, gt=0)
+    least_reach_deg: float = Field(12.0, gt=0)
+    most_reach_deg: float = Field(40.0, gt=0)
+    hypotheses: int = Field(8, ge=1)
+    apart_deg: float = Field(1.2, gt=0)
+
+
+class VerdictConfig(StrictModel):
+    """When a pose is accepted."""
+
+    alternative_deg: float = Field(2.5, gt=0)
+    """An alternative is a pose that differs by more in azimuth."""
+    least_gap: float = 4.0
+    """By which its cost must be higher,"""
+    veil_factor: float = Field(10.0, ge=0)
+    """times one more than this times the share of the skyline where plants on a near crest may hide the horizon."""
+    most_sigma_deg: float = Field(0.6, gt=0)
+    """Of azimuth, pitch and roll."""
+    least_support: float = Field(0.75, ge=0, le=1)
+    """Share of the skyline that fits."""
+    ridges_gap: float = 6.0
+    """`least_gap` where ridges alone are known,"""
+    plants_gap: float = 10.0
+    """and where trees and shrubs are half of the land in the picture or more, whose margins look like ridges;"""
+    plants_score: float = 8.0
+    """then ridges must also lie on edges so many times more than chance."""
+    contradiction: float = Field(4.0, gt=0)
+    """Sigmas by which an otherwise good pose may differ from the prior one."""
+
+
+FLOOR_DEG = (0.05, 0.03, 0.05)
+"""Of azimuth, pitch and roll: what errors of lens, refraction and datum leave, however sharp the skyline."""
+
+
+class PicturePoseConfig(StrictModel):
+    """All of it."""
+
+    skyline: SkylineConfig = SkylineConfig()
+    contours: ContourConfig = ContourConfig()
+    search: SearchConfig = SearchConfig()
+    verdict: VerdictConfig = VerdictConfig()
+    working_width: int = Field(1280, gt=63)
+    """Pixels: wider photos are looked at in this width."""

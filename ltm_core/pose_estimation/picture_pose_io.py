@@ -1,0 +1,181 @@
+"""Sets up the search of a picture's pose from a guess file, and writes what came of it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import ImageError, PoseError
+from ltm_core.geodesy import SiteFrame, ray_bend
+from ltm_core.picture_io import open_picture
+from ltm_core.plausibility import doubt_of_height
+from ltm_core.pose import Pose
+from ltm_core.pose_estimation.pose_file_io import GuessConfig, write_pose_file
+from ltm_core.pose_estimation.pose_from_picture import PictureSearch, Terrain
+from ltm_core.pose_estimation.pose_prior import UNKNOWN_DEG, PosePrior, angle_slopes
+from ltm_core.tracing.trace_io import near_frame
+from ltm_core.types import Float64Array, UInt8Array
+from ltm_core.vision.labels import Label
+
+AZIMUTH_SIGMA_DEG, TILT_SIGMA_DEG = 6.0, 2.0
+"""Of angles that are stated without a sigma: a phone's compass, and a level held by hand."""
+UNSTATED_TILT_SIGMA_DEG = 5.0
+"""Of a pitch or roll that is not stated at all."""
+
+
+@dataclass(frozen=True, eq=False)
+class SearchSetup:
+    """A guess placed on a DEM, ready for `find_pose`."""
+
+    frame: SiteFrame
+    camera: Camera
+    prior: PosePrior
+    terrain: Terrain
+
+
+@dataclass(frozen=True, eq=False)
+class PoseResult:
+    """What a search hands on: the pose with its covariance (6, 6), as in `pose_covariance`, and the camera. They are
+    those found where the verdict is `accepted`, and those that came in otherwise."""
+
+    pose: Pose
+    camera: Camera
+    covariance: Float64Array
+    accepted: bool
+
+
+def set_up_search(guess: GuessConfig, dem: Dem) -> SearchSetup:
+    """Place a guess on `dem`. Raises PoseError for a camera under the ground or beside the DEM, and ConfigError."""
+    frame, local = near_frame(guess, dem)
+    stated = guess.pose
+    position = stated.position(local, frame)
+    ground = float(local.elevation_at(*position[:2]))
+    if position[2] <= ground:
+        raise PoseError(f"camera at {stated.described(frame)}: {doubt_of_height(position[2], ground)}")
+    azimuth = stated.grid_azimuth_deg(frame, position, None)
+    pose = Pose.from_angles(position, azimuth or 0.0, stated.pitch_deg or 0.0, stated.roll_deg or 0.0)
+
+    def tilt(value: float | None, sigma: float | None) -> float:
+        return sigma or (UNSTATED_TILT_SIGMA_DEG if value is None else TILT_SIGMA_DEG)
+
+    prior = PosePrior(
+        pose,
+        UNKNOWN_DEG if azimuth is None else (stated.azimuth_sigma_deg or AZIMUTH_SIGMA_DEG),
+        tilt(stated.pitch_deg, stated.pitch_sigma_deg),
+        tilt(stated.roll_deg, stated.roll_sigma_deg),
+        stated.position_sigma or 0.0,
+        stated.height_sigma or stated.position_sigma or 0.0,
+    )
+    bend = ray_bend(guess.curvature, guess.refraction)
+    return SearchSetup(frame, guess.calibration.camera(), prior, Terrain(local, bend, guess.possible_ground))
+
+
+def read_labels(path: Path | str, camera: Camera) -> UInt8Array:
+    """Class ids (H, W) of a PNG of one channel, of the camera's size. Raises ImageError."""
+    with open_picture(Path(path)) as (source, _):
+        labels = np.asarray(source)
+    if labels.ndim != 2 or labels.dtype != np.uint8 or labels.shape != (camera.height, camera.width):
+        raise ImageError(
+            f"{path}: labels must be a PNG of one channel of class ids, {camera.width} x {camera.height} pixels, got "
+            f"{labels.shape} {labels.dtype}"
+        )
+    return labels
+
+
+def doubt_of_sky(labels: UInt8Array) -> str | None:
+    """In words, where the sky of labels (H, W) lies lower than the land."""
+    sky = labels == np.uint8(Label.SKY)
+    if not 0.05 < sky.mean() < 0.95:
+        return None
+    rows = np.arange(len(sky))
+    middle, land = float(rows @ sky.sum(axis=1) / sky.sum()), float(rows @ (~sky).sum(axis=1) / (~sky).sum())
+    if middle < land:
+        return None
+    return "the sky lies below the land: the photo seems to be upside down; turn it, or mend its orientation tag"
+
+
+def result_of(search: PictureSearch, prior: PosePrior, camera: Camera) -> PoseResult:
+    """Never a worse pose than came in without a word: what is not accepted leaves the prior pose. `camera`: the
+    photo's."""
+    if search.verdict.word != "accepted":
+        return PoseResult(prior.pose, camera, prior.covariance, False)
+    found = search.hypotheses[0].refined
+    factor = found.camera.fx / search.evidence.camera.fx
+    lens = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+    return PoseResult(found.pose, lens, found.covariance[:6, :6], True)
+
+
+def angle_sigmas_deg(pose: Pose, covariance: Float64Array) -> tuple[float, float, float]:
+    """Of azimuth, pitch and roll, from a (6, 6) covariance."""
+    slopes = angle_slopes(pose)
+    a, p, r = np.degrees(np.sqrt(np.maximum(np.diag(slopes @ covariance[3:, 3:] @ slopes.T), 0.0)))
+    return float(a), float(p), float(r)
+
+
+def write_result(
+    path: Path | str, result: PoseResult, reason: str, word: str, guess: GuessConfig, frame: SiteFrame
+) -> None:
+    """The pose file of a result; whether and why it was found stands at its top."""
+    place = np.sqrt(np.diag(result.covariance)[:3])
+    angles = angle_sigmas_deg(result.pose, result.covariance)
+    sigmas = {"position_sigma": float(max(place[0], place[1])), "height_sigma": float(place[2])}
+    sigmas |= dict(zip(("azimuth_sigma_deg", "pitch_sigma_deg", "roll_sigma_deg"), angles, strict=True))
+    kept = {key: float(f"{value:.3g}") for key, value in sigmas.items() if value > 0}
+    notes = [f"Pose from the picture: {word} ({reason})."]
+    if not result.accepted:
+        notes.append("It was not taken: this is the pose that was given.")
+    write_pose_file(path, result.camera, result.pose, kept, guess, frame, notes)
+
+
+def figures(search: PictureSearch, result: PoseResult, prior: PosePrior, frame: SiteFrame) -> dict[str, Any]:
+    """What was found, for JSON; positions in the frame's CRS."""
+    verdict = search.verdict
+
+    def place(pose: Pose) -> list[float]:
+        x, y, z = (float(v) for v in pose.position)
+        return [x + frame.x_origin, y + frame.y_origin, z]
+
+    def described(pose: Pose, covariance: Float64Array) -> dict[str, Any]:
+        azimuth, pitch, roll = pose.angles_deg
+        sigma = angle_sigmas_deg(pose, covariance)
+        return {
+            "position": place(pose),
+            "azimuth_deg": azimuth,
+            "pitch_deg": pitch,
+            "roll_deg": roll,
+            "sigma_deg": [s if math.isfinite(s) else None for s in sigma],
+            "covariance": covariance.tolist(),
+        }
+
+    return {
+        "verdict": verdict.word,
+        "reason": verdict.reason,
+        "gap": verdict.gap if math.isfinite(verdict.gap) else None,
+        "runner_up_azimuth_deg": verdict.alternative_deg,
+        "skyline_that_fits": verdict.support,
+        "crs": frame.crs,
+        "given": described(prior.pose, prior.covariance),
+        "result": described(result.pose, result.covariance),
+        "fx": result.camera.fx,
+        "hypotheses": [
+            {
+                "angles_deg": list(h.refined.pose.angles_deg),
+                "cost": h.cost,
+                "ridge_score": h.ridge_score,
+                "focal_factor": h.refined.camera.fx / search.evidence.camera.fx,
+            }
+            for h in search.hypotheses
+        ],
+    }
+
+
+def write_figures_of(path: Path | str, content: Any) -> None:
+    """As JSON."""
+    Path(path).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")

@@ -1,0 +1,187 @@
+"""Finds a camera's pose in its picture: the terrain's horizon and ridges are laid on the photo's skyline and edges.
+
+1. All azimuths within reach of the prior one are compared by the skyline (`skyline_search`) and by the ridges
+   (`contour_scores`).
+2. The best, a degree or more apart, are refined by least squares (`pose_refinement`).
+3. The best of these is accepted where it stands out (`pose_verdict`); otherwise the prior pose stays.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.pose import Pose
+from ltm_core.pose_estimation.contour_scores import ContourDirections, contour_scores
+from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, search_reach
+from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, rotations_of
+from ltm_core.pose_estimation.pose_refinement import PictureEvidence, refine
+from ltm_core.pose_estimation.pose_verdict import Verdict, judge
+from ltm_core.pose_estimation.ridge_search import search_ridges
+from ltm_core.pose_estimation.skyline_search import search_azimuths
+from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon, terrain_horizon
+from ltm_core.tracing.possible_ground import PossibleGround
+from ltm_core.types import Float64Array
+
+_PITCHES_DEG = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45)
+_MOST_RIDGE_POINTS = 700
+_LEAST_SUPPORT = 0.3
+"""Share of the photo's skyline that must lie on the DEM's; where less does, ridges alone are tried: above trees, and
+where a good skyline leaves two poses open, they mislead more often than not."""
+
+
+@dataclass(frozen=True, eq=False)
+class PictureSearch:
+    """Hypotheses from the best down, and what they were judged by."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    evidence: PictureEvidence
+    horizon: TerrainHorizon
+    verdict: Verdict
+
+
+@dataclass(frozen=True, eq=False)
+class Terrain:
+    """Ground for the search: the DEM, the bend of rays over it, and how high ground may be that it does not know."""
+
+    dem: Dem
+    bend: float
+    possible: PossibleGround = field(default_factory=PossibleGround)
+
+    def above(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+        """Without those whose camera a free place has brought under the ground."""
+        places = np.array([h.refined.pose.position for h in hypotheses]).reshape(-1, 3)
+        under = places[:, 2] <= self.dem.elevation_at(places[:, 0], places[:, 1])
+        return [h for h, bad in zip(hypotheses, under, strict=True) if not bad]
+
+    def horizon_for(self, camera: Camera, prior: PosePrior, config: PicturePoseConfig) -> TerrainHorizon:
+        """Seen from the prior position, as far round as the search may look."""
+        reach = search_reach(prior, config)
+        half = math.radians(camera.hfov_deg) / 2 + reach + math.radians(8.0)
+        pixel = math.atan(1 / camera.fx)
+        step = max(math.radians(0.04), 0.6 * pixel) if half >= math.pi else max(math.radians(0.02), 0.5 * pixel)
+        azimuth = math.radians(prior.pose.angles_deg[0])
+        return terrain_horizon(self.dem, prior.pose.position, self.bend, self.possible, azimuth, half, step)
+
+
+def find_pose(
+    evidence: PictureEvidence,
+    terrain: Terrain,
+    prior: PosePrior,
+    config: PicturePoseConfig = PicturePoseConfig(),
+    focal_sigma: float = 0.0,
+    horizon: TerrainHorizon | None = None,
+) -> PictureSearch:
+    """Search the pose of a picture and judge it.
+
+    `focal_sigma`: of the focal length, relative; 0 holds it. `horizon`: of the prior position, where it is known
+    already. Raises PoseError as `terrain_horizon`.
+    """
+    horizon = terrain.horizon_for(evidence.camera, prior, config) if horizon is None else horizon
+    found: list[Hypothesis] = []
+    if evidence.skyline is not None and not horizon.open.all():
+        found = terrain.above(_search_skyline(evidence, horizon, prior, config, focal_sigma))
+    verdict = judge(found, False, prior, config)
+    if not found or (verdict.word != "accepted" and found[0].refined.support < _LEAST_SUPPORT):
+        blind = replace(evidence, skyline=None)
+        by_ridges = terrain.above(search_ridges(blind, horizon, prior, config, focal_sigma))
+        other = judge(by_ridges, True, prior, config, evidence.plants)
+        if other.word == "accepted" or not found:
+            found, verdict = by_ridges, other
+    return PictureSearch(tuple(found), evidence, horizon, verdict)
+
+
+def _search_skyline(
+    evidence: PictureEvidence,
+    horizon: TerrainHorizon,
+    prior: PosePrior,
+    config: PicturePoseConfig,
+    focal_sigma: float,
+) -> list[Hypothesis]:
+    s, skyline = config.search, evidence.skyline
+    assert skyline is not None  # nosec B101 # tells the type checker what holds
+    reach = search_reach(prior, config)
+    step = math.radians(s.step_deg if prior.heading_known else s.wide_step_deg)
+    azimuth, pitch, roll = prior.pose.angles_deg
+    n = math.ceil(reach / step)
+    azimuths = np.asarray(math.radians(azimuth) + step * np.arange(-n, n + 1), np.float64)
+    ridges = ContourDirections.of(horizon, config.contours.nearest)
+    coarse = ridges.thinned(max(1, len(ridges.range) // (_MOST_RIDGE_POINTS * (6 if horizon.whole else 2))))
+    position_sigma = 0.5 * prior.position_sigma
+    candidates = []
+    for factor in focal_candidates(focal_sigma):
+        camera = replace(evidence.camera, fx=evidence.camera.fx * factor, fy=evidence.camera.fy * factor)
+        costs = search_azimuths(
+            skyline,
+            camera,
+            pitch,
+            roll,
+            (math.radians(prior.pitch_sigma_deg), math.radians(prior.roll_sigma_deg)),
+            horizon,
+            azimuths,
+            position_sigma,
+            config.skyline,
+        )
+        angles = np.degrees(np.column_stack([costs.azimuth, costs.pitch, costs.roll])) + np.array([0.0, pitch, roll])
+        scores = _best_over_pitch(rotations_of(angles), coarse, camera, evidence)
+        candidates.append((camera, angles, costs.cost, scores))
+    everything = np.concatenate([scores for *_, scores in candidates])
+    usual, spread = _usual(everything)
+    ranked: list[tuple[float, Float64Array, Camera]] = []
+    for camera, angles, cost, scores in candidates:
+        total = cost + _heading_cost(angles[:, 0], prior) + _ridge_cost(scores, usual, spread, config)
+        ranked += list(zip(total.tolist(), angles, [camera] * len(angles), strict=True))
+    ranked.sort(key=lambda entry: entry[0])
+    starts: list[tuple[Pose, Camera]] = []
+    for _, at, camera in ranked:
+        if len(starts) == s.hypotheses:
+            break
+        pose = Pose.from_angles(prior.pose.position, *(float(a) for a in at))
+        near = [abs(angles_between(pose, other)[0]) < math.radians(s.apart_deg) for other, _ in starts]
+        if not any(near):
+            starts.append((pose, camera))
+    found = []
+    for pose, camera in starts:
+        around = ridges.in_view(pose, camera, _MOST_RIDGE_POINTS)
+        refined = refine(pose, camera, evidence, horizon, around, prior, focal_sigma, config)
+        score = float(contour_scores(refined.pose.rotation[None], coarse, refined.camera, evidence.coarse_edges)[0])
+        ridge = float(_ridge_cost(np.array([score]), usual, spread, config)[0])
+        found.append(Hypothesis(refined, refined.cost + ridge, (score - usual) / spread))
+    return sorted(found, key=lambda hypothesis: hypothesis.cost)
+
+
+def _best_over_pitch(
+    rotations: Float64Array,
+    ridges: ContourDirections,
+    camera: Camera,
+    evidence: PictureEvidence,
+) -> Float64Array:
+    """Ridge scores (P,) of rotations (P, 3, 3), each at the best of some pitches about its own."""
+    best = np.full(len(rotations), -np.inf)
+    for offset in _PITCHES_DEG:
+        c, s = math.cos(math.radians(offset)), math.sin(math.radians(offset))
+        up = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])  # about the camera's x axis
+        best = np.maximum(best, contour_scores(rotations @ up, ridges, camera, evidence.coarse_edges))
+    return best
+
+
+def _usual(scores: Float64Array) -> tuple[float, float]:
+    middle = float(np.median(scores))
+    return middle, max(1.4826 * float(np.median(np.abs(scores - middle))), 1e-3)
+
+
+def _ridge_cost(scores: Float64Array, usual: float, spread: float, config: PicturePoseConfig) -> Float64Array:
+    z = np.clip((scores - usual) / spread, 0.0, config.contours.most)
+    return np.asarray(-config.contours.weight * z * z / 2, np.float64)
+
+
+def _heading_cost(azimuths_deg: Float64Array, prior: PosePrior) -> Float64Array:
+    if not prior.heading_known:
+        return np.zeros(len(azimuths_deg))
+    away = (azimuths_deg - prior.pose.angles_deg[0] + 180.0) % 360.0 - 180.0
+    return np.asarray(0.5 * (away / prior.azimuth_sigma_deg) ** 2, np.float64)

@@ -1,0 +1,155 @@
+"""Searches a pose by ridges alone, where no skyline of the DEM is in the picture: over azimuth, pitch and roll."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from ltm_core.camera import Camera
+from ltm_core.pose import Pose
+from ltm_core.pose_covariance import pose_covariance
+from ltm_core.pose_estimation.contour_scores import ContourDirections, contour_scores, ridge_strength
+from ltm_core.pose_estimation.picture_pose_config import CrestCover, PicturePoseConfig
+from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, search_reach
+from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, rotations_of
+from ltm_core.pose_estimation.pose_refinement import PictureEvidence, refine
+from ltm_core.pose_estimation.pose_verdict import MANY_PLANTS
+from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
+from ltm_core.types import Float64Array
+
+_KEPT = 18
+_ANY = CrestCover(tree=(0.3, 0.4), shrub=(0.3, 0.4), grass=(0.2, 0.3), bare=(0.1, 0.3), other=(0.2, 0.3))
+"""Whatever the labels are: a picture without sky is of rock and ice more often than labels say."""
+_ALONG = 8.0
+"""Metres and pixels within which a ridge's errors are one and the same: of rock."""
+_FLOOR_DEG, _FLOOR_OF_PLANTS_DEG = (0.15, 0.05, 0.15), (0.45, 0.15, 0.2)
+"""Of azimuth, pitch and roll: edges along a ridge may all be of another thing; among plants, of their margins."""
+_MOST_POINTS = 1000
+_COARSE_POINTS = 500
+_NEARBY = np.array([(a, p, r) for a in (-0.25, 0.0, 0.25) for p in (-0.1, 0.0, 0.1) for r in (-0.4, 0.0, 0.4)])
+"""Degrees about each of the coarse grid's best at which finer edges are looked at."""
+_ROUNDS = (
+    (16.0, 1.0),
+    (12.0, 1.0),
+    (10.0, 1.0),
+    (8.0, 1.0),
+    (6.0, 1.0),
+    (5.0, 1.0),
+    (4.0, 1.0),
+    (4.0, 1.0),
+    (4.0, 1.0),
+)
+
+
+def search_ridges(
+    evidence: PictureEvidence,
+    horizon: TerrainHorizon,
+    prior: PosePrior,
+    config: PicturePoseConfig,
+    focal_sigma: float,
+) -> list[Hypothesis]:
+    """Hypotheses from the best down; none where too few ridges may be in view."""
+    config = config.model_copy(
+        update={
+            "skyline": config.skyline.model_copy(update={"cover": _ANY}),
+            "contours": config.contours.model_copy(update={"correlation": _ALONG, "correlation_px": _ALONG}),
+        }
+    )
+    ridges = ContourDirections.of(horizon, config.contours.nearest, with_horizon=True)
+    if len(ridges.range) < 30:
+        return []
+    azimuth, pitch, roll = prior.pose.angles_deg
+    camera = evidence.camera
+    coarse = evidence.coarse_edges
+    grid = np.stack(
+        np.meshgrid(
+            azimuth + _steps(_reach_deg(prior, config), 0.5),
+            pitch + _steps(2.5 * prior.pitch_sigma_deg, 0.2),
+            roll + _steps(2.5 * prior.roll_sigma_deg, 1.0),
+            indexing="ij",
+        ),
+        axis=-1,
+    ).reshape(-1, 3)
+    points = ridges.thinned(max(1, len(ridges.range) // _MOST_POINTS))
+    floor = _FLOOR_OF_PLANTS_DEG if evidence.plants >= MANY_PLANTS else _FLOOR_DEG
+    few = ridges.thinned(max(1, len(ridges.range) // _COARSE_POINTS))
+    found: list[tuple[float, Float64Array, Camera]] = []
+    for factor in focal_candidates(focal_sigma):
+        lens = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+        scores = contour_scores(rotations_of(grid), few, lens, coarse)
+        scores = scores - _prior_cost(grid, prior)
+        first = grid[np.argsort(-scores)[: 16 * _KEPT]]
+        nearby = (first[:, None] + _NEARBY).reshape(-1, 3)
+        scores = contour_scores(rotations_of(nearby), points, lens, evidence.edges)
+        scores = (scores - _prior_cost(nearby, prior)).reshape(len(first), -1)
+        best = scores.argmax(axis=1)
+        found += [(float(scores[k, j]), nearby[k * len(_NEARBY) + j], lens) for k, j in enumerate(best.tolist())]
+    found.sort(key=lambda entry: -entry[0])
+    hypotheses: list[Hypothesis] = []
+    starts = _apart([(angles, lens) for _, angles, lens in found])
+    for _ in range(3):
+        for angles, lens in starts:
+            start = Pose.from_angles(prior.pose.position, *(float(a) for a in angles))
+            around = ridges.in_view(start, lens, _MOST_POINTS)
+            refined = refine(start, lens, evidence, horizon, around, prior, focal_sigma, config, _ROUNDS)
+            covariance = refined.covariance.copy()
+            covariance[3:6, 3:6] += pose_covariance(refined.pose, 0.0, 0.0, *floor)[3:, 3:]
+            refined = replace(refined, covariance=covariance)
+            z = ridge_strength(refined.pose, ridges, horizon.step, refined.camera, evidence.edges)
+            cost = refined.cost - config.contours.weight * max(z, 0.0) ** 2 / 2
+            hypotheses.append(Hypothesis(refined, cost, z))
+        hypotheses.sort(key=lambda hypothesis: hypothesis.cost)
+        # Again from about the best: what a wrong roll trapped gets out.
+        best = hypotheses[0].refined
+        at = np.array(best.pose.angles_deg)
+        starts = [(at + offset, best.camera) for offset in _restarts()]
+    kept: list[Hypothesis] = []
+    for hypothesis in hypotheses:
+        if all(_distance(hypothesis.refined.pose, other.refined.pose) > math.radians(0.3) for other in kept):
+            kept.append(hypothesis)
+    return kept
+
+
+def _reach_deg(prior: PosePrior, config: PicturePoseConfig) -> float:
+    if not prior.heading_known:
+        return 180.0
+    return min(2.5 * prior.azimuth_sigma_deg, math.degrees(search_reach(prior, config)))
+
+
+def _restarts() -> list[Float64Array]:
+    """Degrees. Along a ridge that runs up through the picture azimuth, pitch and roll make up for each other."""
+    offsets = [(0.0, 0.0, 1.2), (0.0, 0.0, 0.6), (0.2, -0.1, 0.6), (0.5, -0.2, 1.2), (0.8, 0.0, 0.0), (0.0, 0.4, 0.4)]
+    return [sign * np.array(offset) for offset in offsets for sign in (1.0, -1.0)]
+
+
+def _steps(reach: float, step: float) -> Float64Array:
+    n = max(1, math.ceil(reach / step))
+    return np.asarray(step * np.arange(-n, n + 1), np.float64)
+
+
+def _prior_cost(grid: Float64Array, prior: PosePrior) -> Float64Array:
+    away = np.abs(grid - np.array(prior.pose.angles_deg))
+    away[:, 0] = np.minimum(away[:, 0], 360 - away[:, 0])
+    sigma = np.array([prior.azimuth_sigma_deg, prior.pitch_sigma_deg, prior.roll_sigma_deg])
+    if not prior.heading_known:
+        sigma[0] = np.inf
+    return np.asarray(0.25 * ((away / sigma) ** 2).sum(axis=1), np.float64)
+
+
+def _apart(found: list[tuple[Float64Array, Camera]]) -> list[tuple[Float64Array, Camera]]:
+    kept: list[tuple[Float64Array, Camera]] = []
+    for angles, lens in found:
+        if len(kept) == _KEPT:
+            break
+        if all(
+            float(np.abs((angles - other) / (1.0, 0.6, 1.2)).max()) >= 0.99 or lens is not another
+            for other, another in kept
+        ):
+            kept.append((angles, lens))
+    return kept
+
+
+def _distance(a: Pose, b: Pose) -> float:
+    return float(np.abs(angles_between(a, b)).max())

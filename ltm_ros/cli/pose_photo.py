@@ -1,0 +1,157 @@
+"""`ltm pose --photo`: finds the poses of photos by their skylines and ridges."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ltm_core.dem import Dem
+    from ltm_core.pose_estimation.picture_pose_io import PoseResult, SearchSetup
+    from ltm_core.pose_estimation.pose_file_io import GuessConfig
+    from ltm_core.pose_estimation.pose_from_picture import PictureSearch
+    from ltm_core.types import UInt8Array
+    from ltm_core.vision.segmenter import Segmenter
+
+FOCAL_SIGMA = 0.05
+"""Of a focal length that is to be fitted, relative: it is tried up to twice this off."""
+
+FREE_POSITION_SIGMA = 10.0
+"""Metres, of a position that is to be fitted and states no sigma."""
+
+
+@dataclass(frozen=True)
+class PhotoOptions:
+    """Of one run: where labels come from, what is fitted besides the angles, what the DEM holds."""
+
+    labels: Path | None
+    model: str
+    free: tuple[str, ...]
+    canopy: bool
+    mount: bool
+
+
+@dataclass(frozen=True, eq=False)
+class FoundPhoto:
+    """A photo with its search and result."""
+
+    name: str
+    guess: GuessConfig
+    setup: SearchSetup
+    photo: UInt8Array
+    search: PictureSearch
+    result: PoseResult
+    word: str
+    reason: str
+    seconds: float
+
+
+def guesses_of(photos: Path, poses: Path) -> dict[Path, GuessConfig]:
+    """The photos of a folder that a photo list names, with what it knows of them. Raises ConfigError."""
+    from ltm_core.config_io import checked
+    from ltm_core.errors import ConfigError
+    from ltm_core.pose_estimation.pose_file_io import GuessConfig
+    from ltm_ros.importer.pose_file import read_pose_file
+
+    found = {}
+    for name, row in read_pose_file(poses).items():
+        file = photos / name
+        if not file.is_file():
+            raise ConfigError(f"{poses} names {name}, which is not in {photos}")
+        known = {
+            "pose": row.pose.model_dump(exclude_none=True),
+            "calibration": row.calibration.model_dump(exclude_none=True),
+        }
+        found[file] = checked(GuessConfig, known, f"{poses}: {name}")
+    return found
+
+
+def search_photos(guesses: dict[Path, GuessConfig], dem: Dem, options: PhotoOptions) -> list[FoundPhoto]:
+    """Search the pose of each photo; with `mount`, one correction for all of them."""
+    from ltm_core.pose_estimation.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
+    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+
+    config = PicturePoseConfig(skyline=SkylineConfig(cover=CANOPY_SURFACE)) if options.canopy else PicturePoseConfig()
+    segmenter = None if options.labels is not None else Segmenter.open(options.model or DEFAULT_MODEL)
+    found = [_find(file, guess, dem, segmenter, options, config) for file, guess in guesses.items()]
+    return _as_one_mount(found, config) if options.mount else found
+
+
+def _find(
+    file: Path, guess: GuessConfig, dem: Dem, segmenter: Segmenter | None, options: PhotoOptions, config: Any
+) -> FoundPhoto:
+    from ltm_core.errors import ImageError
+    from ltm_core.pose_estimation.picture_evidence import picture_evidence
+    from ltm_core.pose_estimation.picture_pose_io import doubt_of_sky, read_labels, result_of, set_up_search
+    from ltm_core.pose_estimation.pose_from_picture import find_pose
+    from ltm_core.tracing.trace_io import read_photo
+
+    setup = set_up_search(guess, dem)
+    prior = setup.prior
+    if "position" in options.free and prior.position_sigma == 0:
+        prior = replace(prior, position_sigma=FREE_POSITION_SIGMA, height_sigma=FREE_POSITION_SIGMA)
+    photo = read_photo(file, setup.camera)
+    if options.labels is not None:
+        labels = read_labels(options.labels, setup.camera)
+    else:
+        assert segmenter is not None  # nosec B101 # tells the type checker what holds
+        labels = segmenter.segment(photo).labels
+    doubt = doubt_of_sky(labels)
+    if doubt is not None:
+        raise ImageError(f"{file}: {doubt}")
+    begin = time.process_time()
+    evidence = picture_evidence(photo, labels, setup.camera, config)
+    search = find_pose(evidence, setup.terrain, prior, config, FOCAL_SIGMA if "focal" in options.free else 0.0)
+    result = result_of(search, prior, setup.camera)
+    spent = time.process_time() - begin
+    verdict = search.verdict
+    return FoundPhoto(file.name, guess, setup, photo, search, result, verdict.word, verdict.reason, spent)
+
+
+def _as_one_mount(found: list[FoundPhoto], config: Any) -> list[FoundPhoto]:
+    from ltm_core.pose_estimation.mount_fit import fit_mount
+    from ltm_core.pose_estimation.picture_pose_io import PoseResult
+
+    fit = fit_mount([f.setup.prior for f in found], [f.search for f in found], config)
+    accepted = fit.word == "accepted"
+    results = []
+    for k, f in enumerate(found):
+        covariance = fit.pose_covariance(k) if accepted else f.setup.prior.covariance
+        result = PoseResult(fit.poses[k], f.setup.camera, covariance, accepted)
+        results.append(replace(f, result=result, word=fit.word, reason=fit.reason))
+    return results
+
+
+def write_photos(found: list[FoundPhoto], out: Path, picture: Path | None, report: Path | None, folder: bool) -> None:
+    """Pose files, pictures before and after, and the figures as JSON. `folder`: `out` and `picture` are folders."""
+    from ltm_core.pictures import to_png
+    from ltm_core.pictures.pose_fit import pose_fit_picture
+    from ltm_core.pose_estimation.picture_pose_io import figures, write_figures_of, write_result
+
+    content = {}
+    for f in found:
+        place = out / f"{Path(f.name).stem}.yaml" if folder else out
+        place.parent.mkdir(parents=True, exist_ok=True)
+        write_result(place, f.result, f.reason, f.word, f.guess, f.setup.frame)
+        content[f.name] = figures(f.search, f.result, f.setup.prior, f.setup.frame) | {
+            "verdict": f.word,
+            "reason": f.reason,
+            "cpu_seconds": f.seconds,
+        }
+        if picture is None:
+            continue
+        camera, prior = f.setup.camera, f.setup.prior.pose
+        poses = [("as given", camera, prior)]
+        if f.result.accepted:
+            poses.append((f"found ({f.word})", f.result.camera, f.result.pose))
+        elif f.search.hypotheses:
+            best = f.search.hypotheses[0].refined
+            poses.append((f"best, not taken: {f.word}", camera, best.pose))
+        at = picture / f"{Path(f.name).stem}.png" if folder else picture
+        at.parent.mkdir(parents=True, exist_ok=True)
+        at.write_bytes(to_png(pose_fit_picture(f.photo, camera, f.search.horizon, poses)))
+    if report is not None:
+        report.parent.mkdir(parents=True, exist_ok=True)
+        write_figures_of(report, content if folder else next(iter(content.values())))

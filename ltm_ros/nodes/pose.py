@@ -1,0 +1,121 @@
+"""pose: keeps a mounted camera's pose by its pictures, and tells capture by how much what is stated of it is off."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from std_msgs.msg import String
+
+from ltm_core.errors import ConfigError
+from ltm_core.pose_estimation.mount_watch import MountWatch
+from ltm_core.pose_estimation.picture_evidence import picture_evidence
+from ltm_core.pose_estimation.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
+from ltm_core.pose_estimation.pose_from_picture import Terrain
+from ltm_core.site_io import load_site
+from ltm_msgs_py.camera_info import msg_to_camera
+from ltm_msgs_py.image import msg_to_array, msg_to_rgb
+from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
+from ltm_msgs_py.pose_correction import correction_to_msg
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.runtime.handler import Handler, NodeType, Outlet
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
+from ltm_ros.runtime.topics import (
+    LABELS_IMAGE,
+    POSE_CORRECTION,
+    POSE_INFO,
+    POSED_CAMERA_INFO,
+    POSED_IMAGE,
+    STATED_POSE,
+)
+
+
+class PoseKeeping(Handler[JoinConfig]):
+    """Looks at a picture now and then: what it costs is that of a few frames a minute."""
+
+    publications = (POSE_CORRECTION, POSE_INFO)
+
+    def __init__(self, config: JoinConfig, outlet: Outlet, health: Health) -> None:
+        super().__init__(config, outlet, health)
+        site = load_site(config.site)
+        site.camera(config.camera)
+        if site.refine_poses is None:
+            raise ConfigError(f"{config.site}: the node `pose` needs a section `refine_poses`")
+        bare = site.open_dem()
+        ground = site.open_surface(bare)
+        self._search = PicturePoseConfig()
+        if ground is not bare:
+            self._search = PicturePoseConfig(skyline=SkylineConfig(cover=CANOPY_SURFACE))
+        terrain = Terrain(ground, site.bend, site.possible_ground)
+        self._watch = MountWatch(terrain, site.refine_poses, self._search)
+        self._assumed = site.assumed_pose_error.covariance()
+        self._every_ns = round(site.refine_poses.every * 1e9)
+        self._last_ns = -self._every_ns
+        self._join = StampJoin(("image", "info", "pose", "labels"), self._look, health, max_wait=config.max_wait)
+
+    @property
+    def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
+        return {
+            POSED_IMAGE: lambda m: self._join.add("image", stamp_of(m), m),
+            POSED_CAMERA_INFO: lambda m: self._join.add("info", stamp_of(m), m),
+            STATED_POSE: lambda m: self._join.add("pose", stamp_of(m), m),
+            LABELS_IMAGE: lambda m: self._join.add("labels", stamp_of(m), m),
+        }
+
+    def discard(self, stamp_ns: int) -> None:
+        self._join.discard(stamp_ns)
+
+    def tick(self, waited: float) -> None:
+        self._join.tick(waited)
+
+    def finish(self) -> None:
+        self._join.finish()
+
+    def _look(self, image: Any, info: Any, pose: Any, labels: Any) -> None:
+        stamp = stamp_of(image)
+        if 0 <= stamp - self._last_ns < self._every_ns:
+            return
+        self._last_ns = stamp
+        watch, before = self._watch, self._watch.correction
+        evidence = picture_evidence(
+            msg_to_rgb(image), msg_to_array(labels, ("mono8",)), msg_to_camera(info), self._search
+        )
+        covariance = msg_to_covariance(pose, self._assumed)
+        assert covariance is not None  # nosec B101 # tells the type checker what holds
+        clear = watch.look(evidence, msg_to_pose(pose, "map"), covariance)
+        self.health.note("clear" if clear else "unclear")
+        self.health.gauge("mount", f"{watch.state.value}: {watch.reason}")
+        if not watch.correction.known:
+            self.health.trouble(f"mount_{watch.state.value}", watch.reason)
+        if watch.correction is not before:
+            self.health.note(f"mount.{watch.state.value}")
+            self.outlet.publish(POSE_INFO, String(data=json.dumps(self._info(stamp))))
+            self.outlet.publish(POSE_CORRECTION, correction_to_msg(watch.correction, stamp))
+
+    def _info(self, stamp: int) -> dict[str, object]:
+        watch = self._watch
+        rotation, angles = watch.correction.rotation, watch.correction.angles
+        return {
+            "camera": self.config.camera,
+            "stamp_ns": stamp,
+            "state": watch.state.value,
+            "reason": watch.reason,
+            "rotation_deg": np.degrees(rotation).round(4).tolist(),
+            "sigma_deg": None if angles is None else np.degrees(np.sqrt(angles.diagonal())).round(4).tolist(),
+            "slips": watch.slips,
+        }
+
+
+NODE = NodeType("pose", JoinConfig, PoseKeeping)
+
+
+def main() -> None:
+    run_node(NODE)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,166 @@
+"""The ROS side of a handler: a node with its parameters, publishers, subscriptions and diagnostics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Set
+from typing import Any
+
+from pydantic_core import PydanticUndefined
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from ltm_core.config_io import checked
+from ltm_msgs_py.stamp import make_header, stamp_of
+from ltm_ros.runtime.clock_watch import ClockWatch
+from ltm_ros.runtime.discovery_check import LISTENERS, unheard
+from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.message_info import with_info
+from ltm_ros.runtime.message_loss import LossCounter, loss_report, writers_of
+
+WIRING_S = 5.0
+"""Between two looks for topics that are published and do not reach a node."""
+
+
+def stream_qos(latched: bool = False, depth: int = 10) -> QoSProfile:
+    """Reliable, keeps the last `depth`; latched topics keep the last one for late joiners."""
+    if latched:
+        return QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
+
+
+def _qos(topic: Topic) -> QoSProfile:
+    return stream_qos(topic.latched, topic.depth)
+
+
+class OutletNode(Node):  # type: ignore[misc]
+    """A node whose messages come from a handler (`Outlet`) and go to one; who runs the handler is up to subclasses.
+
+    `given`: what rclpy's Node is made with, where that is not what the command line says.
+    """
+
+    def __init__(self, node_type: NodeType[ConfigT], given: Mapping[str, Any] | None = None) -> None:
+        super().__init__(
+            **{"node_name": node_type.name, "automatically_declare_parameters_from_overrides": True} | dict(given or {})
+        )
+        self.config: Any = read_parameters(self, node_type.config)
+        self.health = Health()
+        self._publishers_by_topic: dict[Topic, Any] = {}
+        self._clock_watch = ClockWatch()
+        self._unheard: dict[str, str] = {}
+
+    def publish(self, topic: Topic, message: Any) -> None:
+        """Part of Outlet."""
+        self._publishers_by_topic[topic].publish(message)
+        if not topic.latched:
+            self._count(topic, stamp_of(message))
+
+    def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
+        """Part of Outlet."""
+        if self.wanted(topic):
+            self._publishers_by_topic[topic].publish(make())
+        self._count(topic, stamp_ns)
+
+    def wanted(self, topic: Topic) -> bool:
+        """Part of Outlet."""
+        return bool(self._publishers_by_topic[topic].get_subscription_count() > 0)
+
+    def more_waits(self) -> bool:
+        """Part of Outlet."""
+        return False
+
+    def now_ns(self) -> int:
+        """Part of Outlet."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
+        """Part of Outlet."""
+        self._publishers_by_topic[topic].publish(self.acknowledgement(stamp_ns))
+
+    def workers(self, topic: Topic) -> Set[str]:
+        """Part of Outlet."""
+        ends = self.get_publishers_info_by_topic(topic.name)
+        # Of one that has just come DDS does not know the name yet.
+        return {f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends if "UNKNOWN" not in end.node_name}
+
+    def prompt_workers(self, topic: Topic) -> Set[str]:
+        """Part of Outlet."""
+        return frozenset()
+
+    def acknowledgement(self, stamp_ns: int) -> Any:
+        return make_header(stamp_ns, self.get_fully_qualified_name())
+
+    def open(self, topic: Topic) -> None:
+        """From here on it can be published on `topic`."""
+        self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, _qos(topic))
+
+    def listen(self, topic: Topic, name: str, offer: Callable[[Any], None]) -> None:
+        """Have `offer` take what comes on the topic of this name; what is lost on the way is counted."""
+        losses = LossCounter(writers_of(self, name))
+
+        def take(message: Any, info: Any) -> None:
+            # Of a latched topic only the last message counts.
+            if not topic.latched and (lost := losses.lost(info)):
+                self.health.drop("lost", loss_report(lost, name), lost)
+            offer(message)
+
+        self.create_subscription(topic.type, name, with_info(take), _qos(topic))
+
+    def state_listeners(self) -> None:
+        """State how many listen to what is published here."""
+        for topic, publisher in self._publishers_by_topic.items():
+            self.health.gauge(LISTENERS + topic.name, publisher.get_subscription_count())
+
+    def look_at_clock(self) -> None:
+        """Tell of this machine's clock where it was set."""
+        step = self._clock_watch.step_s()
+        if step and not self.get_parameter("use_sim_time").value:
+            self.health.note("clock_step")
+            self.health.trouble(
+                "clock_step",
+                f"this machine's clock was set by {step:+.1f} s; frames from before may look early or late",
+            )
+
+    def look_at_wiring(self) -> None:
+        """Tell of topics that somebody publishes and that do not reach this node, once that has lasted."""
+        former, self._unheard = self._unheard, unheard(self)
+        for topic in former.keys() & self._unheard.keys():
+            self.health.trouble("unmatched", self._unheard[topic])
+
+    def warn(self, text: str) -> None:
+        """Log it, now and then."""
+        self.get_logger().warning(text, throttle_duration_sec=5.0)
+
+    def _count(self, topic: Topic, stamp_ns: int) -> None:
+        now = self.now_ns()
+        # 0: simulated time that has not begun for this node, so nothing is known of the age.
+        self.health.published(topic.name, (now - stamp_ns) / 1e9 if now else None)
+
+
+def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:
+    """The node's parameters as typed configuration, fixed from here on. Raises ConfigError, e.g. on unknown ones."""
+    given = {
+        name: parameter.value
+        for name, parameter in node.get_parameters_by_prefix("").items()
+        if name not in ("use_sim_time", "start_type_description_service") and not name.startswith("qos_overrides.")
+    }
+    config = checked(model, given, f"parameters of node {node.get_fully_qualified_name()}")
+    for name, field in model.model_fields.items():
+        if name not in given and field.default is not PydanticUndefined:
+            node.declare_parameter(name, _ros_value(getattr(config, name)))
+
+    def refuse(parameters: list[Parameter]) -> SetParametersResult:
+        changed = ", ".join(p.name for p in parameters if p.name in model.model_fields)
+        return SetParametersResult(
+            successful=not changed,
+            reason=f"{changed}: fixed while the node runs; change the site file" if changed else "",
+        )
+
+    node.add_on_set_parameters_callback(refuse)
+    return config
+
+
+def _ros_value(value: object) -> object:
+    return value if isinstance(value, bool | int | float | str | list) else str(value)

@@ -1,0 +1,130 @@
+"""Handlers of one process that hand messages to each other directly, without transport."""
+
+from __future__ import annotations
+
+from collections import defaultdict, deque
+from collections.abc import Callable
+from graphlib import TopologicalSorter
+from typing import Any
+
+from ltm_ros.runtime.handler import Handler, Topic
+from ltm_ros.runtime.health import Health
+
+
+class Job:
+    """One handler of a pipeline. `make` makes it, and makes it anew where a bug has ended it.
+
+    `name`: the node's full name; `namespace`: absolute.
+    """
+
+    def __init__(self, name: str, namespace: str, health: Health, make: Callable[[], Handler[Any]]) -> None:
+        self.name, self.namespace, self.health = name, namespace, health
+        self._make = make
+        self.renew()
+
+    def renew(self) -> None:
+        """Raises whatever the handler's constructor raises; the former handler is then gone."""
+        self.callbacks: dict[Topic, Callable[[Any], None]] = {}
+        self.handler = self._make()
+        self.callbacks.update(self.handler.subscriptions)
+
+    def topic(self, topic: Topic) -> str:
+        """Its absolute name."""
+        return absolute(self.namespace, topic)
+
+
+def absolute(namespace: str, topic: Topic) -> str:
+    return topic.name if topic.name.startswith("/") else f"{namespace}/{topic.name}"
+
+
+Run = Callable[[Job, Callable[[], None], str, Any], None]
+"""Does a job's work on a message of a topic ("", None: on none), and decides what becomes of its errors."""
+
+
+class Pipeline:
+    """Jobs that take each other's messages, one at a time, in the order of publication; for one thread at a time."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self.jobs: dict[str, Job] = {}
+        """By full name, in the order in which they were added."""
+        self._listeners: defaultdict[str, list[tuple[Job, Topic]]] = defaultdict(list)
+        self._sources: defaultdict[str, set[str]] = defaultdict(set)
+        self._waiting: deque[tuple[str, Any]] = deque()
+        self._cleared = False
+        """Whether the message at work shall reach nobody else."""
+
+    def add(self, job: Job) -> None:
+        self.jobs[job.name] = job
+        for topic in job.handler.publications:
+            self._sources[job.topic(topic)].add(job.name)
+        for topic in job.handler.subscriptions:
+            self._listeners[job.topic(topic)].append((job, topic))
+
+    def start(self) -> None:
+        """Let every handler say what it has to say first."""
+        for job in self.jobs.values():
+            job.handler.start()
+
+    def made_here(self, topic: str) -> bool:
+        """Whether one of the jobs publishes on a topic of this absolute name."""
+        return topic in self._sources
+
+    def listened(self, topic: str) -> bool:
+        """Whether one of the jobs listens to it."""
+        return topic in self._listeners
+
+    def publish(self, topic: str, message: Any) -> None:
+        """Have `drain` deliver a message to those that listen."""
+        self._waiting.append((topic, message))
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing waits that `drain` would deliver."""
+        return not self._waiting
+
+    def deliver(self, job: Job, topic: Topic, message: Any) -> None:
+        """Give a message to one job at once."""
+        self._run(job, lambda: job.callbacks[topic](message), job.topic(topic), message)
+
+    def drain(self) -> None:
+        """Deliver what was published, and all that follows from it."""
+        while self._waiting:
+            topic, message = self._waiting.popleft()
+            self._cleared = False
+            for job, own in self._listeners.get(topic, ()):
+                if own.counted:
+                    job.health.received(own.name)
+                self.deliver(job, own, message)
+                if self._cleared:
+                    break
+
+    def idle(self) -> None:
+        """Tell every handler that no message waits."""
+        for job in self.jobs.values():
+            self._run(job, lambda j=job: j.handler.idle(), "", None)  # type: ignore[misc]
+
+    def settle(self) -> None:
+        """Deliver what was published and all that follows from it, with what handlers do once no message waits."""
+        while self._waiting:
+            self.drain()
+            self.idle()
+
+    def clear(self) -> None:
+        """Forget what `drain` would deliver, to those too that have yet to get the message at work."""
+        self._waiting.clear()
+        self._cleared = True
+
+    def finish(self) -> None:
+        """Tell every handler that no more will come, each after all that it listens to; what they still publish is
+        delivered."""
+        upstream: dict[str, set[str]] = {name: set() for name in self.jobs}
+        for topic, listeners in self._listeners.items():
+            for job, own in listeners:
+                # What is latched is a state, which may be fed back to where its frames came from.
+                if not own.latched:
+                    upstream[job.name] |= self._sources.get(topic, set())
+        for name in TopologicalSorter(upstream).static_order():
+            job = self.jobs[name]
+            self._run(job, lambda j=job: j.handler.finish(), "", None)  # type: ignore[misc]
+            self.settle()

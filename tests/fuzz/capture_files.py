@@ -1,0 +1,115 @@
+"""Readers of what phones and drones record."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from scenes.movie_file import gps5, gps9, jpeg, movie
+from scenes.phone_site import STAMP, taken
+
+from fuzz.mutations import spoil_text
+from fuzz.target import Target
+from ltm_core.device_attitude import phone_camera
+from ltm_core.geodesy import SiteFrame
+from ltm_core.simulator.sensor_logger_io import write_sensor_logger
+from ltm_ros.importer.assumptions import Assumptions
+from ltm_ros.importer.dji import read_subtitles
+from ltm_ros.importer.gopro import read_gopro
+from ltm_ros.importer.pictures import find_pictures
+from ltm_ros.importer.sensor_logger import read_sensor_logger_json
+
+FRAME = SiteFrame("EPSG:32611", 402_000.0, 3_787_000.0)
+
+
+def _walk(folder: Path) -> list[bytes]:
+    """One as it is, and one whose tables are not packed, so that spoiled bytes reach their reader."""
+    write_sensor_logger(folder / "seed.zip", [taken(0, (231.0, -3.5, 1.0))], FRAME, 60, -35.4, attitude_hz=2.0)
+    packed = (folder / "seed.zip").read_bytes()
+    (folder / "seed.zip").unlink()
+    plain = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(packed)) as old, zipfile.ZipFile(plain, "w") as new:
+        for name in old.namelist():
+            new.writestr(name, old.read(name))
+    return [packed, plain.getvalue()]
+
+
+def _json(folder: Path) -> list[bytes]:
+    fix = '{"sensor":"Location","time":"1720143015250000000","latitude":"34.2","longitude":"-118.1","altitude":"1500"}'
+    turn = '{"sensor":"Orientation","time":"1720143015250000000","qx":"0.7","qy":"0","qz":"0","qw":"0.7141428"}'
+    return [f'[{fix},{turn},{{"sensor":"Metadata","platform":"android"}}]'.encode()]
+
+
+def _read(folder: Path, name: str) -> None:
+    for picture in find_pictures([folder / name], Assumptions()):
+        picture.read()
+
+
+def _read_json(folder: Path) -> None:
+    track = read_sensor_logger_json(folder / "walk.json")
+    if track is not None:
+        track.at(STAMP, phone_camera())
+
+
+def _srt(folder: Path) -> list[bytes]:
+    new = (
+        '1\n00:00:00,000 --> 00:00:00,033\n<font size="28">FrameCnt: 1, DiffTime: 33ms\n2024-07-04 18:30:15.500\n'
+        "[focal_len: 27.00] [dzoom_ratio: 1.00], [latitude: 34.225] [longitude: -118.06] "
+        "[rel_alt: 40.0 abs_alt: 1550.0] [gb_yaw: -10.0 gb_pitch: -12.0 gb_roll: 0.5] </font>\n\n"
+    )
+    old = "1\n00:00:00,000 --> 00:00:01,000\nGPS(-118.060000,34.225000,19) BAROMETER:40.5\n2024.07.04 18:30:15\n\n"
+    return [(new + new.replace("00:00:00", "00:00:01")).encode(), old.encode()]
+
+
+def _read_srt(folder: Path) -> None:
+    read_subtitles(folder / "a.srt", None)[0].at(1, np.eye(3))
+
+
+def _gpmf(folder: Path) -> list[bytes]:
+    fixes = [(34.225, -118.06, 1500.0), (34.2251, -118.06, 1501.0)]
+    return [gps5(fixes, "240705013015.000", datum=b"MSLV"), gps9(fixes, 8952, 5415.0)]
+
+
+def _read_gpmf(folder: Path) -> None:
+    read_gopro([(0.0, (folder / "gpmd").read_bytes())], folder / "gpmd")[0].at(1, np.eye(3))
+
+
+def _video(folder: Path) -> list[bytes]:
+    frames = [np.full((24, 40, 3), 60 * k, np.uint8) for k in range(2)]
+    plain = movie(frames, 1, datetime(2024, 7, 5, tzinfo=UTC), location="+34.2250-118.0600+1500.000/")
+    return [plain, movie(frames, 1, None, _gpmf(folder)[:1] * 2, turned=90)]
+
+
+def _odometry(folder: Path) -> list[bytes]:
+    head = "timestamp, frame, x, y, z, qx, qy, qz, qw, fx, fy, cx, cy\n"
+    return [(head + "".join(f"{k}.5, {k:06d}, 0.1, 0.2, 0.3, 0, 0, 0, 1, 52, 51, 31, 21\n" for k in range(2))).encode()]
+
+
+def _read_odometry(folder: Path) -> None:
+    (folder / "camera_matrix.csv").write_text("52,0,31\n0,51,21\n0,0,1\n")
+    (folder / "rgb.mp4").write_bytes(movie([np.zeros((24, 40, 3), np.uint8)], 1, datetime(2024, 7, 5, tzinfo=UTC)))
+    _read(folder.parent, folder.name)
+
+
+def _record3d(folder: Path) -> list[bytes]:
+    return [b'{"w":40,"h":24,"fps":1,"K":[52,0,0,0,51,0,31,21,1],"poses":[[0,0,0,1,0,0,0],[0,0,0.6,0.8,1,2,3]]}']
+
+
+def _read_record3d(folder: Path) -> None:
+    (folder / "rgb").mkdir(exist_ok=True)
+    (folder / "rgb/0.jpg").write_bytes(jpeg(np.zeros((24, 40, 3), np.uint8)))
+    _read(folder.parent, folder.name)
+
+
+CAPTURE_FILES = (
+    Target("sensor_logger_zip", "walk.zip", _walk, lambda folder: _read(folder, "walk.zip"), weight=2.0),
+    Target("sensor_logger_json", "walk.json", _json, _read_json),
+    Target("video", "a.mp4", _video, lambda folder: _read(folder, "a.mp4")),
+    Target("gopro", "gpmd", _gpmf, _read_gpmf),
+    Target("subtitles", "a.srt", _srt, _read_srt, spoil_text),
+    Target("stray_scanner", "odometry.csv", _odometry, _read_odometry, spoil_text),
+    Target("record3d", "metadata.json", _record3d, _read_record3d, spoil_text),
+)

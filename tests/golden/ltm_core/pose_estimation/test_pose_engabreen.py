@@ -1,0 +1,24 @@
+"""A real photo whose far mountains lie outside the DEM: its pose by ridges alone, beside that of its control points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltm_core.evaluation.pose.engabreen_io import STARTS, read_real_photo, run_real_trials
+from ltm_core.vision.segmenter import Segmenter
+
+
+@pytest.mark.slow
+def test_ridges_find_the_control_points_pose_from_far_off(shared_data: Path) -> None:
+    real = read_real_photo(shared_data / "engabreen")
+    trials = run_real_trials(real, Segmenter.open().segment(real.photo).labels)
+    errors = np.abs([trial.error for trial in trials])
+    near = (errors < (0.2, 0.1, 0.4)).all(axis=1)
+    print(f"{near.sum()} of {STARTS} starts; {np.median(errors, axis=0)}")
+    assert near.sum() >= 10
+    assert np.median([trial.median for trial in trials]) < 4.0, "metres on the ground"
+    for trial, right in zip(trials, near, strict=True):
+        assert right or trial.verdict != "accepted"

@@ -1,0 +1,67 @@
+"""The process that the nodes of all cameras share: what is wrong with one camera costs the others nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from bystander import Bystander
+from scenes.small_site import NAME, SmallSite
+from scenes.waiting import wait_for
+
+from ltm_ros.launching.graph import Graph, NodeSpec, describe
+from ltm_ros.launching.runner import GraphError, Runner
+from ltm_ros.launching.supervisor import RestartPolicy
+from ltm_ros.runtime.topics import DEPTH_IMAGE, IMAGE_RAW, camera_topic
+
+pytestmark = pytest.mark.graph
+
+
+def nodes_of(small: SmallSite, without: Iterable[str]) -> tuple[NodeSpec, ...]:
+    """Captures and depths of both cameras; those of the cameras `without` are told a site that is not there."""
+    whole = describe(small.site, small.path)
+    nodes = [whole.node(f"{camera}/{kind}") for camera in ("tower", "mast") for kind in ("capture", "depth")]
+    nowhere = str(small.folder / "nowhere.yaml")
+    return tuple(
+        replace(node, parameters={**node.parameters, "site": nowhere})
+        if node.name == "depth" and node.namespace.rpartition("/")[2] in without
+        else node
+        for node in nodes
+    )
+
+
+def test_a_camera_that_cannot_be_started_is_named_and_the_other_delivers(
+    small_site: SmallSite, ros_domain: int, tmp_path: Path
+) -> None:
+    lines: list[str] = []
+    graph = Graph(NAME, nodes_of(small_site, ["tower"]))
+    depths = camera_topic(NAME, "mast", DEPTH_IMAGE)
+    images = camera_topic(NAME, "mast", IMAGE_RAW)
+    with Runner(graph, domain_id=ros_domain, log_folder=tmp_path, console=lines.append) as runner, Bystander() as seen:
+        seen.listen(depths, DEPTH_IMAGE.type)
+        seen.open(images, IMAGE_RAW.type)
+        photo = small_site.messages()[IMAGE_RAW]
+        wait_for(lambda: f"/{NAME}/mast/depth" in seen.summaries, "the mast's nodes", lambda: lines)
+        seen.wait_for_wiring(2)
+        seen.send(images, photo)
+        wait_for(lambda: seen.stamps(depths), "its depth", lambda: seen.summaries)
+        (told,) = [line for line in lines if "cannot start" in line]
+        assert f"/{NAME}/tower: cannot start" in told
+        assert "nowhere.yaml" in told
+        assert not any(name.startswith(f"/{NAME}/tower/") for name in seen.summaries)
+        assert runner.processes["cameras"].starts == 1
+
+
+def test_where_no_camera_can_be_started_the_process_is_given_up(
+    small_site: SmallSite, ros_domain: int, tmp_path: Path
+) -> None:
+    graph = Graph(NAME, nodes_of(small_site, ["tower", "mast"]))
+    policy = RestartPolicy(initial_s=0.1, config_tries=1)
+    with (
+        Runner(graph, domain_id=ros_domain, log_folder=tmp_path, console=lambda line: None, policy=policy) as runner,
+        pytest.raises(GraphError, match=r"not ready: cameras\n.*given up") as told,
+    ):
+        runner.wait_until_ready(120.0)
+    assert "nowhere.yaml" in str(told.value)

@@ -1,0 +1,60 @@
+"""A camera before mountains: a DEM of hills, and pictures of it as its own tracer sees it."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.geodesy import ray_bend
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+from ltm_core.pose_estimation.pose_from_picture import Terrain
+from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
+from ltm_core.types import UInt8Array
+from ltm_core.vision.labels import Label
+
+BEND = ray_bend(True, 0.13)
+CAMERA = Camera.from_fov(480, 300, 52.0)
+PLACE = (2100.0, 1700.0)
+
+
+@lru_cache(maxsize=1)
+def mountains() -> Dem:
+    """4.4 km by 3.6 km of 10 m cells: a plain about the camera, and two rings of summits."""
+    geometry = GridGeometry(0.0, 3600.0, 10.0, 440, 360)
+    rows, cols = np.mgrid[0:360, 0:440]
+    x, y = geometry.to_map(rows, cols)
+    z = np.full(x.shape, 200.0)
+    rng = np.random.default_rng(5)
+    for _ in range(60):
+        away, at = rng.uniform(500, 1600), rng.uniform(0, 2 * np.pi)
+        cx, cy = PLACE[0] + away * np.sin(at), PLACE[1] + away * np.cos(at)
+        high, wide = rng.uniform(40, 200) * away / 1500, rng.uniform(60, 220)
+        z += high * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2 * wide**2))
+    return Dem(z.astype(np.float32), geometry)
+
+
+def terrain() -> Terrain:
+    return Terrain(mountains(), BEND, NOTHING_BEYOND)
+
+
+def eye(height: float = 12.0) -> tuple[float, float, float]:
+    return (*PLACE, float(mountains().elevation_at(*PLACE)) + height)
+
+
+def view(pose: Pose, camera: Camera = CAMERA) -> tuple[UInt8Array, UInt8Array]:
+    """A photo (H, W, 3), hazier the farther the ground, and its labels (H, W): sky and bare ground."""
+    ranges = TerrainTracer(mountains(), possible=NOTHING_BEYOND).trace(camera, pose).range
+    sky = ~np.isfinite(ranges)
+    haze = np.where(sky, 1.0, 1 - np.exp(-np.where(sky, 0.0, ranges) / 1500.0))[..., None]
+    rng = np.random.default_rng(2)
+    ground = np.array([70.0, 80.0, 50.0]) + 6 * rng.normal(size=(*ranges.shape, 1))
+    photo = np.where(
+        sky[..., None], [190.0, 210.0, 235.0], ground * (1 - haze) + haze * np.array([150.0, 165.0, 180.0])
+    )
+    labels = np.where(sky, np.uint8(Label.SKY), np.uint8(Label.BARE)).astype(np.uint8)
+    return np.clip(photo, 0, 255).astype(np.uint8), labels

@@ -1,0 +1,201 @@
+"""A pose found in its picture: the terrain's horizon, the photo's skyline, the search, its verdicts, whole mounts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes.mountain_view import BEND, CAMERA, eye, mountains, terrain, view
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.errors import ImageError, PoseError
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+from ltm_core.pose_estimation.image_skyline import image_skyline
+from ltm_core.pose_estimation.mount_fit import fit_mount, widened
+from ltm_core.pose_estimation.picture_evidence import picture_evidence
+from ltm_core.pose_estimation.picture_pose_io import doubt_of_sky, result_of
+from ltm_core.pose_estimation.pose_from_picture import find_pose
+from ltm_core.pose_estimation.pose_prior import UNKNOWN_DEG, PosePrior, angles_between, turned
+from ltm_core.pose_estimation.terrain_horizon import terrain_horizon
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
+from ltm_core.vision.labels import Label
+
+TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
+
+
+def walls(near: float = 30.0, far: float = 90.0) -> Dem:
+    """Flat ground at 100 m with two walls from west to east, 400 m and 1000 m north of y = 200."""
+    geometry = GridGeometry(0.0, 1500.0, 5.0, 240, 300)
+    rows, cols = np.mgrid[0:300, 0:240]
+    _, y = geometry.to_map(rows, cols)
+    z = np.full(y.shape, 100.0)
+    z[np.abs(y - 600.0) < 6] += near
+    z[np.abs(y - 1200.0) < 6] += far
+    return Dem(z.astype(np.float32), geometry)
+
+
+def test_the_horizon_of_two_walls() -> None:
+    horizon = terrain_horizon(walls(), np.array([600.0, 200.0, 110.0]), BEND, NOTHING_BEYOND, half_width=0.2)
+    straight = int(np.argmin(np.abs(horizon.azimuths)))
+    assert horizon.range[straight] == pytest.approx(995.0, abs=6.0)
+    r = horizon.range[straight]
+    assert horizon.tangent[straight] == pytest.approx(80.0 / r - BEND * r, abs=1e-4)
+    # The lower wall before it is an occluding contour, and what comes into view behind it is the higher one.
+    contours = horizon.contours
+    k = int(np.argmin(np.abs(contours.azimuth)))
+    assert contours.range[k] == pytest.approx(395.0, abs=6.0)
+    assert contours.tangent[k] == pytest.approx(20.0 / contours.range[k], abs=1e-3)
+    assert contours.behind[k] == pytest.approx(990.0, abs=12.0)
+    assert contours.following[k] == k + 1
+    assert not horizon.open.any()
+
+
+def test_land_beyond_the_dem_leaves_the_horizon_open() -> None:
+    place = np.array([600.0, 200.0, 110.0])
+    low = terrain_horizon(walls(), place, BEND, PossibleGround(highest=150.0), half_width=0.2)
+    high = terrain_horizon(walls(), place, BEND, PossibleGround(highest=900.0), half_width=0.2)
+    assert not low.open.any(), "no higher than the wall of 190 m"
+    assert high.open.all()
+    assert (high.bound > high.tangent + 0.1).all()
+
+
+def test_a_place_beside_the_dem_is_told() -> None:
+    with pytest.raises(PoseError, match="no known terrain around"):
+        terrain_horizon(walls(), np.array([90_000.0, 200.0, 110.0]), BEND)
+
+
+def test_the_photo_s_skyline_is_found_to_a_part_of_a_pixel() -> None:
+    rows, cols = np.mgrid[0:200, 0:320]
+    true = 90.0 + 0.11 * cols[0] + 6 * np.sin(cols[0] / 23.0)
+    ground = np.clip(rows - true + 0.5, 0, 1)[..., None]
+    photo = (ground * [60.0, 70.0, 40.0] + (1 - ground) * [180.0, 200.0, 230.0]).astype(np.uint8)
+    rough = np.where(rows < true + 2.4, np.uint8(Label.SKY), np.uint8(Label.SHRUB)).astype(np.uint8)
+    found = image_skyline(photo, rough)
+    away = found.v - true[found.u.astype(int)]
+    assert len(found.u) > 200
+    assert np.median(np.abs(away)) < 0.15
+    assert np.percentile(np.abs(away), 90) < 0.4
+    assert (found.cover == Label.SHRUB).all()
+
+
+@pytest.mark.parametrize("off", [(1.4, -0.5, 0.4), (-7.0, 0.6, -0.7)])
+def test_a_disturbed_pose_is_found_again(off: tuple[float, float, float]) -> None:
+    photo, labels = view(TRUE)
+    start = Pose.from_angles(TRUE.position, *np.add(TRUE.angles_deg, off))
+    prior = PosePrior(start, max(1.5, abs(off[0]) / 1.5), 0.6, 0.6)
+    search = find_pose(picture_evidence(photo, labels, CAMERA), terrain(), prior)
+    assert search.verdict.word == "accepted", search.verdict.reason
+    result = result_of(search, prior, CAMERA)
+    away = np.degrees(angles_between(TRUE, result.pose))
+    assert np.abs(away).max() < 0.1
+    assert (np.abs(away) < 4 * np.array(search.verdict.sigma_deg)).all()
+
+
+def test_without_any_heading() -> None:
+    photo, labels = view(TRUE)
+    start = Pose.from_angles(TRUE.position, 251.0, TRUE.angles_deg[1] + 0.3, TRUE.angles_deg[2] - 0.3)
+    search = find_pose(picture_evidence(photo, labels, CAMERA), terrain(), PosePrior(start, UNKNOWN_DEG, 0.5, 0.5))
+    assert search.verdict.word == "accepted", search.verdict.reason
+    assert np.abs(np.degrees(angles_between(TRUE, search.hypotheses[0].refined.pose))).max() < 0.1
+
+
+def test_a_wrong_focal_length_is_found() -> None:
+    photo, labels = view(TRUE)
+    wrong = replace(CAMERA, fx=CAMERA.fx * 1.06, fy=CAMERA.fy * 1.06)
+    prior = PosePrior(TRUE, 1.5, 0.5, 0.5)
+    search = find_pose(picture_evidence(photo, labels, wrong), terrain(), prior, focal_sigma=0.04)
+    assert result_of(search, prior, wrong).camera.fx == pytest.approx(CAMERA.fx, rel=0.005)
+
+
+def test_a_flat_skyline_leaves_the_pose_as_it_came() -> None:
+    geometry = GridGeometry(0.0, 3000.0, 20.0, 170, 150)
+    flat = replace(terrain(), dem=Dem(np.full((150, 170), 50.0, np.float32), geometry))
+    rows = np.mgrid[0:300, 0:480][0]
+    labels = np.where(rows < 150, np.uint8(Label.SKY), np.uint8(Label.GRASS)).astype(np.uint8)
+    photo = np.where((rows < 150)[..., None], [200, 210, 230], [90, 90, 50]).astype(np.uint8)
+    prior = PosePrior(Pose.from_angles((1700.0, 1500.0, 60.0), 40.0), 6.0, 0.7, 0.7)
+    search = find_pose(picture_evidence(photo, labels, CAMERA), flat, prior)
+    result = result_of(search, prior, CAMERA)
+    assert search.verdict.word in ("ambiguous", "no_skyline")
+    assert not result.accepted
+    assert result.pose is prior.pose
+    np.testing.assert_array_equal(result.covariance, prior.covariance)
+
+
+def test_fog_is_no_skyline() -> None:
+    fog = np.full((300, 480, 3), 190, np.uint8)
+    labels = np.full((300, 480), np.uint8(Label.SKY), np.uint8)
+    prior = PosePrior(TRUE, 1.5, 0.5, 0.5)
+    search = find_pose(picture_evidence(fog, labels, CAMERA), terrain(), prior)
+    assert search.verdict.word == "no_skyline"
+    assert not result_of(search, prior, CAMERA).accepted
+
+
+def test_a_picture_of_elsewhere_is_not_accepted() -> None:
+    """Taken 80 degrees away from where a good mount says it looks."""
+    photo, labels = view(Pose.from_angles(TRUE.position, 143.0, 2.5, 1.2))
+    prior = PosePrior(TRUE, 1.5, 0.5, 0.5)
+    search = find_pose(picture_evidence(photo, labels, CAMERA), terrain(), prior)
+    assert search.verdict.word != "accepted"
+
+
+def test_presets_of_one_head_share_its_mount() -> None:
+    lean, tilt = np.radians([0.4, -0.3, 1.3]), np.radians(0.25)
+    c, s = np.cos(tilt), np.sin(tilt)
+    up = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+    priors, searches, true = [], [], []
+    for azimuth in (20.0, 110.0, 205.0, 290.0):
+        pose = Pose.from_angles(eye(), azimuth, 2.0, 0.0)
+        told = turned(Pose(pose.position, pose.rotation @ up), lean)
+        prior = PosePrior(told, 1.5, 0.5, 0.5)
+        photo, labels = view(pose)
+        priors.append(prior)
+        true.append(pose)
+        searches.append(find_pose(picture_evidence(photo, labels, CAMERA), terrain(), widened(prior, 0.3)))
+    fit = fit_mount(priors, searches)
+    assert fit.word == "accepted", fit.reason
+    for k, pose in enumerate(true):
+        assert np.abs(np.degrees(angles_between(pose, fit.poses[k]))).max() < 0.08
+        assert fit.pose_covariance(k).shape == (6, 6)
+    # Both turn a camera that looks level up and down; the lean is about axes that all share, the zero about its own.
+    np.testing.assert_allclose(fit.rotation, -lean, atol=np.radians(0.1))
+    assert fit.tilt_zero == pytest.approx(-tilt, abs=np.radians(0.1))
+
+
+def test_a_mount_without_pictures_is_refused() -> None:
+    with pytest.raises(PoseError, match="one each"):
+        fit_mount([], [])
+
+
+def test_labels_of_another_size_are_told() -> None:
+    photo, labels = view(TRUE)
+    with pytest.raises(ImageError, match="must be of one size"):
+        picture_evidence(photo, labels[:-1], CAMERA)
+
+
+def test_a_photo_upside_down_is_told() -> None:
+    _, labels = view(TRUE)
+    assert doubt_of_sky(labels) is None
+    assert "upside down" in (doubt_of_sky(labels[::-1]) or "")
+
+
+def test_a_lens_s_distortion_is_taken_out() -> None:
+    bent = Camera(480, 300, CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, (-0.12, 0.02, 0.0, 0.0, 0.0))
+    photo, labels = view(TRUE, bent)
+    prior = PosePrior(Pose.from_angles(TRUE.position, 64.2, 2.2, 1.0), 1.5, 0.5, 0.5)
+    search = find_pose(picture_evidence(photo, labels, bent), terrain(), prior)
+    assert np.abs(np.degrees(angles_between(TRUE, search.hypotheses[0].refined.pose))).max() < 0.12
+
+
+def test_sigmas_that_are_none_are_told() -> None:
+    with pytest.raises(PoseError, match="positive degrees"):
+        PosePrior(TRUE, -1.0)
+    with pytest.raises(PoseError, match="metres"):
+        PosePrior(TRUE, 1.0, position_sigma=-2.0)
+
+
+def test_the_scene_s_camera_stands_above_its_ground() -> None:
+    assert TRUE.position[2] - mountains().elevation_at(*TRUE.position[:2]) == pytest.approx(12.0)

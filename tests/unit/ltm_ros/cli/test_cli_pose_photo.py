@@ -1,0 +1,137 @@
+"""`ltm pose --photo` from files to files, and the mistakes that users make with it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+from scenes.mountain_view import CAMERA, eye, mountains, view
+from typer.testing import CliRunner
+
+from ltm_core.dem import Dem
+from ltm_core.errors import LtmError
+from ltm_core.pose import Pose
+from ltm_core.tracing.trace_io import load_picture_config
+from ltm_ros.cli.main import cli
+
+CRS = "EPSG:32611"
+ORIGIN = (380_000.0, 3_800_000.0)
+TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("photo")
+    dem = mountains()
+    Dem(dem.elevation, dem.geometry.translated(*ORIGIN, CRS)).save(folder / "dem.tif")
+    photo, labels = view(TRUE)
+    (folder / "photos").mkdir()
+    Image.fromarray(photo).save(folder / "photos" / "a.png")
+    Image.fromarray(labels).save(folder / "labels.png")
+    (folder / "guess.yaml").write_text(yaml.safe_dump(guess()), encoding="utf-8")
+    return folder
+
+
+def guess(**changed: object) -> dict[str, object]:
+    x, y, z = TRUE.position
+    known = {"x": float(x + ORIGIN[0]), "y": float(y + ORIGIN[1]), "z": float(z), "azimuth_deg": 65.5}
+    known |= {
+        "pitch_deg": 2.0,
+        "roll_deg": 1.0,
+        "azimuth_sigma_deg": 3.0,
+        "pitch_sigma_deg": 0.5,
+        "roll_sigma_deg": 0.5,
+    }
+    calibration = {"width": CAMERA.width, "height": CAMERA.height, "fx": CAMERA.fx}
+    return {"pose": known | changed, "calibration": calibration, "possible_ground": {"highest": -10000.0}}
+
+
+def run(files: Path, *arguments: str) -> str:
+    result = CliRunner().invoke(cli, ["pose", "--dem", str(files / "dem.tif"), *arguments])
+    if isinstance(result.exception, LtmError):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def test_a_photo_gives_pose_picture_and_figures(files: Path, tmp_path: Path) -> None:
+    out, picture, report = tmp_path / "found.yaml", tmp_path / "fit.png", tmp_path / "fit.json"
+    arguments = ["--photo", str(files / "photos/a.png"), "--pose-guess", str(files / "guess.yaml"), "-o", str(out)]
+    arguments += ["--labels", str(files / "labels.png"), "--picture", str(picture), "--report", str(report)]
+    assert "accepted" in run(files, *arguments)
+    pose = load_picture_config(out).pose
+    assert pose.azimuth_deg == pytest.approx(63.0, abs=0.1)
+    assert pose.pitch_deg == pytest.approx(2.5, abs=0.1)
+    assert pose.azimuth_sigma_deg is not None
+    assert 0.01 < pose.azimuth_sigma_deg < 0.5
+    assert out.read_text().startswith("# Pose from the picture: accepted")
+    figures = json.loads(report.read_text())
+    assert figures["verdict"] == "accepted"
+    assert np.array(figures["result"]["covariance"]).shape == (6, 6)
+    assert figures["given"]["azimuth_deg"] == pytest.approx(65.5)
+    with Image.open(picture) as drawn:
+        assert drawn.size == (CAMERA.width, 2 * CAMERA.height), "as given, and as found"
+
+
+def test_what_is_not_accepted_stays_as_given(files: Path, tmp_path: Path) -> None:
+    Image.fromarray(np.zeros((CAMERA.height, CAMERA.width), np.uint8)).save(tmp_path / "fog.png")
+    Image.fromarray(np.full((CAMERA.height, CAMERA.width, 3), 190, np.uint8)).save(tmp_path / "a.png")
+    arguments = ["--photo", str(tmp_path / "a.png"), "--pose-guess", str(files / "guess.yaml")]
+    out = run(files, *arguments, "--labels", str(tmp_path / "fog.png"), "-o", str(tmp_path / "kept.yaml"))
+    assert "stays as given" in out
+    assert load_picture_config(tmp_path / "kept.yaml").pose.azimuth_deg == pytest.approx(65.5)
+    assert "It was not taken" in (tmp_path / "kept.yaml").read_text()
+
+
+def test_many_photos_by_a_list(files: Path, tmp_path: Path) -> None:
+    row = guess()["pose"]
+    assert isinstance(row, dict)
+    table = row | {"width": CAMERA.width, "height": CAMERA.height, "fx": CAMERA.fx}
+    lines = ["name," + ",".join(table), "a.png," + ",".join(map(str, table.values()))]
+    (tmp_path / "poses.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    arguments = ["--photo", str(files / "photos"), "--poses", str(tmp_path / "poses.csv"), "--mount"]
+    run(files, *arguments, "--labels", str(files / "labels.png"), "-o", str(tmp_path / "out"))
+    assert (tmp_path / "out" / "a.yaml").is_file()
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [({"z": 100.0}, "under the ground"), ({"x": 1000.0}, "no known terrain")],
+)
+def test_a_place_that_cannot_be_is_told(files: Path, tmp_path: Path, changed: dict[str, float], told: str) -> None:
+    (tmp_path / "bad.yaml").write_text(yaml.safe_dump(guess(**changed)), encoding="utf-8")
+    arguments = ["--photo", str(files / "photos/a.png"), "--pose-guess", str(tmp_path / "bad.yaml")]
+    with pytest.raises(LtmError, match=told):
+        run(files, *arguments, "--labels", str(files / "labels.png"), "-o", str(tmp_path / "o.yaml"))
+
+
+def test_what_is_missing_is_told(files: Path, tmp_path: Path) -> None:
+    out = ["-o", str(tmp_path / "o.yaml")]
+    with pytest.raises(LtmError, match="--photo"):
+        run(files, *out)
+    with pytest.raises(LtmError, match="--pose-guess"):
+        run(files, *out, "--photo", str(files / "photos/a.png"))
+    with pytest.raises(LtmError, match="k1 needs --gcps"):
+        run(
+            files,
+            *out,
+            "--photo",
+            str(files / "photos/a.png"),
+            "--pose-guess",
+            str(files / "guess.yaml"),
+            "--free",
+            "k1",
+        )
+
+
+def test_a_photo_upside_down_is_refused(files: Path, tmp_path: Path) -> None:
+    with Image.open(files / "labels.png") as labels, Image.open(files / "photos/a.png") as photo:
+        labels.rotate(180).save(tmp_path / "l.png")
+        photo.rotate(180).save(tmp_path / "p.png")
+    arguments = ["--photo", str(tmp_path / "p.png"), "--pose-guess", str(files / "guess.yaml")]
+    with pytest.raises(LtmError, match="upside down"):
+        run(files, *arguments, "--labels", str(tmp_path / "l.png"), "-o", str(tmp_path / "o.yaml"))

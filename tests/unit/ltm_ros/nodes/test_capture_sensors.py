@@ -1,0 +1,244 @@
+"""capture: a phone's pose from its fixes and attitudes."""
+
+from __future__ import annotations
+
+import math
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from scenes.outlets import Kept
+from scenes.phone_site import FRAME, GROUND, LAT, LON, STAMP, phone_site, picture
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import Imu, NavSatFix
+
+from ltm_core.camera import Camera
+from ltm_core.device_attitude import phone_camera
+from ltm_core.errors import ConfigError, PoseError
+from ltm_core.pose import Pose
+from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, pose_covariance
+from ltm_core.site_io import load_site
+from ltm_core.types import Float64Array
+from ltm_msgs_py.camera_info import camera_to_msg
+from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
+from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
+from ltm_msgs_py.stamp import make_header
+from ltm_ros.nodes.capture import Capture, CaptureConfig
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.topics import FIX, IMU, POSE, POSED_IMAGE, POSED_POSE
+
+S = 10**9
+TRUE = {"north": "true"}
+SEEN = (231.0, -4.0, 1.5)
+"""Azimuth from true north, pitch, roll."""
+
+
+def fix(stamp: int = STAMP, lon: float = LON, variances: tuple[float, ...] = (), **fields: Any) -> Any:
+    message = NavSatFix(header=make_header(stamp, "gps"), latitude=LAT, longitude=lon, altitude=GROUND + 9.0 - 35.4)
+    if variances:
+        message.position_covariance = np.diag(variances).ravel()
+        message.position_covariance_type = NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN
+    for name, value in fields.items():
+        setattr(message, name, value)
+    return message
+
+
+def imu(stamp: int, angles: tuple[float, float, float] = SEEN, mount: Float64Array | None = None) -> Any:
+    """Of a phone whose camera looks so; landscape unless mounted otherwise."""
+    device = Pose.from_angles((0.0, 0.0, 0.0), *angles).rotation @ (phone_camera(90.0) if mount is None else mount).T
+    message = Imu(header=make_header(stamp, "phone"))
+    q = message.orientation
+    q.x, q.y, q.z, q.w = (float(v) for v in Rotation.from_matrix(device).as_quat())
+    return message
+
+
+def photo(stamp: int = STAMP, portrait: bool = False, raw: bool = False) -> Any:
+    if raw:
+        return image_to_msg(picture(portrait), "rgb8", stamp, "phone")
+    return compressed_to_msg(encode_rgb(picture(portrait), "jpeg"), "jpeg", stamp, "phone")
+
+
+def info(portrait: bool = False) -> Any:
+    size = (40, 64) if portrait else (64, 40)
+    return camera_to_msg(Camera(*size, 48.0, 48.0, (size[0] - 1) / 2, (size[1] - 1) / 2), STAMP, "phone")
+
+
+def capture(tmp_path: Path, sensors: dict[str, Any], **camera: Any) -> tuple[Capture, Kept, Health]:
+    phone_site(tmp_path)
+    document = yaml.safe_load((tmp_path / "site.yaml").read_text())
+    document["cameras"] = {"phone": {"sensors": sensors, **camera}}
+    (tmp_path / "site.yaml").write_text(yaml.safe_dump(document))
+    outlet, health = Kept(), Health()
+    outlet.now = STAMP + S
+    return Capture(CaptureConfig(site=str(tmp_path / "site.yaml"), camera="phone"), outlet, health), outlet, health
+
+
+def feed(node: Capture, attitude: Any) -> None:
+    node.on_camera_info(info())
+    node.on_fix(fix())
+    node.on_imu(attitude)
+    node.on_image(photo())
+
+
+def sent(outlet: Kept) -> tuple[Pose, Float64Array]:
+    (message,) = outlet.on(POSED_POSE)
+    covariance = msg_to_covariance(message)
+    assert covariance is not None
+    return msg_to_pose(message, "map"), covariance
+
+
+@pytest.mark.parametrize("raw", [False, True])
+@pytest.mark.parametrize("portrait", [False, True])
+def test_a_phones_image_is_posed_by_the_nearest_attitude_and_the_last_fix(
+    tmp_path: Path, portrait: bool, raw: bool
+) -> None:
+    node, outlet, health = capture(tmp_path, TRUE, image="raw" if raw else "compressed")
+    assert {FIX, IMU} <= node.subscriptions.keys()
+    assert POSE not in node.subscriptions
+    mount = phone_camera(0.0 if portrait else 90.0)
+    node.on_camera_info(info(portrait))
+    node.on_fix(fix(STAMP - S))
+    node.on_fix(fix(STAMP - 5 * S, lon=LON + 0.01))
+    node.on_imu(imu(STAMP - S // 50, (200.0, 0.0, 0.0), mount))
+    node.on_image(photo(STAMP, portrait, raw))
+    assert outlet.on(POSED_IMAGE) == []  # a nearer attitude may be on its way
+    node.on_imu(imu(STAMP + S // 100, SEEN, mount))
+    pose, covariance = sent(outlet)
+    x, y = (float(v) for v in FRAME.from_lonlat(LON, LAT))
+    np.testing.assert_allclose(pose.position, [x, y, GROUND + 1.6], atol=0.01)
+    np.testing.assert_allclose(pose.angles_deg, [FRAME.true_to_grid_deg(231.0, x, y), -4.0, 1.5], atol=1e-6)
+    np.testing.assert_allclose(covariance, pose_covariance(pose, 5.0, 1.0, 8.2, 1.0, 1.0), atol=1e-9)
+    assert health.dropped == {}
+
+
+def test_a_compass_is_turned_by_the_declination_of_the_day(tmp_path: Path) -> None:
+    node, outlet, _ = capture(tmp_path, {})
+    feed(node, imu(STAMP))
+    pose, _ = sent(outlet)
+    x, y, z = pose.position
+    assert pose.angles_deg[0] == pytest.approx(FRAME.magnetic_to_grid_deg(231.0, x, y, date(2024, 7, 5), z))
+    assert 11.0 < pose.angles_deg[0] - FRAME.true_to_grid_deg(231.0, x, y) < 12.0
+
+
+def test_what_the_messages_state_of_their_errors_goes_on(tmp_path: Path) -> None:
+    node, outlet, _ = capture(tmp_path, TRUE | {"geoid_undulation": -35.4})
+    turn = imu(STAMP)
+    turn.orientation_covariance = np.diag([0.0004, 0.0001, 0.01]).ravel()
+    node.on_camera_info(info())
+    node.on_fix(fix(variances=(4.0, 6.0, 64.0)))
+    node.on_imu(turn)
+    node.on_image(photo())
+    pose, covariance = sent(outlet)
+    assert pose.position[2] == pytest.approx(GROUND + 9.0)
+    expected = pose_covariance(pose, math.sqrt(5.0), 8.0, math.degrees(0.1), math.degrees(0.02), math.degrees(0.02))
+    np.testing.assert_allclose(covariance, expected, atol=1e-9)
+
+
+def test_a_heading_that_is_none_is_unknown(tmp_path: Path) -> None:
+    """As Android's game rotation vector, which drifts: drivers then send a variance beyond all turns."""
+    node, outlet, _ = capture(tmp_path, TRUE)
+    turn = imu(STAMP)
+    turn.orientation_covariance = np.diag([1e-4, 1e-4, 1e6]).ravel()
+    feed(node, turn)
+    _, covariance = sent(outlet)
+    assert math.sqrt(covariance[5, 5]) >= math.radians(UNKNOWN_AZIMUTH_SIGMA_DEG)
+
+
+def test_a_camera_that_is_mounted_otherwise(tmp_path: Path) -> None:
+    """On a vehicle, whose Imu has x forward, y left, z up: the rotation that tf has from it to the optical frame."""
+    forward = np.column_stack([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    quaternion = [float(v) for v in Rotation.from_matrix(forward).as_quat()]
+    node, outlet, _ = capture(tmp_path, TRUE | {"mount": quaternion})
+    feed(node, imu(STAMP, SEEN, forward))
+    np.testing.assert_allclose(sent(outlet)[0].angles_deg[1:], SEEN[1:], atol=1e-9)
+
+
+def test_images_as_the_sensor_reads_them_lie_on_their_side(tmp_path: Path) -> None:
+    """A phone that is held upright: EXIF would turn its image clockwise by a quarter, so its top lies left:
+    the camera is rolled clockwise."""
+    node, outlet, _ = capture(tmp_path, TRUE | {"mount": "phone_sensor"})
+    feed(node, imu(STAMP, SEEN, phone_camera(0.0)))
+    azimuth, pitch, roll = sent(outlet)[0].angles_deg
+    assert (pitch, roll) == pytest.approx((-4.0, 1.5 + 90.0), abs=1e-6)
+    assert azimuth == pytest.approx(FRAME.true_to_grid_deg(231.0, *sent(outlet)[0].position[:2]))
+
+
+def test_an_altitude_under_the_ground_is_not_believed(tmp_path: Path) -> None:
+    node, outlet, _ = capture(tmp_path, TRUE | {"geoid_undulation": 20.0})
+    feed(node, imu(STAMP))
+    assert sent(outlet)[0].position[2] == pytest.approx(GROUND + 1.6, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("fields", "complaint"),
+    [
+        ({"latitude": math.nan}, "not on the globe"),
+        ({"latitude": 91.0}, "not on the globe"),
+        ({"latitude": 0.0, "longitude": 0.0}, r"\(0, 0\)"),
+        (
+            {"position_covariance_type": 2, "position_covariance": np.diag([1.0, -1.0, 1.0]).ravel()},
+            "negative variances",
+        ),
+    ],
+)
+def test_fixes_that_are_none_are_refused(tmp_path: Path, fields: dict[str, Any], complaint: str) -> None:
+    node, _, _ = capture(tmp_path, TRUE)
+    with pytest.raises(PoseError, match=complaint):
+        node.on_fix(fix(**fields))
+    lost = fix()
+    lost.status.status = -1
+    with pytest.raises(PoseError, match="no fix"):
+        node.on_fix(lost)
+
+
+def test_attitudes_that_are_none_are_refused(tmp_path: Path) -> None:
+    node, _, _ = capture(tmp_path, TRUE)
+    none, unset = imu(STAMP), imu(STAMP)
+    none.orientation_covariance[0] = -1.0
+    unset.orientation.w = unset.orientation.x = unset.orientation.y = unset.orientation.z = 0.0
+    with pytest.raises(PoseError, match="holds no orientation"):
+        node.on_imu(none)
+    with pytest.raises(PoseError, match="unit quaternion"):
+        node.on_imu(unset)
+
+
+def test_an_image_far_from_its_fix_is_told_with_both_times(tmp_path: Path) -> None:
+    node, _, _ = capture(tmp_path, TRUE)
+    node.on_camera_info(info())
+    node.on_fix(fix(STAMP - 60 * S))
+    node.on_imu(imu(STAMP))
+    with pytest.raises(PoseError, match=r"the nearest fix is -60\.00 s from the image"):
+        node.on_image(photo())
+
+
+def test_an_image_without_fix_or_attitude_is_given_up_by_name(tmp_path: Path) -> None:
+    for given, missing in (("fix", "imu"), ("imu", "fix")):
+        node, _, health = capture(tmp_path, TRUE)
+        node.on_camera_info(info())
+        if given == "fix":
+            node.on_fix(fix())
+        else:
+            node.on_imu(imu(STAMP))
+        node.on_image(photo())
+        node.finish()
+        assert health.dropped == {"no_pose": 1}
+        assert f"has no {missing}" in health.summary()["reason.no_pose"]
+
+
+def test_a_place_beside_the_dem_needs_the_geoid(tmp_path: Path) -> None:
+    node, _, _ = capture(tmp_path, TRUE)
+    node.on_camera_info(info())
+    node.on_fix(fix(lon=LON + 0.2))
+    node.on_imu(imu(STAMP))
+    with pytest.raises(PoseError, match="geoid_undulation"):
+        node.on_image(photo())
+
+
+def test_a_camera_has_a_fixed_pose_or_sensors(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="either pose or sensors"):
+        capture(tmp_path, TRUE, pose={"x": 1.0, "y": 2.0, "z": 3.0, "azimuth_deg": 4.0})
+    capture(tmp_path, TRUE)
+    assert load_site(tmp_path / "site.yaml").cameras["phone"].sensors is not None

@@ -1,0 +1,153 @@
+"""A camera whose stated pose is off: the node pose says by how much, and capture's frames have the pose that it is."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from scenes.mountain_view import CAMERA, eye, mountains, view
+from scenes.outlets import Kept
+
+from ltm_core.dem import Dem
+from ltm_core.errors import ConfigError
+from ltm_core.grid import GridGeometry
+from ltm_core.pose import Pose
+from ltm_core.pose_covariance import pose_covariance
+from ltm_core.pose_estimation.pose_correction import PoseCorrection
+from ltm_core.pose_estimation.pose_prior import angles_between, turned
+from ltm_core.site_io import load_site
+from ltm_msgs_py.camera_info import camera_to_msg
+from ltm_msgs_py.image import image_to_msg
+from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
+from ltm_msgs_py.pose_correction import correction_to_msg, msg_to_correction
+from ltm_ros.launching.graph import describe
+from ltm_ros.nodes.capture import Capture, CaptureConfig
+from ltm_ros.nodes.pose import PoseKeeping
+from ltm_ros.replay.offline import OfflineGraph
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.stamp_join import JoinConfig
+from ltm_ros.runtime.topics import (
+    CAMERA_INFO,
+    IMAGE_RAW,
+    LABELS_IMAGE,
+    POSE,
+    POSE_CORRECTION,
+    POSE_INFO,
+    POSED_CAMERA_INFO,
+    POSED_IMAGE,
+    POSED_POSE,
+    STATED_POSE,
+)
+
+ORIGIN = (480_000.0, 4_150_000.0)
+STAMP = 1_700_000_000_000_000_000
+SECOND = 1_000_000_000
+STATED = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
+TRUE = turned(STATED, np.radians([0.3, -0.25, -1.2]))
+COVARIANCE = pose_covariance(STATED, 0.4, 0.7, 1.5, 0.5, 0.5)
+
+
+def write_site(folder: Path, **refine: Any) -> str:
+    place = mountains().geometry
+    there = GridGeometry(
+        ORIGIN[0] + place.x_min, ORIGIN[1] + place.y_max, place.resolution, place.width, place.height, "EPSG:26911"
+    )
+    Dem(mountains().elevation, there).save(folder / "dem.tif")
+    content = {
+        "name": "rim",
+        "crs": "EPSG:26911",
+        "origin": list(ORIGIN),
+        "dem": {"path": "dem.tif"},
+        "possible_ground": {"highest": -1000.0},
+        "cameras": {"mast": {"image": "raw"}},
+    }
+    path = folder / "site.yaml"
+    path.write_text(yaml.safe_dump(content | ({"refine_poses": refine} if refine else {})))
+    return str(path)
+
+
+def show(node: PoseKeeping, stamp: int) -> None:
+    """A picture from TRUE, said to be from STATED."""
+    photo, labels = view(TRUE)
+    noise = np.random.default_rng(stamp % 1000).normal(scale=3.0, size=photo.shape)
+    image = np.clip(photo + noise, 0, 255).astype(np.uint8)
+    node.subscriptions[STATED_POSE](pose_to_msg(STATED, stamp, "map", COVARIANCE))
+    node.subscriptions[POSED_CAMERA_INFO](camera_to_msg(CAMERA, stamp, "mast_optical"))
+    node.subscriptions[POSED_IMAGE](image_to_msg(image, "rgb8", stamp, "mast_optical"))
+    node.subscriptions[LABELS_IMAGE](image_to_msg(labels, "mono8", stamp, "mast_optical"))
+
+
+def test_what_is_found_reaches_the_frames(tmp_path: Path) -> None:
+    site, kept, health = write_site(tmp_path, every=10.0, gather=2), Kept(), Health()
+    node = PoseKeeping(JoinConfig(site=site, camera="mast"), kept, health)
+    show(node, STAMP)
+    show(node, STAMP + 3 * SECOND)  # too soon to be looked at
+    assert not kept.on(POSE_CORRECTION)
+    show(node, STAMP + 10 * SECOND)
+    (correction,) = kept.on(POSE_CORRECTION)
+    said = json.loads(kept.on(POSE_INFO)[0].data)
+    assert (said["state"], said["camera"], said["stamp_ns"], said["slips"]) == ("held", "mast", STAMP + 10 * SECOND, 0)
+    np.testing.assert_allclose(said["rotation_deg"], [0.3, -0.25, -1.2], atol=0.12)
+    assert health.summary()["noted.clear"] == "2"
+    assert health.summary()["mount"].startswith("held")
+
+    sent = Kept()
+    capture = Capture(CaptureConfig(site=site, camera="mast"), sent, Health())
+    for stamp in (STAMP, STAMP + SECOND):
+        if stamp > STAMP:
+            capture.subscriptions[POSE_CORRECTION](correction)
+        image = image_to_msg(np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8), "rgb8", stamp, "mast_optical")
+        capture.subscriptions[CAMERA_INFO](camera_to_msg(CAMERA, stamp, "mast_optical"))
+        capture.subscriptions[POSE](pose_to_msg(STATED, stamp, "map", COVARIANCE))
+        capture.subscriptions[IMAGE_RAW](image)
+    before, after = sent.on(POSED_POSE)
+    np.testing.assert_allclose(msg_to_pose(before, "map").rotation, STATED.rotation, atol=1e-9)
+    assert np.degrees(np.abs(angles_between(msg_to_pose(after, "map"), TRUE))).max() < 0.12
+    known = msg_to_covariance(after)
+    assert known is not None
+    np.testing.assert_allclose(known[:3, :3], COVARIANCE[:3, :3])
+    assert known[5, 5] < COVARIANCE[5, 5]
+    for stated in sent.on(STATED_POSE):  # what came is kept beside
+        np.testing.assert_allclose(msg_to_pose(stated, "map").rotation, STATED.rotation, atol=1e-9)
+        np.testing.assert_allclose(msg_to_covariance(stated), COVARIANCE)
+
+
+@pytest.mark.parametrize("angles", [None, np.diag([1e-6, 2e-6, 3e-6]), np.diag([3.2, 3.3, 3.4])])
+def test_a_correction_travels(angles: Any) -> None:
+    sent = PoseCorrection(np.array([0.01, -0.02, 0.3]), angles)
+    came = msg_to_correction(correction_to_msg(sent, STAMP))
+    np.testing.assert_allclose(came.rotation, sent.rotation, atol=1e-12)
+    assert came.known == sent.known == (angles is None or angles[0, 0] < 1)
+    pose, covariance = came.applied(STATED, COVARIANCE)
+    np.testing.assert_allclose(pose.rotation, turned(STATED, sent.rotation).rotation, atol=1e-12)
+    expected = COVARIANCE[3:, 3:] if angles is None else angles
+    np.testing.assert_allclose(covariance[3:, 3:], expected)
+
+
+def test_without_the_section_there_is_no_such_node_and_capture_says_nothing_more(tmp_path: Path) -> None:
+    site = write_site(tmp_path)
+    with pytest.raises(ConfigError, match="refine_poses"):
+        PoseKeeping(JoinConfig(site=site, camera="mast"), Kept(), Health())
+    sent = Kept()
+    capture = Capture(CaptureConfig(site=site, camera="mast"), sent, Health())
+    assert POSE_CORRECTION not in capture.subscriptions
+    capture.subscriptions[CAMERA_INFO](camera_to_msg(CAMERA, STAMP, "mast_optical"))
+    capture.subscriptions[POSE](pose_to_msg(STATED, STAMP, "map", COVARIANCE))
+    black = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
+    capture.subscriptions[IMAGE_RAW](image_to_msg(black, "rgb8", STAMP, "mast_optical"))
+    assert len(sent.on(POSED_POSE)) == 1
+    assert not sent.on(STATED_POSE)
+
+
+def test_the_correction_is_fed_back_within_a_graph(tmp_path: Path) -> None:
+    """Which ends in order all the same: what is latched holds up nobody's end."""
+    site = write_site(tmp_path, every=0.0, gather=2)
+    offline = OfflineGraph(describe(load_site(site), site))
+    truth = PoseCorrection(np.array([0.0, 0.0, 0.02]), np.diag([1e-6, 1e-6, 1e-6]))
+    offline.feed("/rim/mast/pose/correction", correction_to_msg(truth, STAMP), STAMP)
+    offline.finish()
+    assert {"/rim/mast/pose", "/rim/mast/capture"} <= offline.healths.keys()
