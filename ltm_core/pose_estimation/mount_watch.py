@@ -107,7 +107,7 @@ class MountWatch:
         search = self._find(evidence, prior)
         if not search.hypotheses or search.verdict.word == "no_skyline":
             return False
-        if evidence.skyline is not None and self._support(evidence, prior, search) < self._search.verdict.least_support:
+        if evidence.skyline is not None and self._support(evidence, prior, search) < self._search.verdict.clear_support:
             # What is stated as sure holds a search by force: does the picture show another direction?
             return self._contradicts(evidence, prior)
         self._priors.append(prior)
@@ -127,7 +127,7 @@ class MountWatch:
         sigma = self._config.slip_sigma_deg
         wide = replace(prior, azimuth_sigma_deg=sigma, pitch_sigma_deg=sigma, roll_sigma_deg=sigma)
         search = self._find(evidence, wide)
-        if search.verdict.word != "accepted" or search.verdict.support < self._search.verdict.least_support:
+        if search.verdict.word != "accepted" or search.verdict.support < self._search.verdict.clear_support:
             return False
         turn = np.degrees(angles_between(prior.pose, search.hypotheses[0].refined.pose))
         self._contradictions.append(np.asarray(turn, np.float64))
@@ -144,7 +144,9 @@ class MountWatch:
     def _fit(self) -> None:
         fit = fit_mount(self._priors, self._searches, self._search, tilt_zero_sigma_deg=0.0)
         before = self.correction
-        if fit.word == "accepted":
+        # Pictures of one view err alike, so that their agreement alone says little.
+        sure = sum(search.verdict.word == "accepted" for search in self._searches)
+        if fit.word == "accepted" and 2 * sure >= len(self._searches):
             rotation = fit.rotation
             if self.state is MountState.SLIPPED:  # its poses were those of the former correction
                 both = Rotation.from_rotvec(fit.rotation) * Rotation.from_rotvec(before.rotation)
@@ -174,7 +176,7 @@ class MountWatch:
         found = refine(pose, evidence.camera, evidence, horizon, around, prior, 0.0, self._search)
         here = skyline_cost(pose, evidence.camera, evidence, horizon, self._search)[1]
         refined, covariance, support = found.pose, found.covariance[3:6, 3:6], found.support
-        least = self._search.verdict.least_support
+        least = self._search.verdict.clear_support
         if max(here, support) < least:
             # Far off, or fog: only a search of its own tells.
             search = self._find(evidence, PosePrior(pose, *(self._config.slip_sigma_deg,) * 3))

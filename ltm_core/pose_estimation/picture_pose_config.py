@@ -107,6 +107,8 @@ class VerdictConfig(StrictModel):
     """Of azimuth, pitch and roll."""
     least_support: float = Field(0.75, ge=0, le=1)
     """Share of the skyline that fits."""
+    clear_support: float = Field(0.35, ge=0, le=1)
+    """The same for one of many pictures of a mount that decide together: from here on it shows a skyline at all."""
     ridges_gap: float = 6.0
     """`least_gap` where ridges alone are known,"""
     plants_gap: float = 10.0
