@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from ltm_core.errors import PoseError
 from ltm_core.pose import Pose
-from ltm_core.pose_covariance import pose_covariance
+from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, pose_covariance
 from ltm_core.types import Float64Array
 
-UNKNOWN_DEG = 180.0
+UNKNOWN_DEG = UNKNOWN_AZIMUTH_SIGMA_DEG
 """Sigma of an azimuth of which nothing is known."""
 
 
@@ -51,7 +51,7 @@ class PosePrior:
 
     @property
     def heading_known(self) -> bool:
-        return self.azimuth_sigma_deg < UNKNOWN_DEG
+        return self.azimuth_sigma_deg < 0.99 * UNKNOWN_DEG  # it may have come through a covariance
 
     @property
     def sigmas(self) -> Float64Array:
