@@ -47,3 +47,15 @@ def moved_covariance(covariance: Float64Array, offset: Float64Array) -> Float64A
     jacobian = np.eye(6)
     jacobian[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
     return np.asarray(jacobian @ covariance @ jacobian.T)
+
+
+def pose_sigmas(pose: Pose, covariance: Float64Array) -> Float64Array:
+    """Standard deviations of x, y, z (m), azimuth, pitch and roll (deg), (6,), from a covariance as `pose_covariance`
+    makes it: the turns about the map's axes as turns about the vertical, the level right and the viewing direction.
+    """
+    azimuth = np.radians(pose.angles_deg[0])
+    right = np.array([np.cos(azimuth), -np.sin(azimuth), 0.0])
+    inverse = np.linalg.pinv(np.column_stack([[0.0, 0.0, 1.0], right, pose.rotation[:, 2]]))
+    turns = inverse @ covariance[3:, 3:] @ inverse.T
+    variances = np.concatenate([covariance.diagonal()[:3], np.degrees(np.degrees(turns.diagonal()))])
+    return np.asarray(np.sqrt(np.maximum(variances, 0.0)), np.float64)

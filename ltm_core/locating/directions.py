@@ -21,6 +21,8 @@ from ltm_core.visibility.line_of_sight import pixel_rays
 
 STEEPEST_DEG = 80.0
 """Below the horizon: a camera that looks straighter down has no azimuth to speak of."""
+LEAST_KNOWN_DEG = 20.0
+"""Sigma of an azimuth above which a camera's direction counts as unknown."""
 KNOTS = np.geomspace(5.0, 80_000.0, 15)
 """Ranges, metres, at which covariances are worked out."""
 
@@ -75,7 +77,13 @@ def marked_directions(
     turned = np.cross(unit[:, None, :], grad)
     rows = np.concatenate([-grad[:, None] / KNOTS[:, None, None], np.repeat(-turned[:, None], len(KNOTS), 1)], -1)
     total = np.einsum("kjab,bc,kjdc->kjad", rows, covariance, rows) + own[:, None]
-    return MarkedDirections(azimuth, slope, mark.weights, np.asarray(total, np.float64))
+    found = MarkedDirections(azimuth, slope, mark.weights, np.asarray(total, np.float64))
+    if not found.azimuth_sigma < math.radians(LEAST_KNOWN_DEG):
+        raise RegionError(
+            f"the mark's azimuth is known to {math.degrees(found.azimuth_sigma):.3g} degrees, sigma; more than "
+            f"{LEAST_KNOWN_DEG:g} locates nothing: check the pose's covariance"
+        )
+    return found
 
 
 def _per_pixel(camera: Camera, pose: Pose, azimuth: Float64Array, slope: Float64Array) -> Float64Array:
@@ -90,8 +98,9 @@ def _per_pixel(camera: Camera, pose: Pose, azimuth: Float64Array, slope: Float64
     columns = []
     for da, dt in ((step, 0.0), (0.0, step)):
         ahead, behind = pixels(azimuth + da, slope + dt) - here, here - pixels(azimuth - da, slope - dt)
-        columns.append(np.nanmean(np.stack([ahead, behind]), axis=0) / step)
+        both = np.where(np.isnan(ahead), behind, np.where(np.isnan(behind), ahead, (ahead + behind) / 2))
+        columns.append(both / step)
     jacobian = np.stack(columns, axis=-1)
-    if not np.isfinite(jacobian).all():
+    if not np.isfinite(jacobian).all() or (np.abs(np.linalg.det(jacobian)) < 1e-9).any():
         raise RegionError("the region lies at the fold of the lens's model, where pixels have no direction; check k1")
     return np.asarray(np.linalg.inv(jacobian), np.float64)

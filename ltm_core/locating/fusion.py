@@ -23,8 +23,8 @@ _BEYOND = 20.0
 _ROUNDS = 3
 _ALIKE = 8
 """Power of the cosine between two cameras' directions by which they count as one: 0.76 at 15 degrees, 0.06 at 45."""
-_SHRINKS = 0.4
-"""A closer look is worth it where the window becomes that much smaller."""
+_SHRINKS = 0.5
+"""Another closer look is worth it where the window becomes that much smaller."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,9 +59,10 @@ def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Seq
         x_min, y_max = (float(v) for v in found.window.to_map(rows.min() - 1.5, cols.min() - 1.5))
         x_max, y_min = (float(v) for v in found.window.to_map(rows.max() + 1.5, cols.max() + 1.5))
         extent = max(x_max - x_min, y_max - y_min)
-        wanted = max(_FINEST, extent / _SIDE)
-        if wanted > _SHRINKS * found.window.resolution and (number > 0 or not turned):
+        before = found.window.resolution * max(found.window.shape)
+        if number > 0 and extent > _SHRINKS * before:
             break
+        wanted = max(_FINEST, extent / _SIDE)
         bounds = x_min, y_min, x_max, y_max
         closer = [terrain.look_closer(sight, bounds, wanted) for sight in sights]
         others = [terrain.look_at_slope(sight, bounds, wanted) for sight in turned]

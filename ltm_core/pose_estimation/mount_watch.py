@@ -144,7 +144,9 @@ class MountWatch:
     def _fit(self) -> None:
         fit = fit_mount(self._priors, self._searches, self._search, tilt_zero_sigma_deg=0.0)
         before = self.correction
-        if fit.word == "accepted":
+        # Pictures of one view err alike, so that their agreement alone says little.
+        sure = sum(search.verdict.word == "accepted" for search in self._searches)
+        if fit.word == "accepted" and 2 * sure >= len(self._searches):
             rotation = fit.rotation
             if self.state is MountState.SLIPPED:  # its poses were those of the former correction
                 both = Rotation.from_rotvec(fit.rotation) * Rotation.from_rotvec(before.rotation)

@@ -20,7 +20,10 @@ def import_(
     out: Annotated[Path, typer.Option("--out", help="Bag folder to write.")],
     poses: Annotated[
         Path | None,
-        typer.Option("--poses", help="CSV or YAML: name, x y z or lon lat, azimuth_deg, fx, ... Before EXIF."),
+        typer.Option(
+            "--poses",
+            help="CSV or YAML: name, x y z or lon lat, azimuth_deg, fx, ...; or a folder of pose files. Before EXIF.",
+        ),
     ] = None,
     site: Annotated[Path | None, typer.Option("--site", help="Site file: frame, DEM, camera names.")] = None,
     camera: Annotated[str | None, typer.Option("--camera", help="Camera that took the photos.")] = None,
@@ -62,6 +65,10 @@ def import_(
         ),
     ] = 8.2,
     tilt_sigma_deg: Annotated[float, typer.Option(min=0.01, help="Of an assumed pitch or roll.")] = 3.0,
+    write_photos: Annotated[
+        Path | None,
+        typer.Option(help="Also write the upright photos and poses.csv of what is known, for `ltm pose --photo`."),
+    ] = None,
     skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Leave out photos that cannot be taken.")] = False,
 ) -> None:
     """Make a bag from photos and recordings of phones: image_raw/compressed, camera_info and pose with covariance."""
@@ -102,6 +109,7 @@ def import_(
             ),
             skip_bad,
             lambda done, total: bar.update(task, completed=done, total=total),
+            write_photos,
         )
     by_note: dict[str, list[str]] = {}
     for name, note in report.notes:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ltm_core.errors import RecordingError
 from ltm_core.pose import Pose
+from ltm_core.pose_covariance import pose_sigmas
 from ltm_core.site import Site
 from ltm_core.types import Float64Array
 from ltm_msgs_py.bag.reader import BagReader
@@ -39,7 +40,7 @@ def recorded_pose_errors(bag: Path, true: Path, site: Site) -> RecordedPoseError
         other, _ = truth[key]
         turns = (np.subtract(pose.angles_deg, other.angles_deg) + 180) % 360 - 180
         errors.append([*(pose.position - other.position), *turns])
-        sigmas.append(np.full(6, np.nan) if covariance is None else _sigmas(pose, covariance))
+        sigmas.append(np.full(6, np.nan) if covariance is None else pose_sigmas(pose, covariance))
     if not errors:
         raise RecordingError(
             f"{bag} and {true} have no frame of one stamp in common ({len(told)} and {len(truth)} poses of the cameras "
@@ -57,15 +58,3 @@ def _poses(bag: Path, site: Site) -> dict[tuple[str, int], tuple[Pose, Float64Ar
         key = names[message.topic], stamp_of(decoded)
         found[key] = msg_to_pose(decoded, "map"), msg_to_covariance(decoded)
     return found
-
-
-def _sigmas(pose: Pose, covariance: Float64Array) -> Float64Array:
-    """The covariance is about the map's axes: solved for turns about the vertical, the level right and the axis of
-    view, which are azimuth (the other way round), pitch and roll."""
-    azimuth = np.radians(pose.angles_deg[0])
-    right = np.array([np.cos(azimuth), -np.sin(azimuth), 0.0])
-    axes = np.column_stack([[0.0, 0.0, 1.0], right, pose.rotation[:, 2]])
-    inverse = np.linalg.pinv(axes)
-    turns = inverse @ covariance[3:, 3:] @ inverse.T
-    variances = np.concatenate([covariance.diagonal()[:3], np.degrees(np.degrees(turns.diagonal()))])
-    return np.asarray(np.sqrt(variances), np.float64)

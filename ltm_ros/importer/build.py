@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from ltm_msgs_py.pose import pose_to_msg
 from ltm_ros.importer.assumptions import Assumptions, Surroundings
 from ltm_ros.importer.georeference import PlacedPhoto, place
 from ltm_ros.importer.photo import Photo
+from ltm_ros.importer.photo_folder import PhotoFolder
 from ltm_ros.importer.picture import Picture
 from ltm_ros.importer.pictures import find_pictures
 from ltm_ros.importer.pose_file import PhotoPose, read_pose_file
@@ -51,6 +53,7 @@ def import_photos(
     assumed: Assumptions | None = None,
     skip_bad: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    photos_out: Path | None = None,
 ) -> ImportReport:
     """Write a bag with image_raw/compressed, camera_info and pose with covariance of every photo, by their stamps.
 
@@ -58,7 +61,8 @@ def import_photos(
     it names are taken. `site`: frame, DEM, and the cameras, of which fixed ones have pose and calibration there;
     without it the frame is the UTM zone of the first photo, with an origin near it. `camera`: for photos whose row
     names none; by default the site's only camera. `skip_bad`: leave photos out that cannot be taken, instead of
-    stopping. `progress(done, total)`: each photo is read twice, to place it and to write it.
+    stopping. `progress(done, total)`: each photo is read twice, to place it and to write it. `photos_out`: a folder for
+    the upright photos with a list of what is known of them (`PhotoFolder`).
 
     Raises LtmError children, each with photo, value and remedy; the bag is not begun unless every photo is placed.
     """
@@ -105,9 +109,13 @@ def import_photos(
 
     origin = f"{frame.x_origin!r} {frame.y_origin!r}"
     custom = {"ltm_source": "photos", "ltm_site": report.site, "ltm_crs": frame.crs, "ltm_origin": origin}
-    with BagWriter(out, compression=None, custom_data=custom) as writer:  # JPEG does not get smaller
+    folder = PhotoFolder(photos_out, frame) if photos_out is not None else None
+    with BagWriter(out, compression=None, custom_data=custom) as writer, folder or nullcontext():  # JPEG stays as it is
         for done, (name, file, row, stamp_ns) in enumerate(placed):
-            _write(writer, report.site, name, place(_read(file, row), row, name, around, assumed), stamp_ns)
+            item = place(_read(file, row), row, name, around, assumed)
+            _write(writer, report.site, name, item, stamp_ns)
+            if folder is not None:
+                folder.add(file.name, name, item, stamp_ns)
             report.cameras[name] = report.cameras.get(name, 0) + 1
             progress(len(files) + done + 1, len(files) + len(placed))
     return report
@@ -125,25 +133,30 @@ def _write(writer: BagWriter, site: str, camera: str, item: PlacedPhoto, stamp_n
 
 
 def _named_in(files: list[Picture], rows: dict[str, PhotoPose], poses: Path | None) -> list[Picture]:
-    missing = sorted(rows.keys() - {name for file in files for name in (file.name, file.capture)})
+    missing = sorted(rows.keys() - {name for file in files for name in _names_of(file)})
     if missing:
         raise RecordingError(
             f"pose file {poses} names {len(missing)} photos that are not there: {', '.join(missing[:5])}"
         )
-    return [file for file in files if file.name in rows or file.capture in rows]
+    return [file for file in files if any(name in rows for name in _names_of(file))]
+
+
+def _names_of(file: Picture) -> tuple[str, str, str]:
+    """By which a pose file may call it: its own, that without the suffix, and its capture's."""
+    return file.name, Path(file.name).stem, file.capture
 
 
 def _row_of(file: Picture, rows: dict[str, PhotoPose] | None) -> PhotoPose:
     """Its own, or that of its capture, whose begin it then tells."""
     if rows is None:
         return PhotoPose(name=file.name)
-    return rows[file.name] if file.name in rows else rows[file.capture]
+    return next(rows[name] for name in _names_of(file) if name in rows)
 
 
 def _read(file: Picture, row: PhotoPose) -> Photo:
     """A frame with a row of its own is placed by that, and not by the capture's first frame."""
     photo = file.read()
-    own = file.name == row.name and row.pose != PartialPose()
+    own = row.name in (file.name, Path(file.name).stem) and row.pose != PartialPose()
     return replace(photo, sensed=replace(photo.sensed, relative=None, seconds=0.0)) if own else photo
 
 

@@ -57,11 +57,14 @@ def columns() -> list[str]:
 
 
 def read_pose_file(path: Path) -> dict[str, PhotoPose]:
-    """Rows by photo name, from a CSV with a header line or a YAML list of mappings.
+    """Rows by photo name, from a CSV with a header line or a YAML list of mappings; or by the photos' names without
+    their suffix, from a folder of pose files, as `ltm pose --photo` writes it.
 
     Raises ConfigError: no file, another kind of file, unknown columns, wrong or contradicting values (with the line),
     or a photo that comes twice.
     """
+    if path.is_dir():
+        return _pose_files(path)
     readers = {".csv": _csv_rows, ".yaml": _yaml_rows, ".yml": _yaml_rows}
     reader = readers.get(path.suffix.lower())
     if reader is None:
@@ -75,6 +78,19 @@ def read_pose_file(path: Path) -> dict[str, PhotoPose]:
         poses[pose.name] = pose
     if not poses:
         raise ConfigError(f"pose file {path} has no rows")
+    return poses
+
+
+def _pose_files(folder: Path) -> dict[str, PhotoPose]:
+    poses = {}
+    for path in sorted(folder.glob("*.yaml")):
+        content = read_yaml(path)
+        if not isinstance(content, dict) or "pose" not in content:
+            raise ConfigError(f"{path} is no pose file: it has no section `pose`")
+        known = {section: content[section] for section in _SECTIONS if section in content}
+        poses[path.stem] = checked(PhotoPose, {"name": path.stem, **known}, str(path))
+    if not poses:
+        raise ConfigError(f"{folder} holds no pose files (NAME.yaml for the photo NAME)")
     return poses
 
 

@@ -169,3 +169,4 @@ class CameraPipeline:
             self._broken[job.name] = pace
         else:
             self._broken.pop(job.name, None)
+            self.pipeline.remind(job)

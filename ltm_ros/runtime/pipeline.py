@@ -53,6 +53,8 @@ class Pipeline:
         self._waiting: deque[tuple[str, Any]] = deque()
         self._cleared = False
         """Whether the message at work shall reach nobody else."""
+        self._states: dict[str, Any] = {}
+        """The last message of each latched topic."""
 
     def add(self, job: Job) -> None:
         self.jobs[job.name] = job
@@ -74,9 +76,17 @@ class Pipeline:
         """Whether one of the jobs listens to it."""
         return topic in self._listeners
 
-    def publish(self, topic: str, message: Any) -> None:
+    def publish(self, topic: str, message: Any, latched: bool = False) -> None:
         """Have `drain` deliver a message to those that listen."""
         self._waiting.append((topic, message))
+        if latched:
+            self._states[topic] = message
+
+    def remind(self, job: Job) -> None:
+        """Give a job that was made anew what was last said on the latched topics that it listens to."""
+        for topic in job.callbacks:
+            if (name := job.topic(topic)) in self._states:
+                self.deliver(job, topic, self._states[name])
 
     @property
     def empty(self) -> bool:

@@ -110,7 +110,7 @@ class JobNode(OutletNode):
 
     def _hand_over(self, topic: Topic, message: Any) -> None:
         if self._pipeline.listened(name := absolute(self.spec.namespace, topic)):
-            self._pipeline.publish(name, message)
+            self._pipeline.publish(name, message, topic.latched)
 
     def _offer(self, wake: Callable[[], None], topic: Topic, message: Any) -> None:
         if topic.counted:

@@ -44,6 +44,7 @@ from ltm_ros.nodes.capture import Capture, CaptureConfig
 from ltm_ros.nodes.depth import Depth, DepthConfig
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
 from ltm_ros.nodes.fuel_votes import FuelVotes
+from ltm_ros.nodes.locate import Locate, LocateConfig
 from ltm_ros.nodes.segmentation import Segmentation, SegmentationConfig
 from ltm_ros.nodes.terrain import Terrain, TerrainNodeConfig
 from ltm_ros.nodes.topodepth import TopoDepth, TopoDepthConfig
@@ -370,6 +371,24 @@ def _terrain(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str, 
     return lambda: Terrain(config, _outlet(), Health()), messages
 
 
+def _locate(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str, Any]]]:
+    from geometry_msgs.msg import Point32, PointStamped, PolygonStamped
+
+    small = _small(folder)
+    small.path.write_text(small.path.read_text() + yaml.safe_dump({"locating": {}}))
+    parts = _frame(small)
+    region, point = PolygonStamped(header=parts["info"].header), PointStamped(header=parts["info"].header)
+    region.polygon.points = [Point32(x=x, y=y) for x, y in ((20.0, 14.0), (26.0, 14.0), (25.0, 24.0), (21.0, 23.0))]
+    point.point.x, point.point.y = 24.0, 25.0
+    messages = [
+        (f"/{NAME}/tower/posed/camera_info", parts["info"]),
+        (f"/{NAME}/tower/posed/pose", parts["pose"]),
+        (f"/{NAME}/tower/locate/region", region),
+        (f"/{NAME}/tower/locate/point", point),
+    ]
+    return lambda: Locate(LocateConfig(site=str(small.path), max_behind=1e9), _outlet(), Health()), messages
+
+
 def _viewer(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str, Any]]]:
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
@@ -422,5 +441,6 @@ MESSAGES = (
     Play("topodepth", _play(_topodepth, _FUSED)).target(1.5),
     Play("fuel_map", _fuel_map).target(2.0),
     Play("terrain", _terrain).target(1.5),
+    Play("locate", _locate).target(1.5),
     Play("viewer", _viewer).target(1.0),
 )

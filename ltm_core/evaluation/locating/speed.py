@@ -21,6 +21,8 @@ from ltm_core.locating.sighting import Sighting
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
 from ltm_core.raster.dem_stack import DemStack
+from ltm_core.types import Float64Array
+from ltm_core.visibility.point_visibility import project
 
 _CAMERA = Camera.from_fov(1920, 1080, 60.0)
 
@@ -59,20 +61,17 @@ def query_times(dem: Dem, count: int = 24) -> list[QueryTime]:
     for name in ("pixel", "smoke, pixel", "smoke, box", "smoke, two cameras"):
         walls: list[float] = []
         cpus: list[float] = []
-        for turn in range(4 * count):
-            if len(walls) > count:
+        for turn in range(8 * count):
+            if len(walls) == count:
                 break
             u, v = rng.uniform(100, 1800), rng.uniform(350, 700)
             marks = [marked_pixel(_CAMERA, (u, v), 2.0)]
             if name.endswith("box"):
                 marks = [marked_box(_CAMERA, (u, v - 60, u + 50, v), 2.0, 0.04, True)]
-            elif name.endswith("cameras"):
-                marks.append(marked_pixel(_CAMERA, (1920 - u, v), 2.0))
-            sightings = [
-                Sighting(f"camera_{k}", _CAMERA, poses[k], covariances[k], mark) for k, mark in enumerate(marks)
-            ]
-            before, cpu = time.perf_counter(), time.process_time()
+            first = [Sighting("camera_0", _CAMERA, poses[0], covariances[0], marks[0])]
             try:
+                sightings = first if not name.endswith("cameras") else _with_other(locator, first, poses, covariances)
+                before, cpu = time.perf_counter(), time.process_time()
                 locator.locate(sightings, smoke=name != "pixel")
             except RegionError:
                 continue
@@ -82,3 +81,14 @@ def query_times(dem: Dem, count: int = 24) -> list[QueryTime]:
         if walls:
             found.append(QueryTime(name, float(np.median(walls)), float(np.median(cpus)), len(walls)))
     return found
+
+
+def _with_other(
+    locator: Locator, first: list[Sighting], poses: list[Pose], covariances: list[Float64Array]
+) -> list[Sighting]:
+    """The other camera's sighting of what the first one marks. Raises RegionError where it does not show it."""
+    x, y = locator.locate(first).posterior.likeliest
+    place = np.array([[x, y, float(locator.dem.elevation_at(x, y))]])
+    pixel = project(_CAMERA, poses[1], place, locator.bend)[0]
+    mark = marked_pixel(_CAMERA, pixel, 2.0)
+    return [*first, Sighting("camera_1", _CAMERA, poses[1], covariances[1], mark)]

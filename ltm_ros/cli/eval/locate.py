@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -123,49 +124,42 @@ def _smoke(
 
 
 def _table(trials: list[Trial], boxed: bool) -> Any:
+    """A column a case: there are more figures than a line has room for."""
     from rich.table import Table
 
     from ltm_core.evaluation.locating.smoke_score import Case
     from ltm_core.evaluation.locating.summary import SmokeSummary
 
-    table = Table(title="a detector's box is marked" if boxed else "the lowest visible smoke is clicked on")
-    columns = (
-        "case", "trials", "refused", "mean off m", "of range", "p90 m", "likeliest off m", "of range",
-        "densest 50 %", "95 %", "ellipse 50 %", "95 %", "95 % ellipse, half axes m", "agree", "named", "falsely", "ms",
-    )  # fmt: skip
-    for column in columns:
-        table.add_column(column, justify="left" if column == "case" else "right")
+    groups: dict[str, list[Trial]] = {}
     for case in Case:
         here = [trial for trial in trials if trial.case == case.value and trial.boxed == boxed]
-        groups = {case.value: here}
         if case is Case.ONE:
-            groups = {
-                f"{case.value}, foot seen": [trial for trial in here if trial.hidden == 0],
-                f"{case.value}, foot hidden": [trial for trial in here if trial.hidden > 0],
-            }
-        for name, group in groups.items():
-            one = SmokeSummary.of(group)
-            if one is None:
-                continue
-            table.add_row(
-                name,
-                str(one.count),
-                str(one.unlocated),
-                f"{one.error:.0f}",
-                f"{one.error_share:.2%}",
-                f"{one.error_p90:.0f}",
-                f"{one.likeliest_error:.0f}",
-                f"{one.likeliest_share:.2%}",
-                f"{one.densest_50:.0%}",
-                f"{one.densest_95:.1%}",
-                f"{one.ellipse_50:.0%}",
-                f"{one.ellipse_95:.1%}",
-                f"{one.long:.0f} x {one.short:.0f}",
-                f"{one.agreed:.1%}" if case is not Case.ONE else "",
-                f"{one.named:.1%}" if case is Case.TURNED else "",
-                f"{one.slandered:.1%}" if case in (Case.THREE, Case.TURNED) else "",
-                f"{one.milliseconds:.0f}",
-            )
+            groups[f"{case.value}, foot seen"] = [trial for trial in here if trial.hidden == 0]
+            groups[f"{case.value}, foot hidden"] = [trial for trial in here if trial.hidden > 0]
+        else:
+            groups[case.value] = here
+    scores = {name: one for name, group in groups.items() if (one := SmokeSummary.of(group)) is not None}
+    table = Table(title="a detector's box is marked" if boxed else "the lowest visible smoke is clicked on")
+    for column in ("", *scores):
+        table.add_column(column, justify="right" if column else "left")
+    lines: dict[str, Callable[[SmokeSummary], str]] = {
+        "trials, refused": lambda one: f"{one.count}, {one.unlocated}",
+        "range, median": lambda one: f"{one.range / 1000:.1f} km",
+        "mean place off, median": lambda one: f"{one.error:.0f} m",
+        "of range": lambda one: f"{one.error_share:.2%}",
+        "90 %": lambda one: f"{one.error_p90:.0f} m",
+        "likeliest place off, median": lambda one: f"{one.likeliest_error:.0f} m",
+        "of range ": lambda one: f"{one.likeliest_share:.2%}",
+        "in the 50 %, 95 % ellipse": lambda one: f"{one.ellipse_50:.0%}, {one.ellipse_95:.1%}",
+        "in the densest 50 %, 95 %": lambda one: f"{one.densest_50:.0%}, {one.densest_95:.1%}",
+        "95 % ellipse, half axes": lambda one: f"{one.long:.0f} x {one.short:.0f} m",
+        "taken for agreeing": lambda one: f"{one.agreed:.1%}",
+        "wrong camera named": lambda one: "" if one.named != one.named else f"{one.named:.1%}",
+        "right camera named": lambda one: f"{one.slandered:.1%}",
+        "wall time, median": lambda one: f"{one.milliseconds:.0f} ms",
+    }
+    for name, shown in lines.items():
+        table.add_row(name, *(shown(one) for one in scores.values()))
     return table
 
 

@@ -13,7 +13,10 @@ from typer.testing import CliRunner
 
 pytest.importorskip("mitsuba", reason="needs the extra `sim`: pip install 'ltm[sim]'")
 
+from PIL import Image
+
 from ltm_core.dem import Dem
+from ltm_core.device_attitude import phone_camera
 from ltm_core.errors import LtmError
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.raster_io import write_geotiff
@@ -21,6 +24,8 @@ from ltm_core.simulator.camera_setup import PHONE
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_ros.cli.main import cli
+from ltm_ros.importer.capture_files import CaptureFiles
+from ltm_ros.importer.sensor_logger import read_sensor_logger
 
 SCENARIO = """name: tiny
 seed: 3
@@ -110,6 +115,26 @@ def test_a_phone_s_errors_reach_the_recording(folder: Path) -> None:
         np.testing.assert_allclose(was.position, frame["position"], atol=1e-6)
         assert stamp.sec * 10**9 + stamp.nanosec - frame["stamp_ns"] == round(PHONE.clock_offset_s * 1e9)
     assert told[0][0].position[2] != true[0][0].position[2]
+
+
+@pytest.mark.slow
+def test_a_walk_is_written_as_a_phone_stores_it(folder: Path) -> None:
+    """Photos, recording and list are of the frames, the recording's poses those that its sensors reported."""
+    text = SCENARIO.partition("dates:")[0] + (
+        "walks:\n  - {name: hiker, path: [[60, 60], [90, 70]], stops: 2, photos: 1, azimuth_deg: [10, 40], "
+        "portrait: [false, true], geoid_undulation: -35.0}\n"
+    )
+    simulate(folder, text, "--phone", str(folder / "phone"))
+    frames = json.loads((folder / "out/frames.json").read_text())["frames"]
+    sizes = [Image.open(path).size for path in sorted((folder / "phone/photos").iterdir())]
+    assert sizes == [(48, 32), (48, 32)]  # a portrait is stored on its side
+    track = read_sensor_logger(CaptureFiles(folder / "phone/sensor_logger.zip"))
+    for frame, turned in zip(frames, (90.0, 0.0), strict=True):
+        told = frame["reported"]
+        sensed = track.at(told["stamp_ns"], phone_camera(turned))
+        assert sensed.pitch_deg == pytest.approx(told["pitch_deg"], abs=0.05)
+        assert sensed.altitude == pytest.approx(told["position"][2], abs=0.3)
+    assert len((folder / "phone/true_poses.csv").read_text().splitlines()) == 3
 
 
 def test_the_ground_raster_is_the_ground(folder: Path) -> None:

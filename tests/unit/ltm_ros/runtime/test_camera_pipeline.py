@@ -23,6 +23,7 @@ from ltm_ros.runtime.pipeline import Job
 from ltm_ros.runtime.stamp_join import StampJoin
 
 PHOTO, POSED, LABELS, FUSED = (Topic(name, CompressedImage) for name in ("photo", "posed", "labels", "fused"))
+STATE = Topic("state", CompressedImage, latched=True)
 FINISHED = Topic("finished", Header, counted=False)
 BAD, BUG = 30, 40
 """Stamps of a photo that the labeller refuses, and of one that it is not able to do."""
@@ -37,7 +38,7 @@ class Outlet:
     def publish(self, topic: Topic, message: Any) -> None:
         self._sent.append((topic.name, stamp_of(message)))
         self._health.published(topic.name)
-        self._camera.pipeline.publish(f"/s/c/{topic.name}", message)
+        self._camera.pipeline.publish(f"/s/c/{topic.name}", message, topic.latched)
 
     def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
         self.publish(topic, make())
@@ -94,10 +95,14 @@ class Door(Handler[NodeConfig]):
 class Label(Handler[NodeConfig]):
     publications = (LABELS,)
     acknowledgements = (FINISHED,)
+    state = 0
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        return {POSED: self.on_photo}
+        return {POSED: self.on_photo, STATE: self.on_state}
+
+    def on_state(self, message: Any) -> None:
+        self.state = stamp_of(message)
 
     def on_photo(self, photo: Any) -> None:
         stamp = stamp_of(photo)
@@ -110,7 +115,7 @@ class Label(Handler[NodeConfig]):
 
 
 class Fuse(Handler[NodeConfig]):
-    publications = (FUSED,)
+    publications = (FUSED, STATE)
     acknowledgements = (FINISHED,)
 
     def __init__(self, config: NodeConfig, outlet: Outlet, health: Health) -> None:
@@ -132,6 +137,7 @@ class Fuse(Handler[NodeConfig]):
 
     def _fuse(self, photo: Any, labels: Any) -> None:
         self.outlet.publish(FUSED, photo)
+        self.outlet.publish(STATE, photo)
         self.outlet.acknowledge(FINISHED, stamp_of(photo))
 
 
@@ -180,7 +186,7 @@ def test_of_what_waits_the_newest_runs_straight_through() -> None:
     camera = Camera()
     camera.offer(11, 12, 13)
     assert camera.turn()
-    assert camera.sent == [("posed", 13), ("labels", 13), ("fused", 13)]
+    assert camera.sent == [("posed", 13), ("labels", 13), ("fused", 13), ("state", 13)]
     assert camera.jobs["door"].health.dropped == {"shed": 2}
     assert not camera.turn()
     camera.offer(15)
@@ -220,6 +226,17 @@ def test_a_bug_costs_its_frame_and_the_job_is_made_anew(capsys: pytest.CaptureFi
     # Nothing of the lost frame waits anywhere for the rest of it.
     camera.pipeline.finish()
     assert camera.jobs["fuse"].health.dropped == {}
+
+
+def test_a_job_that_is_made_anew_knows_the_states_that_others_have_told() -> None:
+    camera = Camera()
+    for stamp in (11, 12, BUG):
+        camera.offer(stamp)
+        camera.turn()
+    assert camera.made["label"] == 2
+    label = camera.jobs["label"].handler
+    assert isinstance(label, Label)
+    assert label.state == 12
 
 
 def test_a_job_that_cannot_be_made_anew_is_left_out_and_tried_again() -> None:

@@ -1,0 +1,113 @@
+"""`ltm locate`: what it says, writes and refuses."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import rasterio
+import yaml
+from scenes.located import CAMERA, hills, sighting
+
+from ltm_core.dem import Dem
+from ltm_core.errors import ConfigError, LtmError, RegionError
+from ltm_ros.cli.locate import FILES, locate
+
+pytestmark = pytest.mark.kernel
+
+FIRE = np.array([-100.0, 2480.0, 64.0])
+TOWERS = {"north": (-900.0, 1300.0, 180.0), "east": (1200.0, 1700.0, 190.0), "south": (200.0, 1250.0, 160.0)}
+
+
+def site(folder: Path) -> Path:
+    dem = hills()
+    moved = replace(dem.geometry, x_min=dem.geometry.x_min + 4e5, y_max=dem.geometry.y_max + 38e5, crs="EPSG:32611")
+    Dem(dem.elevation, moved).save(folder / "dem.tif")
+    cameras: dict[str, Any] = {"far": {}}
+    for name, (x, y, z) in TOWERS.items():
+        azimuth, pitch, roll = sighting(name, (x, y, z), FIRE).pose.angles_deg
+        angles = {"azimuth_deg": azimuth, "pitch_deg": pitch, "roll_deg": roll, "azimuth_sigma_deg": 0.05}
+        cameras[name] = {
+            "calibration": {"width": CAMERA.width, "height": CAMERA.height, "fx": CAMERA.fx},
+            "pose": {"x": x + 4e5, "y": y + 38e5, "z": z, "pitch_sigma_deg": 0.05, "roll_sigma_deg": 0.05} | angles,
+        }
+    content = {"name": "hollow", "crs": "EPSG:32611", "origin": [4e5, 38e5], "dem": {"path": "dem.tif"}}
+    path = folder / "site.yaml"
+    path.write_text(yaml.safe_dump(content | {"curvature": False, "cameras": cameras}))
+    return path
+
+
+def marked(camera: str) -> str:
+    u, v = sighting(camera, TOWERS[camera], FIRE).mark.pixels[0]
+    return f"{u},{v}"
+
+
+def test_two_cameras_say_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    pixels = [marked("north"), marked("east")]
+    locate(site=site(tmp_path), camera=["north", "east"], pixel=pixels, smoke=True, out=out, as_json=True)
+    said = json.loads(capsys.readouterr().out)
+    assert (said["place"]["x"], said["place"]["y"]) == pytest.approx((399_900, 3_802_480), abs=15)
+    assert said["place"]["mgrs"].startswith("11S")
+    assert said["agreement"]["agree"]
+    views = {view["camera"]: view for view in said["cameras"]}
+    assert set(views) == set(TOWERS)
+    assert views["south"]["pixel"] == pytest.approx([float(v) for v in marked("south").split(",")], abs=15)
+    assert {path.name for path in out.iterdir()} == set(FILES)
+    assert json.loads((out / "locate.json").read_text()) == said
+    assert json.loads((out / "locate.geojson").read_text())["type"] == "FeatureCollection"
+    with rasterio.open(out / "posterior.tif") as raster:
+        assert raster.crs.to_epsg() == 32611
+        values = raster.read(1)
+        row, col = np.unravel_index(values.argmax(), values.shape)
+        assert raster.xy(row, col) == pytest.approx((399_900, 3_802_480), abs=20)
+        assert values.sum() == pytest.approx(1, abs=1e-3)
+    picture = cv2.imread(str(out / "locate.png"))
+    assert picture is not None
+    assert picture.shape[1] > 1000
+
+
+def test_a_place_is_found_in_the_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = site(tmp_path)
+    locate(site=path, place="399900,3802480", as_json=True)
+    (said,) = json.loads(capsys.readouterr().out)
+    views = {view["camera"]: view for view in said["cameras"]}
+    for camera in TOWERS:
+        assert views[camera]["pixel"] == pytest.approx([float(v) for v in marked(camera).split(",")], abs=0.5)
+    (tmp_path / "points.csv").write_text("id,x,y,z,u,v\nA,399900,3802480,64,900,500\nB,399000,3801100,90,1,1\n")
+    cv2.imwrite(str(tmp_path / "photo.png"), np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8))
+    out = tmp_path / "out"
+    locate(site=path, points=tmp_path / "points.csv", camera=["north"], photo=tmp_path / "photo.png", out=out)
+    drawn = cv2.imread(str(out / "places.png"))
+    u, v = (round(float(x)) for x in marked("north").split(","))
+    assert (drawn[v - 30 : v + 30, u - 30 : u + 30] != 90).any()
+    assert (drawn[:200, :200] == 90).all()
+    assert "north" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "said"),
+    [
+        ({"pixel": ["1,2"], "camera": ["west"]}, ConfigError, "no camera 'west'; there are"),
+        ({"pixel": ["1,2"], "camera": ["far"]}, ConfigError, "--pose far=FILE"),
+        ({"pixel": ["1,2"]}, ConfigError, "need as many --camera"),
+        ({"pixel": ["1,b"], "camera": ["north"]}, ConfigError, "numbers with commas"),
+        ({"pixel": ["1,2,3"], "camera": ["north"]}, ConfigError, "a mark is u,v"),
+        ({"pixel": ["1,2"], "box": ["1,2,3,4"], "camera": ["north"]}, ConfigError, "marks of one kind"),
+        ({"pixel": ["5000,2"], "camera": ["north"]}, RegionError, "not in the picture"),
+        ({"pixel": ["960,5"], "camera": ["north"]}, RegionError, "shows sky"),
+        ({}, ConfigError, "give a mark"),
+        ({"pixel": ["1,2"], "place": "1,2", "camera": ["north"]}, ConfigError, "give a mark"),
+        ({"place": "1"}, ConfigError, "wants 2 or 3"),
+        ({"place": "1,2"}, RegionError, "the DEM covers"),
+        ({"pixel": ["1,2"], "camera": ["north"], "mask": ["mast.png"]}, ConfigError, "name its camera"),
+    ],
+)
+def test_what_cannot_be_is_told(tmp_path: Path, options: dict[str, Any], error: type[LtmError], said: str) -> None:
+    with pytest.raises(error, match=said):
+        locate(site=site(tmp_path), **options)
