@@ -29,6 +29,8 @@ TILT_ZERO_SIGMA_DEG = 0.3
 _PROPOSALS = 3
 """Hypotheses of each picture that are tried on all."""
 _MOST_RIDGE_POINTS = 700
+_STARTS, _APART = 6, math.radians(0.25)
+"""Corrections that are refined, at least so far apart in azimuth: far ranges are like saws, with a best fit a tooth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +89,7 @@ def fit_mount(
     costs = np.array([_cost(pictures, w, 0.0, np.zeros(3), sigma, config) for w in starts])
     order = np.argsort(costs)
     fits = []
-    for k in _apart([starts[j] for j in order], config):
+    for k in _apart([starts[j] for j in order]):
         w, tilt, shift, covariance = _refined(pictures, starts[order[k]], sigma, config)
         fits.append((_cost(pictures, w, tilt, shift, sigma, config), w, tilt, shift, covariance))
     fits.sort(key=lambda fit: fit[0])
@@ -135,13 +137,13 @@ def _proposals(pictures: list[_Picture]) -> list[Float64Array]:
     return found if len(found) > 1 else []
 
 
-def _apart(turns: list[Float64Array], config: PicturePoseConfig) -> list[int]:
+def _apart(turns: list[Float64Array]) -> list[int]:
     """Of corrections from the best down, the first few that differ in azimuth."""
     kept: list[int] = []
     for k, turn in enumerate(turns):
-        if len(kept) == 4:
+        if len(kept) == _STARTS:
             break
-        if all(abs(turn[2] - turns[j][2]) > math.radians(config.search.apart_deg) for j in kept):
+        if all(abs(turn[2] - turns[j][2]) > _APART for j in kept):
             kept.append(k)
     return kept
 

@@ -90,8 +90,9 @@ class SearchConfig(StrictModel):
     reach_sigmas: float = Field(4.0, gt=0)
     least_reach_deg: float = Field(12.0, gt=0)
     most_reach_deg: float = Field(40.0, gt=0)
-    hypotheses: int = Field(8, ge=1)
-    apart_deg: float = Field(1.2, gt=0)
+    hypotheses: int = Field(12, ge=1)
+    apart_deg: float = Field(0.5, gt=0)
+    """Far ranges are like saws: a best fit a tooth, and the best of the grid need not be that of the refined."""
 
 
 class VerdictConfig(StrictModel):
