@@ -77,12 +77,12 @@ class HangWatch:
         limits = self._limits
         if not self.started and self._begun_s > self._start_s:
             return f"it has not started in {self._begun_s:.0f} s"
+        stopped = ", it is stopped (SIGSTOP)" if use.state == "T" else ""
         if self._heard and self._idle_s > limits.silent:
-            stopped = ", it is stopped (SIGSTOP)" if use.state == "T" else ""
             return f"no sign of life for {self._idle_s:.0f} s{stopped}"
         if self._silent_s > limits.stuck:
             computes = ", though it is at work or waits for it" if self._idle_s < self._silent_s else ""
-            return f"no sign of life for {self._silent_s:.0f} s{computes}"
+            return f"no sign of life for {self._silent_s:.0f} s{stopped or computes}"
         for age_s, slow, what in self._beat if self.started else ():
             if age_s > (limits.slow if slow else limits.stuck):
                 return f"{what} has not come to an end in {age_s:.0f} s"
