@@ -1,7 +1,9 @@
 """Gives numba's cache of compiled kernels a folder for each state of the source, so that no stale code is loaded.
 
-Numba checks only the file of the kernel that it loads. When a kernel *called* by it, in another file, has changed, the
-old machine code would be loaded and give wrong results silently.
+Numba checks only the file of the kernel that it loads. When a kernel *called* by it, or a constant frozen into it, in
+another file, has changed, the old machine code would be loaded and give wrong results silently. So the state is that of
+all files that kernels may depend on: those that name numba, and what these import of the same package, at any depth. An
+edit elsewhere compiles nothing anew.
 
 A process names the state that it finds when it starts, and loads modules later. One that ends and finds the source
 changed meanwhile may have mixed two states: it marks its folder, and nobody is given it again. (One that is killed
@@ -14,10 +16,12 @@ import atexit
 import contextlib
 import hashlib
 import os
+import re
 import shutil
 import stat
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 _VARIABLE = "NUMBA_CACHE_DIR"
@@ -26,6 +30,8 @@ _MIXED = "mixed"
 """A file in a folder that may hold kernels of more than one state."""
 _KEPT = 3
 """Folders of former states of the source that stay, for processes that still run them."""
+_IMPORT = re.compile(rb"^\s*(?:import\s+([\w.]+)|from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*))", re.MULTILINE)
+_NAME = re.compile(rb"\w+")
 
 
 def use_own_cache(source: Path) -> Path | None:
@@ -62,11 +68,32 @@ def use_own_cache(source: Path) -> Path | None:
 
 
 def _state(source: Path) -> str:
+    modules = {_module_name(file, source): file.read_bytes() for file in source.rglob("*.py")}
+    needed: set[bytes] = set()
+    ahead = [name for name, text in modules.items() if b"numba" in text]
+    while ahead:
+        name = ahead.pop()
+        if name not in needed:
+            needed.add(name)
+            ahead += [found for found in _imports(modules[name]) if found in modules]
     digest = hashlib.sha256()
-    for file in sorted(source.rglob("*.py")):
-        digest.update(file.relative_to(source).as_posix().encode())
-        digest.update(file.read_bytes())
+    for name in sorted(needed):
+        digest.update(name)
+        digest.update(modules[name])
     return digest.hexdigest()[:16]
+
+
+def _module_name(file: Path, source: Path) -> bytes:
+    parts = file.relative_to(source.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts).encode()
+
+
+def _imports(text: bytes) -> Iterator[bytes]:
+    """All names that a module may import; a name within a package may be a module or not."""
+    for direct, package, names in _IMPORT.findall(text):
+        yield direct or package
+        for name in _NAME.findall(names):
+            yield package + b"." + name
 
 
 def _mark_if_changed(source: Path, state: str, folder: Path) -> None:

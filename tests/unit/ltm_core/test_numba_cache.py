@@ -14,8 +14,11 @@ from ltm_core.numba_cache import use_own_cache
 
 CALLED = "import numba\n\n@numba.njit(cache=True)\ndef called(x):\n    return x + {term}\n"
 CALLER = (
-    "import numba\nfrom kernels.called import called\n\n@numba.njit(cache=True)\ndef caller(x):\n    return called(x)\n"
+    "import numba\nfrom kernels.called import called\nfrom kernels import (  # over lines\n    constants,\n)\n\n"
+    "@numba.njit(cache=True)\ndef caller(x):\n    return called(x) + constants.OFFSET\n"
 )
+CONSTANTS = "from kernels.origin import OFFSET\n"
+ORIGIN = "OFFSET = {offset}\n"
 INIT = (
     "from pathlib import Path\nfrom ltm_core.numba_cache import use_own_cache\nuse_own_cache(Path(__file__).parent)\n"
 )
@@ -35,6 +38,8 @@ def package(tmp_path: Path) -> Path:
     (folder / "__init__.py").write_text(INIT)
     (folder / "caller.py").write_text(CALLER)
     (folder / "called.py").write_text(CALLED.format(term=1.0))
+    (folder / "constants.py").write_text(CONSTANTS)
+    (folder / "origin.py").write_text(ORIGIN.format(offset=0.0))
     return folder
 
 
@@ -55,6 +60,19 @@ def test_a_change_in_a_called_kernel_reaches_its_callers(tmp_path: Path, package
     assert answer(tmp_path, first) == "11.0"
 
 
+def test_a_constant_that_a_kernel_has_through_other_modules_reaches_it(tmp_path: Path, package: Path) -> None:
+    assert answer(tmp_path) == "2.0"
+    (package / "origin.py").write_text(ORIGIN.format(offset=0.5))
+    assert answer(tmp_path) == "2.5"
+
+
+def test_an_edit_that_no_kernel_depends_on_compiles_nothing_anew(package: Path) -> None:
+    (package / "apart.py").write_text("from kernels.caller import caller\n")
+    first = use_own_cache(package)
+    (package / "apart.py").write_text("from kernels.caller import caller as renamed\n")
+    assert use_own_cache(package) == first
+
+
 def test_what_was_compiled_while_the_source_changed_is_given_to_nobody(tmp_path: Path, package: Path) -> None:
     """A process has said which state it found when a kernel is edited, and compiles that; then the edit is undone."""
     called = package / "called.py"
@@ -71,11 +89,11 @@ def test_a_folder_that_the_user_chose_is_left_alone(tmp_path: Path, monkeypatch:
 
 
 def test_one_folder_a_state_of_the_source(tmp_path: Path) -> None:
-    (tmp_path / "a.py").write_text("1")
+    (tmp_path / "a.py").write_text("import numba")
     first = use_own_cache(tmp_path)
     assert first is not None
     assert use_own_cache(tmp_path) == first, "the same source, and a variable inherited from us"
-    (tmp_path / "a.py").write_text("2")
+    (tmp_path / "a.py").write_text("import numba  # edited")
     second = use_own_cache(tmp_path)
     assert second is not None
     assert second != first
@@ -87,7 +105,7 @@ def test_a_folder_that_another_process_deletes_just_now_does_no_harm(tmp_path: P
     assert first is not None
     gone = first.with_name(first.name[:-4] + "gone")
     gone.symlink_to(tmp_path / "nothing")  # listed, but not there when it is looked at
-    (tmp_path / "a.py").write_text("2")
+    (tmp_path / "a.py").write_text("import numba  # edited")
     assert use_own_cache(tmp_path) is not None
 
 
@@ -97,7 +115,7 @@ def shared_tmp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, P
     source, home, common = tmp_path / "source", tmp_path / "home", tmp_path / "tmp"
     for folder in (source, home, common):
         folder.mkdir()
-    (source / "a.py").write_text("1")
+    (source / "a.py").write_text("import numba")
     for taken in (source / "__pycache__", home / ".cache"):
         taken.write_text("no folder")
     monkeypatch.setattr(Path, "home", lambda: home)
