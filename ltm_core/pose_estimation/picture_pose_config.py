@@ -79,6 +79,8 @@ class ContourConfig(StrictModel):
     """Pixels at width 640 along a ridge within which its errors are one and the same,"""
     correlation: float = Field(24.0, gt=0)
     """and metres, whichever is longer."""
+    most_points: int = Field(700, ge=1)
+    """Of the ridges in a view, by which a pose is refined."""
 
 
 class SearchConfig(StrictModel):
