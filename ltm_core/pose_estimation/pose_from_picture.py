@@ -137,13 +137,13 @@ def _search_skyline(
         ranked += list(zip(total.tolist(), angles, [camera] * len(angles), strict=True))
     ranked.sort(key=lambda entry: entry[0])
     starts: list[tuple[Pose, Camera]] = []
-    for _, at, camera in ranked:
-        if len(starts) == s.hypotheses:
-            break
-        pose = Pose.from_angles(prior.pose.position, *(float(a) for a in at))
-        near = [abs(angles_between(pose, other)[0]) < math.radians(s.apart_deg) for other, _ in starts]
-        if not any(near):
-            starts.append((pose, camera))
+    for most, apart_deg in ((s.hypotheses, s.apart_deg), (s.hypotheses + s.teeth, s.teeth_apart_deg)):
+        for _, at, camera in ranked:
+            if len(starts) == most:
+                break
+            pose = Pose.from_angles(prior.pose.position, *(float(a) for a in at))
+            if all(abs(angles_between(pose, other)[0]) >= math.radians(apart_deg) for other, _ in starts):
+                starts.append((pose, camera))
     found = []
     for pose, camera in starts:
         around = ridges.in_view(pose, camera, config.contours.most_points)

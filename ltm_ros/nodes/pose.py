@@ -12,8 +12,7 @@ from std_msgs.msg import String
 from ltm_core.errors import ConfigError
 from ltm_core.pose_estimation.mount_watch import MountWatch
 from ltm_core.pose_estimation.picture_evidence import picture_evidence
-from ltm_core.pose_estimation.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
-from ltm_core.pose_estimation.pose_from_picture import Terrain
+from ltm_core.pose_estimation.site_terrain import site_terrain
 from ltm_core.site_io import load_site
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_rgb
@@ -45,12 +44,7 @@ class PoseKeeping(Handler[JoinConfig]):
         site.camera(config.camera)
         if site.refine_poses is None:
             raise ConfigError(f"{config.site}: the node `pose` needs a section `refine_poses`")
-        bare = site.open_dem()
-        ground = site.open_surface(bare)
-        self._search = PicturePoseConfig()
-        if ground is not bare:
-            self._search = PicturePoseConfig(skyline=SkylineConfig(cover=CANOPY_SURFACE))
-        terrain = Terrain(ground, site.bend, site.possible_ground)
+        terrain, self._search = site_terrain(site)
         self._watch = MountWatch(terrain, site.refine_poses, self._search)
         self._assumed = site.assumed_pose_error.covariance()
         self._every_ns = round(site.refine_poses.every * 1e9)
