@@ -16,6 +16,7 @@ from ltm_core.errors import LtmError
 from ltm_ros.launching.dds_shutdown import limit_shutdown
 from ltm_ros.launching.supervisor import EX_CONFIG
 from ltm_ros.runtime.heartbeat import HEARTBEAT, STARTING
+from ltm_ros.runtime.process_memory import settle
 
 EX_IOERR = 74
 """Exit status of a node that was stopped and could not write what it still had (sysexits.h)."""
@@ -88,6 +89,7 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode | NodeGroup]) -
     executor = EventsExecutor()
     for member in nodes:
         executor.add_node(member)
+    settle()
     activity = HEARTBEAT.activity(name)
     STARTING.end()
     while rclpy.ok() and not stopping.is_set():
