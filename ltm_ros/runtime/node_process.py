@@ -37,7 +37,7 @@ class NodeGroup(Protocol):
 
     @property
     def members(self) -> Sequence[Any]:
-        """The rclpy nodes."""
+        """The rclpy nodes; more may come at the end."""
         ...
 
     def close(self) -> int:
@@ -87,12 +87,14 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode | NodeGroup]) -
     nodes = node.members if hasattr(node, "members") else [node]
     # It waits for events; the others build a list of all that they wait for each time that one of it happens.
     executor = EventsExecutor()
-    for member in nodes:
-        executor.add_node(member)
+    added = 0
     settle()
     activity = HEARTBEAT.activity(name)
     STARTING.end()
     while rclpy.ok() and not stopping.is_set():
+        for member in nodes[added:]:
+            executor.add_node(member)
+            added += 1
         with activity.turn("callback"):
             executor.spin_once(timeout_sec=0.1)
     activity.begin("end", slow=True)
