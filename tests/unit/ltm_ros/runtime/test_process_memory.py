@@ -33,6 +33,11 @@ libc.fclose(stream)
 print(len(re.findall(rb"<heap nr=", text.value)))
 """
 
+_HUGE_PAGES = """
+import re
+print(re.search(r"^THP_enabled:\\s+(\\d)$", open("/proc/self/status").read(), re.MULTILINE)[1])
+"""
+
 _CYCLES = """
 import gc
 gc.disable()
@@ -60,12 +65,12 @@ print(gc.get_stats()[2]["collections"] > 2)
 
 
 def _run(program: str, folder: Path | None = None, **environment: str) -> str:
-    given = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "GLIBC_"))}
+    given = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "GLIBC_", "NUMPY_"))}
     command = [sys.executable, "-c", program]
     if folder is not None:
-        (folder / "counts_heaps.py").write_text(program)
+        (folder / "says_how_it_is.py").write_text(program)
         told = os.open(os.devnull, os.O_WRONLY)
-        command = [sys.executable, "-m", "ltm_ros.launching.supervised", "counts_heaps"]
+        command = [sys.executable, "-m", "ltm_ros.launching.supervised", "says_how_it_is"]
         environment |= {"LTM_HEARTBEAT": str(told), "PYTHONPATH": f"{folder}:{_ROOT}"}
         done = subprocess.run(
             command, env=given | environment, capture_output=True, text=True, timeout=60, check=True, pass_fds=(told,)
@@ -81,6 +86,12 @@ def _run(program: str, folder: Path | None = None, **environment: str) -> str:
 def test_supervised_process_has_few_heaps(tmp_path: Path) -> None:
     assert int(_run(_HEAPS)) > 4  # what glibc does by itself
     assert int(_run(_HEAPS, tmp_path)) == 2
+
+
+def test_supervised_process_gets_no_huge_pages(tmp_path: Path) -> None:
+    assert _run(_HUGE_PAGES).strip() == "1"
+    assert _run(_HUGE_PAGES, tmp_path).strip() == "0"
+    assert _run(_HUGE_PAGES, tmp_path, NUMPY_MADVISE_HUGEPAGE="1").strip() == "1"
 
 
 def test_users_choice_of_heaps_wins(tmp_path: Path) -> None:
