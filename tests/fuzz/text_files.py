@@ -35,6 +35,7 @@ from ltm_core.training.config import TrainingConfig
 from ltm_core.vision.label_calibration_io import Calibration
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.scene_view import SceneFilter
 from ltm_core.vision.vocabulary import Vocabulary
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
@@ -58,13 +59,15 @@ def _site(folder: Path) -> list[bytes]:
         "limits": {"pixels": 1_000_000},
         "assumed_pose_error": {"angle_deg": 0.2},
     }
+    content["cameras"]["mast"]["mask"] = [{"class": "lens", "polygon": [[0, 0], [40, 0], [0, 30]], "reason": "hood"}]
     return [(folder / "site.yaml").read_bytes(), yaml.safe_dump(content).encode()]
 
 
 def _read_site(folder: Path) -> None:
     site = load_site(folder / "site.yaml")
     site.fuel_geometry(site.open_dem())
-    for camera in site.cameras.values():
+    for name, camera in site.cameras.items():
+        SceneFilter.of(site, name)
         if camera.calibration is not None:
             camera.calibration.camera()
         if camera.pose is not None:
