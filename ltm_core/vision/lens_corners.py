@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
 
@@ -61,20 +63,20 @@ def _lab(frame: UInt8Array) -> Float32Array:
     return np.asarray(lab, np.float32)
 
 
-def _to_top_left(values: np.typing.NDArray, up: bool, left: bool) -> np.typing.NDArray:
+def _to_top_left(values: NDArray[Any], up: bool, left: bool) -> NDArray[Any]:
+    """Flipped so that a corner is the top left one; flipped again it is as it was."""
     return values[:: 1 if up else -1, :: 1 if left else -1]
 
 
 def _top_left(labs: Sequence[Float32Array]) -> LensCorner | None:
     height, width = labs[0].shape[:2]
     side = max(3, round(_PATCH * width))
-    away = np.zeros((height, width), np.float32)
+    away = np.zeros((height, width), np.float32)  # from the hood's colour, mean of the frames
     gradient = np.zeros((height, width), np.float32)
     texture = np.zeros((height, width), np.float32)
     for lab in labs:
         hood = np.median(lab[:side, :side].reshape(-1, 3), axis=0)
-        away = np.maximum(away, np.linalg.norm(lab - hood, axis=2).astype(np.float32)) if len(labs) < 3 else away
-        away += np.linalg.norm(lab - hood, axis=2).astype(np.float32) / len(labs) if len(labs) >= 3 else 0
+        away += np.linalg.norm(lab - hood, axis=2).astype(np.float32) / len(labs)
         across, down = cv2.Sobel(lab, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(lab, cv2.CV_32F, 0, 1, ksize=3)
         gradient += np.sqrt((across**2 + down**2).sum(axis=2)) / (8 * len(labs))
         light = np.ascontiguousarray(lab[..., 0])
