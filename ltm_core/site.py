@@ -23,6 +23,7 @@ from ltm_core.raster.shared_rasters import shared
 from ltm_core.sensor_pose import SensorsConfig
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.types import Float64Array
+from ltm_core.vision.mask_config import MaskConfig
 
 
 def _ros_name(name: str) -> str:
@@ -205,6 +206,9 @@ class CameraConfig(Config):
     """None: from the pose topic."""
     sensors: SensorsConfig | None = None
     """Instead of the pose topic: from the topics `fix` (NavSatFix) and `imu` (Imu)."""
+    mask: MaskConfig | None = None
+    """What of a fixed camera's pictures never shows the landscape: a PNG in the site file's folder, or polygons; see
+    `ltm mask`. None: nothing of them."""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:
