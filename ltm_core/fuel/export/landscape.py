@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ltm_core.errors import RasterError
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
+from ltm_core.fuel.crosswalk import to_fbfm40
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
 from ltm_core.fuel.prior import FuelPrior
@@ -122,16 +123,26 @@ def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegion
 
 
 def surface_codes(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegion, system: FuelSystem) -> Int16Array:
-    """The layers' codes in a system; FBFM13 of unchanged cells from the map that came with the prior, where one did.
+    """The layers' codes in a system, of the fuel type that they have in their own.
 
-    Raises RasterError for FBFM40 of an FBFM13 prior: 13 models do not tell which of 40.
+    Cells that have changed, or never had a prior, take what the region has for such cells in that system. The others
+    take the FBFM13 map that came with the prior where one did, else the crosswalk (`ltm_core.fuel.crosswalk`), with the
+    partners that the prior itself shows. An analyst's own models, 14 to 89, stay.
     """
     own = prior.system if prior is not None else FuelSystem.FBFM40
     if system is own:
         return layers.code
     if system is FuelSystem.FBFM40:
-        raise RasterError("the prior's codes are FBFM13, from which no FBFM40 follows: export fbfm13")
-    crossed = region.to_fbfm13(layers.code)
-    if prior is None or prior.fbfm13 is None:
-        return crossed
-    return np.where(~layers.changed & (prior.fbfm13 != NODATA), prior.fbfm13, crossed)
+        crossed = to_fbfm40(region.crosswalk_back, layers.code)
+    else:
+        cover = None if prior is None or prior.canopy is None else prior.canopy[0]
+        crosswalk = region.as_crosswalk()
+        if prior is not None and prior.fbfm13 is not None:
+            crosswalk = crosswalk.learned(prior.codes, prior.fbfm13, cover)
+        crossed = crosswalk.to_fbfm13(layers.code, cover)
+        if prior is not None and prior.fbfm13 is not None:
+            crossed = np.where(prior.fbfm13 != NODATA, prior.fbfm13, crossed)
+    new = layers.changed | (layers.prior == NODATA)
+    changed = region.changed_codes(layers.code, own, system)
+    fallback = crossed if system is FuelSystem.FBFM40 else region.as_crosswalk().to_fbfm13(layers.code)
+    return np.where(new, np.where(changed != NODATA, changed, fallback), crossed).astype(np.int16)
