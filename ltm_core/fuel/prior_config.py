@@ -74,6 +74,12 @@ class PriorConfig(StrictModel):
         names = ("fbfm40", "fbfm13", "cover", "height", "base_height", "bulk_density")
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
 
+    def described(self) -> str:
+        """The names of what it is read from, without the folders that they lie in."""
+        files = list(self.files().items())
+        named = [f"{name} {path.name}" for name, path in files]
+        return ", ".join(([] if self.path is None else [self.path.name]) + named)
+
     def below(self, folder: Path) -> PriorConfig:
         """The same with relative paths taken from `folder`."""
         paths = self.files() | ({} if self.path is None else {"path": self.path})
