@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from ltm_ros.cli.eval.bag import bag
+from ltm_ros.cli.eval.crosswalk import crosswalk
 from ltm_ros.cli.eval.depth import depth
 from ltm_ros.cli.eval.fuel import fuel
 from ltm_ros.cli.eval.gallery import gallery
@@ -37,6 +38,7 @@ class EvalGroup(TyperGroup):
 
 evaluate = typer.Typer(cls=EvalGroup, no_args_is_help=True, help="Score a recorded run, or one part of the system.")
 evaluate.command(WHOLE)(bag)
+evaluate.command()(crosswalk)
 evaluate.command()(depth)
 evaluate.command()(fuel)
 evaluate.command()(gallery)
