@@ -72,6 +72,16 @@ class Segmenter:
         return cls(Manifest.find(path_or_name), threads, labels)
 
     @property
+    def name(self) -> str:
+        """What labels, for tables."""
+        return self.manifest.name
+
+    @property
+    def described(self) -> str:
+        """What labels, with its checksum: what `labels/info` tells."""
+        return f"{self.manifest.name} {self.manifest.sha256[:12]}"
+
+    @property
     def model_path(self) -> Path:
         """The network file in use."""
         return self._model.path

@@ -47,9 +47,7 @@ class Segmentation(Handler[SegmentationConfig]):
         return {POSED_IMAGE: self.on_image}
 
     def start(self) -> None:
-        manifest = self._segmenter.manifest
-        model = f"{manifest.name} {manifest.sha256[:12]}"
-        self.outlet.publish(LABELS_INFO, label_set_to_msg(self._labels, model))
+        self.outlet.publish(LABELS_INFO, label_set_to_msg(self._labels, self._segmenter.described))
 
     def on_image(self, message: Any) -> None:
         stamp, frame_id = stamp_of(message), message.header.frame_id
