@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -16,7 +17,7 @@ from ltm_core.errors import LtmError
 from ltm_ros.launching.dds_shutdown import limit_shutdown
 from ltm_ros.launching.supervisor import EX_CONFIG
 from ltm_ros.runtime.heartbeat import HEARTBEAT, STARTING
-from ltm_ros.runtime.process_memory import settle
+from ltm_ros.runtime.process_memory import Trimming, settle
 
 EX_IOERR = 74
 """Exit status of a node that was stopped and could not write what it still had (sysexits.h)."""
@@ -91,12 +92,14 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode | NodeGroup]) -
     settle()
     activity = HEARTBEAT.activity(name)
     STARTING.end()
+    trimming = Trimming(time.monotonic())
     while rclpy.ok() and not stopping.is_set():
         for member in nodes[added:]:
             executor.add_node(member)
             added += 1
         with activity.turn("callback"):
             executor.spin_once(timeout_sec=0.1)
+            trimming.look(time.monotonic())
     activity.begin("end", slow=True)
     status = node.close()
     limit_shutdown()

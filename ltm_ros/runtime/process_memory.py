@@ -5,9 +5,12 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+from collections.abc import Callable
 
 ARENAS = 2
 """Of glibc's malloc, in a process: the main one, and one for all other threads."""
+
+TRIM_EVERY_S = 600.0
 
 _M_ARENA_MAX = -8
 _PR_SET_THP_DISABLE = 41
@@ -41,5 +44,23 @@ def settle() -> None:
     gc.collect()
     gc.freeze()
     gc.collect()  # so that the rule of the quarter counts from here
-    if (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:
-        trim(ctypes.c_size_t(0))
+    trim()
+
+
+def trim() -> None:
+    """Give pages of the heaps back in which nothing lies, between others too; glibc itself only does so at their ends.
+    It takes milliseconds, and what is needed again costs as much: not for each frame."""
+    if (malloc_trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:
+        malloc_trim(ctypes.c_size_t(0))
+
+
+class Trimming:
+    """Calls `trim` every `TRIM_EVERY_S`, so that holes do not add up. `now_s`: a steady clock; `act`: for tests."""
+
+    def __init__(self, now_s: float, act: Callable[[], None] = trim) -> None:
+        self._last, self._act = now_s, act
+
+    def look(self, now_s: float) -> None:
+        if now_s - self._last >= TRIM_EVERY_S:
+            self._last = now_s
+            self._act()

@@ -9,10 +9,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from chaos.resources import folder_bytes, waited_s
-from chaos.soak import SUM, Growth, Soak
+from chaos.resources import waited_s
+from chaos.soak import Soak
+from scenes.waiting import wait_for
 
 from ltm_core.resources import project_path
+from ltm_ros.bench.growth import SUM, Growth, GrowthWatch, HeldMore, Sample, folder_bytes
 from ltm_ros.bench.process_usage import Usage, usage
 
 _BYTES = 10_000 * mmap.PAGESIZE
@@ -52,19 +54,17 @@ def _soak(minutes: float, *memory: Callable[[float], float]) -> Soak:
     """Samples each half minute of processes whose own memory, kB, is a function of the minutes."""
     soak = Soak()
     for minute in np.arange(0.0, minutes + 0.5, 0.5):
-        soak.seconds.append(60 * minute)
         own = {str(number): round(kb(minute)) for number, kb in enumerate(memory)}
         # What is private changes as programs come and go that have mapped the same files.
-        soak.usage.append(
-            {label: Usage(0, kb + round(900 * minute) % 7000, kb, 9, 3, 0.0) for label, kb in own.items()}
-        )
+        usage = {label: Usage(0, kb + round(900 * minute) % 7000, kb, 9, 3, 0.0) for label, kb in own.items()}
+        soak.samples.append(Sample(60 * minute, usage, 3, 0))
     return soak
 
 
 def test_growth_is_that_of_the_last_two_thirds() -> None:
     """One process fills a cache and then keeps 12 kB a minute, with a sample that is out; another stands still."""
     soak = _soak(45, lambda t: 5000 + min(900 * t, 9000) + 12 * t + (4000 if t == 35 else 0), lambda _: 700)
-    soak.usage[2]["ended early"] = Usage(0, 10**6, 10**6, 9, 3, 0.0)
+    soak.samples[2].usage["ended early"] = Usage(0, 10**6, 10**6, 9, 3, 0.0)
     growth = soak.growth()
     assert growth.keys() == {"0", "1", SUM}
     assert growth["1"] == Growth(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -97,3 +97,22 @@ def test_pages_of_files_are_not_a_process_own() -> None:
     assert after is not None
     assert after.private - before.private > 0.9 * kb
     assert after.own - before.own < 0.1 * kb
+
+
+def test_what_is_held_more_at_the_end_than_in_the_middle(tmp_path: Path) -> None:
+    def sample(minute: float, kb: int, more: int) -> Sample:
+        return Sample(60 * minute, {"one": Usage(0, 0, kb, 5 + more, 2 + 2 * more, 0.0)}, 7 + 3 * more, 1000 * more)
+
+    filling = [sample(minute, 100 * minute, 9 - minute) for minute in range(10)]
+    held = HeldMore.of([*filling, *(sample(minute, 900, minute // 15) for minute in range(10, 21))])
+    assert held.memory[SUM] == Growth(0.0, 0.0, 0.0, 0.0, 0.0)
+    assert (held.descriptors, held.threads, held.shared_objects, held.kept_bytes) == (1, 2, 3, 1000)
+    assert HeldMore.of([sample(0, 50, 0), sample(3, 80, 0)]).memory["one"].slope == 10.0
+
+
+def test_a_watch_samples_until_it_is_left(tmp_path: Path) -> None:
+    with GrowthWatch(lambda: {"this": os.getpid(), "gone": 2**22 + 1}, tmp_path, 0.01) as watch:
+        (tmp_path / "kept").write_bytes(bytes(5))
+        wait_for(lambda: len(watch.samples) > 2, "a third sample")
+    assert [sample.usage.keys() for sample in watch.samples] == [{"this"}] * len(watch.samples)
+    assert (watch.samples[0].kept_bytes, watch.samples[-1].kept_bytes) == (0, 5)

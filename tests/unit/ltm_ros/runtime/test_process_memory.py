@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 import ltm_ros
+from ltm_ros.runtime.process_memory import TRIM_EVERY_S, Trimming
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="glibc's malloc")
 
@@ -64,6 +66,25 @@ print(gc.get_stats()[2]["collections"] > 2)
 """
 
 
+_HOLES = """
+import ctypes
+from ltm_ros.runtime.process_memory import trim
+libc = ctypes.CDLL(None)
+libc.malloc.restype = ctypes.c_void_p
+def resident():
+    return int(open("/proc/self/statm").read().split()[1]) * 4096
+blocks = []
+for _ in range(1000):
+    for size in (60_000, 100):
+        blocks.append(ctypes.c_void_p(libc.malloc(size)))
+        ctypes.memset(blocks[-1], 1, size)
+[libc.free(block) for block in blocks[::2]]
+before = resident()
+trim()
+print((before - resident()) / 60_000_000)
+"""
+
+
 def _run(program: str, folder: Path | None = None, **environment: str) -> str:
     given = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "GLIBC_", "NUMPY_"))}
     command = [sys.executable, "-c", program]
@@ -102,3 +123,17 @@ def test_what_the_start_left_over_is_gone_and_what_stays_is_looked_at_no_more() 
     before, after, looks = _run(_CYCLES).splitlines()
     assert (before, after) == ("1000 True", "0 False")
     assert looks == "True"
+
+
+def test_heaps_are_trimmed_now_and_then() -> None:
+    moments: list[float] = []
+    trimming = Trimming(70.0, lambda: moments.append(second))
+    for second in range(70, 70 + round(3 * TRIM_EVERY_S), 7):
+        trimming.look(second)
+    assert len(moments) == 2
+    assert all(TRIM_EVERY_S <= later - former < TRIM_EVERY_S + 7 for former, later in pairwise([70.0, *moments]))
+
+
+def test_a_trim_gives_back_what_lies_free_between_others() -> None:
+    given_back = _run(_HOLES)
+    assert float(given_back) > 0.8
