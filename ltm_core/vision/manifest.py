@@ -131,6 +131,8 @@ class Manifest(StrictModel):
     source: str = ""  # where the file can be had, for the message when it is absent
     url: str | None = Field(default=None, pattern=r"^(https|file)://")  # fetched by `ltm models add --fetch` alone
     text: TextSpec | None = None
+    # Outputs of the graph that heads read -> channels; (1, C, h, w) float32 each (`label_head`).
+    maps: dict[str, int] = Field(default_factory=dict)
     _folder: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="after")
@@ -140,6 +142,12 @@ class Manifest(StrictModel):
             raise ValueError(f"output.offsets names {', '.join(strangers)}, none of classes")
         if (self.text is not None) != (self.output.kind == "embeddings"):
             raise ValueError("text belongs to output kind embeddings, and such a network needs it")
+        if self.maps and self.output.kind != "logits":
+            raise ValueError(
+                f"maps belong to output kind logits, which heads correct; remove them for {self.output.kind}"
+            )
+        if min(self.maps.values(), default=1) < 1:
+            raise ValueError("maps: each has at least one channel")
         if self.text is not None:
             if self.classes:
                 raise ValueError("classes: the words of the text file are the classes; remove the key")

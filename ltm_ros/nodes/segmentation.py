@@ -37,9 +37,9 @@ class Segmentation(Handler[SegmentationConfig]):
     def __init__(self, config: SegmentationConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = load_site(config.site)
-        site.camera(config.camera)
+        head = site.camera(config.camera).head
         self._labels = LabelSet.load(config_path(site.labels))
-        self._segmenter = Segmenter.open(config.model or site.model, threads=config.threads)
+        self._segmenter = Segmenter.open(config.model or site.model, config.threads, head=head, heads=site.heads)
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:

@@ -21,6 +21,10 @@ def segmentation(
         list[str] | None,
         typer.Option("--model", help="Model name or manifest; again for more. Default: the default one."),
     ] = None,
+    head: Annotated[
+        list[str] | None,
+        typer.Option("--head", help="Score with this head too, a name or path; again for more. Default: none."),
+    ] = None,
     json_path: JsonFile = None,
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 1,
     zoom: Annotated[float, typer.Option(min=1.0, help="Second look at distant slopes, so much larger.")] = 1.0,
@@ -56,6 +60,7 @@ def segmentation(
     from ltm_core.evaluation.segmentation.overlays_io import write_overlay
     from ltm_core.training.labelled_frames import LABELS_SUFFIX, holds_frames, read_frames
     from ltm_core.training.polygon_labels_io import POLYGONS_FILE
+    from ltm_core.vision.label_head import SHIPPED_HEAD
     from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
     from ltm_ros.cli.eval.segmentation_tables import confusion_table, score_table
     from ltm_ros.evaluation.figures_io import write_figures
@@ -68,7 +73,8 @@ def segmentation(
             "folders of them"
         )
     console = Console()
-    segmenters = [Segmenter.open(name, threads) for name in model or [DEFAULT_MODEL]]
+    heads = [SHIPPED_HEAD, *(head or [])]
+    segmenters = [Segmenter.open(name, threads, head=h) for name in model or [DEFAULT_MODEL] for h in heads]
     labels = segmenters[0].labels
     counted = tuple(labels.id_of(name) for name in _names(macro))
     left_out = [labels.id_of(name) for name in _names(ignore)]
