@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,8 @@ from ltm_core.vision.label_calibration_io import Calibration
 from ltm_core.vision.label_head import LabelHead
 from ltm_core.vision.label_head_io import HeadFile
 from ltm_core.vision.labels import Label
-from ltm_core.vision.segmenter import Segmenter
+from ltm_core.vision.manifest import Withdrawal
+from ltm_core.vision.segmenter import Segmentation, Segmenter
 
 _SEED = 0
 _DRAWN = 20_000  # pixels that the temperature is fitted on
@@ -42,12 +43,21 @@ class HeadTrial:
         return self.after.macro_f1 > self.before.macro_f1
 
 
-def teach_head(segmenter: Segmenter, frames: Sequence[Frame], name: str, made: str, licence: str = "") -> HeadTrial:
+def teach_head(
+    segmenter: Segmenter,
+    frames: Sequence[Frame],
+    name: str,
+    made: str,
+    licence: str = "",
+    withdrawal: Withdrawal | None = None,
+    look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
+) -> HeadTrial:
     """Teach a head to labelled photos.
 
     Each site's photos are labelled by a head that the other sites taught; from these answers come scores, temperature
     and calibration. The head that is kept is taught by all. Where all photos are of one site, each photo is held out
-    in turn, which says nothing of other sites. Raises ModelError for a network without maps, or a single photo.
+    in turn, which says nothing of other sites. `withdrawal`: which labels the head leaves out. `look` gets the answer
+    to each photo held out. Raises ModelError for a network without maps, or a single photo.
     """
     manifest = segmenter.manifest
     if not manifest.maps:
@@ -67,13 +77,14 @@ def teach_head(segmenter: Segmenter, frames: Sequence[Frame], name: str, made: s
     samples = [photo_samples(segmenter, frame, site, rng) for frame, site in zip(frames, groups, strict=True)]
     held_out = {g: fit_head([s for s in samples if s.site != g], manifest.maps) for g in dict.fromkeys(groups)}
     temperature = _temperature(samples, [held_out[s.site].scores(s) for s in samples], rng)
-    heads = {g: as_head(name, fitted, manifest.maps, temperature) for g, fitted in held_out.items()}
+    rules = withdrawal or Withdrawal()
+    heads = {g: as_head(name, fitted, manifest.maps, temperature, rules) for g, fitted in held_out.items()}
     counted = _shared(samples)
     if not counted:
         raise ModelError("no class is named in photos of two sites: nothing can be judged; name more areas")
     with_heads = [_with_head(segmenter, heads[g]) for g in groups]
     before = score_each([segmenter] * len(frames), frames, macro=counted)
-    after = score_each(with_heads, frames, macro=counted)
+    after = score_each(with_heads, frames, macro=counted, look=look)
     names = manifest.classes
     calibration = Calibration(
         classes=segmenter.labels.names,
@@ -81,7 +92,7 @@ def teach_head(segmenter: Segmenter, frames: Sequence[Frame], name: str, made: s
         measured_on=f"{len(frames)} photos of {len(set(sites))} sites, held out {folds}",
         ece={"photos": after.calibration.ece, "land": after.land_calibration.ece},
     )
-    final = as_head(name, fit_head(samples, manifest.maps), manifest.maps, temperature)
+    final = as_head(name, fit_head(samples, manifest.maps), manifest.maps, temperature, rules)
     file = HeadFile(
         name=name,
         network=manifest.name,
@@ -90,6 +101,7 @@ def teach_head(segmenter: Segmenter, frames: Sequence[Frame], name: str, made: s
         licence=licence,
         classes=names,
         temperature=round(temperature, 4),
+        withdraw=rules,
         bias=tuple(map(float, final.bias)),
         maps={key: tuple(tuple(map(float, row)) for row in rows) for key, rows in final.weights.items()},
         calibration=calibration,
@@ -118,13 +130,15 @@ def _shared(samples: Sequence[PhotoSamples]) -> tuple[int, ...]:
     return tuple(sorted(k for k, names in groups.items() if len(names) > 1))
 
 
-def as_head(name: str, fitted: FittedHead, channels: Mapping[str, int], temperature: float) -> LabelHead:
+def as_head(
+    name: str, fitted: FittedHead, channels: Mapping[str, int], temperature: float, withdrawal: Withdrawal
+) -> LabelHead:
     """A fitted head as it runs, before it has a file."""
     weights, start = {}, 0
     for key, count in channels.items():
         weights[key] = np.ascontiguousarray(fitted.weights[start : start + count].T, dtype=np.float32)
         start += count
-    return LabelHead(name, name, weights, fitted.bias.astype(np.float32), temperature)
+    return LabelHead(name, name, weights, fitted.bias.astype(np.float32), temperature, withdrawal)
 
 
 def _with_head(segmenter: Segmenter, head: LabelHead) -> Segmenter:

@@ -8,7 +8,7 @@ product commute, each map's part is formed at its own size and enlarged.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import cv2
@@ -16,6 +16,7 @@ import numpy as np
 
 from ltm_core.errors import ModelError
 from ltm_core.types import Float32Array
+from ltm_core.vision.manifest import Withdrawal
 
 SHIPPED_HEAD: Final = "landscape"
 """Name of the head that is the network's own scores: no correction."""
@@ -25,8 +26,7 @@ SHIPPED_HEAD: Final = "landscape"
 class LabelHead:
     """`weights`: map -> (K, C) float32; `bias`: (K,) float32; `temperature` divides the corrected scores.
 
-    `least_confidence`: labels of lower probability are withdrawn, as are answers of *tree* where the photo's contrast
-    is below `tree_contrast` (see `withdrawal`); 0: none. `described`: name and checksum, for `labels/info`.
+    `withdraw`: labels that are left out. `described`: name and checksum, for `labels/info`.
     """
 
     name: str
@@ -34,8 +34,7 @@ class LabelHead:
     weights: Mapping[str, Float32Array]
     bias: Float32Array
     temperature: float
-    least_confidence: float = 0.0
-    tree_contrast: float = 0.0
+    withdraw: Withdrawal = field(default_factory=Withdrawal)
 
     @property
     def maps(self) -> tuple[str, ...]:

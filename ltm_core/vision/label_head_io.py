@@ -16,7 +16,7 @@ from ltm_core.errors import ConfigError, ModelError
 from ltm_core.strict_model import StrictModel
 from ltm_core.vision.label_calibration_io import Calibration
 from ltm_core.vision.label_head import SHIPPED_HEAD, LabelHead
-from ltm_core.vision.manifest import Manifest, added_folder
+from ltm_core.vision.manifest import Manifest, Withdrawal, added_folder
 
 _Weight = Annotated[float, Field(ge=-1e4, le=1e4)]
 _DIGITS: Final = 4
@@ -34,8 +34,7 @@ class HeadFile(StrictModel):
     licence: str = ""
     classes: tuple[str, ...] = Field(min_length=2)
     temperature: float = Field(gt=0)
-    least_confidence: float = Field(default=0.0, ge=0, lt=1)
-    tree_contrast: float = Field(default=0.0, ge=0)
+    withdraw: Withdrawal = Withdrawal()
     bias: tuple[_Weight, ...]
     maps: dict[str, tuple[tuple[_Weight, ...], ...]] = Field(min_length=1)
     calibration: Calibration | None = None
@@ -92,8 +91,7 @@ def read_head(path: Path, manifest: Manifest) -> tuple[LabelHead, HeadFile]:
         weights={name: np.asarray(rows, np.float32) for name, rows in content.maps.items()},
         bias=np.asarray(content.bias, np.float32),
         temperature=content.temperature,
-        least_confidence=content.least_confidence,
-        tree_contrast=content.tree_contrast,
+        withdraw=content.withdraw,
     )
     return head, content
 

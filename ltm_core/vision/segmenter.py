@@ -19,6 +19,7 @@ from ltm_core.vision.onnx_model import OnnxModel
 from ltm_core.vision.text_io import load_text
 from ltm_core.vision.tiling import with_distant_tiles
 from ltm_core.vision.upsample import upsampled_winner
+from ltm_core.vision.withdrawal import withdraw
 
 DEFAULT_MODEL = "landscape_lite0"
 
@@ -67,6 +68,8 @@ class Segmenter:
         self._label_of_id[: len(class_labels)] = class_labels[:256]
         self._model = OnnxModel(manifest, threads)
         self.head = head
+        self.withdrawal = manifest.output.withdraw if head is None else head.withdraw
+        """Which labels are left out; may be set to others."""
         self._temperature = manifest.output.temperature if head is None else head.temperature
 
     @classmethod
@@ -121,6 +124,7 @@ class Segmenter:
         labels = self._group_labels[winner]
         if UNLABELLED in self._group_labels:
             confidence[labels == UNLABELLED] = 0
+        withdraw(image, labels, confidence, self.withdrawal)
         return Segmentation(labels, confidence)
 
     def _from_ids(self, output: npt.NDArray[Any], height: int, width: int) -> Segmentation:

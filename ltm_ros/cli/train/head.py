@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ltm_ros.cli.output import JsonFile
+from ltm_ros.cli.output import JsonFile, writable_file, writable_folder
 
 
 def head(
@@ -26,6 +26,19 @@ def head(
     limit: Annotated[int, typer.Option(min=1, help="At most so many frames of each --also, evenly chosen.")] = 24,
     licence: Annotated[str, typer.Option(help="Of the photos, for the head's file.")] = "",
     threads: Annotated[int, typer.Option(help="CPU threads of the network.")] = 1,
+    confidence: Annotated[
+        float, typer.Option(min=0, max=0.99, help="The head leaves pixels of lower probability unlabelled.")
+    ] = 0.4,
+    tree_contrast: Annotated[
+        float, typer.Option(min=0, help="The head withdraws tree where local contrast is lower, 8-bit steps.")
+    ] = 0.0,
+    diagram: Annotated[
+        Path | None, typer.Option(help="Draw reliability and risk by coverage, .png or .svg.", callback=writable_file)
+    ] = None,
+    overlays: Annotated[
+        Path | None,
+        typer.Option(help="Draw the answer to each photo held out beside its truth, PNG.", callback=writable_folder),
+    ] = None,
     json_path: JsonFile = None,
 ) -> None:
     """Teach a head to PHOTOS, judge it by sites that did not teach it, and install it where it is better.
@@ -35,15 +48,19 @@ def head(
     """
     import platform
     import time
+    from functools import partial
 
     import numpy as np
     from rich.console import Console
 
     from ltm_core.errors import ModelError
+    from ltm_core.evaluation.segmentation.diagram_io import write_diagram
     from ltm_core.evaluation.segmentation.network_score import score_frames
+    from ltm_core.evaluation.segmentation.overlays_io import write_overlay
     from ltm_core.training.head_trial import teach_head
     from ltm_core.training.labelled_frames import read_frames
     from ltm_core.vision.label_head_io import heads_folder, read_head, write_head
+    from ltm_core.vision.manifest import Withdrawal
     from ltm_core.vision.segmenter import Segmenter
     from ltm_ros.cli.eval.segmentation_tables import confusion_table, score_table
     from ltm_ros.evaluation.figures_io import write_figures
@@ -54,8 +71,11 @@ def head(
     path = Path(out) if out.endswith((".yaml", ".yml")) else heads_folder(manifest) / f"{out}.yaml"
     frames = read_frames(photos, len(names))
     made = f"ltm train head {photos.resolve().name}, {len(frames)} photos, numpy {np.__version__}"
+    tag = f"{path.stem}_held_out"
+    look = partial(write_overlay, overlays, tag, segmenter.labels) if overlays is not None else lambda *_: None
+    rules = Withdrawal(confidence=confidence, tree_contrast=tree_contrast)
     with console.status("teaching"):
-        trial = teach_head(segmenter, frames, path.stem, made, licence)
+        trial = teach_head(segmenter, frames, path.stem, made, licence, rules, look)
     conditions = f"{platform.machine()}, {threads} threads, network {segmenter.described}"
     console.print(
         f"{len(frames)} photos of {', '.join(trial.sites)}; held out {trial.folds}; {conditions}", highlight=False
@@ -64,6 +84,8 @@ def head(
     console.print(score_table(names, scores, f"{photos}: by heads that the other sites taught"))
     for name, score in scores.items():
         console.print(confusion_table(names, score.labels, name))
+    if diagram is not None:
+        write_diagram(diagram, scores)
     part = path.with_name(f".{path.name}.part")
     write_head(part, trial.file)
     figures = {"photos": {name: score.summary(names) for name, score in scores.items()}}
