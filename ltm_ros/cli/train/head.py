@@ -26,6 +26,9 @@ def head(
     limit: Annotated[int, typer.Option(min=1, help="At most so many frames of each --also, evenly chosen.")] = 24,
     licence: Annotated[str, typer.Option(help="Of the photos, for the head's file.")] = "",
     threads: Annotated[int, typer.Option(help="CPU threads of the network.")] = 1,
+    ignore: Annotated[
+        str, typer.Option(help="True classes that neither teach nor count, with commas.", metavar="CLASSES")
+    ] = "",
     confidence: Annotated[
         float, typer.Option(min=0, max=0.99, help="The head leaves pixels of lower probability unlabelled.")
     ] = 0.4,
@@ -55,6 +58,7 @@ def head(
 
     from ltm_core.errors import ModelError
     from ltm_core.evaluation.segmentation.diagram_io import write_diagram
+    from ltm_core.evaluation.segmentation.ignored_classes import without_classes
     from ltm_core.evaluation.segmentation.network_score import score_frames
     from ltm_core.evaluation.segmentation.overlays_io import write_overlay
     from ltm_core.training.head_trial import teach_head
@@ -69,7 +73,8 @@ def head(
     segmenter = Segmenter.open(model, threads)
     manifest, names = segmenter.manifest, segmenter.labels.names
     path = Path(out) if out.endswith((".yaml", ".yml")) else heads_folder(manifest) / f"{out}.yaml"
-    frames = read_frames(photos, len(names))
+    left_out = [segmenter.labels.id_of(n.strip()) for n in ignore.split(",") if n.strip()]
+    frames = without_classes(read_frames(photos, len(names)), left_out)
     made = f"ltm train head {photos.resolve().name}, {len(frames)} photos, numpy {np.__version__}"
     tag = f"{path.stem}_held_out"
     look = partial(write_overlay, overlays, tag, segmenter.labels) if overlays is not None else lambda *_: None
@@ -84,8 +89,7 @@ def head(
     console.print(score_table(names, scores, f"{photos}: by heads that the other sites taught"))
     for name, score in scores.items():
         console.print(confusion_table(names, score.labels, name))
-    if diagram is not None:
-        write_diagram(diagram, scores)
+    drawn = {f"{name}, {photos.resolve().name}": score for name, score in scores.items()}
     part = path.with_name(f".{path.name}.part")
     write_head(part, trial.file)
     figures = {"photos": {name: score.summary(names) for name, score in scores.items()}}
@@ -101,6 +105,9 @@ def head(
             }
             console.print(score_table(names, elsewhere, f"{folder}, {len(others)} frames: what the head forgets"))
             figures[folder.resolve().name] = {name: score.summary(names) for name, score in elsewhere.items()}
+            drawn |= {f"{name}, {folder.resolve().name}": score for name, score in elsewhere.items()}
+        if diagram is not None:
+            write_diagram(diagram, drawn)
         if json_path is not None:
             write_figures(json_path, figures)
         seconds = time.perf_counter() - start
