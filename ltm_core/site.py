@@ -23,6 +23,7 @@ from ltm_core.raster.shared_rasters import shared
 from ltm_core.sensor_pose import SensorsConfig
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.types import Float64Array
+from ltm_core.vision.label_head import SHIPPED_HEAD
 from ltm_core.vision.mask_config import MaskConfig
 
 
@@ -209,6 +210,9 @@ class CameraConfig(Config):
     mask: MaskConfig | None = None
     """What of a fixed camera's pictures never shows the landscape: a PNG in the site file's folder, or polygons; see
     `ltm mask`. None: nothing of them."""
+    head: str = SHIPPED_HEAD
+    """Head of the segmentation network for what this camera sees: `landscape` is the network's own, others are taught
+    (`ltm train head`); a name, or a path from the site's folder of heads."""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:
@@ -244,6 +248,8 @@ class Site(Config):
     """Label set in config/."""
     model: str = "landscape_lite0"
     """Segmentation manifest: a name in config/models/ or a path."""
+    heads: Path | None = None
+    """Folder of heads that is looked in first, relative to the site file; then beside the network's manifest."""
     depth_model: str = ""
     """Manifest of a depth network, likewise; where given, traced depth is fused with it (`fused/depth`)."""
     cameras: dict[CameraName, CameraConfig] = Field(min_length=1)

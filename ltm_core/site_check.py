@@ -28,6 +28,8 @@ from ltm_core.site import CameraConfig, Site
 from ltm_core.site_io import load_site
 from ltm_core.types import Float64Array
 from ltm_core.visibility.viewshed import PosedCamera
+from ltm_core.vision.label_head import SHIPPED_HEAD
+from ltm_core.vision.label_head_io import find_head, read_head
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.onnx_model import OnnxModel
@@ -296,3 +298,22 @@ def _networks(site: Site) -> Iterator[Finding]:
             yield Finding.of("networks", key, error)
         else:
             yield Finding("networks", key, Verdict.OK, f"{name}, {model.path.stat().st_size / 1e6:.0f} MB")
+    yield from _heads(site)
+
+
+def _heads(site: Site) -> Iterator[Finding]:
+    cameras: dict[str, list[str]] = {}
+    for name, camera in site.cameras.items():
+        cameras.setdefault(camera.head, []).append(name)
+    for head, names in cameras.items():
+        if head == SHIPPED_HEAD:
+            continue
+        try:
+            manifest = Manifest.find(site.model)
+            file = find_head(head, manifest, site.heads)
+            if file is not None:
+                read_head(file, manifest)
+        except LtmError as error:
+            yield Finding.of("networks", f"head {head}", error)
+        else:
+            yield Finding("networks", f"head {head}", Verdict.OK, f"of {', '.join(names)}: {file}")

@@ -21,6 +21,7 @@ def load_site(path: Path | str) -> Site:
         "dem": beside_the_file(site.dem),
         "coarser": tuple(beside_the_file(dem) for dem in site.coarser),
         "surface": None if site.surface is None else beside_the_file(site.surface),
+        "heads": None if site.heads is None else path.parent / site.heads,
     }
     if any(isinstance(camera.mask, Path) for camera in site.cameras.values()):
         changes["cameras"] = {name: _with_mask(name, camera, path) for name, camera in site.cameras.items()}

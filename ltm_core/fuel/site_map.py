@@ -11,6 +11,7 @@ from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.grid import GridGeometry
 from ltm_core.site import Site
 from ltm_core.types import Float32Array
+from ltm_core.vision.label_head import SHIPPED_HEAD
 from ltm_core.vision.labels import LabelSet
 
 
@@ -21,7 +22,9 @@ def site_evidence_map(site: Site, geometry: GridGeometry, labels: LabelSet) -> L
     """
     fuel = site.fuel
     prior = None if fuel.prior is None else load_prior(fuel.prior, site.in_crs(geometry))
-    return LivingFuelMap(geometry, prior, labels, fuel.fusion, site_label_errors(site), FuelRegion.named(fuel.region))
+    region = FuelRegion.named(fuel.region)
+    errors, of_cameras = site_label_errors(site), camera_label_errors(site)
+    return LivingFuelMap(geometry, prior, labels, fuel.fusion, errors, region, of_cameras)
 
 
 def site_label_errors(site: Site) -> LabelErrors:
@@ -33,3 +36,16 @@ def site_label_errors(site: Site) -> LabelErrors:
 def spare_heights(site: Site, geometry: GridGeometry) -> Float32Array | None:
     """The elevations that came with the prior on the fuel grid (in the map frame); None: it has none."""
     return None if site.fuel.prior is None else prior_heights(site.fuel.prior, site.in_crs(geometry))
+
+
+def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
+    """Those of the cameras whose network has a head of its own: a head errs otherwise than what it corrects.
+
+    Empty where the site file states its errors. Raises ConfigError; ModelError for a head that cannot be taken.
+    """
+    if site.fuel.label_errors is not None:
+        return {}
+    known: dict[str, LabelErrors] = {}
+    for head in {camera.head for camera in site.cameras.values()} - {SHIPPED_HEAD}:
+        known[head] = LabelErrors.of_head(site.model, head, site.heads)
+    return {name: known[camera.head] for name, camera in site.cameras.items() if camera.head in known}

@@ -1,7 +1,7 @@
 """Reads frames with their labels, inverse depth, or a teacher's relative depth, for training and scoring.
 
 A set is a folder of pictures `NAME.png` or `NAME.jpg`, each with `NAME_labels.png` (uint8 ids), or with areas that a
-person named in the folder's `polygons.json` (`polygon_labels_io`); where there are both, the PNG is taken. A simulated set
+person named in the folder's `polygons.json` (`polygon_labels_io`); of both, the PNG is taken. A simulated set
 has `frames.json` and `NAME_truth.npz` too, whose ranges give the true depth; photos may have `NAME_order.npz` with
 `inverse` (h, w), a teacher's inverse depth that is trusted for its order alone; posed frames `NAME_depth.npz` with
 `depth` (h, w), metres along the optical axis.

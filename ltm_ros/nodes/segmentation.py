@@ -29,6 +29,10 @@ class SegmentationConfig(NodeConfig):
     """Cores that the network may use."""
     zoom: float = Field(1.0, ge=1, le=4)
     """Above 1: look a second time at the slopes along the skyline, so much larger; costs one to several more runs."""
+    confidence: float | None = Field(None, ge=0, lt=1)
+    """Labels of lower probability are withdrawn; None: as the network's manifest or the camera's head says."""
+    tree_contrast: float | None = Field(None, ge=0)
+    """*tree* is withdrawn where the photo's local contrast is lower (8-bit steps): hazy far slopes are called so."""
 
 
 class Segmentation(Handler[SegmentationConfig]):
@@ -39,8 +43,12 @@ class Segmentation(Handler[SegmentationConfig]):
         super().__init__(config, outlet, health)
         site = load_site(config.site)
         self._scene = SceneFilter.of(site, config.camera)
+        head = site.camera(config.camera).head
         self._labels = LabelSet.load(config_path(site.labels))
-        self._segmenter = Segmenter.open(config.model or site.model, threads=config.threads)
+        self._segmenter = Segmenter.open(config.model or site.model, config.threads, head=head, heads=site.heads)
+        chosen = {"confidence": config.confidence, "tree_contrast": config.tree_contrast}
+        given = {name: value for name, value in chosen.items() if value is not None}
+        self._segmenter.withdrawal = self._segmenter.withdrawal.model_copy(update=given)
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from scenes.networks import write_classifier
+from scenes.networks import write_classifier, write_swapping_head
 from scenes.rasters import rough_terrain
 from scenes.small_site import write_small_site
 from std_msgs.msg import String
@@ -35,6 +35,7 @@ from ltm_core.tracing.trace_io import load_picture_config, set_up_picture
 from ltm_core.training.config import TrainingConfig
 from ltm_core.training.polygon_labels_io import drawn, read_polygons
 from ltm_core.vision.label_calibration_io import Calibration
+from ltm_core.vision.label_head_io import read_head
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.polygons_io import read_areas
@@ -156,11 +157,17 @@ def _manifest(folder: Path) -> list[bytes]:
     ]
 
 
+def _head(folder: Path) -> list[bytes]:
+    manifest = write_classifier(folder, maps=True)
+    return [write_swapping_head(folder / "swap.yaml", manifest).read_bytes()]
+
+
 TEXT_FILES = (
     Target("site", "site.yaml", _site, _read_site, spoil_text, weight=2.0),
     Target("polygons", "polygons.json", _polygons, lambda folder: read_areas(folder / "polygons.json"), spoil_text),
     Target("mask_truth", "m.json", _mask_truth, lambda folder: read_mask_truths(folder / "m.json"), spoil_text),
     _yaml("manifest", _manifest, Manifest.load),
+    _yaml("head", _head, lambda path: read_head(path, Manifest.load(path.with_name("colors.yaml")))),
     _yaml("labels", _shipped("labels.yaml"), LabelSet.load),
     _yaml("fuel_region", _shipped("fuel/regions/dry.yaml"), lambda path: load_yaml(path, FuelRegion)),
     _yaml("fuel_models", _shipped("fuel/fuel_models.yaml"), lambda path: load_yaml(path, FuelModels)),

@@ -99,11 +99,22 @@ def score_frames(
 ) -> LabelScore:
     """Label each frame and compare with its truth, where that is known. `macro`: classes of the mean F1; `look` gets
     each answer, to draw it."""
-    classes = len(segmenter.labels)
+    return score_each([segmenter] * len(frames), frames, zoom, macro, look)
+
+
+def score_each(
+    segmenters: Sequence[Segmenter],
+    frames: Sequence[Frame],
+    zoom: float = 1.0,
+    macro: tuple[int, ...] = _LAND_AND_SKY,
+    look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
+) -> LabelScore:
+    """As `score_frames`, each frame labelled by a segmenter of its own: of a cross-validation, say."""
+    classes = len(segmenters[0].labels)
     labels, calibration, tally = SegmentationScore.empty(classes), CalibrationScore.empty(), SkylineTally()
     risk, land_risk, land_calibration = RiskCoverage.empty(), RiskCoverage.empty(), CalibrationScore.empty()
     times = []
-    for frame in frames:
+    for segmenter, frame in zip(segmenters, frames, strict=True):
         start = time.perf_counter()
         found = segmenter.segment(frame.image, zoom)
         times.append((time.perf_counter() - start) * 1e3)

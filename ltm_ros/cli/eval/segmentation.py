@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ltm_ros.cli.output import JsonFile, writable_folder
+from ltm_ros.cli.output import JsonFile, writable_file, writable_folder
 
 
 def segmentation(
@@ -21,6 +21,10 @@ def segmentation(
         list[str] | None,
         typer.Option("--model", help="Model name or manifest; again for more. Default: the default one."),
     ] = None,
+    head: Annotated[
+        list[str] | None,
+        typer.Option("--head", help="Score with this head too, a name or path; again for more. Default: none."),
+    ] = None,
     json_path: JsonFile = None,
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 1,
     zoom: Annotated[float, typer.Option(min=1.0, help="Second look at distant slopes, so much larger.")] = 1.0,
@@ -31,6 +35,17 @@ def segmentation(
     ignore: Annotated[
         str, typer.Option(help="True classes that are not counted, with commas.", metavar="CLASSES")
     ] = "",
+    confidence: Annotated[
+        float | None,
+        typer.Option(min=0, max=0.99, help="Withdraw labels of lower probability. Default: the network's."),
+    ] = None,
+    tree_contrast: Annotated[
+        float | None, typer.Option(min=0, help="Withdraw tree where local contrast is lower, 8-bit steps.")
+    ] = None,
+    diagram: Annotated[
+        Path | None,
+        typer.Option(help="Draw reliability and risk by coverage on land, .png or .svg.", callback=writable_file),
+    ] = None,
     overlays: Annotated[
         Path | None,
         typer.Option(
@@ -51,11 +66,13 @@ def segmentation(
     from rich.console import Console
 
     from ltm_core.errors import RecordingError
+    from ltm_core.evaluation.segmentation.diagram_io import write_diagram
     from ltm_core.evaluation.segmentation.ignored_classes import without_classes
-    from ltm_core.evaluation.segmentation.network_score import score_frames
+    from ltm_core.evaluation.segmentation.network_score import LabelScore, score_frames
     from ltm_core.evaluation.segmentation.overlays_io import write_overlay
     from ltm_core.training.labelled_frames import LABELS_SUFFIX, holds_frames, read_frames
     from ltm_core.training.polygon_labels_io import POLYGONS_FILE
+    from ltm_core.vision.label_head import SHIPPED_HEAD
     from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
     from ltm_ros.cli.eval.segmentation_tables import confusion_table, score_table
     from ltm_ros.evaluation.figures_io import write_figures
@@ -68,7 +85,11 @@ def segmentation(
             "folders of them"
         )
     console = Console()
-    segmenters = [Segmenter.open(name, threads) for name in model or [DEFAULT_MODEL]]
+    heads = [SHIPPED_HEAD, *(head or [])]
+    segmenters = [Segmenter.open(name, threads, head=h) for name in model or [DEFAULT_MODEL] for h in heads]
+    chosen = {"confidence": confidence, "tree_contrast": tree_contrast}
+    for s in segmenters:
+        s.withdrawal = s.withdrawal.model_copy(update={k: v for k, v in chosen.items() if v is not None})
     labels = segmenters[0].labels
     counted = tuple(labels.id_of(name) for name in _names(macro))
     left_out = [labels.id_of(name) for name in _names(ignore)]
@@ -79,10 +100,12 @@ def segmentation(
         "zoom": zoom,
         "skyline_width": 512,
         "not_counted": ignore or "nothing",
+        "withdrawn": "; ".join(dict.fromkeys(str(s.withdrawal) for s in segmenters)),
         "networks": ", ".join(s.described for s in segmenters),
     }
     result: dict[str, object] = {"conditions": conditions}
     console.print(", ".join(f"{key} {value}" for key, value in conditions.items()), highlight=False)
+    drawn: dict[str, LabelScore] = {}
     for path in sets:
         frames = read_frames(path, len(labels), sampled=True)
         if limit is not None and limit < len(frames):
@@ -94,9 +117,12 @@ def segmentation(
             scores[s.name] = score_frames(s, frames, zoom, counted, look)
         title = f"{path}: {len(frames)} frames, {next(iter(scores.values())).labels.pixels} labelled pixels"
         console.print(score_table(labels.names, scores, title))
+        drawn |= {f"{name}, {path.resolve().name}": score for name, score in scores.items()}
         for name, score in scores.items():
             console.print(confusion_table(labels.names, score.labels, name))
         result[path.resolve().name] = {name: score.summary(labels.names) for name, score in scores.items()}
+    if diagram is not None:
+        write_diagram(diagram, drawn)
     if json_path is not None:
         write_figures(json_path, result)
 

@@ -161,3 +161,11 @@ def test_risk_at_a_coverage_is_that_of_the_surest_pixels() -> None:
     assert risk.risk(0.75) == pytest.approx(1 / 6)
     assert risk.risk(0.625) == pytest.approx(0.1)  # of two pixels alike in confidence, one wrong: half of each counts
     assert np.isnan(RiskCoverage.empty().risk(0.8))
+
+
+def test_a_diagram_shows_each_network_s_confidence(tmp_path: Path) -> None:
+    _frame(tmp_path / "near", "0001")
+    command = ["eval", "segmentation", str(tmp_path / "near"), "--model", str(write_classifier(tmp_path, stride=1))]
+    result = CliRunner().invoke(main.cli, [*command, "--confidence", "0.9", "--diagram", str(tmp_path / "d.png")])
+    assert result.exit_code == 0, result.output
+    assert cv2.imread(str(tmp_path / "d.png")).shape[1] > 800
