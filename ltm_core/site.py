@@ -18,6 +18,7 @@ from ltm_core.fuel.rules import FusionRules
 from ltm_core.geodesy import SiteFrame, ray_bend
 from ltm_core.grid import GridGeometry
 from ltm_core.locating.settings import LocatingConfig
+from ltm_core.pose_estimation.mount_config import MountConfig
 from ltm_core.raster.dem_stack import open_terrain, with_surface
 from ltm_core.raster.shared_rasters import shared
 from ltm_core.sensor_pose import SensorsConfig
@@ -205,13 +206,19 @@ class CameraConfig(Config):
     """None: from the pose topic."""
     sensors: SensorsConfig | None = None
     """Instead of the pose topic: from the topics `fix` (NavSatFix) and `imu` (Imu)."""
+    mount: MountConfig | None = None
+    """Of a pan-tilt-zoom head: what makes poses, and where it zooms calibrations, of what its encoders say."""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:
-        if self.pose is not None and self.sensors is not None:
+        given = [name for name in ("pose", "sensors", "mount") if getattr(self, name) is not None]
+        if len(given) > 1:
             raise ValueError(
-                "give either pose or sensors, not both: a camera is fixed, or its sensors tell where it is"
+                f"give either {' or '.join(given)}, not both: a camera is fixed (pose), turns on a head (mount), or "
+                "its sensors tell where it is (sensors)"
             )
+        if self.mount is not None and self.mount.lens is not None and self.calibration is not None:
+            raise ValueError("give either calibration or mount.lens, not both: the lens zooms, or it does not")
         return self
 
 
