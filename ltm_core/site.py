@@ -21,6 +21,7 @@ from ltm_core.locating.settings import LocatingConfig
 from ltm_core.raster.dem_stack import open_terrain, with_surface
 from ltm_core.raster.shared_rasters import shared
 from ltm_core.sensor_pose import SensorsConfig
+from ltm_core.source_config import SourceConfig
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.types import Float64Array
 
@@ -205,6 +206,8 @@ class CameraConfig(Config):
     """None: from the pose topic."""
     sensors: SensorsConfig | None = None
     """Instead of the pose topic: from the topics `fix` (NavSatFix) and `imu` (Imu)."""
+    source: SourceConfig | None = None
+    """Where given, the node `source` asks the camera for its pictures and publishes them; None: a driver does."""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:
@@ -212,6 +215,16 @@ class CameraConfig(Config):
             raise ValueError(
                 "give either pose or sensors, not both: a camera is fixed, or its sensors tell where it is"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _source_needs(self) -> Self:
+        if self.source is None:
+            return self
+        if self.calibration is None:
+            raise ValueError("a camera with a source needs its calibration here: width, height and hfov_deg or fx")
+        if self.image == "raw" and self.source.kind != "rtsp":
+            raise ValueError(f"a source of kind {self.source.kind} publishes the camera's JPEGs: leave image out")
         return self
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from ltm_core.config_io import load_yaml
-from ltm_core.site import DemConfig, Site
+from ltm_core.site import CameraConfig, DemConfig, Site
+from ltm_core.source_config import FolderConfig, HttpSettings, NetworkSettings
 
 
 def load_site(path: Path | str) -> Site:
@@ -25,6 +26,7 @@ def load_site(path: Path | str) -> Site:
         beside = path.parent / getattr(site, name)
         if beside.suffix == ".yaml" and beside.is_file():
             changes[name] = str(beside)
+    changes["cameras"] = {name: _source_beside(camera, path.parent) for name, camera in site.cameras.items()}
     fuel: dict[str, object] = {}
     if site.fuel.prior is not None:
         fuel["prior"] = site.fuel.prior.below(path.parent)
@@ -33,3 +35,16 @@ def load_site(path: Path | str) -> Site:
     if fuel:
         changes["fuel"] = site.fuel.model_copy(update=fuel)
     return site.model_copy(update=changes)
+
+
+def _source_beside(camera: CameraConfig, folder: Path) -> CameraConfig:
+    """With the paths of its source below the site file's folder."""
+    source = camera.source
+    changes: dict[str, object] = {}
+    if isinstance(source, FolderConfig):
+        changes["path"] = folder / source.path
+    if isinstance(source, HttpSettings) and source.ca is not None:
+        changes["ca"] = folder / source.ca
+    if isinstance(source, NetworkSettings) and source.password is not None and source.password.file is not None:
+        changes["password"] = source.password.model_copy(update={"file": folder / source.password.file})
+    return camera.model_copy(update={"source": source.model_copy(update=changes)}) if source and changes else camera
