@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from ltm_core.config_io import load_yaml
-from ltm_core.site import DemConfig, Site
+from ltm_core.ptz_config import PtzSettings
+from ltm_core.site import CameraConfig, DemConfig, Site
+from ltm_core.source_config import FolderConfig, HttpSettings, NetworkSettings
 
 
 def load_site(path: Path | str) -> Site:
@@ -25,6 +27,7 @@ def load_site(path: Path | str) -> Site:
         beside = path.parent / getattr(site, name)
         if beside.suffix == ".yaml" and beside.is_file():
             changes[name] = str(beside)
+    changes["cameras"] = {name: _source_beside(camera, path.parent) for name, camera in site.cameras.items()}
     fuel: dict[str, object] = {}
     if site.fuel.prior is not None:
         fuel["prior"] = site.fuel.prior.below(path.parent)
@@ -33,3 +36,19 @@ def load_site(path: Path | str) -> Site:
     if fuel:
         changes["fuel"] = site.fuel.model_copy(update=fuel)
     return site.model_copy(update=changes)
+
+
+def _source_beside(camera: CameraConfig, folder: Path) -> CameraConfig:
+    """With the paths of its source and of its head below the site file's folder."""
+    found: dict[str, object] = {}
+    for name, section in (("source", camera.source), ("ptz", camera.ptz)):
+        changes: dict[str, object] = {}
+        if isinstance(section, FolderConfig):
+            changes["path"] = folder / section.path
+        if isinstance(section, HttpSettings | PtzSettings) and section.ca is not None:
+            changes["ca"] = folder / section.ca
+        if isinstance(section, NetworkSettings | PtzSettings) and section.password and section.password.file:
+            changes["password"] = section.password.model_copy(update={"file": folder / section.password.file})
+        if section is not None and changes:
+            found[name] = section.model_copy(update=changes)
+    return camera.model_copy(update=found) if found else camera
