@@ -35,5 +35,11 @@ def _masked(value: Any) -> Any:
         return {key: HIDDEN if _secret(key) else _masked(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_masked(item) for item in value]
-    # Whole, for what is cut off afterwards could end before the sign by which a user part is known.
-    return redacted(value) if isinstance(value, str) else value
+    if not isinstance(value, str):
+        return value
+    # Whole, for what is cut off afterwards could end before the sign by which a user part is known; and to the last
+    # such sign, for a password that nobody has quoted may hold any.
+    scheme, found, rest = value.partition("://")
+    if found and "@" in rest:
+        value = f"{scheme}://{HIDDEN}@{rest.rpartition('@')[2]}"
+    return redacted(value)

@@ -17,7 +17,7 @@ _OLDEST_S = 0.3
 """Of a picture that is sent when it has been taken."""
 _HEAD_BYTES = 4 << 10
 """Of a part's head, at most."""
-_BEGIN, _END = b"\xff\xd8\xff", b"\xff\xd9"
+_BEGIN = b"\xff\xd8\xff"
 
 
 class MjpegReader:
@@ -40,6 +40,8 @@ class MjpegReader:
         head, body, arrived = self._next()
         if arrived < self._due:
             return Nothing.YET
+        if not body.startswith(_BEGIN):
+            raise PictureError(f"a part of {len(body)} bytes of the stream is no JPEG")
         self._due = arrived + self._every
         stamp = _number(head.get("x-timestamp"))
         return Picture(Timing(arrived=arrived, oldest=_OLDEST_S, stream=stamp), jpeg=body)
@@ -95,8 +97,6 @@ class MjpegReader:
                 return None
         body = bytes(buffer[start:end]).rstrip(b"\r\n-") if length is None else bytes(buffer[start:end])
         del buffer[:end]
-        if not body.startswith(_BEGIN):
-            raise PictureError(f"a part of {len(body)} bytes of the stream is no JPEG")
         return head, body
 
 

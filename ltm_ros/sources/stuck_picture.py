@@ -60,8 +60,10 @@ class StuckPicture:
         turn = max(
             difference_deg(before.pan_deg, direction.pan_deg), difference_deg(before.tilt_deg, direction.tilt_deg)
         )
+        unseen = (former ^ bits).bit_count() <= SAME_BITS
         if turn < TURNED_DEG:
+            if not unseen:
+                self._turns_unseen = 0
             return
         self._turned_from = bits, direction
-        unseen = (former ^ bits).bit_count() <= SAME_BITS
         self._turns_unseen = self._turns_unseen + 1 if unseen else 0

@@ -166,7 +166,7 @@ class Request(BaseHTTPRequestHandler):
             return
         self.close_connection = True
 
-    def do_GET(self) -> None:  # noqa: N802 # as http.server names it
+    def do_GET(self) -> None:  # as http.server names it
         camera, behaviour = self.camera, self.camera.behaviour
         if behaviour.hang_up:
             self.close_connection = True
@@ -182,7 +182,7 @@ class Request(BaseHTTPRequestHandler):
         else:
             route(self)
 
-    do_POST = do_GET
+    do_POST = do_GET  # noqa: N815 # as http.server names it
 
     def snapshot(self) -> None:
         """The camera's picture, or what it does instead."""
