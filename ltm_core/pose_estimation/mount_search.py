@@ -48,7 +48,7 @@ def closed_forms(
     return found
 
 
-def _best_rotation(in_head: Float64Array, sights: Float64Array, start: MountModel) -> tuple[float, Float64Array] | None:
+def _best_rotation(in_head: Float64Array, sights: Float64Array, start: MountModel) -> Float64Array | None:
     """Median angle (rad) left, and the mount's rotation: the best of those from pairs, then from those within reach."""
     pairs = list(itertools.combinations(range(len(sights)), 2))
     pairs = [pairs[k] for k in np.linspace(0, len(pairs) - 1, min(len(pairs), _MOST_PAIRS)).astype(int)]

@@ -151,9 +151,7 @@ class Request(BaseHTTPRequestHandler):
     def query(self) -> str:
         return urlsplit(self.path).query
 
-    @property
-    def body(self) -> bytes:
-        return self.rfile.read(int(self.headers.get("content-length") or 0))
+    body: bytes = b""
 
     def answer(self, status: int, body: bytes, kind: str, headers: list[tuple[str, str]] | None = None) -> None:
         """A whole answer, with the camera's own time."""
@@ -168,6 +166,8 @@ class Request(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:  # as http.server names it
         camera, behaviour = self.camera, self.camera.behaviour
+        # Read before it is refused, or the rest would be taken for the next request.
+        self.body = self.rfile.read(int(self.headers.get("content-length") or 0))
         if behaviour.hang_up:
             self.close_connection = True
             return
@@ -183,6 +183,7 @@ class Request(BaseHTTPRequestHandler):
             route(self)
 
     do_POST = do_GET  # noqa: N815 # as http.server names it
+    do_PUT = do_GET  # noqa: N815
 
     def snapshot(self) -> None:
         """The camera's picture, or what it does instead."""
