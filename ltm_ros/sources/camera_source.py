@@ -122,8 +122,12 @@ class CameraSource:
             pause = self._settings.period
         except PictureError as error:
             self._refuse("picture", str(error))
-            self._become(self._state_without_picture(), str(error))
-            pause = self._reader.pause if self._reader is not None else self._backoff.failed()
+            state = self._state_without_picture()
+            if self._reader is None or self._reader.pause == 0 and state is CameraState.STALLED:
+                # A stream that sends nothing of use may be another one when it is asked for anew.
+                return self._failed(state, error, self._backoff.failed())
+            self._become(state, str(error))
+            pause = self._reader.pause
         except SourceError as error:
             return self._failed(CameraState.STALLED, error, self._backoff.failed())
         # From one beginning to the next, however long the camera took.

@@ -18,6 +18,9 @@ _READ_S = 5.0
 _TURN_S = 2.0
 """After which a call returns without a picture, so that its caller can end."""
 _ANALYSE_US = "1000000"
+_HELD_BACK = ("h264", "hevc")
+"""Codecs of which FFmpeg knows that a picture is whole only when the next one begins: a picture began to arrive when
+the one before was handed out, a period before it is handed out itself."""
 
 
 class RtspReader:
@@ -40,6 +43,9 @@ class RtspReader:
         except BaseException:
             self.close()
             raise
+        self._held_back = self._codec.name in _HELD_BACK
+        self._began: float | None = None
+        """When the picture that is handed out next began to arrive."""
         self._due = 0.0
         self._whole = False
         """Whether a key frame has come, without which the others show nothing."""
@@ -50,7 +56,10 @@ class RtspReader:
         while True:
             packet = self._packet()
             arrived = time.monotonic()
-            picture = self._picture(packet, arrived)
+            began, self._began = self._began, arrived
+            if self._held_back and began is None:
+                continue
+            picture = self._picture(packet, began if self._held_back and began is not None else arrived)
             if picture is not None:
                 self._last = arrived
                 return picture

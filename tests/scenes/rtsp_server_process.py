@@ -1,0 +1,112 @@
+"""An RTSP camera: `/usr/bin/python3 rtsp_server_process.py PORT [--ahead S] [--password P]`, on GStreamer's server.
+
+For the system's Python, which has GStreamer's bindings; knows nothing of ours. Serves H.264 with true sender reports at
+`/live`; each picture shows when it was made in milliseconds, as black and white squares (`scenes.timed_picture`).
+`--ahead`: by how much this process's clock is wrong (libfaketime), taken off what the pictures show. Prints `ready`.
+"""
+
+import argparse
+import random
+import threading
+import time
+
+import gi
+
+gi.require_version("Gst", "1.0")
+gi.require_version("GstRtsp", "1.0")
+gi.require_version("GstRtspServer", "1.0")
+from gi.repository import GLib, Gst, GstRtsp, GstRtspServer  # noqa: E402
+
+WIDTH, HEIGHT, RATE = 320, 192, 10
+BITS, SQUARE, ACROSS = 44, 16, 11
+
+
+def noisy_scenes(count):
+    """Pictures as I420: squares of several greys and colours, with another noise in each."""
+    colours = b"".join(
+        bytes((60 + 40 * (row // 24) + 30 * (column // 40)) % 160 + 40 for column in range(WIDTH // 2))
+        for row in range(HEIGHT // 2)
+    )
+    scenes = []
+    for seed in range(count):
+        chance = random.Random(seed)
+        grey = bytearray()
+        for row in range(HEIGHT):
+            for column in range(WIDTH):
+                grey.append((70 * (row // 32) + 45 * (column // 40)) % 150 + 50 + chance.randrange(12))
+        scenes.append(bytes(grey) + colours + colours[::-1])
+    return scenes
+
+
+def picture(scene, ahead):
+    image = bytearray(scene)
+    count = round((time.time() - ahead) * 1000)
+    for bit in range(BITS):
+        row, column = divmod(bit, ACROSS)
+        value = bytes([235 if count >> bit & 1 else 16]) * SQUARE
+        for line in range(row * SQUARE, (row + 1) * SQUARE):
+            begin = line * WIDTH + column * SQUARE
+            image[begin : begin + SQUARE] = value
+    return bytes(image)
+
+
+class Live(GstRtspServer.RTSPMediaFactory):
+    def __init__(self, ahead, keys):
+        super().__init__()
+        self.ahead, self.scenes = ahead, noisy_scenes(8)
+        self.set_shared(True)
+        self.set_launch(
+            f"( appsrc name=src is-live=true do-timestamp=true format=time "
+            f"caps=video/x-raw,format=I420,width={WIDTH},height={HEIGHT},framerate={RATE}/1 ! "
+            f"x264enc tune=zerolatency speed-preset=ultrafast bitrate=2000 key-int-max={keys} ! "
+            "rtph264pay name=pay0 pt=96 config-interval=1 )"
+        )
+
+    def do_configure(self, media):
+        source = media.get_element().get_child_by_name("src")
+
+        def push():
+            number, due = 0, time.monotonic()
+            while True:
+                made = Gst.Buffer.new_wrapped(picture(self.scenes[number % len(self.scenes)], self.ahead))
+                if source.emit("push-buffer", made) == Gst.FlowReturn.EOS:
+                    return
+                number, due = number + 1, due + 1 / RATE
+                time.sleep(max(0.0, due - time.monotonic()))
+
+        threading.Thread(target=push, daemon=True).start()
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("port")
+    parser.add_argument("--ahead", type=float, default=0.0)
+    parser.add_argument("--password", default="")
+    parser.add_argument("--digest", action="store_true")
+    parser.add_argument("--keys", type=int, default=10)
+    options = parser.parse_args()
+    Gst.init(None)
+    server = GstRtspServer.RTSPServer(address="127.0.0.1", service=options.port)
+    factory = Live(options.ahead, options.keys)
+    if options.password:
+        auth = GstRtspServer.RTSPAuth()
+        token = GstRtspServer.RTSPToken()
+        token.set_string("media.factory.role", "viewer")
+        if options.digest:
+            auth.set_supported_methods(GstRtsp.RTSPAuthMethod.DIGEST)
+            auth.add_digest("viewer", options.password, token)
+        else:
+            auth.add_basic(GstRtspServer.RTSPAuth.make_basic("viewer", options.password), token)
+        server.set_auth(auth)
+        permissions = GstRtspServer.RTSPPermissions()
+        permissions.add_permission_for_role("viewer", "media.factory.access", True)
+        permissions.add_permission_for_role("viewer", "media.factory.construct", True)
+        factory.set_permissions(permissions)
+    server.get_mount_points().add_factory("/live", factory)
+    server.attach(None)
+    print("ready", flush=True)
+    GLib.MainLoop().run()
+
+
+if __name__ == "__main__":
+    main()
