@@ -15,8 +15,9 @@ from ltm_core.text_io import read_text
 from ltm_core.yaml_io import LARGEST_FILE, compose_yaml
 
 
-def write_camera_section(path: Path | str, camera: str, key: str, section: dict[str, Any]) -> None:
-    """Set `cameras: CAMERA: KEY:` in a site file to `section`; a camera that is not there is added.
+def write_camera_section(path: Path | str, camera: str, key: str | None, section: dict[str, Any]) -> None:
+    """Set `cameras: CAMERA: KEY:` in a site file to `section`; a camera that is not there is added. Without a key,
+    `section` is all of a camera that is not there.
 
     The new file is read as a site before it takes the old one's place. Raises ConfigError, and leaves the file as it
     is, where it cannot be read, or where the camera is written within braces so that no lines can be put into it.
@@ -26,7 +27,7 @@ def write_camera_section(path: Path | str, camera: str, key: str, section: dict[
     _replace(path, edited(text, camera, key, section, str(path)))
 
 
-def edited(text: str, camera: str, key: str, section: dict[str, Any], place: str) -> str:
+def edited(text: str, camera: str, key: str | None, section: dict[str, Any], place: str) -> str:
     """The text of a site file with the section; see `write_camera_section`."""
     root = compose_yaml(text, place)
     cameras = _value(root, "cameras")
@@ -38,7 +39,10 @@ def edited(text: str, camera: str, key: str, section: dict[str, Any], place: str
     step = cameras.value[0][0].start_mark.column
     found = _value(cameras, camera)
     if found is None:
-        return "".join(_inserted(lines, _end(lines, cameras), _block({camera: {key: section}}, step)))
+        content = section if key is None else {key: section}
+        return "".join(_inserted(lines, _end(lines, cameras), _block({camera: content}, step)))
+    if key is None:
+        raise ConfigError(f"{place}: has a camera {camera} already")
     if not isinstance(found, yaml.MappingNode) or found.flow_style:
         raise ConfigError(
             f"{place}: camera {camera} is written within braces, on one line: write its keys on lines of their own"

@@ -9,7 +9,6 @@ from functools import partial
 from std_msgs.msg import String
 
 from ltm_core.errors import ConfigError
-from ltm_core.site import CameraConfig, Site
 from ltm_core.site_io import load_site
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_format, image_to_msg
@@ -19,9 +18,9 @@ from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, IMAGE_RAW, POSE, SOURCE_INFO
-from ltm_ros.sources.camera_source import CameraSource, Frame, Gaze
+from ltm_ros.sources.camera_source import CameraSource, Frame
+from ltm_ros.sources.gaze import calibration_of, gaze_of
 from ltm_ros.sources.opening import open_reader
-from ltm_ros.sources.ptz.gaze import gaze_of_head
 from ltm_ros.sources.source_thread import SourceThread
 from ltm_ros.sources.system_clock import SystemClock
 
@@ -42,17 +41,13 @@ class Source(Handler[SourceNodeConfig]):
         super().__init__(config, outlet, health)
         site = load_site(config.site)
         camera = site.camera(config.camera)
-        lens = camera.mount.lens.lens() if camera.mount is not None and camera.mount.lens is not None else None
-        if camera.source is None or (camera.calibration is None and lens is None):
-            raise ConfigError(f"camera {config.camera} of site {site.name} has no section source and calibration")
+        if camera.source is None:
+            raise ConfigError(f"camera {config.camera} of site {site.name} has no section source")
+        calibration = calibration_of(camera, config.camera)
         self._raw = camera.image == "raw"
         if self._raw:
             self.publications = (IMAGE_RAW, CAMERA_INFO, POSE, SOURCE_INFO)
         self._frame_id = f"{config.camera}_optical"
-        calibration = camera.calibration.camera() if camera.calibration is not None else None
-        if lens is not None:
-            calibration = lens.camera(lens.table[0][0])
-        assert calibration is not None  # nosec B101 # tells the type checker what holds
         clock = SystemClock()
         self._source = CameraSource(
             camera.source,
@@ -94,19 +89,6 @@ class Source(Handler[SourceNodeConfig]):
         data = frame.jpeg if frame.rgb is None else encode_rgb(frame.rgb, "jpeg", JPEG_QUALITY)
         data = data or b""
         self.outlet.publish(IMAGE_COMPRESSED, compressed_to_msg(data, image_format(data), stamp, self._frame_id))
-
-
-def gaze_of(site: Site, camera: CameraConfig) -> Gaze:
-    """Of a camera that stands still, the pose that the site file states; of one on a head, what makes poses of its
-    readings."""
-    if camera.mount is not None and camera.ptz is not None:
-        return gaze_of_head(site, camera.mount, camera.ptz, camera.source)
-    if camera.pose is None:
-        return Gaze()
-    pose = camera.pose.pose(site.open_dem(), site.frame)
-    assumed = site.assumed_pose_error
-    covariance = camera.pose.covariance(pose, assumed.position, assumed.angle_deg)
-    return Gaze(pose, assumed.covariance() if covariance is None else covariance)
 
 
 NODE = NodeType("source", SourceNodeConfig, Source)

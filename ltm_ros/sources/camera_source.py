@@ -47,6 +47,8 @@ class Frame:
     """Of this picture: a lens may zoom."""
     pose: Pose | None
     covariance: Float64Array | None
+    reading: Reading | None = None
+    """What a head said just after the picture."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,7 @@ class CameraSource:
         except PictureError as error:
             self._refuse("picture", str(error))
             state = self._state_without_picture()
-            if self._reader is None or self._reader.pause == 0 and state is CameraState.STALLED:
+            if self._reader is None or (self._reader.pause == 0 and state is CameraState.STALLED):
                 # A stream that sends nothing of use may be another one when it is asked for anew.
                 return self._failed(state, error, self._backoff.failed())
             self._become(state, str(error))
@@ -273,6 +275,7 @@ class CameraSource:
                 camera,
                 pose,
                 covariance,
+                reading,
             )
         )
 

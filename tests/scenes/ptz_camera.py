@@ -282,7 +282,7 @@ class FakeHead:
     def _reolink(self, request: Request) -> None:
         (asked,) = json.loads(request.body)
         query = {name: values[0] for name, values in parse_qs(request.query).items()}
-        command, parameters = asked["cmd"], asked["param"]
+        command, parameters = asked["cmd"], asked.get("param", {})
         pan, tilt, zoom = self.encoders()
         value: dict[str, object] | None = None
         if command == "Login":
