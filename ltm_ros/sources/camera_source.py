@@ -112,7 +112,7 @@ class CameraSource:
         except PictureError as error:
             self._refuse("picture", str(error))
             state = self._state_without_picture()
-            if self._reader is None or self._reader.pause == 0 and state is CameraState.STALLED:
+            if self._reader is None or (self._reader.pause == 0 and state is CameraState.STALLED):
                 # A stream that sends nothing of use may be another one when it is asked for anew.
                 return self._failed(state, error, self._backoff.failed())
             self._become(state, str(error))
