@@ -1,27 +1,33 @@
 """An RTSP camera: `/usr/bin/python3 rtsp_server_process.py PORT [--ahead S] [--password P]`, on GStreamer's server.
 
-For the system's Python, which has GStreamer's bindings; knows nothing of ours. Serves H.264 with true sender reports at
+For the system's Python, which has GStreamer's bindings; knows nothing of ours. Serves H.264 with sender reports at
 `/live`; each picture shows when it was made in milliseconds, as black and white squares (`scenes.timed_picture`).
-`--ahead`: by how much this process's clock is wrong (libfaketime), taken off what the pictures show. Prints `ready`.
+`--ahead`: by how much the camera's clock, which its sender reports tell, is wrong; its pictures show the true time.
+Prints `ready`.
 """
 
 import argparse
 import random
 import threading
 import time
+from typing import Any
 
 import gi
 
 gi.require_version("Gst", "1.0")
 gi.require_version("GstRtsp", "1.0")
 gi.require_version("GstRtspServer", "1.0")
-from gi.repository import GLib, Gst, GstRtsp, GstRtspServer  # noqa: E402
+from gi.repository import GLib, GObject, Gst, GstRtsp, GstRtspServer  # noqa: E402
 
 WIDTH, HEIGHT, RATE = 320, 192, 10
 BITS, SQUARE, ACROSS = 44, 16, 11
+NTP_EPOCH_S = 2_208_988_800
+"""From 1900 to 1970."""
+CLOCK_TIME = 3
+"""Of rtpbin: sender reports tell the pipeline's clock."""
 
 
-def noisy_scenes(count):
+def noisy_scenes(count: int) -> list[bytes]:
     """Pictures as I420: squares of several greys and colours, with another noise in each."""
     colours = b"".join(
         bytes((60 + 40 * (row // 24) + 30 * (column // 40)) % 160 + 40 for column in range(WIDTH // 2))
@@ -38,9 +44,9 @@ def noisy_scenes(count):
     return scenes
 
 
-def picture(scene, ahead):
+def picture(scene: bytes) -> bytes:
     image = bytearray(scene)
-    count = round((time.time() - ahead) * 1000)
+    count = round(time.time() * 1000)
     for bit in range(BITS):
         row, column = divmod(bit, ACROSS)
         value = bytes([235 if count >> bit & 1 else 16]) * SQUARE
@@ -50,10 +56,23 @@ def picture(scene, ahead):
     return bytes(image)
 
 
+def clock_ahead(seconds: float) -> Any:
+    """This computer's time of day as NTP counts it, and so much more."""
+    clock = GObject.new(Gst.SystemClock, name="camera", clock_type=Gst.ClockType.REALTIME)
+    clock.set_calibration(0, round((NTP_EPOCH_S + seconds) * Gst.SECOND), 1, 1)
+    return clock
+
+
+def tell_pipeline_clock(pipeline: Any, inside: Any, element: Any) -> None:
+    if element.get_factory().get_name() == "rtpbin":
+        element.set_property("ntp-time-source", CLOCK_TIME)
+
+
 class Live(GstRtspServer.RTSPMediaFactory):
-    def __init__(self, ahead, keys):
+    def __init__(self, ahead: float, keys: int) -> None:
         super().__init__()
-        self.ahead, self.scenes = ahead, noisy_scenes(8)
+        self.scenes = noisy_scenes(8)
+        self.set_clock(clock_ahead(ahead))
         self.set_shared(True)
         self.set_launch(
             f"( appsrc name=src is-live=true do-timestamp=true format=time "
@@ -62,13 +81,16 @@ class Live(GstRtspServer.RTSPMediaFactory):
             "rtph264pay name=pay0 pt=96 config-interval=1 )"
         )
 
-    def do_configure(self, media):
+        self.connect("media-configure", self.feed)
+
+    def feed(self, factory: Any, media: Any) -> None:
+        media.get_element().get_parent().connect("deep-element-added", tell_pipeline_clock)
         source = media.get_element().get_child_by_name("src")
 
-        def push():
+        def push() -> None:
             number, due = 0, time.monotonic()
             while True:
-                made = Gst.Buffer.new_wrapped(picture(self.scenes[number % len(self.scenes)], self.ahead))
+                made = Gst.Buffer.new_wrapped(picture(self.scenes[number % len(self.scenes)]))
                 if source.emit("push-buffer", made) == Gst.FlowReturn.EOS:
                     return
                 number, due = number + 1, due + 1 / RATE
@@ -77,7 +99,7 @@ class Live(GstRtspServer.RTSPMediaFactory):
         threading.Thread(target=push, daemon=True).start()
 
 
-def main():
+def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("port")
     parser.add_argument("--ahead", type=float, default=0.0)
