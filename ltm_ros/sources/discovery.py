@@ -12,11 +12,11 @@ import socket
 import time
 import uuid
 from dataclasses import dataclass
-from urllib.parse import unquote, urlsplit
+from urllib.parse import unquote
 
 from ltm_core.errors import ConfigError
 from ltm_ros.sources.errors import SourceError
-from ltm_ros.sources.ptz.connection import found, parsed_xml
+from ltm_ros.sources.ptz.connection import found, parsed_xml, split_address
 
 GROUP, PORT = "239.255.255.250", 3702
 MOST_ANSWERS = 256
@@ -73,7 +73,7 @@ def _answers(asking: socket.socket, asked: str, seconds: float) -> tuple[list[Di
         except TimeoutError:
             break
         try:
-            camera = _camera(body, host, asked)
+            camera = camera_in(body, host, asked)
         except SourceError:
             wrong += 1
             continue
@@ -81,8 +81,8 @@ def _answers(asking: socket.socket, asked: str, seconds: float) -> tuple[list[Di
     return sorted(known.values(), key=lambda camera: ipaddress.IPv4Address(camera.host)), wrong
 
 
-def _camera(body: bytes, host: str, asked: str) -> Discovered:
-    """Raises SourceError for what is no answer to our question."""
+def camera_in(body: bytes, host: str, asked: str) -> Discovered:
+    """The camera that an answer of `host` to the question `asked` describes. Raises SourceError for what is none."""
     root = parsed_xml(body)
     relates, addresses, scopes = found(root, "RelatesTo"), found(root, "XAddrs"), found(root, "Scopes")
     if relates is None or (relates.text or "").strip() != asked or addresses is None:
@@ -91,7 +91,7 @@ def _camera(body: bytes, host: str, asked: str) -> Discovered:
     if not places:
         raise SourceError("an answer without an address")
     # A camera on two networks states both.
-    own = next((place for place in places if urlsplit(place).hostname == host), places[0])
+    own = next((place for place in places if split_address(place).hostname == host), places[0])
     words = ((scopes.text if scopes is not None else None) or "").split()
     return Discovered(host, _plain(own, 200), _scope(words, "name"), _scope(words, "hardware"))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ElementTree  # nosec B405 # documents with a DTD are refused before they are parsed
 from collections.abc import Collection, Mapping
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 from ltm_core.ptz_config import PtzSettings
 from ltm_core.source_config import HttpSettings, NetworkSettings, SourceConfig
@@ -75,6 +75,14 @@ def parsed_xml(body: bytes) -> ElementTree.Element:
         return ElementTree.fromstring(body)  # nosec B314 # see above
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise SourceError(f"the camera sends no XML ({error}): check url and kind of ptz") from None
+
+
+def split_address(url: str) -> SplitResult:
+    """Raises SourceError for an address that a camera states and that is none."""
+    try:
+        return urlsplit(url)
+    except ValueError:
+        raise SourceError(f"the camera states an address that is none: {url[:60]!r}") from None
 
 
 def local(element: ElementTree.Element) -> str:

@@ -20,8 +20,8 @@ class IsapiHead:
     """Azimuth is its pan, elevation its tilt. Elevation grows downwards on most of these heads (0 level, 90 straight
     down): `mount.tilt_sign: -1`."""
 
-    def __init__(self, config: IsapiConfig, source: SourceConfig | None) -> None:
-        self._connection = Connection(settings_of(config, source))
+    def __init__(self, config: IsapiConfig, source: SourceConfig | None, connection: Connection | None = None) -> None:
+        self._connection = connection or Connection(settings_of(config, source))
         self._base = f"/ISAPI/PTZCtrl/channels/{config.channel}"
         self._tenths = config.units == "tenths"
         self.spacing = spacing_for(tolerance_of(config).angle_deg)

@@ -6,13 +6,12 @@ from __future__ import annotations
 import time
 import xml.etree.ElementTree as ElementTree  # nosec B405 # parsed by `parsed_xml`
 from collections.abc import Mapping
-from urllib.parse import urlsplit
 
 from ltm_core.ptz_config import OnvifConfig
 from ltm_core.source_config import SourceConfig
 from ltm_ros.sources.direction import Reading
 from ltm_ros.sources.errors import SourceError
-from ltm_ros.sources.ptz.connection import Connection, found, local, number, settings_of
+from ltm_ros.sources.ptz.connection import Connection, found, local, number, settings_of, split_address
 from ltm_ros.sources.ptz.head import Limits, spacing_for, tolerance_of
 from ltm_ros.sources.ptz.soap import DEVICE, MEDIA, PTZ, STREAM_SETUP, SoapClient
 
@@ -24,9 +23,9 @@ class OnvifHead:
     signs are calibrated (`ltm pose`), not believed. MoveStatus is often missing or never changes, so that it is only
     believed where it says that the head moves."""
 
-    def __init__(self, config: OnvifConfig, source: SourceConfig | None) -> None:
+    def __init__(self, config: OnvifConfig, source: SourceConfig | None, connection: Connection | None = None) -> None:
         self._config = config
-        self._connection = Connection(settings_of(config, source))
+        self._connection = connection or Connection(settings_of(config, source))
         self._device = self._connection.settings.url + config.path
         self.soap = SoapClient(self._connection, self._device)
         self.spacing = spacing_for(tolerance_of(config).angle_deg)
@@ -109,7 +108,7 @@ class OnvifHead:
                 if address is None or not address.text:
                     what = "no head" if name == "PTZ" else "no pictures"
                     raise SourceError(f"the camera has {what} by ONVIF (no service {name})")
-                parts = urlsplit(address.text.strip())
+                parts = split_address(address.text.strip())
                 path = parts.path + (f"?{parts.query}" if parts.query else "")
                 places.append(self._connection.settings.url + path)
             self._addresses = places[0], places[1]

@@ -28,11 +28,13 @@ _BEFORE_END_S = 60.0
 class ReolinkHead:
     """Pan and tilt in the camera's own counts, which are divided by the steps a degree of the site file."""
 
-    def __init__(self, config: ReolinkConfig, source: SourceConfig | None) -> None:
+    def __init__(
+        self, config: ReolinkConfig, source: SourceConfig | None, connection: Connection | None = None
+    ) -> None:
         settings = settings_of(config, source)
         self._login = Login.of(settings)
         # User and password go into the log-in's body, not into each request.
-        self._connection = Connection(
+        self._connection = connection or Connection(
             HttpSettings(url=settings.url, timeout=settings.timeout, ca=settings.ca, check_name=settings.check_name)
         )
         self._config = config

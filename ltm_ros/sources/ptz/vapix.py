@@ -21,8 +21,8 @@ _PRESET = re.compile(r"presetposno(\d+)")
 class VapixHead:
     """Degrees: pan clockwise, tilt upwards. It says neither when it read them nor whether it moves."""
 
-    def __init__(self, config: VapixConfig, source: SourceConfig | None) -> None:
-        self._connection = Connection(settings_of(config, source))
+    def __init__(self, config: VapixConfig, source: SourceConfig | None, connection: Connection | None = None) -> None:
+        self._connection = connection or Connection(settings_of(config, source))
         self._camera = f"&camera={config.camera}"
         self.spacing = spacing_for(tolerance_of(config).angle_deg)
 
