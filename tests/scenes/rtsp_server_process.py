@@ -19,7 +19,7 @@ gi.require_version("GstRtsp", "1.0")
 gi.require_version("GstRtspServer", "1.0")
 from gi.repository import GLib, GObject, Gst, GstRtsp, GstRtspServer  # noqa: E402
 
-WIDTH, HEIGHT, RATE = 320, 192, 10
+RATE = 10
 BITS, SQUARE, ACROSS = 44, 16, 11
 NTP_EPOCH_S = 2_208_988_800
 """From 1900 to 1970."""
@@ -27,31 +27,33 @@ CLOCK_TIME = 3
 """Of rtpbin: sender reports tell the pipeline's clock."""
 
 
-def noisy_scenes(count: int) -> list[bytes]:
+def noisy_scenes(count: int, width: int, height: int) -> list[bytes]:
     """Pictures as I420: squares of several greys and colours, with another noise in each."""
     colours = b"".join(
-        bytes((60 + 40 * (row // 24) + 30 * (column // 40)) % 160 + 40 for column in range(WIDTH // 2))
-        for row in range(HEIGHT // 2)
+        bytes((60 + 40 * (row // 24) + 30 * (column // 40)) % 160 + 40 for column in range(width // 2))
+        for row in range(height // 2)
     )
-    scenes = []
+    rows = {
+        at: bytes((70 * at + 45 * (column // 40)) % 150 + 50 for column in range(width))
+        for at in range(-(-height // 32))
+    }
+    grey = int.from_bytes(b"".join(rows[row // 32] for row in range(height)), "big")
+    size, scenes = width * height, []
+    mask = int.from_bytes(b"\x07" * size, "big")
     for seed in range(count):
-        chance = random.Random(seed)
-        grey = bytearray()
-        for row in range(HEIGHT):
-            for column in range(WIDTH):
-                grey.append((70 * (row // 32) + 45 * (column // 40)) % 150 + 50 + chance.randrange(12))
-        scenes.append(bytes(grey) + colours + colours[::-1])
+        noise = int.from_bytes(random.Random(seed).randbytes(size), "big") & mask
+        scenes.append((grey + noise).to_bytes(size, "big") + colours + colours[::-1])
     return scenes
 
 
-def picture(scene: bytes) -> bytes:
+def picture(scene: bytes, width: int) -> bytes:
     image = bytearray(scene)
     count = round(time.time() * 1000)
     for bit in range(BITS):
         row, column = divmod(bit, ACROSS)
         value = bytes([235 if count >> bit & 1 else 16]) * SQUARE
         for line in range(row * SQUARE, (row + 1) * SQUARE):
-            begin = line * WIDTH + column * SQUARE
+            begin = line * width + column * SQUARE
             image[begin : begin + SQUARE] = value
     return bytes(image)
 
@@ -69,15 +71,15 @@ def tell_pipeline_clock(pipeline: Any, inside: Any, element: Any) -> None:
 
 
 class Live(GstRtspServer.RTSPMediaFactory):
-    def __init__(self, ahead: float, keys: int) -> None:
+    def __init__(self, ahead: float, keys: int, width: int, height: int) -> None:
         super().__init__()
-        self.scenes = noisy_scenes(8)
+        self.scenes, self.width = noisy_scenes(8, width, height), width
         self.set_clock(clock_ahead(ahead))
         self.set_shared(True)
         self.set_launch(
             f"( appsrc name=src is-live=true do-timestamp=true format=time "
-            f"caps=video/x-raw,format=I420,width={WIDTH},height={HEIGHT},framerate={RATE}/1 ! "
-            f"x264enc tune=zerolatency speed-preset=ultrafast bitrate=2000 key-int-max={keys} ! "
+            f"caps=video/x-raw,format=I420,width={width},height={height},framerate={RATE}/1 ! "
+            f"x264enc tune=zerolatency speed-preset=ultrafast bitrate=4000 key-int-max={keys} ! "
             "rtph264pay name=pay0 pt=96 config-interval=1 )"
         )
 
@@ -90,7 +92,7 @@ class Live(GstRtspServer.RTSPMediaFactory):
         def push() -> None:
             number, due = 0, time.monotonic()
             while True:
-                made = Gst.Buffer.new_wrapped(picture(self.scenes[number % len(self.scenes)]))
+                made = Gst.Buffer.new_wrapped(picture(self.scenes[number % len(self.scenes)], self.width))
                 if source.emit("push-buffer", made) == Gst.FlowReturn.EOS:
                     return
                 number, due = number + 1, due + 1 / RATE
@@ -106,10 +108,12 @@ def main() -> None:
     parser.add_argument("--password", default="")
     parser.add_argument("--digest", action="store_true")
     parser.add_argument("--keys", type=int, default=10)
+    parser.add_argument("--width", type=int, default=320)
+    parser.add_argument("--height", type=int, default=192)
     options = parser.parse_args()
     Gst.init(None)
     server = GstRtspServer.RTSPServer(address="127.0.0.1", service=options.port)
-    factory = Live(options.ahead, options.keys)
+    factory = Live(options.ahead, options.keys, options.width, options.height)
     if options.password:
         auth = GstRtspServer.RTSPAuth()
         token = GstRtspServer.RTSPToken()
