@@ -22,7 +22,7 @@ def calibration_of(camera: CameraConfig, name: str) -> Camera:
 def gaze_of(site: Site, camera: CameraConfig) -> Gaze:
     """Of a camera that stands still, the pose that the site file states; of one on a head, what makes poses of its
     readings."""
-    if camera.mount is not None and camera.ptz is not None:
+    if camera.mount is not None:
         return gaze_of_head(site, camera.mount, camera.ptz, camera.source)
     if camera.pose is None:
         return Gaze()

@@ -28,14 +28,19 @@ class MountPoses:
         return self._model.pose(reading.pan_deg, reading.tilt_deg, self._moved)
 
 
-def gaze_of_head(site: Site, mount: MountConfig, ptz: PtzConfig, source: SourceConfig | None) -> Gaze:
-    """Asks the head nothing yet. Raises what `MountConfig.model` raises."""
+def gaze_of_head(site: Site, mount: MountConfig, ptz: PtzConfig | None, source: SourceConfig | None) -> Gaze:
+    """Asks the head nothing yet. Without `ptz`, directions come with the pictures. Raises what `MountConfig.model`
+    raises."""
+    model = mount.model(site.open_dem(), site.frame)
+    lens = None if mount.lens is None else mount.lens.lens()
+    if ptz is None:
+        return Gaze(model=MountPoses(model, Tolerance()), lens=lens)
     tolerance = tolerance_of(ptz)
     direction = HeadDirection(lambda: open_head(ptz, source))
     return Gaze(
         direction=direction,
-        model=MountPoses(mount.model(site.open_dem(), site.frame), tolerance),
+        model=MountPoses(model, tolerance),
         tolerance=tolerance,
-        lens=None if mount.lens is None else mount.lens.lens(),
+        lens=lens,
         patrol=None if ptz.patrol is None else HeadPatrol(direction, ptz.patrol, tolerance),
     )

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
+from scenes import rtsp_camera
 from scenes.http_camera import HttpCamera, running
 from scenes.ptz_camera import FakeHead, ptz_camera
 from scenes.small_site import TOWER, Frame, SmallSite, write_small_site
@@ -116,6 +117,23 @@ def test_probe_signs_to_an_onvif_camera_whose_clock_is_two_minutes_off(camera: H
     said = run("probe", camera.url(), "--user", "viewer", "--password-env", "HEAD_PASSWORD")
     assert "kind: onvif" in said
     assert "+120." in said or "+119." in said
+
+
+@pytest.mark.slow
+def test_probe_counts_the_pictures_of_a_stream(camera: HttpCamera) -> None:
+    said = run("probe", camera.url("/stream.mjpg"))
+    assert "kind: mjpeg" in said
+    assert "pictures a second" in said
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(bool(rtsp_camera.missing()), reason=rtsp_camera.missing() or "there is a server")
+def test_probe_listens_to_rtsp_and_measures_its_clock() -> None:
+    with rtsp_camera.running(rtsp_camera.RtspCamera(ahead=37.0)) as stream:
+        said = run("probe", stream.url, "--timeout", 3)
+    assert "kind: rtsp" in said
+    assert "{} x {} pixels".format(*rtsp_camera.SIZE) in said
+    assert "+37." in said or "+36.9" in said
 
 
 def test_a_wrong_password_is_tried_once(camera: HttpCamera) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,13 +14,17 @@ import pytest
 from scenes.http_camera import HttpCamera, running
 from scenes.ptz_camera import FakeHead, direction_in, ptz_camera
 from scenes.source_under_test import Sourced, settings
+from scenes.timed_picture import jpeg, scene
 
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation.mount_model import MountModel
-from ltm_core.ptz_config import PatrolConfig, VapixConfig
+from ltm_core.ptz_config import OnvifConfig, PatrolConfig, VapixConfig
+from ltm_core.source_config import SecretConfig
 from ltm_core.zoom_lens import LensConfig, ZoomPoint
 from ltm_ros.sources.camera_source import Frame, Gaze
+from ltm_ros.sources.direction import Reading, Tolerance
 from ltm_ros.sources.errors import SourceError
+from ltm_ros.sources.picture import Picture, Timing
 from ltm_ros.sources.ptz.gaze import MountPoses
 from ltm_ros.sources.ptz.head import tolerance_of
 from ltm_ros.sources.ptz.head_direction import HeadDirection, HeadPatrol
@@ -225,6 +230,47 @@ def test_an_operator_at_the_joystick_keeps_the_patrol_from_resting(camera: HttpC
     tested.steps(1)
     assert not tested.frames
     assert "has not come to rest within 3 s" in tested.source.why
+
+
+def test_a_head_that_refuses_the_password_ends_in_that_state_and_is_asked_again_late(
+    head: FakeHead, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HEAD_PASSWORD", "not-the-one")
+    with running(ptz_camera(head)) as camera:
+        head.user, head.password = "viewer", "the-one"
+        source = settings(kind="snapshot", url=camera.url(), every=0.01)
+        config = OnvifConfig(kind="onvif", user="viewer", password=SecretConfig(environment="HEAD_PASSWORD"))
+        direction = HeadDirection(lambda: open_head(config, source))
+        gaze = Gaze(direction=direction, model=MountPoses(MODEL, tolerance_of(config)))
+        tested = Sourced(source, SystemClock(), gaze=gaze)
+        (pause,) = tested.steps(1)
+    assert tested.state == "unauthorised"
+    assert "refuses the user viewer by ONVIF" in tested.source.why
+    assert "the-one" not in tested.source.why
+    assert pause >= 599.0
+    assert not tested.frames
+
+
+def test_directions_that_come_with_the_pictures_need_the_mount_alone() -> None:
+    reading = Reading(123.4, -7.2, 4000.0, None, 0.0)
+    pictures = [jpeg(scene(seed=k)) for k in range(3)]
+
+    class Listed:
+        pause = 1.0
+
+        def read(self) -> Picture:
+            now = time.monotonic()
+            return Picture(Timing(arrived=now, asked=now), jpeg=pictures.pop(), direction=reading)
+
+        def close(self) -> None:
+            """It has no connection."""
+
+    gaze = Gaze(model=MountPoses(MODEL, Tolerance()), lens=LENS)
+    tested = Sourced(settings(kind="snapshot", url="http://127.0.0.1"), SystemClock(), gaze=gaze, reader=Listed)
+    tested.steps(2)
+    frame = tested.frames[-1]
+    assert frame.pose == MODEL.pose(123.4, -7.2)[0]
+    assert frame.camera == LENS.camera(4000.0)
 
 
 def test_a_head_that_cannot_be_asked_ends_in_no_picture(camera: HttpCamera) -> None:
