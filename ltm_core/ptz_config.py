@@ -18,9 +18,9 @@ class PatrolConfig(StrictModel):
 
     presets: tuple[str, ...] = Field(min_length=1)
     """Names, in their order; from one picture to the next the head goes to the next one."""
-    arrive_within: float = Field(30.0, gt=0, le=90)
+    arrive_within: float = Field(30.0, gt=0, le=60)
     """Seconds, after which it is said to be stuck."""
-    settle: float = Field(1.0, ge=0, le=30)
+    settle: float = Field(1.0, ge=0, le=20)
     """Seconds that it must have stood still: after a stop the mast swings, and the lens focuses."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -93,7 +94,8 @@ def _frame(site: Site, name: str, tries: int) -> tuple[Frame | None, str]:
     source = CameraSource(
         settings,
         calibration_of(camera, name),
-        gaze_of(site, camera),
+        # By hand a head is asked and not driven: what runs for the site may drive it just now.
+        replace(gaze_of(site, camera), patrol=None),
         partial(open_reader, settings, site.limits.image_bytes, clock),
         frames.append,
         Health(),

@@ -14,7 +14,7 @@ from pydantic import TypeAdapter
 
 from ltm_core.errors import ImageError
 from ltm_core.ptz_config import PtzConfig
-from ltm_core.source_config import HttpSettings, MjpegConfig, RtspConfig, SecretConfig, SnapshotConfig
+from ltm_core.source_config import HttpSettings, MjpegConfig, RtspConfig, SecretConfig
 from ltm_msgs_py.image import picture_size
 from ltm_ros.sources.direction import Reading
 from ltm_ros.sources.errors import SourceError, UnauthorisedError
@@ -165,7 +165,7 @@ def _picture(found: Found, url: str, login: dict[str, Any]) -> str:
     found.seconds_each = min(answer.arrived - answer.asked for answer in answers)
     found.fresh = answers[0].body != last.body
     _clock_of(found, answers)
-    found.source = SnapshotConfig(kind="snapshot", url=url).model_dump(include={"kind", "url"})
+    found.source = {"kind": "snapshot", "url": url}
     return f"a picture of {found.size[0]} x {found.size[1]} pixels"
 
 

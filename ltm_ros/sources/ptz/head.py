@@ -50,8 +50,8 @@ def tolerance_of(config: PtzConfig) -> Tolerance:
         case VapixConfig():
             return Tolerance(config.tolerance_deg or 0.05, 1.0)
         case IsapiConfig():
-            usual = 0.15 if config.units == "tenths" else 0.05
-            return Tolerance(config.tolerance_deg or usual, 0.2)
+            usual, zoom = (0.15, 1.0) if config.units == "tenths" else (0.05, 0.1)
+            return Tolerance(config.tolerance_deg or usual, zoom)
         case OnvifConfig():
             return Tolerance(config.tolerance_deg or 0.05, 0.002)
         case ReolinkConfig():

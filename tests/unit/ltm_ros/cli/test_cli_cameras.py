@@ -287,7 +287,7 @@ def test_snapshot_writes_picture_pose_reading_and_trace(tmp_path: Path, head: Fa
     head.place = (95.0, -14.0, 1.0)
     head.send(head.place)
     with running(ptz_camera(head, lambda place: seen)) as camera:
-        write_head(small, camera)
+        write_head(small, camera, patrol={"presets": ["north"]})
         mount = load_site(small.path).camera("tower").mount
         assert mount is not None
         model = mount.model(small.dem, small.site.frame)
@@ -300,6 +300,7 @@ def test_snapshot_writes_picture_pose_reading_and_trace(tmp_path: Path, head: Fa
         with pytest.raises(ConfigError, match="exists already"):
             run("snapshot", small.path, "tower", "--out", out, "--name", "east")
     assert "pan 95.000, tilt -14.000" in said
+    assert not head.commands, "a patrol is for the graph: by hand nothing is driven"
     assert "of the pixels see terrain" in said
     assert read_readings(out / "readings.csv") == {"east.jpg": (95.0, -14.0, 1.0), "again.jpg": (95.0, -14.0, 1.0)}
     config = load_picture_config(out / "east.yaml")
