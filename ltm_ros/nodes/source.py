@@ -60,6 +60,7 @@ class Source(Handler[SourceNodeConfig]):
         )
         self._source.report()
         activity = HEARTBEAT.activity(f"source {config.camera}")
+        self._ended = False
         self._thread = SourceThread(config.camera, self._source, health, activity)
 
     def start(self) -> None:
@@ -69,9 +70,12 @@ class Source(Handler[SourceNodeConfig]):
         self._source.report()
 
     def finish(self) -> None:
+        self._ended = True
         self._thread.stop()
 
     def _publish(self, frame: Frame) -> None:
+        if self._ended:
+            return  # the node may be gone before a slow camera has answered
         stamp = frame.stamp_ns
         self.outlet.publish(CAMERA_INFO, camera_to_msg(frame.camera, stamp, self._frame_id))
         if frame.pose is not None:

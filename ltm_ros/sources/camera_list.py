@@ -38,11 +38,11 @@ class CameraListReader:
         stated = entry.get(self._config.time_key)
         if stated is not None and stated == self._given:
             return Nothing.UNCHANGED
-        before = self._reading(entry)
+        before = reading_of(entry, self._config)
         answer = self._client.get(self._image)
         check_begins_as_picture(answer)
         entry = self._listed()
-        after = self._reading(entry)
+        after = reading_of(entry, self._config)
         if entry.get(self._config.time_key) != stated:
             raise PictureError("the list has a newer picture than the one that was read; the next one will be taken")
         self._given = stated
@@ -53,7 +53,7 @@ class CameraListReader:
             arrived=answer.arrived,
             asked=answer.asked,
             oldest=self._config.oldest,
-            taken=_time(stated) or http_time(answer.headers, "Last-Modified"),
+            taken=time_of(stated) or http_time(answer.headers, "Last-Modified"),
             answered=http_time(answer.headers, "Date"),
         )
         return Picture(timing, jpeg=answer.body, direction=direction)
@@ -66,56 +66,58 @@ class CameraListReader:
         answer = self._client.get(self._config.url, self._tag)
         if answer.status == 304:
             return self._entry
-        try:
-            content = json.loads(answer.body)
-        except (ValueError, RecursionError):
-            raise SourceError("the list of cameras is no JSON") from None
-        self._entry = self._found(content)
+        self._entry = entry_of(answer.body, self._config)
         tag = answer.headers.get("etag")
         self._tag = {} if tag is None else {"If-None-Match": tag}
         return self._entry
 
-    def _found(self, content: Any) -> dict[str, Any]:
-        """Of a list, of a mapping that holds one (`cameras`, GeoJSON's `features`), or of a mapping by id."""
-        key, wanted = self._config.id_key, self._config.id
-        if isinstance(content, dict):
-            if isinstance(own := content.get(wanted), dict):
-                return own
-            content = next((value for value in content.values() if isinstance(value, list)), None)
-        if isinstance(content, list):
-            for item in content[:_MOST_ENTRIES]:
-                entry = item.get("properties", item) if isinstance(item, dict) else None
-                if isinstance(entry, dict) and str(entry.get(key)) == wanted:
-                    return entry
-        raise SourceError(f"the list of cameras has none whose {key} is {wanted!r}")
 
-    def _reading(self, entry: dict[str, Any]) -> Reading | None:
-        pan, tilt, zoom = (
-            _number(entry.get(key)) for key in (self._config.pan_key, self._config.tilt_key, self._config.zoom_key)
-        )
-        if pan is None or tilt is None:
-            return None
-        return Reading(pan, tilt, zoom if zoom is not None else 1.0, None, time.monotonic())
+def entry_of(body: bytes, config: CameraListConfig) -> dict[str, Any]:
+    """The camera's entry of a list, of a mapping that holds one (`cameras`, GeoJSON's `features`), or of a mapping by
+    id. Raises SourceError where there is none."""
+    try:
+        content = json.loads(body)
+    except (ValueError, RecursionError):
+        raise SourceError("the list of cameras is no JSON") from None
+    if isinstance(content, dict):
+        if isinstance(own := content.get(config.id), dict):
+            return own
+        content = next((value for value in content.values() if isinstance(value, list)), None)
+    if isinstance(content, list):
+        for item in content[:_MOST_ENTRIES]:
+            entry = item.get("properties", item) if isinstance(item, dict) else None
+            if isinstance(entry, dict) and str(entry.get(config.id_key)) == config.id:
+                return entry
+    raise SourceError(f"the list of cameras has none whose {config.id_key} is {config.id!r}")
+
+
+def reading_of(entry: dict[str, Any], config: CameraListConfig) -> Reading | None:
+    """Where the list says that the camera looks; None where it does not say."""
+    pan, tilt, zoom = (_number(entry.get(key)) for key in (config.pan_key, config.tilt_key, config.zoom_key))
+    if pan is None or tilt is None:
+        return None
+    return Reading(pan, tilt, zoom if zoom is not None else 1.0, None, time.monotonic())
+
+
+def time_of(value: Any) -> CameraTime | None:
+    """Epoch seconds or milliseconds, or ISO 8601, which without a zone is UTC; whole seconds unless a fraction is
+    stated."""
+    number = None if isinstance(value, bool) else _number(value)
+    if number is not None:
+        epoch = number / 1000 if number > _MILLISECONDS else number
+        return CameraTime(epoch, 0.001 if epoch % 1 else 1.0, "list") if 0 < epoch < _MILLISECONDS else None
+    try:
+        moment = datetime.fromisoformat(str(value))
+        if moment.tzinfo is None:
+            moment = moment.replace(tzinfo=UTC)
+        return CameraTime(moment.timestamp(), 0.001 if moment.microsecond else 1.0, "list")
+    except (ValueError, OverflowError):
+        return None
 
 
 def _number(value: Any) -> float | None:
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None
     return number if abs(number) < float("inf") else None
-
-
-def _time(value: Any) -> CameraTime | None:
-    """Whole seconds unless a fraction is stated; without a zone it is UTC."""
-    number = None if isinstance(value, bool) else _number(value)
-    if number is not None:
-        epoch = number / 1000 if number > _MILLISECONDS else number
-        return CameraTime(epoch, 0.001 if epoch % 1 else 1.0, "list")
-    try:
-        moment = datetime.fromisoformat(str(value))
-    except ValueError:
-        return None
-    if moment.tzinfo is None:
-        moment = moment.replace(tzinfo=UTC)
-    return CameraTime(moment.timestamp(), 0.001 if moment.microsecond else 1.0, "list")

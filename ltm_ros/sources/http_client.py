@@ -9,6 +9,8 @@ import time
 from collections.abc import Collection, Generator, Iterator, Mapping
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -71,7 +73,7 @@ class HttpClient:
         self._whole_s = WHOLE_FACTOR * settings.timeout
         self._client = httpx.Client(
             auth=self._auth(settings),
-            verify=_certificates(settings) if settings.url.startswith("https") else True,
+            verify=_certificates(settings),
             timeout=settings.timeout,
             # A camera that sends elsewhere would take the password there.
             follow_redirects=False,
@@ -189,9 +191,16 @@ def http_time(headers: Mapping[str, str], name: str) -> CameraTime | None:
 
 
 def _certificates(settings: HttpSettings) -> ssl.SSLContext:
+    """One for all connections that trust the same: to read the system's certificates takes longer than to connect."""
     try:
-        context = ssl.create_default_context(cafile=None if settings.ca is None else str(settings.ca))
+        changed = None if settings.ca is None else settings.ca.stat().st_mtime_ns
+        return _context(settings.ca, changed, settings.check_name)
     except (OSError, ssl.SSLError) as error:
         raise SourceError(f"ca {settings.ca} cannot be read: {error.strerror or error}") from None
-    context.check_hostname = settings.check_name
+
+
+@lru_cache(maxsize=64)
+def _context(ca: Path | None, changed: int | None, check_name: bool) -> ssl.SSLContext:
+    context = ssl.create_default_context(cafile=None if ca is None else str(ca))
+    context.check_hostname = check_name
     return context

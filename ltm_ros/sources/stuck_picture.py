@@ -17,7 +17,8 @@ SAME_BITS = 4
 
 
 class StuckPicture:
-    """Compares each picture with the one before, and after a turn with the one before the turn.
+    """Compares each picture with the first that looked as it does, from which the light of a living one soon departs,
+    and after a turn with the one before the turn.
 
     Args:
         after_s: for how long the same picture may come again.
@@ -25,7 +26,7 @@ class StuckPicture:
 
     def __init__(self, after_s: float) -> None:
         self._after_s = after_s
-        self._last: UInt8Array | None = None
+        self._first: UInt8Array | None = None
         self._same_since: float | None = None
         self._turned_from: tuple[int, Reading] | None = None
         self._turns_unseen = 0
@@ -33,9 +34,8 @@ class StuckPicture:
     def look(self, thumbnail: UInt8Array, direction: Reading | None, now: float) -> None:
         """Take a picture, of a head at rest in `direction` where it has one."""
         telling = contrast(thumbnail) >= LEAST_CONTRAST
-        if self._last is None or not telling or same_share(self._last, thumbnail) < SAME_SHARE:
-            self._same_since = now
-        self._last = thumbnail
+        if self._first is None or not telling or same_share(self._first, thumbnail) < SAME_SHARE:
+            self._first, self._same_since = thumbnail, now
         if direction is not None and telling:
             self._compare_turn(difference_hash(thumbnail), direction)
 

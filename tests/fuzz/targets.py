@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fuzz.array_files import ARRAY_FILES
 from fuzz.bag_files import BAG_FILES
+from fuzz.camera_answers import CAMERA_ANSWERS
 from fuzz.capture_files import CAPTURE_FILES
 from fuzz.head_answers import HEAD_ANSWERS
 from fuzz.messages import MESSAGES
@@ -16,6 +17,7 @@ from fuzz.text_files import TEXT_FILES
 
 TARGETS: tuple[Target, ...] = (
     *(*TEXT_FILES, *PHOTO_FILES, *CAPTURE_FILES, *RASTER_FILES, *STORE_FILES, *BAG_FILES, *ARRAY_FILES),
+    *CAMERA_ANSWERS,
     *HEAD_ANSWERS,
     *MESSAGES,
 )
