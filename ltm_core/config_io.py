@@ -9,6 +9,7 @@ from typing import TypeVar
 from pydantic import BaseModel, ValidationError
 
 from ltm_core.errors import ConfigError
+from ltm_core.redaction import shown
 from ltm_core.yaml_io import line_of, read_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -50,5 +51,5 @@ def checked(
             elif item["type"] == "missing":
                 lines.append(f"  {key}: missing")
             else:
-                lines.append(f"  {key}: {item['msg']} (got {item['input']!r:.80}{at})")
+                lines.append(f"  {key}: {item['msg']} (got {shown(item['input'], item['loc'])}{at})")
         raise ConfigError("\n".join([f"{place}:", *lines])) from error

@@ -18,9 +18,12 @@ from ltm_core.fuel.rules import FusionRules
 from ltm_core.geodesy import SiteFrame, ray_bend
 from ltm_core.grid import GridGeometry
 from ltm_core.locating.settings import LocatingConfig
+from ltm_core.pose_estimation.mount_config import MountConfig
+from ltm_core.ptz_config import PtzConfig
 from ltm_core.raster.dem_stack import open_terrain, with_surface
 from ltm_core.raster.shared_rasters import shared
 from ltm_core.sensor_pose import SensorsConfig
+from ltm_core.source_config import NetworkSettings, SnapshotConfig, SourceConfig
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.types import Float64Array
 from ltm_core.vision.label_head import SHIPPED_HEAD
@@ -213,13 +216,49 @@ class CameraConfig(Config):
     head: str = SHIPPED_HEAD
     """Head of the segmentation network for what this camera sees: `landscape` is the network's own, others are taught
     (`ltm train head`); a name, or a path from the site's folder of heads."""
+    mount: MountConfig | None = None
+    """Of a pan-tilt-zoom head: what makes poses, and where it zooms calibrations, of what its encoders say."""
+    ptz: PtzConfig | None = None
+    """How the head is asked where it looks, and which presets it is driven to; needs `mount`."""
+    source: SourceConfig | None = None
+    """Where given, the node `source` asks the camera for its pictures and publishes them; None: a driver does."""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:
-        if self.pose is not None and self.sensors is not None:
+        given = [name for name in ("pose", "sensors", "mount") if getattr(self, name) is not None]
+        if len(given) > 1:
             raise ValueError(
-                "give either pose or sensors, not both: a camera is fixed, or its sensors tell where it is"
+                f"give either {' or '.join(given)}, not both: a camera is fixed (pose), turns on a head (mount), or "
+                "its sensors tell where it is (sensors)"
             )
+        if self.mount is not None and self.mount.lens is not None and self.calibration is not None:
+            raise ValueError("give either calibration or mount.lens, not both: the lens zooms, or it does not")
+        return self
+
+    @model_validator(mode="after")
+    def _ptz_needs(self) -> Self:
+        if self.ptz is None:
+            return self
+        if self.mount is None:
+            raise ValueError("ptz needs mount: what makes a pose of what the head says")
+        if self.source is None:
+            raise ValueError("ptz needs source: a head is asked where it looks before and after each picture")
+        if self.ptz.patrol is not None and not isinstance(self.source, SnapshotConfig):
+            raise ValueError(
+                f"a patrol needs a source of kind snapshot, which is asked at each preset, not {self.source.kind}"
+            )
+        if self.ptz.url is None and not isinstance(self.source, NetworkSettings):
+            raise ValueError(f"a source of kind {self.source.kind} has no address: write that of the head as ptz.url")
+        return self
+
+    @model_validator(mode="after")
+    def _source_needs(self) -> Self:
+        if self.source is None:
+            return self
+        if self.calibration is None and (self.mount is None or self.mount.lens is None):
+            raise ValueError("a camera with a source needs its calibration here: width, height and hfov_deg or fx")
+        if self.image == "raw" and self.source.kind != "rtsp":
+            raise ValueError(f"a source of kind {self.source.kind} publishes the camera's JPEGs: leave image out")
         return self
 
 

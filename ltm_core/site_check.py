@@ -23,6 +23,7 @@ from ltm_core.fuel.prior_io import load_prior, prior_heights
 from ltm_core.fuel.site_map import site_label_errors
 from ltm_core.grid import GridGeometry
 from ltm_core.plausibility import TALLEST_MAST, doubt_of_dem, doubt_of_height, doubt_of_heights, doubt_of_radians
+from ltm_core.pose_estimation.mount_config import MountConfig
 from ltm_core.resources import config_path
 from ltm_core.site import CameraConfig, Site
 from ltm_core.site_io import load_site
@@ -175,6 +176,9 @@ def _camera(config: CameraConfig, name: str, site: Site, dem: Dem, views: list[P
     except LtmError as error:
         yield Finding.of("cameras", name, error)
         return
+    if config.mount is not None:
+        yield _head(config.mount, name, site, dem)
+        return
     topics = [what for what, part in (("calibration", camera), ("pose", pose)) if part is None]
     if pose is None or config.pose is None:
         yield Finding("cameras", name, Verdict.OK, f"{' and '.join(topics)} come as topics")
@@ -221,6 +225,29 @@ def _mask(site: Site, name: str) -> Iterator[Finding]:
     if mask.share > _MUCH_MASKED:
         found = f"{found}: little is left to see; masked is what is not 0 in a PNG: is it inverted?"
     yield Finding("cameras", called, Verdict.DOUBTFUL if mask.share > _MUCH_MASKED else Verdict.OK, found)
+
+
+def _head(mount: MountConfig, name: str, site: Site, dem: Dem) -> Finding:
+    """Of a camera on a pan-tilt-zoom head."""
+    try:
+        model = mount.model(dem, site.frame)
+        lens = mount.lens
+        if lens is not None and lens.width * lens.height > site.limits.pixels:
+            raise PoseError(
+                f"lens of {lens.width} x {lens.height} pixels, at most {site.limits.pixels} are taken: raise pixels "
+                "under `limits`"
+            )
+    except LtmError as error:
+        return Finding.of("cameras", name, error)
+    above = float(model.base.position[2]) - float(dem.elevation_at(*model.base.position[:2]))
+    worst = max(model.direction_sigma_deg(pan) for pan in range(0, 360, 30))
+    if not mount.calibrated:
+        doubt = (
+            f"its mount is not calibrated: directions are open by {worst:.1f} deg; `ltm pose --site SITE --camera "
+            f"{name}` calibrates it (docs/cameras.md)"
+        )
+        return Finding.of("cameras", name, doubt, Verdict.DOUBTFUL)
+    return Finding("cameras", name, Verdict.OK, f"head {above:.1f} m above the ground, directions to {worst:.2f} deg")
 
 
 def check_views(views: Sequence[PosedCamera], dem: Dem) -> Iterator[Finding]:

@@ -6,7 +6,9 @@ from pathlib import Path
 
 from ltm_core.config_io import load_yaml
 from ltm_core.errors import ConfigError
+from ltm_core.ptz_config import PtzSettings
 from ltm_core.site import CameraConfig, DemConfig, Site
+from ltm_core.source_config import FolderConfig, HttpSettings, NetworkSettings
 
 
 def load_site(path: Path | str) -> Site:
@@ -23,12 +25,13 @@ def load_site(path: Path | str) -> Site:
         "surface": None if site.surface is None else beside_the_file(site.surface),
         "heads": None if site.heads is None else path.parent / site.heads,
     }
-    if any(isinstance(camera.mask, Path) for camera in site.cameras.values()):
-        changes["cameras"] = {name: _with_mask(name, camera, path) for name, camera in site.cameras.items()}
     for name in ("model", "depth_model"):
         beside = path.parent / getattr(site, name)
         if beside.suffix == ".yaml" and beside.is_file():
             changes[name] = str(beside)
+    changes["cameras"] = {
+        name: _source_beside(_with_mask(name, camera, path), path.parent) for name, camera in site.cameras.items()
+    }
     fuel: dict[str, object] = {}
     if site.fuel.prior is not None:
         fuel["prior"] = site.fuel.prior.below(path.parent)
@@ -53,3 +56,19 @@ def _with_mask(name: str, camera: CameraConfig, site: Path) -> CameraConfig:
     if not inside:
         raise ConfigError(f"{place}: {camera.mask} leads out of the site's folder; copy the mask into {site.parent}")
     return camera.model_copy(update={"mask": file})
+
+
+def _source_beside(camera: CameraConfig, folder: Path) -> CameraConfig:
+    """With the paths of its source and of its head below the site file's folder."""
+    found: dict[str, object] = {}
+    for name, section in (("source", camera.source), ("ptz", camera.ptz)):
+        changes: dict[str, object] = {}
+        if isinstance(section, FolderConfig):
+            changes["path"] = folder / section.path
+        if isinstance(section, HttpSettings | PtzSettings) and section.ca is not None:
+            changes["ca"] = folder / section.ca
+        if isinstance(section, NetworkSettings | PtzSettings) and section.password and section.password.file:
+            changes["password"] = section.password.model_copy(update={"file": folder / section.password.file})
+        if section is not None and changes:
+            found[name] = section.model_copy(update=changes)
+    return camera.model_copy(update=found) if found else camera

@@ -103,6 +103,13 @@ def parse_yaml(text: str, place: str) -> Any:
         raise ConfigError(f"{place}: not YAML ({error or type(error).__name__})") from error
 
 
+def compose_yaml(text: str, place: str) -> yaml.Node | None:
+    """The nodes of a YAML text, which say where each value stands. Raises ConfigError as `parse_yaml` does."""
+    parse_yaml(text, place)
+    node: yaml.Node | None = _BoundedLoader(text).get_single_node()
+    return node
+
+
 def line_of(path: Path, keys: Sequence[int | str]) -> int | None:
     """The line on which a key stands in a YAML file that `read_yaml` has read; sections that the file does not have are
     stepped over. None where it stands nowhere.

@@ -194,6 +194,19 @@ def compressed_size(msg: Any) -> tuple[int, int]:
     return _checked_size(bytes(memoryview(msg.data)), _named(msg))[0]
 
 
+def image_format(data: bytes) -> str:
+    """`jpeg` or `png`, told by the first bytes. Raises ImageError."""
+    found = _format_of(data)
+    if found is None:
+        raise ImageError(f"{len(data)} bytes beginning {data[:8].hex(' ') or 'with nothing'} are neither jpeg nor png")
+    return found
+
+
+def picture_size(data: bytes, what: str = "picture") -> tuple[int, int]:
+    """As `compressed_size`, of JPEG or PNG bytes."""
+    return _checked_size(data, what)[0]
+
+
 def decode_rgb(data: bytes, what: str = "image") -> UInt8Array:
     """JPEG or PNG bytes as (H, W, 3) uint8 RGB; `what` names the image in errors. See `compressed_to_rgb`."""
     (width, height), found = _checked_size(data, what)

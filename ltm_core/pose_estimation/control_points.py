@@ -1,4 +1,4 @@
-"""Ground control points: surveyed map positions with their marked pixels in an image."""
+"""Ground control points: surveyed map positions with their marked pixels in an image, or in those of a head."""
 
 from __future__ import annotations
 
@@ -44,3 +44,27 @@ class ControlPoints:
         places.flags.writeable = pixels.flags.writeable = False
         object.__setattr__(self, "places", places)
         object.__setattr__(self, "pixels", pixels)
+
+
+@dataclass(frozen=True, eq=False)
+class HeadPoints:
+    """Landmarks in pictures of a head. `names`: (N,); `places`: (N, 3) map metres; `pixels`: (N, 2), (0, 0) the centre
+    of the top-left pixel; `readings`: (N, 3) pan (deg), tilt (deg) and zoom of each one's picture."""
+
+    names: tuple[str, ...]
+    places: Float64Array
+    pixels: Float64Array
+    readings: Float64Array
+
+    def __post_init__(self) -> None:
+        count = len(self.names)
+        shapes = {"places": (count, 3), "pixels": (count, 2), "readings": (count, 3)}
+        for what, shape in shapes.items():
+            values = np.array(getattr(self, what), np.float64)
+            if values.shape != shape:
+                raise PoseError(f"{count} landmarks need {what} {shape}, got {values.shape}")
+            if not np.isfinite(values).all():
+                bad = np.array(self.names)[~np.isfinite(values).all(axis=1)]
+                raise PoseError(f"landmarks without finite {what}: {', '.join(bad)}")
+            values.flags.writeable = False
+            object.__setattr__(self, what, values)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from ltm_core.text_io import LARGEST_TABLE, read_text
 from ltm_core.tracing.trace_io import near_frame
 from ltm_core.types import Float64Array
 
-_COLUMNS = {
+_COLUMNS: dict[str, Sequence[str]] = {
     "name": ("id", "name", "point"),
     "x": ("x", "x_e", "e", "east", "easting"),
     "y": ("y", "y_n", "n", "north", "northing"),
@@ -78,12 +78,21 @@ def read_control_points(path: Path | str, frame: SiteFrame, first_pixel: float =
     file: 0 here and in OpenCV, 1 in Matlab, 0.5 where pixels are counted by their corners. Raises PoseError naming
     file, line and column.
     """
+    names, values = read_point_rows(path, frame, first_pixel)
+    return ControlPoints(names, values[:, :3], values[:, 3:5])
+
+
+def read_point_rows(
+    path: Path | str, frame: SiteFrame, first_pixel: float = 0.0, further: Mapping[str, Sequence[str]] = {}
+) -> tuple[tuple[str, ...], Float64Array]:
+    """Names (N,) and rows (N, 5 + F) of a CSV as above: map x, y, z, pixel u, v, then the columns `further`, each by
+    the names that it may have. Raises PoseError as `read_control_points` does."""
     path = Path(path)
     lines = io.StringIO(read_text(path, LARGEST_TABLE, PoseError, "utf-8-sig"), newline="")
     try:
         reader = csv.DictReader(lines)
-        columns = _columns(reader.fieldnames or [], path)
-        rows = [_numbers(row, columns, f"{path}, line {reader.line_num}") for row in reader]
+        columns = _columns(reader.fieldnames or [], path, {**_COLUMNS, **further})
+        rows = [_numbers(row, columns, f"{path}, line {reader.line_num}", further) for row in reader]
     except csv.Error as error:
         raise PoseError(f"{path}: not a CSV file ({error})") from error
     if not rows:
@@ -94,13 +103,13 @@ def read_control_points(path: Path | str, frame: SiteFrame, first_pixel: float =
         x, y = frame.from_lonlat(x, y)
     else:
         x, y = x - frame.x_origin, y - frame.y_origin
-    return ControlPoints(names, np.column_stack([x, y, values[:, 2]]), values[:, 3:] - first_pixel)
+    return names, np.column_stack([x, y, values[:, 2], values[:, 3:5] - first_pixel, values[:, 5:]])
 
 
-def _columns(header: Sequence[str], path: Path) -> dict[str, str]:
-    """The file's column for each of name, x, y, z, u, v; name may be missing."""
+def _columns(header: Sequence[str], path: Path, names_of: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """The file's column for each key of `names_of`; name may be missing."""
     given = {name.strip().lower(): name for name in header}
-    wanted = dict(_COLUMNS)
+    wanted = dict(names_of)
     if {"lon", "lat"} <= given.keys() or {"longitude", "latitude"} <= given.keys():
         wanted |= {"x": ("lon", "longitude"), "y": ("lat", "latitude")}
     found: dict[str, str] = {}
@@ -111,15 +120,17 @@ def _columns(header: Sequence[str], path: Path) -> dict[str, str]:
         elif key != "name":
             raise PoseError(
                 f"{path}: no column {key!r} (or {', '.join(names[1:])}) in {', '.join(header) or 'an empty header'}; "
-                "control points need id, x, y, z, u, v"
+                f"control points need {', '.join(('id', *(key for key in names_of if key != 'name')))}"
             )
     return found
 
 
-def _numbers(row: dict[str, str], columns: dict[str, str], place: str) -> tuple[str, list[float]]:
+def _numbers(
+    row: dict[str, str], columns: dict[str, str], place: str, further: Mapping[str, Sequence[str]]
+) -> tuple[str, list[float]]:
     name = (row[columns["name"]] or "").strip() if "name" in columns else place.rpartition(" ")[2]
     values = []
-    for key in ("x", "y", "z", "u", "v"):
+    for key in ("x", "y", "z", "u", "v", *further):
         text = row[columns[key]]
         try:
             values.append(float(text))

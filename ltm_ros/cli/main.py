@@ -10,6 +10,7 @@ import typer
 
 from ltm_core.errors import LtmError
 from ltm_ros.cli.bench import bench
+from ltm_ros.cli.cameras import cameras
 from ltm_ros.cli.check import check
 from ltm_ros.cli.demo import demo
 from ltm_ros.cli.doctor import doctor
@@ -40,6 +41,7 @@ cli.command()(demo)
 cli.command()(check)
 cli.command()(run)
 cli.command()(replay)
+cli.add_typer(cameras, name="cameras")
 cli.command()(record)
 cli.command(name="import")(import_)
 cli.command()(trace)

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 def pose(
     out: Annotated[
-        Path,
+        Path | None,
         typer.Option("--out", "-o", help="Pose file to write; `ltm trace --pose` reads it. With --poses a folder."),
-    ],
+    ] = None,
     pose_guess: Annotated[
         Path | None, typer.Option(help="Pose file of what is known: position, camera; angles if they are.")
     ] = None,
@@ -40,6 +40,14 @@ def pose(
     mount: Annotated[
         bool, typer.Option("--mount", help="With --poses: one head's presets, or one camera's days: one correction.")
     ] = False,
+    site: Annotated[
+        Path | None,
+        typer.Option(help="With --camera: calibrate the mount of a pan-tilt-zoom head; writes it into this site file."),
+    ] = None,
+    camera: Annotated[str, typer.Option(help="With --site: the camera on that head.")] = "",
+    readings: Annotated[
+        Path | None, typer.Option(help="With --site and --photo: CSV of name, pan_deg, tilt_deg, zoom of each photo.")
+    ] = None,
     labels: Annotated[
         Path | None, typer.Option(help="With --photo: PNG of class ids instead of the segmentation network's.")
     ] = None,
@@ -71,13 +79,23 @@ def pose(
 ) -> None:
     """Find a camera's pose: in its photo, by the terrain's skyline and ridges, or from surveyed points marked in it.
 
-    With both, the points' pose is where the search in the photo starts.
+    With both, the points' pose is where the search in the photo starts. With --site and --camera, the mount of a
+    pan-tilt-zoom head, from points or photos of several presets.
     """
     from ltm_core.errors import ConfigError
     from ltm_core.output_io import require_files, require_folder
 
     if photo is None and gcps is None:
         raise ConfigError("give --photo (a skyline in the picture), --gcps (surveyed points), or both")
+    if site is not None or camera:
+        if site is None or not camera:
+            raise ConfigError("give --site and --camera together: which head of which site")
+        _mount(
+            site, camera, photo, readings, gcps, first_pixel, free or "focal", sigma_px, model, canopy, out, overwrite
+        )
+        return
+    if out is None:
+        raise ConfigError("give --out, the pose file to write")
     if poses is not None:
         require_folder(out)
         require_files([] if report is None else [report], overwrite)
@@ -99,6 +117,45 @@ def pose(
     _photos(
         photo, pose_guess, poses, dem, crs, labels, mask, model, free or "none", canopy, mount, out, picture, report
     )
+
+
+def _mount(
+    site: Path,
+    camera: str,
+    photo: Path | None,
+    readings: Path | None,
+    gcps: Path | None,
+    first_pixel: float,
+    free: str,
+    sigma_px: float,
+    model: str,
+    canopy: bool,
+    out: Path | None,
+    overwrite: bool,
+) -> None:
+    from ltm_core.errors import ConfigError
+    from ltm_core.output_io import require_files
+    from ltm_ros.cli.pose_mount import calibrate_from_photos, calibrate_from_points, head_of, write_mount
+
+    if photo is not None and gcps is not None:
+        raise ConfigError("give either --photo or --gcps for the mount of a head, not both")
+    unknown = set(_names(free)) - {"focal", "position"}
+    if unknown:
+        raise ConfigError(f"--free {free}: of a head, focal (the lens at each zoom) and position can be fitted")
+    head = head_of(site, camera)
+    if out is not None:
+        require_files([out], overwrite)
+    elif head.config.calibrated and not overwrite:
+        raise ConfigError(
+            f"{site}: the mount of {camera} is calibrated already; write over it with --overwrite, or name --out"
+        )
+    if gcps is not None:
+        found, lens = calibrate_from_points(head, gcps, first_pixel, set(_names(free)), sigma_px)
+    elif readings is None or photo is None:
+        raise ConfigError("--photo with --site needs --readings, a CSV of what the encoders said of each photo")
+    else:
+        found, lens = calibrate_from_photos(head, photo, readings, model, canopy)
+    write_mount(head, found, lens, site, camera, out)
 
 
 def _photos(

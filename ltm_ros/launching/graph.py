@@ -20,6 +20,8 @@ PACKAGE = "ltm"
 NODES_MODULE = "ltm_ros.nodes"
 CAMERAS_MODULE = f"{NODES_MODULE}.cameras"
 
+SOURCE_NODES = ("source",)
+"""Node types that a camera has besides where its site file has a section `source` for it, outside a replay."""
 CAMERA_NODES = ("capture", "depth", "segmentation", "fuel_votes")
 """Node types that every camera has one of, in `/<site>/<camera>`."""
 FUSION_NODES = ("topodepth",)
@@ -34,10 +36,22 @@ LOCATING_NODES = ("locate",)
 """Node types that a site has one of where its file has a section `locating`."""
 OPTIONAL_NODES = ("viewer", "recorder")
 """Site-level node types that run on request; the graph works without them."""
-NODE_TYPES = CAMERA_NODES + FUSION_NODES + POSE_NODES + SITE_NODES + TERRAIN_NODES + LOCATING_NODES + OPTIONAL_NODES
+NODE_TYPES = (
+    *SOURCE_NODES,
+    *CAMERA_NODES,
+    *FUSION_NODES,
+    *POSE_NODES,
+    *SITE_NODES,
+    *TERRAIN_NODES,
+    *LOCATING_NODES,
+    *OPTIONAL_NODES,
+)
 
 CAMERAS_PROCESS = "cameras"
 """Label of the process in which the nodes of all cameras live, where a site has one for them."""
+SOURCES_PROCESS = "sources"
+"""Label of the process in which all cameras are asked for their pictures, where a site has one for its cameras: what a
+camera sends, and the libraries that read it, shall not touch the work on frames."""
 BUSY_NODES = ("depth", "segmentation", "topodepth")
 """Node types that compute on several threads; the others get one."""
 OWN_PARAMETERS = ("site", "camera", "use_sim_time")
@@ -163,12 +177,16 @@ def describe(
     view: Mapping[str, ParameterValue] | None = None,
     record: Mapping[str, ParameterValue] | None = None,
     parameters: Mapping[str, Mapping[str, ParameterValue]] | None = None,
+    sources: bool | None = None,
 ) -> Graph:
     """The graph of `site`, which was read from `path`.
 
     `cameras`: only these (empty: all). `view`, `record`: also run the viewer, the recorder, with these parameters.
     `parameters`: by node type, over those of the site file. Raises ConfigError for an unknown camera or node type, a
     parameter that the graph itself gives, and a value that ROS has no parameter type for.
+
+    `sources`: whether cameras are asked for their pictures; None: unless there is `sim_time`, for a recording brings
+    its own.
 
     With `sim_time` no camera's frames are shed unless a parameter says so: a recording waits, and shall come through
     whole.
@@ -190,8 +208,15 @@ def describe(
             parameters=common | dict(own) | given.get(kind, {}),
             required=kind not in OPTIONAL_NODES,
             busy=kind in BUSY_NODES,
-            process=CAMERAS_PROCESS if together and kind in CAMERA_NODES + FUSION_NODES + POSE_NODES else "",
+            process=process_of(kind),
         )
+
+    def process_of(kind: str) -> str:
+        if not together:
+            return ""
+        if kind in SOURCE_NODES:
+            return SOURCES_PROCESS
+        return CAMERAS_PROCESS if kind in CAMERA_NODES + FUSION_NODES + POSE_NODES else ""
 
     chosen = list(cameras) or list(site.cameras)
     for camera in chosen:
@@ -202,6 +227,9 @@ def describe(
     kinds = CAMERA_NODES + (FUSION_NODES if site.depth_model else ())
     kinds += POSE_NODES if site.refine_poses is not None else ()
     nodes += [spec(kind, f"/{site.name}/{camera}", {"camera": camera}) for camera in chosen for kind in kinds]
+    if not sim_time if sources is None else sources:
+        asked = [camera for camera in chosen if site.camera(camera).source is not None]
+        nodes += [spec(kind, f"/{site.name}/{camera}", {"camera": camera}) for camera in asked for kind in SOURCE_NODES]
     if view is not None:
         nodes.append(spec("viewer", f"/{site.name}", {}))
     if record is not None:

@@ -23,6 +23,7 @@ from ltm_core.site_io import load_site
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import ParameterValue, describe
 from ltm_ros.launching.supervisor import EX_CONFIG
+from ltm_ros.sources.readiness import doubts_of
 
 LEAST_SPACE = 200 << 20
 """Bytes without which nothing can be kept."""
@@ -50,6 +51,7 @@ def examine(path: Path, wanted: Wanted) -> SiteCheck:
     if check.site is not None:
         check.findings += _nodes(check.site, path, wanted)
         check.findings += _places(check.site, path, wanted)
+        check.findings += _sources(check.site, wanted)
     return check
 
 
@@ -152,6 +154,19 @@ def _places(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
             port = given.get(name, usual)
             if isinstance(port, int) and port:
                 yield _port(name, port)
+
+
+def _sources(site: Site, wanted: Wanted) -> Iterator[Finding]:
+    """Cameras are asked without an end, so nothing that they lack now keeps a graph from starting."""
+    for name in wanted.cameras or site.cameras:
+        source = site.cameras[name].source
+        if source is None:
+            continue
+        doubts = list(doubts_of(source))
+        for doubt in doubts:
+            yield Finding(MACHINE, f"source of {name}", Verdict.DOUBTFUL, doubt)
+        if not doubts:
+            yield Finding("cameras", f"source of {name}", Verdict.OK, source.kind)
 
 
 def _folder(what: str, folder: Path) -> Finding:

@@ -55,6 +55,7 @@ def graph_of(site_path: Path, options: ReplayOptions, sim_time: bool) -> Graph:
         view=None if options.rrd is None else {"save": str(options.rrd.resolve())},
         record=None if options.record is None or not sim_time else {"bag": str(options.record.resolve())},
         parameters={"fuel_map": fuel_map, "terrain": terrain},
+        sources=False,
     )
 
 

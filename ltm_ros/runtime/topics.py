@@ -17,6 +17,9 @@ FIX = Topic("fix", NavSatFix, counted=False)
 IMU = Topic("imu", Imu, depth=100, counted=False)  # some phones send two hundred a second
 """What tells a camera's pose where its site file says so (`sensors`)."""
 
+SOURCE_INFO = Topic("source/info", String, latched=True)
+"""How sure the stamp of the frame that carries it is, what told it, and whether this computer's clock was right."""
+
 POSED_IMAGE = Topic("posed/image", Image)
 POSED_CAMERA_INFO = Topic("posed/camera_info", CameraInfo)
 POSED_POSE = Topic("posed/pose", PoseWithCovarianceStamped)
@@ -84,6 +87,7 @@ RECORDED = (
         *(
             *CAMERA_INPUTS,
             *CAMERA_TRUTH,
+            SOURCE_INFO,
             POSED_POSE,
             POSE_CORRECTION,
             POSE_INFO,

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from fuzz.array_files import ARRAY_FILES
 from fuzz.bag_files import BAG_FILES
+from fuzz.camera_answers import CAMERA_ANSWERS
 from fuzz.capture_files import CAPTURE_FILES
+from fuzz.head_answers import HEAD_ANSWERS
 from fuzz.messages import MESSAGES
 from fuzz.photo_files import PHOTO_FILES
 from fuzz.raster_files import RASTER_FILES
@@ -15,6 +17,8 @@ from fuzz.text_files import TEXT_FILES
 
 TARGETS: tuple[Target, ...] = (
     *(*TEXT_FILES, *PHOTO_FILES, *CAPTURE_FILES, *RASTER_FILES, *STORE_FILES, *BAG_FILES, *ARRAY_FILES),
+    *CAMERA_ANSWERS,
+    *HEAD_ANSWERS,
     *MESSAGES,
 )
 

@@ -26,6 +26,8 @@ from ltm_core.fuel.codes import FuelModels, FuelRegion
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.geodesy import SiteFrame
 from ltm_core.grid import GridGeometry
+from ltm_core.pose_estimation.mount_config import MountConfig
+from ltm_core.pose_estimation.mount_io import read_head_points, read_readings
 from ltm_core.pose_estimation.pose_file_io import GuessConfig
 from ltm_core.pose_estimation.resection_io import read_control_points, set_up_resection
 from ltm_core.resources import config_path
@@ -104,6 +106,25 @@ camera: {width: 64, height: 48, fx: 70.0, fy: 70.0, cx: 31.5, cy: 23.5, distorti
 _ABOVE = _PICTURE.replace("height_above_ground: 12.5", "crs: EPSG:4326").replace(
     "[480300.0, 4150300.0]", "[-117.2, 37.5, 900.0]"
 )
+
+_MOUNT = """
+x: 480300.0
+y: 4150300.0
+height_above_ground: 12.5
+azimuth_deg: 31.0
+tilt_zero_deg: 0.3
+covariance_deg2: [[0.01, 0, 0, 0], [0, 0.02, 0.001, 0], [0, 0.001, 0.03, 0], [0, 0, 0, 0.04]]
+lens: {width: 64, height: 48, zoom: [{zoom: 1, hfov_deg: 60, k1: -0.1}, {zoom: 9, hfov_deg: 20}]}
+"""
+
+
+def _read_mount(path: Path) -> None:
+    config = load_yaml(path, MountConfig)
+    frame = SiteFrame("EPSG:26911", 480_000.0, 4_150_000.0)
+    config.model(_dem().in_frame(frame), frame).pose(20.0, -3.0)
+    if config.lens is not None:
+        config.lens.lens().camera(config.lens.zoom[0].zoom)
+
 
 _METADATA_FILE = "recording/metadata.yaml"
 
@@ -222,6 +243,21 @@ TEXT_FILES = (
         _draw_polygons,
         "polygons.json",
     ),
+    _yaml(
+        "head_points",
+        _texts(
+            "id,x,y,z,u,v,pan_deg,tilt_deg,zoom\na,480100,4150100,900,10.5,20,5,-2,1\nb,480200,4150100,910,40,20,95,1,34\n"
+        ),
+        lambda path: read_head_points(path, SiteFrame("EPSG:26911", 480_000.0, 4_150_000.0)),
+        "points.csv",
+    ),
+    _yaml(
+        "readings",
+        _texts("name,pan_deg,tilt_deg,zoom\na.jpg,5.25,-2,1\nb.jpg,95,1,34\n"),
+        read_readings,
+        "readings.csv",
+    ),
+    _yaml("mount", _texts(_MOUNT), _read_mount, "mount.yaml"),
     _yaml("bag_metadata", _metadata, lambda path: BagReader(path.parent).topic_infos(), _METADATA_FILE),
     _yaml("simulated_index", _frames, lambda path: _whole(read_truth_frames(path.parent)), "frames.json"),
 )  # fmt: skip

@@ -268,7 +268,7 @@ def test_yaml_keys_exist(page: Path) -> None:
 
 CAPABILITIES = (
     "tracing", "pose", "depth", "fuel_map", "terrain", "locating", "exports", "recordings", "viewer", "simulator",
-    "evaluation",
+    "evaluation", "cameras",
 )  # fmt: skip
 
 

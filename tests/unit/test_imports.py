@@ -26,13 +26,14 @@ DOOR = "ltm_ros.cli"
 TOWER = {
     "numpy", "numba", "llvmlite", "scipy", "cv2", "onnxruntime", "rasterio", "pyproj", "pygeomag", "mgrs", "PIL",
     "pillow_heif", "pydantic", "pydantic_core", "yaml", "typer", "rich", "mcap", "zstandard", "lz4", "packaging",
+    "httpx",
 }  # fmt: skip
 """Packages of others that runtime may import: those that `pip install ltm` brings."""
 ON_DEMAND = {
     "rerun": "the viewer",
     "laspy": "LAS export",
     "rosbags": "message definitions where no ROS is installed",
-    "av": "videos for `ltm import`",
+    "av": "videos for `ltm import`, RTSP streams",
 }
 
 

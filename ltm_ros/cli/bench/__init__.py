@@ -15,6 +15,7 @@ from ltm_ros.cli.bench.network import network
 from ltm_ros.cli.bench.render import render
 from ltm_ros.cli.bench.runs import print_conditions
 from ltm_ros.cli.bench.segmentation import segmentation
+from ltm_ros.cli.bench.sources import sources
 from ltm_ros.cli.bench.terrain import terrain
 from ltm_ros.cli.bench.votes import votes
 from ltm_ros.cli.output import JsonFile
@@ -30,6 +31,7 @@ bench.command()(network)
 bench.command()(fusion)
 bench.command()(render)
 bench.command()(segmentation)
+bench.command()(sources)
 bench.command()(terrain)
 bench.command()(votes)
 

@@ -16,6 +16,7 @@ from ltm_ros.cli.eval.fuel import fuel
 from ltm_ros.cli.eval.gallery import gallery
 from ltm_ros.cli.eval.locate import locate
 from ltm_ros.cli.eval.mask import mask
+from ltm_ros.cli.eval.mount import mount
 from ltm_ros.cli.eval.pose import pose
 from ltm_ros.cli.eval.recorded_poses import recorded_poses
 from ltm_ros.cli.eval.relative_depth import relative_depth
@@ -44,6 +45,7 @@ evaluate.command()(fuel)
 evaluate.command()(gallery)
 evaluate.command()(mask)
 evaluate.command()(pose)
+evaluate.command()(mount)
 evaluate.command()(recorded_poses)
 evaluate.command()(locate)
 evaluate.command()(relative_depth)

@@ -91,3 +91,23 @@ def test_views_of_a_recording(z: float, x: float, verdict: Verdict, part: str) -
     (finding,) = check_views(views, dem)
     assert (finding.name, finding.verdict) == ("tower", verdict)
     assert part in finding.said
+
+
+HEAD = {"x": 347_000.0, "y": 3_783_500.0, "height_above_ground": 20.0, "azimuth_deg": 30.0}
+
+
+def test_a_head_is_doubted_until_it_is_calibrated(tmp_path: Path) -> None:
+    ((name, message),) = said(checked(tmp_path, 890.0, cameras={"north": {"mount": HEAD}}), Verdict.DOUBTFUL)
+    assert name == "north"
+    assert "not calibrated: directions are open by 1." in message
+    known = HEAD | {"covariance_deg2": (np.eye(4) * 0.02**2).tolist()}
+    check = checked(tmp_path, 890.0, cameras={"north": {"mount": known}})
+    assert not said(check, Verdict.DOUBTFUL)
+    assert ("north", "head 20.0 m above the ground, directions to 0.03 deg") in said(check, Verdict.OK)
+
+
+def test_a_head_under_the_ground_is_wrong(tmp_path: Path) -> None:
+    below = {key: value for key, value in HEAD.items() if key != "height_above_ground"} | {"z": 5.0}
+    ((name, message),) = said(checked(tmp_path, 890.0, cameras={"north": {"mount": below}}), Verdict.WRONG)
+    assert name == "north"
+    assert "camera at (347000, 3783500)" in message

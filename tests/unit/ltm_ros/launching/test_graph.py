@@ -63,6 +63,19 @@ def test_only_some_cameras_in_simulated_time() -> None:
     assert all(node.parameters["site"] == str(Path.cwd() / "ridge.yaml") for node in graph)
 
 
+def test_a_camera_with_a_source_is_asked_for_its_pictures_but_not_in_a_replay() -> None:
+    source = {"kind": "snapshot", "url": "http://127.0.0.1/snapshot.jpg"}
+    calibration = {"width": 320, "height": 180, "hfov_deg": 62.0}
+    given = site(cameras={"north": {"source": source, "calibration": calibration}, "south": {}})
+    graph = describe(given, "ridge.yaml")
+    assert [node.label for node in graph if node.name == "source"] == ["north/source"]
+    asks = graph.process("sources")
+    assert (asks.shared, asks.required, [node.label for node in asks.nodes]) == (True, True, ["north/source"])
+    assert describe(given.model_copy(update={"processes": "node"}), "r.yaml").process("north/source").shared is False
+    for graph in (describe(given, "ridge.yaml", sim_time=True), describe(given, "ridge.yaml", sources=False)):
+        assert not [node for node in graph if node.name == "source"]
+
+
 def test_a_recordings_frames_are_not_shed_unless_somebody_says_so() -> None:
     live, replayed = (describe(site(), "ridge.yaml", sim_time=sim_time) for sim_time in (False, True))
     assert "shed" not in live.node("north/capture").parameters
@@ -96,7 +109,7 @@ def test_parameters_of_the_site_file_reach_the_nodes_of_that_type() -> None:
 @pytest.mark.parametrize(
     ("nodes", "message"),
     [
-        ({"dept": {"x": 1}}, r"ridge.yaml: nodes: unknown node 'dept'; known are capture, depth"),
+        ({"dept": {"x": 1}}, r"ridge.yaml: nodes: unknown node 'dept'; known are source, capture, depth"),
         ({"depth": {"camera": "north"}}, r"nodes.depth.camera: the graph gives this parameter itself"),
         ({"depth": {"x": None}}, r"nodes.depth.x = None: a parameter is"),
         ({"depth": {"x": []}}, r"nodes.depth.x = \[\]: a parameter is"),

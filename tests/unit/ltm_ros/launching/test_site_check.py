@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from scenes.small_site import write_small_site
 
 from ltm_core.site_check import Finding, Verdict
@@ -78,3 +79,32 @@ def test_a_live_replay_is_checked_before_any_process(tmp_path: Path, monkeypatch
     with pytest.raises(NotReadyError, match=r"terrain, dem: .*EPSG:26911, the site in EPSG:26910") as told:
         replay_run.run_live(small.bag, small.path, replay_run.ReplayOptions(), lambda *_: None, print, tmp_path)
     assert told.value.status == 78
+
+
+def test_what_a_source_lacks_is_doubted_and_keeps_nothing_from_starting(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = write_small_site(tmp_path, recording=False)
+    content = yaml.safe_load(small.path.read_text())
+    content["cameras"]["mast"]["source"] = {"kind": "folder", "path": "drop"}
+    del content["cameras"]["mast"]["image"]
+    snapshot = {"kind": "snapshot", "url": "https://127.0.0.1/a.jpg", "ca": "camera.pem", "user": "viewer"}
+    content["cameras"]["tower"] = content["cameras"]["mast"] | {
+        "source": snapshot | {"password": {"environment": "TOWER_PASSWORD"}}
+    }
+    small.path.write_text(yaml.safe_dump(content))
+    monkeypatch.delenv("TOWER_PASSWORD", raising=False)
+
+    def doubts() -> list[str]:
+        found = [one for one in examine(small.path, Wanted()).findings if one.name.startswith("source of")]
+        assert exit_status(found) == 0
+        return [one.said for one in found if one.verdict is Verdict.DOUBTFUL]
+
+    first = doubts()
+    assert len(first) == 3
+    assert "TOWER_PASSWORD is not set" in first[1]
+    assert str(tmp_path / "camera.pem") in first[2]
+    monkeypatch.setenv("TOWER_PASSWORD", "secret")
+    (tmp_path / "drop").mkdir()
+    (tmp_path / "camera.pem").touch()
+    assert doubts() == []

@@ -1,0 +1,277 @@
+"""`ltm cameras`: finds cameras, asks what they speak, watches them, and takes a picture with its pose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ltm_ros.cli.output import Overwrite
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from ltm_core.source_config import SecretConfig
+    from ltm_ros.sources.probe import Found
+    from ltm_ros.sources.site_entry import Placing
+
+PROMPTED = "LTM_CAMERA_PASSWORD"
+"""Environment variable of this process in which a password that was typed is kept."""
+
+cameras = typer.Typer(no_args_is_help=True, help="Find, probe, watch and try the cameras of a site.")
+
+
+@cameras.command()
+def probe(
+    url: Annotated[str, typer.Argument(help="http://, https:// or rtsp:// address; with no path: the camera.")],
+    user: Annotated[str | None, typer.Option(help="User; the password is asked for, or see below.")] = None,
+    password_env: Annotated[str | None, typer.Option(help="Environment variable that holds the password.")] = None,
+    password_file: Annotated[Path | None, typer.Option(help="File that holds the password and nothing else.")] = None,
+    ca: Annotated[Path | None, typer.Option(help="Certificates (PEM) for https instead of the system's.")] = None,
+    check_name: Annotated[
+        bool, typer.Option("--check-name/--any-name", help="Whether the certificate must be for this host.")
+    ] = True,
+    site: Annotated[Path | None, typer.Option(help="With --camera: write what was found into this site file.")] = None,
+    camera: Annotated[str, typer.Option(help="Name of the camera in the site file.")] = "",
+    lonlat: Annotated[str | None, typer.Option(help="Where it stands: LON,LAT in degrees (WGS 84).")] = None,
+    height: Annotated[float | None, typer.Option(help="Metres above the ground.")] = None,
+    azimuth: Annotated[float | None, typer.Option(help="Degrees from grid north; of a head at pan 0.")] = None,
+    pitch: Annotated[float, typer.Option(help="Degrees up, of a camera without a head.")] = 0.0,
+    hfov: Annotated[float | None, typer.Option(help="Horizontal field of view, degrees.")] = None,
+    timeout: Annotated[float, typer.Option(min=0.1, max=60, help="Seconds for each answer.")] = 5.0,
+) -> None:
+    """What a camera speaks: pictures, size, rate, clock, head; and its entry for the site file."""
+    from rich.console import Console
+
+    from ltm_core.errors import ConfigError
+    from ltm_core.site_edit_io import dumped, write_camera_section
+    from ltm_core.site_io import load_site
+    from ltm_ros.sources.errors import UnauthorisedError
+    from ltm_ros.sources.probe import probe as ask
+    from ltm_ros.sources.site_entry import lacking, site_entry
+
+    if (site is None) != (not camera):
+        raise ConfigError("give --site and --camera together: which camera of which site file is written")
+    placing = _placing(lonlat, height, azimuth, pitch, hfov)
+    address = _checked_address(url)
+    secret, kept = _secret(user, password_env, password_file, camera)
+    console = Console()
+    with console.status("asking") as status:
+        try:
+            found = ask(
+                address, user, secret, ca, check_name, timeout, lambda what: status.update(f"asking for {what}")
+            )
+        except UnauthorisedError as error:
+            raise UnauthorisedError(
+                f"{error}. Nothing more was asked, since cameras lock an account after a few wrong passwords"
+            ) from None
+    console.print(_found_table(found))
+    if found.source is None and found.head is None:
+        raise ConfigError(
+            f"{address}: neither a picture nor a head was found:\n" + "\n".join(f"  {w}: {t}" for w, t in found.tried)
+        )
+    entry = site_entry(found, user, kept, placing)
+    missing = lacking(entry)
+    name = camera or "north"
+    typer.echo(dumped({"cameras": {name: entry}}).rstrip())
+    for what in missing:
+        console.print(f"[yellow]still to be added: {what}", highlight=False)
+    if kept is not None and kept.environment == _variable(camera):
+        console.print(f"set the password where `ltm run` runs: export {kept.environment}=...", highlight=False)
+    if site is None:
+        return
+    if missing:
+        raise ConfigError(f"{site} was left as it is: it lacks {'; '.join(missing)}")
+    if camera in load_site(site).cameras:
+        raise ConfigError(f"{site} has a camera {camera} already: name another, or change its sections by hand")
+    write_camera_section(site, camera, None, entry)
+    typer.echo(f"wrote camera {camera} into {site}")
+
+
+@cameras.command()
+def discover(
+    interface: Annotated[
+        str, typer.Option(help="IPv4 address of this computer on the cameras' network; no other is asked.")
+    ],
+    seconds: Annotated[float, typer.Option(min=0.1, max=30, help="For which answers are awaited.")] = 4.0,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="UDP port of WS-Discovery.")] = 3702,
+) -> None:
+    """Cameras that answer to WS-Discovery (ONVIF) on one network."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from ltm_ros.sources.discovery import discover as ask
+
+    found, wrong = ask(interface, seconds, port=port)
+    table = Table("host", "name", "hardware", "address", title=f"{len(found)} cameras answered")
+    for one in found:
+        table.add_row(one.host, one.name, one.hardware, one.address)
+    console = Console()
+    console.print(table)
+    if wrong:
+        console.print(f"[yellow]{wrong} answers were none that could be read", highlight=False)
+    if found:
+        console.print(f"next: ltm cameras probe http://{found[0].host} --user NAME", highlight=False)
+
+
+@cameras.command()
+def watch(
+    site: Annotated[Path, typer.Argument(help="Site file of the graph that runs.")],
+    once: Annotated[bool, typer.Option("--once", help="Print the table when all were heard of, and end.")] = False,
+    seconds: Annotated[float, typer.Option(min=0.1, help="With --once: at most so long.")] = 15.0,
+    domain: Annotated[int | None, typer.Option(help="ROS domain of the graph; default: the environment's.")] = None,
+) -> None:
+    """How each camera is, live: its state and since when, the age of its picture, its clock. Ctrl-C ends it."""
+    from rich.console import Console
+    from rich.live import Live
+
+    from ltm_core.errors import ConfigError
+    from ltm_core.site_io import load_site
+    from ltm_ros.cli.cameras_watch import CameraWatch, state_table
+    from ltm_ros.launching.ros_environment import apply_to_process
+
+    config = load_site(site)
+    asked = [name for name, camera in config.cameras.items() if camera.source is not None]
+    if not asked:
+        raise ConfigError(f"{site}: no camera has a section `source`; there is nothing to watch")
+    apply_to_process(domain)
+    watched = CameraWatch(config.name, asked)
+    try:
+        if once:
+            watched.listen(seconds, until_all=True)
+            Console().print(state_table(watched.states()))
+            if watched.silent():
+                raise ConfigError(
+                    f"nothing was heard of {', '.join(watched.silent())} for {seconds:g} s: does `ltm run {site}` run, "
+                    "in this ROS domain?"
+                )
+            return
+        with Live(state_table(watched.states()), console=Console(), refresh_per_second=2) as live:
+            while True:
+                watched.listen(0.5)
+                live.update(state_table(watched.states()))
+    except KeyboardInterrupt:
+        pass
+    finally:
+        watched.close()
+
+
+@cameras.command()
+def snapshot(
+    site: Annotated[Path, typer.Argument(help="Site file.")],
+    camera: Annotated[str, typer.Argument(help="Name of a camera with a section `source`.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the picture, its pose file and its trace.")],
+    name: Annotated[str, typer.Option(help="Of the files; default: camera and time.")] = "",
+    trace: Annotated[bool, typer.Option("--trace/--no-trace", help="Depth over the picture and a map.")] = True,
+    tries: Annotated[int, typer.Option(min=1, max=100, help="Pictures that may be refused.")] = 5,
+    overwrite: Overwrite = False,
+) -> None:
+    """A picture now, with its pose; of a head also a line in readings.csv, which `ltm pose --readings` takes."""
+    from rich.console import Console
+
+    from ltm_ros.cli.cameras_snapshot import take_snapshot
+
+    console = Console()
+    with console.status(f"asking {camera}"):
+        written, told = take_snapshot(site, camera, out, name, trace, tries, overwrite)
+    for line in told:
+        console.print(line, highlight=False)
+    for path in written:
+        console.print(f"  {path}", highlight=False)
+
+
+def _checked_address(url: str) -> str:
+    """Raises ConfigError for a password in it, and for what is no address."""
+    from ltm_core.errors import ConfigError
+    from ltm_core.redaction import redacted
+    from ltm_core.source_config import url_without_secrets
+
+    if "://" not in url:
+        url = f"http://{url}"
+    try:
+        return url_without_secrets(url, ("http", "https", "rtsp", "rtsps"))
+    except ValueError as error:
+        raise ConfigError(
+            f"{redacted(url)}: {error}. Here: --user NAME, and --password-env or --password-file, or type the password "
+            "when asked"
+        ) from None
+
+
+def _variable(camera: str) -> str:
+    return f"LTM_{(camera or 'north').upper()}_PASSWORD"
+
+
+def _secret(
+    user: str | None, password_env: str | None, password_file: Path | None, camera: str
+) -> tuple[SecretConfig | None, SecretConfig | None]:
+    """Where the password stands now, and where the site file shall look for it."""
+    import os
+
+    from ltm_core.errors import ConfigError
+    from ltm_core.source_config import SecretConfig
+
+    if password_env is not None and password_file is not None:
+        raise ConfigError("give either --password-env or --password-file, not both")
+    if user is None:
+        if password_env is not None or password_file is not None:
+            raise ConfigError("a password needs --user")
+        return None, None
+    if password_env is not None:
+        secret = SecretConfig(environment=password_env)
+        return secret, secret
+    if password_file is not None:
+        secret = SecretConfig(file=password_file.expanduser().absolute())
+        return secret, secret
+    os.environ[PROMPTED] = typer.prompt(f"password of {user}", hide_input=True)
+    return SecretConfig(environment=PROMPTED), SecretConfig(environment=_variable(camera))
+
+
+def _placing(
+    lonlat: str | None, height: float | None, azimuth: float | None, pitch: float, hfov: float | None
+) -> Placing:
+    from ltm_core.errors import ConfigError
+    from ltm_ros.sources.site_entry import Placing
+
+    lon = lat = None
+    if lonlat is not None:
+        try:
+            lon, lat = (float(part) for part in lonlat.split(","))
+        except ValueError:
+            raise ConfigError(f"--lonlat {lonlat}: two numbers with a comma between, LON,LAT") from None
+    return Placing(lon, lat, height, azimuth, pitch, hfov)
+
+
+def _found_table(found: Found) -> Table:
+    from rich.table import Table
+
+    table = Table("what", "found", title="camera")
+    if found.source is not None:
+        table.add_row("pictures", f"{found.source['kind']} at {found.source['url']}")
+    if found.stream is not None:
+        table.add_row("also at", found.stream)
+    if found.size is not None:
+        each = "" if found.bytes_each is None else f", {found.bytes_each / 1000:.0f} kB each"
+        table.add_row("size", f"{found.size[0]} x {found.size[1]} pixels{each}")
+    if found.rate_hz is not None:
+        table.add_row("rate", f"{found.rate_hz:.1f} pictures a second")
+    if found.seconds_each is not None:
+        fresh = "another picture each time" if found.fresh else "[yellow]the same picture each time"
+        table.add_row("answers within", f"{found.seconds_each:.2f} s, {fresh}")
+    if found.clock_ahead_s is not None:
+        known = f" +- {found.clock_known_to_s:.1f} s" if found.clock_known_to_s is not None else ""
+        table.add_row("clock ahead of ours by", f"{found.clock_ahead_s:+.1f}{known}")
+    if found.head is not None:
+        reading, limits = found.head.reading, found.head.limits
+
+        def ends(span: tuple[float, float] | None, unit: str) -> str:
+            return "limits not told" if span is None else f"{span[0]:g} to {span[1]:g}{unit}"
+
+        table.add_row("head speaks", " ".join(str(value) for value in found.head.config.values()))
+        table.add_row("pan", f"{reading.pan_deg:.2f} deg; {ends(limits.pan_deg, ' deg')}")
+        table.add_row("tilt", f"{reading.tilt_deg:.2f} deg; {ends(limits.tilt_deg, ' deg')}")
+        table.add_row("zoom", f"{reading.zoom:g}; {ends(limits.zoom, '')}")
+        table.add_row("presets", ", ".join(found.head.presets) or "none")
+    for what, told in found.tried:
+        table.add_row(f"[dim]asked: {what}", f"[dim]{told}")
+    return table

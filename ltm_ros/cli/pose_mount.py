@@ -1,0 +1,195 @@
+"""`ltm pose --site --camera`: calibrates the mount of a pan-tilt-zoom head, and writes it into the site file."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ltm_core.pose_estimation.mount_config import MountConfig
+    from ltm_core.pose_estimation.mount_model import MountModel
+    from ltm_core.pose_estimation.mount_resection import MountResection
+    from ltm_core.site import Site
+    from ltm_core.zoom_lens import ZoomLens
+
+
+@dataclass(frozen=True, eq=False)
+class Head:
+    """A head of a site, as its file states it."""
+
+    site: Site
+    config: MountConfig
+    model: MountModel
+    lens: ZoomLens
+
+
+def head_of(site_file: Path, camera: str) -> Head:
+    """Raises ConfigError for a camera that has no mount, or no lens."""
+    from ltm_core.errors import ConfigError
+    from ltm_core.site_io import load_site
+    from ltm_core.zoom_lens import ZoomLens
+
+    site = load_site(site_file)
+    settings = site.camera(camera)
+    mount = settings.mount
+    if mount is None:
+        raise ConfigError(
+            f"{site_file}: camera {camera} has no `mount:`; state its place and roughly its azimuth at pan 0 "
+            "(docs/cameras.md), so that it can be calibrated"
+        )
+    if mount.lens is not None:
+        lens = mount.lens.lens()
+    elif settings.calibration is not None:
+        fixed = settings.calibration.camera()
+        hfov = math.degrees(2 * math.atan(fixed.width / 2 / fixed.fx))
+        lens = ZoomLens(fixed.width, fixed.height, fixed.cx, fixed.cy, ((0.0, hfov, *fixed.distortion),))
+    else:
+        raise ConfigError(f"{site_file}: camera {camera} has neither `mount.lens` nor `calibration`: state its lens")
+    return Head(site, mount, mount.model(site.open_dem(), site.frame), lens)
+
+
+def calibrate_from_points(
+    head: Head, gcps: Path, first_pixel: float, free: set[str], sigma_px: float
+) -> tuple[MountModel, ZoomLens]:
+    """Fit to landmarks; prints what was found."""
+    from rich.console import Console
+
+    from ltm_core.pose_estimation.mount_io import read_head_points
+    from ltm_core.pose_estimation.mount_resection import resect_mount
+
+    points = read_head_points(gcps, head.site.frame, first_pixel)
+    found = resect_mount(
+        points,
+        head.model,
+        head.lens,
+        head.site.bend,
+        free_focal="focal" in free and head.config.lens is not None,
+        free_position="position" in free,
+        sigma_px=sigma_px,
+    )
+    console = Console()
+    for note in found.notes:
+        console.print(f"[yellow]{note}", highlight=False)
+    outliers = [name for name, used in zip(points.names, found.used, strict=True) if not used]
+    if outliers:
+        console.print(f"[yellow]left out as outliers: {', '.join(outliers)}", highlight=False)
+    console.print(_landmarks(found))
+    if found.focal_factors:
+        console.print(_lens_table(found))
+    return found.model, found.lens
+
+
+def calibrate_from_photos(
+    head: Head, photos: Path, readings: Path, model_name: str, canopy: bool
+) -> tuple[MountModel, ZoomLens]:
+    """Fit to the skylines of pictures of several presets. Raises PoseError where they do not tell."""
+    from rich.console import Console
+
+    from ltm_core.errors import ConfigError, ImageError, PoseError
+    from ltm_core.pose_estimation.mount_fit import fit_mount, widened
+    from ltm_core.pose_estimation.mount_io import read_readings
+    from ltm_core.pose_estimation.picture_evidence import picture_evidence
+    from ltm_core.pose_estimation.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
+    from ltm_core.pose_estimation.picture_pose_io import doubt_of_sky
+    from ltm_core.pose_estimation.pose_from_picture import Terrain, find_pose
+    from ltm_core.pose_estimation.pose_prior import PosePrior
+    from ltm_core.tracing.trace_io import read_photo
+    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+
+    config = PicturePoseConfig(skyline=SkylineConfig(cover=CANOPY_SURFACE)) if canopy else PicturePoseConfig()
+    segmenter = Segmenter.open(model_name or DEFAULT_MODEL)
+    terrain = Terrain(head.site.open_dem(), head.site.bend, head.site.possible_ground)
+    azimuth, pitch, roll, tilt_zero = head.config.angle_sigmas_deg
+    place, height = head.config.position_sigma or 0.0, head.config.height_sigma or 0.0
+    priors, searches = [], []
+    for name, (pan, tilt, zoom) in read_readings(readings).items():
+        file = photos / name
+        if not file.is_file():
+            raise ConfigError(f"{readings} names {name}, which is not in {photos}")
+        camera = head.lens.camera(zoom)
+        photo = read_photo(file, camera)
+        labels = segmenter.segment(photo).labels
+        doubt = doubt_of_sky(labels)
+        if doubt is not None:
+            raise ImageError(f"{file}: {doubt}")
+        prior = PosePrior(head.model.pose(pan, tilt)[0], azimuth, pitch, roll, place, height)
+        priors.append(prior)
+        evidence = picture_evidence(photo, labels, camera, config)
+        searches.append(find_pose(evidence, terrain, widened(prior, tilt_zero), config))
+    fit = fit_mount(priors, searches, config, tilt_zero)
+    if fit.word != "accepted":
+        raise PoseError(
+            f"the mount is not told by these {len(priors)} pictures: {fit.word} ({fit.reason}). Take more presets with "
+            "a clear skyline, spread in pan, or mark landmarks (--gcps); nothing was written"
+        )
+    Console().print(f"{fit.reason}; the next best mount costs {fit.gap:.1f} more", highlight=False)
+    return head.model.corrected(fit.rotation, fit.tilt_zero, fit.shift, fit.covariance), head.lens
+
+
+def write_mount(head: Head, model: MountModel, lens: ZoomLens, site_file: Path, camera: str, out: Path | None) -> None:
+    """Into the site file, or into `out` alone. Prints what changed."""
+    from rich.console import Console
+
+    from ltm_core.pose_estimation.mount_config import written_mount
+    from ltm_core.site_edit_io import dumped, write_camera_section
+
+    section = written_mount(model, lens if head.config.lens is not None else None, head.site.frame)
+    console = Console()
+    console.print(_mount_table(head.model, model))
+    if out is None:
+        write_camera_section(site_file, camera, "mount", section)
+    else:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(dumped({"mount": section}), encoding="utf-8")
+    console.print(f"  {out or site_file}", highlight=False)
+
+
+def _mount_table(stated: MountModel, found: MountModel) -> Any:
+    import numpy as np
+    from rich.table import Table
+
+    def values(model: MountModel) -> list[float]:
+        return [*model.base.angles_deg, math.degrees(model.tilt_zero)]
+
+    sigmas = np.degrees(np.sqrt(np.diag(found.angle_covariance)))
+    table = Table("mount", "fitted, deg", "sigma", "stated, deg")
+    names = ("azimuth at pan 0", "pitch", "roll", "tilt zero")
+    for name, now, sigma, before in zip(names, values(found), sigmas, values(stated), strict=True):
+        table.add_row(name, f"{now:.3f}", f"{sigma:.3f}", f"{before:.3f}")
+    for name, now, before in (
+        ("pan grows", found.pan_sign, stated.pan_sign),
+        ("tilt grows", found.tilt_sign, stated.tilt_sign),
+    ):
+        words = ("clockwise", "anticlockwise") if name.startswith("pan") else ("upwards", "downwards")
+        table.add_row(name, words[now < 0], "", words[before < 0])
+    still = replace(found, encoder_sigma=0.0)
+    worst = max(still.direction_sigma_deg(pan) for pan in np.arange(0.0, 360.0, 10.0))
+    table.caption = f"a direction is known to {worst:.3f} deg or better at every pan"
+    return table
+
+
+def _landmarks(found: MountResection) -> Any:
+    import numpy as np
+    from rich.table import Table
+
+    off = np.hypot(*found.residuals.T)
+    table = Table("landmark", "pan", "tilt", "zoom", "du px", "dv px", "residual px")
+    table.title = f"{len(off)} landmarks: median residual {np.median(off):.2f} px"
+    for k, name in enumerate(found.points.names):
+        reading = [f"{value:.6g}" for value in found.points.readings[k]]
+        du, dv = found.residuals[k]
+        style = None if found.used[k] else "red"
+        table.add_row(name, *reading, f"{du:.2f}", f"{dv:.2f}", f"{off[k]:.2f}", style=style)
+    return table
+
+
+def _lens_table(found: MountResection) -> Any:
+    from rich.table import Table
+
+    table = Table("zoom", "field of view, deg", "focal length, of the table's", "sigma")
+    for zoom, factor in found.focal_factors.items():
+        hfov = found.lens.camera(zoom).hfov_deg
+        table.add_row(f"{zoom:g}", f"{hfov:.3f}", f"{factor:.4f}", f"{found.focal_sigmas[zoom]:.4f}")
+    return table

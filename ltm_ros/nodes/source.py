@@ -1,0 +1,106 @@
+"""source: asks a camera for its pictures and publishes them with true time and true direction, as a driver would."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from functools import partial
+
+from std_msgs.msg import String
+
+from ltm_core.errors import ConfigError
+from ltm_core.site_io import load_site
+from ltm_msgs_py.camera_info import camera_to_msg
+from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_format, image_to_msg
+from ltm_msgs_py.pose import pose_to_msg
+from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.heartbeat import HEARTBEAT
+from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, IMAGE_RAW, POSE, SOURCE_INFO
+from ltm_ros.sources.camera_source import CameraSource, Frame
+from ltm_ros.sources.gaze import calibration_of, gaze_of
+from ltm_ros.sources.opening import open_reader
+from ltm_ros.sources.source_thread import SourceThread
+from ltm_ros.sources.system_clock import SystemClock
+
+JPEG_QUALITY = 92
+"""Of a video's pictures, where the camera sends no JPEGs."""
+
+
+class SourceNodeConfig(NodeConfig):
+    """How the camera is asked stands in the site file, `cameras: NAME: source`."""
+
+
+class Source(Handler[SourceNodeConfig]):
+    """The camera is asked in a thread of its own (`SourceThread`), which publishes too."""
+
+    publications: Sequence[Topic] = (IMAGE_COMPRESSED, CAMERA_INFO, POSE, SOURCE_INFO)
+
+    def __init__(self, config: SourceNodeConfig, outlet: Outlet, health: Health) -> None:
+        super().__init__(config, outlet, health)
+        site = load_site(config.site)
+        camera = site.camera(config.camera)
+        if camera.source is None:
+            raise ConfigError(f"camera {config.camera} of site {site.name} has no section source")
+        calibration = calibration_of(camera, config.camera)
+        self._raw = camera.image == "raw"
+        if self._raw:
+            self.publications = (IMAGE_RAW, CAMERA_INFO, POSE, SOURCE_INFO)
+        self._frame_id = f"{config.camera}_optical"
+        clock = SystemClock()
+        self._source = CameraSource(
+            camera.source,
+            calibration,
+            gaze_of(site, camera),
+            partial(open_reader, camera.source, site.limits.image_bytes, clock),
+            self._publish,
+            health,
+            clock,
+        )
+        self._source.report()
+        activity = HEARTBEAT.activity(f"source {config.camera}")
+        self._ended = False
+        self._thread = SourceThread(config.camera, self._source, health, activity)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def tick(self, waited: float) -> None:
+        self._source.report()
+
+    def finish(self) -> None:
+        self._ended = True
+        self._thread.stop()
+
+    def _publish(self, frame: Frame) -> None:
+        if self._ended:
+            return  # the node may be gone before a slow camera has answered
+        stamp = frame.stamp_ns
+        self.outlet.publish(CAMERA_INFO, camera_to_msg(frame.camera, stamp, self._frame_id))
+        if frame.pose is not None:
+            self.outlet.publish(POSE, pose_to_msg(frame.pose, stamp, "map", frame.covariance))
+        said = {
+            "stamp_ns": stamp,
+            "uncertainty_s": round(frame.uncertainty, 4),
+            "told_by": frame.told_by,
+            "synchronised": frame.synchronised,
+        }
+        self.outlet.publish(SOURCE_INFO, String(data=json.dumps(said)))
+        if self._raw and frame.rgb is not None:
+            self.outlet.publish(IMAGE_RAW, image_to_msg(frame.rgb, "rgb8", stamp, self._frame_id))
+            return
+        data = frame.jpeg if frame.rgb is None else encode_rgb(frame.rgb, "jpeg", JPEG_QUALITY)
+        data = data or b""
+        self.outlet.publish(IMAGE_COMPRESSED, compressed_to_msg(data, image_format(data), stamp, self._frame_id))
+
+
+NODE = NodeType("source", SourceNodeConfig, Source)
+
+
+def main() -> None:
+    run_node(NODE)
+
+
+if __name__ == "__main__":
+    main()

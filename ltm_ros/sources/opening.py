@@ -1,0 +1,34 @@
+"""Connects to a camera as its site file says."""
+
+from __future__ import annotations
+
+from ltm_core.source_config import (
+    CameraListConfig,
+    FolderConfig,
+    MjpegConfig,
+    RtspConfig,
+    SnapshotConfig,
+    SourceConfig,
+)
+from ltm_ros.sources.camera_list import CameraListReader
+from ltm_ros.sources.folder import FolderReader
+from ltm_ros.sources.mjpeg import MjpegReader
+from ltm_ros.sources.picture import PictureReader
+from ltm_ros.sources.rtsp import RtspReader
+from ltm_ros.sources.snapshot import SnapshotReader
+from ltm_ros.sources.system_clock import Clock
+
+
+def open_reader(config: SourceConfig, most_bytes: int, clock: Clock) -> PictureReader:
+    """`most_bytes`: of a picture. Raises SourceError."""
+    match config:
+        case SnapshotConfig():
+            return SnapshotReader(config, most_bytes)
+        case MjpegConfig():
+            return MjpegReader(config, most_bytes)
+        case RtspConfig():
+            return RtspReader(config)
+        case FolderConfig():
+            return FolderReader(config, most_bytes, clock)
+        case CameraListConfig():
+            return CameraListReader(config, most_bytes)

@@ -1,0 +1,1 @@
+"""Heads of pan-tilt-zoom cameras: what they say of their direction, by maker."""

@@ -1,0 +1,79 @@
+"""Hikvision heads by ISAPI. Source: ISAPI 2.0, PTZCtrl; fields as cameras send them.
+
+Units differ from page to page: tenths of a degree in `status`, degrees with decimals in `absoluteEx`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+from ltm_core.ptz_config import IsapiConfig
+from ltm_core.source_config import SourceConfig
+from ltm_ros.sources.direction import Reading
+from ltm_ros.sources.errors import SourceError
+from ltm_ros.sources.ptz.connection import Connection, found, local, number, parsed_xml, settings_of
+from ltm_ros.sources.ptz.head import Limits, spacing_for, tolerance_of
+
+
+class IsapiHead:
+    """Azimuth is its pan, elevation its tilt. Elevation grows downwards on most of these heads (0 level, 90 straight
+    down): `mount.tilt_sign: -1`."""
+
+    def __init__(self, config: IsapiConfig, source: SourceConfig | None, connection: Connection | None = None) -> None:
+        self._connection = connection or Connection(settings_of(config, source))
+        self._base = f"/ISAPI/PTZCtrl/channels/{config.channel}"
+        self._tenths = config.units == "tenths"
+        self.spacing = spacing_for(tolerance_of(config).angle_deg)
+
+    def read(self) -> Reading:
+        page, place, names = (
+            ("status", ("AbsoluteHigh",), ("azimuth", "elevation", "absoluteZoom"))
+            if self._tenths
+            else ("absoluteEx", (), ("azimuth", "elevation", "absoluteZoom"))
+        )
+        root = parsed_xml(self._connection.ask(f"{self._base}/{page}").body)
+        at = time.monotonic()
+        values = []
+        for name in names:
+            element = found(root, *place, name)
+            if element is None:
+                raise SourceError(f"the head's page {page} holds no {name}: write the other units as ptz.units")
+            values.append(number(element.text, name))
+        scale = 0.1 if self._tenths else 1.0
+        return Reading(values[0] * scale, values[1] * scale, values[2], None, at)
+
+    def limits(self) -> Limits:
+        """In the units of `status`, whatever the readings are in: so cameras state them."""
+        root = parsed_xml(self._connection.ask(f"{self._base}/capabilities").body)
+
+        def both(scale: float, *names: str) -> tuple[float, float] | None:
+            place = found(root, *names)
+            ends = None if place is None else (found(place, "Min"), found(place, "Max"))
+            if ends is None or ends[0] is None or ends[1] is None:
+                return None
+            return number(ends[0].text, names[-1]) * scale, number(ends[1].text, names[-1]) * scale
+
+        space = "AbsolutePanTiltPositionSpace"
+        zoom = both(1.0 if self._tenths else 0.1, "AbsoluteZoomPositionSpace", "ZRange")
+        return Limits(both(0.1, space, "XRange"), both(0.1, space, "YRange"), zoom)
+
+    def presets(self) -> Mapping[str, str]:
+        root = parsed_xml(self._connection.ask(f"{self._base}/presets").body)
+        known = {}
+        for element in root.iter():
+            if local(element) == "PTZPreset":
+                token, name = found(element, "id"), found(element, "presetName")
+                enabled = found(element, "enabled")
+                if token is not None and token.text and (enabled is None or enabled.text == "true"):
+                    known[(name.text if name is not None else None) or token.text] = token.text
+        return known
+
+    def go_to(self, preset: str) -> None:
+        known = self.presets()
+        if preset not in known:
+            raise SourceError(f"the head has no preset {preset!r}; it has {', '.join(known) or 'none'}")
+        self._connection.ask(f"{self._base}/presets/{known[preset]}/goto", "PUT")
+
+    def close(self) -> None:
+        self._connection.close()

@@ -1,0 +1,25 @@
+"""What a camera's source will lack on this machine, found before it is asked for the first time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.util import find_spec
+
+from ltm_core.source_config import FolderConfig, HttpSettings, NetworkSettings, RtspConfig, SourceConfig
+from ltm_ros.sources.credentials import read_secret
+from ltm_ros.sources.errors import UnauthorisedError
+
+
+def doubts_of(source: SourceConfig) -> Iterator[str]:
+    """Each with its remedy. A service may have what a shell has not, so none of them is certain."""
+    if isinstance(source, NetworkSettings) and source.password is not None:
+        try:
+            read_secret(source.password)
+        except UnauthorisedError as error:
+            yield str(error)
+    if isinstance(source, RtspConfig) and find_spec("av") is None:
+        yield 'RTSP needs PyAV: pip install "ltm[rtsp]"'
+    if isinstance(source, HttpSettings) and source.ca is not None and not source.ca.is_file():
+        yield f"ca {source.ca} is not there"
+    if isinstance(source, FolderConfig) and not source.path.is_dir():
+        yield f"{source.path} is no folder: make it, or mend path"

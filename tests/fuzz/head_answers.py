@@ -1,0 +1,82 @@
+"""What heads of pan-tilt-zoom cameras answer, and cameras that are looked for on a network."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from fuzz.mutations import spoil_text
+from fuzz.target import Target
+from ltm_core.ptz_config import PtzConfig
+from ltm_core.source_config import HttpSettings
+from ltm_ros.sources.discovery import camera_in
+from ltm_ros.sources.http_client import Answer
+from ltm_ros.sources.ptz.opening import open_head
+
+_VAPIX = (
+    b"pan=12.5\r\ntilt=-3.25\r\nzoom=120\r\nMinPan=-180\r\nMaxPan=180\r\npresetposno1=north\r\npresetposno2=east\r\n"
+)
+_ISAPI = b"""<PTZStatus version="2.0" xmlns="http://www.hikvision.com/ver20/XMLSchema"><AbsoluteHigh>
+<elevation>-33</elevation><azimuth>1234</azimuth><absoluteZoom>10</absoluteZoom></AbsoluteHigh>
+<AbsolutePanTiltPositionSpace><XRange><Min>0</Min><Max>3600</Max></XRange></AbsolutePanTiltPositionSpace>
+<PTZPreset><enabled>true</enabled><id>1</id><presetName>north</presetName></PTZPreset></PTZStatus>"""
+_ONVIF = b"""<s:Envelope xmlns:s="http://www.w3.org/2003/05/soap-envelope" xmlns:t="http://www.onvif.org/ver10/schema"><s:Body>
+<t:UTCDateTime><t:Time><t:Hour>1</t:Hour><t:Minute>2</t:Minute><t:Second>3</t:Second></t:Time>
+<t:Date><t:Year>2026</t:Year><t:Month>5</t:Month><t:Day>6</t:Day></t:Date></t:UTCDateTime>
+<t:Media><t:XAddr>http://127.0.0.1/m</t:XAddr></t:Media><t:PTZ><t:XAddr>http://127.0.0.1/p?a=b</t:XAddr></t:PTZ>
+<t:Profiles token="main"><t:PTZConfiguration/></t:Profiles><t:Preset token="1"><t:Name>north</t:Name></t:Preset>
+<t:Position><t:PanTilt x="0.25" y="-0.5"/><t:Zoom x="0.1"/></t:Position>
+<t:MoveStatus><t:PanTilt>IDLE</t:PanTilt></t:MoveStatus>
+</s:Body></s:Envelope>"""
+_REOLINK = b"""[{"cmd":"x","code":0,"value":{"Token":{"name":"abc","leaseTime":3600},
+"PtzCurPos":{"Ppos":1234,"Tpos":-33},
+"ZoomFocus":{"zoom":{"pos":3}},"PtzPreset":[{"enable":1,"id":1,"name":"north"}]}}]"""
+_DISCOVERED = b"""<s:Envelope xmlns:s="http://www.w3.org/2003/05/soap-envelope"><s:Header><RelatesTo>urn:1</RelatesTo></s:Header>
+<s:Body><Scopes>onvif://www.onvif.org/name/North onvif://www.onvif.org/hardware/Q6</Scopes>
+<XAddrs>http://127.0.0.1/onvif/device_service http://[::1]/x</XAddrs></s:Body></s:Envelope>"""
+
+
+class _Answering:
+    """A connection that answers the same to everything."""
+
+    settings = HttpSettings(url="http://127.0.0.1")
+
+    def __init__(self, body: bytes) -> None:
+        self._body = body
+
+    def ask(self, *asked: Any, **how: Any) -> Answer:
+        headers: Mapping[str, str] = {}
+        return Answer(200, headers, self._body, 0.0, 0.0)
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+
+def _head(name: str, seed: bytes, **config: object) -> Target:
+    def read(folder: Path) -> None:
+        adapter: TypeAdapter[Any] = TypeAdapter(PtzConfig)
+        answering: Any = _Answering((folder / "answer").read_bytes())
+        head = open_head(adapter.validate_python(config), None, answering)
+        head.read()
+        head.limits()
+        head.presets()
+
+    return Target(name, "answer", lambda folder: [seed], read, spoil_text)
+
+
+HEAD_ANSWERS = (
+    _head("head_vapix", _VAPIX, kind="vapix", url="http://127.0.0.1"),
+    _head("head_isapi", _ISAPI, kind="isapi", units="tenths", url="http://127.0.0.1"),
+    _head("head_onvif", _ONVIF, kind="onvif", url="http://127.0.0.1"),
+    _head("head_reolink", _REOLINK, kind="reolink", url="http://127.0.0.1"),
+    Target(
+        "discovered",
+        "answer",
+        lambda folder: [_DISCOVERED],
+        lambda folder: camera_in((folder / "answer").read_bytes(), "127.0.0.1", "urn:1"),
+        spoil_text,
+    ),
+)

@@ -1,0 +1,339 @@
+"""A pan-tilt-zoom camera on loopback: a head that takes its time to turn, asked and driven as those of Axis (VAPIX),
+Hikvision (ISAPI), ONVIF and Reolink are; its pictures show where it really looks."""
+
+from __future__ import annotations
+
+import base64
+import calendar
+import hashlib
+import json
+import math
+import threading
+import time
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from urllib.parse import parse_qs, unquote
+
+from ltm_core.types import UInt8Array
+from scenes.http_camera import HttpCamera, Request, Route
+from scenes.timed_picture import jpeg, scene, time_in, with_time
+
+Place = tuple[float, float, float]
+"""Pan (deg), tilt (deg), zoom, as VAPIX has them: pan clockwise, tilt upwards, zoom 1 to 9999."""
+
+CLOCK_TOLERANCE_S = 5.0
+"""By which a signed ONVIF request may be old."""
+_SOAP = "http://www.w3.org/2003/05/soap-envelope"
+_DAY = "%Y-%m-%dT%H:%M:%SZ"
+
+
+@dataclass
+class FakeHead:
+    """Turns from where it is to where it was sent at `rate` deg/s, each axis for itself."""
+
+    place: Place = (0.0, 0.0, 1.0)
+    rate: float = 200.0
+    presets: dict[str, Place] = field(
+        default_factory=lambda: {
+            "north": (10.0, -5.0, 1.0),
+            "east": (95.0, -2.0, 1.0),
+            "south ridge": (190.0, 1.0, 1.0),
+        }
+    )
+    starts_after_s: float = 0.05
+    """After a command, during which it still reads as before."""
+    dead: bool = False
+    """It takes commands and stays where it is."""
+    turret_stuck: bool = False
+    """Its encoders go on and its picture stays, as with a broken gear."""
+    digits: int = 4
+    """Of what it says in degrees."""
+    onvif_inverted: bool = False
+    """Its ONVIF pan runs anticlockwise, as one maker's does."""
+    move_status: str | None = None
+    """What ONVIF's MoveStatus says, always; None: it is missing."""
+    user: str = ""
+    password: str = ""
+    """Of ONVIF's signed requests and of Reolink's log-in; empty: not looked at."""
+    clock_ahead: float = 0.0
+    commands: list[str] = field(default_factory=list)
+    """Presets that it was sent to, in their order."""
+
+    def __post_init__(self) -> None:
+        self._from, self._to, self._begun = self.place, self.place, 0.0
+        self._lock = threading.Lock()
+        self._tokens = 0
+        self._valid_token = ""
+
+    def send(self, place: Place) -> None:
+        if self.dead:
+            return
+        now = time.monotonic()
+        with self._lock:
+            self._from, self._to, self._begun = self._at(now), place, now + self.starts_after_s
+
+    def slew(self, rate: float, seconds: float = 600.0) -> None:
+        """Pan clockwise on and on."""
+        pan, tilt, zoom = self.encoders()
+        self.rate, self.starts_after_s = rate, 0.0
+        self.send((pan + rate * seconds, tilt, zoom))
+
+    def encoders(self) -> Place:
+        with self._lock:
+            return self._at(time.monotonic())
+
+    def really(self) -> Place:
+        """Where its picture looks."""
+        return self.place if self.turret_stuck else self.encoders()
+
+    def _at(self, now: float) -> Place:
+        way = self.rate * max(0.0, now - self._begun)
+
+        def moved(a: float, b: float, most: float) -> float:
+            return b if abs(b - a) <= most else a + math.copysign(most, b - a)
+
+        (p0, t0, z0), (p1, t1, z1) = self._from, self._to
+        return moved(p0, p1, way), moved(t0, t1, way), moved(z0, z1, 50 * way)
+
+    def go_to(self, preset: str) -> bool:
+        if preset not in self.presets:
+            return False
+        self.commands.append(preset)
+        self.send(self.presets[preset])
+        return True
+
+    def routes(self) -> dict[str, Route]:
+        base = "/ISAPI/PTZCtrl/channels/1"
+        found: dict[str, Route] = {
+            "/axis-cgi/com/ptz.cgi": self._vapix,
+            "/axis-cgi/jpg/image.cgi": Request.snapshot,
+            f"{base}/status": self._isapi_status,
+            f"{base}/absoluteEx": self._isapi_absolute,
+            f"{base}/presets": self._isapi_presets,
+            f"{base}/capabilities": self._isapi_capabilities,
+            "/onvif/device_service": self._onvif,
+            "/onvif/media": self._onvif,
+            "/onvif/ptz": self._onvif,
+            "/cgi-bin/api.cgi": self._reolink,
+        }
+        for number, preset in enumerate(self.presets, 1):
+            found[f"{base}/presets/{number}/goto"] = self._isapi_goto(preset)
+        return found
+
+    # --- VAPIX
+
+    def _vapix(self, request: Request) -> None:
+        query = {name: values[0] for name, values in parse_qs(request.query).items()}
+        pan, tilt, zoom = self.encoders()
+        kind = query.get("query")
+        if kind == "position":
+            turned = (pan + 180) % 360 - 180
+            lines = [
+                f"pan={turned:.{self.digits}f}",
+                f"tilt={tilt:.{self.digits}f}",
+                f"zoom={zoom:.0f}",
+                "autofocus=on",
+            ]
+        elif kind == "limits":
+            lines = ["MinPan=-180", "MaxPan=180", "MinTilt=-90", "MaxTilt=20", "MinZoom=1", "MaxZoom=9999"]
+        elif kind == "presetposall":
+            lines = [f"presetposno{k}={name}" for k, name in enumerate(self.presets, 1)]
+        elif "gotoserverpresetname" in query:
+            if self.go_to(unquote(query["gotoserverpresetname"])):
+                request.answer(204, b"", "text/plain")
+            else:
+                request.answer(200, b"Error: preset not found", "text/plain")
+            return
+        else:
+            lines = ["Error: unknown query"]
+        request.answer(200, "\r\n".join([*lines, ""]).encode(), "text/plain")
+
+    # --- ISAPI: elevation grows downwards
+
+    def _isapi_status(self, request: Request) -> None:
+        pan, tilt, zoom = self.encoders()
+        inside = (
+            f"<AbsoluteHigh><elevation>{round(-tilt * 10)}</elevation><azimuth>{round(pan % 360 * 10)}</azimuth>"
+            f"<absoluteZoom>{round(zoom * 10)}</absoluteZoom></AbsoluteHigh>"
+        )
+        self._xml(request, f"<PTZStatus{_HIK}>{inside}</PTZStatus>")
+
+    def _isapi_absolute(self, request: Request) -> None:
+        pan, tilt, zoom = self.encoders()
+        inside = f"<elevation>{-tilt:.2f}</elevation><azimuth>{pan % 360:.2f}</azimuth>"
+        inside += f"<absoluteZoom>{zoom:.2f}</absoluteZoom>"
+        self._xml(request, f"<PTZAbsoluteEx{_HIK}>{inside}</PTZAbsoluteEx>")
+
+    def _isapi_presets(self, request: Request) -> None:
+        rows = "".join(
+            f"<PTZPreset><enabled>true</enabled><id>{k}</id><presetName>{name}</presetName></PTZPreset>"
+            for k, name in enumerate(self.presets, 1)
+        )
+        rows += "<PTZPreset><enabled>false</enabled><id>99</id><presetName>unused</presetName></PTZPreset>"
+        self._xml(request, f"<PTZPresetList{_HIK}>{rows}</PTZPresetList>")
+
+    def _isapi_capabilities(self, request: Request) -> None:
+        def span(name: str, low: float, high: float) -> str:
+            return f"<{name}><Min>{low:g}</Min><Max>{high:g}</Max></{name}>"
+
+        inside = f"<AbsolutePanTiltPositionSpace>{span('XRange', 0, 3600)}{span('YRange', -150, 900)}"
+        inside += f"</AbsolutePanTiltPositionSpace><AbsoluteZoomPositionSpace>{span('ZRange', 10, 320)}"
+        self._xml(request, f"<PTZChanelCap{_HIK}>{inside}</AbsoluteZoomPositionSpace></PTZChanelCap>")
+
+    def _isapi_goto(self, preset: str) -> Route:
+        def answer(request: Request) -> None:
+            self.go_to(preset)
+            self._xml(request, f"<ResponseStatus{_HIK}><statusCode>1</statusCode></ResponseStatus>")
+
+        return answer
+
+    def _xml(self, request: Request, body: str, status: int = 200) -> None:
+        request.answer(status, f'<?xml version="1.0" encoding="UTF-8"?>{body}'.encode(), "application/xml")
+
+    # --- ONVIF
+
+    def _onvif(self, request: Request) -> None:
+        root = ElementTree.fromstring(request.body)
+        call = next(iter(root.find(f"{{{_SOAP}}}Body") or []))
+        name = call.tag.rpartition("}")[2]
+        if name != "GetSystemDateAndTime" and not self._signed(root):
+            fault = (
+                "<s:Fault><s:Code><s:Value>s:Sender</s:Value><s:Subcode><s:Value>ter:NotAuthorized</s:Value></s:Subcode>"
+                '</s:Code><s:Reason><s:Text xml:lang="en">Sender not Authorized</s:Text></s:Reason></s:Fault>'
+            )
+            self._soap(request, fault, 400)
+            return
+        host = f"http://{request.headers['host']}/onvif"
+        address = {element.tag.rpartition("}")[2]: element.text or "" for element in call.iter()}
+        pan, tilt, zoom = self.encoders()
+        if name == "GetSystemDateAndTime":
+            now = time.gmtime(time.time() + self.clock_ahead)
+            day = f"<tt:Year>{now.tm_year}</tt:Year><tt:Month>{now.tm_mon}</tt:Month><tt:Day>{now.tm_mday}</tt:Day>"
+            hour = f"<tt:Hour>{now.tm_hour}</tt:Hour><tt:Minute>{now.tm_min}</tt:Minute>"
+            hour += f"<tt:Second>{now.tm_sec}</tt:Second>"
+            inside = f"<tt:UTCDateTime><tt:Time>{hour}</tt:Time><tt:Date>{day}</tt:Date></tt:UTCDateTime>"
+        elif name == "GetCapabilities":
+            inside = "".join(
+                f"<tt:{service}><tt:XAddr>{host}/{service.lower()}</tt:XAddr></tt:{service}>"
+                for service in ("Media", "PTZ")
+            )
+        elif name == "GetProfiles":
+            head = "<tt:PTZConfiguration token='p'><tt:Name>p</tt:Name></tt:PTZConfiguration>"
+            inside = f"<trt:Profiles token='still'/><trt:Profiles token='main'>{head}</trt:Profiles>"
+        elif name in ("GetSnapshotUri", "GetStreamUri"):
+            place = "http://{}/snapshot.jpg" if name == "GetSnapshotUri" else "rtsp://{}/stream"
+            inside = f"<trt:MediaUri><tt:Uri>{place.format(request.headers['host'])}</tt:Uri></trt:MediaUri>"
+        elif name == "GetStatus" and address["ProfileToken"] == "main":
+            x = ((pan + 180) % 360 - 180) / 180 * (-1 if self.onvif_inverted else 1)
+            status = "" if self.move_status is None else (
+                f"<tt:MoveStatus><tt:PanTilt>{self.move_status}</tt:PanTilt></tt:MoveStatus>"
+            )  # fmt: skip
+            inside = (
+                f'<tptz:PTZStatus><tt:Position><tt:PanTilt x="{x:.6f}" y="{tilt / 90:.6f}"/>'
+                f'<tt:Zoom x="{(zoom - 1) / 9998:.6f}"/></tt:Position>{status}</tptz:PTZStatus>'
+            )
+        elif name == "GetPresets":
+            inside = "".join(
+                f'<tptz:Preset token="{k}"><tt:Name>{preset}</tt:Name></tptz:Preset>'
+                for k, preset in enumerate(self.presets, 1)
+            )
+        elif name == "GetNodes":
+            span = "<tt:{0}><tt:Min>{1}</tt:Min><tt:Max>1</tt:Max></tt:{0}>"
+            inside = f"<tt:AbsolutePanTiltPositionSpace>{span.format('XRange', -1)}{span.format('YRange', -1)}"
+            inside += f"</tt:AbsolutePanTiltPositionSpace><tt:AbsoluteZoomPositionSpace>{span.format('XRange', 0)}"
+            inside += "</tt:AbsoluteZoomPositionSpace>"
+        elif name == "GotoPreset":
+            self.go_to(list(self.presets)[int(address["PresetToken"]) - 1])
+            inside = ""
+        else:
+            self._soap(request, "<s:Fault><s:Reason><s:Text>ActionNotSupported</s:Text></s:Reason></s:Fault>", 500)
+            return
+        self._soap(request, f"<x:{name}Response>{inside}</x:{name}Response>")
+
+    def _signed(self, root: ElementTree.Element) -> bool:
+        if not self.password:
+            return True
+        given = {element.tag.rpartition("}")[2]: element.text or "" for element in root.iter()}
+        try:
+            nonce, created = base64.b64decode(given["Nonce"]), given["Created"]
+            age = time.time() + self.clock_ahead - calendar.timegm(time.strptime(created, _DAY))
+        except (KeyError, ValueError):
+            return False
+        digest = hashlib.sha1(nonce + created.encode() + self.password.encode()).digest()
+        right = given.get("Username") == self.user and given.get("Password") == base64.b64encode(digest).decode()
+        return right and abs(age) <= CLOCK_TOLERANCE_S
+
+    def _soap(self, request: Request, body: str, status: int = 200) -> None:
+        names = " ".join(
+            f'xmlns:{short}="http://www.onvif.org/{path}"'
+            for short, path in {
+                "tt": "ver10/schema",
+                "trt": "ver10/media/wsdl",
+                "tptz": "ver20/ptz/wsdl",
+                "ter": "ver10/error",
+                "x": "x",
+            }.items()
+        )
+        self._xml(request, f'<s:Envelope xmlns:s="{_SOAP}" {names}><s:Body>{body}</s:Body></s:Envelope>', status)
+
+    # --- Reolink
+
+    def _reolink(self, request: Request) -> None:
+        (asked,) = json.loads(request.body)
+        query = {name: values[0] for name, values in parse_qs(request.query).items()}
+        command, parameters = asked["cmd"], asked.get("param", {})
+        pan, tilt, zoom = self.encoders()
+        value: dict[str, object] | None = None
+        if command == "Login":
+            user = parameters["User"]
+            if not self.password or (user["userName"], user["password"]) == (self.user, self.password):
+                self._tokens += 1
+                self._valid_token = f"token{self._tokens}"
+                value = {"Token": {"name": self._valid_token, "leaseTime": 3600}}
+            code = -7
+        elif query.get("token") != self._valid_token:
+            code = -6
+        elif command == "GetPtzCurPos":
+            value, code = {"PtzCurPos": {"channel": 0, "Ppos": round(pan % 360 * 10), "Tpos": round(tilt * 10)}}, 0
+        elif command == "GetZoomFocus":
+            value, code = {"ZoomFocus": {"channel": 0, "zoom": {"pos": round(zoom)}, "focus": {"pos": 3}}}, 0
+        elif command == "GetPtzPreset":
+            rows = [{"enable": 1, "id": k, "name": name} for k, name in enumerate(self.presets, 1)]
+            value, code = {"PtzPreset": [*rows, {"enable": 0, "id": 60, "name": "pos60"}]}, 0
+        elif command == "PtzCtrl" and parameters["op"] == "ToPos":
+            self.go_to(list(self.presets)[parameters["id"] - 1])
+            value, code = {"rspCode": 200}, 0
+        else:
+            code = -9
+        said: dict[str, object] = {"cmd": command, "code": 0 if value is not None else 1}
+        said |= {"value": value} if value is not None else {"error": {"detail": "no", "rspCode": code}}
+        request.answer(200, json.dumps([said]).encode(), "application/json")
+
+    def forget_token(self) -> None:
+        """As a camera that was restarted."""
+        self._valid_token = "none"
+
+
+_HIK = ' version="2.0" xmlns="http://www.hikvision.com/ver20/XMLSchema"'
+
+
+def ptz_camera(head: FakeHead, picture: Callable[[Place], UInt8Array] | None = None) -> HttpCamera:
+    """Its pictures show where it looks: by `picture`, or as `with_direction` writes it."""
+    camera = HttpCamera(routes=head.routes())
+    draw = picture or with_direction
+    camera.behaviour.render = lambda moment: jpeg(draw(head.really()))
+    return camera
+
+
+def with_direction(place: Place) -> UInt8Array:
+    """A scene of its own for each ten degrees, with pan and tilt (hundredths of a degree) in squares."""
+    pan, tilt, _ = place
+    count = round(pan % 360 * 100) * 100_000 + round((tilt + 90) * 100)
+    return with_time(scene(seed=int(pan % 360 // 10) + 100), count / 1000)
+
+
+def direction_in(image: UInt8Array) -> tuple[float, float]:
+    """Pan in [0, 360) and tilt, degrees: what `with_direction` wrote."""
+    count = round(time_in(image) * 1000)
+    return count // 100_000 / 100, count % 100_000 / 100 - 90

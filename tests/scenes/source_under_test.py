@@ -1,0 +1,87 @@
+"""A camera's source with a clock that a test turns, and what it delivers."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from ltm_core.camera import Camera
+from ltm_core.source_config import SourceConfig
+from ltm_ros.runtime.health import Health
+from ltm_ros.sources.backoff import Backoff
+from ltm_ros.sources.camera_source import CameraSource, Frame, Gaze
+from ltm_ros.sources.opening import open_reader
+
+MOST_BYTES = 4 << 20
+CALIBRATION = Camera.from_fov(320, 180, 62.0)
+
+
+class TurnedClock:
+    """A clock that stands until a test turns it; both its times go on together unless it is `set`."""
+
+    def __init__(self, wall: float = 1_790_000_000.0) -> None:
+        self._wall, self._monotonic = wall, 5000.0
+        self.known_synchronised: bool | None = True
+
+    def wall(self) -> float:
+        return self._wall
+
+    def monotonic(self) -> float:
+        return self._monotonic
+
+    def synchronised(self) -> bool | None:
+        return self.known_synchronised
+
+    def turn(self, seconds: float) -> None:
+        self._wall += seconds
+        self._monotonic += seconds
+
+    def set(self, seconds: float) -> None:
+        """As somebody who sets the time of day."""
+        self._wall += seconds
+
+
+def settings(**given: Any) -> Any:
+    """The section `source` of a site file."""
+    adapter: TypeAdapter[Any] = TypeAdapter(SourceConfig)
+    return adapter.validate_python(given)
+
+
+@dataclass
+class Sourced:
+    """`clock`: with the true times where it is a SystemClock, for a camera that a test runs."""
+
+    config: Any
+    clock: Any
+    calibration: Camera = CALIBRATION
+    gaze: Gaze = field(default_factory=Gaze)
+    reader: Any = None
+    """Instead of the one that the configuration asks for."""
+    frames: list[Frame] = field(default_factory=list)
+    health: Health = field(default_factory=Health)
+
+    def __post_init__(self) -> None:
+        def connect() -> Any:
+            return self.reader() if self.reader is not None else open_reader(self.config, MOST_BYTES, self.clock)
+
+        self.source = CameraSource(
+            self.config,
+            self.calibration,
+            self.gaze,
+            connect,
+            self.frames.append,
+            self.health,
+            self.clock,
+            Backoff(random.Random(5)),
+        )
+
+    @property
+    def state(self) -> str:
+        return self.source.state.value
+
+    def steps(self, count: int) -> list[float]:
+        """The pauses that followed; the clock does not move."""
+        return [self.source.step() for _ in range(count)]

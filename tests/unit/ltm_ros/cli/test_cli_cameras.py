@@ -1,0 +1,349 @@
+"""`ltm cameras` against cameras on loopback: what it finds, what it writes, and what it tells."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+from scenes import rtsp_camera
+from scenes.http_camera import HttpCamera, running
+from scenes.ptz_camera import FakeHead, ptz_camera
+from scenes.small_site import TOWER, Frame, SmallSite, write_small_site
+from typer.testing import CliRunner
+
+from ltm_core.errors import ConfigError, LtmError
+from ltm_core.pose import Pose
+from ltm_core.pose_estimation.mount_io import read_readings
+from ltm_core.site_io import load_site
+from ltm_core.tracing.trace_io import load_picture_config
+from ltm_ros.cli.cameras_watch import state_table
+from ltm_ros.cli.main import cli
+from ltm_ros.sources.discovery import discover
+from ltm_ros.sources.errors import SourceError, UnauthorisedError
+
+PASSWORD = "tower-%7 <&> secret"
+
+
+def run(*arguments: object, typed: str | None = None) -> str:
+    environment = {"COLUMNS": "200", "HEAD_PASSWORD": PASSWORD, "WRONG": "not-the-one"}
+    result = CliRunner().invoke(cli, ["cameras", *map(str, arguments)], input=typed, env=environment)
+    assert PASSWORD not in result.output
+    assert "not-the-one" not in result.output
+    if isinstance(result.exception, LtmError):
+        assert PASSWORD not in str(result.exception)
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+@pytest.fixture
+def head() -> FakeHead:
+    return FakeHead(place=(123.4, -7.2, 1.0), rate=3000.0)
+
+
+@pytest.fixture
+def camera(head: FakeHead) -> Iterator[HttpCamera]:
+    with running(ptz_camera(head)) as camera:
+        yield camera
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> SmallSite:
+    """Its site file in lines, so that a camera can be put into it."""
+    return write_small_site(tmp_path, recording=False)
+
+
+def test_probe_finds_a_fixed_camera_and_its_entry_makes_a_site(small: SmallSite) -> None:
+    with running() as camera:
+        camera.behaviour.clock_ahead = 37.0
+        camera.behaviour.authentication, camera.behaviour.password = "digest", PASSWORD
+        login = ("--user", "viewer", "--password-env", "HEAD_PASSWORD")
+        where = ("--lonlat", "-117.227,37.502", "--height", 20, "--azimuth", 48, "--pitch", -12, "--hfov", 62)
+        said = run("probe", camera.url(), *login, *where, "--site", small.path, "--camera", "north")
+    assert "320 x 180 pixels" in said
+    assert "+37." in said or "+36." in said
+    assert "still to be added" not in said
+    site = load_site(small.path)
+    north = site.camera("north")
+    assert north.source is not None
+    assert north.source.model_dump()["url"] == camera.url()
+    assert north.pose is not None
+    assert north.pose.azimuth_deg == 48.0
+    assert north.calibration is not None
+    assert (north.calibration.width, north.calibration.hfov_deg) == (320, 62.0)
+    assert set(site.cameras) == {"tower", "mast", "north"}
+    assert PASSWORD not in small.path.read_text()
+
+
+def test_probe_finds_a_head_by_the_camera_s_bare_address(camera: HttpCamera, small: SmallSite) -> None:
+    where = ("--lonlat", "-117.227,37.502", "--height", 20, "--azimuth", 48)
+    said = run("probe", camera.url(""), *where, "--site", small.path, "--camera", "north")
+    for told in ("head speaks", "vapix", "-180 to 180 deg", "1 to 9999", "north, east, south ridge", "123.40 deg"):
+        assert told in said
+    north = load_site(small.path).camera("north")
+    assert north.ptz is not None
+    assert north.ptz.kind == "vapix"
+    assert north.mount is not None
+    assert north.mount.lens is not None
+    assert north.mount.lens.zoom[0].hfov_deg == 62.6  # ALERTCalifornia's, until it is calibrated
+
+
+@pytest.mark.parametrize(
+    ("kind", "page"),
+    [
+        ("isapi degrees", "/ISAPI/PTZCtrl/channels/1/absoluteEx"),
+        ("isapi tenths", "/ISAPI/PTZCtrl/channels/1/status"),
+        ("onvif", "/onvif"),
+        ("reolink", "/cgi-bin/api.cgi"),
+    ],
+)
+def test_probe_tells_each_kind_of_head(camera: HttpCamera, kind: str, page: str) -> None:
+    camera.routes = {path: route for path, route in camera.routes.items() if path.startswith(page)}
+    said = run("probe", camera.url())
+    assert f"kind: {kind.split()[0]}" in said
+    assert kind in said
+
+
+def test_probe_signs_to_an_onvif_camera_whose_clock_is_two_minutes_off(camera: HttpCamera, head: FakeHead) -> None:
+    camera.routes = {path: route for path, route in camera.routes.items() if path.startswith("/onvif")}
+    head.clock_ahead, head.user, head.password = 120.0, "viewer", PASSWORD
+    said = run("probe", camera.url(), "--user", "viewer", "--password-env", "HEAD_PASSWORD")
+    assert "kind: onvif" in said
+    assert "+120." in said or "+119." in said
+
+
+@pytest.mark.slow
+def test_probe_counts_the_pictures_of_a_stream(camera: HttpCamera) -> None:
+    said = run("probe", camera.url("/stream.mjpg"))
+    assert "kind: mjpeg" in said
+    assert "pictures a second" in said
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(bool(rtsp_camera.missing()), reason=rtsp_camera.missing() or "there is a server")
+def test_probe_listens_to_rtsp_and_measures_its_clock() -> None:
+    with rtsp_camera.running(rtsp_camera.RtspCamera(ahead=37.0)) as stream:
+        said = run("probe", stream.url, "--timeout", 3)
+    assert "kind: rtsp" in said
+    assert "{} x {} pixels".format(*rtsp_camera.SIZE) in said
+    assert "+37." in said or "+36.9" in said
+
+
+def test_a_wrong_password_is_tried_once(camera: HttpCamera) -> None:
+    camera.behaviour.authentication, camera.behaviour.password = "digest", PASSWORD
+    with pytest.raises(UnauthorisedError, match=r"refuses the user viewer[\s\S]*Nothing more was asked"):
+        run("probe", camera.url(), "--user", "viewer", "--password-env", "WRONG")
+    assert camera.refused == 1
+    assert not camera.asked
+
+
+def test_a_password_is_typed_and_neither_shown_nor_written(camera: HttpCamera) -> None:
+    camera.behaviour.authentication, camera.behaviour.password = "digest", PASSWORD
+    said = run("probe", camera.url(), "--user", "viewer", "--azimuth", 3, typed=f"{PASSWORD}\n")
+    assert "environment: LTM_NORTH_PASSWORD" in said
+    assert "export LTM_NORTH_PASSWORD=..." in said
+
+
+@pytest.mark.parametrize(
+    "url", ["http://u:s3cret@127.0.0.1/a.jpg", "rtsp://u:s3cret@127.0.0.1", "127.0.0.1/?pwd=s3cret"]
+)
+def test_a_password_in_the_address_is_refused_without_repeating_it(url: str) -> None:
+    with pytest.raises(ConfigError, match="--password-env") as told:
+        run("probe", url)
+    assert "s3cret" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--camera", "x"), "--site and --camera together"),
+        (("--password-env", "HEAD_PASSWORD"), "a password needs --user"),
+        (("--lonlat", "7"), "LON,LAT"),
+        (("--user", "a", "--password-env", "X", "--password-file", "y"), "not both"),
+    ],
+)
+def test_mistakes_are_told(arguments: tuple[str, ...], told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        run("probe", "http://127.0.0.1:9", *arguments)
+
+
+def test_what_is_still_lacking_is_told_and_the_site_file_stays(camera: HttpCamera, small: SmallSite) -> None:
+    before = small.path.read_text()
+    with pytest.raises(ConfigError, match=r"left as it is: it lacks mount: where it stands"):
+        run("probe", camera.url(""), "--site", small.path, "--camera", "north")
+    assert small.path.read_text() == before
+
+
+def test_nothing_there_is_told_with_what_was_asked() -> None:
+    with running() as camera:
+        camera.behaviour.status = 404
+        with pytest.raises(
+            ConfigError, match=r"neither a picture nor a head[\s\S]*/snapshot.jpg: the camera answers HTTP 404"
+        ):
+            run("probe", camera.url())
+
+
+def test_no_connection_is_told() -> None:
+    with pytest.raises(ConfigError, match="no connection"):
+        run("probe", "http://127.0.0.1:9/a.jpg", "--timeout", 1)
+
+
+ANSWER = """<s:Envelope xmlns:s="http://www.w3.org/2003/05/soap-envelope"
+ xmlns:a="http://schemas.xmlsoap.org/ws/2004/08/addressing" xmlns:d="http://schemas.xmlsoap.org/ws/2005/04/discovery">
+<s:Header><a:RelatesTo>{relates}</a:RelatesTo></s:Header><s:Body><d:ProbeMatches><d:ProbeMatch>
+<d:Scopes>onvif://www.onvif.org/name/{name} onvif://www.onvif.org/hardware/Q6 onvif://www.onvif.org/type/ptz</d:Scopes>
+<d:XAddrs>http://10.0.0.9/onvif/device_service http://127.0.0.1:{port}/onvif/device_service</d:XAddrs>
+</d:ProbeMatch></d:ProbeMatches></s:Body></s:Envelope>"""
+
+
+@pytest.fixture
+def answering() -> Iterator[int]:
+    """The UDP port of a network on loopback, on which two cameras, a stranger and a liar answer."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind(("", 0))
+        group = struct.pack("=4s4s", socket.inet_aton("239.255.255.250"), socket.inet_aton("127.0.0.1"))
+        listening.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
+        port = int(listening.getsockname()[1])
+
+        def answer() -> None:
+            while True:
+                try:
+                    question, place = listening.recvfrom(65_000)
+                except OSError:
+                    return
+                if not question:
+                    return
+                asked = question.decode().split("MessageID>")[1].split("<")[0]
+                for relates, name, at in (
+                    (asked, "North%20Ridge%1b[2J", 81),
+                    (asked, "South", 82),
+                    (asked, "South", 82),
+                    ("urn:uuid:another", "stranger", 83),
+                ):
+                    listening.sendto(ANSWER.format(relates=relates, name=name, port=at).encode(), place)
+                listening.sendto(b'<!DOCTYPE x [<!ENTITY a "b">]><x>&a;</x>', place)
+                listening.sendto(b"\x00\xff" * 900, place)
+
+        thread = threading.Thread(target=answer, daemon=True)
+        thread.start()
+        yield port
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ending:
+            ending.sendto(b"", ("127.0.0.1", port))
+        thread.join(5)
+
+
+def test_discover_asks_the_interface_that_it_is_told(answering: int) -> None:
+    found, wrong = discover("127.0.0.1", 1.0, port=answering)
+    assert [one.address for one in found] == [f"http://127.0.0.1:{port}/onvif/device_service" for port in (81, 82)]
+    assert [(one.name, one.hardware) for one in found] == [("North Ridge?[2J", "Q6"), ("South", "Q6")]
+    assert wrong == 3
+    said = run("discover", "--interface", "127.0.0.1", "--port", answering, "--seconds", 1)
+    assert "2 cameras answered" in said
+    assert "3 answers were none" in said
+    assert "\x1b[2J" not in said
+
+
+@pytest.mark.parametrize("interface", ["north", "10.255.255.254", "::1"])
+def test_an_interface_that_is_not_ours_is_told(interface: str) -> None:
+    with pytest.raises(ConfigError, match="of this computer"):
+        run("discover", "--interface", interface, "--seconds", 0.2)
+
+
+def test_discover_ends_where_nobody_answers() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind(("127.0.0.1", 0))
+        assert discover("127.0.0.1", 0.2, port=silent.getsockname()[1]) == ([], 0)
+
+
+MOUNT = {"x": 480_575.0, "y": 4_150_485.0, "height_above_ground": 45.0, "azimuth_deg": 30.0, "pitch_deg": 0.4}
+LENS = {
+    "width": TOWER.width,
+    "height": TOWER.height,
+    "zoom": [{"zoom": 1, "hfov_deg": 62.0}, {"zoom": 9999, "hfov_deg": 4}],
+}
+
+
+def write_head(small: SmallSite, camera: HttpCamera, **ptz: object) -> None:
+    """The tower of the small site becomes a head that is asked by VAPIX."""
+    content = yaml.safe_load(small.path.read_text())
+    content["cameras"]["tower"] = {
+        "source": {"kind": "snapshot", "url": camera.url(), "every": 0.2},
+        "ptz": {"kind": "vapix", **ptz},
+        "mount": {**MOUNT, "lens": LENS},
+    }
+    small.path.write_text(yaml.safe_dump(content, sort_keys=False))
+
+
+def test_snapshot_writes_picture_pose_reading_and_trace(tmp_path: Path, head: FakeHead) -> None:
+    small = write_small_site(tmp_path, recording=False)
+    head.place = (95.0, -14.0, 1.0)
+    head.send(head.place)
+    with running(ptz_camera(head, lambda place: seen)) as camera:
+        write_head(small, camera, patrol={"presets": ["north"]})
+        mount = load_site(small.path).camera("tower").mount
+        assert mount is not None
+        model = mount.model(small.dem, small.site.frame)
+        pose = Pose(model.base.position, model.rotation(*head.place[:2]))
+        # Drawn beforehand: kernels that are yet to be compiled take longer than a camera may.
+        seen = small.photo(Frame("tower", 0, TOWER, pose))
+        out = tmp_path / "out"
+        said = run("snapshot", small.path, "tower", "--out", out, "--name", "east")
+        run("snapshot", small.path, "tower", "--out", out, "--name", "again", "--no-trace")
+        with pytest.raises(ConfigError, match="exists already"):
+            run("snapshot", small.path, "tower", "--out", out, "--name", "east")
+    assert "pan 95.000, tilt -14.000" in said
+    assert not head.commands, "a patrol is for the graph: by hand nothing is driven"
+    assert "of the pixels see terrain" in said
+    assert read_readings(out / "readings.csv") == {"east.jpg": (95.0, -14.0, 1.0), "again.jpg": (95.0, -14.0, 1.0)}
+    config = load_picture_config(out / "east.yaml")
+    # The mount pitches up by 0.4 deg at pan 0, and so hardly at pan 95.
+    assert config.pose.azimuth_deg == pytest.approx(125.0, abs=0.2)
+    assert config.pose.pitch_deg == pytest.approx(-14.0, abs=0.1)
+    assert config.calibration.fx == pytest.approx(TOWER.fx, rel=1e-3)
+    assert config.pose.azimuth_sigma_deg == pytest.approx(1.5, rel=0.1)
+    with Image.open(out / "east.jpg") as photo, Image.open(out / "east_depth.png") as depth:
+        assert photo.size == (TOWER.width, TOWER.height)
+        assert np.asarray(depth).std() > 10
+    assert not (out / "again_depth.png").exists()
+
+
+def test_snapshot_tells_why_there_is_no_picture(tmp_path: Path, camera: HttpCamera, head: FakeHead) -> None:
+    small = write_small_site(tmp_path, recording=False)
+    write_head(small, camera)
+    head.slew(20.0)
+    with pytest.raises(SourceError, match="tower gave no picture that can be used: moved: the head moves"):
+        run("snapshot", small.path, "tower", "--out", tmp_path / "out", "--tries", 2)
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(ConfigError, match="mast of site hollow has no section `source`"):
+        run("snapshot", small.path, "mast", "--out", tmp_path / "out")
+
+
+def test_the_table_shows_states_in_words_and_no_markup_of_a_stranger() -> None:
+    from rich.console import Console
+
+    said = {"state": "stuck", "state_why": "[bold]the same picture", "state_since": "1790000000", "frames_out": "3"}
+    said |= {
+        "camera_clock_ahead_s": "37.2",
+        "stamp_uncertainty_s": "0.5",
+        "stamp_told_by": "exif",
+        "picture_age_s": "4.0",
+    }
+    console = Console(width=200)
+    with console.capture() as captured:
+        console.print(state_table({"north": said, "south": {}}))
+    shown = captured.get()
+    for told in ("stuck", "[bold]the same picture", "+37.2 s", "+- 0.5 s by exif", "4.0 s ago", "silent"):
+        assert told in shown
+
+
+def test_watch_needs_a_source(small: SmallSite) -> None:
+    with pytest.raises(ConfigError, match="no camera has a section `source`"):
+        run("watch", small.path, "--once")

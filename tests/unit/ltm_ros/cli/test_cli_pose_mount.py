@@ -1,0 +1,180 @@
+"""`ltm pose --site --camera`: a head is calibrated from files, and the site file has it afterwards."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+from scenes.mountain_view import BEND, PLACE, eye, mountains, view
+from scenes.networks import write_classifier
+from scenes.small_site import PAINT, SKY
+from typer.testing import CliRunner
+
+from ltm_core.dem import Dem
+from ltm_core.errors import ConfigError, LtmError, PoseError
+from ltm_core.pose import Pose
+from ltm_core.pose_estimation.mount_model import MountModel
+from ltm_core.site import Site
+from ltm_core.site_io import load_site
+from ltm_core.types import Float64Array, UInt8Array
+from ltm_core.visibility.line_of_sight import pixel_rays
+from ltm_core.vision.labels import Label
+from ltm_core.zoom_lens import LensConfig
+from ltm_ros.cli.main import cli
+
+ORIGIN = (380_000.0, 3_800_000.0)
+TABLE = [{"zoom": 1.0, "hfov_deg": 52.0}, {"zoom": 400.0, "hfov_deg": 26.0}]
+LENS = LensConfig.model_validate({"width": 480, "height": 300, "zoom": TABLE}).lens()
+TRUE = MountModel(Pose.from_angles(eye(), 63.0, 0.7, -0.4), math.radians(0.3), np.zeros((7, 7)))
+
+
+def write_site(folder: Path, **mount: object) -> Path:
+    dem = mountains()
+    Dem(dem.elevation, dem.geometry.translated(*ORIGIN, "EPSG:32611")).save(folder / "dem.tif")
+    known = {"x": ORIGIN[0] + PLACE[0], "y": ORIGIN[1] + PLACE[1], "height_above_ground": 12.0, "azimuth_deg": 64.5}
+    known |= {"position_sigma": 0.01, "height_sigma": 0.01}
+    site = {
+        "name": "ridge",
+        "crs": "EPSG:32611",
+        "origin": list(ORIGIN),
+        "dem": {"path": "dem.tif"},
+        "possible_ground": {"highest": -10000.0},
+        "cameras": {"north": {"mount": known | {"lens": {"width": 480, "height": 300, "zoom": TABLE}} | mount}},
+    }
+    path = folder / "site.yaml"
+    path.write_text("# The ridge.\n" + yaml.safe_dump(site, sort_keys=False), encoding="utf-8")
+    return path
+
+
+def landmarks(path: Path, pans: tuple[float, ...], lens_factor: float = 1.0) -> Path:
+    """Marked in pictures at each pan; of a lens whose focal length is the table's times `lens_factor`."""
+    rng = np.random.default_rng(7)
+    lens = LENS.scaled({1.0: lens_factor})
+    lines = ["id,x,y,z,u,v,pan_deg,tilt_deg,zoom"]
+    for k, pan in enumerate(pans):
+        tilt = -2.0 + k % 3
+        rotation, camera = TRUE.rotation(pan, tilt), lens.camera(1.0)
+        for j in range(3):
+            pixel = np.array([rng.uniform(20, 460), rng.uniform(100, 200)])
+            way = rotation @ pixel_rays(camera, pixel[None])[0] * rng.uniform(400, 1400)
+            way[2] += BEND * (way[0] ** 2 + way[1] ** 2)
+            x, y, z = TRUE.base.position + way
+            lines.append(f"p{k}{j},{x + ORIGIN[0]:.4f},{y + ORIGIN[1]:.4f},{z:.4f},{pixel[0]:.3f},{pixel[1]:.3f},"
+                         f"{pan},{tilt},1")  # fmt: skip
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+def run(*arguments: object) -> str:
+    result = CliRunner().invoke(cli, ["pose", *map(str, arguments)], env={"COLUMNS": "200"})
+    if isinstance(result.exception, LtmError):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def errors_deg(site: Site, tilt: float = -2.0) -> list[float]:
+    mount = site.camera("north").mount
+    assert mount is not None
+    model = mount.model(site.open_dem(), site.frame)
+
+    def looks(which: MountModel, pan: float) -> Float64Array:
+        return which.rotation(pan, tilt)[:, 2]
+
+    cosines = [float(looks(model, pan) @ looks(TRUE, pan)) for pan in range(0, 360, 20)]
+    return [math.degrees(math.acos(min(1.0, cosine))) for cosine in cosines]
+
+
+def test_landmarks_of_several_presets_calibrate_the_head_in_the_site_file(tmp_path: Path) -> None:
+    path = write_site(tmp_path)
+    assert max(errors_deg(load_site(path))) > 1.0
+    points = landmarks(tmp_path / "points.csv", (10.0, 100.0, 190.0, 280.0), lens_factor=1.03)
+    said = run("--site", path, "--camera", "north", "--gcps", points)
+    assert "azimuth at pan 0" in said
+    assert path.read_text().startswith("# The ridge.")
+    site = load_site(path)
+    mount = site.camera("north").mount
+    assert mount is not None
+    assert mount.lens is not None
+    assert max(errors_deg(site)) < 0.02
+    assert mount.calibrated
+    assert mount.lens.lens().camera(1.0).fx == pytest.approx(1.03 * LENS.camera(1.0).fx, rel=1e-3)
+    with pytest.raises(ConfigError, match="calibrated already"):
+        run("--site", path, "--camera", "north", "--gcps", points)
+    run("--site", path, "--camera", "north", "--gcps", points, "--overwrite")
+    assert max(errors_deg(load_site(path))) < 0.02
+
+
+def test_with_out_the_site_file_stays(tmp_path: Path) -> None:
+    path = write_site(tmp_path)
+    before = path.read_text()
+    points = landmarks(tmp_path / "points.csv", (10.0, 100.0, 190.0, 280.0))
+    run("--site", path, "--camera", "north", "--gcps", points, "--out", tmp_path / "found/mount.yaml", "--free", "none")
+    assert path.read_text() == before
+    section = yaml.safe_load((tmp_path / "found/mount.yaml").read_text())["mount"]
+    assert section["azimuth_deg"] == pytest.approx(63.0, abs=0.02)
+    assert section["lens"]["zoom"] == TABLE
+
+
+def test_an_axis_that_runs_the_other_way_is_told_and_written(tmp_path: Path) -> None:
+    path = write_site(tmp_path, pan_sign=-1)
+    said = run(
+        "--site", path, "--camera", "north", "--gcps", landmarks(tmp_path / "p.csv", (10.0, 100.0, 190.0, 280.0))
+    )
+    assert "pan runs opposite to what was stated" in said
+    mount = load_site(path).camera("north").mount
+    assert mount is not None
+    assert mount.pan_sign == 1
+    assert max(errors_deg(load_site(path))) < 0.02
+
+
+def painted(pose: Pose) -> UInt8Array:
+    """Sky and ground in the colours that the test's network knows."""
+    photo, labels = view(pose, LENS.camera(1.0))
+    ground = np.zeros_like(photo)
+    ground[..., 1] = photo[..., 1]
+    return np.where((labels == Label.SKY)[..., None], np.array(PAINT[SKY], np.uint8), ground)
+
+
+@pytest.mark.slow
+def test_pictures_of_several_presets_calibrate_the_head(tmp_path: Path) -> None:
+    path = write_site(tmp_path)
+    model = write_classifier(tmp_path)
+    lines = ["name,pan_deg,tilt_deg,zoom"]
+    for k, pan in enumerate((0.0, 85.0, 175.0, 270.0)):
+        photo = painted(Pose(TRUE.base.position, TRUE.rotation(pan, 2.0)))
+        Image.fromarray(photo).save(tmp_path / f"preset{k}.png")
+        lines.append(f"preset{k}.png,{pan},2.0,1")
+    (tmp_path / "readings.csv").write_text("\n".join(lines))
+    files = ("--photo", tmp_path, "--readings", tmp_path / "readings.csv", "--model", model)
+    said = run("--site", path, "--camera", "north", *files)
+    assert "4 pictures agree" in said
+    assert max(errors_deg(load_site(path), tilt=2.0)) < 0.15
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--site", "{site}", "--gcps", "{points}"], "--site and --camera together"),
+        (["--site", "{site}", "--camera", "south", "--gcps", "{points}"], "no camera 'south'; it has north"),
+        (["--site", "{site}", "--camera", "north", "--photo", "{folder}"], "needs --readings"),
+        (
+            ["--site", "{site}", "--camera", "north", "--gcps", "{points}", "--free", "k1"],
+            r"of a head, focal .* and position",
+        ),
+    ],
+)
+def test_mistakes_are_told(tmp_path: Path, arguments: list[str], told: str) -> None:
+    places = {"site": write_site(tmp_path), "points": landmarks(tmp_path / "p.csv", (0.0, 90.0)), "folder": tmp_path}
+    with pytest.raises(ConfigError, match=told):
+        run(*(argument.format(**places) for argument in arguments))
+
+
+def test_points_without_readings_are_told(tmp_path: Path) -> None:
+    (tmp_path / "points.csv").write_text("id,x,y,z,u,v\na,1,2,3,4,5\n")
+    with pytest.raises(PoseError, match=r"no column 'pan'.*need id, x, y, z, u, v, pan, tilt, zoom"):
+        run("--site", write_site(tmp_path), "--camera", "north", "--gcps", tmp_path / "points.csv")

@@ -1,0 +1,82 @@
+"""MJPEG of a real server."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from typing import Any
+
+import pytest
+from scenes.http_camera import Behaviour, HttpCamera, running
+from scenes.source_under_test import Sourced, settings
+from scenes.timed_picture import jpeg, scene, time_in
+
+from ltm_msgs_py.image import decode_rgb
+from ltm_ros.sources.system_clock import SystemClock
+
+FAST = {"frame_s": 0.02}
+
+
+def sourced_from(camera: HttpCamera, **given: object) -> Sourced:
+    return Sourced(settings(kind="mjpeg", url=camera.url("/stream.mjpg"), timeout=1.0, **given), SystemClock())
+
+
+def test_pictures_come_as_they_are_sent_with_their_times() -> None:
+    with running(HttpCamera(Behaviour(**FAST))) as camera:
+        sourced = sourced_from(camera)
+        sourced.steps(5)
+        sourced.source.close()
+    assert (sourced.state, len(sourced.frames)) == ("alive", 5), sourced.source.why
+    for frame in sourced.frames:
+        assert abs(frame.stamp_ns / 1e9 - time_in(decode_rgb(frame.jpeg or b""))) <= frame.uncertainty + 0.1
+
+
+def test_one_each_so_many_seconds() -> None:
+    with running(HttpCamera(Behaviour(**FAST))) as camera:
+        sourced = sourced_from(camera, every=0.3)
+        began = time.monotonic()
+        while len(sourced.frames) < 3:
+            sourced.steps(1)
+        sourced.source.close()
+    stamps = [frame.stamp_ns / 1e9 for frame in sourced.frames]
+    assert time.monotonic() - began >= 0.6
+    assert min(b - a for a, b in itertools.pairwise(stamps)) >= 0.29
+
+
+FAULTS: dict[str, tuple[dict[str, Any], str]] = {
+    "ends": ({"frames": 3}, "ended"),
+    "silent": ({"stall_within_s": 3.0}, "silent"),
+    "cut": ({"cut": True}, "ended"),
+    "no JPEG": ({"garbage": b"nothing of use"}, "no JPEG"),
+    "too large": ({"render": lambda _: b"\xff\xd8\xff" + bytes(5 << 20)}, "at most"),
+    "other size": ({"render": lambda _: jpeg(scene(640, 360))}, "640 x 360"),
+}
+
+
+@pytest.mark.parametrize(("broken", "said"), FAULTS.values(), ids=FAULTS)
+def test_what_goes_wrong(broken: dict[str, Any], said: str) -> None:
+    with running(HttpCamera(Behaviour(**FAST))) as camera:
+        sourced = sourced_from(camera, stalled_after=0.2)
+        for name, value in broken.items():
+            setattr(camera.behaviour, name, value)
+        for _ in range(60):
+            sourced.steps(1)
+            if sourced.state == "stalled" and said in sourced.source.why:
+                break
+        assert (sourced.state, said in sourced.source.why) == ("stalled", True), sourced.source.why
+        camera.behaviour = Behaviour(**FAST)
+        before = len(sourced.frames)
+        for _ in range(60):
+            sourced.steps(1)
+            if len(sourced.frames) >= before + 2:
+                break
+        assert sourced.state == "alive", sourced.source.why
+        sourced.source.close()
+
+
+def test_a_page_is_no_stream() -> None:
+    with running() as camera:
+        sourced = Sourced(settings(kind="mjpeg", url=camera.url()), SystemClock())
+        sourced.steps(1)
+    assert sourced.state == "stalled"
+    assert "not a stream of JPEGs" in sourced.source.why
