@@ -25,6 +25,10 @@ def load_site(path: Path | str) -> Site:
         beside = path.parent / getattr(site, name)
         if beside.suffix == ".yaml" and beside.is_file():
             changes[name] = str(beside)
+    if site.health is not None:
+        given = {name: getattr(site.health, name) for name in ("certificate", "key", "token")}
+        files = {name: path.parent / file for name, file in given.items() if file is not None}
+        changes["health"] = site.health.model_copy(update=files)
     fuel: dict[str, object] = {}
     if site.fuel.prior is not None:
         fuel["prior"] = site.fuel.prior.below(path.parent)
