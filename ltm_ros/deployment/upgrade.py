@@ -114,6 +114,9 @@ class Upgrade:
         self.return_unconfirmed()
         self._service.start()
         again = self._wait_until_ready(former, RETURN_S)
+        self._say(
+            f"{former} {'is not ready' if again else 'is ready'} {time.monotonic() - begun:.0f} s after it was stopped"
+        )
         state = f"{former} does not come up either ({again}): see `journalctl --namespace=ltm`"
         raise UpgradeError(f"{target} was not taken: {wrong}; {state if again else f'{former} runs again'}")
 

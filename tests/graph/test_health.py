@@ -6,6 +6,7 @@ import http.client
 import json
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -17,6 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 import yaml
 from bystander import Bystander
@@ -43,13 +46,13 @@ class Tower:
     process: subprocess.Popen[bytes]
     console: Path
 
-    def get(self, path: str) -> tuple[int, str]:
+    def get(self, path: str) -> tuple[int, str]:  # of a picture: its bytes, each as a character
         """(0, ...) while nobody answers."""
         try:
             with closing(http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)) as connection:
                 connection.request("GET", path)
                 answer = connection.getresponse()
-                return answer.status, answer.read().decode()
+                return answer.status, answer.read().decode("latin-1")
         except (OSError, http.client.HTTPException) as error:
             return 0, str(error)
 
@@ -128,6 +131,39 @@ def test_a_camera_that_sends_makes_a_tower_ready_and_numbers_are_those_of_the_di
     assert (camera["name"], camera["frames_in"], camera["finished"], camera["wrong"]) == ("tower", 3, 3, "")
     assert {"cameras", "fuel_map"} <= set(said["process_memory"])
     assert min(said["process_memory"].values()) > 10e6
+
+
+def browse(tower: Tower, folder: Path, *options: str) -> str:
+    """What a real browser makes of the page, after some seconds of its own time."""
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("needs a browser: apt install chromium")
+    command = [browser, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder / 'browser'}"]
+    command += ["--window-size=1280,1500", "--hide-scrollbars", "--virtual-time-budget=9000", *options]
+    ran = subprocess.run(
+        [*command, f"http://127.0.0.1:{tower.port}/"], capture_output=True, text=True, timeout=180, check=True
+    )
+    return ran.stdout
+
+
+def test_the_page_shows_pictures_map_and_words(tower: Tower, tmp_path: Path) -> None:
+    """In a real browser."""
+    wait_for(lambda: tower.get("/readyz")[0] == 200, "frames", tower.said)
+    assert tower.get("/picture/tower/secret.jpg")[0] == tower.get("/picture/mast/photo.jpg")[0] == 404
+    wait_for(lambda: tower.get("/picture/tower/labels.jpg")[0] == 200, "a picture", tower.said)
+    wait_for(lambda: tower.get("/map.png")[0] == 200, "the map", tower.said)
+    page = browse(tower, tmp_path, "--dump-dom")
+    assert re.search(r'<img alt="Last picture of tower: photo" src="/picture/tower/photo\.jpg\?\d+', page), page
+    assert "all nodes report, all cameras send" in page
+    assert re.search(r"Newest frame [\d.]+ (ms|s|min) ago .*3 frames came, 3 are finished", page), page
+    assert f"<td>/{NAME}/fuel_map</td>" in page
+    shot = tmp_path / "page.png"
+    browse(tower, tmp_path, f"--screenshot={shot}")
+    colors = cv2.imread(str(shot)).reshape(-1, 3)
+    assert len(colors) == 1280 * 1500
+    # The site is painted in pure colours; its photo is on the page as it is.
+    painted = (np.abs(colors.astype(int)[:, ::-1] - (0, 255, 0)).max(axis=1) < 30).mean()
+    assert painted > 0.01, "the picture is drawn, not only named"
 
 
 def counts(summary: dict[str, str]) -> dict[str, float]:
