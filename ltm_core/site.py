@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import math
 import re
 from pathlib import Path
@@ -41,7 +42,7 @@ RosName = Annotated[str, AfterValidator(_ros_name)]
 FARTHEST_ORIGIN = 100_000.0
 """Metres from the DEM to the origin: beyond it, float32 coordinates no longer hold centimetres."""
 
-SITE_NAMES = ("fuel_map", "terrain", "locate", "viewer", "recorder")
+SITE_NAMES = ("fuel_map", "terrain", "locate", "viewer", "recorder", "health")
 """Nodes and topics that stand beside the cameras in `/<site>/`: no camera may be called so."""
 
 
@@ -262,6 +263,37 @@ class CameraConfig(Config):
         return self
 
 
+class HealthConfig(Config):
+    """Where a tower answers monitoring systems; a site that has this section runs the node `health`."""
+
+    port: int = Field(9464, ge=0, le=65535)
+    """TCP; 0: any that is free."""
+    address: str = "127.0.0.1"
+    """IP address to listen on. Any but this machine's own loopback needs `certificate`, `key` and `token`."""
+    certificate: Path | None = None
+    """PEM, with the chain; relative to the site file."""
+    key: Path | None = None
+    """PEM. A systemd credential of the file's name goes before the file."""
+    token: Path | None = None
+    """File with the token that must be known (`Authorization: Bearer ...`); a credential goes before it, too."""
+    frame_age: float = Field(120.0, gt=0)
+    """Seconds; a camera whose newest frame is older is not ready."""
+
+    @model_validator(mode="after")
+    def _closed_to_strangers(self) -> Self:
+        try:
+            local = ipaddress.ip_address(self.address).is_loopback
+        except ValueError as error:
+            raise ValueError(f"address {self.address!r}: give an IP address, such as 127.0.0.1") from error
+        if (self.certificate is None) != (self.key is None):
+            raise ValueError("give certificate and key together")
+        if not local and (self.certificate is None or self.token is None):
+            raise ValueError(
+                f"address {self.address} is not this machine alone: give certificate, key and token, or 127.0.0.1"
+            )
+        return self
+
+
 class Site(Config):
     name: RosName
     crs: ProjectedCrs
@@ -301,6 +333,8 @@ class Site(Config):
     """None: poses are taken as they are stated."""
     limits: Limits = Limits()
     watchdog: WatchdogConfig = WatchdogConfig()
+    health: HealthConfig | None = None
+    """Where given, `ltm run` answers monitoring systems there, and serves the status page."""
     nodes: dict[RosName, dict[str, Any]] = {}
     """Parameters a node type: `nodes: {capture: {pose_tolerance: 0.1}}`. Each node refuses what it does not know."""
 

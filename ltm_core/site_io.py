@@ -32,6 +32,10 @@ def load_site(path: Path | str) -> Site:
     changes["cameras"] = {
         name: _source_beside(_with_mask(name, camera, path), path.parent) for name, camera in site.cameras.items()
     }
+    if site.health is not None:
+        given = {name: getattr(site.health, name) for name in ("certificate", "key", "token")}
+        files = {name: path.parent / file for name, file in given.items() if file is not None}
+        changes["health"] = site.health.model_copy(update=files)
     fuel: dict[str, object] = {}
     if site.fuel.prior is not None:
         fuel["prior"] = site.fuel.prior.below(path.parent)
