@@ -64,7 +64,7 @@ def _band(strokes: BoolArray, height: int) -> tuple[int, int, int, int] | None:
     # The longest run of busy rows, small gaps (between a letter's strokes) closed.
     gap = max(1, round(0.003 * height))
     closed = cv2.morphologyEx(busy.astype(np.uint8)[:, None], cv2.MORPH_CLOSE, np.ones((2 * gap + 1, 1), np.uint8))
-    rows = np.asarray(closed, np.uint8)[:, 0]
+    rows = np.asarray(closed).ravel()
     edges = np.flatnonzero(np.diff(np.concatenate([[0], rows, [0]])))
     runs = edges.reshape(-1, 2)
     first, end = max(runs, key=lambda run: share[run[0] : run[1]].sum())
