@@ -24,6 +24,7 @@ from ltm_core.sensor_pose import SensorsConfig
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.types import Float64Array
 from ltm_core.vision.label_head import SHIPPED_HEAD
+from ltm_core.vision.mask_config import MaskConfig
 
 
 def _ros_name(name: str) -> str:
@@ -209,6 +210,9 @@ class CameraConfig(Config):
     head: str = SHIPPED_HEAD
     """Head of the segmentation network for what this camera sees: `landscape` is the network's own, others are taught
     (`ltm train head`); a name, or a path from the site's folder of heads."""
+    mask: MaskConfig | None = None
+    """What of a fixed camera's pictures never shows the landscape: a PNG in the site file's folder, or polygons; see
+    `ltm mask`. None: nothing of them."""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:

@@ -33,11 +33,14 @@ from ltm_core.vision.label_head_io import find_head, read_head
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.onnx_model import OnnxModel
+from ltm_core.vision.scene_view import SceneFilter
 
 _FAR_ORIGIN = 30_000.0
 """Metres from the origin beyond which float32 no longer holds millimetres."""
 _SAMPLES = 200
 """Points a side at which two rasters' heights are compared."""
+_MUCH_MASKED = 0.6
+"""Share of a picture above which a mask may be inverted."""
 _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 
 
@@ -99,6 +102,8 @@ def check_site(path: Path, cameras: Sequence[str] = ()) -> SiteCheck:
         check.findings += _terrain(site, check.dem)
         for name in cameras or site.cameras:
             check.findings += _camera(site.cameras[name], name, site, check.dem, check.views)
+    for name in cameras or site.cameras:
+        check.findings += _mask(site, name)
     check.findings += _angles(site, cameras)
     check.findings += _fuel(site, check)
     check.findings += _networks(site)
@@ -196,6 +201,26 @@ def _camera(config: CameraConfig, name: str, site: Site, dem: Dem, views: list[P
     )
     if camera is not None:
         views.append(PosedCamera(name, camera, pose))
+
+
+def _mask(site: Site, name: str) -> Iterator[Finding]:
+    """Where a camera has one: what share of the picture it hides, if its size is known."""
+    config = site.cameras[name]
+    if config.mask is None:
+        return
+    called = f"{name}: mask"
+    try:
+        mask = SceneFilter.of(site, name).mask
+    except LtmError as error:
+        yield Finding.of("cameras", called, error)
+        return
+    if mask is None:
+        yield Finding("cameras", called, Verdict.OK, "polygons, drawn when the calibration comes as topic")
+        return
+    found = f"hides {mask.share:.1%} of {mask.size[0]} x {mask.size[1]} pixels"
+    if mask.share > _MUCH_MASKED:
+        found = f"{found}: little is left to see; masked is what is not 0 in a PNG: is it inverted?"
+    yield Finding("cameras", called, Verdict.DOUBTFUL if mask.share > _MUCH_MASKED else Verdict.OK, found)
 
 
 def check_views(views: Sequence[PosedCamera], dem: Dem) -> Iterator[Finding]:

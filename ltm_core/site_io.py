@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from ltm_core.config_io import load_yaml
-from ltm_core.site import DemConfig, Site
+from ltm_core.errors import ConfigError
+from ltm_core.site import CameraConfig, DemConfig, Site
 
 
 def load_site(path: Path | str) -> Site:
@@ -22,6 +23,8 @@ def load_site(path: Path | str) -> Site:
         "surface": None if site.surface is None else beside_the_file(site.surface),
         "heads": None if site.heads is None else path.parent / site.heads,
     }
+    if any(isinstance(camera.mask, Path) for camera in site.cameras.values()):
+        changes["cameras"] = {name: _with_mask(name, camera, path) for name, camera in site.cameras.items()}
     for name in ("model", "depth_model"):
         beside = path.parent / getattr(site, name)
         if beside.suffix == ".yaml" and beside.is_file():
@@ -34,3 +37,19 @@ def load_site(path: Path | str) -> Site:
     if fuel:
         changes["fuel"] = site.fuel.model_copy(update=fuel)
     return site.model_copy(update=changes)
+
+
+def _with_mask(name: str, camera: CameraConfig, site: Path) -> CameraConfig:
+    """With the mask's file beside the site file. A site may come from elsewhere: it names no file outside its folder.
+    Raises ConfigError."""
+    if not isinstance(camera.mask, Path):
+        return camera
+    place = f"{site}: cameras.{name}.mask"
+    try:
+        file = (site.parent / camera.mask).resolve()
+        inside = file.is_relative_to(site.parent)
+    except (OSError, ValueError, RuntimeError) as error:  # a name that no file can have, links in a circle
+        raise ConfigError(f"{place}: {str(camera.mask)!r} is no file ({error})") from error
+    if not inside:
+        raise ConfigError(f"{place}: {camera.mask} leads out of the site's folder; copy the mask into {site.parent}")
+    return camera.model_copy(update={"mask": file})

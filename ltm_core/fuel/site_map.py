@@ -6,10 +6,11 @@ from pathlib import Path
 
 from ltm_core.fuel.codes import FuelRegion
 from ltm_core.fuel.label_errors import LabelErrors
-from ltm_core.fuel.prior_io import load_prior
+from ltm_core.fuel.prior_io import load_prior, prior_heights
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.grid import GridGeometry
 from ltm_core.site import Site
+from ltm_core.types import Float32Array
 from ltm_core.vision.label_head import SHIPPED_HEAD
 from ltm_core.vision.labels import LabelSet
 
@@ -30,6 +31,11 @@ def site_label_errors(site: Site) -> LabelErrors:
     """What is known of the errors of the site's network. Raises ConfigError."""
     given = site.fuel.label_errors
     return LabelErrors.of_model(site.model) if given is None else LabelErrors.load(Path(given))
+
+
+def spare_heights(site: Site, geometry: GridGeometry) -> Float32Array | None:
+    """The elevations that came with the prior on the fuel grid (in the map frame); None: it has none."""
+    return None if site.fuel.prior is None else prior_heights(site.fuel.prior, site.in_crs(geometry))
 
 
 def camera_label_errors(site: Site) -> dict[str, LabelErrors]:

@@ -11,6 +11,7 @@ from pydantic import Field
 from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.scene_view import SceneFilter
 from ltm_core.vision.segmenter import Segmenter
 from ltm_msgs_py.image import image_to_msg, msg_to_rgb
 from ltm_msgs_py.label_info import label_set_to_msg
@@ -42,6 +43,7 @@ class Segmentation(Handler[SegmentationConfig]):
         super().__init__(config, outlet, health)
         site = load_site(config.site)
         head = site.camera(config.camera).head
+        self._scene = SceneFilter.of(site, config.camera)
         self._labels = LabelSet.load(config_path(site.labels))
         self._segmenter = Segmenter.open(config.model or site.model, config.threads, head=head, heads=site.heads)
         chosen = {"confidence": config.confidence, "tree_contrast": config.tree_contrast}
@@ -57,7 +59,10 @@ class Segmentation(Handler[SegmentationConfig]):
 
     def on_image(self, message: Any) -> None:
         stamp, frame_id = stamp_of(message), message.header.frame_id
-        found = self._segmenter.segment(msg_to_rgb(message), self.config.zoom)
+        photo = msg_to_rgb(message)
+        seen = self._scene.look(photo)
+        found = self._segmenter.segment(photo, self.config.zoom)
+        seen.unlabelled(found.labels, found.confidence)
         for topic, image in ((LABELS_CONFIDENCE, found.confidence), (LABELS_IMAGE, found.labels)):
             self.outlet.provide(topic, stamp, partial(image_to_msg, image, "mono8", stamp, frame_id))
         self.outlet.acknowledge(FINISHED, stamp)
