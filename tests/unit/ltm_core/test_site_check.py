@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from scenes.networks import write_classifier, write_swapping_head
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -91,3 +92,15 @@ def test_views_of_a_recording(z: float, x: float, verdict: Verdict, part: str) -
     (finding,) = check_views(views, dem)
     assert (finding.name, finding.verdict) == ("tower", verdict)
     assert part in finding.said
+
+
+def test_a_head_that_no_network_has_is_told_with_its_cameras_place(tmp_path: Path) -> None:
+    check = checked(tmp_path, 890.0, heads="heads", cameras={"north": {"head": "chaparral"}, "south": {}})
+    ((name, message),) = [found for found in said(check, Verdict.WRONG) if found[0] == "head chaparral"]
+    assert str(tmp_path / "heads" / "chaparral.yaml") in message
+    network = write_classifier(tmp_path, maps=True)
+    write_swapping_head(tmp_path / "heads" / "chaparral.yaml", network)
+    cameras = {"north": {"head": "chaparral"}, "south": {}}
+    check = checked(tmp_path, 890.0, heads="heads", model="colors.yaml", cameras=cameras)
+    ((_, message),) = [found for found in said(check, Verdict.OK) if found[0] == name]
+    assert message.startswith("of north: ")
