@@ -35,7 +35,6 @@ from ltm_core.simulator.scenario_io import load_scenario
 from ltm_core.site_io import load_site
 from ltm_core.tracing.trace_io import load_picture_config, set_up_picture
 from ltm_core.training.config import TrainingConfig
-from ltm_core.training.polygon_labels_io import drawn, read_polygons
 from ltm_core.vision.label_calibration_io import Calibration
 from ltm_core.vision.label_head_io import read_head
 from ltm_core.vision.labels import LabelSet
@@ -154,12 +153,6 @@ def _frames(folder: Path) -> list[bytes]:
     return [json.dumps(index | {"frames": [entry]}).encode()]
 
 
-def _draw_polygons(path: Path) -> None:
-    labels = LabelSet.load()
-    for areas in read_polygons(path, labels).values():
-        drawn(areas, labels, (20, 30))
-
-
 def _whole(frames: Any) -> None:
     for _ in frames:
         pass
@@ -233,15 +226,6 @@ TEXT_FILES = (
         ),
         lambda path: read_control_points(path, SiteFrame("EPSG:26911", 480_000.0, 4_150_000.0)),
         "points.csv",
-    ),
-    _yaml(
-        "polygons",
-        _texts(
-            '[{"image": "a.jpg", "class": "sky", "polygon": [[10, 140], [250.5, 45], [1000, 45], [1265, 145]]},\n'
-            ' {"image": "b.jpg", "class": "unlabelled", "polygon": [[0, 0], [5, 0], [5, 5]]}]\n'
-        ),
-        _draw_polygons,
-        "polygons.json",
     ),
     _yaml(
         "head_points",
