@@ -17,7 +17,7 @@ from ltm_core.errors import LtmError
 from ltm_ros.launching.dds_shutdown import limit_shutdown
 from ltm_ros.launching.supervisor import EX_CONFIG
 from ltm_ros.runtime.heartbeat import HEARTBEAT, STARTING
-from ltm_ros.runtime.process_memory import Trimming, settle
+from ltm_ros.runtime.process_memory import Trimming, settle, steady_allocation
 
 EX_IOERR = 74
 """Exit status of a node that was stopped and could not write what it still had (sysexits.h)."""
@@ -57,6 +57,7 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode | NodeGroup]) -
     where the configuration cannot work (LtmError), so that the graph does not start it for ever, with what `close`
     returns where that is not 0.
     """
+    steady_allocation()  # where nobody has yet: under `ros2 launch`
     stopping = threading.Event()
     making = True
 
