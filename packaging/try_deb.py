@@ -28,7 +28,7 @@ BROKEN = {
 }
 """Releases that shall not be taken: modules with what they are replaced by, and the minutes they have to be ready."""
 CURRENT = "readlink /opt/ltm/current"
-PROCESSES = "for p in /proc/[0-9]*; do grep -qas ltm_ros $p/cmdline && stat -c %U $p; done | sort -u"
+PROCESSES = "for p in /proc/[0-9]*; do grep -qas '[l]tm_ros' $p/cmdline && stat -c %U $p; done | sort -u"
 """The owners of all that runs of ours."""
 READY_S = 900.0
 """For the first start, which compiles kernels."""
