@@ -86,7 +86,8 @@ class TrialMachine:
         (self._work / "console").touch()
         spaces = [f"--{name}" for name in ("mount", "net", "pid", "ipc", "uts", "cgroup")]
         self._machine = subprocess.Popen(
-            ["unshare", *spaces, "--fork", "--kill-child", "/bin/bash", "-c", BOOT],
+            # Even where this program is killed, the machine goes with it.
+            ["setpriv", "--pdeathsig=KILL", "unshare", *spaces, "--fork", "--kill-child", "/bin/bash", "-c", BOOT],
             env=os.environ | {"LOWER": str(self._lower), "WORK": str(self._work), "SHARED": str(self._shared)},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 
 from prometheus_client import CollectorRegistry, generate_latest
@@ -56,9 +57,12 @@ class TowerCollector(Collector):
                 age.add_metric((camera.name,), camera.frame_age_s)
             finished.add_metric((camera.name,), camera.finished)
             doubted.add_metric((camera.name,), bool(camera.wrong))
+        judged: Counter[tuple[str, str]] = Counter()
         for node in self._status.nodes:
-            for event, count in _report(node).counts("noted.verdict.").items():
-                verdicts.add_metric((node.camera, event), count)
+            for verdict, count in _report(node).counts("noted.verdict.").items():
+                judged[node.camera, verdict] += count
+        for (name, verdict), count in judged.items():
+            verdicts.add_metric((name, verdict), count)
         yield from (age, finished, verdicts, doubted)
 
     def _nodes(self) -> Iterator[Metric]:

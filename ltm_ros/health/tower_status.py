@@ -19,6 +19,8 @@ KEYS = 300
 """Values of one node that are kept, and"""
 LENGTH = 400
 """characters of each: what is named on a topic may be anybody's."""
+LARGEST_COUNT = 2.0**53
+"""What a number of JSON and of Prometheus holds to the last unit."""
 LEAST_FREE = 0.05
 """Share of a disk; less is worth a word."""
 
@@ -46,7 +48,7 @@ class NodeReport:
         found = {}
         for key in self.values:
             count = self.number(key) if key.startswith(prefix) else None
-            if count is not None:
+            if count is not None and 0 <= count < LARGEST_COUNT:
                 found[key.removeprefix(prefix)] = int(count)
         return found
 
