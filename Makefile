@@ -6,8 +6,13 @@ INSTALLED := $(VENV)/.installed
 
 # A graph started here never meets one on the network.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+# Python keeps what it has compiled, also where a shell says that it shall not: a graph is a dozen processes.
+export PYTHONDONTWRITEBYTECODE :=
 # Build back-ends warn of what a user of this Makefile cannot mend.
 PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -c constraints.txt
+
+# The nodes' kernels, compiled by two processes together; a test run compiles what has changed since by itself.
+KERNELS := PYTHONPATH=tests $(BIN)/python -m scenes.compiled_kernels
 
 .PHONY: demo demo-real test test-all fuzz chaos soak audit bench docs lint format clean
 
@@ -20,6 +25,7 @@ $(INSTALLED): pyproject.toml constraints.txt setup.py setup.cfg
 
 $(VENV)/.installed-dev: $(INSTALLED)
 	$(PIP) -e '.[ros,view,report,sim,dev]'
+	$(KERNELS) & $(KERNELS) && wait
 	touch $@
 
 demo: $(INSTALLED)
@@ -34,7 +40,7 @@ GRAPHS := -n 3 --dist loadfile --no-loadscope-reorder
 
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "not slow and not graph" -n 2 --dist worksteal -q --durations=20
-	$(BIN)/python -m pytest -m "not slow and graph" $(GRAPHS) -q --durations=20
+	$(BIN)/python -m pytest tests/graph -m "not slow and graph" $(GRAPHS) -q --durations=20
 
 $(VENV)/.installed-all: $(VENV)/.installed-dev
 	$(PIP) -e '.[ros,view,report,sim,eval,train,dev]'

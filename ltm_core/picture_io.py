@@ -74,6 +74,19 @@ def opened_picture(data: bytes, path: Path) -> Iterator[Image.Image]:
 
 
 def check_picture(path: Path) -> None:
-    """Before another library decodes a file. Raises ImageError: no picture, or larger than can be decoded."""
-    with open_picture(path):
-        pass
+    """Before OpenCV decodes a file. Raises ImageError: no picture, or one that takes more memory than a picture."""
+    with open_picture(path) as (image, data):
+        if image.format == "PNG" and not png_is_whole(data):
+            raise ImageError(f"{path} ({len(data)} bytes) is cut short: its chunks state more bytes than it has")
+
+
+def png_is_whole(data: bytes) -> bool:
+    """Whether all chunks up to the end chunk lie within the data. OpenCV takes memory for what a chunk states, up to a
+    gigabyte, before it sees that the file ends earlier. Source: PNG specification, section 5.3."""
+    at = 8
+    while at + 12 <= len(data):
+        length = int.from_bytes(data[at : at + 4], "big")
+        if data[at + 4 : at + 8] == b"IEND":
+            return True
+        at += 12 + length
+    return False

@@ -26,6 +26,8 @@ from ltm_core.sensor_pose import SensorsConfig
 from ltm_core.source_config import NetworkSettings, SnapshotConfig, SourceConfig
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.types import Float64Array
+from ltm_core.vision.label_head import SHIPPED_HEAD
+from ltm_core.vision.mask_config import MaskConfig
 
 
 def _ros_name(name: str) -> str:
@@ -214,6 +216,12 @@ class CameraConfig(Config):
     """How the head is asked where it looks, and which presets it is driven to; needs `mount`."""
     source: SourceConfig | None = None
     """Where given, the node `source` asks the camera for its pictures and publishes them; None: a driver does."""
+    mask: MaskConfig | None = None
+    """What of a fixed camera's pictures never shows the landscape: a PNG in the site file's folder, or polygons; see
+    `ltm mask`. None: nothing of them."""
+    head: str = SHIPPED_HEAD
+    """Head of the segmentation network for what this camera sees: `landscape` is the network's own, others are taught
+    (`ltm train head`); a name, or a path from the site's folder of heads."""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:
@@ -279,6 +287,8 @@ class Site(Config):
     """Label set in config/."""
     model: str = "landscape_lite0"
     """Segmentation manifest: a name in config/models/ or a path."""
+    heads: Path | None = None
+    """Folder of heads that is looked in first, relative to the site file; then beside the network's manifest."""
     depth_model: str = ""
     """Manifest of a depth network, likewise; where given, traced depth is fused with it (`fused/depth`)."""
     cameras: dict[CameraName, CameraConfig] = Field(min_length=1)

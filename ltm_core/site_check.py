@@ -29,14 +29,19 @@ from ltm_core.site import CameraConfig, Site
 from ltm_core.site_io import load_site
 from ltm_core.types import Float64Array
 from ltm_core.visibility.viewshed import PosedCamera
+from ltm_core.vision.label_head import SHIPPED_HEAD
+from ltm_core.vision.label_head_io import find_head, read_head
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.onnx_model import OnnxModel
+from ltm_core.vision.scene_view import SceneFilter
 
 _FAR_ORIGIN = 30_000.0
 """Metres from the origin beyond which float32 no longer holds millimetres."""
 _SAMPLES = 200
 """Points a side at which two rasters' heights are compared."""
+_MUCH_MASKED = 0.6
+"""Share of a picture above which a mask may be inverted."""
 _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 
 
@@ -98,6 +103,8 @@ def check_site(path: Path, cameras: Sequence[str] = ()) -> SiteCheck:
         check.findings += _terrain(site, check.dem)
         for name in cameras or site.cameras:
             check.findings += _camera(site.cameras[name], name, site, check.dem, check.views)
+    for name in cameras or site.cameras:
+        check.findings += _mask(site, name)
     check.findings += _angles(site, cameras)
     check.findings += _fuel(site, check)
     check.findings += _networks(site)
@@ -170,7 +177,7 @@ def _camera(config: CameraConfig, name: str, site: Site, dem: Dem, views: list[P
         yield Finding.of("cameras", name, error)
         return
     if config.mount is not None:
-        yield _head(config.mount, name, site, dem)
+        yield _turning_head(config.mount, name, site, dem)
         return
     topics = [what for what, part in (("calibration", camera), ("pose", pose)) if part is None]
     if pose is None or config.pose is None:
@@ -200,7 +207,7 @@ def _camera(config: CameraConfig, name: str, site: Site, dem: Dem, views: list[P
         views.append(PosedCamera(name, camera, pose))
 
 
-def _head(mount: MountConfig, name: str, site: Site, dem: Dem) -> Finding:
+def _turning_head(mount: MountConfig, name: str, site: Site, dem: Dem) -> Finding:
     """Of a camera on a pan-tilt-zoom head."""
     try:
         model = mount.model(dem, site.frame)
@@ -221,6 +228,26 @@ def _head(mount: MountConfig, name: str, site: Site, dem: Dem) -> Finding:
         )
         return Finding.of("cameras", name, doubt, Verdict.DOUBTFUL)
     return Finding("cameras", name, Verdict.OK, f"head {above:.1f} m above the ground, directions to {worst:.2f} deg")
+
+
+def _mask(site: Site, name: str) -> Iterator[Finding]:
+    """Where a camera has one: what share of the picture it hides, if its size is known."""
+    config = site.cameras[name]
+    if config.mask is None:
+        return
+    called = f"{name}: mask"
+    try:
+        mask = SceneFilter.of(site, name).mask
+    except LtmError as error:
+        yield Finding.of("cameras", called, error)
+        return
+    if mask is None:
+        yield Finding("cameras", called, Verdict.OK, "polygons, drawn when the calibration comes as topic")
+        return
+    found = f"hides {mask.share:.1%} of {mask.size[0]} x {mask.size[1]} pixels"
+    if mask.share > _MUCH_MASKED:
+        found = f"{found}: little is left to see; masked is what is not 0 in a PNG: is it inverted?"
+    yield Finding("cameras", called, Verdict.DOUBTFUL if mask.share > _MUCH_MASKED else Verdict.OK, found)
 
 
 def check_views(views: Sequence[PosedCamera], dem: Dem) -> Iterator[Finding]:
@@ -298,3 +325,22 @@ def _networks(site: Site) -> Iterator[Finding]:
             yield Finding.of("networks", key, error)
         else:
             yield Finding("networks", key, Verdict.OK, f"{name}, {model.path.stat().st_size / 1e6:.0f} MB")
+    yield from _heads(site)
+
+
+def _heads(site: Site) -> Iterator[Finding]:
+    cameras: dict[str, list[str]] = {}
+    for name, camera in site.cameras.items():
+        cameras.setdefault(camera.head, []).append(name)
+    for head, names in cameras.items():
+        if head == SHIPPED_HEAD:
+            continue
+        try:
+            manifest = Manifest.find(site.model)
+            file = find_head(head, manifest, site.heads)
+            if file is not None:
+                read_head(file, manifest)
+        except LtmError as error:
+            yield Finding.of("networks", f"head {head}", error)
+        else:
+            yield Finding("networks", f"head {head}", Verdict.OK, f"of {', '.join(names)}: {file}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ltm_core.config_io import load_yaml
+from ltm_core.errors import ConfigError
 from ltm_core.ptz_config import PtzSettings
 from ltm_core.site import CameraConfig, DemConfig, Site
 from ltm_core.source_config import FolderConfig, HttpSettings, NetworkSettings
@@ -22,12 +23,15 @@ def load_site(path: Path | str) -> Site:
         "dem": beside_the_file(site.dem),
         "coarser": tuple(beside_the_file(dem) for dem in site.coarser),
         "surface": None if site.surface is None else beside_the_file(site.surface),
+        "heads": None if site.heads is None else path.parent / site.heads,
     }
     for name in ("model", "depth_model"):
         beside = path.parent / getattr(site, name)
         if beside.suffix == ".yaml" and beside.is_file():
             changes[name] = str(beside)
-    changes["cameras"] = {name: _source_beside(camera, path.parent) for name, camera in site.cameras.items()}
+    changes["cameras"] = {
+        name: _with_mask(name, _source_beside(camera, path.parent), path) for name, camera in site.cameras.items()
+    }
     fuel: dict[str, object] = {}
     if site.fuel.prior is not None:
         fuel["prior"] = site.fuel.prior.below(path.parent)
@@ -52,3 +56,19 @@ def _source_beside(camera: CameraConfig, folder: Path) -> CameraConfig:
         if section is not None and changes:
             found[name] = section.model_copy(update=changes)
     return camera.model_copy(update=found) if found else camera
+
+
+def _with_mask(name: str, camera: CameraConfig, site: Path) -> CameraConfig:
+    """With the mask's file beside the site file. A site may come from elsewhere: it names no file outside its folder.
+    Raises ConfigError."""
+    if not isinstance(camera.mask, Path):
+        return camera
+    place = f"{site}: cameras.{name}.mask"
+    try:
+        file = (site.parent / camera.mask).resolve()
+        inside = file.is_relative_to(site.parent)
+    except (OSError, ValueError, RuntimeError) as error:  # a name that no file can have, links in a circle
+        raise ConfigError(f"{place}: {str(camera.mask)!r} is no file ({error})") from error
+    if not inside:
+        raise ConfigError(f"{place}: {camera.mask} leads out of the site's folder; copy the mask into {site.parent}")
+    return camera.model_copy(update={"mask": file})

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image
 
 from ltm_core.errors import ImageError
-from ltm_core.picture_io import BROKEN, MAX_PIXELS
+from ltm_core.picture_io import BROKEN, MAX_PIXELS, png_is_whole
 from ltm_core.types import Float32Array, UInt8Array
 from ltm_msgs_py.stamp import make_header
 
@@ -239,8 +239,7 @@ def _checked_size(data: bytes, what: str) -> tuple[tuple[int, int], str]:
     # OpenCV 4 fills the missing part of a cut JPEG with grey and says nothing, so look for its end ourselves.
     if found == "jpeg" and not _jpeg_is_whole(data):
         raise ImageError(f"{what} ({len(data)} bytes of jpeg) is cut short: it has no end-of-image marker")
-    # OpenCV takes a chunk's stated length from memory, up to a gigabyte, before it sees that the file ends earlier.
-    if found == "png" and not _png_is_whole(data):
+    if found == "png" and not png_is_whole(data):
         raise ImageError(f"{what} ({len(data)} bytes of png) is cut short: its chunks state more bytes than it has")
     if found == "jpeg" and (scans := data.count(b"\xff\xda")) > _MOST_SCANS:
         raise ImageError(
@@ -287,15 +286,4 @@ def _jpeg_is_whole(data: bytes) -> bool:
         if marker == 0xDA:  # start of scan: entropy-coded data follows
             return data.rfind(b"\xff\xd9", at) >= 0
         at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-    return False
-
-
-def _png_is_whole(data: bytes) -> bool:
-    """Whether all chunks up to the end chunk lie within the data. Source: PNG specification, section 5.3."""
-    at = 8
-    while at + 12 <= len(data):
-        length = int.from_bytes(data[at : at + 4], "big")
-        if data[at + 4 : at + 8] == b"IEND":
-            return True
-        at += 12 + length
     return False

@@ -12,6 +12,14 @@ LARGE = 300
 """Tests of a run that uses most kernels."""
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """`make test` looks for graph tests in one folder, as each worker reads all files that it is given."""
+    for item in items:
+        marks = {mark.name for mark in item.iter_markers()}
+        if "graph" in marks and "slow" not in marks and REPOSITORY / "tests/graph" not in item.path.parents:
+            raise pytest.UsageError(f"{item.nodeid} is marked graph: it belongs to tests/graph")
+
+
 def _beside(name: str) -> Path:
     path = REPOSITORY.parent / "shared" / name
     if not path.is_dir():

@@ -16,7 +16,7 @@ from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.fusion_rows import DecisionRules
 from ltm_core.depth.pixel_fusion import elsewhere
 from ltm_core.depth.scale_fit import ScaleFit
-from ltm_core.types import Float32Array
+from ltm_core.types import BoolArray, Float32Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +35,11 @@ class NetworkMeasurement:
         seen, sure = (fit.inverse, fit.nearest, fit.farthest), np.float32(config.decision.measured)
         _measure(seen, fit.error_model.tables, DecisionRules.of(config.decision), sure, depth, sigma)
         return cls(depth, sigma)
+
+    def without(self, hidden: BoolArray) -> NetworkMeasurement:
+        """Nothing measured in pixels (h, w) that show something else than the terrain."""
+        nothing = np.float32(np.nan)
+        return NetworkMeasurement(np.where(hidden, nothing, self.depth), np.where(hidden, nothing, self.sigma))
 
     @classmethod
     def none(cls) -> NetworkMeasurement:

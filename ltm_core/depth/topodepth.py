@@ -21,6 +21,7 @@ from ltm_core.depth.expected_surface import expected_surface
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ground_samples
 from ltm_core.depth.guided_upsampling import NetworkView
+from ltm_core.depth.hidden_pixels import edges_seen, hidden_at, labels_behind
 from ltm_core.depth.labelled_sky import with_labelled_sky
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_measurement import NetworkMeasurement
@@ -32,7 +33,7 @@ from ltm_core.depth.scale_fit import ScaleFit, fit_scale
 from ltm_core.depth.unknown_regions import clear_unenclosed
 from ltm_core.errors import ImageError
 from ltm_core.range_image import DepthImage, RangeImage
-from ltm_core.types import Float32Array, UInt8Array
+from ltm_core.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.unknown_share import MOST_UNKNOWN, unknown_share
 
 
@@ -58,6 +59,8 @@ class Verdict(StrEnum):
     """No pixel was traced to known ground."""
     MOSTLY_UNKNOWN = "mostly_unknown"
     """As ok, but of most of the photo nothing is known: the terrain explains too little of it."""
+    PICTURE_UNUSABLE = "picture_unusable"
+    """The photo shows too little of the landscape, by night or in fog: traced depth as it is, nothing fused."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,8 @@ class FusedDepth:
     `source`: (H, W) uint8 `Source`. `ground`: (H, W) float32, the traced depth of bare ground, sky where labels say so
     of what is unknown: where it differs from `depth`, what is seen stands before it. `inlier_ratio`: of the network's
     fit to trusted ground. `verdict`, and `reason` in words where it is not ok. `fit`: the network's fit, None where
-    there was no network.
+    there was no network. `hidden`: (H, W) bool, where something else stands before the terrain and there is no depth;
+    None: nowhere.
     """
 
     depth: Float32Array
@@ -92,12 +96,29 @@ class FusedDepth:
     pose: PoseCheck
     config: FusionConfig = field(repr=False)
     fit: ScaleFit | None = field(default=None, repr=False)
+    hidden: BoolArray | None = field(default=None, repr=False)
 
-    def measured(self) -> NetworkMeasurement:
-        """What the network alone measures: nothing where it, or the pose, cannot be relied on."""
+    def measured(self, doubtful: BoolArray | None = None) -> NetworkMeasurement:
+        """What the network alone measures: nothing where it, or the pose, cannot be relied on, where something else
+        stands before the terrain, and where the photo shows too little (`doubtful`, bool of any size, edge to edge)."""
         if self.fit is None or self.verdict not in (Verdict.OK, Verdict.MOSTLY_UNKNOWN):
             return NetworkMeasurement.none()
-        return NetworkMeasurement.of(self.fit, self.config)
+        found = NetworkMeasurement.of(self.fit, self.config)
+        for unseen in (self.hidden, doubtful):
+            if unseen is not None:
+                found = found.without(hidden_at(unseen, *found.depth.shape))
+        return found
+
+    def network_depth(self) -> Float32Array | None:
+        """Metres (h, w) that the network says at its own size, none where the terrain is hidden; None where it does not
+        fit the terrain."""
+        if self.fit is None or self.fit.trouble:
+            return None
+        with np.errstate(divide="ignore"):
+            metres = np.where(self.fit.inverse > 0, 1.0 / self.fit.inverse, np.inf).astype(np.float32)
+        if self.hidden is not None:
+            metres[hidden_at(self.hidden, *metres.shape)] = np.nan
+        return np.asarray(metres, np.float32)
 
     def info(self) -> dict[str, Any]:
         """JSON-ready: what `fused/info` carries."""
@@ -126,6 +147,8 @@ def fuse(
     settings: FusionSettings | None = None,
     surface: RangeImage | DepthImage | None = None,
     config: FusionConfig | None = None,
+    hidden: BoolArray | None = None,
+    unusable: str = "",
 ) -> FusedDepth:
     """Fuse one photo's depths.
 
@@ -138,6 +161,9 @@ def fuse(
         settings: sigmas of what goes in.
         surface: what the tracer gave over a surface raster (canopy), where there is one.
         config: the constants, as they were fitted with the network; None: the defaults.
+        hidden: (H, W) bool, where the photo shows something else than the terrain: no depth there, and nothing of it is
+            used; None: nowhere.
+        unusable: why the photo shows too little to be used; empty: it is used.
 
     Raises ImageError where sizes differ.
     """
@@ -147,6 +173,7 @@ def fuse(
         ("photo", rgb.shape[:2]),
         ("label image", size if labels is None else labels.shape),
         ("surface's depth", size if surface is None else (surface.camera.height, surface.camera.width)),
+        ("mask", size if hidden is None else hidden.shape),
     ):
         if shape != size:
             raise ImageError(f"{what} of {shape} does not fit the traced depth of {size} (rows, columns)")
@@ -154,22 +181,31 @@ def fuse(
     config = FusionConfig() if config is None else config
     camera = traced.camera
     ground, over = as_traced, None if surface is None else surface.depth()
+    if unusable:
+        return _traced_alone(as_traced, Verdict.PICTURE_UNUSABLE, unusable, PoseCheck.none(), hidden)
+    if labels is not None and hidden is not None:
+        labels = labels_behind(hidden, labels, ground, classes.sky)
     if labels is not None:
         ground = with_labelled_sky(ground, labels, classes.sky)
         over = None if over is None else with_labelled_sky(over, labels, classes.sky)
     cell = max(1.0, size[1] / settings.label_columns) if settings.label_columns else 1.0
     # Whether the terrain lies where the photo has it: if not, nothing below means anything.
     edges = DepthDiscontinuities.of(ground, config.surface.jump)
+    if hidden is not None:
+        edges = edges_seen(edges, hidden)
     sigmas = settings.angle_sigma, settings.dem_sigma
     check = PoseCheck.none()
     if config.pose_check.enabled:
         check = check_pose(rgb, ground, camera, *sigmas, config.pose_check, labels, classes, cell, edges)
     # A sample first: where it has ground, as it nearly always does, that is all.
     if not (np.isfinite(ground[::16, ::16]).any() or np.isfinite(ground).any()):
-        return _traced_alone(as_traced, Verdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM", check)
+        return _traced_alone(
+            as_traced, Verdict.NO_TERRAIN, "no pixel sees known ground: check pose and DEM", check, hidden
+        )
     if check.suspected:
-        return _traced_alone(as_traced, Verdict.POSE_SUSPECTED, check.reason, check)
-    told = DepthImage(ground, camera, traced.pose)
+        return _traced_alone(as_traced, Verdict.POSE_SUSPECTED, check.reason, check, hidden)
+    seen = ground if hidden is None else np.where(hidden, np.float32(np.nan), ground)
+    told = DepthImage(seen, camera, traced.pose)
     expected, sigma, fit, view, standing = expect(told, network, rgb, labels, classes, settings, config)
     # Ridges have their edges where the photo has them; then every pixel is the terrain's, the network's or both's.
     refine_occlusion_boundaries(rgb, ground, expected, sigma, labels, classes, camera, config, view, edges)
@@ -178,12 +214,15 @@ def fuse(
     # Where the network alone speaks of land beyond the raster, nothing is known.
     clear_unenclosed(ground, expected, sigma, source)
     verdict, reason, ratio = Verdict.OK, "", 0.0 if fit is None else fit.inlier_ratio
+    if hidden is not None:
+        expected[hidden] = np.inf  # no unknown ground: it is asked what of it the terrain leaves unexplained
     unknown = unknown_share(expected)
     if unknown.whole > MOST_UNKNOWN:
         verdict, reason = Verdict.MOSTLY_UNKNOWN, unknown.reason
     if fit is not None and fit.trouble:
         verdict, reason = Verdict.NETWORK_UNUSABLE, fit.trouble
-    return FusedDepth(expected, sigma, source, ground, ratio, verdict, reason, check, config, fit)
+    ground = _hide(hidden, expected, sigma, source, ground)
+    return FusedDepth(expected, sigma, source, ground, ratio, verdict, reason, check, config, fit, hidden)
 
 
 class Expectation(NamedTuple):
@@ -223,7 +262,22 @@ def expect(
     return Expectation(expected, sigma, fit, view, standing)
 
 
-def _traced_alone(ground: Float32Array, verdict: Verdict, reason: str, check: PoseCheck) -> FusedDepth:
-    source = np.where(np.isfinite(ground), Source.TERRAIN, np.where(np.isnan(ground), Source.UNKNOWN, Source.SKY))
-    sigma = np.full(ground.shape, np.nan, np.float32)
-    return FusedDepth(ground, sigma, source.astype(np.uint8), ground, 0.0, verdict, reason, check, FusionConfig())
+def _traced_alone(
+    traced: Float32Array, verdict: Verdict, reason: str, check: PoseCheck, hidden: BoolArray | None
+) -> FusedDepth:
+    source = np.where(np.isfinite(traced), Source.TERRAIN, np.where(np.isnan(traced), Source.UNKNOWN, Source.SKY))
+    source = source.astype(np.uint8)
+    sigma = np.full(traced.shape, np.nan, np.float32)
+    depth = traced if hidden is None else traced.copy()
+    ground = _hide(hidden, depth, sigma, source, traced)
+    return FusedDepth(depth, sigma, source, ground, 0.0, verdict, reason, check, FusionConfig(), None, hidden)
+
+
+def _hide(
+    hidden: BoolArray | None, depth: Float32Array, sigma: Float32Array, source: UInt8Array, ground: Float32Array
+) -> Float32Array:
+    """Take away, in place, what hidden pixels have; the ground (not in place: it may be the tracer's own)."""
+    if hidden is None:
+        return ground
+    depth[hidden], sigma[hidden], source[hidden] = np.nan, np.nan, Source.UNKNOWN
+    return np.asarray(np.where(hidden, np.float32(np.nan), ground), np.float32)

@@ -10,7 +10,8 @@ from pydantic import Field, model_validator
 
 from ltm_core.config_io import load_yaml
 from ltm_core.errors import ConfigError
-from ltm_core.fuel.life_form import NODATA, NONBURNABLE
+from ltm_core.fuel.crosswalk import Crosswalk, partners
+from ltm_core.fuel.life_form import NODATA
 from ltm_core.resources import config_path
 from ltm_core.strict_model import StrictModel
 from ltm_core.types import Int16Array
@@ -114,7 +115,11 @@ class FuelRegion(StrictModel):
     changed: ChangedBySystem
     canopy: TreeCanopy
     crosswalk: dict[int, int]
-    """FBFM40 -> FBFM13, of every burnable code."""
+    """FBFM40 -> FBFM13, of every burnable code, within its fuel type."""
+    under_trees: dict[int, tuple[int, int]] = Field(default_factory=dict)
+    """FBFM40 -> (least tree cover in %, FBFM13): where the partner is another one under trees."""
+    crosswalk_back: dict[int, int]
+    """FBFM13 -> FBFM40, of every burnable code, within its fuel type."""
 
     @model_validator(mode="after")
     def _codes_are_known(self) -> FuelRegion:
@@ -124,11 +129,27 @@ class FuelRegion(StrictModel):
             for key, code in getattr(self.changed, system).model_dump().items():
                 if code not in known:
                     raise ValueError(f"changed.{system}.{key} is {code}, no code of {system}")
+        pairs = {"crosswalk": self.crosswalk, "under_trees": {k: to for k, (_, to) in self.under_trees.items()}}
         if set(self.crosswalk) != set(models.fbfm40):
             wrong = sorted(set(self.crosswalk) ^ set(models.fbfm40))
             raise ValueError(f"crosswalk must give each burnable FBFM40 code once; wrong or missing: {wrong}")
-        if strange := sorted(set(self.crosswalk.values()) - models.codes(FuelSystem.FBFM13)):
-            raise ValueError(f"crosswalk leads to {strange}, no codes of FBFM13")
+        if set(self.crosswalk_back) != set(models.fbfm13):
+            wrong = sorted(set(self.crosswalk_back) ^ set(models.fbfm13))
+            raise ValueError(f"crosswalk_back must give each burnable FBFM13 code once; wrong or missing: {wrong}")
+        for name, table in pairs.items():
+            for code, to in table.items():
+                if to not in partners(code):
+                    raise ValueError(f"{name}: {code} -> {to}; FBFM13 has {_listed(partners(code))} of its fuel type")
+        for code, to in self.crosswalk_back.items():
+            if code not in partners(to):
+                raise ValueError(f"crosswalk_back: {code} -> {to}, which is of another fuel type")
+        changed = self.changed
+        for key, code in changed.fbfm40.model_dump().items():
+            to = getattr(changed.fbfm13, key)
+            if to not in (partners(code) or (code,)):
+                raise ValueError(
+                    f"changed.fbfm13.{key} is {to}, of another fuel type than changed.fbfm40.{key}, {code}"
+                )
         return self
 
     @classmethod
@@ -141,10 +162,21 @@ class FuelRegion(StrictModel):
             raise ConfigError(f"no fuel region is called {name!r}; there are {there}")
         return load_yaml(path, cls)
 
-    def to_fbfm13(self, codes: Int16Array) -> Int16Array:
-        """FBFM40 codes as FBFM13; non-burnable codes stay, unknown ones become NODATA."""
-        table = np.full(256, NODATA, np.int16)
-        table[list(NONBURNABLE)] = NONBURNABLE
-        table[list(self.crosswalk)] = list(self.crosswalk.values())
-        known = (codes >= 0) & (codes < len(table))
-        return np.where(known, table[np.where(known, codes, 0)], np.int16(NODATA))
+    def as_crosswalk(self) -> Crosswalk:
+        """FBFM40 -> FBFM13 where a map does not give both itself."""
+        return Crosswalk.of(self.crosswalk, self.under_trees)
+
+    def changed_codes(self, codes: Int16Array, system: FuelSystem, to: FuelSystem) -> Int16Array:
+        """(...) codes of changed cells as the other system has them: what `changed` says of the same cover; NODATA
+        for codes that `changed` does not name.
+        """
+        own, other = getattr(self.changed, system).model_dump(), getattr(self.changed, to).model_dump()
+        found = np.full(codes.shape, NODATA, np.int16)
+        # Covers that share a code in one system do not in the other: what is named first is the commoner.
+        for key in reversed(own):
+            found[codes == own[key]] = other[key]
+        return found
+
+
+def _listed(codes: range) -> str:
+    return ", ".join(map(str, codes)) or "none"

@@ -10,6 +10,7 @@ from scipy import ndimage
 from scipy.special import betainc, entr
 
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
+from ltm_core.fuel.crosswalk import is_custom
 from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of
 from ltm_core.fuel.majority import UNSEEN
 from ltm_core.fuel.prior import FuelPrior
@@ -157,7 +158,7 @@ class ChangeDecision:
     def _judge(self, codes: Int16Array, cells: CellEvidence, now_s: float) -> _Judged:
         rules = self._rules
         original = forms_of(codes)
-        masked = np.isin(codes, rules.mask)
+        masked = np.isin(codes, rules.mask) | is_custom(codes)
         burned = (cells.burned_at > 0) & original.any(axis=1) & ~masked
         regrown = burned & (now_s - cells.burned_at >= rules.burned_days * 86400)
         base = np.where(regrown, np.int16(self._codes.regrowth), codes)
@@ -191,7 +192,10 @@ class ChangeDecision:
         code = np.where(back, codes, code)
         shares = judged.alpha / judged.alpha.sum(axis=1, keepdims=True)
         entropy = entr(shares).sum(axis=1) / np.log(FORMS)
-        changed = (changes | judged.fresh | judged.regrown) & ~back
+        # An analyst's own model is of no form that we know: whatever is seen there, it stays.
+        own = is_custom(codes)
+        code = np.where(own, codes, code)
+        changed = (changes | judged.fresh | judged.regrown) & ~back & ~own
         return _Decided(code.astype(np.int16), form, changed, judged.p_max, entropy)
 
     def _prior_evidence(self, agreeing: BoolArray, has_prior: BoolArray) -> Float64Array:

@@ -87,6 +87,7 @@ class EvidenceMap:
         prior: the map that evidence starts from; None: nothing is known, each life form is as likely.
         labels: what the votes count.
         errors: of the network that labels; None: those assumed of an unknown one.
+        errors_of: camera -> those of its network, where that is another; of the correlations, those of `errors` hold.
         region: which codes changed cells get.
 
     Raises RasterError for a prior on another grid.
@@ -100,6 +101,7 @@ class EvidenceMap:
         rules: FusionRules | None = None,
         errors: LabelErrors | None = None,
         region: FuelRegion | None = None,
+        errors_of: Mapping[str, LabelErrors] | None = None,
     ) -> None:
         if prior is not None and prior.codes.shape != geometry.shape:
             raise RasterError(f"the prior is {prior.codes.shape} cells, the fuel grid {geometry.shape}")
@@ -110,6 +112,7 @@ class EvidenceMap:
         self.newest_ns = 0
         """The latest stamp counted, to the second: the map's own time."""
         self._errors = errors if errors is not None else LabelErrors.assumed()
+        self._errors_of = dict(errors_of or {})
         self._forms = label_forms(labels)
         # Cells of which the prior says the same are of one stand.
         self._stands = None if prior is None else np.packbits(forms_of(prior.codes), axis=-1)[..., 0]
@@ -139,7 +142,8 @@ class EvidenceMap:
             raise ImageError(
                 f"votes of {votes.source} have the stamp {votes.stamp_ns} ns, which is not in 1970 to 2106"
             )
-        frame = frame_evidence(votes, self._forms, self._errors, self.rules, self._stands)
+        errors = self._errors_of.get(votes.source, self._errors)
+        frame = frame_evidence(votes, self._forms, errors, self.rules, self._stands)
         if len(frame) == 0:
             return None
         second = max(votes.stamp_ns // 10**9, 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,13 @@ from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import LabelSet
 
 
-def write_fuel_map(path: Path | str, classes: UInt8Array, geometry: GridGeometry, labels: LabelSet) -> Path:
+def write_fuel_map(
+    path: Path | str,
+    classes: UInt8Array,
+    geometry: GridGeometry,
+    labels: LabelSet,
+    tags: Mapping[str, str] | None = None,
+) -> Path:
     """Write class indices, (H, W) uint8 with 255 unseen, with the palette and the classes' names.
 
     The file appears whole or not at all. Raises ConfigError where `path` is empty, its folder is missing or the file
@@ -36,7 +43,7 @@ def write_fuel_map(path: Path | str, classes: UInt8Array, geometry: GridGeometry
             geometry,
             nodata=UNSEEN,
             colormap=dict(enumerate(labels.colors)),
-            tags={"classes": json.dumps(labels.names)},
+            tags={"classes": json.dumps(labels.names), **(tags or {})},
         )
         partial.replace(path)
     except OSError as error:  # rasterio's own errors of opening a file among them

@@ -17,6 +17,7 @@ from ltm_core.resources import config_path
 from ltm_core.strict_model import StrictModel
 from ltm_core.types import Float32Array, Float64Array
 from ltm_core.vision.label_calibration_io import Calibration, load_calibration
+from ltm_core.vision.label_head_io import find_head, read_head
 from ltm_core.vision.manifest import Manifest
 
 FLOOR = 0.01
@@ -139,6 +140,23 @@ class LabelErrors:
             return cls(assumed.shares, correlation, given.source, appearance)
         about = f"its calibration on {calibration.measured_on}; of cells: {given.source}"
         return cls(_calibrated(calibration, assumed.shares), correlation, about, appearance)
+
+    @classmethod
+    def of_head(cls, model: str, head: str, heads: Path | None = None) -> LabelErrors:
+        """Of a network with a head, by the calibration in the head's file: its errors on photos that did not teach it.
+
+        How they correlate is assumed, and the looks of cells that were learnt of the network's own labels are not of
+        these. Raises ConfigError, ModelError as `find_head` and `read_head`.
+        """
+        assumed, manifest = cls.assumed(), Manifest.find(model)
+        file = find_head(head, manifest, heads)
+        if file is None:
+            return cls.of_model(model)
+        calibration = read_head(file, manifest)[1].calibration
+        if calibration is None:
+            return assumed
+        about = f"head {head}, on {calibration.measured_on}"
+        return cls(_calibrated(calibration, assumed.shares), assumed.correlation, about)
 
     def scaled(self, level: float) -> LabelErrors:
         """A network with `level` times the share of wrong labels, at most all but a tenth of a form's."""

@@ -5,9 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from ltm_core.strict_model import StrictModel
+
+
+class BarrierConfig(StrictModel):
+    """A layer of a GeoPackage that says where nothing burns."""
+
+    path: Path
+    layer: str | None = None
+    """Of a file of several."""
+    kind: Literal["built", "road", "water"]
+    """Water is NB8 (98), the others NB1 (91)."""
+    least_share: float = Field(0.5, gt=0, le=1)
+    """Share of a cell that an area must cover; a line takes every cell that it crosses, so that no fire passes between
+    two of them."""
+
+    @property
+    def code(self) -> int:
+        return 98 if self.kind == "water" else 91
 
 
 class PriorConfig(StrictModel):
@@ -32,9 +49,12 @@ class PriorConfig(StrictModel):
     """Canopy bulk density, kg/m3 x 100."""
     crs: str | None = None
     """Only for files that carry none."""
-    unknown_codes: Literal["refuse", "nodata"] = "refuse"
+    unknown_codes: Literal["refuse", "nodata", "built", "keep"] = "refuse"
     """What to do with codes that no fuel system has, such as the 256 by which ELMFIRE marks buildings: refuse the map,
-    or take their cells for unknown."""
+    take their cells for unknown, take 256 for built (91) and refuse others, or let all of them pass into exports as
+    they are. Numbers 14 to 89 are an analyst's own models in both systems: they always pass."""
+    barriers: tuple[BarrierConfig, ...] = ()
+    """Vector layers of what does not burn, laid over the fuel map in their order."""
 
     @model_validator(mode="before")
     @classmethod
@@ -54,7 +74,14 @@ class PriorConfig(StrictModel):
         names = ("fbfm40", "fbfm13", "cover", "height", "base_height", "bulk_density")
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
 
+    def described(self) -> str:
+        """The names of what it is read from, without the folders that they lie in."""
+        files = list(self.files().items())
+        named = [f"{name} {path.name}" for name, path in files]
+        return ", ".join(([] if self.path is None else [self.path.name]) + named)
+
     def below(self, folder: Path) -> PriorConfig:
         """The same with relative paths taken from `folder`."""
         paths = self.files() | ({} if self.path is None else {"path": self.path})
-        return self.model_copy(update={name: folder / path for name, path in paths.items()})
+        barriers = tuple(b.model_copy(update={"path": folder / b.path}) for b in self.barriers)
+        return self.model_copy(update={**{name: folder / path for name, path in paths.items()}, "barriers": barriers})

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from ltm_core.errors import RasterError
+from ltm_core.fuel.barriers_io import with_barriers
 from ltm_core.fuel.codes import FuelSystem, fuel_models
+from ltm_core.fuel.crosswalk import is_custom
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import CANOPY_BANDS, FuelPrior
 from ltm_core.fuel.prior_config import PriorConfig
@@ -41,6 +43,8 @@ _LANDSCAPE_BANDS: Mapping[str, int] = {
     "bulk_density": 8,
 }
 _BAND_COUNTS = (5, 7, 8, 10)
+_ELMFIRE_BUILDING = 256
+_BUILT = 91
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,8 @@ def load_prior(config: PriorConfig, geometry: GridGeometry) -> FuelPrior:
     for name in ("fbfm40", "fbfm13"):
         if name in read:
             path = bands.get(name, bands.get("codes", _Band(Path()))).path
-            read[name] = _known_codes(read[name], FuelSystem(name), path, config.unknown_codes == "nodata")
+            read[name] = _known_codes(read[name], FuelSystem(name), path, config.unknown_codes)
+            read[name] = with_barriers(read[name], config.barriers, geometry)
     canopy = None
     if any(name in read for name in CANOPY_BANDS):
         unknown = np.full(geometry.shape, NODATA, np.int16)
@@ -206,16 +211,21 @@ def _system_of(codes: Int16Array) -> str:
     return "fbfm13" if len(burnable) and (burnable <= 13).all() else "fbfm40"
 
 
-def _known_codes(codes: Int16Array, system: FuelSystem, path: Path, as_nodata: bool) -> Int16Array:
-    """The codes that the system has; others NODATA, if that is wanted. Raises RasterError if it is not."""
-    known = (codes == NODATA) | np.isin(codes, list(fuel_models().codes(system)))
-    if known.all():
+def _known_codes(codes: Int16Array, system: FuelSystem, path: Path, others: str) -> Int16Array:
+    """The codes that the system has, and an analyst's own; the others as `PriorConfig.unknown_codes` wants them. Raises
+    RasterError if it does not.
+    """
+    if others == "built":
+        codes = np.where(codes == _ELMFIRE_BUILDING, np.int16(_BUILT), codes)
+    known = (codes == NODATA) | is_custom(codes) | np.isin(codes, list(fuel_models().codes(system)))
+    if known.all() or others == "keep":
         return codes
-    if as_nodata:
+    if others == "nodata":
         return np.where(known, codes, np.int16(NODATA))
     values, counts = np.unique(codes[~known], return_counts=True)
     strange = ", ".join(f"{v} ({n} cells)" for v, n in zip(values[:5], counts[:5], strict=True))
     raise RasterError(
         f"{path}: holds codes that {system} does not have: {strange}; if they mark what is no fuel (ELMFIRE: 256 for "
-        "buildings), take them for unknown: `fuel: {prior: {path: ..., unknown_codes: nodata}}`"
+        "buildings), take them for unknown: `fuel: {prior: {path: ..., unknown_codes: nodata}}`, or for built-up land: "
+        "`unknown_codes: built`, or let them pass into exports: `unknown_codes: keep`"
     )

@@ -28,7 +28,6 @@ from ltm_core.types import Float64Array
 TILT_ZERO_SIGMA_DEG = 0.3
 _PROPOSALS = 3
 """Hypotheses of each picture that are tried on all."""
-_MOST_RIDGE_POINTS = 700
 _STARTS, _APART = 6, math.radians(0.25)
 """Corrections that are refined, at least so far apart in azimuth: far ranges are like saws, with a best fit a tooth."""
 
@@ -179,7 +178,7 @@ def _refined(
         for p in pictures:
             pose = _posed(p.prior.pose, state[3:6], float(state[6]), state[:3])
             camera = p.search.evidence.camera
-            around = p.ridges.in_view(pose, camera, _MOST_RIDGE_POINTS)
+            around = p.ridges.in_view(pose, camera, config.contours.most_points)
             n, g = picture_system(
                 pose, camera, p.search.evidence, p.search.horizon, around, search, wide, config, expected=last
             )

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ltm_core.pose import Pose
-from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, pose_covariance
+from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG
 from ltm_core.pose_estimation.contour_scores import ContourDirections
 from ltm_core.pose_estimation.mount_fit import fit_mount
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
@@ -34,7 +34,6 @@ _KEPT = 16
 """Horizons: as many as a head has presets."""
 _STEP_DEG = 2.0
 """Directions that differ by less share a horizon."""
-_MOST_RIDGE_POINTS = 700
 _TRACKED_SIGMA_DEG = 1.0
 """Of each angle, within which a picture of a mount that is known may say otherwise."""
 
@@ -48,14 +47,6 @@ class MountState(Enum):
     """Pictures say that it looks elsewhere; where is not known yet."""
     CONTRADICTED = "contradicted"
     """Pictures agree with each other, and not with what is stated, by more than its sigmas allow."""
-
-
-@dataclass(frozen=True)
-class _Tracked:
-    """What a picture of a mount that is held says: by how much the camera is off, radians of azimuth, pitch, roll."""
-
-    off: tuple[float, float, float]
-    elsewhere: bool
 
 
 class MountWatch:
@@ -84,8 +75,10 @@ class MountWatch:
         self._searches: list[PictureSearch] = []
         self._contradictions: list[Float64Array] = []
         """Of clear pictures that show nothing near the stated pose: azimuth, pitch and roll (deg) from it."""
-        self._tracked: deque[_Tracked] = deque(maxlen=config.judged)
-        self._seen_from: dict[tuple[object, ...], tuple[TerrainHorizon, ContourDirections]] = {}
+        self._tracked: deque[Float64Array | None] = deque(maxlen=config.judged)
+        """Of each clear picture of a mount that is held: by how much the camera is off, radians of azimuth, pitch and
+        roll, where that is more than errors explain."""
+        self._horizons: dict[tuple[object, ...], TerrainHorizon] = {}
 
     def look(self, evidence: PictureEvidence, stated: Pose, covariance: Float64Array) -> bool:
         """Take a picture whose pose is stated with a covariance, (6, 6) as in `pose_covariance`; whether it was clear.
@@ -107,7 +100,7 @@ class MountWatch:
         search = self._find(evidence, prior)
         if not search.hypotheses or search.verdict.word == "no_skyline":
             return False
-        if evidence.skyline is not None and self._support(evidence, prior, search) < self._search.verdict.clear_support:
+        if evidence.skyline is not None and self._support(search) < self._search.verdict.clear_support:
             # What is stated as sure holds a search by force: does the picture show another direction?
             return self._contradicts(evidence, prior)
         self._priors.append(prior)
@@ -116,11 +109,10 @@ class MountWatch:
             self._fit()
         return True
 
-    def _support(self, evidence: PictureEvidence, prior: PosePrior, search: PictureSearch) -> float:
+    def _support(self, search: PictureSearch) -> float:
         """Share of the picture's skyline that lies on the terrain's, from the best pose."""
-        horizon, _ = self._terrain_from(evidence, prior)
-        best = search.hypotheses[0].refined.pose
-        return skyline_cost(best, evidence.camera, evidence, horizon, self._search)[1]
+        best, evidence = search.hypotheses[0].refined.pose, search.evidence
+        return skyline_cost(best, evidence.camera, evidence, search.horizon, self._search)[1]
 
     def _contradicts(self, evidence: PictureEvidence, prior: PosePrior) -> bool:
         """Whether a picture is clear that shows nothing from near the stated pose."""
@@ -171,8 +163,9 @@ class MountWatch:
         if evidence.skyline is None:
             return False
         prior = PosePrior(pose, *(_TRACKED_SIGMA_DEG,) * 3)
-        horizon, ridges = self._terrain_from(evidence, prior)
-        around = ridges.in_view(pose, evidence.camera, _MOST_RIDGE_POINTS)
+        horizon, contours = self._horizon(evidence, prior), self._search.contours
+        ridges = ContourDirections.of(horizon, contours.nearest)
+        around = ridges.in_view(pose, evidence.camera, contours.most_points)
         found = refine(pose, evidence.camera, evidence, horizon, around, prior, 0.0, self._search)
         here = skyline_cost(pose, evidence.camera, evidence, horizon, self._search)[1]
         refined, covariance, support = found.pose, found.covariance[3:6, 3:6], found.support
@@ -188,12 +181,12 @@ class MountWatch:
         assert self.correction.angles is not None  # nosec B101 # tells the type checker what holds
         variance = float(np.linalg.eigvalsh(covariance + self.correction.angles)[-1])
         limit = math.radians(self._config.least_slip_deg) + self._config.slip_sigmas * math.sqrt(variance)
-        self._tracked.append(_Tracked((float(off[0]), float(off[1]), float(off[2])), bool(np.abs(off).max() > limit)))
+        self._tracked.append(off if np.abs(off).max() > limit else None)
         self._judge()
         return True
 
     def _judge(self) -> None:
-        elsewhere = [np.degrees(tracked.off) for tracked in self._tracked if tracked.elsewhere]
+        elsewhere = [np.degrees(off) for off in self._tracked if off is not None]
         if len(elsewhere) < self._config.slipped:
             return
         azimuth, pitch, roll = np.median(elsewhere, axis=0)
@@ -205,27 +198,23 @@ class MountWatch:
         self._become(MountState.SLIPPED, PoseCorrection(self.correction.rotation, unknown_angles()), reason)
 
     def _find(self, evidence: PictureEvidence, prior: PosePrior) -> PictureSearch:
-        horizon, _ = self._terrain_from(evidence, prior)
-        return find_pose(evidence, self._terrain, prior, self._search, horizon=horizon)
+        return find_pose(evidence, self._terrain, prior, self._search, horizon=self._horizon(evidence, prior))
 
-    def _terrain_from(self, evidence: PictureEvidence, prior: PosePrior) -> tuple[TerrainHorizon, ContourDirections]:
-        """Horizon and ridges about the prior direction, of the last few that were asked for."""
+    def _horizon(self, evidence: PictureEvidence, prior: PosePrior) -> TerrainHorizon:
+        """About the prior direction, of the last few that were asked for."""
         azimuth = round(prior.pose.angles_deg[0] / _STEP_DEG) * _STEP_DEG
         place = tuple(round(float(v), 2) for v in prior.pose.position)
         reach = search_reach(prior, self._search)
         key = (*place, azimuth, round(reach, 3), evidence.camera.fx, evidence.camera.width)
-        if key not in self._seen_from:
+        if key not in self._horizons:
             middle = Pose.from_angles(prior.pose.position, azimuth, 0.0)
             around = replace(prior, pose=middle, azimuth_sigma_deg=prior.azimuth_sigma_deg + _STEP_DEG)
-            horizon = self._terrain.horizon_for(evidence.camera, around, self._search)
-            ridges = ContourDirections.of(horizon, self._search.contours.nearest)
-            self._seen_from[key] = horizon, ridges
-            if len(self._seen_from) > _KEPT:
-                del self._seen_from[next(iter(self._seen_from))]
-        return self._seen_from[key]
+            self._horizons[key] = self._terrain.horizon_for(evidence.camera, around, self._search)
+            if len(self._horizons) > _KEPT:
+                del self._horizons[next(iter(self._horizons))]
+        return self._horizons[key]
 
 
 def unknown_angles() -> Float64Array:
     """(3, 3): the covariance of angles by which nothing shall be placed."""
-    nowhere = (UNKNOWN_AZIMUTH_SIGMA_DEG,) * 3
-    return pose_covariance(Pose.from_angles((0.0, 0.0, 0.0), 0.0), 0.0, 0.0, *nowhere)[3:, 3:]
+    return np.eye(3) * math.radians(UNKNOWN_AZIMUTH_SIGMA_DEG) ** 2

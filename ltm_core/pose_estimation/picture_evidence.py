@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
 from ltm_core.camera import Camera
 from ltm_core.errors import ImageError
 from ltm_core.pose_estimation.image_contours import image_contours
-from ltm_core.pose_estimation.image_skyline import image_skyline
+from ltm_core.pose_estimation.image_skyline import ImageSkyline, image_skyline
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_refinement import PictureEvidence
 from ltm_core.types import BoolArray, UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label
 
+_BORDER = 0.006
+"""Of the width: a skyline so near, above or below, to what is hidden is its border."""
 _LEAST_SKY = 0.1
 """Share of columns that a skyline must have to be one."""
 
@@ -51,11 +55,36 @@ def picture_evidence(
         work = Camera(work.width, work.height, work.fx, work.fy, work.cx, work.cy)
     shut = masked > 0
     ids = np.where(shut, np.uint8(UNLABELLED), ids).astype(np.uint8)
-    skyline = image_skyline(small, ids)
+    skyline = image_skyline(small, ids if hidden is None else _seen_through(ids, shut))
     sky = ids == np.uint8(Label.SKY)
-    kept = ~shut[np.clip(np.rint(skyline.v).astype(np.intp), 0, work.height - 1), skyline.u.astype(np.intp)]
-    skyline = skyline.only(kept)
+    if hidden is None:
+        kept = ~shut[np.clip(np.rint(skyline.v).astype(np.intp), 0, work.height - 1), skyline.u.astype(np.intp)]
+        skyline = skyline.only(kept)
+    else:
+        skyline = _beside(skyline, shut)
     found = len(skyline.u) * skyline.spacing >= _LEAST_SKY * work.width
     edges = image_contours(small, config.contours.width, shut | sky)
     coarse = image_contours(small, config.contours.coarse_width, shut | sky)
     return PictureEvidence(work, ids, skyline if found else None, edges, coarse)
+
+
+def _seen_through(ids: UInt8Array, shut: BoolArray) -> UInt8Array:
+    """Labels (H, W) in whose columns a hidden pixel goes on what is above it, or, at the top, what comes below: a
+    caption over the sky is no land, and a lens's corner does not cover its columns."""
+    first = np.argmin(shut, axis=0)
+    row = ids[first, np.arange(ids.shape[1])]
+    found = np.empty_like(ids)
+    for v in range(len(ids)):
+        row = np.where(shut[v], row, ids[v])
+        found[v] = row
+    return found
+
+
+def _beside(skyline: ImageSkyline, shut: BoolArray) -> ImageSkyline:
+    """Without the columns where it may be the border of what is hidden (H, W), and without those that what is hidden
+    covers up to the image's upper edge."""
+    reach = max(4, round(_BORDER * shut.shape[1]))
+    tall = cv2.dilate(shut.astype(np.uint8), np.ones((2 * reach + 1, 1), np.uint8)) > 0
+    v = np.clip(np.rint(skyline.v).astype(np.intp), 0, len(shut) - 1)
+    kept = skyline.only(~tall[v, skyline.u.astype(np.intp)])
+    return replace(kept, covered_u=kept.covered_u[~shut[0, kept.covered_u.astype(np.intp)]])

@@ -79,6 +79,8 @@ class ContourConfig(StrictModel):
     """Pixels at width 640 along a ridge within which its errors are one and the same,"""
     correlation: float = Field(24.0, gt=0)
     """and metres, whichever is longer."""
+    most_points: int = Field(700, ge=1)
+    """Of the ridges in a view, by which a pose is refined."""
 
 
 class SearchConfig(StrictModel):
@@ -90,9 +92,15 @@ class SearchConfig(StrictModel):
     reach_sigmas: float = Field(4.0, gt=0)
     least_reach_deg: float = Field(12.0, gt=0)
     most_reach_deg: float = Field(40.0, gt=0)
-    hypotheses: int = Field(12, ge=1)
-    apart_deg: float = Field(0.5, gt=0)
-    """Far ranges are like saws: a best fit a tooth, and the best of the grid need not be that of the refined."""
+    hypotheses: int = Field(8, ge=1)
+    """Poses that are refined, the best of those that are"""
+    apart_deg: float = Field(1.2, gt=0)
+    """from each other in azimuth,"""
+    teeth: int = Field(6, ge=0)
+    """and so many more that are"""
+    teeth_apart_deg: float = Field(0.5, gt=0)
+    """from those. Far ranges are like saws: a best fit a tooth, and the best of the grid need not be that of the
+    refined."""
 
 
 class VerdictConfig(StrictModel):

@@ -29,7 +29,6 @@ from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.types import Float64Array
 
 _PITCHES_DEG = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45)
-_MOST_RIDGE_POINTS = 700
 _LEAST_SUPPORT = 0.3
 """Share of the photo's skyline that must lie on the DEM's; where less does, ridges alone are tried: above trees, and
 where a good skyline leaves two poses open, they mislead more often than not."""
@@ -111,7 +110,7 @@ def _search_skyline(
     n = math.ceil(reach / step)
     azimuths = np.asarray(math.radians(azimuth) + step * np.arange(-n, n + 1), np.float64)
     ridges = ContourDirections.of(horizon, config.contours.nearest)
-    coarse = ridges.thinned(max(1, len(ridges.range) // (_MOST_RIDGE_POINTS * (6 if horizon.whole else 2))))
+    coarse = ridges.thinned(max(1, len(ridges.range) // (config.contours.most_points * (6 if horizon.whole else 2))))
     position_sigma = 0.5 * prior.position_sigma
     candidates = []
     for factor in focal_candidates(focal_sigma):
@@ -138,16 +137,16 @@ def _search_skyline(
         ranked += list(zip(total.tolist(), angles, [camera] * len(angles), strict=True))
     ranked.sort(key=lambda entry: entry[0])
     starts: list[tuple[Pose, Camera]] = []
-    for _, at, camera in ranked:
-        if len(starts) == s.hypotheses:
-            break
-        pose = Pose.from_angles(prior.pose.position, *(float(a) for a in at))
-        near = [abs(angles_between(pose, other)[0]) < math.radians(s.apart_deg) for other, _ in starts]
-        if not any(near):
-            starts.append((pose, camera))
+    for most, apart_deg in ((s.hypotheses, s.apart_deg), (s.hypotheses + s.teeth, s.teeth_apart_deg)):
+        for _, at, camera in ranked:
+            if len(starts) == most:
+                break
+            pose = Pose.from_angles(prior.pose.position, *(float(a) for a in at))
+            if all(abs(angles_between(pose, other)[0]) >= math.radians(apart_deg) for other, _ in starts):
+                starts.append((pose, camera))
     found = []
     for pose, camera in starts:
-        around = ridges.in_view(pose, camera, _MOST_RIDGE_POINTS)
+        around = ridges.in_view(pose, camera, config.contours.most_points)
         refined = refine(pose, camera, evidence, horizon, around, prior, focal_sigma, config)
         score = float(contour_scores(refined.pose.rotation[None], coarse, refined.camera, evidence.coarse_edges)[0])
         ridge = float(_ridge_cost(np.array([score]), usual, spread, config)[0])

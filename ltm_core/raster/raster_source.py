@@ -31,7 +31,7 @@ def open_raster(path: Path | str) -> Iterator[Any]:
     try:
         with rasterio.Env(**_GDAL), rasterio.open(path) as source:
             yield source
-    except (RasterioError, CPLE_BaseError, CRSError) as error:
+    except (RasterioError, CPLE_BaseError, CRSError, UnicodeDecodeError) as error:  # the last: a CRS's name, no text
         raise RasterError(f"{path}: not a raster that GDAL can read ({error})") from error
 
 

@@ -149,6 +149,8 @@ def named_errors(name: str) -> Iterator[None]:
             raise  # a bug, not the disk
         remedy = next((text for start, text in _REMEDIES.items() if code.startswith(start)), "see the error")
         raise StoreError(f"{name}: {error} ({code}); {remedy}") from error
+    except UnicodeDecodeError as error:  # of SQLite's own words, which repeat a damaged name
+        raise ConfigError(f"{name}: the store is damaged ({error}); restore it from a copy") from error
 
 
 def wants_room(error: StoreError) -> bool:

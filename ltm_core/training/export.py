@@ -16,6 +16,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from ltm_core.errors import ModelError
 from ltm_core.training.config import SplitConfig, TrainingConfig
+from ltm_core.training.decoder_maps import with_decoder_maps
 from ltm_core.training.landscape_network import Deployed, LandscapeNetwork
 from ltm_core.training.loop import MEAN, STD
 from ltm_core.vision.labels import LabelSet
@@ -48,10 +49,11 @@ def export(network: LandscapeNetwork, config: TrainingConfig, labels: LabelSet, 
             input_names=["image"],
             output_names=["logits", "inverse_depth"],
         )
-    onnx.save(halved(onnx.load(file)), file)
+    model, maps = with_decoder_maps(halved(onnx.load(file)))
+    onnx.save(model, file)
     _compare(deployed, file, config)
     manifest = folder / f"{config.name}.yaml"
-    _write(manifest, _manifest(file, config, labels))
+    _write(manifest, _manifest(file, config, labels) | {"maps": maps})
     _write(folder / f"{config.name}_depth.yaml", _depth_manifest(file, config))
     return manifest
 

@@ -1,7 +1,8 @@
 """Reads frames with their labels, inverse depth, or a teacher's relative depth, for training and scoring.
 
-A set is a folder of pictures `NAME.png` or `NAME.jpg`, each with `NAME_labels.png` (uint8 ids). A simulated set has
-`frames.json` and `NAME_truth.npz` too, whose ranges give the true depth; photos may have `NAME_order.npz` with
+A set is a folder of pictures `NAME.png` or `NAME.jpg`, each with `NAME_labels.png` (uint8 ids), or with areas that a
+person named in the folder's `polygons.json` (`polygon_labels_io`); of both, the PNG is taken. A simulated set
+has `frames.json` and `NAME_truth.npz` too, whose ranges give the true depth; photos may have `NAME_order.npz` with
 `inverse` (h, w), a teacher's inverse depth that is trusted for its order alone; posed frames `NAME_depth.npz` with
 `depth` (h, w), metres along the optical axis.
 """
@@ -17,9 +18,11 @@ import numpy.typing as npt
 
 from ltm_core.camera import Camera
 from ltm_core.errors import ImageError, RecordingError
+from ltm_core.picture_io import check_picture
 from ltm_core.training.config import SplitConfig
+from ltm_core.training.polygon_labels_io import POLYGONS_FILE, NamedArea, drawn, read_polygons
 from ltm_core.types import Float32Array, UInt8Array
-from ltm_core.vision.labels import UNLABELLED
+from ltm_core.vision.labels import UNLABELLED, LabelSet
 
 LABELS_SUFFIX = "_labels.png"
 UNKNOWN: Final = 254
@@ -56,8 +59,9 @@ def read_frames(folder: Path, classes: int, sampled: bool = False) -> list[Frame
     """Frames of a folder that have their labels, in order of name.
 
     With `sampled`, labels may also be those of every n-th pixel (`full[::n, ::n]`); the pixels between are then 255:
-    enough to score, not to train. Raises RecordingError where there is no frame; ImageError where a picture cannot be
-    read, its labels have another size, or hold an id that is none of `classes`, LAND, UNKNOWN and 255.
+    enough to score, not to train. Raises RecordingError where there is no frame, or no such list of areas; ImageError
+    where a picture cannot be read, its labels have another size, or hold an id that is none of `classes`, LAND, UNKNOWN
+    and 255.
     """
     cameras = _cameras(folder)
     frames = []
@@ -66,9 +70,36 @@ def read_frames(folder: Path, classes: int, sampled: bool = False) -> list[Frame
         photo = next((p for p in (folder / f"{stem}.png", folder / f"{stem}.jpg") if p.is_file()), None)
         if photo is not None:
             frames.append(_read(photo, truth, classes, sampled, cameras.get(stem)))
+    polygons = folder / POLYGONS_FILE
+    if polygons.is_file():
+        taken = {frame.path.name for frame in frames}
+        for name, areas in read_polygons(polygons, LabelSet.load()).items():
+            if name not in taken and (folder / name).is_file():
+                frames.append(_named(folder / name, areas, classes, polygons))
+        frames.sort(key=lambda frame: frame.path.name)
     if not frames:
-        raise RecordingError(f"{folder}: no frames; expected pictures NNNN.png with NNNN{LABELS_SUFFIX} beside them")
+        raise RecordingError(
+            f"{folder}: no frames; expected pictures NNNN.png or .jpg with NNNN{LABELS_SUFFIX} beside them, or "
+            f"{POLYGONS_FILE} that names areas of them"
+        )
     return frames
+
+
+def holds_frames(folder: Path) -> bool:
+    """Whether a folder has labels of pictures in one of the two forms."""
+    return any(folder.glob(f"*{LABELS_SUFFIX}")) or (folder / POLYGONS_FILE).is_file()
+
+
+def _named(photo: Path, areas: list[NamedArea], classes: int, source: Path) -> Frame:
+    """A photo whose labels are the areas that were named in it."""
+    check_picture(photo)
+    image = cv2.imread(str(photo), cv2.IMREAD_COLOR)
+    if image is None:
+        raise ImageError(f"{photo}: cannot be read as a picture, though {source} names areas of it")
+    labels = drawn(areas, LabelSet.load(), (image.shape[0], image.shape[1]))
+    if ((labels >= classes) & (labels != UNLABELLED)).any():
+        raise ImageError(f"{source}: names a class of {photo.name} that is none of the first {classes}")
+    return Frame(np.ascontiguousarray(image[..., ::-1], dtype=np.uint8), labels, photo)
 
 
 def _cameras(folder: Path) -> dict[str, Camera]:

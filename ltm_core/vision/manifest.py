@@ -60,6 +60,19 @@ class InputSpec(StrictModel):
         return (1, self.height, self.width, 3)
 
 
+class Withdrawal(StrictModel):
+    """Labels that are withdrawn, so that they do not vote. `confidence`: those of lower probability. `tree_contrast`:
+    *tree* where the photo's local contrast is lower (`withdrawal.contrast`), as of hazy far slopes. 0: none."""
+
+    confidence: float = Field(default=0.0, ge=0, lt=1)
+    tree_contrast: float = Field(default=0.0, ge=0)
+
+    @property
+    def any(self) -> bool:
+        """Whether anything is withdrawn."""
+        return self.confidence > 0 or self.tree_contrast > 0
+
+
 class OutputSpec(StrictModel):
     """The tensor that the network gives, at any resolution.
 
@@ -82,6 +95,7 @@ class OutputSpec(StrictModel):
     temperature: float = Field(default=1.0, gt=0)  # logits are divided by it: fitted so that probabilities hold
     # Class -> what is added to its logits: gives a class that training weighed up its true rarity (Menon et al. 2021).
     offsets: dict[str, float] = Field(default_factory=dict)
+    withdraw: Withdrawal = Withdrawal()
     inverse: bool = False
     canonical_focal_px: float | None = Field(default=None, gt=0)
 
@@ -131,6 +145,8 @@ class Manifest(StrictModel):
     source: str = ""  # where the file can be had, for the message when it is absent
     url: str | None = Field(default=None, pattern=r"^(https|file)://")  # fetched by `ltm models add --fetch` alone
     text: TextSpec | None = None
+    # Outputs of the graph that heads read -> channels; (1, C, h, w) float32 each (`label_head`).
+    maps: dict[str, int] = Field(default_factory=dict)
     _folder: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="after")
@@ -140,6 +156,12 @@ class Manifest(StrictModel):
             raise ValueError(f"output.offsets names {', '.join(strangers)}, none of classes")
         if (self.text is not None) != (self.output.kind == "embeddings"):
             raise ValueError("text belongs to output kind embeddings, and such a network needs it")
+        if self.maps and self.output.kind != "logits":
+            raise ValueError(
+                f"maps belong to output kind logits, which heads correct; remove them for {self.output.kind}"
+            )
+        if min(self.maps.values(), default=1) < 1:
+            raise ValueError("maps: each has at least one channel")
         if self.text is not None:
             if self.classes:
                 raise ValueError("classes: the words of the text file are the classes; remove the key")

@@ -2,6 +2,7 @@
 
 import hashlib
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary
@@ -65,6 +66,20 @@ class OnnxModel:
         (output,) = self._session.run([self._output_name], feed, self._options)
         return np.asarray(output)
 
+    def run_with_maps(
+        self, tensor: npt.NDArray[Any], maps: Sequence[str]
+    ) -> tuple[npt.NDArray[Any], list[Float32Array]]:
+        """As `run`, with the decoder maps (C, h, w) of these names too; who does not ask for them gets no such outputs.
+
+        Raises ModelError where the file gives something else by such a name.
+        """
+        output, *found = self._session.run([self._output_name, *maps], {self._input_name: tensor}, self._options)
+        for name, values in zip(maps, found, strict=True):
+            channels = self.manifest.maps.get(name)
+            if values.ndim != 4 or values.dtype != np.float32 or values.shape[1] != channels:
+                raise self._wrong(f"map {name!r}", f"float32 [1, {channels}, h, w]", f"{values.dtype} {values.shape}")
+        return np.asarray(output), [np.ascontiguousarray(values[0], np.float32) for values in found]
+
     def _checked_input(self) -> str:
         spec = self.manifest.input
         nodes = {node.name: node for node in self._session.get_inputs()}
@@ -88,6 +103,8 @@ class OnnxModel:
         spec = self.manifest.output
         nodes = {node.name: node for node in self._session.get_outputs()}
         name = self._named(spec.name, list(nodes), "output")
+        for wanted in self.manifest.maps:
+            self._named(wanted, list(nodes), "map")
         node = nodes[name]
         if spec.kind == "ids":
             if not node.type.startswith(("tensor(int", "tensor(uint")):

@@ -11,12 +11,15 @@ import numpy.typing as npt
 
 from ltm_core.errors import ImageError, ModelError
 from ltm_core.types import Float32Array, UInt8Array
+from ltm_core.vision.label_head import SHIPPED_HEAD, LabelHead
+from ltm_core.vision.label_head_io import find_head, read_head
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.manifest import InputSpec, Manifest
 from ltm_core.vision.onnx_model import OnnxModel
 from ltm_core.vision.text_io import load_text
 from ltm_core.vision.tiling import with_distant_tiles
 from ltm_core.vision.upsample import upsampled_winner
+from ltm_core.vision.withdrawal import withdraw
 
 DEFAULT_MODEL = "landscape_lite0"
 
@@ -38,8 +41,8 @@ class Segmenter:
 
     Probabilities of the network's classes that map to one label are summed before the winner is chosen, so that two
     halves of one label (`grass` and `field`, say) are not beaten by a third class. `words`: of a text network, those
-    that compete (None: all). `threads` is the number of CPU threads of ONNX Runtime. Raises ModelError: see OnnxModel,
-    and for a mapping to a label that does not exist.
+    that compete (None: all). `head`: what corrects the network's scores (None: nothing does). `threads` is the number
+    of CPU threads of ONNX Runtime. Raises ModelError: see OnnxModel, and for a mapping to a label that does not exist.
     """
 
     def __init__(
@@ -48,6 +51,7 @@ class Segmenter:
         threads: int = 1,
         labels: LabelSet | None = None,
         words: Sequence[str] | None = None,
+        head: LabelHead | None = None,
     ) -> None:
         if manifest.output.is_depth:
             raise ModelError(
@@ -63,13 +67,38 @@ class Segmenter:
         self._label_of_id = np.full(256, UNLABELLED, dtype=np.uint8)
         self._label_of_id[: len(class_labels)] = class_labels[:256]
         self._model = OnnxModel(manifest, threads)
+        self.head = head
+        self.withdrawal = manifest.output.withdraw if head is None else head.withdraw
+        """Which labels are left out; may be set to others."""
+        self._temperature = manifest.output.temperature if head is None else head.temperature
 
     @classmethod
     def open(
-        cls, path_or_name: str | Path = DEFAULT_MODEL, threads: int = 1, labels: LabelSet | None = None
+        cls,
+        path_or_name: str | Path = DEFAULT_MODEL,
+        threads: int = 1,
+        labels: LabelSet | None = None,
+        head: str = SHIPPED_HEAD,
+        heads: Path | None = None,
     ) -> "Segmenter":
-        """A segmenter by its manifest's path, or by the name of one in `config/models`."""
-        return cls(Manifest.find(path_or_name), threads, labels)
+        """A segmenter by its manifest's path, or the name of one in `config/models`, with a head by its name or path.
+
+        `heads`: a folder that is looked in for the head before others. Raises ModelError: see `find_head`, `read_head`.
+        """
+        manifest = Manifest.find(path_or_name)
+        file = find_head(head, manifest, heads)
+        return cls(manifest, threads, labels, head=None if file is None else read_head(file, manifest)[0])
+
+    @property
+    def name(self) -> str:
+        """What labels, for tables."""
+        return self.manifest.name if self.head is None else f"{self.manifest.name} {self.head.name}"
+
+    @property
+    def described(self) -> str:
+        """What labels, with its checksum: what `labels/info` tells."""
+        network = f"{self.manifest.name} {self.manifest.sha256[:12]}"
+        return network if self.head is None else f"{network}, head {self.head.described}"
 
     @property
     def model_path(self) -> Path:
@@ -85,21 +114,18 @@ class Segmenter:
         """
         _check(image)
         height, width = image.shape[:2]
-        output = self._model.run(input_tensor(image, self.manifest.input))
         if self.manifest.output.kind == "ids":
-            return self._from_ids(output, height, width)
-        probabilities = self._label_probabilities(output)
+            return self._from_ids(self._model.run(input_tensor(image, self.manifest.input)), height, width)
+        probabilities = self._label_probabilities(image)
         if zoom > 1.0 and Label.SKY in self._group_labels:
             sky = int(np.flatnonzero(self._group_labels == Label.SKY)[0])
-            probabilities = with_distant_tiles(image, probabilities, sky, zoom, self._tile_probabilities)
+            probabilities = with_distant_tiles(image, probabilities, sky, zoom, self._label_probabilities)
         winner, confidence = upsampled_winner(probabilities, height, width)
         labels = self._group_labels[winner]
         if UNLABELLED in self._group_labels:
             confidence[labels == UNLABELLED] = 0
+        withdraw(image, labels, confidence, self.withdrawal)
         return Segmentation(labels, confidence)
-
-    def _tile_probabilities(self, tile: UInt8Array) -> Float32Array:
-        return self._label_probabilities(self._model.run(input_tensor(tile, self.manifest.input)))
 
     def _from_ids(self, output: npt.NDArray[Any], height: int, width: int) -> Segmentation:
         ids = np.squeeze(output)
@@ -112,15 +138,33 @@ class Segmenter:
         return Segmentation(labels, np.where(labels == UNLABELLED, 0, 255).astype(np.uint8))
 
     def logits(self, image: UInt8Array) -> Float32Array:
-        """The network's scores (K, h, w) of its classes, with the manifest's offsets and before any temperature, at its
-        own resolution.
+        """The scores (K, h, w) of the network's classes, with the manifest's offsets, corrected by the head and before
+        any temperature, at the network's resolution.
 
         Raises ImageError and ModelError as `segment` does, and ModelError for a network that gives ids.
         """
         _check(image)
         if self.manifest.output.kind == "ids":
             raise ModelError(f"model {self.manifest.name!r} gives class ids; scores need logits or probabilities")
-        return self._scores(self._model.run(input_tensor(image, self.manifest.input)))
+        return self._corrected(image)
+
+    def scores_and_maps(self, image: UInt8Array) -> tuple[Float32Array, dict[str, Float32Array]]:
+        """The network's own scores (K, h, w), with the manifest's offsets, and all decoder maps (C, h', w') that its
+        manifest states: what a head is taught from. Raises as `logits` does."""
+        _check(image)
+        names = tuple(self.manifest.maps)
+        output, maps = self._model.run_with_maps(input_tensor(image, self.manifest.input), names)
+        return self._scores(output), dict(zip(names, maps, strict=True))
+
+    def _corrected(self, image: UInt8Array) -> Float32Array:
+        """Scores (K, h, w) of the network's classes for a photo, corrected by the head where there is one."""
+        tensor = input_tensor(image, self.manifest.input)
+        if self.head is None:
+            return self._scores(self._model.run(tensor))
+        output, maps = self._model.run_with_maps(tensor, self.head.maps)
+        scores = self._scores(output)
+        self.head.add_to(scores, maps)
+        return scores
 
     def class_probabilities(self, image: UInt8Array) -> dict[str, Float32Array]:
         """Probability (h, w) of each of the network's own classes, at its own resolution; raises as `logits` does."""
@@ -143,7 +187,7 @@ class Segmenter:
     def _probabilities(self, scores: Float32Array) -> Float32Array:
         """Scores (K, h, w) -> probabilities of the network's classes."""
         if self.manifest.output.kind in ("logits", "embeddings"):
-            scores = scores * np.float32(1.0 / self.manifest.output.temperature)
+            scores = scores * np.float32(1.0 / self._temperature)
             scores = np.exp(scores - scores.max(axis=0))
             return np.asarray(scores / scores.sum(axis=0), np.float32)
         low, high = float(scores.min()), float(scores.max())
@@ -154,9 +198,9 @@ class Segmenter:
             )
         return np.concatenate([1.0 - scores, scores]) if len(scores) == 1 else scores
 
-    def _label_probabilities(self, output: npt.NDArray[Any]) -> Float32Array:
-        """Network output -> (G, h, w) probability of each label that the network knows."""
-        probabilities = self._probabilities(self._scores(output))
+    def _label_probabilities(self, image: UInt8Array) -> Float32Array:
+        """Photo -> (G, h, w) probability of each label that the network knows."""
+        probabilities = self._probabilities(self._corrected(image))
         count, rows, cols = probabilities.shape
         grouped = self._grouped(probabilities.reshape(count, -1))
         return np.asarray(np.clip(grouped, 0.0, 1.0), dtype=np.float32).reshape(-1, rows, cols)

@@ -198,8 +198,7 @@ class BagWriter:
         try:
             self.end_file()
         finally:
-            # Files that the ring of recordings has removed are no part of the bag any more.
-            files = [record for record in self._finished if (self.path / record.name).exists()]
+            files = self._still_there()
             try:
                 if files:
                     topics = list(self._topics.values())
@@ -272,8 +271,13 @@ class BagWriter:
         """The file at hand has been ended; None: it held nothing and is gone."""
         self._count()
         self._earlier, self._file = self.on_disk, None
+        self._finished = self._still_there()
         if record is not None:
             self._finished.append(record)
+
+    def _still_there(self) -> list[FileRecord]:
+        """Files that the ring of recordings has removed are no part of the bag any more."""
+        return [record for record in self._finished if (self.path / record.name).exists()]
 
     def _count(self) -> None:
         if self._file is not None:

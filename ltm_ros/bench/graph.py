@@ -25,6 +25,7 @@ from ltm_core.errors import LtmError
 from ltm_core.resources import project_path
 from ltm_core.site_io import load_site
 from ltm_ros.bench.graph_site import NAME, Load, write_site
+from ltm_ros.bench.growth import GrowthWatch, HeldMore
 from ltm_ros.bench.listener import Listener
 from ltm_ros.bench.process_usage import Usage, usage_of
 from ltm_ros.launching.graph import Graph, describe
@@ -38,6 +39,8 @@ WARM_UP = 2
 QUIET_S = 6.0
 """Without any update of the map, after which no more will come."""
 LONGEST_SETTLE_S = 60.0
+SAMPLES = 60
+"""Of memory, descriptors and files in a run."""
 IDLE_S = 5.0
 """For which it is measured what the graph takes while nothing comes."""
 
@@ -94,6 +97,8 @@ class GraphResult:
     """Of all processes, from before the run, after the first frames of each camera, to its end; so the next two."""
     grown_descriptors: int
     grown_threads: int
+    held_more: HeldMore
+    """At the end of the run than at its middle."""
     ready_s: float
     """From the start until every node had reported."""
     load_average: float
@@ -131,7 +136,8 @@ def run_graph(load: Load, rate: float, seconds: float, domain_id: int | None = N
                 idle_ms_s, at_first = _idle_cpu_ms_s(runner), _usage(runner)
                 busy = os.getloadavg()[0]
                 before, cpu = dict(listener.summaries), _cpu_by_process(runner)
-                report = _stream(sender, max(1, round(seconds * rate)), 1.0 / rate)
+                with GrowthWatch(lambda: _running(runner), folder / "kept", seconds / SAMPLES) as watch:
+                    report = _stream(sender, max(1, round(seconds * rate)), 1.0 / rate)
                 sent: dict[str, list[int]] = report["sent"]
                 _settle(listener, {stamp for stamps in sent.values() for stamp in stamps})
                 after, cpu_after = dict(listener.summaries), _cpu_by_process(runner)
@@ -152,6 +158,7 @@ def run_graph(load: Load, rate: float, seconds: float, domain_id: int | None = N
                 "grown_pss_mb": _pss_mb(at_last)["all"] - _pss_mb(at_first)["all"],
                 "grown_descriptors": _total(at_last, "descriptors") - _total(at_first, "descriptors"),
                 "grown_threads": _total(at_last, "threads") - _total(at_first, "threads"),
+                "held_more": HeldMore.of(watch.samples),
                 "ready_s": ready_s,
                 "load_average": busy,
                 "cameras_late_s": report["late"],
@@ -280,7 +287,11 @@ def _idle_cpu_ms_s(runner: Runner) -> float:
 
 
 def _usage(runner: Runner) -> dict[str, Usage]:
-    return usage_of({label: process.pid for label, process in runner.processes.items() if process.pid})
+    return usage_of(_running(runner))
+
+
+def _running(runner: Runner) -> dict[str, int]:
+    return {label: process.pid for label, process in runner.processes.items() if process.pid}
 
 
 def _total(found: Mapping[str, Usage], what: str) -> int:

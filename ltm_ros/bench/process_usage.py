@@ -17,6 +17,10 @@ class Usage:
 
     pss: int
     private: int
+    """Pages of files that it has mapped among them (libraries, kernels), as long as no other process has mapped the
+    same: they change by megabytes when processes of any other program come and go."""
+    own: int
+    """What it has asked for: anonymous memory, and its part of shared memory. Nobody else's doing changes it."""
     descriptors: int
     threads: int
     cpu_s: float
@@ -35,7 +39,8 @@ def usage(pid: int) -> Usage | None:
     if "Pss" not in sizes or threads is None:
         return None  # ends just now
     private = sizes["Private_Clean"] + sizes["Private_Dirty"]
-    return Usage(sizes["Pss"], private, descriptors, int(threads[1]), process_use(pid).cpu_s)
+    own = sizes["Pss_Anon"] + sizes["SwapPss"] + sizes["Pss_Shmem"]
+    return Usage(sizes["Pss"], private, own, descriptors, int(threads[1]), process_use(pid).cpu_s)
 
 
 def usage_of(processes: Mapping[str, int]) -> dict[str, Usage]:

@@ -10,6 +10,8 @@ import typer
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from ltm_ros.demo.walk import Walk
+
 
 def demo(
     out: Annotated[
@@ -48,9 +50,7 @@ def _simulated(out: Path, domain: int, console: Console) -> None:
     from ltm_ros.evaluation.score_tables import bin_name
 
     with message_bar(console, "demo") as progress:
-        result = run_demo(
-            project_path("bags/demo"), out, domain, progress, lambda line: console.print(line, markup=False)
-        )
+        result = run_demo(project_path("bags"), out, domain, progress, lambda line: console.print(line, markup=False))
     print_nodes(console, result.nodes)
     table = Table(title="against truth", title_justify="left", show_header=False)
     table.add_column("what")
@@ -73,11 +73,26 @@ def _simulated(out: Path, domain: int, console: Console) -> None:
         for name, part in (("changed, found", changes.found), ("unchanged, changed by the map", changes.false_flips)):
             table.add_row(f"fuel cells {name}", f"{part.count} of {part.of} ({100 * part.value:.1f} %)")
     console.print(table)
+    _print_walk(console, result.walk)
     console.print(f"report: {out / 'report.html'}   Rerun: ltm view --rrd {out / 'demo.rrd'}")
     drops = sum(row.dropped for row in result.nodes)
     if drops:
         console.print(f"[red]{drops} messages were dropped; the table says where and why[/red]")
         raise typer.Exit(1)
+
+
+def _print_walk(console: Console, walk: Walk) -> None:
+    from rich.table import Table
+
+    table = Table(title="a simulated walk with a phone, by poses", title_justify="left")
+    for column in ("poses", "azimuth off, median", "largest", "cells labelled", "most frequent label right"):
+        table.add_column(column, justify="left" if column == "poses" else "right")
+    for row in walk.maps:
+        off = (f"{value:.2f}°" for value in row.errors.azimuth_deg)
+        table.add_row(row.poses, *off, f"{row.cells:,}", f"{row.right_percent:.1f} %")
+    console.print(table)
+    found = f"{walk.accepted} of {walk.photos} poses were found in the pictures"
+    console.print(f"{found}; they say how far off the compass is in the others", highlight=False)
 
 
 def _real(out: Path, domain: int, console: Console) -> None:

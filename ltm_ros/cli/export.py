@@ -12,7 +12,6 @@ from ltm_ros.cli.output import Overwrite
 
 if TYPE_CHECKING:
     from ltm_core.grid import GridGeometry
-    from ltm_ros.fuel_map.source import FuelSource
 
 
 class Format(StrEnum):
@@ -80,6 +79,7 @@ def export(
     """Write a fuel map, into another CRS by nearest cell on a grid with edges at 15 mod 30; or a living terrain."""
     from ltm_core.errors import ConfigError
     from ltm_core.output_io import require_files, require_folder
+    from ltm_ros.fuel_map.export import export_site, sidecars
 
     if source.suffix == ".sqlite":
         geometry = _export_terrain(source, out, site, format_, [crs, as_of, since])
@@ -102,6 +102,7 @@ def export(
         require_files([out], overwrite)
     if since is not None and kind is not Format.change:
         raise ConfigError("--since is the earlier date of a picture of change: give --format change")
+    require_files(sidecars(out, kind.value), overwrite)
     if kind is Format.classes:
         geometry = _export_classes(source, out, site, crs, as_of)
     else:
@@ -111,7 +112,9 @@ def export(
         from ltm_ros.fuel_map.source import FuelSource
 
         with FuelSource.open(source, load_site(site)) as map_:
-            geometry = _export_site(map_, out, crs, kind, system, as_of, since)
+            geometry, notes = export_site(map_, out, crs, kind.value, system.value, as_of, since)
+        for note in notes:
+            typer.echo(note)
     typer.echo(f"wrote {out}: {geometry.width} x {geometry.height} cells of {geometry.resolution:g} m, {geometry.crs}")
 
 
@@ -140,99 +143,32 @@ def _export_terrain(source: Path, out: Path, site: Path | None, kind: Format, un
 
 def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None, as_of: str | None) -> GridGeometry:
     from ltm_core.errors import ConfigError
+    from ltm_core.fuel.export.provenance import software
+    from ltm_core.fuel.export.qgis_style_io import write_palette_style
     from ltm_core.fuel.fuel_map_io import read_fuel_map, resampled, write_fuel_map
     from ltm_core.fuel.life_form import life_form_labels
     from ltm_core.site_io import load_site
     from ltm_core.vision.labels import LabelSet
     from ltm_ros.fuel_map.source import FuelSource
 
-    labels = LabelSet.load()
+    labels, tags = LabelSet.load(), {}
     if source.suffix.lower() in (".tif", ".tiff") and as_of is None:
         classes, geometry = read_fuel_map(source)
     else:
         if site is None:
             raise ConfigError("a bag's fuel map stands in its site's map frame: name the site file with --site")
+        tags = {"site": load_site(site).name, "software": software()}
         if source.suffix == ".ltm" or as_of is not None:
             with FuelSource.open(source, load_site(site)) as map_:
                 classes, geometry, labels = map_.at(as_of).life_form, map_.geometry, map_.labels
+                tags = map_.provenance(as_of).tags()
         else:
             from ltm_ros.recordings.recorded_map import last_fuel_map
 
             classes, geometry, labels = last_fuel_map(source, load_site(site))
     if crs is not None:
         classes, geometry = resampled(classes, geometry, crs)
-    write_fuel_map(out, classes, geometry, life_form_labels(labels))
+    palette = life_form_labels(labels)
+    write_fuel_map(out, classes, geometry, palette, tags)
+    write_palette_style(out, list(zip(range(len(palette.names)), palette.names, palette.colors, strict=True)))
     return geometry
-
-
-def _export_site(
-    map_: FuelSource, out: Path, crs: str | None, kind: Format, system: Codes, as_of: str | None, since: str | None
-) -> GridGeometry:
-    """Everything that needs more than the label map."""
-    from ltm_core.fuel.codes import FuelSystem
-    from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape, snapped_grid
-    from ltm_core.fuel.export.landscape_io import write_elmfire, write_landscape, write_layers
-    from ltm_core.fuel.export.lcp_io import write_lcp
-    from ltm_core.fuel.export.points_io import fuel_points, write_las, write_ply
-    from ltm_core.fuel.life_form import life_form_labels
-
-    site, grid, layers = map_.site, map_.geometry, map_.at(as_of)
-    target = grid if crs is None else snapped_grid(grid, crs, site.fuel.phase)
-    dem = site.open_dem()
-    if kind in (Format.lcp, Format.landscape, Format.elmfire):
-        landscape = make_landscape(
-            layers, map_.prior, dem, site.frame, grid, map_.region, FuelSystem(system.value), target
-        )
-        if kind is Format.lcp:
-            over = "a prior" if map_.prior else "no prior"
-            write_lcp(out, landscape, f"{site.name}: fuel map of cameras over {over}")
-        elif kind is Format.landscape:
-            write_landscape(out, landscape)
-        else:
-            write_elmfire(out, landscape)
-        return target
-    if kind in (Format.png, Format.change, Format.coverage):
-        _draw(map_, out, kind, as_of, since)
-        return grid
-    transfer = GridTransfer(grid, target)
-    moved, heights = transfer.layers(layers), transfer.heights(dem, site.frame)[1:-1, 1:-1]
-    if kind is Format.layers:
-        write_layers(out, moved, target)
-    elif kind is Format.kmz:
-        from ltm_core.fuel.export.kmz_io import write_kmz
-        from ltm_core.pictures.fuel_maps import overlay_picture
-        from ltm_core.pictures.legend import label_legend
-
-        palette = life_form_labels(map_.labels)
-        shown = label_legend(520, palette, set(moved.life_form.ravel().tolist()) - {255})
-        picture = overlay_picture(moved, heights, target.resolution, palette)
-        write_kmz(out, picture, target, f"fuel map of {site.name}", shown)
-    else:
-        points = fuel_points(moved, heights, target, map_.labels)
-        (write_ply if kind is Format.ply else write_las)(out, points)
-    return target
-
-
-def _draw(map_: FuelSource, out: Path, kind: Format, as_of: str | None, since: str | None) -> None:
-    from ltm_core.fuel.life_form import life_form_labels
-    from ltm_core.pictures import to_png
-    from ltm_core.pictures.fuel_sheets import change_sheet, coverage_sheet, fuel_sheet, seen_sheet
-    from ltm_ros.fuel_map.pictures import canvas_of, places_of, seen_window
-
-    layers, palette = map_.at(as_of), life_form_labels(map_.labels)
-    dem, grid, bounds = map_.site.open_dem(), map_.site.in_map(map_.geometry), None
-    places = places_of(map_.site, dem)
-    if kind is Format.change:
-        # What cameras have seen: of a large prior, changed cells would be dots.
-        touched = (map_.layers.last_seen > 0) | map_.layers.changed
-        bounds = seen_window(grid, touched, places) if touched.any() else None
-    canvas = canvas_of(map_.site, dem, grid, places, bounds)
-    if kind is Format.png:
-        sheet = fuel_sheet(canvas, layers, palette)
-    elif kind is Format.change:
-        names = (since or "before any evidence", as_of or "now")
-        sheet = change_sheet(canvas, map_.empty if since is None else map_.at(since), layers, palette, names)
-    else:
-        coverage = map_.coverage()
-        sheet = seen_sheet(canvas, map_.seen_by()) if coverage is None else coverage_sheet(canvas, coverage)
-    out.write_bytes(to_png(sheet))

@@ -69,6 +69,10 @@ def import_(
         Path | None,
         typer.Option(help="Also write the upright photos and poses.csv of what is known, for `ltm pose --photo`."),
     ] = None,
+    refine: Annotated[
+        bool,
+        typer.Option("--refine", help="Find each photo's pose in its picture, by the site's terrain; needs --site."),
+    ] = False,
     skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Leave out photos that cannot be taken.")] = False,
 ) -> None:
     """Make a bag from photos and recordings of phones: image_raw/compressed, camera_info and pose with covariance."""
@@ -76,12 +80,20 @@ def import_(
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
     from rich.table import Table
 
+    from ltm_core.errors import ConfigError
     from ltm_core.site_io import load_site
     from ltm_ros.importer.assumptions import Assumptions
     from ltm_ros.importer.build import import_photos
     from ltm_ros.importer.photo_time import time_zone as zone_named
+    from ltm_ros.importer.refinement import PoseRefinement
 
     zone = zone_named(time_zone) if time_zone is not None else None
+    place = load_site(site) if site is not None else None
+    search = None
+    if refine:
+        if place is None:
+            raise ConfigError("--refine lays photos on terrain: name the site that has the DEM, with --site")
+        search = PoseRefinement(place)
     console = Console()
     columns = (TextColumn("Importing photos"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as bar:
@@ -90,7 +102,7 @@ def import_(
             images,
             out,
             poses,
-            load_site(site) if site is not None else None,
+            place,
             camera,
             Assumptions(
                 pitch_deg,
@@ -110,6 +122,7 @@ def import_(
             skip_bad,
             lambda done, total: bar.update(task, completed=done, total=total),
             write_photos,
+            search,
         )
     by_note: dict[str, list[str]] = {}
     for name, note in report.notes:
@@ -119,6 +132,17 @@ def import_(
         console.print(f"[yellow]{names[0]}{others}: {note}", highlight=False)
     for file, why in report.skipped:
         console.print(f"[red]left out {file.name}: {why}", highlight=False)
+    if report.refined:
+        poses_found = Table("photo", "verdict", "turned by azimuth, pitch, roll, deg", title="poses")
+        for name, found in report.refined:
+            turned = ", ".join(f"{angle:+.2f}" for angle in found.turned_deg)
+            poses_found.add_row(name, found.verdict, turned if any(found.turned_deg) else "stays as given")
+        console.print(poses_found)
+        verdicts = [found.verdict for _, found in report.refined]
+        said = f"{verdicts.count('accepted')} of {len(verdicts)} poses found in the pictures"
+        if "as_others" in verdicts:
+            said += f"; {verdicts.count('as_others')} turned by the compass error that these agree on"
+        console.print(said, highlight=False)
     table = Table("topics", "photos", title=str(report.bag))
     for name, count in report.cameras.items():
         table.add_row(f"/{report.site}/{name}/{{image_raw/compressed, camera_info, pose}}", str(count))

@@ -51,6 +51,9 @@ def pose(
     labels: Annotated[
         Path | None, typer.Option(help="With --photo: PNG of class ids instead of the segmentation network's.")
     ] = None,
+    mask: Annotated[
+        Path | None, typer.Option(help="With --photo: PNG of what never shows the landscape (`ltm mask`), not 0 there.")
+    ] = None,
     model: Annotated[str, typer.Option(help="Segmentation network; default: the shipped one.")] = "",
     canopy: Annotated[
         bool, typer.Option("--canopy", help="The DEM is a surface with the tops of trees, not bare earth.")
@@ -111,7 +114,9 @@ def pose(
     assert photo is not None  # nosec B101 # tells the type checker what holds
     if not dem:
         raise ConfigError("--photo needs --dem, the elevation raster whose skyline it shows")
-    _photos(photo, pose_guess, poses, dem, crs, labels, model, free or "none", canopy, mount, out, picture, report)
+    _photos(
+        photo, pose_guess, poses, dem, crs, labels, mask, model, free or "none", canopy, mount, out, picture, report
+    )
 
 
 def _mount(
@@ -160,6 +165,7 @@ def _photos(
     dem: list[Path],
     crs: str | None,
     labels: Path | None,
+    mask: Path | None,
     model: str,
     free: str,
     canopy: bool,
@@ -186,7 +192,7 @@ def _photos(
         assert pose_guess is not None  # nosec B101 # tells the type checker what holds
         guesses = {photo: load_yaml(pose_guess, GuessConfig)}
     terrain = open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])])
-    options = PhotoOptions(labels, model, tuple(_names(free)), canopy, mount)
+    options = PhotoOptions(labels, model, tuple(_names(free)), canopy, mount, mask)
     found = search_photos(guesses, terrain, options)
     write_photos(found, out, picture, report, poses is not None)
     table = Table("photo", "verdict", "azimuth", "pitch", "roll", "sigma, deg", "from what was given", title="poses")

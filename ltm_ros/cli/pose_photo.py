@@ -31,6 +31,8 @@ class PhotoOptions:
     free: tuple[str, ...]
     canopy: bool
     mount: bool
+    mask: Path | None = None
+    """PNG of what of the photos never shows the landscape."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +84,15 @@ def search_photos(guesses: dict[Path, GuessConfig], dem: Dem, options: PhotoOpti
 def _find(
     file: Path, guess: GuessConfig, dem: Dem, segmenter: Segmenter | None, options: PhotoOptions, config: Any
 ) -> FoundPhoto:
+    import numpy as np
+
     from ltm_core.errors import ImageError
     from ltm_core.pose_estimation.picture_evidence import picture_evidence
     from ltm_core.pose_estimation.picture_pose_io import doubt_of_sky, read_labels, result_of, set_up_search
     from ltm_core.pose_estimation.pose_from_picture import find_pose
     from ltm_core.tracing.trace_io import read_photo
+    from ltm_core.vision.labels import UNLABELLED
+    from ltm_core.vision.scene_view import SceneFilter
 
     setup = set_up_search(guess, dem)
     prior = setup.prior
@@ -98,11 +104,14 @@ def _find(
     else:
         assert segmenter is not None  # nosec B101 # tells the type checker what holds
         labels = segmenter.segment(photo).labels
+    hidden = None if options.mask is None else SceneFilter.of_png(options.mask, "--mask").look(photo).hidden
+    if hidden is not None:
+        labels = np.where(hidden, np.uint8(UNLABELLED), labels)
     doubt = doubt_of_sky(labels)
     if doubt is not None:
         raise ImageError(f"{file}: {doubt}")
     begin = time.process_time()
-    evidence = picture_evidence(photo, labels, setup.camera, config)
+    evidence = picture_evidence(photo, labels, setup.camera, config, hidden)
     search = find_pose(evidence, setup.terrain, prior, config, FOCAL_SIGMA if "focal" in options.free else 0.0)
     result = result_of(search, prior, setup.camera)
     spent = time.process_time() - begin

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -37,6 +38,14 @@ def run(
     logs: Annotated[
         Path | None, typer.Option(help="Folder for the nodes' output. Default: a new one in ~/.local/state/ltm.")
     ] = None,
+    notify: Annotated[
+        bool | None,
+        typer.Option(
+            "--notify/--no-notify",
+            help="Tell systemd when all nodes are ready, that they are watched over, and of the end. "
+            "Default: where NOTIFY_SOCKET is set.",
+        ),
+    ] = None,
 ) -> None:
     """Run a site: its nodes' processes, restarted when they die; Ctrl-C or SIGTERM stops all of them in order.
 
@@ -44,8 +53,11 @@ def run(
     """
     from ltm_ros.launching.graph import describe
     from ltm_ros.launching.runner import Runner, new_log_folder, print_line
+    from ltm_ros.launching.service_manager import ServiceManager
     from ltm_ros.launching.site_check import NotReadyError, Wanted, require_ready
 
+    named = ServiceManager.of_environment(os.environ, required=bool(notify))
+    manager = ServiceManager() if notify is False else named
     folders: dict[str, Path] = {}
     kept: dict[str, ParameterValue] = {}
     recorded: dict[str, ParameterValue] | None = None
@@ -64,6 +76,7 @@ def run(
         config = require_ready(site, wanted, lambda doubt: typer.echo(f"-- {doubt}"))
     except NotReadyError as error:
         typer.echo("\n".join(f"ltm: {line}" for line in str(error).splitlines()), err=True)
+        manager.status(str(error))
         raise typer.Exit(error.status) from error
     if state is not None:
         folders["state"].mkdir(parents=True, exist_ok=True)
@@ -75,7 +88,7 @@ def run(
     typer.echo(f"-- {config.name}: {processes}, logs in {runner.log_folder}; Ctrl-C stops them")
     if view:
         typer.echo(f"-- live view, as soon as the nodes are up: {_address(graph.node('viewer').parameters)}")
-    status = runner.run()
+    status = runner.run(manager)
     # Not by echo: a console that has gone meanwhile is no error of the run.
     print_line(f"-- {config.name} has ended; its logs: {runner.log_folder}")
     raise typer.Exit(status)

@@ -26,6 +26,7 @@ from ltm_ros.demo.outcome import (
     range_scale,
     write_pictures,
 )
+from ltm_ros.demo.walk import Walk, run_walk, walk_sheet
 from ltm_ros.evaluation.run_report import ReportData, write_report
 from ltm_ros.evaluation.run_score import BagScore, DepthRow, score_bag
 from ltm_ros.evaluation.score_tables import tables
@@ -41,6 +42,7 @@ class DemoResult:
     nodes: list[NodeRow]
     score: BagScore
     seconds: float
+    walk: Walk
 
     @property
     def depth(self) -> DepthRow:
@@ -52,17 +54,19 @@ class DemoResult:
 
 
 def run_demo(
-    demo: Path,
+    bags: Path,
     out: Path,
     domain_id: int | None,
     progress: Callable[[int, int], None],
     console: Callable[[str], None],
 ) -> DemoResult:
-    """Replay the demo folder (site.yaml, recording/, fuel_truth.tif) live into `out`, which must be empty or new.
+    """Replay `bags`/demo (site.yaml, recording/, fuel_truth.tif) live into `out`, which must be empty or new, and
+    `bags`/phone offline.
 
-    Leaves fuel_map.tif, landscape.lcp, landscape.tif, state/, recording/, demo.rrd, report.html and pictures/ there.
-    Raises LtmError.
+    Leaves fuel_map.tif, landscape.lcp, landscape.tif, state/, recording/, demo.rrd, walk/, report.html and pictures/
+    there. Raises LtmError.
     """
+    demo = bags / "demo"
     site_path = demo / "site.yaml"
     site = load_site(site_path)
     labels = LabelSet.load(config_path(site.labels))
@@ -84,7 +88,8 @@ def run_demo(
         write_landscapes(evidence, site, out)
     recorded = Recorded(out / "recording", site_path, site, demo)
     score = score_bag(recorded)
-    result = DemoResult(node_rows(summaries), score, seconds)
+    walk = run_walk(bags / "phone", out / "walk", progress)
+    result = DemoResult(node_rows(summaries), score, seconds, walk)
     classes, geometry = read_fuel_map(out / "fuel_map.tif")
     shown = headings(recorded_frames(out / "recording", site))
     after = evidence.layers()
@@ -94,6 +99,7 @@ def run_demo(
     write_pictures(out / "pictures", shown, fuel_map, labels, scale, outlined)
     coverage = coverage_of(recorded_votes(recorded, evidence.geometry, labels), evidence.geometry)
     sheets = fuel_sheets(site, dem, before, after, coverage, shown, life_form_labels(labels))
+    sheets["walk"] = walk_sheet(walk)
     for name, sheet in sheets.items():
         (out / "pictures" / f"{name}.png").write_bytes(to_png(sheet.picture))
     data = ReportData(
@@ -120,6 +126,7 @@ def run_demo(
             ("recording/", "inputs and results as a rosbag2 bag (MCAP)"),
             ("landscape.lcp, .prj", "the same for FARSITE and FlamMap, in fuel models of Scott and Burgan"),
             ("landscape.tif", "the same as a GeoTIFF of eight bands, for FlamMap 6.2 and IFTDSS"),
+            ("walk/", "bags of a walk with a phone: as its sensors say, as its pictures do, and their maps"),
             ("state/", "the fuel map's store: evidence, counted frames, history"),
             ("demo.rrd", "the run in Rerun"),
             ("pictures/", "the pictures of this page"),

@@ -30,10 +30,16 @@ class RecordedPoseErrors:
     sigmas: Float64Array
     unmatched: int
 
+    @property
+    def azimuth_deg(self) -> tuple[float, float]:
+        """Median and largest of the absolute errors."""
+        off = np.abs(self.errors[:, 3])
+        return float(np.median(off)), float(off.max())
+
 
 def recorded_pose_errors(bag: Path, true: Path, site: Site) -> RecordedPoseErrors:
     """Of all cameras, joined by camera and stamp. Raises RecordingError where no frame has a true pose."""
-    told, truth = _poses(bag, site), _poses(true, site)
+    told, truth = recorded_poses(bag, site), recorded_poses(true, site)
     errors, sigmas = [], []
     for key in sorted(told.keys() & truth.keys()):
         pose, covariance = told[key]
@@ -49,7 +55,8 @@ def recorded_pose_errors(bag: Path, true: Path, site: Site) -> RecordedPoseError
     return RecordedPoseErrors(np.array(errors), np.array(sigmas), len(told) - len(errors))
 
 
-def _poses(bag: Path, site: Site) -> dict[tuple[str, int], tuple[Pose, Float64Array | None]]:
+def recorded_poses(bag: Path, site: Site) -> dict[tuple[str, int], tuple[Pose, Float64Array | None]]:
+    """Of all cameras by camera and stamp: the pose in the map frame, and the covariance (6, 6) that it states."""
     reader = BagReader(bag)
     names = {camera_topic(site.name, camera, POSE): camera for camera in site.cameras}
     found = {}

@@ -16,7 +16,9 @@ from ltm_core.fuel.evidence import TILE, EvidenceMap, Window
 from ltm_core.fuel.export.export_grid import make_landscape
 from ltm_core.fuel.export.landscape_io import write_landscape
 from ltm_core.fuel.export.lcp_io import write_lcp
+from ltm_core.fuel.export.provenance import provenance_of
 from ltm_core.fuel.life_form import NODATA
+from ltm_core.fuel.site_map import spare_heights
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import Key, Tile, TileStore
 from ltm_core.site import Site
@@ -136,14 +138,17 @@ def forgotten(evidence: EvidenceMap, cells: BoolArray) -> dict[Key, Tile]:
 def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path) -> list[Path]:
     """The map as `landscape.lcp` and `landscape.tif`, for fire models. Raises ConfigError, RasterError."""
     system = FuelSystem.FBFM40 if evidence.prior is None else evidence.prior.system
+    layers = evidence.layers()
     landscape = make_landscape(
-        evidence.layers(),
+        layers,
         evidence.prior,
         site.open_dem(),
         site.frame,
         site.in_crs(evidence.geometry),
         evidence.region,
         system,
+        spare=spare_heights(site, evidence.geometry),
     )
-    lcp = write_lcp(folder / "landscape.lcp", landscape, f"{site.name}: fuel map of cameras")
-    return [lcp, write_landscape(folder / "landscape.tif", landscape)]
+    made = provenance_of(site, layers, system, landscape=landscape)
+    lcp = write_lcp(folder / "landscape.lcp", landscape, made.line())
+    return [lcp, write_landscape(folder / "landscape.tif", landscape, made.tags())]

@@ -10,9 +10,11 @@ from typing import Self
 import numpy as np
 
 from ltm_core.errors import ConfigError, RasterError
-from ltm_core.fuel.codes import FuelRegion
+from ltm_core.fuel.codes import FuelRegion, FuelSystem
 from ltm_core.fuel.coverage import CoverageMap
 from ltm_core.fuel.decision import FuelLayers, layers_of_classes
+from ltm_core.fuel.export.landscape import Landscape
+from ltm_core.fuel.export.provenance import Provenance, provenance_of
 from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.majority import UNSEEN
 from ltm_core.fuel.prior import FuelPrior
@@ -82,6 +84,16 @@ class FuelSource:
         from ltm_ros.fuel_map.pictures import layers_as_of, when
 
         return layers_as_of(self.store, self.empty, when(moment))
+
+    def provenance(
+        self, moment: str | None = None, system: FuelSystem | None = None, landscape: Landscape | None = None
+    ) -> Provenance:
+        """What an export of the map, now or as of a moment, says of itself. Raises ConfigError as `at` does."""
+        from ltm_ros.fuel_map.pictures import when
+
+        own = FuelSystem.FBFM40 if self.prior is None else self.prior.system
+        as_of = None if moment is None else when(moment)
+        return provenance_of(self.site, self.at(moment), system or own, as_of, landscape)
 
     def seen_by(self) -> dict[str, BoolArray]:
         """The cells that each camera has seen, as far as the store's cells remember."""

@@ -25,6 +25,7 @@ from ltm_ros.importer.photo_folder import PhotoFolder
 from ltm_ros.importer.picture import Picture
 from ltm_ros.importer.pictures import find_pictures
 from ltm_ros.importer.pose_file import PhotoPose, read_pose_file
+from ltm_ros.importer.refinement import PoseRefinement, Refinement
 from ltm_ros.runtime.topics import CAMERA_INFO, IMAGE_COMPRESSED, POSE, camera_topic
 
 _APART_NS = 1_000_000
@@ -42,6 +43,8 @@ class ImportReport:
     cameras: dict[str, int] = field(default_factory=dict)
     skipped: list[tuple[Path, str]] = field(default_factory=list)
     notes: list[tuple[str, str]] = field(default_factory=list)
+    refined: list[tuple[str, Refinement]] = field(default_factory=list)
+    """Of each photo whose pose was sought in its picture."""
 
 
 def import_photos(
@@ -54,6 +57,7 @@ def import_photos(
     skip_bad: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
     photos_out: Path | None = None,
+    refinement: PoseRefinement | None = None,
 ) -> ImportReport:
     """Write a bag with image_raw/compressed, camera_info and pose with covariance of every photo, by their stamps.
 
@@ -62,7 +66,8 @@ def import_photos(
     without it the frame is the UTM zone of the first photo, with an origin near it. `camera`: for photos whose row
     names none; by default the site's only camera. `skip_bad`: leave photos out that cannot be taken, instead of
     stopping. `progress(done, total)`: each photo is read twice, to place it and to write it. `photos_out`: a folder for
-    the upright photos with a list of what is known of them (`PhotoFolder`).
+    the upright photos with a list of what is known of them (`PhotoFolder`). `refinement`: finds the photos' poses in
+    their pictures.
 
     Raises LtmError children, each with photo, value and remedy; the bag is not begun unless every photo is placed.
     """
@@ -71,7 +76,7 @@ def import_photos(
     files = find_pictures(images, assumed)
     rows = read_pose_file(poses) if poses is not None else None
     if rows is not None:
-        found = len(files)
+        given = len(files)
         files = _named_in(files, rows, poses)
     frame = site.frame if site is not None else _frame_of(files, rows)
     around = Surroundings(frame)
@@ -79,8 +84,8 @@ def import_photos(
         around = Surroundings(frame, site.open_dem(), site.cameras, site.assumed_pose_error)
     report = ImportReport(out, site.name if site is not None else "site", frame.crs, (frame.x_origin, frame.y_origin))
 
-    if rows is not None and len(files) < found:
-        report.notes.append((str(poses), f"does not name {found - len(files)} of the {found} photos: left out"))
+    if rows is not None and len(files) < given:
+        report.notes.append((str(poses), f"does not name {given - len(files)} of the {given} photos: left out"))
 
     placed: list[tuple[str, Picture, PhotoPose, int]] = []
     for done, file in enumerate(files):
@@ -96,6 +101,8 @@ def import_photos(
                 raise
             report.skipped.append((file.path, str(error)))
         else:
+            if refinement is not None:
+                refinement.look(name, file.name, item)
             # Only what orders the photos is kept: a season's photos do not fit in memory.
             placed.append((name, file, row, item.stamp_ns))
             report.notes += [(file.name, note) for note in item.notes]
@@ -113,6 +120,9 @@ def import_photos(
     with BagWriter(out, compression=None, custom_data=custom) as writer, folder or nullcontext():  # JPEG stays as it is
         for done, (name, file, row, stamp_ns) in enumerate(placed):
             item = place(_read(file, row), row, name, around, assumed)
+            if refinement is not None:
+                item, found = refinement.refine(name, file.name, item)
+                report.refined.append((file.name, found))
             _write(writer, report.site, name, item, stamp_ns)
             if folder is not None:
                 folder.add(file.name, name, item, stamp_ns)

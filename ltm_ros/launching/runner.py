@@ -27,6 +27,8 @@ from ltm_ros.launching.graph import (
     parameters_yaml,
 )
 from ltm_ros.launching.ros_environment import ros_environment
+from ltm_ros.launching.run_status import all_watched, in_words
+from ltm_ros.launching.service_manager import ServiceManager
 from ltm_ros.launching.supervised import start_supervised, supervised_command
 from ltm_ros.launching.supervisor import Console, NodeProcess, ProcessState, RestartPolicy
 
@@ -212,40 +214,64 @@ class Runner:
                 self._folder = None
             self._cleanup.stop()
 
-    def run(self) -> int:
+    def run(self, manager: ServiceManager | None = None) -> int:
         """Body of `ltm run`: start, wait for SIGINT, SIGTERM or SIGHUP, stop. Call it from the main thread.
 
+        `manager` is told when every node is ready, once a second that the processes are watched over, and of the end.
         Exit status: 0, or 1 when a required node was given up. Ends by itself when no required node is left to run.
         """
+        manager = manager or ServiceManager()
         stopping = threading.Event()
         numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
         former = {number: signal.signal(number, lambda *_: stopping.set()) for number in numbers}
         required = [process.label for process in self.graph.processes if process.required]
-        herald = threading.Thread(target=self._announce, name="announce", daemon=True)
+        herald = threading.Thread(target=self._announce, args=(manager,), name="announce", daemon=True)
         try:
+            manager.starting(f"starting {len(self.graph)} nodes")
             self.start()
             herald.start()
             while not stopping.wait(0.2):
+                self._report(manager)
                 if all(label in self.given_up for label in required):
                     self._say("-- no node is left to run")
                     break
         finally:
+            manager.stopping()
             self.stop()
             if herald.ident is not None:
                 herald.join(5.0)
+            manager.close()
             for number, handler in former.items():
                 signal.signal(number, handler)
         return 1 if any(label in self.given_up for label in required) else 0
 
-    def _announce(self) -> None:
-        """Say when the graph is up, or what is not."""
-        try:
-            self.wait_until_ready(120.0)
-            self._say(f"-- all {len(self.graph)} nodes are up")
-        except GraphError as error:
-            if not self._stopping.is_set():
-                for line in str(error).splitlines():
-                    self._say(f"-- {line}")
+    def _announce(self, manager: ServiceManager) -> None:
+        """Say when the graph is up, and after a while what is not yet: kernels may be compiled for minutes."""
+        told = False
+        while not self._stopping.is_set():
+            try:
+                self.wait_until_ready(120.0)
+            except GraphError as error:
+                if not told and not self._stopping.is_set():
+                    for line in str(error).splitlines():
+                        self._say(f"-- {line}")
+                told = True
+                if self.given_up:
+                    return
+            else:
+                self._say(f"-- all {len(self.graph)} nodes are up")
+                manager.ready(in_words(self.processes.values()))
+                return
+
+    def _report(self, manager: ServiceManager) -> None:
+        processes = self.processes.values()
+        status = in_words(processes)
+        if not all_watched(processes):
+            manager.status(f"a supervisor does not answer; {status}")
+        elif manager.is_ready:
+            manager.alive(status)
+        else:
+            manager.starting(f"starting; {status}")
 
     def _process(self, spec: ProcessSpec) -> NodeProcess:
         return NodeProcess(

@@ -17,6 +17,7 @@ import time
 from collections.abc import Mapping, Sequence
 
 from ltm_ros.runtime.heartbeat import HEARTBEAT, STARTING
+from ltm_ros.runtime.process_memory import steady_allocation
 
 DESCRIPTOR = "LTM_HEARTBEAT"
 """Environment variable that holds the number of the heartbeat's file descriptor."""
@@ -95,6 +96,7 @@ def _end() -> None:
 
 
 def main() -> None:
+    steady_allocation()
     STARTING.begin(sys.argv[1], slow=True)
     faulthandler.register(SHOW_STACKS)
     descriptor = int(os.environ.pop(DESCRIPTOR))

@@ -24,6 +24,8 @@ EX_CONFIG = 78
 """Exit status of a node whose configuration cannot work (sysexits.h)."""
 
 LOOK_S = 1.0
+UNWATCHED_S = 60.0
+"""After which a supervisor that has not looked at its process is taken to hang itself."""
 STACKS_S = 1.0
 """What a process that is killed because it hangs has to say where it hangs."""
 
@@ -117,6 +119,7 @@ class NodeProcess:
         self._tail: deque[str] = deque(maxlen=12)
         self._backoff = Backoff(self.policy)
         self._slow_starts = 0
+        self._look_due = time.monotonic()
         self._hang = ""
         """Why the last run was killed, where it hung."""
         self._thread = threading.Thread(target=self._supervise, name=f"supervise {self.label}", daemon=True)
@@ -131,7 +134,17 @@ class NodeProcess:
     def running(self) -> bool:
         return self.state is ProcessState.RUNNING
 
+    @property
+    def watched(self) -> bool:
+        """Whether its supervisor does its work, or has done it to the end: given up is given up. False where the
+        supervisor hangs (a console that nobody reads) or has died.
+        """
+        if self.state in (ProcessState.GIVEN_UP, ProcessState.STOPPED):
+            return True
+        return self._thread.is_alive() and time.monotonic() - self._look_due < UNWATCHED_S
+
     def start(self) -> None:
+        self._look_due = time.monotonic()
         self._thread.start()
 
     def signal(self, number: int, *, whole_group: bool = False) -> bool:
@@ -177,6 +190,7 @@ class NodeProcess:
                 self.on_given_up()
                 return
             self._tell(f"{self.last_exit} after {uptime_s:.1f} s; starts again in {delay_s:.1f} s")
+            self._look_due = time.monotonic() + delay_s
             self._stopping.wait(delay_s)
         self.state = ProcessState.STOPPED
 
@@ -231,6 +245,7 @@ class NodeProcess:
                     poll.unregister(heartbeat)
                 now = time.monotonic()
                 elapsed_s, last = now - last, now
+                self._look_due = now
                 if watch and not hang and (hang := watch.look(elapsed_s, heard, process_use(pid))):
                     self._kill_hung(hang, end)
         finally:

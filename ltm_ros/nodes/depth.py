@@ -14,6 +14,8 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.site_io import load_site
 from ltm_core.tracing import TerrainTracer
+from ltm_core.types import BoolArray, Float32Array
+from ltm_core.vision.scene_view import SceneFilter
 from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pose import msg_to_pose
@@ -48,7 +50,7 @@ class Depth(Handler[DepthConfig]):
     def __init__(self, config: DepthConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = load_site(config.site)
-        site.camera(config.camera)
+        self._scene = SceneFilter.of(site, config.camera)
         ground = site.open_dem()
         traced = site.open_surface(ground) if config.surface else ground
         rays = site.curvature, site.refraction, site.possible_ground
@@ -84,17 +86,29 @@ class Depth(Handler[DepthConfig]):
                 "raise pixels under `limits:` in the site file",
             )
             return
+        hidden = self._scene.hidden(camera.width, camera.height)
         ranges = self._tracer.trace(camera, where)
         self.outlet.publish(DEPTH_CAMERA_INFO, camera_to_msg(camera, stamp, self._frame_id))
-        self.outlet.provide(DEPTH_IMAGE, stamp, lambda: depth_to_msg(ranges.depth(), stamp, self._frame_id))
+        self.outlet.provide(
+            DEPTH_IMAGE, stamp, lambda: depth_to_msg(_seen(ranges.depth(), hidden), stamp, self._frame_id)
+        )
         if self.outlet.wanted(GROUND_DEPTH):
             bare = ranges if self._bare is self._tracer else self._bare.trace(camera, where)
-            self.outlet.publish(GROUND_DEPTH, depth_to_msg(bare.depth(), stamp, self._frame_id))
+            self.outlet.publish(GROUND_DEPTH, depth_to_msg(_seen(bare.depth(), hidden), stamp, self._frame_id))
         if self.outlet.wanted(ALIGNMENT):
-            self.outlet.publish(ALIGNMENT, image_to_msg(ranges.points(), "32FC3", stamp, "map"))
+            self.outlet.publish(ALIGNMENT, image_to_msg(_seen(ranges.points(), hidden), "32FC3", stamp, "map"))
         for name, count in asdict(self._tracer.statistics).items():
             self.health.gauge(f"tracer.{name}", count)
         self.outlet.acknowledge(FINISHED, stamp)
+
+
+def _seen(values: Float32Array, hidden: BoolArray | None) -> Float32Array:
+    """Depths (H, W) or points (H, W, 3), unknown where the camera's mask has it that something else is seen."""
+    if hidden is None:
+        return values
+    seen = values.copy()
+    seen[hidden] = np.nan
+    return seen
 
 
 def _compile_kernels() -> None:

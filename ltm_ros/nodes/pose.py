@@ -12,9 +12,9 @@ from std_msgs.msg import String
 from ltm_core.errors import ConfigError
 from ltm_core.pose_estimation.mount_watch import MountWatch
 from ltm_core.pose_estimation.picture_evidence import picture_evidence
-from ltm_core.pose_estimation.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
-from ltm_core.pose_estimation.pose_from_picture import Terrain
+from ltm_core.pose_estimation.site_terrain import site_terrain
 from ltm_core.site_io import load_site
+from ltm_core.vision.scene_view import SceneFilter
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
@@ -42,15 +42,10 @@ class PoseKeeping(Handler[JoinConfig]):
     def __init__(self, config: JoinConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = load_site(config.site)
-        site.camera(config.camera)
+        self._scene = SceneFilter.of(site, config.camera)
         if site.refine_poses is None:
             raise ConfigError(f"{config.site}: the node `pose` needs a section `refine_poses`")
-        bare = site.open_dem()
-        ground = site.open_surface(bare)
-        self._search = PicturePoseConfig()
-        if ground is not bare:
-            self._search = PicturePoseConfig(skyline=SkylineConfig(cover=CANOPY_SURFACE))
-        terrain = Terrain(ground, site.bend, site.possible_ground)
+        terrain, self._search = site_terrain(site)
         self._watch = MountWatch(terrain, site.refine_poses, self._search)
         self._assumed = site.assumed_pose_error.covariance()
         self._every_ns = round(site.refine_poses.every * 1e9)
@@ -81,8 +76,10 @@ class PoseKeeping(Handler[JoinConfig]):
             return
         self._last_ns = stamp
         watch, before = self._watch, self._watch.correction
+        photo = msg_to_rgb(image)
+        seen = self._scene.look(photo)
         evidence = picture_evidence(
-            msg_to_rgb(image), msg_to_array(labels, ("mono8",)), msg_to_camera(info), self._search
+            photo, msg_to_array(labels, ("mono8",)), msg_to_camera(info), self._search, seen.hidden
         )
         covariance = msg_to_covariance(pose, self._assumed)
         assert covariance is not None  # nosec B101 # tells the type checker what holds

@@ -65,6 +65,8 @@ _PARTS: Mapping[str, Topic] = {
     "info": POSED_CAMERA_INFO,
     "pose": POSED_POSE,
 }
+UNCOMMITTED = 500
+"""Frames that wait for `commit_every` at most: in an offline replay no time passes."""
 _WAITING = 6
 """Frames of one camera that wait for their parts, and labels that wait for their frame: they come first, where they
 come at all."""
@@ -249,7 +251,8 @@ class Terrain(Handler[TerrainNodeConfig]):
         """Nothing is lost where the store is away: all of it stays in memory, and is tried again."""
         try:
             self._settle()
-            if self._since_commit >= self.config.commit_every and self._map.uncommitted:
+            due = self._since_commit >= self.config.commit_every or self._map.uncommitted >= UNCOMMITTED
+            if due and self._map.uncommitted:
                 self._map.commit()
                 self._since_commit = 0.0
             self._pace.succeeded()

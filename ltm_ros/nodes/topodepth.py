@@ -23,6 +23,7 @@ from ltm_core.site_io import load_site
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.scene_view import SceneFilter
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
@@ -82,6 +83,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
         model = config.model or site.depth_model
         if not model:
             raise ConfigError(f"{config.site}: no depth network; give `depth_model` a manifest's name or path")
+        self._scene = SceneFilter.of(site, config.camera)
         self._label_columns = _label_columns(config.label_model or site.model)
         self._network = DepthNetwork.open(model, config.threads)
         self._config = self._network.fusion
@@ -122,6 +124,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
             self.health.note("unlabelled")
         camera, where = msg_to_camera(info), msg_to_pose(pose, "map")
         stamp, rgb = stamp_of(image), msg_to_rgb(image)
+        seen = self._scene.look(rgb)
         traced: RangeImage | DepthImage = DepthImage(msg_to_depth(depth), camera, where)
         surface = None
         if self._ground is not None:
@@ -141,6 +144,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
             self._settings(pose),
             surface,
             self._config,
+            seen.hidden,
         )
         self._publish(fused, stamp)
         self.outlet.acknowledge(FINISHED, stamp)
@@ -163,9 +167,8 @@ class TopoDepth(Handler[TopoDepthConfig]):
         self.health.gauge("inlier_ratio", f"{fused.inlier_ratio:.3f}")
         info = {"camera": self.config.camera, "stamp_ns": stamp, **fused.info()}
         self.outlet.publish(FUSED_INFO, String(data=json.dumps(info)))
-        if fused.fit is not None and not fused.fit.trouble and self.outlet.wanted(NETWORK_DEPTH):
-            with np.errstate(divide="ignore"):
-                metres = np.where(fused.fit.inverse > 0, 1.0 / fused.fit.inverse, np.inf).astype(np.float32)
+        metres = fused.network_depth() if self.outlet.wanted(NETWORK_DEPTH) else None
+        if metres is not None:
             self.outlet.publish(NETWORK_DEPTH, depth_to_msg(metres, stamp, frame))
         measured = cache(fused.measured)
         self.outlet.provide(MEASURED_SIGMA, stamp, lambda: depth_to_msg(measured().sigma, stamp, frame))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -16,6 +17,7 @@ from ltm_core.errors import LtmError
 from ltm_ros.launching.dds_shutdown import limit_shutdown
 from ltm_ros.launching.supervisor import EX_CONFIG
 from ltm_ros.runtime.heartbeat import HEARTBEAT, STARTING
+from ltm_ros.runtime.process_memory import Trimming, settle
 
 EX_IOERR = 74
 """Exit status of a node that was stopped and could not write what it still had (sysexits.h)."""
@@ -36,7 +38,7 @@ class NodeGroup(Protocol):
 
     @property
     def members(self) -> Sequence[Any]:
-        """The rclpy nodes."""
+        """The rclpy nodes; more may come at the end."""
         ...
 
     def close(self) -> int:
@@ -86,13 +88,18 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode | NodeGroup]) -
     nodes = node.members if hasattr(node, "members") else [node]
     # It waits for events; the others build a list of all that they wait for each time that one of it happens.
     executor = EventsExecutor()
-    for member in nodes:
-        executor.add_node(member)
+    added = 0
+    settle()
     activity = HEARTBEAT.activity(name)
     STARTING.end()
+    trimming = Trimming(time.monotonic())
     while rclpy.ok() and not stopping.is_set():
+        for member in nodes[added:]:
+            executor.add_node(member)
+            added += 1
         with activity.turn("callback"):
             executor.spin_once(timeout_sec=0.1)
+            trimming.look(time.monotonic())
     activity.begin("end", slow=True)
     status = node.close()
     limit_shutdown()

@@ -12,9 +12,10 @@ LAST_PAUSE_S = 0.25
 
 
 class RetryPace:
-    """Counts time that it is told of, as handlers do not look at clocks."""
+    """Counts time that it is told of, as handlers do not look at clocks. `longest`: pause, seconds."""
 
-    def __init__(self) -> None:
+    def __init__(self, longest: float = LONGEST_RETRY_S) -> None:
+        self._longest = longest
         self._pause = RETRY_S
         self._left = 0.0
 
@@ -28,7 +29,7 @@ class RetryPace:
 
     def failed(self) -> None:
         self._left = self._pause
-        self._pause = min(2 * self._pause, LONGEST_RETRY_S)
+        self._pause = min(2 * self._pause, self._longest)
 
     def succeeded(self) -> None:
         self._left, self._pause = 0.0, RETRY_S

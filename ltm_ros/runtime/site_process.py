@@ -7,6 +7,7 @@ import queue
 import sys
 import time
 from collections.abc import Callable, Sequence, Set
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -22,6 +23,7 @@ from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.frame_scheduler import FrameScheduler
 from ltm_ros.runtime.handler import NodeType, Topic
 from ltm_ros.runtime.heartbeat import HEARTBEAT
+from ltm_ros.runtime.late_start import LateStart, cannot_start
 from ltm_ros.runtime.node_process import EX_IOERR
 from ltm_ros.runtime.outlet_node import WIRING_S, OutletNode
 from ltm_ros.runtime.pipeline import Job, absolute
@@ -124,10 +126,21 @@ class JobNode(OutletNode):
         wake()
 
 
+@dataclass(frozen=True)
+class _Camera:
+    nodes: list[JobNode]
+    pipeline: CameraPipeline
+
+    def destroy(self) -> None:
+        for node in self.nodes:
+            node.destroy_node()
+
+
 class SiteProcess:
     """All nodes of `specs`; those of one namespace are a camera's.
 
-    A camera whose nodes cannot be made is left out, and said; raises the LtmError of the first where none can be.
+    A camera whose nodes cannot be made is left out, and said, and tried again now and then (`LateStart`); raises the
+    LtmError of the first where none can be.
     """
 
     def __init__(self, specs: Sequence[NodeSpec]) -> None:
@@ -137,16 +150,21 @@ class SiteProcess:
         workers = load_site(str(specs[0].parameters["site"])).workers or available_cores()
         self._scheduler = FrameScheduler(workers, HEARTBEAT)
         faults: list[LtmError] = []
+        left_out: dict[str, Callable[[], _Camera]] = {}
+        reasons: dict[str, str] = {}
         for namespace in dict.fromkeys(spec.namespace for spec in specs):
-            own = [spec for spec in specs if spec.namespace == namespace]
+            make = partial(self._make_camera, [spec for spec in specs if spec.namespace == namespace])
             try:
-                self._add_camera(own)
+                self._add_camera(make())
             except LtmError as error:
                 faults.append(error)
-                print(f"{namespace}: cannot start: {error}", file=sys.stderr)
-            except Exception:
-                print(f"{namespace}: cannot start", file=sys.stderr)
+                left_out[namespace], reasons[namespace] = make, str(error)
+            except Exception as error:
                 sys.excepthook(*sys.exc_info())
+                left_out[namespace], reasons[namespace] = make, repr(error)
+        for namespace, why in reasons.items():
+            _say(cannot_start(namespace, why) if self._cameras else f"{namespace}: cannot start: {why}")
+        self._late = LateStart(left_out, reasons, _say)
         if not self._cameras:
             raise faults[0] if faults else RuntimeError("none of the cameras' nodes can be started; see above")
         self._ticked = time.monotonic()
@@ -157,10 +175,13 @@ class SiteProcess:
 
     @property
     def members(self) -> Sequence[rclpy.node.Node]:
+        """Those of a camera that is late come to it."""
         return self._members
 
     def close(self) -> int:
         """Let frames that are at work come to their end and tell the handlers; the process's exit status."""
+        for late in self._late.close(CLOSE_S):
+            late.destroy()
         for camera in self._cameras:
             camera.stop_admitting()
         finished = self._scheduler.close(CLOSE_S)
@@ -171,31 +192,35 @@ class SiteProcess:
             diagnostics.publish()
         return 0 if finished else EX_IOERR
 
-    def _add_camera(self, specs: Sequence[NodeSpec]) -> None:
+    def _make_camera(self, specs: Sequence[NodeSpec]) -> _Camera:
         nodes: list[JobNode] = []
 
         def say(name: str, text: str) -> None:
             next(node for node in nodes if node.spec.full_name == name).warn(text)
 
-        camera = CameraPipeline(say)
+        made = _Camera(nodes, CameraPipeline(say))
         try:
             for spec in specs:
-                nodes.append(JobNode(spec, camera))
-            camera.pipeline.start()
+                nodes.append(JobNode(spec, made.pipeline))
+            made.pipeline.pipeline.start()
             for node in nodes:
-                node.subscribe(partial(self._scheduler.wake, camera))
+                node.subscribe(partial(self._scheduler.wake, made.pipeline))
         except BaseException:
-            for node in nodes:
-                node.destroy_node()
+            made.destroy()
             raise
-        healths = {node.spec.full_name: node.health for node in nodes}
-        self._diagnostics.append(DiagnosticsPublisher(nodes[0], healths, nodes[0].config.camera))
-        self._members += nodes
-        self._cameras.append(camera)
+        return made
+
+    def _add_camera(self, made: _Camera) -> None:
+        healths = {node.spec.full_name: node.health for node in made.nodes}
+        self._diagnostics.append(DiagnosticsPublisher(made.nodes[0], healths, made.nodes[0].config.camera))
+        self._members += made.nodes
+        self._cameras.append(made.pipeline)
 
     def _tick(self) -> None:
         now = time.monotonic()
         waited, self._ticked = now - self._ticked, now
+        for late in self._late.tick(waited):
+            self._add_camera(late)
         for node in self._members:
             node.state_listeners()
         self._members[0].look_at_clock()
@@ -207,3 +232,7 @@ class SiteProcess:
     def _look_at_wiring(self) -> None:
         for node in self._members:
             node.look_at_wiring()
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

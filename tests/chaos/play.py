@@ -24,7 +24,7 @@ from chaos.faults import Arena
 from chaos.heartbeats import Heartbeats
 from chaos.living_site import write_living_site
 from chaos.running_site import RunningSite
-from chaos.soak import SUM, Soak
+from chaos.soak import Soak
 from chaos.verdict import judge, votes_of_phases
 from ltm_core.errors import RecordingError
 from ltm_msgs_py.bag.reader import BagReader
@@ -184,8 +184,14 @@ def play_soak(folder: Path, domain: int, period_s: float, processes: str, minute
     found, soak = Found(), Soak()
     with on_stage(folder, domain, period_s, processes, False, found) as stage:
         soak.watch(stage.site, stage.state, minutes, lambda text: print(text, flush=True))
-    print("private memory over the last two thirds, kB a minute (95 % interval):")
-    for label, (slope, low, high) in soak.slopes().items():
-        print(f"  {label:<20}{slope:9.1f}  ({low:.1f} to {high:.1f})")
-    found.content["soak"] = asdict(soak) | {"slopes": soak.slopes(), "sum": SUM}
+    growth = soak.growth()
+    print(
+        "memory of their own over the last two thirds, kB a minute (95 % interval); kB grown, the largest step of it:"
+    )
+    for label, one in growth.items():
+        print(
+            f"  {label:<20}{one.slope:9.1f}  ({one.low:.1f} to {one.high:.1f}); {one.grown:.0f}, {one.largest_step:.0f}"
+        )
+    found.missed += soak.missed()
+    found.content["soak"] = asdict(soak) | {"growth": {label: asdict(one) for label, one in growth.items()}}
     return found

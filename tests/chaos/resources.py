@@ -1,4 +1,4 @@
-"""What processes and folders take, beside `ltm_ros.bench.process_usage`."""
+"""What processes wait for, beside `ltm_ros.bench.process_usage`."""
 
 from __future__ import annotations
 
@@ -11,14 +11,3 @@ def waited_s(pid: int) -> float:
         return int(Path(f"/proc/{pid}/task/{pid}/schedstat").read_text().split()[1]) / 1e9
     except (OSError, IndexError):
         return 0.0
-
-
-def folder_bytes(folder: Path) -> int:
-    """Of all files below, as far as they are there."""
-    total = 0
-    for path in folder.rglob("*"):
-        try:
-            total += path.stat().st_size if path.is_file() else 0
-        except OSError:
-            continue
-    return total

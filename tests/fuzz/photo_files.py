@@ -12,6 +12,7 @@ from PIL import Image
 from fuzz.target import Target
 from ltm_core.camera import Camera
 from ltm_core.tracing import trace_io
+from ltm_core.vision.camera_mask_io import read_mask
 from ltm_ros.importer.photo import read_photo
 
 
@@ -62,9 +63,22 @@ _XMP = (
     b'drone-dji:CalibratedFocalLength="55.5" drone-dji:CalibratedOpticalCenterX="36.0"/></x:xmpmeta>'
 )
 
+
+def _masks(folder: Path) -> list[bytes]:
+    files = []
+    for mode in ("L", "1"):
+        file = io.BytesIO()
+        Image.fromarray((np.arange(48 * 70).reshape(48, 70) % 9 < 3).astype(np.uint8) * 255).convert(mode).save(
+            file, "PNG"
+        )
+        files.append(file.getvalue())
+    return files
+
+
 PHOTO_FILES = (
     _photo("jpg", _photos("JPEG", quality=90)),
     _photo("png", _photos("PNG")),
+    Target("mask_png", "m.png", _masks, lambda folder: read_mask(folder / "m.png", "cameras.a.mask")),
     _photo("heic", _photos("HEIF")),
     Target("photo_dji", "a.jpg", _photos("JPEG", quality=90, xmp=_XMP), lambda folder: _read_photo(folder, "a.jpg")),
     Target(

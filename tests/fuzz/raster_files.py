@@ -7,13 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import rasterio.shutil
+from scenes.geopackages import add_layer, area, line, several
 from scenes.rasters import rough_terrain
 
 from fuzz.target import Target
 from ltm_core.dem import Dem
+from ltm_core.fuel.barriers_io import with_barriers
 from ltm_core.fuel.fuel_map_io import read_fuel_map, write_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
-from ltm_core.fuel.prior_config import PriorConfig
+from ltm_core.fuel.prior_config import BarrierConfig, PriorConfig
 from ltm_core.fuel.prior_io import load_prior
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.dem_io import read_around
@@ -85,11 +87,29 @@ def _fuel_map(folder: Path) -> list[bytes]:
     return [write_fuel_map(folder / "made.tif", classes, GRID, life_form_labels(LabelSet.load())).read_bytes()]
 
 
+def _barriers(folder: Path) -> list[bytes]:
+    x, y = GRID.x_min, GRID.y_max
+    lake = area([[(x, y), (x + 200, y), (x + 200, y - 150), (x, y)]])
+    add_layer(folder / "made.gpkg", "lakes", [several(6, [lake]), None], 26911)
+    add_layer(folder / "made.gpkg", "roads", [line([(x, y - 300), (x + 500, y - 40)])], 26911)
+    return [(folder / "made.gpkg").read_bytes()]
+
+
+def _read_barriers(folder: Path) -> None:
+    codes = np.full(GRID.shape, 102, np.int16)
+    barriers = [BarrierConfig(path=folder / "b.gpkg", layer=k, kind="road") for k in ("lakes", "roads")]
+    try:
+        with_barriers(codes, barriers[:1], GRID)
+    finally:
+        with_barriers(codes, barriers[1:], GRID)
+
+
 RASTER_FILES = (
     Target("dem_tif", "dem.tif", _dems, _read_dem("dem.tif"), weight=2.0),
     Target("dem_asc", "dem.asc", _ascii, _read_dem("dem.asc")),
     Target("prior_tif", "prior.tif", lambda folder: [_codes(1), _codes(8)], _read_prior("prior.tif")),
     Target("prior_lcp", "prior.lcp", _lcp, _read_prior("prior.lcp")),
     Target("prior_folder", "bands/fbfm40.tif", lambda folder: [_codes(1)], _read_prior("bands")),
+    Target("barriers", "b.gpkg", _barriers, _read_barriers),
     Target("fuel_map", "map.tif", _fuel_map, lambda folder: read_fuel_map(folder / "map.tif")),
 )

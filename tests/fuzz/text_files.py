@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from scenes.networks import write_classifier
+from scenes.networks import write_classifier, write_swapping_head
 from scenes.rasters import rough_terrain
 from scenes.small_site import write_small_site
 from std_msgs.msg import String
@@ -20,6 +20,7 @@ from fuzz.target import Target
 from ltm_core.config_io import load_yaml
 from ltm_core.dem import Dem
 from ltm_core.depth.fusion_config import FusionConfig
+from ltm_core.evaluation.segmentation.mask_score import read_mask_truths
 from ltm_core.evaluation.truth_frames_io import read_truth_frames
 from ltm_core.fuel.codes import FuelModels, FuelRegion
 from ltm_core.fuel.label_errors import LabelErrors
@@ -34,9 +35,13 @@ from ltm_core.simulator.scenario_io import load_scenario
 from ltm_core.site_io import load_site
 from ltm_core.tracing.trace_io import load_picture_config, set_up_picture
 from ltm_core.training.config import TrainingConfig
+from ltm_core.training.polygon_labels_io import drawn, read_polygons
 from ltm_core.vision.label_calibration_io import Calibration
+from ltm_core.vision.label_head_io import read_head
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.polygons_io import read_areas
+from ltm_core.vision.scene_view import SceneFilter
 from ltm_core.vision.vocabulary import Vocabulary
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
@@ -60,13 +65,15 @@ def _site(folder: Path) -> list[bytes]:
         "limits": {"pixels": 1_000_000},
         "assumed_pose_error": {"angle_deg": 0.2},
     }
+    content["cameras"]["mast"]["mask"] = [{"class": "lens", "polygon": [[0, 0], [40, 0], [0, 30]], "reason": "hood"}]
     return [(folder / "site.yaml").read_bytes(), yaml.safe_dump(content).encode()]
 
 
 def _read_site(folder: Path) -> None:
     site = load_site(folder / "site.yaml")
     site.fuel_geometry(site.open_dem())
-    for camera in site.cameras.values():
+    for name, camera in site.cameras.items():
+        SceneFilter.of(site, name)
         if camera.calibration is not None:
             camera.calibration.camera()
         if camera.pose is not None:
@@ -77,6 +84,16 @@ def _read_site(folder: Path) -> None:
 @cache
 def _dem() -> Dem:
     return Dem(rough_terrain(7, (60, 80)).elevation, GridGeometry(480_000.0, 4_150_600.0, 10.0, 80, 60, "EPSG:26911"))
+
+
+def _polygons(folder: Path) -> list[bytes]:
+    one = {"image": "a.jpg", "class": "shrub", "polygon": [[10, 140], [250.5, 45], [1000, 45]]}
+    return [json.dumps([one, one | {"number": 3, "reason": "hood"}]).encode()]
+
+
+def _mask_truth(folder: Path) -> list[bytes]:
+    whole = json.loads(config_path("evaluation/hpwren_masks.json").read_text())
+    return [json.dumps(whole[:1]).encode()]
 
 
 _PICTURE = """
@@ -137,6 +154,12 @@ def _frames(folder: Path) -> list[bytes]:
     return [json.dumps(index | {"frames": [entry]}).encode()]
 
 
+def _draw_polygons(path: Path) -> None:
+    labels = LabelSet.load()
+    for areas in read_polygons(path, labels).values():
+        drawn(areas, labels, (20, 30))
+
+
 def _whole(frames: Any) -> None:
     for _ in frames:
         pass
@@ -155,9 +178,17 @@ def _manifest(folder: Path) -> list[bytes]:
     ]
 
 
+def _head(folder: Path) -> list[bytes]:
+    manifest = write_classifier(folder, maps=True)
+    return [write_swapping_head(folder / "swap.yaml", manifest).read_bytes()]
+
+
 TEXT_FILES = (
     Target("site", "site.yaml", _site, _read_site, spoil_text, weight=2.0),
+    Target("polygons", "polygons.json", _polygons, lambda folder: read_areas(folder / "polygons.json"), spoil_text),
+    Target("mask_truth", "m.json", _mask_truth, lambda folder: read_mask_truths(folder / "m.json"), spoil_text),
     _yaml("manifest", _manifest, Manifest.load),
+    _yaml("head", _head, lambda path: read_head(path, Manifest.load(path.with_name("colors.yaml")))),
     _yaml("labels", _shipped("labels.yaml"), LabelSet.load),
     _yaml("fuel_region", _shipped("fuel/regions/dry.yaml"), lambda path: load_yaml(path, FuelRegion)),
     _yaml("fuel_models", _shipped("fuel/fuel_models.yaml"), lambda path: load_yaml(path, FuelModels)),
@@ -218,6 +249,15 @@ TEXT_FILES = (
         "readings.csv",
     ),
     _yaml("mount", _texts(_MOUNT), _read_mount, "mount.yaml"),
+    _yaml(
+        "polygons",
+        _texts(
+            '[{"image": "a.jpg", "class": "sky", "polygon": [[10, 140], [250.5, 45], [1000, 45], [1265, 145]]},\n'
+            ' {"image": "b.jpg", "class": "unlabelled", "polygon": [[0, 0], [5, 0], [5, 5]]}]\n'
+        ),
+        _draw_polygons,
+        "polygons.json",
+    ),
     _yaml("bag_metadata", _metadata, lambda path: BagReader(path.parent).topic_infos(), _METADATA_FILE),
     _yaml("simulated_index", _frames, lambda path: _whole(read_truth_frames(path.parent)), "frames.json"),
 )  # fmt: skip

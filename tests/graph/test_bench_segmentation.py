@@ -15,6 +15,7 @@ from ltm_ros.cli.bench.segmentation import segmentation
 pytestmark = pytest.mark.graph
 
 
+@pytest.mark.slow
 def test_a_node_labels_as_many_photos_as_it_is_sent(
     ros_domain: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

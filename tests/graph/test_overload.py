@@ -110,7 +110,7 @@ class Cameras:
         )
 
 
-@pytest.fixture(scope="module", params=["node", "site"])
+@pytest.fixture(scope="module", params=["site", pytest.param("node", marks=pytest.mark.slow)])
 def cameras(
     request: pytest.FixtureRequest, module_ros_domain: int, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Cameras]:

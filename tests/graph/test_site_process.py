@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -19,11 +20,11 @@ from ltm_ros.runtime.topics import DEPTH_IMAGE, IMAGE_RAW, camera_topic
 pytestmark = pytest.mark.graph
 
 
-def nodes_of(small: SmallSite, without: Iterable[str]) -> tuple[NodeSpec, ...]:
+def nodes_of(small: SmallSite, without: Iterable[str], missing: str = "nowhere.yaml") -> tuple[NodeSpec, ...]:
     """Captures and depths of both cameras; those of the cameras `without` are told a site that is not there."""
     whole = describe(small.site, small.path)
     nodes = [whole.node(f"{camera}/{kind}") for camera in ("tower", "mast") for kind in ("capture", "depth")]
-    nowhere = str(small.folder / "nowhere.yaml")
+    nowhere = str(small.folder / missing)
     return tuple(
         replace(node, parameters={**node.parameters, "site": nowhere})
         if node.name == "depth" and node.namespace.rpartition("/")[2] in without
@@ -32,11 +33,12 @@ def nodes_of(small: SmallSite, without: Iterable[str]) -> tuple[NodeSpec, ...]:
     )
 
 
-def test_a_camera_that_cannot_be_started_is_named_and_the_other_delivers(
+def test_a_camera_that_cannot_be_started_is_named_and_the_other_delivers_until_it_can(
     small_site: SmallSite, ros_domain: int, tmp_path: Path
 ) -> None:
+    """What was missing appears while the graph runs: then the camera is there too, and no process was started anew."""
     lines: list[str] = []
-    graph = Graph(NAME, nodes_of(small_site, ["tower"]))
+    graph = Graph(NAME, nodes_of(small_site, ["tower"], "later.yaml"))
     depths = camera_topic(NAME, "mast", DEPTH_IMAGE)
     images = camera_topic(NAME, "mast", IMAGE_RAW)
     with Runner(graph, domain_id=ros_domain, log_folder=tmp_path, console=lines.append) as runner, Bystander() as seen:
@@ -49,8 +51,21 @@ def test_a_camera_that_cannot_be_started_is_named_and_the_other_delivers(
         wait_for(lambda: seen.stamps(depths), "its depth", lambda: seen.summaries)
         (told,) = [line for line in lines if "cannot start" in line]
         assert f"/{NAME}/tower: cannot start" in told
-        assert "nowhere.yaml" in told
+        assert "later.yaml" in told
         assert not any(name.startswith(f"/{NAME}/tower/") for name in seen.summaries)
+        late = camera_topic(NAME, "tower", DEPTH_IMAGE)
+        seen.listen(late, DEPTH_IMAGE.type)
+        inputs = {camera_topic(NAME, "tower", topic): message for topic, message in small_site.messages().items()}
+        del inputs[camera_topic(NAME, "tower", IMAGE_RAW)]
+        shutil.copy(small_site.path, small_site.folder / "later.yaml")
+        wait_for(lambda: f"/{NAME}/tower/depth" in seen.summaries, "the tower's nodes", lambda: lines)
+        for name, message in inputs.items():
+            seen.open(name, type(message))
+        seen.wait_for_wiring(4)
+        for name, message in inputs.items():
+            seen.send(name, message)
+        wait_for(lambda: seen.stamps(late), "the tower's depth", lambda: seen.summaries)
+        assert any(f"/{NAME}/tower: started" in line for line in lines)
         assert runner.processes["cameras"].starts == 1
 
 

@@ -31,6 +31,9 @@ SITE = {
     "surface": {"path": "surface.tif"},
     "depth_model": "landscape_lite0_depth",
     "terrain": {},
+    # Rendered poses are exact, and come without a covariance. By the default, 0.3 degrees, half of the felled cells
+    # would be found.
+    "assumed_pose_error": {"angle_deg": 0.1, "position": 0.3},
     "fuel": {"prior": "prior.tif"},
     "cameras": {"left": {}, "middle": {}, "right": {}},
 }

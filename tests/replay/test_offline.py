@@ -8,14 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from rclpy.serialization import serialize_message
-from scenes.small_site import FRAMES, NAME, SmallSite
+from scenes.networks import write_classifier, write_swapping_head
+from scenes.small_site import BUILT, FRAMES, GRASS, NAME, SmallSite, write_small_site
 from typer.testing import CliRunner
 
 from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.image import compressed_to_msg, encode_rgb, msg_to_depth
+from ltm_msgs_py.image import compressed_to_msg, encode_rgb, msg_to_array, msg_to_depth
+from ltm_msgs_py.label_info import msg_to_model
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.cli.main import cli
 from ltm_ros.recordings.recorded_map import last_fuel_map
@@ -27,6 +30,7 @@ from ltm_ros.runtime.topics import (
     FUEL_VOTES,
     IMAGE_COMPRESSED,
     LABELS_IMAGE,
+    LABELS_INFO,
     POSED_POSE,
     camera_topic,
     site_topic,
@@ -166,3 +170,28 @@ def test_what_is_missing_is_named(small_site: SmallSite, tmp_path: Path, missing
     result = CliRunner().invoke(cli, command)
     assert result.exit_code != 0
     assert "nowhere" in f"{result.output} {result.exception}"
+
+
+def test_a_camera_s_head_reaches_its_labels_and_no_other_camera_s(tmp_path: Path) -> None:
+    (tmp_path / "site").mkdir()
+    plain = write_small_site(tmp_path / "site")
+    replayed(plain, tmp_path / "plain")
+    shutil.copytree(plain.folder, tmp_path / "taught")
+    taught = SmallSite(tmp_path / "taught")
+    write_swapping_head(taught.folder / "heads" / "swap.yaml", write_classifier(taught.folder, maps=True))
+    site = yaml.safe_load(taught.path.read_text())
+    site["heads"], site["cameras"]["mast"]["head"] = "heads", "swap"
+    taught.path.write_text(yaml.safe_dump(site))
+    replayed(taught, tmp_path / "headed")
+    before, after = ({(t, stamp_of(m)): msg_to_array(m, ("mono8",)) for t, _, m in messages_of(tmp_path / name / "bag")
+                      if t.endswith(LABELS_IMAGE.name)} for name in ("plain", "headed"))  # fmt: skip
+    assert len(before) == len(after) == 2 * FRAMES
+    swap = np.arange(256, dtype=np.uint8)
+    swap[[GRASS, BUILT]] = BUILT, GRASS
+    for (topic, stamp), labels in before.items():
+        expected = swap[labels] if "/mast/" in topic else labels
+        assert (after[topic, stamp] == expected).mean() > 0.97, topic
+        assert "/mast/" in topic or np.array_equal(after[topic, stamp], labels)
+    told = {t: msg_to_model(m) for t, _, m in messages_of(tmp_path / "headed" / "bag") if t.endswith(LABELS_INFO.name)}
+    assert ", head swap " in told[camera_topic(NAME, "mast", LABELS_INFO)]
+    assert "head" not in told[camera_topic(NAME, "tower", LABELS_INFO)]

@@ -60,3 +60,7 @@ def compile_kernels() -> None:
                     with tempfile.TemporaryDirectory() as site:
                         compile_part(str(write_fusing_site(Path(site), recording=False).path))
                     done.touch()
+
+
+if __name__ == "__main__":
+    compile_kernels()

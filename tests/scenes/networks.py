@@ -25,9 +25,10 @@ def write_classifier(
     channels: str = "rgb",
     stride: int = 2,
     gain: float = 40.0,
+    maps: bool = False,
     **manifest_changes: Any,
 ) -> Path:
-    """Write `colors.onnx` and its manifest; gives the manifest's path.
+    """Write `colors.onnx` and its manifest; gives the manifest's path. `maps`: with the map `mean`, for heads to read.
 
     Score of a class is -|rgb - colour|^2 plus a term that all share, of the photo averaged over `stride` pixels:
     linear, so one 1x1 convolution. Output is at 1/stride of the input.
@@ -68,7 +69,10 @@ def write_classifier(
         nodes,
         "colors",
         [helper.make_tensor_value_info("image", element, image_shape)],
-        [helper.make_tensor_value_info(last, TensorProto.INT64 if kind == "ids" else TensorProto.FLOAT, shape)],
+        [
+            helper.make_tensor_value_info(last, TensorProto.INT64 if kind == "ids" else TensorProto.FLOAT, shape),
+            *([helper.make_tensor_value_info("mean", TensorProto.FLOAT, [1, 3, rows, cols])] if maps else []),
+        ],
         constants,
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
@@ -88,7 +92,27 @@ def write_classifier(
         "licence": "Apache-2.0",
         "card": "a linear classifier of colours, for tests",
     }
+    if maps:
+        manifest["maps"] = {"mean": 3}
     return write_manifest(folder / "colors.yaml", {**manifest, **manifest_changes})
+
+
+def write_swapping_head(path: Path, manifest: Path, **changes: Any) -> Path:
+    """Write a head of the classifier with `maps` that calls red what is lime, and lime what is red."""
+    network, red, lime = yaml.safe_load(manifest.read_text()), list(COLORS).index("red"), list(COLORS).index("lime")
+    weights = np.zeros((len(COLORS), 3))
+    weights[red], weights[lime] = (-200.0, 200.0, 0.0), (200.0, -200.0, 0.0)
+    content = {
+        "name": path.stem,
+        "network": network["name"],
+        "sha256": network["sha256"],
+        "classes": network["classes"],
+        "temperature": 1.0,
+        "bias": [0.0] * len(COLORS),
+        "maps": {"mean": weights.tolist()},
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return write_manifest(path, {**content, **changes})
 
 
 def write_manifest(path: Path, content: dict[str, Any]) -> Path:

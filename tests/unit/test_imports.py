@@ -25,7 +25,8 @@ STUDY = {
 DOOR = "ltm_ros.cli"
 TOWER = {
     "numpy", "numba", "llvmlite", "scipy", "cv2", "onnxruntime", "rasterio", "pyproj", "pygeomag", "mgrs", "PIL",
-    "pillow_heif", "pydantic", "pydantic_core", "yaml", "typer", "rich", "mcap", "zstandard", "lz4", "packaging", "httpx",
+    "pillow_heif", "pydantic", "pydantic_core", "yaml", "typer", "rich", "mcap", "zstandard", "lz4", "packaging",
+    "httpx",
 }  # fmt: skip
 """Packages of others that runtime may import: those that `pip install ltm` brings."""
 ON_DEMAND = {

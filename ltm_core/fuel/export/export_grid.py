@@ -19,8 +19,10 @@ from ltm_core.fuel.majority import UNSEEN
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geodesy import SiteFrame
 from ltm_core.grid import GridGeometry
-from ltm_core.types import Float64Array
+from ltm_core.types import BoolArray, Float32Array, Float64Array
 
+_LIKE_HEIGHTS = 50.0
+"""Metres of the median difference up to which a prior's elevations are of the same ground in the same unit."""
 _MOST_SAMPLES = 8
 """Of the DEM, a side of a fuel cell, for its mean height."""
 
@@ -66,7 +68,7 @@ class GridTransfer:
 
     def heights(self, dem: Dem, frame: SiteFrame) -> Float64Array:
         """Mean heights (H + 2, W + 2) of the target's cells and of a border of one cell about it, from a DEM in the map
-        frame; NaN where it is not known.
+        frame: of what it knows of the cell; NaN where it knows nothing.
         """
         g = self.target
         around = GridGeometry(
@@ -75,13 +77,27 @@ class GridTransfer:
         count = int(np.clip(round(g.resolution / dem.geometry.resolution), 1, _MOST_SAMPLES))
         offsets = (np.arange(count) + 0.5) / count - 0.5
         to_site = Transformer.from_crs(g.crs, frame.crs, always_xy=True)
-        total = np.zeros(around.shape)
+        total, known = np.zeros(around.shape), np.zeros(around.shape)
         rows, cols = np.indices(around.shape)
         for down in offsets:
             for right in offsets:
                 x, y = to_site.transform(*around.to_map(rows + down, cols + right))
-                total += dem.elevation_at(x - frame.x_origin, y - frame.y_origin)
-        return total / count**2
+                found = _height(dem, np.asarray(x) - frame.x_origin, np.asarray(y) - frame.y_origin)
+                total += np.nan_to_num(found)
+                known += np.isfinite(found)
+        return np.where(known > 0, total / np.maximum(known, 1), np.nan)
+
+
+def _height(dem: Dem, x: Float64Array, y: Float64Array) -> Float64Array:
+    """Of the ground, out to the edges of the DEM's outer cells: interpolated between the centres of cells, and half a
+    cell beyond the last one is still that cell's.
+    """
+    g = dem.geometry
+    inside = (x >= g.x_min) & (x <= g.x_max) & (y >= g.y_min) & (y <= g.y_max)
+    half = 0.5001 * g.resolution
+    x_in = np.where(inside, np.clip(x, g.x_min + half, g.x_max - half), x)
+    y_in = np.where(inside, np.clip(y, g.y_min + half, g.y_max - half), y)
+    return np.asarray(dem.elevation_at(x_in, y_in), np.float64)
 
 
 def make_landscape(
@@ -93,15 +109,37 @@ def make_landscape(
     region: FuelRegion,
     system: FuelSystem,
     target: GridGeometry | None = None,
+    spare: Float32Array | None = None,
 ) -> Landscape:
-    """The landscape of a fuel map on its own grid or on `target`.
+    """The landscape of a fuel map on its own grid or on `target`. A cell has all of elevation, slope, aspect and
+    code, or nothing.
 
     Args:
         source: the grid of layers and prior, in the site's CRS.
         dem: in the map frame of `frame`.
+        spare: (H, W) elevations that came with the prior, for cells that the DEM does not reach; moved by the median
+            difference to the DEM, and left aside where that is more than 50 m.
     """
     transfer = GridTransfer(source, source if target is None else target)
     canopy = transfer.layer(canopy_bands(layers, prior, region), NODATA)
     codes = transfer.layer(surface_codes(layers, prior, region, system), NODATA)
-    terrain = terrain_bands(transfer.heights(dem, frame), source.resolution)
-    return Landscape(np.concatenate([terrain, codes[None], canopy]).astype(np.int16), transfer.target, system)
+    heights, filled = transfer.heights(dem, frame), np.zeros(codes.shape, np.bool_)
+    if spare is not None:
+        heights, filled = _filled(heights, transfer.layer(spare, np.nan))
+    bands = np.concatenate([terrain_bands(heights, source.resolution), codes[None], canopy]).astype(np.int16)
+    dropped = (bands[0] == NODATA) & (codes != NODATA)
+    bands[:, dropped] = NODATA
+    return Landscape(bands, transfer.target, system, int((filled & (codes != NODATA)).sum()), int(dropped.sum()))
+
+
+def _filled(heights: Float64Array, spare: NDArray[np.floating]) -> tuple[Float64Array, BoolArray]:
+    """Heights (H + 2, W + 2), and where (H, W) they are those of `spare` (H, W)."""
+    own = heights[1:-1, 1:-1]
+    both = np.isfinite(own) & np.isfinite(spare)
+    shift = float(np.median((own - spare)[both])) if both.any() else np.inf
+    wanted = np.isnan(own) & np.isfinite(spare)
+    if abs(shift) > _LIKE_HEIGHTS or not wanted.any():
+        return heights, np.zeros(own.shape, np.bool_)
+    filled = heights.copy()
+    filled[1:-1, 1:-1] = np.where(wanted, spare + shift, own)
+    return filled, wanted

@@ -5,17 +5,27 @@ from __future__ import annotations
 import io
 import zipfile
 from pathlib import Path
+from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
 from ltm_core.errors import ConfigError
+from ltm_core.fuel.export.provenance import Provenance, as_rows
 from ltm_core.grid import GridGeometry
 from ltm_core.types import UInt8Array
 
 
-def write_kmz(path: Path, picture: UInt8Array, geometry: GridGeometry, name: str, legend: UInt8Array) -> None:
+def write_kmz(
+    path: Path,
+    picture: UInt8Array,
+    geometry: GridGeometry,
+    name: str,
+    legend: UInt8Array,
+    made: Provenance | None = None,
+    shows: str = "life forms",
+) -> None:
     """`picture` (n H, n W, 3) of a grid (H, W), warped to longitude and latitude, transparent outside; `legend`
-    (h, w, 3) stays in the screen's corner.
+    (h, w, 3) stays in the screen's corner; `made`: what the viewer tells of it, and its time.
 
     Raises ConfigError where it cannot be written.
     """
@@ -43,7 +53,7 @@ def write_kmz(path: Path, picture: UInt8Array, geometry: GridGeometry, name: str
     images = {"map.png": np.moveaxis(warped, 0, -1), "legend.png": legend}
     document = (
         '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>'
-        f"<name>{name}</name><GroundOverlay><name>life forms</name><Icon><href>map.png</href></Icon>"
+        f"<name>{escape(name)}</name>{_told(made)}<GroundOverlay><name>{escape(shows)}</name><Icon><href>map.png</href></Icon>"
         f"<LatLonBox><north>{north:.9f}</north><south>{south:.9f}</south><east>{east:.9f}</east>"
         f"<west>{west:.9f}</west></LatLonBox></GroundOverlay>"
         "<ScreenOverlay><name>legend</name><Icon><href>legend.png</href></Icon>"
@@ -62,3 +72,15 @@ def write_kmz(path: Path, picture: UInt8Array, geometry: GridGeometry, name: str
     except OSError as error:
         partial.unlink(missing_ok=True)
         raise ConfigError(f"{path}: cannot be written there ({error.strerror})") from error
+
+
+def _told(made: Provenance | None) -> str:
+    if made is None:
+        return ""
+    rows = "".join(
+        f"<Data name={quoteattr(key)}><value>{escape(value)}</value></Data>" for key, value in as_rows(made.tags())
+    )
+    moment = made.moment()
+    when = "" if moment is None else f"<TimeStamp><when>{moment.strftime('%Y-%m-%dT%H:%M:%SZ')}</when></TimeStamp>"
+    # In the order that KML's schema has for a feature.
+    return f"<description>{escape(made.line())}</description>{when}<ExtendedData>{rows}</ExtendedData>"

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ltm_core.errors import RasterError
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
+from ltm_core.fuel.crosswalk import to_fbfm40
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
 from ltm_core.fuel.prior import FuelPrior
@@ -37,12 +38,25 @@ _ENOUGH_CELLS = 20
 class Landscape:
     """`bands`: (8, H, W) int16 in the order of `LANDSCAPE_BANDS` and in LANDFIRE's units, NODATA where unknown: m;
     degrees; degrees clockwise from grid north, downhill, -1 flat; fuel code; cover %; heights m x 10; kg/m3 x 100.
-    `geometry` names its CRS. Raises RasterError where it does not, or shapes disagree.
+    `geometry` names its CRS. `filled`: cells whose height the site's terrain does not have, which came from the prior
+    map's own elevations; `dropped`: cells with a code, of which no height is known: they have no data in any band.
+    Raises RasterError where the CRS is missing, or shapes disagree.
     """
 
     bands: Int16Array
     geometry: GridGeometry
     system: FuelSystem = FuelSystem.FBFM40
+    filled: int = 0
+    dropped: int = 0
+
+    def terrain_note(self) -> str:
+        """What is to be told of heights that the site's terrain does not have; empty where it has all."""
+        parts = []
+        if self.filled:
+            parts.append(f"{self.filled} cells have the elevations of the prior map")
+        if self.dropped:
+            parts.append(f"{self.dropped} cells with a code have no elevation and are nodata")
+        return "; ".join(parts)
 
     def __post_init__(self) -> None:
         if self.bands.shape != (len(LANDSCAPE_BANDS), *self.geometry.shape) or self.bands.dtype != np.int16:
@@ -76,20 +90,25 @@ def slope_and_aspect(elevation: NDArray[np.floating], cell: float) -> tuple[Floa
 
 
 def terrain_bands(padded: NDArray[np.floating], cell: float) -> Int16Array:
-    """Elevation, slope and aspect (3, H, W) of heights (H + 2, W + 2) with a border of one cell; NODATA where unknown.
-
-    Where the border is not known, the slope inside goes on to it.
+    """Elevation, slope and aspect (3, H, W) of heights (H + 2, W + 2) with a border of one cell; NODATA where the
+    height is unknown. Where a neighbour's is, the slope from the cell's other side goes on to it.
     """
-    heights = np.array(padded, np.float64)
-    for edge, first, second in ((0, 1, 2), (-1, -2, -3)):
-        if min(heights.shape) > 3:
-            heights[edge] = np.where(np.isnan(heights[edge]), 2 * heights[first] - heights[second], heights[edge])
-            columns = heights[:, edge]
-            heights[:, edge] = np.where(np.isnan(columns), 2 * heights[:, first] - heights[:, second], columns)
+    heights = np.asarray(padded, np.float64)
     slope, aspect = slope_and_aspect(heights, cell)
+    own = heights[1:-1, 1:-1]
+    ragged = np.isnan(slope) & np.isfinite(own)
+    if ragged.any():
+        rows, cols = np.nonzero(ragged)
+        around = heights[rows[:, None, None] + np.arange(3)[:, None], cols[:, None, None] + np.arange(3)]
+        middle = around[:, 1:2, 1:2]
+        onward = 2 * middle - around[:, ::-1, ::-1]
+        around = np.where(np.isnan(around), np.where(np.isnan(onward), middle, onward), around)
+        for k in range(len(rows)):
+            steep, faces = slope_and_aspect(around[k], cell)
+            slope[rows[k], cols[k]], aspect[rows[k], cols[k]] = steep[0, 0], faces[0, 0]
     # 360 is 0, and a slope that rounds to 0 may keep its direction.
     turned = np.where(aspect == FLAT, FLAT, np.round(aspect) % 360)
-    bands = np.stack([np.round(heights[1:-1, 1:-1]), np.round(slope), turned])
+    bands = np.stack([np.round(own), np.round(slope), turned])
     return np.where(np.isnan(bands), NODATA, bands).astype(np.int16)
 
 
@@ -122,16 +141,26 @@ def canopy_bands(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegion
 
 
 def surface_codes(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegion, system: FuelSystem) -> Int16Array:
-    """The layers' codes in a system; FBFM13 of unchanged cells from the map that came with the prior, where one did.
+    """The layers' codes in a system, of the fuel type that they have in their own.
 
-    Raises RasterError for FBFM40 of an FBFM13 prior: 13 models do not tell which of 40.
+    Cells that have changed, or never had a prior, take what the region has for such cells in that system. The others
+    take the FBFM13 map that came with the prior where one did, else the crosswalk (`ltm_core.fuel.crosswalk`), with the
+    partners that the prior itself shows. An analyst's own models, 14 to 89, stay.
     """
     own = prior.system if prior is not None else FuelSystem.FBFM40
     if system is own:
         return layers.code
     if system is FuelSystem.FBFM40:
-        raise RasterError("the prior's codes are FBFM13, from which no FBFM40 follows: export fbfm13")
-    crossed = region.to_fbfm13(layers.code)
-    if prior is None or prior.fbfm13 is None:
-        return crossed
-    return np.where(~layers.changed & (prior.fbfm13 != NODATA), prior.fbfm13, crossed)
+        crossed = to_fbfm40(region.crosswalk_back, layers.code)
+    else:
+        cover = None if prior is None or prior.canopy is None else prior.canopy[0]
+        crosswalk = region.as_crosswalk()
+        if prior is not None and prior.fbfm13 is not None:
+            crosswalk = crosswalk.learned(prior.codes, prior.fbfm13, cover)
+        crossed = crosswalk.to_fbfm13(layers.code, cover)
+        if prior is not None and prior.fbfm13 is not None:
+            crossed = np.where(prior.fbfm13 != NODATA, prior.fbfm13, crossed)
+    new = layers.changed | (layers.prior == NODATA)
+    changed = region.changed_codes(layers.code, own, system)
+    fallback = crossed if system is FuelSystem.FBFM40 else region.as_crosswalk().to_fbfm13(layers.code)
+    return np.where(new, np.where(changed != NODATA, changed, fallback), crossed).astype(np.int16)

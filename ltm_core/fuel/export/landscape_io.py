@@ -13,9 +13,11 @@ from ltm_core.errors import ConfigError, RasterError
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, LANDSCAPE_UNITS, Landscape
+from ltm_core.fuel.export.qgis_style_io import code_entries, write_grey_style, write_palette_style
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.raster_io import write_geotiff
+from ltm_core.vision.labels import LabelSet
 
 MOST_CELLS: Final = 60_000_000
 MOST_NODATA: Final = 0.5
@@ -29,10 +31,21 @@ _ELMFIRE: Final[Mapping[str, str]] = {
     "cbh": "base_height",
     "cbd": "bulk_density",
 }
+_LAYER_UNITS: Final[Mapping[str, str]] = {
+    "prior": "code",
+    "code": "code",
+    "life_form": "class",
+    "p_max": "1",
+    "entropy": "1",
+    "evidence": "1",
+    "last_seen": "seconds since 1970-01-01 UTC, 0 never",
+    "changed": "0 no, 1 yes",
+    "seen_by": "cameras, 8 for more",
+}
 
 
-def write_landscape(path: Path | str, landscape: Landscape) -> Path:
-    """Write the eight bands as one GeoTIFF, as FlamMap 6.2 and IFTDSS take it.
+def write_landscape(path: Path | str, landscape: Landscape, tags: Mapping[str, str] | None = None) -> Path:
+    """Write the eight bands as one GeoTIFF, as FlamMap 6.2 and IFTDSS take it, and a QGIS style beside it.
 
     Raises RasterError for a landscape that they would refuse, ConfigError where it cannot be written.
     """
@@ -46,11 +59,12 @@ def write_landscape(path: Path | str, landscape: Landscape) -> Path:
             f"{path}: {unknown:.0%} of the cells have no data, FlamMap takes at most {MOST_NODATA:.0%}: give the site "
             "a prior fuel map, or a DEM that covers it"
         )
-    write_raster(path, landscape.bands, landscape.geometry, NODATA, LANDSCAPE_BANDS, LANDSCAPE_UNITS)
+    write_raster(path, landscape.bands, landscape.geometry, NODATA, LANDSCAPE_BANDS, LANDSCAPE_UNITS, tags=tags)
+    write_palette_style(path, code_entries(landscape.band("fuel")), LANDSCAPE_BANDS.index("fuel") + 1)
     return path
 
 
-def write_elmfire(folder: Path | str, landscape: Landscape) -> Path:
+def write_elmfire(folder: Path | str, landscape: Landscape, tags: Mapping[str, str] | None = None) -> Path:
     """Write the rasters that ELMFIRE's inputs name: adjustment factors of 1 and nothing burning besides.
 
     Raises ConfigError where the folder cannot be made.
@@ -62,10 +76,13 @@ def write_elmfire(folder: Path | str, landscape: Landscape) -> Path:
         raise ConfigError(f"{folder}: cannot be made ({error.strerror})") from error
     fuel = "fbfm40" if landscape.system is FuelSystem.FBFM40 else "fbfm13"
     for name, band in {**_ELMFIRE, fuel: "fuel"}.items():
-        write_raster(folder / f"{name}.tif", landscape.band(band), landscape.geometry, NODATA)
+        unit = LANDSCAPE_UNITS[LANDSCAPE_BANDS.index(band)]
+        raster = folder / f"{name}.tif"
+        write_raster(raster, landscape.band(band), landscape.geometry, NODATA, (band,), (unit,), tags=tags)
+    write_palette_style(folder / f"{fuel}.tif", code_entries(landscape.band("fuel")))
     ones = np.ones(landscape.geometry.shape, np.float32)
     for name in ("adj", "phi"):
-        write_raster(folder / f"{name}.tif", ones, landscape.geometry, NODATA)
+        write_raster(folder / f"{name}.tif", ones, landscape.geometry, NODATA, (name,), ("1",), tags=tags)
     return folder
 
 
@@ -94,8 +111,17 @@ def write_raster(
         raise ConfigError(f"{path}: cannot be written there ({error})") from error
 
 
-def write_layers(folder: Path, layers: FuelLayers, geometry: GridGeometry) -> None:
-    """Every layer as a Cloud Optimized GeoTIFF of its name. Raises ConfigError where it cannot be written."""
+def write_layers(
+    folder: Path,
+    layers: FuelLayers,
+    geometry: GridGeometry,
+    tags: Mapping[str, str] | None = None,
+    palette: LabelSet | None = None,
+) -> None:
+    """Every layer as a Cloud Optimized GeoTIFF of its name, with its unit and a QGIS style; `palette`: of life forms.
+
+    Raises ConfigError where it cannot be written.
+    """
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
@@ -105,10 +131,27 @@ def write_layers(folder: Path, layers: FuelLayers, geometry: GridGeometry) -> No
         # GeoTIFF has no booleans, and seconds are fine enough for when a cell was seen.
         stored = layer.astype("uint8") if layer.dtype == bool else layer
         stored = (layer // 10**9).astype("uint32") if name == "last_seen" else stored
-        write_cog(folder / f"{name}.tif", stored, geometry, nodata.get(name))
+        raster = folder / f"{name}.tif"
+        write_cog(raster, stored, geometry, nodata.get(name), {**(tags or {}), "unit": _LAYER_UNITS[name]}, name)
+        if name in ("prior", "code"):
+            write_palette_style(raster, code_entries(layer))
+        elif name == "life_form" and palette is not None:
+            write_palette_style(
+                raster, list(zip(range(len(palette.names)), palette.names, palette.colors, strict=True))
+            )
+        else:
+            known = stored[np.isfinite(stored)]
+            write_grey_style(raster, 0.0, max(1.0, float(known.max())) if known.size else 1.0)
 
 
-def write_cog(path: Path, array: NDArray[Any], geometry: GridGeometry, nodata: float | None) -> None:
+def write_cog(
+    path: Path,
+    array: NDArray[Any],
+    geometry: GridGeometry,
+    nodata: float | None,
+    tags: Mapping[str, str] | None = None,
+    name: str = "",
+) -> None:
     """A Cloud Optimized GeoTIFF of one band, (H, W), with overviews by nearest cell.
 
     Raises ConfigError where it cannot be written.
@@ -130,6 +173,8 @@ def write_cog(path: Path, array: NDArray[Any], geometry: GridGeometry, nodata: f
                 nodata=nodata,
             ) as sink:
                 sink.write(array, 1)
+                sink.update_tags(**(tags or {}))
+                sink.set_band_description(1, name)
             with memory.open() as source:
                 copy(source, partial, driver="COG", compress="deflate", resampling="nearest")
         partial.replace(path)

@@ -16,6 +16,7 @@ from pyproj import CRS, Transformer
 
 from ltm_core.errors import ConfigError
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, Landscape
+from ltm_core.fuel.export.qgis_style_io import code_entries, write_palette_style
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.types import Int16Array
 
@@ -30,7 +31,8 @@ _METRES: Final = 0
 
 
 def write_lcp(path: Path | str, landscape: Landscape, description: str = "") -> Path:
-    """Write the eight bands, and the CRS to a .prj of the same name. The file appears whole or not at all.
+    """Write the eight bands, the CRS to a .prj of the same name, and a QGIS style. `description`: of which the header
+    takes 511 characters of ASCII. The file appears whole or not at all.
 
     Raises ConfigError where it cannot be written.
     """
@@ -46,6 +48,7 @@ def write_lcp(path: Path | str, landscape: Landscape, description: str = "") -> 
     except OSError as error:
         partial.unlink(missing_ok=True)
         raise ConfigError(f"{path}: the landscape cannot be written there ({error.strerror})") from error
+    write_palette_style(path, code_entries(landscape.band("fuel")), LANDSCAPE_BANDS.index("fuel") + 1)
     return path
 
 

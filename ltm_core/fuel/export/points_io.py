@@ -10,6 +10,7 @@ import numpy as np
 
 from ltm_core.errors import ConfigError
 from ltm_core.fuel.decision import FuelLayers
+from ltm_core.fuel.export.provenance import Provenance, as_rows
 from ltm_core.fuel.life_form import LifeForm, life_form_labels
 from ltm_core.grid import GridGeometry
 from ltm_core.types import Float64Array, Int16Array, UInt8Array
@@ -56,8 +57,10 @@ def fuel_points(layers: FuelLayers, heights: Float64Array, geometry: GridGeometr
     )
 
 
-def write_ply(path: Path, points: FuelPoints) -> None:
-    """Binary PLY: x, y, z double, red, green, blue, life_form uchar, fuel_code short; the CRS as a comment."""
+def write_ply(path: Path, points: FuelPoints, made: Provenance | None = None) -> None:
+    """Binary PLY: x, y, z double, red, green, blue, life_form uchar, fuel_code short; the CRS and what it is of as
+    comments.
+    """
     table = np.empty(
         len(points.xyz),
         [("xyz", "<f8", 3), ("rgb", "u1", 3), ("life_form", "u1"), ("code", "<i2")],
@@ -66,11 +69,12 @@ def write_ply(path: Path, points: FuelPoints) -> None:
     table["life_form"], table["code"] = points.life_form, points.code
     names = ["double x", "double y", "double z", "uchar red", "uchar green", "uchar blue", "uchar life_form"]
     header = ["ply", "format binary_little_endian 1.0", f"comment crs {points.crs.splitlines()[0]}"]
+    header += [] if made is None else [f"comment {name} {value}" for name, value in as_rows(made.tags())]
     header += [f"element vertex {len(table)}", *(f"property {name}" for name in names), "property short fuel_code"]
     _write(path, ("\n".join([*header, "end_header"]) + "\n").encode("ascii", "replace") + table.tobytes())
 
 
-def write_las(path: Path, points: FuelPoints) -> None:
+def write_las(path: Path, points: FuelPoints, made: Provenance | None = None) -> None:
     """LAS 1.4 with ASPRS classes, colours, and the fuel code as an extra field. Needs laspy (the extra `export`)."""
     import laspy
     from pyproj import CRS
@@ -79,6 +83,10 @@ def write_las(path: Path, points: FuelPoints) -> None:
     header.offsets = np.floor(points.xyz.min(axis=0))
     header.scales = np.full(3, 0.001)
     header.add_crs(CRS(points.crs))
+    if made is not None:
+        header.generating_software = made.software[:32]
+        told = made.line().encode("ascii", "replace")[:32_000]
+        header.vlrs.append(laspy.VLR("LTM", 1, "what the map says of itself"[:32], told))
     header.add_extra_dim(laspy.ExtraBytesParams("fuel_code", "int16", "surface fuel model"))
     cloud: Any = laspy.LasData(header)
     cloud.x, cloud.y, cloud.z = points.xyz.T

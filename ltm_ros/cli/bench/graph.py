@@ -34,6 +34,7 @@ def graph(
     from ltm_core.bench.measure import conditions
     from ltm_ros.bench.graph import GraphResult, run_graph
     from ltm_ros.bench.graph_site import Load
+    from ltm_ros.bench.growth import SUM
 
     console = Console()
     layouts = _layouts(processes)
@@ -76,6 +77,12 @@ def graph(
         "memory (PSS) of all, MB": lambda r: f"{r.pss_mb['all']:.0f}",
         "grown meanwhile: memory, MB": lambda r: f"{r.grown_pss_mb:.0f}",
         "grown meanwhile: descriptors, threads": lambda r: f"{r.grown_descriptors}, {r.grown_threads}",
+        "second half: memory, kB a minute": lambda r: f"{r.held_more.memory[SUM].slope:.0f}",
+        "second half: memory, kB": lambda r: f"{r.held_more.memory[SUM].grown:.0f}",
+        "second half: descriptors, threads, /dev/shm": lambda r: (
+            f"{r.held_more.descriptors}, {r.held_more.threads}, {r.held_more.shared_objects}"
+        ),
+        "second half: files of the map, kB": lambda r: f"{r.held_more.kept_bytes / 1024:.0f}",
         "until all nodes were up, s": lambda r: f"{r.ready_s:.1f}",
         "load average before": lambda r: f"{r.load_average:.1f}",
         "cameras late by at most, s": lambda r: f"{r.cameras_late_s:.2f}",

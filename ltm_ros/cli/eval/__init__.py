@@ -10,10 +10,12 @@ import typer
 from typer.core import TyperGroup
 
 from ltm_ros.cli.eval.bag import bag
+from ltm_ros.cli.eval.crosswalk import crosswalk
 from ltm_ros.cli.eval.depth import depth
 from ltm_ros.cli.eval.fuel import fuel
 from ltm_ros.cli.eval.gallery import gallery
 from ltm_ros.cli.eval.locate import locate
+from ltm_ros.cli.eval.mask import mask
 from ltm_ros.cli.eval.mount import mount
 from ltm_ros.cli.eval.pose import pose
 from ltm_ros.cli.eval.recorded_poses import recorded_poses
@@ -37,9 +39,11 @@ class EvalGroup(TyperGroup):
 
 evaluate = typer.Typer(cls=EvalGroup, no_args_is_help=True, help="Score a recorded run, or one part of the system.")
 evaluate.command(WHOLE)(bag)
+evaluate.command()(crosswalk)
 evaluate.command()(depth)
 evaluate.command()(fuel)
 evaluate.command()(gallery)
+evaluate.command()(mask)
 evaluate.command()(pose)
 evaluate.command()(mount)
 evaluate.command()(recorded_poses)

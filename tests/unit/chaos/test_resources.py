@@ -5,12 +5,16 @@ from __future__ import annotations
 import mmap
 import os
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from chaos.resources import folder_bytes, waited_s
-from chaos.soak import SUM, Soak
+from chaos.resources import waited_s
+from chaos.soak import Soak
+from scenes.waiting import wait_for
 
+from ltm_core.resources import project_path
+from ltm_ros.bench.growth import SUM, Growth, GrowthWatch, HeldMore, Sample, folder_bytes
 from ltm_ros.bench.process_usage import Usage, usage
 
 _BYTES = 10_000 * mmap.PAGESIZE
@@ -30,6 +34,7 @@ def test_usage_of_this_process(tmp_path: Path) -> None:
     thread.join()
     assert after is not None
     assert after.private - before.private > 0.9 * _BYTES / 1024
+    assert after.own - before.own > 0.9 * _BYTES / 1024
     assert after.pss - before.pss > 0.9 * _BYTES / 1024
     assert after.descriptors - before.descriptors == 1
     assert after.threads - before.threads == 1
@@ -45,18 +50,69 @@ def test_bytes_of_a_folder(tmp_path: Path) -> None:
     assert folder_bytes(tmp_path) == 37
 
 
-def test_slopes_are_those_of_the_last_two_thirds() -> None:
-    """One process fills a cache and then keeps 12 kB a minute, with a leap that is no slope; another stands still."""
+def _soak(minutes: float, *memory: Callable[[float], float]) -> Soak:
+    """Samples each half minute of processes whose own memory, kB, is a function of the minutes."""
     soak = Soak()
-    for number in range(91):
-        minutes = 0.5 * number
-        grows = 5000 + min(900 * minutes, 9000) + 12 * minutes + (4000 if number == 70 else 0)
-        soak.seconds.append(60 * minutes)
-        soak.usage.append({"grows": Usage(0, round(grows), 9, 3, 0.0), "stays": Usage(0, 700, 9, 3, 0.0)})
-    soak.usage[2]["ended early"] = Usage(0, 10**6, 9, 3, 0.0)
-    slopes = soak.slopes()
-    assert slopes.keys() == {"grows", "stays", SUM}
-    slope, low, high = slopes[SUM]
-    assert slopes["stays"] == (0.0, 0.0, 0.0)
-    np.testing.assert_allclose((slope, slopes["grows"][0]), 12.0, atol=0.2)
-    assert low <= slope <= high < 13.0
+    for minute in np.arange(0.0, minutes + 0.5, 0.5):
+        own = {str(number): round(kb(minute)) for number, kb in enumerate(memory)}
+        # What is private changes as programs come and go that have mapped the same files.
+        usage = {label: Usage(0, kb + round(900 * minute) % 7000, kb, 9, 3, 0.0) for label, kb in own.items()}
+        soak.samples.append(Sample(60 * minute, usage, 3, 0))
+    return soak
+
+
+def test_growth_is_that_of_the_last_two_thirds() -> None:
+    """One process fills a cache and then keeps 12 kB a minute, with a sample that is out; another stands still."""
+    soak = _soak(45, lambda t: 5000 + min(900 * t, 9000) + 12 * t + (4000 if t == 35 else 0), lambda _: 700)
+    soak.samples[2].usage["ended early"] = Usage(0, 10**6, 10**6, 9, 3, 0.0)
+    growth = soak.growth()
+    assert growth.keys() == {"0", "1", SUM}
+    assert growth["1"] == Growth(0.0, 0.0, 0.0, 0.0, 0.0)
+    total = growth[SUM]
+    np.testing.assert_allclose((total.slope, growth["0"].slope), 12.0, atol=0.2)
+    assert total.low <= total.slope <= total.high < 13.0
+    np.testing.assert_allclose(total.grown, 12.0 * 30 * 7 / 8, rtol=0.05)
+    assert soak.missed() == ["memory grows by 12.0 kB a minute in sum"]
+    assert _soak(29, lambda t: 12 * t).missed() == []
+
+
+def test_a_single_step_is_no_slope_and_is_told() -> None:
+    for at in (20, 27, 40):
+        soak = _soak(45, lambda t, at=at: 5000 + (2048 if t >= at else 0), lambda _: 700)  # type: ignore[misc]
+        total = soak.growth()[SUM]
+        assert (total.slope, total.grown, total.largest_step) == (0.0, 2048.0, 2048.0)
+        assert soak.missed() == []
+
+
+def test_pages_of_files_are_not_a_process_own() -> None:
+    """They are private only as long as no other process has mapped the file."""
+    path = project_path("bags/demo/recording/recording_0.mcap")
+    kb = path.stat().st_size / 1024
+    with path.open("rb") as file:
+        before = usage(os.getpid())
+        with mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ) as mapped:
+            assert mapped[:: mmap.PAGESIZE]
+            after = usage(os.getpid())
+    assert before is not None
+    assert after is not None
+    assert after.private - before.private > 0.9 * kb
+    assert after.own - before.own < 0.1 * kb
+
+
+def test_what_is_held_more_at_the_end_than_in_the_middle(tmp_path: Path) -> None:
+    def sample(minute: float, kb: int, more: int) -> Sample:
+        return Sample(60 * minute, {"one": Usage(0, 0, kb, 5 + more, 2 + 2 * more, 0.0)}, 7 + 3 * more, 1000 * more)
+
+    filling = [sample(minute, 100 * minute, 9 - minute) for minute in range(10)]
+    held = HeldMore.of([*filling, *(sample(minute, 900, minute // 15) for minute in range(10, 21))])
+    assert held.memory[SUM] == Growth(0.0, 0.0, 0.0, 0.0, 0.0)
+    assert (held.descriptors, held.threads, held.shared_objects, held.kept_bytes) == (1, 2, 3, 1000)
+    assert HeldMore.of([sample(0, 50, 0), sample(3, 80, 0)]).memory["one"].slope == 10.0
+
+
+def test_a_watch_samples_until_it_is_left(tmp_path: Path) -> None:
+    with GrowthWatch(lambda: {"this": os.getpid(), "gone": 2**22 + 1}, tmp_path, 0.01) as watch:
+        (tmp_path / "kept").write_bytes(bytes(5))
+        wait_for(lambda: len(watch.samples) > 2, "a third sample")
+    assert [sample.usage.keys() for sample in watch.samples] == [{"this"}] * len(watch.samples)
+    assert (watch.samples[0].kept_bytes, watch.samples[-1].kept_bytes) == (0, 5)

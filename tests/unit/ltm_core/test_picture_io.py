@@ -15,9 +15,12 @@ from ltm_core.picture_io import check_picture, open_picture
 
 def png_of(width: int, height: int) -> bytes:
     """The head of a PNG that states a size, and nothing of its pixels."""
-    head = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    chunk = struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head))
-    return b"\x89PNG\r\n\x1a\n" + chunk + struct.pack(">I", 0) + b"IDAT" + struct.pack(">I", zlib.crc32(b"IDAT"))
+
+    def chunk(kind: bytes, body: bytes = b"") -> bytes:
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT") + chunk(b"IEND")
 
 
 def test_a_picture_is_refused_by_the_size_that_it_states(tmp_path: Path) -> None:
@@ -47,3 +50,15 @@ def test_programs_are_not_started_for_a_picture(tmp_path: Path) -> None:
     (tmp_path / "a.eps").rename(tmp_path / "a.jpg")
     with pytest.raises(ImageError, match="no photo that can be read"):
         check_picture(tmp_path / "a.jpg")
+
+
+def test_a_png_chunk_longer_than_the_file_is_refused(tmp_path: Path) -> None:
+    """OpenCV, which decodes what was checked, would take the gigabyte that such a chunk states."""
+    Image.new("I;16", (14, 9), 800).save(tmp_path / "a.png")
+    check_picture(tmp_path / "a.png")
+    content = bytearray((tmp_path / "a.png").read_bytes())
+    at = content.index(b"IDAT") - 4
+    content[at : at + 4] = (0x40000110).to_bytes(4, "big")
+    (tmp_path / "a.png").write_bytes(content)
+    with pytest.raises(ImageError, match=r"a\.png \(\d+ bytes\) is cut short: its chunks state more bytes than it has"):
+        check_picture(tmp_path / "a.png")

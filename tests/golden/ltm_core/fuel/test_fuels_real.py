@@ -11,6 +11,7 @@ from rasterio.warp import Resampling, reproject
 
 from ltm_core.dem import Dem
 from ltm_core.errors import RasterError
+from ltm_core.evaluation.fuel.crosswalk_score import score_crosswalk
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape, snapped_grid
@@ -103,13 +104,48 @@ def test_a_landfire_download(shared_data: Path) -> None:
     np.testing.assert_array_equal(prior.codes, np.where(codes == 32767, NODATA, codes))
     assert prior.canopy is not None
     np.testing.assert_array_equal(prior.canopy[2:], NODATA)  # the download has cover and height alone
-    assert prior.fbfm13 is not None
-    known = prior.codes != NODATA
-    agreeing = (FuelRegion.named("humid").to_fbfm13(prior.codes) == prior.fbfm13)[known].mean()
-    assert agreeing > 0.95  # SH3 has two partners, and 39 % of its cells the other one
-    assert (FuelRegion.named("dry").to_fbfm13(prior.codes) == prior.fbfm13)[known].mean() < agreeing
     assert (grid.x_min % 30, grid.y_max % 30) == (15, 15)
     snapped = snapped_grid(
         GridGeometry(grid.x_min, grid.y_max, 30.0, grid.width, grid.height, "EPSG:5070"), "EPSG:5070"
     )
     np.testing.assert_array_equal(GridTransfer(grid, snapped).layer(codes, 0), codes)
+
+
+@pytest.mark.parametrize("region", ["dry", "humid"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "fuels_vermont_landfire/LC22_F40_230.tif",
+        "fuels_tubbs_pair/" + LATER,
+        "fuels_tubbs_pair/" + EARLIER,
+        "fuels_socal_santaana_gridfire/fbfm40.tif",
+    ],
+)
+def test_a_life_form_stays_its_own_in_fbfm13(shared_data: Path, name: str, region: str) -> None:
+    path = shared_data / name
+    _, grid = raster(path)
+    prior = load_prior(PriorConfig(path=path.parent, fbfm40=path), grid)
+    scores = {score.way: score for score in score_crosswalk(prior, region)}
+    for kind in ("grass", "shrub", "timber"):
+        kept = scores["table"].kept[kind]
+        assert kept.count >= 0.99 * kept.of
+    if prior.fbfm13 is not None:
+        export = scores["export, with its own FBFM13"].agreement
+        assert export is not None
+        assert export.count == export.of > 100_000  # LANDFIRE's own codes stay, bit for bit
+
+
+def test_agreement_with_landfires_own_fbfm13(shared_data: Path) -> None:
+    """The humid table gains where cover tells SH3 apart. The dry one loses what LANDFIRE's two maps contradict each
+    other in: 62 % of GR2, grass, are its brush.
+    """
+    agreements = {}
+    for name, region in (("fuels_vermont_landfire/LC22_F40_230.tif", "humid"), ("fuels_tubbs_pair/" + LATER, "dry")):
+        path = shared_data / name
+        prior = load_prior(PriorConfig(path=path.parent, fbfm40=path), raster(path)[1])
+        assert prior.fbfm13 is not None
+        agreements[region] = {s.way: s.agreement.value for s in score_crosswalk(prior, region) if s.agreement}
+        contradiction = ((prior.codes == 102) & (prior.fbfm13 == 5)).mean()
+    assert agreements["humid"]["table"] > agreements["humid"]["unbound table"] > 0.96
+    assert agreements["dry"]["table"] > agreements["dry"]["unbound table"] - contradiction
+    assert agreements["dry"]["table"] > 0.9

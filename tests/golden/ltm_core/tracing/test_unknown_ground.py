@@ -44,6 +44,7 @@ def came_back(dem: Dem, camera: Camera, pose: Pose, ranges: Float32Array) -> Boo
     return left
 
 
+@pytest.mark.slow
 def test_stripes_over_a_ragged_survey(shared_data: Path) -> None:
     try:
         canyon = read_canyon(shared_data / "grandcanyon_rm22")

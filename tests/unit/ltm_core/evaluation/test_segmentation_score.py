@@ -12,7 +12,7 @@ from scenes.networks import COLORS, changed, write_classifier
 from typer.testing import CliRunner
 
 from ltm_core.errors import RecordingError
-from ltm_core.evaluation.metrics.confidence import CalibrationScore
+from ltm_core.evaluation.metrics.confidence import CalibrationScore, RiskCoverage
 from ltm_core.evaluation.segmentation.network_score import score_frames
 from ltm_core.training.labelled_frames import read_frames
 from ltm_core.training.temperature_scaling import balanced, fit_temperature
@@ -106,3 +106,66 @@ def test_sets_count_alike_in_the_confusion() -> None:
     assert 0.0 < matrix[1, 0] < 2e-3
     nothing = balanced([np.zeros((3, 4), np.int64)])
     assert np.all(np.diagonal(nothing) > 0.5)
+
+
+def test_areas_named_in_polygons_are_truth_as_a_picture_of_labels_is(tmp_path: Path) -> None:
+    folder, colors = tmp_path / "photos", np.full((40, 60, 3), COLORS["lime"], np.uint8)
+    folder.mkdir()
+    colors[:15] = COLORS["blue"]
+    cv2.imwrite(str(folder / "b.jpg"), colors[..., ::-1])
+    areas = [
+        {"image": "b.jpg", "class": "sky", "polygon": [[0, 0], [59, 0], [59, 14], [0, 14]]},
+        {"image": "b.jpg", "class": "shrub", "polygon": [[10, 20], [29, 20], [29, 34], [10, 34]]},
+        {"image": "b.jpg", "class": "unlabelled", "polygon": [[10, 20], [19, 20], [19, 34], [10, 34]]},
+        {"image": "gone.jpg", "class": "sky", "polygon": [[0, 0], [5, 0], [5, 5]]},
+    ]
+    (folder / "polygons.json").write_text(json.dumps(areas))
+    (frame,) = read_frames(folder, 7)
+    expected = np.full((40, 60), UNLABELLED, np.uint8)
+    expected[:15] = Label.SKY
+    expected[20:35, 20:30] = Label.SHRUB
+    np.testing.assert_array_equal(frame.labels, expected)
+    arguments = ["eval", "segmentation", str(folder), "--model", str(write_classifier(tmp_path, stride=1))]
+    options = ["--ignore", "shrub", "--macro", "sky,shrub", "--overlays", str(tmp_path / "drawn")]
+    result = CliRunner().invoke(main.cli, [*arguments, *options, "--json", str(tmp_path / "s.json")])
+    assert result.exit_code == 0, result.output
+    score = json.loads((tmp_path / "s.json").read_text())["photos"]["colors"]
+    assert score["f1"]["shrub"] is None
+    assert score["macro_f1"] == pytest.approx(score["f1"]["sky"])
+    assert score["pixels"] == 15 * 60
+    assert cv2.imread(str(tmp_path / "drawn" / "photos_b_colors.png")).shape[1] == 2 * 60
+
+
+@pytest.mark.parametrize(
+    ("areas", "said"),
+    [
+        ([{"image": "b.jpg", "class": "moss", "polygon": [[0, 0], [5, 0], [5, 5]]}], "'moss'"),
+        ([{"image": "../b.jpg", "class": "sky", "polygon": [[0, 0], [5, 0], [5, 5]]}], "image"),
+        ([{"image": "b.jpg", "class": "sky", "polygon": [[0, 0], [5, 0]]}], "polygon"),
+        ({"image": "b.jpg"}, "list"),
+    ],
+)
+def test_areas_that_cannot_be_taken_are_refused_in_words(tmp_path: Path, areas: object, said: str) -> None:
+    (tmp_path / "polygons.json").write_text(json.dumps(areas))
+    with pytest.raises(RecordingError, match=said):
+        read_frames(tmp_path, 7)
+
+
+def test_risk_at_a_coverage_is_that_of_the_surest_pixels() -> None:
+    truth = np.array([[1, 1, 1, 1, 1, 1, 1, 1, 1, UNLABELLED]], np.uint8)
+    given = np.array([[1, 1, 1, 1, 2, 1, 2, 2, UNLABELLED, 2]], np.uint8)
+    sure = np.array([[250, 250, 200, 200, 100, 100, 50, 50, 0, 255]], np.uint8)
+    risk = RiskCoverage.empty().plus(truth, given, sure, 7)
+    assert risk.risk(1.0) == pytest.approx(3 / 8)
+    assert risk.risk(0.5) == 0.0
+    assert risk.risk(0.75) == pytest.approx(1 / 6)
+    assert risk.risk(0.625) == pytest.approx(0.1)  # of two pixels alike in confidence, one wrong: half of each counts
+    assert np.isnan(RiskCoverage.empty().risk(0.8))
+
+
+def test_a_diagram_shows_each_network_s_confidence(tmp_path: Path) -> None:
+    _frame(tmp_path / "near", "0001")
+    command = ["eval", "segmentation", str(tmp_path / "near"), "--model", str(write_classifier(tmp_path, stride=1))]
+    result = CliRunner().invoke(main.cli, [*command, "--confidence", "0.9", "--diagram", str(tmp_path / "d.png")])
+    assert result.exit_code == 0, result.output
+    assert cv2.imread(str(tmp_path / "d.png")).shape[1] > 800

@@ -53,6 +53,27 @@ def test_the_horizon_of_two_walls() -> None:
     assert not horizon.open.any()
 
 
+def test_a_caption_and_a_corner_do_not_cover_the_sky_and_a_mast_is_no_skyline() -> None:
+    photo, labels = view(TRUE)
+    plain = picture_evidence(photo, labels, CAMERA).skyline
+    assert plain is not None
+    rows, cols = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
+    caption = rows < CAMERA.height // 20
+    corner = rows + cols < CAMERA.height // 4
+    mast = (np.abs(cols - 3 * CAMERA.width // 4) < CAMERA.width // 20) & (rows > CAMERA.height // 10)
+    hidden = caption | corner | mast
+    spoilt = np.where(hidden, np.uint8(Label.TREE), labels)
+    found = picture_evidence(photo, spoilt, CAMERA, hidden=hidden).skyline
+    assert found is not None
+    assert len(found.covered_u) == len(plain.covered_u) == 0
+    behind_mast = np.abs(plain.u - 3 * CAMERA.width // 4) < CAMERA.width // 20 - 1
+    beside = ~np.isin(plain.u, plain.u[np.abs(plain.u - 3 * CAMERA.width // 4) < CAMERA.width // 20 + 1])
+    assert not np.isin(found.u, plain.u[behind_mast]).any()
+    assert np.isin(plain.u[beside], found.u).mean() > 0.98
+    both = np.isin(found.u, plain.u)
+    np.testing.assert_allclose(found.v[both], plain.v[np.isin(plain.u, found.u)], atol=0.6)
+
+
 def test_land_beyond_the_dem_leaves_the_horizon_open() -> None:
     place = np.array([600.0, 200.0, 110.0])
     low = terrain_horizon(walls(), place, BEND, PossibleGround(highest=150.0), half_width=0.2)

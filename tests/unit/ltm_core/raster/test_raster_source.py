@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -65,3 +66,16 @@ def test_what_gdal_does_not_support_is_our_error(tmp_path: Path) -> None:
     grid = GridGeometry(480_000.0, 4_150_000.0, 30.0, 9, 6, "EPSG:26911")
     with pytest.raises(RasterError, match=r"prior\.tif: not a raster that GDAL can read"):
         load_prior(PriorConfig(path=tmp_path / "prior.tif"), grid)
+
+
+def test_a_crs_whose_name_is_no_text_is_our_error(tmp_path: Path) -> None:
+    """A file that names its CRS in words, not by a number of the EPSG's."""
+    heights = np.arange(42, dtype=np.float32).reshape(6, 7)
+    Dem(heights, GridGeometry(480_000.0, 4_150_000.0, 5.0, 7, 6, "EPSG:26911")).save(tmp_path / "dem.tif")
+    content = (tmp_path / "dem.tif").read_bytes()
+    projected = [struct.pack("<4H", 3072, 0, 1, number) for number in (26911, 32767)]  # GeoTIFF's key; user-defined
+    assert projected[0] in content
+    assert b"zone 11N" in content
+    (tmp_path / "dem.tif").write_bytes(content.replace(*projected).replace(b"zone 11N", b"zone 1\xb1N"))
+    with pytest.raises(RasterError, match=r"dem\.tif: not a raster that GDAL can read"):
+        Dem.open(tmp_path / "dem.tif")

@@ -57,6 +57,7 @@ def _errors(site: SimulatedSite, resolution: float) -> Float64Array:
     return np.abs(rendered[smooth].astype(np.float64) - traced[smooth])
 
 
+@pytest.mark.slow
 def test_bare_ground_agrees_with_the_tracer(slid: SimulatedSite) -> None:
     """p99.9 within 0.3 m away from silhouettes, with a dam's wall, a twelve-metre cliff in one cell, filling a third of
     the view."""
@@ -134,6 +135,7 @@ def test_edges_are_planted_shrub_by_shrub_and_slides_strewn_with_stones(slid: Si
     assert sizes.max() > 4 * np.median(sizes), "few are large"
 
 
+@pytest.mark.slow
 def test_rasters_and_frames_of_both_dates(site: SimulatedSite) -> None:
     truths, frames = [], []
     for date in CONFIG.dates:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
@@ -15,6 +16,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Header, String
 
 from ltm_core.errors import RecordingError
+from ltm_msgs_py.bag.metadata import FileRecord
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter, Compression, Split
 
@@ -235,3 +237,18 @@ def test_what_was_flushed_survives_sigkill(tmp_path: Path) -> None:
     assert [reader.decode(m).data for m in reader.messages()] == [str(i) for i in range(7)]
     assert any("metadata.yaml" in note for note in reader.damage)
     assert any("without a footer" in note for note in reader.damage)
+
+
+def test_files_that_were_removed_take_no_memory(tmp_path: Path) -> None:
+    """A ring that turns for months removes them; what is known of a file are its topics and their counts."""
+    known = []
+    with BagWriter(tmp_path / "bag") as writer:
+        for number in range(40):
+            writer.write("/ridge/note", String(data="a"), 1000 * number)
+            writer.end_file()
+            for old in sorted((tmp_path / "bag").glob("*.mcap"), key=lambda path: path.stat().st_mtime_ns)[:-3]:
+                old.unlink()
+            gc.collect()
+            known.append(sum(isinstance(thing, FileRecord) for thing in gc.get_objects()))
+    assert known[39] == known[19] < known[0] + 5
+    assert information(tmp_path / "bag")["relative_file_paths"] == [f"bag_{number}.mcap" for number in (37, 38, 39)]

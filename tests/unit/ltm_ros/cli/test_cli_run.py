@@ -23,7 +23,7 @@ def test_state_is_the_folder_of_the_nodes_that_keep_something(tmp_path: Path, mo
             graphs.append(graph)
             self.log_folder = log_folder
 
-        def run(self) -> int:
+        def run(self, manager: Any) -> int:
             return 0
 
     monkeypatch.setattr(ltm_ros.launching.runner, "Runner", Recorded)
@@ -52,7 +52,7 @@ def test_view_prints_its_address_and_every_run_its_logs(
         def __init__(self, graph: Any, log_folder: Path, domain_id: int | None) -> None:
             self.log_folder = log_folder
 
-        def run(self) -> int:
+        def run(self, manager: Any) -> int:
             return 1
 
     said: list[str] = []

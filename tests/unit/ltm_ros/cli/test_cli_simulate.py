@@ -98,6 +98,7 @@ def test_bad_scenarios_are_refused(folder: Path, old: str, new: str, line: int, 
     assert not list((folder / "out").glob("*.png"))
 
 
+@pytest.mark.slow
 def test_a_phone_s_errors_reach_the_recording(folder: Path) -> None:
     """Of two dates the first is wanted as rasters alone; the recording tells what sensors said, and the truth."""
     simulate(folder, SCENARIO, "--bag", str(folder / "bag"))

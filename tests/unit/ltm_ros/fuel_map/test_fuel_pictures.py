@@ -15,7 +15,7 @@ from scenes.fuel_frames import BEGIN_NS, LABELS, NAME, camera_of, grid_of, messa
 from scenes.outlets import Kept
 from typer.testing import CliRunner
 
-import ltm_ros.fuel_map.pictures
+import ltm_ros.fuel_map.export
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, ImageError
 from ltm_core.fuel.codes import FuelRegion, fuel_models
@@ -244,8 +244,10 @@ def test_a_store_is_drawn_and_told_as_of_any_date(kept: tuple[Path, Path, FuelMa
     np.testing.assert_array_equal(found["now"], now.life_form)
     export(store, "--site", site, "--out", tmp_path / "then.lcp", "--as-of", "2023-11-15")
     with rasterio.open(tmp_path / "then.lcp") as source:
-        fuel = source.read(4)
-    np.testing.assert_array_equal(fuel == 102, found["first"] == LifeForm.GRASS)
+        heights, fuel = source.read(1), source.read(4)
+    assert (heights[1:] != -9999).all()
+    assert (fuel[heights == -9999] == -9999).all(), "a cell without a height has no code"
+    np.testing.assert_array_equal(fuel == 102, (found["first"] == LifeForm.GRASS) & (heights != -9999))
     for kind in ("png", "change", "coverage"):
         export(store, "--site", site, "--out", tmp_path / f"{kind}.png", "--format", kind)
         assert cv2.imread(str(tmp_path / f"{kind}.png")).shape[1] > 1500
@@ -262,8 +264,8 @@ def test_change_is_drawn_of_the_part_that_cameras_have_seen(
     site, store, node = kept
     grid, layers = grid_of(site), node.persistence.map.layers()
     drawn: list[Any] = []
-    draw = ltm_ros.fuel_map.pictures.canvas_of
-    monkeypatch.setattr(ltm_ros.fuel_map.pictures, "canvas_of", lambda *given: drawn.append(given[4]) or draw(*given))
+    draw = ltm_ros.fuel_map.export.canvas_of
+    monkeypatch.setattr(ltm_ros.fuel_map.export, "canvas_of", lambda *given: drawn.append(given[4]) or draw(*given))
     for kind in ("change", "png"):
         export(store, "--site", site, "--out", tmp_path / f"{kind}.png", "--format", kind)
     places = places_of(load_site(site), load_site(site).open_dem())

@@ -1,0 +1,137 @@
+"""What an exported fuel map says of itself: of which site and when, how much of it was seen, what it came from."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+
+from ltm_core.fuel.codes import FuelSystem
+from ltm_core.fuel.decision import FuelLayers
+from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, LANDSCAPE_UNITS, Landscape
+from ltm_core.fuel.life_form import NODATA
+from ltm_core.site import Site
+
+NOTHING_SEEN = "nothing seen"
+WITHOUT_DATES = "not known: a map without dates"
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """`as_of`: ISO 8601 UTC of the newest frame that had a say, or of the moment asked for; NOTHING_SEEN where no frame
+    had, WITHOUT_DATES of a map that does not tell. `seen`, `changed`: shares of the cells with a code; None where it is
+    not known. `prior_version`: LANDFIRE's where its name tells it, and a digest of the codes on the fuel grid.
+    """
+
+    site: str
+    as_of: str
+    cells: int
+    seen: float | None
+    changed: float
+    prior: str
+    prior_version: str
+    region: str
+    system: FuelSystem
+    software: str
+    terrain: str = ""
+
+    def tags(self) -> dict[str, str]:
+        """For GeoTIFF: TIFF's own, and ours."""
+        tags = {
+            "site": self.site,
+            "as_of": self.as_of,
+            "cells_with_code": str(self.cells),
+            "seen_share": "unknown" if self.seen is None else f"{self.seen:.4f}",
+            "changed_share": f"{self.changed:.4f}",
+            "prior": self.prior,
+            "prior_version": self.prior_version,
+            "fuel_region": self.region,
+            "fuel_system": self.system.value,
+            "software": self.software,
+            "TIFFTAG_SOFTWARE": self.software,
+            "TIFFTAG_IMAGEDESCRIPTION": self.line(),
+        }
+        if self.terrain:
+            tags["terrain"] = self.terrain
+        moment = self.moment()
+        if moment is not None:
+            tags["TIFFTAG_DATETIME"] = moment.strftime("%Y:%m:%d %H:%M:%S")
+        return tags
+
+    def line(self) -> str:
+        """In one line, for formats with a field of text."""
+        seen = "unknown" if self.seen is None else f"{self.seen:.1%}"
+        parts = [
+            f"fuel map of {self.site}",
+            f"as of {self.as_of}",
+            f"seen {seen}, changed {self.changed:.1%} of {self.cells} cells",
+            f"prior {self.prior} ({self.prior_version})",
+            f"{self.system.value}, region {self.region}",
+            self.software,
+        ]
+        return "; ".join([*parts, self.terrain] if self.terrain else parts)
+
+    def moment(self) -> datetime | None:
+        """None where no frame had a say, or none is dated."""
+        return None if self.as_of in (NOTHING_SEEN, WITHOUT_DATES) else datetime.fromisoformat(self.as_of)
+
+
+def landscape_units() -> dict[str, str]:
+    """The unit of each band of a landscape, as tags."""
+    return {f"unit_{name}": unit for name, unit in zip(LANDSCAPE_BANDS, LANDSCAPE_UNITS, strict=True)}
+
+
+def provenance_of(
+    site: Site,
+    layers: FuelLayers,
+    system: FuelSystem,
+    moment_ns: int | None = None,
+    landscape: Landscape | None = None,
+) -> Provenance:
+    """Of the layers of a map; `moment_ns`: the moment that was asked for, of which nobody knows what had been seen."""
+    known = layers.code != NODATA
+    cells = int(known.sum())
+    newest = int(layers.last_seen.max()) if moment_ns is None else moment_ns
+    looked = bool((layers.evidence > 0).any())
+    as_of = iso_moment(newest) if newest > 0 else NOTHING_SEEN if not looked else WITHOUT_DATES
+    # A map without dates is one of classes: its cells may be seen or the prior's.
+    dated = moment_ns is None and as_of != WITHOUT_DATES
+    seen = float((layers.evidence > 0)[known].mean()) if dated and cells else None
+    changed = float(layers.changed[known].mean()) if cells else 0.0
+    name = "none" if site.fuel.prior is None else site.fuel.prior.described()
+    digest = hashlib.sha256(np.ascontiguousarray(layers.prior, "<i2").tobytes()).hexdigest()[:16]
+    released = landfire_version(name)
+    of_prior = "none" if site.fuel.prior is None else ", ".join(filter(None, (released, f"sha256 {digest}")))
+    terrain = "" if landscape is None else landscape.terrain_note()
+    return Provenance(
+        site.name, as_of, cells, seen, changed, name, of_prior, site.fuel.region, system, software(), terrain
+    )
+
+
+def iso_moment(stamp_ns: int) -> str:
+    """ISO 8601, UTC, to the second."""
+    return datetime.fromtimestamp(stamp_ns // 10**9, UTC).isoformat()
+
+
+def software() -> str:
+    """This program and its version."""
+    try:
+        return f"ltm {version('ltm')}"
+    except PackageNotFoundError:
+        return "ltm, not installed"
+
+
+def landfire_version(name: str) -> str:
+    """LANDFIRE's release by a file's name: LC22_F40_230.tif is of 2022, version 2.3.0; empty where it tells none."""
+    found = re.search(r"LC(\d\d)_[A-Za-z0-9]+_(\d)(\d)(\d)(?!\d)", name)
+    return "" if found is None else f"LANDFIRE 20{found[1]}, version {found[2]}.{found[3]}.{found[4]}"
+
+
+def as_rows(tags: Mapping[str, str]) -> list[tuple[str, str]]:
+    """Our own tags, TIFF's left out: for formats with a table."""
+    return [(name, value) for name, value in tags.items() if not name.startswith("TIFFTAG_")]

@@ -1,0 +1,84 @@
+"""Writes a STAC item beside an export, for catalogues: where it is, of when, what it came from (STAC 1.0.0, item)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from ltm_core.errors import ConfigError
+from ltm_core.fuel.export.provenance import Provenance
+from ltm_core.grid import GridGeometry
+
+_TYPES: Final[Mapping[str, str]] = {
+    ".tif": "image/tiff; application=geotiff",
+    ".tiff": "image/tiff; application=geotiff",
+    ".kmz": "application/vnd.google-earth.kmz",
+    ".las": "application/vnd.las",
+    ".qml": "application/xml",
+    ".prj": "text/plain",
+}
+_NEVER: Final = "1970-01-01T00:00:00Z"
+
+
+def item_path(export: Path) -> Path:
+    """Where the item of an export stands: beside a file, inside a folder."""
+    return export / "item.stac.json" if export.is_dir() else export.with_name(f"{export.name}.stac.json")
+
+
+def stac_item(files: Iterable[Path], geometry: GridGeometry, made: Provenance) -> dict[str, Any]:
+    """The item, with files as assets relative to it. Its own fields have the names of the GeoTIFF tags, with `ltm:`."""
+    from rasterio.warp import transform_bounds
+
+    west, south, east, north = (
+        round(v, 7) for v in transform_bounds(geometry.crs, "EPSG:4326", *geometry.bounds, densify_pts=21)
+    )
+    ring = [[west, south], [east, south], [east, north], [west, north], [west, south]]
+    moment = made.moment()
+    # STAC wants a time or a range: of a map that no frame has touched, the range is all time until it is dated.
+    times: dict[str, Any] = {"datetime": None, "start_datetime": _NEVER, "end_datetime": _NEVER}
+    if moment is not None:
+        times = {"datetime": moment.strftime("%Y-%m-%dT%H:%M:%SZ")}
+    transform = geometry.transform()
+    properties = {
+        **times,
+        "title": f"Fuel map of {made.site}",
+        "description": made.line(),
+        "gsd": geometry.resolution,
+        "proj:code": geometry.crs,
+        "proj:shape": list(geometry.shape),
+        "proj:transform": list(transform)[:6],
+        **{f"ltm:{name}": text for name, text in made.tags().items() if not name.startswith("TIFFTAG_")},
+    }
+    return {
+        "type": "Feature",
+        "stac_version": "1.0.0",
+        "stac_extensions": [],
+        "id": f"{made.site}-{made.as_of}".replace(":", "").replace(" ", "-"),
+        "geometry": {"type": "Polygon", "coordinates": [ring]},
+        "bbox": [west, south, east, north],
+        "properties": properties,
+        "links": [],
+        "assets": {
+            path.name: {
+                "href": f"./{path.name}",
+                "type": _TYPES.get(path.suffix.lower(), "application/octet-stream"),
+                "roles": ["metadata"] if path.suffix in (".qml", ".prj") else ["data"],
+            }
+            for path in files
+        },
+    }
+
+
+def write_item(export: Path, files: Iterable[Path], geometry: GridGeometry, made: Provenance) -> Path:
+    """Writes the item of an export. Raises ConfigError where it cannot be written."""
+    path = item_path(export)
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        partial.write_text(json.dumps(stac_item(files, geometry, made), indent=1) + "\n", encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise ConfigError(f"{path}: cannot be written there ({error.strerror})") from error
+    return path

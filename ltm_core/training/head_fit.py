@@ -1,0 +1,80 @@
+"""Fits a head: multinomial logistic regression of the classes on the decoder's maps, with the network's own scores as
+the offset, so that a head of zeros is the network as it was."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy import optimize
+
+from ltm_core.errors import ImageError
+from ltm_core.training.head_samples import PhotoSamples
+from ltm_core.types import Float64Array
+
+RIDGE: Final[Mapping[str, float]] = {"last": 0.02, "s2": 1.0, "s1": 1.0}
+"""Penalty on the squares of a map's weights, of features brought to unit spread: what draws a head to the shipped one.
+Coarse maps hold more of the place than of the plant, and lead astray elsewhere. Chosen on the five views of
+`hpwren_towers`, each site by heads that the others taught."""
+_OTHER_RIDGE: Final = 1.0
+_BIAS_RIDGE: Final = 0.1
+_RARITY: Final = 0.8
+"""A class counts in a photo as its area's share to this power: 1, each pixel alike, lets sky rule; 0, each class alike,
+a lake of a few pixels."""
+_LEAST_SPREAD: Final = 1e-3
+_STEPS: Final = 300
+
+
+@dataclass(frozen=True, eq=False)
+class FittedHead:
+    """`weights`: (F, K) of features as they are in `PhotoSamples`; `bias`: (K,)."""
+
+    weights: Float64Array
+    bias: Float64Array
+
+    def scores(self, samples: PhotoSamples) -> Float64Array:
+        """Corrected scores (N, K) of a photo's samples."""
+        return samples.scores + samples.features @ self.weights + self.bias
+
+
+def fit_head(samples: Sequence[PhotoSamples], channels: Mapping[str, int]) -> FittedHead:
+    """The head that explains the samples best under the ridge. `channels`: those of each map, in the order of features.
+
+    Raises ImageError where there is no sample.
+    """
+    labels = np.concatenate([s.labels for s in samples]) if samples else np.empty(0, np.uint8)
+    if len(labels) == 0:
+        raise ImageError("no pixel of a known class in any photo: name areas in them first")
+    scores, features = np.concatenate([s.scores for s in samples]), np.concatenate([s.features for s in samples])
+    weight = np.concatenate([_weights(s) for s in samples])
+    weight /= weight.sum()
+    mean, spread = features.mean(axis=0), features.std(axis=0) + _LEAST_SPREAD
+    inputs = (features - mean) / spread
+    count, size = scores.shape[1], features.shape[1]
+    ridge = np.concatenate([np.full(c, RIDGE.get(name, _OTHER_RIDGE)) for name, c in channels.items()])[:, None]
+    truth = np.eye(count)[labels]
+
+    def cost(values: Float64Array) -> tuple[float, Float64Array]:
+        matrix, bias = values[:-count].reshape(size, count), values[-count:]
+        total = scores + inputs @ matrix + bias
+        total -= total.max(axis=1, keepdims=True)
+        logarithm = total - np.log(np.exp(total).sum(axis=1, keepdims=True))
+        loss = -(weight * logarithm[np.arange(len(labels)), labels]).sum()
+        loss += 0.5 * (ridge * matrix**2).sum() + 0.5 * _BIAS_RIDGE * (bias**2).sum()
+        slope = weight[:, None] * (np.exp(logarithm) - truth)
+        by_matrix, by_bias = inputs.T @ slope + ridge * matrix, slope.sum(axis=0) + _BIAS_RIDGE * bias
+        return float(loss), np.concatenate([by_matrix.ravel(), by_bias])
+
+    start = np.zeros((size + 1) * count)
+    best = optimize.minimize(cost, start, jac=True, method="L-BFGS-B", options={"maxiter": _STEPS}).x
+    matrix = best[:-count].reshape(size, count) / spread[:, None]
+    return FittedHead(matrix, best[-count:] - mean @ matrix)
+
+
+def _weights(samples: PhotoSamples) -> Float64Array:
+    """(N,) of the samples of a photo: those of a class sum to its share's power."""
+    counts = np.bincount(samples.labels, minlength=len(samples.shares))
+    each = samples.shares**_RARITY / np.maximum(counts, 1)
+    return np.asarray(each[samples.labels], np.float64)

@@ -1,0 +1,145 @@
+"""Teaches a head and judges it: by sites that did not teach it, by what it forgets elsewhere, by its calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltm_core.errors import ModelError
+from ltm_core.evaluation.segmentation.network_score import LabelScore, score_each
+from ltm_core.training.head_fit import FittedHead, fit_head
+from ltm_core.training.head_samples import PhotoSamples, photo_samples, sites_of
+from ltm_core.training.labelled_frames import Frame
+from ltm_core.training.temperature_scaling import balanced, fit_temperature
+from ltm_core.types import Float64Array
+from ltm_core.vision.label_calibration_io import Calibration
+from ltm_core.vision.label_head import LabelHead
+from ltm_core.vision.label_head_io import HeadFile
+from ltm_core.vision.labels import Label
+from ltm_core.vision.manifest import Withdrawal
+from ltm_core.vision.segmenter import Segmentation, Segmenter
+
+_SEED = 0
+_DRAWN = 20_000  # pixels that the temperature is fitted on
+
+
+@dataclass(frozen=True, eq=False)
+class HeadTrial:
+    """A taught head and its scores. `before`, `after`: of the photos, by the network and by heads that photos of other
+    sites taught (`folds`: how the photos were told apart); their macro F1 is of the classes that two sites show.
+    """
+
+    file: HeadFile
+    sites: tuple[str, ...]
+    folds: str
+    before: LabelScore
+    after: LabelScore
+
+    @property
+    def better(self) -> bool:
+        """Whether the macro F1 rose."""
+        return self.after.macro_f1 > self.before.macro_f1
+
+
+def teach_head(
+    segmenter: Segmenter,
+    frames: Sequence[Frame],
+    name: str,
+    made: str,
+    licence: str = "",
+    withdrawal: Withdrawal | None = None,
+    look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
+) -> HeadTrial:
+    """Teach a head to labelled photos.
+
+    Each site's photos are labelled by a head that the other sites taught; from these answers come scores, temperature
+    and calibration. The head that is kept is taught by all. Where all photos are of one site, each photo is held out
+    in turn, which says nothing of other sites. `withdrawal`: which labels the head leaves out. `look` gets the answer
+    to each photo held out. Raises ModelError for a network without maps, or a single photo.
+    """
+    manifest = segmenter.manifest
+    if not manifest.maps:
+        raise ModelError(f"model {manifest.name!r} states no decoder maps in its manifest; heads need them")
+    ids = [segmenter.labels.id_of(manifest.mapping.get(name, "unlabelled")) for name in manifest.classes]
+    if ids != list(range(len(ids))):
+        raise ModelError(
+            f"model {manifest.name!r}: a head needs a network whose classes are the labels, in their order"
+        )
+    if len(frames) < 2:
+        raise ModelError("one photo cannot both teach a head and judge it; name areas in a photo of another site too")
+    rng = np.random.default_rng(_SEED)
+    sites = sites_of(list(frames))
+    folds, groups = "by site", sites
+    if len(set(sites)) == 1:
+        folds, groups = "by photo, all of one site", [frame.path.name for frame in frames]
+    samples = [photo_samples(segmenter, frame, site, rng) for frame, site in zip(frames, groups, strict=True)]
+    held_out = {g: fit_head([s for s in samples if s.site != g], manifest.maps) for g in dict.fromkeys(groups)}
+    temperature = _temperature(samples, [held_out[s.site].scores(s) for s in samples], rng)
+    rules = withdrawal or Withdrawal()
+    heads = {g: as_head(name, fitted, manifest.maps, temperature, rules) for g, fitted in held_out.items()}
+    counted = _shared(samples)
+    if not counted:
+        raise ModelError("no class is named in photos of two sites: nothing can be judged; name more areas")
+    with_heads = [_with_head(segmenter, heads[g]) for g in groups]
+    before = score_each([segmenter] * len(frames), frames, macro=counted)
+    after = score_each(with_heads, frames, macro=counted, look=look)
+    names = manifest.classes
+    calibration = Calibration(
+        classes=segmenter.labels.names,
+        confusion=tuple(tuple(float(v) for v in row) for row in balanced([after.labels.confusion])),
+        measured_on=f"{len(frames)} photos of {len(set(sites))} sites, held out {folds}",
+        ece={"photos": after.calibration.ece, "land": after.land_calibration.ece},
+    )
+    final = as_head(name, fit_head(samples, manifest.maps), manifest.maps, temperature, rules)
+    file = HeadFile(
+        name=name,
+        network=manifest.name,
+        sha256=manifest.sha256,
+        made=made,
+        licence=licence,
+        classes=names,
+        temperature=round(temperature, 4),
+        withdraw=rules,
+        bias=tuple(map(float, final.bias)),
+        maps={key: tuple(tuple(map(float, row)) for row in rows) for key, rows in final.weights.items()},
+        calibration=calibration,
+    )
+    return HeadTrial(file, tuple(dict.fromkeys(sites)), folds, before, after)
+
+
+def _temperature(samples: Sequence[PhotoSamples], scores: Sequence[Float64Array], rng: np.random.Generator) -> float:
+    """Of scores by heads that did not learn from these photos; land alone counts, by its area: sky is easy."""
+    labels = np.concatenate([s.labels for s in samples])
+    area = np.concatenate([(s.shares / np.maximum(np.bincount(s.labels, minlength=len(s.shares)), 1))[s.labels]
+                           for s in samples])  # fmt: skip
+    area[labels == Label.SKY] = 0.0
+    if area.sum() == 0:
+        return 1.0
+    drawn = rng.choice(len(labels), _DRAWN, p=area / area.sum())
+    return fit_temperature(np.concatenate(scores)[drawn].astype(np.float32), labels[drawn])
+
+
+def _shared(samples: Sequence[PhotoSamples]) -> tuple[int, ...]:
+    """Classes that two held-out groups hold at least: of others, none teaches the one that judges."""
+    groups: dict[int, set[str]] = {}
+    for sample in samples:
+        for k in np.unique(sample.labels):
+            groups.setdefault(int(k), set()).add(sample.site)
+    return tuple(sorted(k for k, names in groups.items() if len(names) > 1))
+
+
+def as_head(
+    name: str, fitted: FittedHead, channels: Mapping[str, int], temperature: float, withdrawal: Withdrawal
+) -> LabelHead:
+    """A fitted head as it runs, before it has a file."""
+    weights, start = {}, 0
+    for key, count in channels.items():
+        weights[key] = np.ascontiguousarray(fitted.weights[start : start + count].T, dtype=np.float32)
+        start += count
+    return LabelHead(name, name, weights, fitted.bias.astype(np.float32), temperature, withdrawal)
+
+
+def _with_head(segmenter: Segmenter, head: LabelHead) -> Segmenter:
+    return Segmenter(segmenter.manifest, labels=segmenter.labels, head=head)

@@ -1,0 +1,145 @@
+"""Reads, finds and writes heads of a label network: one YAML file each, a few kilobytes."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+from typing import Annotated, Final
+
+import numpy as np
+import yaml
+from pydantic import Field, model_validator
+
+from ltm_core.config_io import load_yaml
+from ltm_core.errors import ConfigError, ModelError
+from ltm_core.strict_model import StrictModel
+from ltm_core.vision.label_calibration_io import Calibration
+from ltm_core.vision.label_head import SHIPPED_HEAD, LabelHead
+from ltm_core.vision.manifest import Manifest, Withdrawal, added_folder
+
+_Weight = Annotated[float, Field(ge=-1e4, le=1e4)]
+_DIGITS: Final = 4
+
+
+class HeadFile(StrictModel):
+    """A head on disk. `network` and `sha256` are those of the network whose `maps` it reads, by name: a row for each of
+    `classes`, a column for each of the map's channels. `calibration`: how its labels err, on photos held out.
+    """
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,60}$")
+    network: str
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+    made: str = ""
+    licence: str = ""
+    classes: tuple[str, ...] = Field(min_length=2)
+    temperature: float = Field(gt=0)
+    withdraw: Withdrawal = Withdrawal()
+    bias: tuple[_Weight, ...]
+    maps: dict[str, tuple[tuple[_Weight, ...], ...]] = Field(min_length=1)
+    calibration: Calibration | None = None
+
+    @model_validator(mode="after")
+    def _shapes_agree(self) -> HeadFile:
+        count = len(self.classes)
+        if self.name == SHIPPED_HEAD:
+            raise ValueError(f"name: {SHIPPED_HEAD!r} is the network's own head; choose another")
+        if len(self.bias) != count:
+            raise ValueError(f"bias has {len(self.bias)} values, expected {count}, one for each of classes")
+        for name, rows in self.maps.items():
+            widths = {len(row) for row in rows}
+            if len(rows) != count or len(widths) != 1 or not max(widths):
+                raise ValueError(
+                    f"maps.{name}: expected {count} rows of as many numbers each, one row for each of classes; got "
+                    f"{len(rows)} rows of {', '.join(map(str, sorted(widths))) or 'none'}"
+                )
+        return self
+
+
+def read_head(path: Path, manifest: Manifest) -> tuple[LabelHead, HeadFile]:
+    """The head of a file, for the network of a manifest, and all that the file says.
+
+    Raises ModelError, with what was expected and what was found: no file, wrong content, another network's head.
+    """
+    try:
+        content = load_yaml(path, HeadFile)
+    except ConfigError as reason:
+        raise ModelError(str(reason)) from reason
+    if content.sha256 != manifest.sha256:
+        raise ModelError(
+            f"{path}: is a head of network {content.network!r} with sha256 {content.sha256}; the camera's network is "
+            f"{manifest.name!r} with {manifest.sha256}. Teach it again: ltm train head PHOTOS --model {manifest.name}"
+        )
+    if content.classes != manifest.classes:
+        raise ModelError(
+            f"{path}: is of classes {', '.join(content.classes)}; {manifest.name!r} has {', '.join(manifest.classes)}"
+        )
+    absent = [name for name in content.maps if name not in manifest.maps]
+    if absent:
+        raise ModelError(
+            f"{path}: reads map {', '.join(absent)}; {manifest.name!r} states {', '.join(manifest.maps) or 'none'} "
+            "(`maps` in its manifest)"
+        )
+    wrong = [f"{name} ({len(rows[0])}, not {manifest.maps[name]})" for name, rows in content.maps.items()
+             if len(rows[0]) != manifest.maps[name]]  # fmt: skip
+    if wrong:
+        raise ModelError(f"{path}: weights for another number of channels: {', '.join(wrong)}")
+    checksum = hashlib.sha256(path.read_bytes()).hexdigest()
+    head = LabelHead(
+        name=content.name,
+        described=f"{content.name} {checksum[:12]}",
+        weights={name: np.asarray(rows, np.float32) for name, rows in content.maps.items()},
+        bias=np.asarray(content.bias, np.float32),
+        temperature=content.temperature,
+        withdraw=content.withdraw,
+    )
+    return head, content
+
+
+def find_head(name: str, manifest: Manifest, folder: Path | None = None) -> Path | None:
+    """The file of a camera's head; None for the network's own, `landscape`.
+
+    `name`: a path (`*.yaml`), or a name that is looked for in `folder` (a site's), beside the manifest and among what
+    the user taught. Raises ModelError with every place looked at.
+    """
+    if name == SHIPPED_HEAD:
+        return None
+    if name.endswith((".yaml", ".yml")) or os.sep in name:
+        path = Path(name) if folder is None else folder / name
+        places = [path]
+    else:
+        folders = [*([] if folder is None else [folder]), *(heads_folder(manifest, f) for f in _beside(manifest))]
+        places = [place / f"{name}.yaml" for place in folders]
+    for place in places:
+        if place.is_file():
+            return place
+    raise ModelError(
+        f"no head {name!r} of network {manifest.name!r}; looked at {', '.join(map(str, places))}. Teach one: ltm train "
+        f"head PHOTOS --out {Path(name).stem}"
+    )
+
+
+def heads_folder(manifest: Manifest, folder: Path | None = None) -> Path:
+    """Where heads of a network lie, below the folder of its manifest or, by default, of the user's own models."""
+    return (added_folder() if folder is None else folder) / f"{manifest.name}_heads"
+
+
+def write_head(path: Path, content: HeadFile) -> None:
+    """Write a head; weights with four digits. The folder is made."""
+    data = content.model_dump(mode="json", exclude_none=True)
+    data["bias"] = _rounded(data["bias"])
+    data["maps"] = {name: [_rounded(row) for row in rows] for name, rows in data["maps"].items()}
+    if "calibration" in data:
+        data["calibration"]["confusion"] = [_rounded(row, 4) for row in data["calibration"]["confusion"]]
+        data["calibration"]["ece"] = {key: round(value, 4) for key, value in data["calibration"]["ece"].items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=118)
+    path.write_text(f"# A head of a label network, written by `ltm train head`: docs/labels.md.\n{text}", "utf-8")
+
+
+def _beside(manifest: Manifest) -> list[Path]:
+    return list(dict.fromkeys([manifest.folder, added_folder()]))
+
+
+def _rounded(row: list[float], digits: int = _DIGITS) -> list[float]:
+    return [float(f"{value:.{digits}g}") for value in row]

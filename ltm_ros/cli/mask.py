@@ -1,0 +1,164 @@
+"""`ltm mask`: proposes what of a camera's pictures never shows the landscape, and keeps what a person confirms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ltm_ros.cli.output import Overwrite
+
+if TYPE_CHECKING:
+    from ltm_core.site import Site
+    from ltm_core.types import Float64Array, UInt8Array
+    from ltm_core.vision.mask_proposals import Proposal
+    from ltm_core.vision.polygons_io import NamedArea
+
+
+def mask(
+    pictures: Annotated[Path, typer.Argument(help="Folder of one camera's pictures, or a recording (with --site).")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="PNG to write; default: CAMERA_mask.png beside the site file, or mask.png."),
+    ] = None,
+    site: Annotated[Path | None, typer.Option(help="Site file of the camera.")] = None,
+    camera: Annotated[str, typer.Option(help="Name of the camera in the site file.")] = "",
+    only: Annotated[str, typer.Option(help="Of a folder, only pictures so called, such as 'west_2018*'.")] = "*",
+    keep: Annotated[
+        str, typer.Option(help="Numbers of the proposals that are right, such as 1,3; or all, or none.")
+    ] = "",
+    drawn: Annotated[
+        Path | None, typer.Option(help="polygons.json of `ltm label`: areas that are proposed besides.")
+    ] = None,
+    model: Annotated[str, typer.Option(help="Segmentation network; default: the site's, or the shipped one.")] = "",
+    overwrite: Overwrite = False,
+) -> None:
+    """Propose a camera's mask: lens corners, captions, masts before the sky. Look at the picture, then --keep.
+
+    Without --keep nothing is decided: PNG and polygons hold all that is proposed. With it only that, and the line for
+    the site file is printed. What is found hangs on the pictures alone, so the numbers stay.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from ltm_core.errors import ConfigError
+    from ltm_core.output_io import require_files
+    from ltm_core.pictures import to_png
+    from ltm_core.pictures.mask_proposals import mask_picture
+    from ltm_core.site_io import load_site
+    from ltm_core.vision.camera_mask_io import write_mask
+    from ltm_core.vision.mask_proposals import MOST_FRAMES, drawn_proposals, propose_mask
+    from ltm_core.vision.polygons_io import read_areas, write_areas
+    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+    from ltm_ros.recordings.camera_pictures import folder_pictures, recorded_pictures
+
+    if (site is None) != (not camera):
+        raise ConfigError("give --site and --camera together: whose mask it shall be")
+    known = None if site is None else load_site(site)
+    if known is not None:
+        known.camera(camera)
+    is_recording = pictures.is_file() or any(pictures.glob("*.mcap"))
+    if is_recording and known is None:
+        raise ConfigError(f"{pictures} is a recording: give --site and --camera, whose pictures shall be looked at")
+    target = out or (site.parent / f"{camera}_mask.png" if site is not None else Path("mask.png"))
+    beside = target.with_suffix(".json"), target.with_name(f"{target.stem}_proposals.png")
+    require_files([target, *beside], overwrite or bool(keep))
+    if is_recording and known is not None:
+        names, frames = recorded_pictures(pictures, known, camera, MOST_FRAMES)
+    else:
+        names, frames = folder_pictures(pictures, only, MOST_FRAMES)
+    segmenter = Segmenter.open(model or (DEFAULT_MODEL if known is None else known.model))
+    skyline = None if known is None else _terrain_skyline(known, camera, frames[0])
+    proposals = propose_mask(frames, segmenter, skyline)
+    if drawn is not None:
+        areas = [area for area in read_areas(drawn) if area.image in names]
+        proposals += drawn_proposals(areas, frames[0].shape[:2])
+    kept = _kept(keep, len(proposals))
+    console = Console()
+    table = Table("number", "what", "share", "why", "kept", title=f"{len(frames)} pictures of one camera")
+    for number, (proposal, keeps) in enumerate(zip(proposals, kept, strict=True), start=1):
+        share = f"{proposal.hidden.mean():.2%}"
+        table.add_row(str(number), proposal.kind, share, proposal.reason, "yes" if keeps else "no")
+    console.print(table)
+    if len(frames) == 1:
+        console.print("[yellow]one picture alone: clouds may be taken for structures; more, in other light, are better")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    beside[1].write_bytes(to_png(mask_picture(frames[0], [p.hidden for p in proposals], kept)))
+    console.print(f"  look at {beside[1]}", highlight=False)
+    chosen = [(n, p) for n, (p, k) in enumerate(zip(proposals, kept, strict=True), start=1) if k]
+    if not chosen:
+        console.print("nothing to mask" if keep or not proposals else "nothing is kept")
+        return
+    import numpy as np
+
+    hidden = np.logical_or.reduce([proposal.hidden for _, proposal in chosen])
+    write_mask(target, hidden)
+    write_areas(beside[0], _areas(names[0], chosen))
+    console.print(f"  {target}: {hidden.mean():.1%} of the picture\n  {beside[0]}", highlight=False)
+    if keep:
+        typer.echo(f"cameras:\n  {camera or 'CAMERA'}:\n    mask: {_below(target, site)}")
+    else:
+        typer.echo("confirm with --keep, such as --keep " + ",".join(str(n) for n, _ in chosen))
+
+
+def _kept(keep: str, count: int) -> list[bool]:
+    from ltm_core.errors import ConfigError
+
+    if keep in ("", "all"):
+        return [True] * count
+    if keep == "none":
+        return [False] * count
+    try:
+        numbers = {int(part) for part in keep.split(",")}
+    except ValueError as error:
+        raise ConfigError(f"--keep {keep}: expected numbers of proposals such as 1,3, or all, or none") from error
+    unknown = sorted(numbers - set(range(1, count + 1)))
+    if unknown:
+        raise ConfigError(f"--keep {keep}: there is no proposal {unknown[0]}; there are {count}")
+    return [number in numbers for number in range(1, count + 1)]
+
+
+def _areas(image: str, chosen: list[tuple[int, Proposal]]) -> list[NamedArea]:
+    from ltm_core.vision.mask_config import MOST_POINTS
+    from ltm_core.vision.mask_proposals import polygons_of
+    from ltm_core.vision.polygons_io import NamedArea
+
+    return [
+        NamedArea(image=image, kind=proposal.kind, polygon=polygon, number=number, reason=proposal.reason)
+        for number, proposal in chosen
+        for polygon in polygons_of(proposal.hidden)
+        if len(polygon) <= MOST_POINTS
+    ]
+
+
+def _below(target: Path, site: Path | None) -> str:
+    """The mask's path as the site file names it."""
+    folder = target.parent if site is None else site.parent
+    resolved = target.resolve()
+    if resolved.is_relative_to(folder.resolve()):
+        return resolved.relative_to(folder.resolve()).as_posix()
+    return f"{target.name}   # copy {target} into {folder}: a site names no file outside its folder"
+
+
+def _terrain_skyline(site: Site, camera: str, frame: UInt8Array) -> Float64Array | None:
+    """(W,) rows above which the camera's pose lets no terrain expect; None where the site file has no pose of it."""
+    import numpy as np
+
+    from ltm_core.tracing import TerrainTracer
+
+    config = site.camera(camera)
+    if config.pose is None or config.calibration is None:
+        return None
+    dem = site.open_dem()
+    lens = config.calibration.camera()
+    if (lens.width, lens.height) != (frame.shape[1], frame.shape[0]):
+        return None
+    step = max(1, round(lens.width / 640))
+    small = lens.resized(lens.width // step, lens.height // step)
+    surface = site.open_surface(dem)
+    tracer = TerrainTracer(surface, site.curvature, site.refraction, site.possible_ground)
+    land = ~np.isposinf(tracer.trace(small, config.pose.pose(dem, site.frame)).range)
+    top = np.where(land.any(axis=0), np.argmax(land, axis=0), small.height).astype(np.float64)
+    columns = (np.arange(lens.width) + 0.5) * small.width / lens.width - 0.5
+    return np.asarray(np.interp(columns, np.arange(small.width), top) * lens.height / small.height, np.float64)

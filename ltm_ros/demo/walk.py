@@ -1,0 +1,116 @@
+"""The part of `make demo` that is a person: photos of a walk with a phone, whose poses are found in the pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ltm_core.evaluation.metrics.fuel import score_fuel
+from ltm_core.evaluation.pictures.walk import walk_map
+from ltm_core.fuel.fuel_map_io import read_fuel_map
+from ltm_core.fuel.majority import MajorityFuelMap
+from ltm_core.resources import config_path
+from ltm_core.site import Site
+from ltm_core.site_io import load_site
+from ltm_core.types import Float64Array, RgbImage
+from ltm_core.vision.labels import LabelSet
+from ltm_ros.evaluation.recorded_pose_errors import RecordedPoseErrors, recorded_pose_errors, recorded_poses
+from ltm_ros.evaluation.run_report import Sheet
+from ltm_ros.importer.assumptions import Assumptions
+from ltm_ros.importer.build import import_photos
+from ltm_ros.importer.refinement import PoseRefinement
+from ltm_ros.recordings.recorded_run import FUEL_TRUTH, Recorded, recorded_votes
+from ltm_ros.replay.run import ReplayOptions, run_offline
+
+PHONE = Assumptions(focal_35mm=26.0, height_above_ground=1.6)
+"""What the recording does not tell: its lens, and how high it was held."""
+
+
+@dataclass(frozen=True, eq=False)
+class WalkMap:
+    """What the graph makes of the walk with poses of one kind.
+
+    `errors`: of these against the true ones. `cells`: that labels were placed in. `known`: of those, where there is a
+    truth; `right`: where the most frequent label is the truth's.
+    """
+
+    poses: str
+    errors: RecordedPoseErrors
+    cells: int
+    right: int
+    known: int
+
+    @property
+    def right_percent(self) -> float:
+        return 100 * self.right / max(1, self.known)
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """`maps`: of the phone's poses, of those found in the pictures, of the true ones. `accepted`: poses that were
+    found."""
+
+    photos: int
+    accepted: int
+    maps: tuple[WalkMap, ...]
+    picture: RgbImage
+
+
+def run_walk(walk: Path, out: Path, progress: Callable[[int, int], None]) -> Walk:
+    """Import the walk (site.yaml, sensor_logger.zip, photos/, true_poses.csv) into `out` and replay it offline,
+    with the phone's poses, the pictures', and the true ones. Raises LtmError.
+    """
+    site_path = walk / "site.yaml"
+    site = load_site(site_path)
+    log = [walk / "sensor_logger.zip"]
+    found = import_photos(
+        log, out / "found", site=site, assumed=PHONE, progress=progress, refinement=PoseRefinement(site)
+    )
+    import_photos(log, out / "phone", site=site, assumed=PHONE)
+    import_photos([walk / "photos"], out / "true", walk / "true_poses.csv", site)
+    kinds = (("phone", "of the phone's sensors"), ("found", "found in the pictures"), ("true", "true"))
+    maps, directions = [], {}
+    for name, title in kinds:
+        options = ReplayOptions(record=out / f"{name}_map")
+        run_offline(out / name, site_path, options, lambda done, total: None)
+        errors = recorded_pose_errors(out / name, out / "true", site)
+        maps.append(_map(title, errors, Recorded(out / f"{name}_map", site_path, site, walk.parent / "demo")))
+        directions[title] = _directions(out / name, site)
+    accepted = sum(refinement.verdict == "accepted" for _, refinement in found.refined)
+    return Walk(len(found.refined), accepted, tuple(maps), walk_map(site.open_dem(), directions))
+
+
+def walk_sheet(walk: Walk) -> Sheet:
+    """The walk's part of the report."""
+    phone, found, _ = walk.maps
+    (told, _), (refined, _) = phone.errors.azimuth_deg, found.errors.azimuth_deg
+    share = [row.right_percent for row in walk.maps]
+    return Sheet(
+        "A walk with a phone",
+        walk.picture,
+        f"{walk.photos} simulated photos. The phone's compass is off by {told:.1f}° in the median. {walk.accepted} "
+        f"poses were found in the pictures; they say how far off the compass is in the others, too: then it is "
+        f"{refined:.1f}°. Labels are right in {share[0]:.0f} % of the cells by the phone's poses, in {share[1]:.0f} % "
+        f"by those that were found, and in {share[2]:.0f} % by the true ones.",
+    )
+
+
+def _directions(bag: Path, site: Site) -> Float64Array:
+    """(N, 3): x, y in the map frame and azimuth in degrees."""
+    poses = [pose for pose, _ in recorded_poses(bag, site).values()]
+    return np.array([[*pose.position[:2], pose.angles_deg[0]] for pose in poses])
+
+
+def _map(title: str, errors: RecordedPoseErrors, recorded: Recorded) -> WalkMap:
+    labels = LabelSet.load(config_path(recorded.site.labels))
+    grid = recorded.site.fuel_geometry(recorded.site.open_dem())
+    votes = MajorityFuelMap(grid, len(labels))
+    for frame in recorded_votes(recorded, grid, labels):
+        votes.add(frame)
+    classes = votes.classes()
+    truth = read_fuel_map(recorded.truth / FUEL_TRUTH)
+    score = score_fuel(classes, recorded.site.in_crs(grid), *truth, len(labels))
+    return WalkMap(title, errors, int((classes != 255).sum()), score.right, score.seen)

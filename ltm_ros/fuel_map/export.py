@@ -1,0 +1,120 @@
+"""Writes a site's fuel map in a format of fire models, GIS, globes or pictures, and says of itself what it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ltm_core.fuel.codes import FuelSystem
+from ltm_core.fuel.export.export_grid import GridTransfer, make_landscape, snapped_grid
+from ltm_core.fuel.export.kmz_io import write_kmz
+from ltm_core.fuel.export.landscape import Landscape
+from ltm_core.fuel.export.landscape_io import write_elmfire, write_landscape, write_layers
+from ltm_core.fuel.export.lcp_io import write_lcp
+from ltm_core.fuel.export.points_io import fuel_points, write_las, write_ply
+from ltm_core.fuel.export.provenance import Provenance, landscape_units
+from ltm_core.fuel.export.stac_item_io import item_path, write_item
+from ltm_core.fuel.life_form import life_form_labels
+from ltm_core.fuel.site_map import spare_heights
+from ltm_core.grid import GridGeometry
+from ltm_core.pictures import to_png
+from ltm_core.pictures.fuel_maps import overlay_picture
+from ltm_core.pictures.fuel_sheets import change_sheet, coverage_sheet, fuel_sheet, seen_sheet
+from ltm_core.pictures.legend import label_legend
+from ltm_ros.fuel_map.pictures import canvas_of, places_of, seen_window
+from ltm_ros.fuel_map.source import FuelSource
+
+LANDSCAPES = ("lcp", "landscape", "elmfire")
+PICTURES = ("png", "change", "coverage")
+
+
+def sidecars(out: Path, kind: str) -> list[Path]:
+    """The files that come to stand beside `out`; QGIS styles are only written over where they are ours."""
+    beside = {"landscape": [item_path(out)], "kmz": [item_path(out)]}
+    beside["lcp"] = [item_path(out), out.with_suffix(".prj")]
+    return beside.get(kind, [])
+
+
+def export_site(
+    map_: FuelSource, out: Path, crs: str | None, kind: str, system: str, as_of: str | None, since: str | None
+) -> tuple[GridGeometry, list[str]]:
+    """Everything that needs more than the label map; the grid of what was written, and what is to be told of it.
+
+    `kind`: of `ltm export --format`. Raises LtmError.
+    """
+    if kind in PICTURES:
+        _draw(map_, out, kind, as_of, since)
+        return map_.geometry, []
+    grid = map_.geometry
+    target = grid if crs is None else snapped_grid(grid, crs, map_.site.fuel.phase)
+    if kind in LANDSCAPES:
+        return target, _write_landscape(map_, out, kind, FuelSystem(system), target, as_of)
+    layers, made = map_.at(as_of), map_.provenance(as_of)
+    transfer, palette = GridTransfer(grid, target), life_form_labels(map_.labels)
+    moved, heights = transfer.layers(layers), transfer.heights(map_.site.open_dem(), map_.site.frame)[1:-1, 1:-1]
+    if kind == "layers":
+        write_layers(out, moved, target, made.tags(), palette)
+        write_item(out, sorted(out.glob("*.tif")), target, made)
+    elif kind == "kmz":
+        shown = label_legend(520, palette, set(moved.life_form.ravel().tolist()) - {255})
+        picture = overlay_picture(moved, heights, target.resolution, palette)
+        write_kmz(out, picture, target, f"fuel map of {map_.site.name}", shown, made)
+        write_item(out, [out], target, made)
+    else:
+        points = fuel_points(moved, heights, target, map_.labels)
+        (write_ply if kind == "ply" else write_las)(out, points, made)
+    return target, []
+
+
+def _write_landscape(
+    map_: FuelSource, out: Path, kind: str, system: FuelSystem, target: GridGeometry, as_of: str | None
+) -> list[str]:
+    site, layers = map_.site, map_.at(as_of)
+    landscape = make_landscape(
+        layers,
+        map_.prior,
+        site.open_dem(),
+        site.frame,
+        map_.geometry,
+        map_.region,
+        system,
+        target,
+        spare_heights(site, site.in_map(map_.geometry)),
+    )
+    made = map_.provenance(as_of, system, landscape)
+    tags = made.tags() | landscape_units()
+    if kind == "lcp":
+        write_lcp(out, landscape, made.line())
+        files = [out, out.with_suffix(".prj")]
+    elif kind == "landscape":
+        write_landscape(out, landscape, tags)
+        files = [out]
+    else:
+        write_elmfire(out, landscape, tags)
+        files = sorted(out.glob("*.tif"))
+    write_item(out, files, target, made)
+    return [_about(made, landscape)]
+
+
+def _about(made: Provenance, landscape: Landscape) -> str:
+    note = landscape.terrain_note()
+    return f"{made.line()}\nevery {'other ' if note else ''}cell with a code has elevation, slope and aspect"
+
+
+def _draw(map_: FuelSource, out: Path, kind: str, as_of: str | None, since: str | None) -> None:
+    layers, palette = map_.at(as_of), life_form_labels(map_.labels)
+    dem, grid, bounds = map_.site.open_dem(), map_.site.in_map(map_.geometry), None
+    places = places_of(map_.site, dem)
+    if kind == "change":
+        # What cameras have seen: of a large prior, changed cells would be dots.
+        touched = (map_.layers.last_seen > 0) | map_.layers.changed
+        bounds = seen_window(grid, touched, places) if touched.any() else None
+    canvas = canvas_of(map_.site, dem, grid, places, bounds)
+    if kind == "png":
+        sheet = fuel_sheet(canvas, layers, palette)
+    elif kind == "change":
+        names = (since or "before any evidence", as_of or "now")
+        sheet = change_sheet(canvas, map_.empty if since is None else map_.at(since), layers, palette, names)
+    else:
+        coverage = map_.coverage()
+        sheet = seen_sheet(canvas, map_.seen_by()) if coverage is None else coverage_sheet(canvas, coverage)
+    out.write_bytes(to_png(sheet))

@@ -1,0 +1,39 @@
+"""A head taught by five views of real fire towers: each site labelled by a head that the other sites taught."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from ltm_core.training.head_trial import teach_head
+from ltm_core.training.labelled_frames import read_frames
+from ltm_core.training.polygon_labels_io import POLYGONS_FILE, drawn, read_polygons
+from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
+from ltm_core.vision.segmenter import Segmenter
+
+
+def test_polygons_and_pictures_of_the_same_areas_agree(shared_data: Path) -> None:
+    folder, labels = shared_data / "hpwren_towers", LabelSet.load()
+    named = read_polygons(folder / POLYGONS_FILE, labels)
+    frames = read_frames(folder, len(labels))
+    assert [frame.path.name for frame in frames] == sorted(named)
+    for frame in frames:
+        areas = drawn(named[frame.path.name], labels, frame.labels.shape)
+        assert (areas != frame.labels).sum() < 0.01 * (areas != UNLABELLED).sum()  # the outlines' own pixels
+
+
+@pytest.mark.slow
+def test_sites_that_did_not_teach_a_head_are_labelled_better_by_it(shared_data: Path) -> None:
+    frames = read_frames(shared_data / "hpwren_towers", 7)
+    trial = teach_head(Segmenter.open(), frames, "towers", "")
+    before, after = trial.before.labels.f1, trial.after.labels.f1
+    assert before[Label.SHRUB] < 0.65
+    assert before[Label.BUILT] < 0.05
+    assert after[Label.SHRUB] >= 0.80
+    assert after[Label.BARE] >= 0.65
+    assert after[Label.BUILT] >= 0.55
+    assert after[Label.SKY] >= 0.985
+    assert trial.after.calibration.ece <= 0.08
+    assert trial.after.land_risk.risk(0.8) < trial.after.land_risk.risk()
+    assert trial.sites == ("highpoint", "redmtn", "santaynez")

@@ -1,0 +1,142 @@
+"""Fusion where a mast, a caption and a corner of the lens stand before the terrain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes.depth_scene import CAMERA, TREE, depth_scene
+
+from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.depth_discontinuities import DepthDiscontinuities
+from ltm_core.depth.hidden_pixels import edges_seen, hidden_at
+from ltm_core.depth.monocular import NetworkDepth
+from ltm_core.depth.topodepth import FusedDepth, Source, Verdict, fuse
+from ltm_core.errors import ImageError
+from ltm_core.range_image import DepthImage
+from ltm_core.types import BoolArray
+from ltm_core.vision.labels import LabelSet
+
+CLASSES = ClassPriors.of(LabelSet.load())
+
+
+def mast() -> BoolArray:
+    """A tenth of the picture: from the sky down to the near ground, and a caption on top."""
+    hidden = np.zeros((CAMERA.height, CAMERA.width), np.bool_)
+    hidden[:, 300:370] = True
+    hidden[:12] = True
+    return hidden
+
+
+def fused(hidden: BoolArray | None, given: BoolArray | None = None, spoilt: bool = True) -> FusedDepth:
+    """With a mast that the photo, the network and the labels show; `given`: the mask that fusion is told."""
+    scene = depth_scene()
+    photo, labels, inverse = scene.photo.copy(), scene.labels.copy(), scene.network().values.copy()
+    if hidden is not None and spoilt:
+        photo[hidden], labels[hidden] = (np.arange(hidden.sum()) % 7 * 30)[:, None], TREE
+        inverse[hidden_at(hidden, *inverse.shape)] = inverse.max() * 2
+    if given is not None:
+        labels[given] = 255
+    return fuse(scene.traced, NetworkDepth(inverse, "relative_inverse"), photo, labels, CLASSES, hidden=given)
+
+
+def test_hidden_pixels_have_no_depth_and_spoil_none() -> None:
+    hidden, plain = mast(), fused(None)
+    found = fused(hidden, hidden)
+    assert found.verdict is plain.verdict is Verdict.OK
+    for values in (found.depth, found.sigma, found.ground):
+        assert np.isnan(values[hidden]).all()
+    assert (found.source[hidden] == Source.UNKNOWN).all()
+    assert found.fit is not None
+    assert plain.fit is not None
+    assert found.fit.line is not None
+    assert plain.fit.line is not None
+    assert found.fit.line.scale == pytest.approx(plain.fit.line.scale, rel=0.05)
+    # What is seen is as without a mast, but for what filters carry a few pixels over its edge.
+    clear = ~hidden_at(hidden, CAMERA.height // 20, CAMERA.width // 20).repeat(20, 0).repeat(20, 1)
+    clear &= np.isfinite(plain.depth)
+    assert (np.abs(found.depth[clear] / plain.depth[clear] - 1) < 0.02).mean() > 0.97
+    truth = depth_scene().truth
+    error = np.abs(found.depth[clear] - truth[clear]).mean()
+    assert error < 1.1 * np.abs(plain.depth[clear] - truth[clear]).mean() + 0.1
+
+
+def test_without_the_mask_the_mast_does_harm() -> None:
+    """That the scene is one in which masks matter."""
+    hidden = mast()
+    assert np.isfinite(fused(hidden).depth[hidden]).any()
+
+
+def test_nothing_is_measured_where_it_is_hidden() -> None:
+    hidden, plain = mast(), fused(None).measured()
+    found = fused(hidden, hidden)
+    measured, metres = found.measured(), found.network_depth()
+    assert metres is not None
+    small = hidden_at(hidden, *measured.depth.shape)
+    assert np.isnan(measured.depth[small]).all()
+    assert np.isnan(measured.sigma[small]).all()
+    assert np.isnan(metres[small]).all()
+    assert np.isfinite(measured.depth[~small]).mean() > 0.9 * np.isfinite(plain.depth[~small]).mean()
+    doubtful = np.zeros((3, 4), np.bool_)
+    doubtful[2, 1] = True
+    less = found.measured(doubtful)
+    assert np.isnan(less.depth[hidden_at(doubtful, *less.depth.shape)]).all()
+    assert np.isfinite(less.depth).sum() < np.isfinite(measured.depth).sum()
+
+
+def test_traced_depth_that_lacks_the_hidden_pixels_gives_the_same() -> None:
+    """As it comes from the node `depth`, which keeps to the mask too."""
+    scene, hidden = depth_scene(), mast()
+    traced = scene.traced.depth().copy()
+    traced[hidden] = np.nan
+    labels = np.where(hidden, np.uint8(255), scene.labels)
+    given = DepthImage(traced, CAMERA, scene.traced.pose)
+    found = fuse(given, scene.network(), scene.photo, labels, CLASSES, hidden=hidden)
+    assert found.verdict is Verdict.OK
+    assert np.isnan(found.depth[hidden]).all()
+    whole = fuse(scene.traced, scene.network(), scene.photo, labels, CLASSES, hidden=hidden)
+    seen = ~hidden & np.isfinite(whole.depth)
+    assert (np.abs(found.depth[seen] / whole.depth[seen] - 1) < 0.02).mean() > 0.98
+
+
+def test_a_mask_over_most_of_the_picture_is_no_unknown_ground() -> None:
+    hidden = np.zeros((CAMERA.height, CAMERA.width), np.bool_)
+    hidden[:, :400] = True
+    assert fused(hidden, hidden).verdict is Verdict.OK
+
+
+def test_a_suspected_pose_and_an_unusable_picture_have_no_depth_there_either() -> None:
+    scene, hidden = depth_scene(), mast()
+    labels = np.where(hidden, np.uint8(255), scene.labels)
+    off = fuse(scene.turned(0.8), scene.network(), scene.photo, labels, CLASSES, hidden=hidden)
+    assert off.verdict is Verdict.POSE_SUSPECTED
+    dark = fuse(scene.traced, scene.network(), scene.photo, labels, CLASSES, hidden=hidden, unusable="night")
+    assert (dark.verdict, dark.reason) == (Verdict.PICTURE_UNUSABLE, "night")
+    for found in (off, dark):
+        assert np.isnan(found.depth[hidden]).all()
+        assert np.isnan(found.measured().depth).all()
+    traced = scene.traced.depth()
+    np.testing.assert_array_equal(dark.depth[~hidden], traced[~hidden])
+    assert np.isfinite(traced[hidden]).any(), "the tracer's own array is left as it was"
+
+
+def test_a_mask_of_another_size_is_refused() -> None:
+    scene = depth_scene()
+    with pytest.raises(ImageError, match="mask of"):
+        fuse(scene.traced, None, scene.photo, None, CLASSES, hidden=np.zeros((9, 16), np.bool_))
+
+
+def test_edges_at_the_border_of_the_mask_are_none_of_the_terrain() -> None:
+    rows, cols = np.array([9, 7, 5, 5], np.int32), np.array([1, 1, 1, 4], np.int32)
+    hidden = np.zeros((12, 6), np.bool_)
+    hidden[5:7, :3] = True
+    seen = edges_seen(DepthDiscontinuities(rows, cols, 1.3), hidden)
+    assert list(zip(seen.rows, seen.cols, strict=True)) == [(9, 1), (5, 4)]
+
+
+def test_a_hidden_pixel_hides_all_that_covers_it() -> None:
+    hidden = np.zeros((6, 8), np.bool_)
+    hidden[5, 2] = True
+    expected = np.zeros((2, 4), np.bool_)
+    expected[1, 1] = True
+    np.testing.assert_array_equal(hidden_at(hidden, 2, 4), expected)
+    np.testing.assert_array_equal(hidden_at(expected, 6, 8), expected.repeat(3, 0).repeat(2, 1))

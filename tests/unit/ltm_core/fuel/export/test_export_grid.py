@@ -1,0 +1,82 @@
+"""Landscapes of which every cell has all of elevation, slope, aspect and code, or nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltm_core.dem import Dem
+from ltm_core.fuel.codes import FuelRegion, FuelSystem
+from ltm_core.fuel.decision import layers_of_classes
+from ltm_core.fuel.export.export_grid import make_landscape
+from ltm_core.fuel.export.landscape import Landscape, terrain_bands
+from ltm_core.fuel.life_form import NODATA
+from ltm_core.fuel.prior import FuelPrior
+from ltm_core.geodesy import SiteFrame
+from ltm_core.grid import GridGeometry
+from ltm_core.types import Float32Array
+
+FRAME = SiteFrame("EPSG:32611", 346_000.0, 3_783_000.0)
+GRID = GridGeometry(345_975.0, 3_783_195.0, 30.0, 9, 7, "EPSG:32611")
+TERRAIN = GridGeometry(0.0, 180.0, 10.0, 22, 15)
+"""In the map frame: it covers columns 1 to 7 and half of row 0; of column 0 and rows 5 and 6 little or nothing."""
+
+
+def made(spare: Float32Array | None = None) -> Landscape:
+    rows, cols = np.indices(TERRAIN.shape)
+    heights = (500 + 2.0 * cols - 4.0 * rows).astype(np.float32)
+    prior = FuelPrior(np.full(GRID.shape, 102, np.int16), GRID)
+    region = FuelRegion.named("dry")
+    layers = layers_of_classes(np.full(GRID.shape, 255, np.uint8), prior, region)
+    return make_landscape(
+        layers, prior, Dem(heights, TERRAIN), FRAME, GRID, region, FuelSystem.FBFM40, spare=spare
+    )  # fmt: skip
+
+
+def complete(landscape: Landscape) -> bool:
+    known = landscape.band("fuel") != NODATA
+    return all(((landscape.band(name) != NODATA) == known).all() for name in ("elevation", "slope", "aspect"))
+
+
+def test_a_cell_that_the_terrain_covers_in_part_has_its_height() -> None:
+    landscape = made()
+    assert complete(landscape)
+    known = landscape.band("fuel") != NODATA
+    assert known[1, 1:8].all()
+    assert known[0, 1:7].all()  # half of them
+    # The plane rises 0.2 to the east and falls 0.4 to the south.
+    assert set(np.unique(landscape.band("slope")[2:4, 2:6]).tolist()) == {24}
+    assert (landscape.band("slope")[0, 2:6] > 10).all()
+
+
+def test_cells_without_any_terrain_are_marked_and_told() -> None:
+    landscape = made()
+    dropped = landscape.bands[:, 6]
+    assert (dropped == NODATA).all()
+    assert landscape.dropped == int((landscape.band("fuel") == NODATA).sum()) > 8
+    assert f"{landscape.dropped} cells with a code have no elevation" in landscape.terrain_note()
+
+
+@pytest.mark.parametrize(("offset", "taken"), [(12.0, True), (-30.0, True), (700.0, False)])
+def test_the_priors_own_elevations_fill_what_is_lacking(offset: float, taken: bool) -> None:
+    rows, cols = np.indices(GRID.shape)
+    x, y = -25 + 30 * (cols + 0.5), 195 - 30 * (rows + 0.5)
+    plane = 500 + 0.2 * (x - 5) - 0.4 * (175 - y)
+    spare = (plane + offset).astype(np.float32)
+    landscape = made(spare)
+    assert complete(landscape)
+    assert (landscape.dropped == 0) == taken
+    assert (landscape.filled > 8) == taken
+    if taken:
+        np.testing.assert_allclose(landscape.band("elevation"), plane, atol=6)
+        assert "elevations of the prior map" in landscape.terrain_note()
+
+
+def test_slope_goes_on_where_a_neighbour_is_unknown() -> None:
+    plane = np.add.outer(-2.0 * np.arange(8.0), 3.0 * np.arange(9.0))
+    plane[3, 4] = plane[4, 6] = np.nan
+    bands = terrain_bands(plane, 1.0)
+    unknown = np.isnan(plane)[1:-1, 1:-1]
+    np.testing.assert_array_equal(bands == NODATA, np.broadcast_to(unknown, bands.shape))
+    assert set(np.unique(bands[1][~unknown]).tolist()) == {74}
+    assert set(np.unique(bands[2][~unknown]).tolist()) == {236}

@@ -1,0 +1,144 @@
+"""Teaching a head: it learns what the maps tell apart, is judged by sites held out, and refused if worse."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import onnx
+import pytest
+from scenes.networks import write_classifier
+from typer.testing import CliRunner
+
+from ltm_core.errors import ImageError, ModelError, RecordingError
+from ltm_core.training.decoder_maps import with_decoder_maps
+from ltm_core.training.head_fit import fit_head
+from ltm_core.training.head_samples import PhotoSamples, photo_samples, sites_of
+from ltm_core.training.head_trial import teach_head
+from ltm_core.training.labelled_frames import Frame, read_frames
+from ltm_core.types import UInt8Array
+from ltm_core.vision.label_head_io import read_head
+from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.segmenter import Segmenter
+from ltm_ros.cli.main import cli
+
+
+def _samples(features: list[list[float]], labels: list[int], shares: list[float]) -> PhotoSamples:
+    values = np.array(features)
+    return PhotoSamples("a", np.array(labels, np.uint8), np.zeros((len(labels), 2)), values, np.array(shares))
+
+
+def test_a_head_tells_apart_what_its_map_does() -> None:
+    samples = _samples([[1.0, 9.0], [1.2, 9.0], [-1.0, 9.0], [-1.1, 9.0]], [0, 0, 1, 1], [0.3, 0.3])
+    head = fit_head([samples], {"last": 1, "s2": 1})
+    assert head.weights[0, 0] > 0 > head.weights[0, 1]
+    np.testing.assert_allclose(head.weights[:, 0], -head.weights[:, 1], atol=1e-4)
+    np.testing.assert_allclose(head.weights[1], 0.0, atol=1e-4)  # of a map that is the same everywhere
+    np.testing.assert_array_equal(head.scores(samples).argmax(axis=1), [0, 0, 1, 1])
+
+
+def test_scores_that_are_right_already_are_hardly_corrected() -> None:
+    rng = np.random.default_rng(2)
+    labels = rng.integers(0, 2, 300).astype(np.uint8)
+    scores = np.where(np.eye(2)[labels] > 0, 12.0, -12.0)
+    head = fit_head([PhotoSamples("a", labels, scores, rng.normal(size=(300, 3)), np.full(2, 0.4))], {"last": 3})
+    assert np.abs(head.weights).max() < 1e-6
+    with pytest.raises(ImageError, match="name areas"):
+        fit_head([], {"last": 3})
+
+
+def _striped(magenta_right: bool, seed: int) -> tuple[UInt8Array, UInt8Array]:
+    """Sky over two halves: magenta, which a person calls built, and brown earth."""
+    rng = np.random.default_rng(seed)
+    photo, labels = np.empty((176, 320, 3), np.uint8), np.full((176, 320), UNLABELLED, np.uint8)
+    photo[:60], photo[60:, :160], photo[60:, 160:] = (110, 160, 230), (200, 30, 200), (120, 90, 60)
+    if not magenta_right:
+        photo[60:] = photo[60:, ::-1]
+    built = (photo[..., 1] == 30) & (photo[..., 0] == 200)
+    labels[:50], labels[70:][~built[70:]], labels[70:][built[70:]] = Label.SKY, Label.BARE, Label.BUILT
+    return np.clip(photo + rng.normal(0, 12, photo.shape), 0, 255).astype(np.uint8), labels
+
+
+def _write_photos(folder: Path, spoiled: bool = False) -> Path:
+    folder.mkdir(parents=True)
+    for place, site in enumerate(("north", "south", "west")):
+        photo, labels = _striped(place % 2 == 0, place)
+        if spoiled:  # each site calls the same thing something else
+            labels[labels != UNLABELLED] = (labels[labels != UNLABELLED] + 1 + place * 2) % 7
+        cv2.imwrite(str(folder / f"{site}_1.png"), photo[..., ::-1])
+        cv2.imwrite(str(folder / f"{site}_1_labels.png"), labels)
+    return folder
+
+
+@pytest.mark.slow
+def test_the_command_installs_a_head_that_is_better_where_it_was_not_taught(tmp_path: Path) -> None:
+    photos, out = _write_photos(tmp_path / "photos"), tmp_path / "heads" / "pink.yaml"
+    command = ["train", "head", str(photos), "--out", str(out), "--also", str(photos), "--limit", "1"]
+    result = CliRunner().invoke(cli, [*command, "--json", str(tmp_path / "h.json")], env={"COLUMNS": "200"})
+    assert result.exit_code == 0, result.output
+    assert "what the head forgets" in result.output
+    score = json.loads((tmp_path / "h.json").read_text())["photos"]
+    assert score["head pink"]["f1"]["built"] > 0.9
+    manifest = Manifest.find("landscape_lite0")
+    head, content = read_head(out, manifest)
+    assert out.stat().st_size < 20_000
+    assert content.calibration is not None
+    assert content.calibration.measured_on == "3 photos of 3 sites, held out by site"
+    photo, labels = _striped(True, 9)
+    found = Segmenter(manifest, head=head).segment(photo).labels
+    assert (found == labels)[labels != UNLABELLED].mean() > 0.9
+    assert (Segmenter.open().segment(photo).labels == Label.BUILT)[labels == Label.BUILT].mean() < 0.5
+
+
+@pytest.mark.slow
+def test_a_head_that_is_worse_is_not_installed(tmp_path: Path) -> None:
+    photos, out = _write_photos(tmp_path / "photos", spoiled=True), tmp_path / "heads" / "noise.yaml"
+    result = CliRunner().invoke(cli, ["train", "head", str(photos), "--out", str(out)])
+    assert isinstance(result.exception, ModelError)
+    assert "not installed" in str(result.exception) or "no class is named" in str(result.exception)
+    assert not list(out.parent.glob("*")) if out.parent.is_dir() else True
+
+
+def test_what_cannot_teach_is_told(tmp_path: Path) -> None:
+    frames = read_frames(_write_photos(tmp_path / "photos"), 7)
+    with pytest.raises(ModelError, match="one photo"):
+        teach_head(Segmenter.open(), frames[:1], "x", "")
+    with pytest.raises(ModelError, match="no decoder maps"):
+        teach_head(Segmenter.open(write_classifier(tmp_path)), frames, "x", "")
+    with pytest.raises(ModelError, match="classes are the labels"):
+        teach_head(Segmenter.open(write_classifier(tmp_path, maps=True)), frames, "x", "")
+
+
+def test_the_site_of_a_photo_is_in_its_name_or_in_a_table(tmp_path: Path) -> None:
+    nothing = np.zeros((2, 3), np.uint8)
+    frames = [Frame(np.zeros((2, 3, 3), np.uint8), nothing, tmp_path / n) for n in ("peak_n_1.jpg", "b.jpg", "c_1.jpg")]
+    assert sites_of(frames) == ["peak", "b", "c"]
+    (tmp_path / "sites.csv").write_text("image,site\nb.jpg,peak\n")
+    assert sites_of(frames) == ["peak", "peak", "c"]
+    (tmp_path / "sites.csv").write_text("photo,place\nb.jpg,peak\n")
+    with pytest.raises(RecordingError, match="expected image, site"):
+        sites_of(frames)
+
+
+def test_samples_are_the_network_s_own_at_named_pixels(tmp_path: Path) -> None:
+    photo, labels = _striped(True, 4)
+    segmenter = Segmenter.open()
+    frame = Frame(photo, labels, tmp_path / "a.png")
+    samples = photo_samples(segmenter, frame, "a", np.random.default_rng(0))
+    assert samples.features.shape == (len(samples.labels), 32 + 64 + 64)
+    assert set(np.unique(samples.labels)) == {Label.SKY, Label.BARE, Label.BUILT}
+    assert samples.shares[Label.SKY] == pytest.approx(50 / 176)
+    own = segmenter.logits(photo).reshape(7, -1).T
+    assert all((own == row.astype(np.float32)).all(axis=1).any() for row in samples.scores[::400])
+
+
+def test_a_network_without_the_decoder_s_convolutions_has_no_maps(tmp_path: Path) -> None:
+    write_classifier(tmp_path)
+    with pytest.raises(ModelError, match="no convolution of network"):
+        with_decoder_maps(onnx.load(tmp_path / "colors.onnx"))
+    model, channels = with_decoder_maps(onnx.load(Manifest.find("landscape_lite0").model_file()))
+    assert channels == {"last": 32, "s2": 64, "s1": 64}
+    assert [output.name for output in model.graph.output].count("last") == 1

@@ -1,0 +1,173 @@
+"""Masks of fixed cameras: how they are read, drawn and refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+from scenes.small_site import MAST, write_small_site
+
+from ltm_core.errors import ConfigError
+from ltm_core.site_check import Verdict, check_site
+from ltm_core.site_io import load_site
+from ltm_core.vision.camera_mask import CameraMask
+from ltm_core.vision.camera_mask_io import read_mask, write_mask
+from ltm_core.vision.mask_config import MaskPolygon
+from ltm_core.vision.scene_view import SceneFilter
+
+
+def corner(height: int = MAST.height, width: int = MAST.width) -> np.ndarray:
+    hidden = np.zeros((height, width), np.bool_)
+    hidden[:40, -70:] = True
+    return hidden
+
+
+def site_with(folder: Path, mask: object, camera: str = "mast") -> Path:
+    path = write_small_site(folder, recording=False).path
+    content = yaml.safe_load(path.read_text())
+    content["cameras"][camera]["mask"] = mask
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def test_a_mask_comes_back_as_it_was_written(tmp_path: Path) -> None:
+    hidden = corner()
+    write_mask(tmp_path / "m.png", hidden)
+    np.testing.assert_array_equal(read_mask(tmp_path / "m.png", "here").hidden, hidden)
+    scene = SceneFilter.of(load_site(site_with(tmp_path, "m.png")), "mast")
+    view = scene.look(np.zeros((MAST.height, MAST.width, 3), np.uint8))
+    assert view.hidden is not None
+    np.testing.assert_array_equal(view.hidden, hidden)
+    labels, confidence = np.full(hidden.shape, 3, np.uint8), np.full(hidden.shape, 200, np.uint8)
+    view.unlabelled(labels, confidence)
+    np.testing.assert_array_equal(labels, np.where(hidden, 255, 3))
+    np.testing.assert_array_equal(confidence, np.where(hidden, 0, 200))
+
+
+def test_polygons_hide_the_pixels_that_they_cover(tmp_path: Path) -> None:
+    polygons = [
+        {"class": "mast", "polygon": [[10, 20], [19, 20], [19, 143], [10, 143]]},
+        {"class": "caption", "polygon": [[-5, -4], [260, -4], [260, 6], [-5, 6]], "reason": "over the edge is fine"},
+    ]
+    scene = SceneFilter.of(load_site(site_with(tmp_path, polygons)), "mast")
+    expected = np.zeros((MAST.height, MAST.width), np.bool_)
+    expected[20:144, 10:20] = True
+    expected[:7] = True
+    assert scene.mask is not None
+    np.testing.assert_array_equal(scene.mask.hidden, expected)
+
+
+def test_polygons_of_a_camera_without_calibration_are_drawn_in_the_size_of_its_pictures(tmp_path: Path) -> None:
+    polygons = [{"polygon": [[0, 0], [9, 0], [9, 4], [0, 4]]}]
+    scene = SceneFilter.of(load_site(site_with(tmp_path, polygons, "tower")), "tower")
+    assert scene.mask is None
+    for height, width in ((18, 32), (36, 64)):
+        hidden = scene.hidden(width, height)
+        assert hidden is not None
+        assert hidden.shape == (height, width)
+        assert hidden.sum() == 50
+
+
+def test_a_camera_without_a_mask_hides_nothing(tmp_path: Path) -> None:
+    scene = SceneFilter.of(write_small_site(tmp_path, recording=False).site, "tower")
+    assert scene.look(np.zeros((5, 7, 3), np.uint8)).hidden is None
+
+
+def wrong_files(folder: Path) -> dict[str, object]:
+    rng = np.random.default_rng(1)
+    shape = (MAST.height, MAST.width)
+    Image.fromarray(np.zeros(shape, np.uint8)).save(folder / "empty.png")
+    Image.fromarray(np.ones(shape, np.uint8)).save(folder / "full.png")
+    Image.fromarray(np.eye(*shape[::-1], dtype=np.uint8)).save(folder / "turned.png")
+    Image.fromarray(rng.integers(0, 255, (*shape, 3), np.uint8)).save(folder / "colours.png")
+    Image.fromarray(np.eye(*shape, dtype=np.uint8) * 255).save(folder / "soft.jpg")
+    (folder / "text.png").write_text("no picture")
+    return {
+        "empty.png": "hides nothing",
+        "full.png": "hides the whole picture.*inverted",
+        "turned.png": "144 x 256 pixels, the camera's pictures have 256 x 144",
+        "colours.png": "has colours or transparency",
+        "soft.jpg": "is a JPEG, whose edges are not sharp",
+        "text.png": "cameras.mast.mask: .*no photo that can be read",
+        "none.png": "cameras.mast.mask: .*cannot be read",
+        "": "cameras.mast.mask: .*cannot be read",
+    }
+
+
+@pytest.mark.parametrize(
+    "name", ["empty.png", "full.png", "turned.png", "colours.png", "soft.jpg", "text.png", "none.png", ""]
+)
+def test_a_mask_that_cannot_be_is_told_in_words(tmp_path: Path, name: str) -> None:
+    said = wrong_files(tmp_path)[name]
+    path = site_with(tmp_path, name)
+    with pytest.raises(ConfigError, match=str(said)):
+        SceneFilter.of(load_site(path), "mast")
+    found = [f for f in check_site(path).findings if f.name == "mast: mask"]
+    assert [f.verdict for f in found] == [Verdict.WRONG]
+
+
+@pytest.mark.parametrize("away", ["../m.png", "/etc/hostname", "a/../../m.png", "link.png", "a\0b"])
+def test_a_path_out_of_the_sites_folder_is_refused(tmp_path: Path, away: str) -> None:
+    (tmp_path / "site").mkdir()
+    write_mask(tmp_path / "m.png", corner())
+    (tmp_path / "site/link.png").symlink_to(tmp_path / "m.png")
+    if "\0" in away:
+        path = site_with(tmp_path / "site", "x.png")
+        path.write_text(path.read_text().replace("x.png", '"a\\0b"'))
+        with pytest.raises(ConfigError):
+            load_site(path)
+        return
+    with pytest.raises(ConfigError, match=r"cameras\.mast\.mask: .* leads out of the site's folder"):
+        load_site(site_with(tmp_path / "site", away))
+
+
+@pytest.mark.parametrize(
+    ("polygons", "said"),
+    [
+        ([{"polygon": [[300, 9], [310, 9], [310, 20]]}], r"cameras\.mast\.mask\.0: the polygon lies beside"),
+        ([{"polygon": [[-1, 0], [257, 0], [257, 150], [-1, 150]]}], "hides the whole picture"),
+    ],
+)
+def test_polygons_that_cannot_be_are_told_in_words(tmp_path: Path, polygons: object, said: str) -> None:
+    site = load_site(site_with(tmp_path, polygons))
+    with pytest.raises(ConfigError, match=said):
+        SceneFilter.of(site, "mast")
+
+
+@pytest.mark.parametrize(
+    ("polygons", "key"),
+    [
+        ([], "at least 1 item"),
+        (7, "valid path"),
+        ({"png": "m.png"}, "valid path"),
+        ([{"polygon": [[0, 0], [5, 5]]}], "polygon"),
+        ([{"polygon": [[0, 0], [5, 5], [5, "x"]]}], "polygon"),
+        ([{"polygon": [[0, 0], [5, 5], [5, float("inf")]]}], "polygon"),
+        ([{"polygon": [[0, 0], [5, 5], [5, 0]], "colour": "red"}], "colour"),
+        ([{"polygon": [[0, 0], [5, 5], [5, 0]]}] * 201, "at most 200 items"),
+    ],
+)
+def test_polygons_of_another_form_name_their_key(tmp_path: Path, polygons: object, key: str) -> None:
+    with pytest.raises(ConfigError, match=rf"cameras\.mast\.mask.*{key}"):
+        load_site(site_with(tmp_path, polygons))
+
+
+def test_the_check_tells_the_share(tmp_path: Path) -> None:
+    write_mask(tmp_path / "m.png", corner())
+    (found,) = (f for f in check_site(site_with(tmp_path, "m.png")).findings if f.name == "mast: mask")
+    assert (found.verdict, found.said) == (Verdict.OK, "hides 7.6% of 256 x 144 pixels")
+    write_mask(tmp_path / "n.png", ~corner())
+    (found,) = (f for f in check_site(site_with(tmp_path, "n.png")).findings if f.name == "mast: mask")
+    assert found.verdict is Verdict.DOUBTFUL
+    assert "inverted" in found.said
+
+
+def test_a_polygon_covers_its_edge() -> None:
+    mask = CameraMask.of_polygons([MaskPolygon(polygon=((1, 1), (3, 1), (3, 2), (1, 2)))], 6, 4, "here")
+    expected = np.zeros((4, 6), np.bool_)
+    expected[1:3, 1:4] = True
+    np.testing.assert_array_equal(mask.hidden, expected)
+    assert mask.share == pytest.approx(0.25)

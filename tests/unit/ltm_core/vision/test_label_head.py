@@ -1,0 +1,158 @@
+"""Heads of a label network: none is none to the bit, what a head adds is its formula, a wrong file is refused."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from scenes.networks import COLORS, changed, write_classifier, write_swapping_head
+
+from ltm_core.errors import ConfigError, ModelError
+from ltm_core.fuel.label_errors import LabelErrors
+from ltm_core.fuel.life_form import LifeForm
+from ltm_core.vision.label_head import SHIPPED_HEAD, LabelHead
+from ltm_core.vision.label_head_io import HeadFile, find_head, heads_folder, read_head, write_head
+from ltm_core.vision.labels import Label
+from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.segmenter import Segmenter
+
+
+def _photo() -> np.ndarray[Any, np.dtype[np.uint8]]:
+    rng = np.random.default_rng(3)
+    small = rng.integers(0, 256, (9, 14, 3), np.uint8)
+    return np.asarray(cv2.resize(small, (251, 117), interpolation=cv2.INTER_CUBIC), np.uint8)
+
+
+def test_a_head_of_zeros_leaves_the_shipped_network_s_answers_equal_to_the_bit() -> None:
+    plain = Segmenter.open()
+    manifest = plain.manifest
+    zeros = {name: np.zeros((len(manifest.classes), count), np.float32) for name, count in manifest.maps.items()}
+    head = LabelHead("zeros", "zeros", zeros, np.zeros(len(manifest.classes), np.float32), manifest.output.temperature)
+    photo = _photo()
+    bare, headed = plain.segment(photo), Segmenter(manifest, head=head).segment(photo)
+    assert len(np.unique(bare.labels)) > 1
+    np.testing.assert_array_equal(headed.labels, bare.labels)
+    np.testing.assert_array_equal(headed.confidence, bare.confidence)
+    np.testing.assert_array_equal(Segmenter(manifest, head=head).logits(photo), plain.logits(photo))
+
+
+def test_what_a_head_adds_is_its_weights_times_the_enlarged_maps() -> None:
+    rng = np.random.default_rng(5)
+    scores = rng.normal(size=(3, 8, 12)).astype(np.float32)
+    fine, coarse = (rng.normal(size=shape).astype(np.float32) for shape in ((4, 8, 12), (5, 4, 6)))
+    weights = {"fine": rng.normal(size=(3, 4)), "coarse": rng.normal(size=(3, 5))}
+    bias = np.array([0.5, -1.0, 2.0], np.float32)
+    head = LabelHead("h", "h", {k: w.astype(np.float32) for k, w in weights.items()}, bias, 1.0)
+    found = scores.copy()
+    head.add_to(found, [fine, coarse])
+    enlarged = np.stack([cv2.resize(plane, (12, 8), interpolation=cv2.INTER_LINEAR) for plane in coarse])
+    expected = scores + bias[:, None, None]
+    expected += np.einsum("kc,chw->khw", weights["fine"], fine) + np.einsum("kc,chw->khw", weights["coarse"], enlarged)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    with pytest.raises(ModelError, match="coarse"):
+        head.add_to(found, [fine, fine])
+
+
+def test_a_head_changes_the_labels_of_who_names_it_alone(tmp_path: Path) -> None:
+    manifest = write_classifier(tmp_path, maps=True)
+    write_swapping_head(tmp_path / "heads" / "swap.yaml", manifest)
+    photo = np.full((40, 70, 3), COLORS["lime"], np.uint8)
+    photo[:, :20] = COLORS["red"]
+    plain = Segmenter.open(manifest, heads=tmp_path / "heads")
+    swapped = Segmenter.open(manifest, head="swap", heads=tmp_path / "heads")
+    assert (plain.segment(photo).labels[20, 5], plain.segment(photo).labels[20, 60]) == (Label.BUILT, Label.GRASS)
+    assert (swapped.segment(photo).labels[20, 5], swapped.segment(photo).labels[20, 60]) == (Label.GRASS, Label.BUILT)
+    assert swapped.described.startswith(f"{plain.described}, head swap ")
+    assert swapped.name == "colors swap"
+
+
+def test_a_head_is_found_in_the_site_s_folder_then_beside_the_network(tmp_path: Path) -> None:
+    path = write_classifier(tmp_path, maps=True)
+    manifest = Manifest.load(path)
+    assert find_head(SHIPPED_HEAD, manifest) is None
+    beside = write_swapping_head(heads_folder(manifest, tmp_path) / "swap.yaml", path)
+    assert find_head("swap", manifest) == beside
+    own = write_swapping_head(tmp_path / "site" / "swap.yaml", path)
+    assert find_head("swap", manifest, tmp_path / "site") == own
+    assert find_head("swap.yaml", manifest, tmp_path / "site") == own
+    with pytest.raises(ModelError, match=r"no head 'sand'.*site/sand\.yaml.*colors_heads/sand\.yaml"):
+        find_head("sand", manifest, tmp_path / "site")
+
+
+def test_a_head_of_another_network_is_refused(tmp_path: Path) -> None:
+    manifest = write_classifier(tmp_path, maps=True)
+    head = write_swapping_head(tmp_path / "swap.yaml", manifest)
+    (tmp_path / "other").mkdir()
+    other = write_classifier(tmp_path / "other", maps=True, gain=50.0)
+    with pytest.raises(ModelError, match=r"is a head of network 'colors' with sha256.*ltm train head"):
+        read_head(head, Manifest.load(other))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"maps": {"mean": [[0.0, 1.0, 2.0]] * 4}}, "expected 5 rows"),
+        ({"maps": {"mean": [[0.0, 1.0]] * 5}}, r"mean \(2, not 3\)"),
+        ({"maps": {"mean": [[0.0, 1.0, 2.0]] * 4 + [[0.0, 1.0]]}}, "as many numbers"),
+        ({"maps": {"s9": [[0.0]] * 5}}, "reads map s9"),
+        ({"bias": [0.0] * 4}, "bias has 4 values"),
+        ({"classes": ["a", "b", "c", "d", "e"]}, "is of classes a, b"),
+        ({"temperature": 0.0}, "temperature"),
+        ({"bias": [0.0, 0.0, 0.0, 0.0, 1e9]}, "bias"),
+        ({"name": "landscape"}, "network's own head"),
+        ({"mood": 3}, "mood: unknown key"),
+    ],
+)
+def test_a_head_that_does_not_fit_is_refused_in_words(tmp_path: Path, change: dict[str, Any], said: str) -> None:
+    manifest = write_classifier(tmp_path, maps=True)
+    head = write_swapping_head(tmp_path / "swap.yaml", manifest, **change)
+    with pytest.raises(ModelError, match=said):
+        read_head(head, Manifest.load(manifest))
+
+
+def test_maps_that_the_network_does_not_have_are_refused(tmp_path: Path) -> None:
+    path = changed(write_classifier(tmp_path, maps=True), maps={"s9": 3})
+    with pytest.raises(ModelError, match="map: expected 's9'"):
+        Segmenter.open(path)
+    path = changed(write_classifier(tmp_path, maps=True), maps={"mean": 4})
+    with pytest.raises(ModelError, match=r"mean.*4"):
+        Segmenter.open(path).scores_and_maps(_photo())
+
+
+def test_a_head_that_was_written_is_read_again(tmp_path: Path) -> None:
+    manifest = write_classifier(tmp_path, maps=True)
+    content = HeadFile.model_validate(yaml.safe_load(write_swapping_head(tmp_path / "a.yaml", manifest).read_text()))
+    values = tuple(tuple(float(v) for v in row) for row in np.random.default_rng(1).normal(size=(5, 3)))
+    write_head(tmp_path / "b.yaml", content.model_copy(update={"maps": {"mean": values}}))
+    head, again = read_head(tmp_path / "b.yaml", Manifest.load(manifest))
+    np.testing.assert_allclose(head.weights["mean"], values, rtol=1e-3)
+    assert again.classes == content.classes
+
+
+def test_a_head_s_label_errors_are_those_of_its_own_calibration(tmp_path: Path) -> None:
+    names = ("sky", "grass", "shrub", "tree", "bare", "water", "built")
+    confusion = np.full((7, 7), 0.05) + 0.65 * np.eye(7)
+    confusion[2] = [0.0, 0.1, 0.6, 0.3, 0.0, 0.0, 0.0]
+    calibration = {"classes": list(names), "confusion": confusion.tolist(), "measured_on": "two photos"}
+    manifest = write_classifier(tmp_path, maps=True)
+    write_swapping_head(tmp_path / "swap.yaml", manifest, calibration=calibration)
+    errors = LabelErrors.of_head(str(manifest), "swap", tmp_path)
+    shrub = LifeForm.SHRUB - 1
+    np.testing.assert_allclose(errors.shares[shrub, [LifeForm.GRASS - 1, shrub, LifeForm.TREE - 1]], [0.1, 0.6, 0.3])
+    assert errors.source == "head swap, on two photos"
+    assert LabelErrors.of_head(str(manifest), SHIPPED_HEAD).source == LabelErrors.of_model(str(manifest)).source
+
+
+def test_a_broken_head_ends_in_words(tmp_path: Path) -> None:
+    manifest = Manifest.load(write_classifier(tmp_path, maps=True))
+    (tmp_path / "x.yaml").write_text("name: [")
+    with pytest.raises(ModelError, match=r"x\.yaml"):
+        read_head(tmp_path / "x.yaml", manifest)
+    shutil.rmtree(tmp_path / "colors_heads", ignore_errors=True)
+    with pytest.raises((ModelError, ConfigError), match="no head"):
+        Segmenter.open(tmp_path / "colors.yaml", head="absent")

@@ -1,0 +1,90 @@
+"""What is proposed for a mask, on drawn pictures whose parts are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes.tower_pictures import HEIGHT, HORIZON, MAST, WIDTH, corners, tower_picture
+
+from ltm_core.errors import ImageError
+from ltm_core.types import BoolArray
+from ltm_core.vision.mask_config import MaskPolygon
+from ltm_core.vision.mask_proposals import Proposal, drawn_proposals, polygons_of, propose_mask
+from ltm_core.vision.polygons_io import NamedArea
+from ltm_core.vision.segmenter import Segmenter
+
+
+@pytest.fixture(scope="module")
+def segmenter() -> Segmenter:
+    return Segmenter.open()
+
+
+@pytest.fixture(scope="module")
+def found(segmenter: Segmenter) -> list[Proposal]:
+    return propose_mask([tower_picture(seed) for seed in (1, 2, 3)], segmenter)
+
+
+def of(kind: str, proposals: list[Proposal]) -> BoolArray:
+    parts = [p.hidden for p in proposals if p.kind == kind]
+    return np.logical_or.reduce(parts) if parts else np.zeros((HEIGHT, WIDTH), np.bool_)
+
+
+def test_the_corners_of_the_lens(found: list[Proposal]) -> None:
+    lens, truth = of("lens", found), corners()
+    assert (lens & truth).sum() > 0.95 * truth.sum()
+    # Wider by a penumbra, no more.
+    assert (lens & ~truth).sum() < 0.02 * truth.size
+
+
+def test_the_caption_of_every_time(found: list[Proposal]) -> None:
+    (caption,) = (p.hidden for p in found if p.kind == "caption")
+    rows, cols = np.flatnonzero(caption.any(axis=1)), np.flatnonzero(caption.any(axis=0))
+    assert rows[0] <= 7
+    assert 18 <= rows[-1] <= 32
+    assert cols[0] <= 121
+    assert 380 < cols[-1] < 480
+    yellow = np.asarray(tower_picture(1)).astype(int)
+    letters = (yellow[..., 0] > 180) & (yellow[..., 2] < 110) & (np.arange(HEIGHT)[:, None] < 40)
+    assert caption[letters].mean() > 0.99
+
+
+def test_the_mast_and_no_cloud(found: list[Proposal]) -> None:
+    structures = of("structure", found)
+    left, top, right, bottom = MAST
+    body = np.zeros((HEIGHT, WIDTH), np.bool_)
+    body[top : HORIZON - 30, left:right] = True
+    assert structures[body].mean() > 0.9
+    structures[top - 8 : bottom + 20, left - 12 : right + 13] = False
+    assert structures.mean() < 0.002
+
+
+def test_a_known_skyline_takes_the_place_of_the_labels(segmenter: Segmenter) -> None:
+    """A skyline that is known to lie above the mast: nothing there is nearer than the terrain can be."""
+    frames = [tower_picture(seed) for seed in (1, 2, 3)]
+    assert not of("structure", propose_mask(frames, segmenter, np.full(WIDTH, 40.0))).any()
+    assert of("structure", propose_mask(frames, segmenter, np.full(WIDTH, float(HORIZON)))).any()
+
+
+def test_a_plain_picture_has_nothing_to_hide(segmenter: Segmenter) -> None:
+    frames = [tower_picture(seed, mast=False, hood=False, caption="") for seed in (1, 2, 3)]
+    assert propose_mask(frames, segmenter) == []
+
+
+def test_pictures_of_two_sizes_are_not_of_one_camera(segmenter: Segmenter) -> None:
+    with pytest.raises(ImageError, match="different sizes"):
+        propose_mask([tower_picture(1), tower_picture(2)[:-8]], segmenter)
+    with pytest.raises(ImageError, match="no pictures"):
+        propose_mask([], segmenter)
+
+
+def test_outlines_give_back_what_they_enclose() -> None:
+    hidden = np.zeros((40, 70), np.bool_)
+    hidden[5:20, 10:30] = True
+    hidden[25:38, 40:69] = True
+    outlines = polygons_of(hidden)
+    assert len(outlines) == 2
+    areas = [NamedArea(image="a.jpg", kind="roof", polygon=outline) for outline in outlines]
+    drawn = drawn_proposals(areas, hidden.shape)
+    np.testing.assert_array_equal(drawn[0].hidden | drawn[1].hidden, hidden)
+    assert {p.kind for p in drawn} == {"roof"}
+    assert MaskPolygon(kind="roof", polygon=outlines[0]).kind == "roof"

@@ -1,0 +1,67 @@
+"""Labels that are withdrawn: of low probability, and tree where the photo has no texture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes.networks import COLORS, changed, write_classifier
+
+from ltm_core.types import UInt8Array
+from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.manifest import Withdrawal
+from ltm_core.vision.segmenter import Segmenter
+from ltm_core.vision.withdrawal import contrast, withdraw
+
+
+def _answer() -> tuple[UInt8Array, UInt8Array, UInt8Array]:
+    """Flat at the left, stripes of a pixel, black and white, at the right; tree above, shrub below."""
+    image = np.full((300, 640, 3), 120, np.uint8)
+    image[:, 320::2], image[:, 321::2] = 0, 200
+    labels = np.full((300, 640), Label.TREE, np.uint8)
+    labels[150:] = Label.SHRUB
+    confidence = np.tile(np.linspace(0, 255, 300).astype(np.uint8)[:, None], (1, 640))
+    return image, labels, confidence
+
+
+def test_contrast_is_the_deviation_of_grey() -> None:
+    found = contrast(_answer()[0])
+    assert found.shape == (300, 640)
+    np.testing.assert_allclose(found[20:280, 20:300], 0.0, atol=0.1)
+    np.testing.assert_allclose(found[20:280, 340:620], 100.0, atol=1.0)
+    assert contrast(np.zeros((60, 1280, 3), np.uint8)).shape == (30, 640)
+
+
+def test_no_rule_withdraws_nothing() -> None:
+    image, labels, confidence = _answer()
+    before = labels.copy(), confidence.copy()
+    withdraw(image, labels, confidence, Withdrawal())
+    np.testing.assert_array_equal(labels, before[0])
+    np.testing.assert_array_equal(confidence, before[1])
+
+
+def test_flat_tree_is_withdrawn_and_nothing_else() -> None:
+    image, labels, confidence = _answer()
+    before = labels.copy()
+    withdraw(image, labels, confidence, Withdrawal(tree_contrast=11))
+    assert (labels[:150, :300] == UNLABELLED).all()
+    assert (confidence[:150, :300] == 0).all()
+    np.testing.assert_array_equal(labels[:150, 330:], before[:150, 330:])
+    np.testing.assert_array_equal(labels[150:], before[150:])
+
+
+def test_labels_of_low_probability_are_withdrawn() -> None:
+    image, labels, confidence = _answer()
+    before = confidence.copy()
+    withdraw(image, labels, confidence, Withdrawal(confidence=0.4))
+    np.testing.assert_array_equal(labels == UNLABELLED, before < 102)
+    assert (confidence[before >= 102] == before[before >= 102]).all()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.9])
+def test_a_manifest_states_what_is_withdrawn(tmp_path: Path, share: float) -> None:
+    path = changed(write_classifier(tmp_path, gain=1.0), output={"withdraw": {"confidence": share}})
+    photo = np.full((40, 70, 3), COLORS["lime"], np.uint8)
+    found = Segmenter.open(path).segment(photo)
+    assert (found.labels == (UNLABELLED if share else Label.GRASS)).all()

@@ -1,0 +1,117 @@
+"""`ltm mask` from pictures to the line for the site file, and `ltm eval mask`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+from scenes.small_site import NAME, write_small_site
+from scenes.tower_pictures import HEIGHT, WIDTH, corners, tower_picture
+from typer.testing import CliRunner
+
+from ltm_core.errors import LtmError
+from ltm_core.site_io import load_site
+from ltm_core.vision.polygons_io import NamedArea, read_areas, write_areas
+from ltm_core.vision.scene_view import SceneFilter
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.image import compressed_to_msg, encode_rgb
+from ltm_ros.cli.main import cli
+from ltm_ros.runtime.topics import IMAGE_COMPRESSED, camera_topic
+
+
+def run(*arguments: object) -> str:
+    result = CliRunner().invoke(cli, [str(a) for a in arguments])
+    if isinstance(result.exception, LtmError):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("photos")
+    for seed in (1, 2, 3):
+        Image.fromarray(tower_picture(seed)).save(folder / f"west_{seed}.png")
+    Image.fromarray(np.zeros((30, 40, 3), np.uint8)).save(folder / "other.png")
+    return folder
+
+
+def test_a_person_confirms_what_is_proposed(photos: Path, tmp_path: Path) -> None:
+    site = write_small_site(tmp_path, recording=False).path
+    given = [photos, "--only", "west*", "--site", site, "--camera", "tower"]
+    out = run("mask", *given)
+    assert "confirm with --keep" in out
+    numbers = [area.number for area in read_areas(tmp_path / "tower_mask.json") if area.kind == "lens"]
+    kept = run("mask", *given, "--keep", ",".join(str(n) for n in numbers))
+    line = yaml.safe_load(kept[kept.index("cameras:") :])
+    assert line == {"cameras": {"tower": {"mask": "tower_mask.png"}}}
+    content = yaml.safe_load(site.read_text())
+    content["cameras"]["tower"].update(line["cameras"]["tower"])
+    site.write_text(yaml.safe_dump(content))
+    hidden = SceneFilter.of(load_site(site), "tower").hidden(WIDTH, HEIGHT)
+    assert hidden is not None
+    assert (hidden & corners()).sum() > 0.95 * corners().sum()
+    assert {area.kind for area in read_areas(tmp_path / "tower_mask.json")} == {"lens"}
+    with Image.open(tmp_path / "tower_mask_proposals.png") as picture:
+        assert picture.size == (WIDTH, HEIGHT)
+
+
+def test_a_recording_and_areas_drawn_by_hand(tmp_path: Path) -> None:
+    small = write_small_site(tmp_path, recording=False)
+    with BagWriter(tmp_path / "bag") as bag:
+        for seed in (1, 2):
+            message = compressed_to_msg(encode_rgb(tower_picture(seed), quality=95), "jpeg", seed * 10**9, "o")
+            bag.write(camera_topic(NAME, "tower", IMAGE_COMPRESSED), message, seed * 10**9)
+    roof = NamedArea(image="tower_1000000000", kind="roof", polygon=((0, 400), (90, 400), (90, 519), (0, 519)))
+    write_areas(tmp_path / "drawn.json", [roof, roof.model_copy(update={"image": "another.jpg"})])
+    given = [tmp_path / "bag", "--site", small.path, "--camera", "tower", "--drawn", tmp_path / "drawn.json"]
+    run("mask", *given)
+    (number,) = {a.number for a in read_areas(tmp_path / "tower_mask.json") if a.kind == "roof"}
+    run("mask", *given, "--keep", number)
+    with Image.open(tmp_path / "tower_mask.png") as png:
+        hidden = np.asarray(png) > 0
+    expected = np.zeros((HEIGHT, WIDTH), np.bool_)
+    expected[400:520, :91] = True
+    np.testing.assert_array_equal(hidden, expected)
+
+
+def test_mistakes_are_told_in_words(photos: Path, tmp_path: Path) -> None:
+    out = ["--out", tmp_path / "m.png"]
+    with pytest.raises(LtmError, match="different sizes"):
+        run("mask", photos, *out)
+    with pytest.raises(LtmError, match="--site and --camera together"):
+        run("mask", photos, "--camera", "west", *out)
+    with pytest.raises(LtmError, match="no photos called 'east"):
+        run("mask", photos, "--only", "east*", *out)
+    with pytest.raises(LtmError, match="there is no proposal 99"):
+        run("mask", photos, "--only", "west*", "--keep", "1,99", *out)
+    with pytest.raises(LtmError, match="expected numbers of proposals"):
+        run("mask", photos, "--only", "west*", "--keep", "one", *out)
+    assert "nothing to mask" in run("mask", photos, "--only", "west*", "--keep", "none", *out)
+    assert not (tmp_path / "m.png").exists()
+
+
+def test_proposals_are_scored_against_what_a_person_drew(photos: Path, tmp_path: Path) -> None:
+    corner = [[0, 0], [90, 0], [0, 90]]
+    truth = [
+        {
+            "camera": "west",
+            "pictures": ["west_1.png", "west_2.png", "west_3.png"],
+            "areas": [
+                {"class": "lens", "polygon": corner},
+                {"class": "roof", "polygon": [[300, 400], [400, 400], [350, 500]]},
+            ],
+        }
+    ]
+    (tmp_path / "truth.json").write_text(json.dumps(truth))
+    out = run("eval", "mask", photos, "--truth", tmp_path / "truth.json", "--json", tmp_path / "score.json")
+    assert "together" in out
+    score = json.loads((tmp_path / "score.json").read_text())["west"]
+    assert score["lens"]["areas"] == 1
+    assert score["lens"]["missed"] == 0
+    assert score["lens"]["wrong"] >= 1, "the other corners are not in this truth"
+    assert (score["all"]["areas"], score["all"]["missed"]) == (2, 1)

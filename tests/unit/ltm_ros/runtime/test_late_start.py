@@ -1,0 +1,87 @@
+"""What cannot be made at the start is made later, without anybody waiting for it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+from ltm_core.errors import ConfigError
+from ltm_ros.runtime.late_start import LONGEST_PAUSE_S, LateStart
+
+
+class Disk:
+    """Something is made of what is on it, once it is there. `tries` counts, by name."""
+
+    def __init__(self) -> None:
+        self.there: set[str] = set()
+        self.tries: dict[str, int] = {}
+        self.why = "no such file"
+
+    def make(self, name: str) -> Callable[[], str]:
+        def made() -> str:
+            self.tries[name] = self.tries.get(name, 0) + 1
+            if name not in self.there:
+                raise ConfigError(f"{name}: {self.why}")
+            return name.upper()
+
+        return made
+
+
+def _at_once(work: Callable[[], None]) -> None:
+    work()
+
+
+def test_each_is_made_once_its_files_are_there() -> None:
+    disk, lines = Disk(), list[str]()
+    late = LateStart({n: disk.make(n) for n in ("north", "south")}, {}, lines.append, _at_once)
+    assert late.tick(0.5) == []
+    assert disk.tries == {}
+    for _ in range(10):
+        assert late.tick(1.0) == []
+    assert min(disk.tries.values()) > 1
+    disk.there.add("south")
+    made = [one for _ in range(60) for one in late.tick(1.0)]
+    assert made == ["SOUTH"]
+    assert lines[-1] == "south: started"
+    disk.there.add("north")
+    assert [one for _ in range(int(LONGEST_PAUSE_S) + 1) for one in late.tick(1.0)] == ["NORTH"]
+    tries = dict(disk.tries)
+    assert late.tick(10 * LONGEST_PAUSE_S) == []
+    assert disk.tries == tries
+
+
+def test_attempts_become_rare_and_a_reason_is_said_once() -> None:
+    disk, lines = Disk(), list[str]()
+    late = LateStart({"north": disk.make("north")}, {"north": "north: no such file"}, lines.append, _at_once)
+    for _ in range(3600):
+        assert late.tick(1.0) == []
+    assert 30 <= disk.tries["north"] <= 40
+    assert lines == []
+    disk.why = "not a DEM"
+    for _ in range(int(2 * LONGEST_PAUSE_S)):
+        late.tick(1.0)
+    assert lines == ["north: cannot start: north: not a DEM; it is tried again"]
+
+
+def test_a_bug_is_no_end_and_what_nobody_took_is_given_back_at_the_close() -> None:
+    """On a thread: ticks go on while an attempt lasts, and begin no second one."""
+    begun, go_on, tries = threading.Event(), threading.Event(), list[int]()
+
+    def make() -> str:
+        tries.append(1)
+        if len(tries) == 1:
+            raise ZeroDivisionError
+        begun.set()
+        assert go_on.wait(30)
+        return "made"
+
+    late = LateStart({"north": make}, {"north": "ZeroDivisionError()"}, lambda line: None)
+    while not begun.wait(0.01):
+        assert late.tick(1.0) == []
+    for _ in range(10):
+        assert late.tick(LONGEST_PAUSE_S) == []
+    assert len(tries) == 2
+    assert late.close(0.0) == []
+    go_on.set()
+    assert late.close(30.0) == ["made"]
+    assert late.tick(LONGEST_PAUSE_S) == []

@@ -1,0 +1,139 @@
+"""What a process's allocators do once it is at work; in processes of their own, whose heaps nobody else has used."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+import ltm_ros
+from ltm_ros.runtime.process_memory import TRIM_EVERY_S, Trimming
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="glibc's malloc")
+
+_ROOT = Path(ltm_ros.__file__).resolve().parents[1]
+
+_HEAPS = """
+import ctypes, re, threading
+libc = ctypes.CDLL(None)
+libc.malloc.restype = libc.open_memstream.restype = ctypes.c_void_p
+everybody = threading.Barrier(12)
+def hold():
+    assert libc.malloc(5000)  # in each thread, while the others live
+    everybody.wait()
+threads = [threading.Thread(target=hold) for _ in range(12)]
+[thread.start() for thread in threads]
+[thread.join() for thread in threads]
+text, size = ctypes.c_char_p(), ctypes.c_size_t()
+stream = ctypes.c_void_p(libc.open_memstream(ctypes.byref(text), ctypes.byref(size)))
+libc.malloc_info(0, stream)
+libc.fclose(stream)
+print(len(re.findall(rb"<heap nr=", text.value)))
+"""
+
+_HUGE_PAGES = """
+import re
+print(re.search(r"^THP_enabled:\\s+(\\d)$", open("/proc/self/status").read(), re.MULTILINE)[1])
+"""
+
+_CYCLES = """
+import gc
+gc.disable()
+from ltm_ros.runtime.process_memory import settle
+class Node:
+    made = 0
+    def __init__(self):
+        Node.made += 1
+        self.itself = self
+    def __del__(self):
+        Node.made -= 1
+def leave(count):
+    for _ in range(count):
+        Node()
+keeps = [[n] for n in range(600_000)]
+for _ in range(1000):
+    Node()
+print(Node.made, len(gc.get_objects()) > len(keeps))
+settle()
+print(Node.made, len(gc.get_objects()) > len(keeps))
+gc.enable()
+young = [[n] for n in range(100_000)]  # a quarter of what was there before would not be enough
+print(gc.get_stats()[2]["collections"] > 2)
+"""
+
+
+_HOLES = """
+import ctypes
+from ltm_ros.runtime.process_memory import trim
+libc = ctypes.CDLL(None)
+libc.malloc.restype = ctypes.c_void_p
+def resident():
+    return int(open("/proc/self/statm").read().split()[1]) * 4096
+blocks = []
+for _ in range(1000):
+    for size in (60_000, 100):
+        blocks.append(ctypes.c_void_p(libc.malloc(size)))
+        ctypes.memset(blocks[-1], 1, size)
+[libc.free(block) for block in blocks[::2]]
+before = resident()
+trim()
+print((before - resident()) / 60_000_000)
+"""
+
+
+def _run(program: str, folder: Path | None = None, **environment: str) -> str:
+    given = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "GLIBC_", "NUMPY_"))}
+    command = [sys.executable, "-c", program]
+    if folder is not None:
+        (folder / "says_how_it_is.py").write_text(program)
+        told = os.open(os.devnull, os.O_WRONLY)
+        command = [sys.executable, "-m", "ltm_ros.launching.supervised", "says_how_it_is"]
+        environment |= {"LTM_HEARTBEAT": str(told), "PYTHONPATH": f"{folder}:{_ROOT}"}
+        done = subprocess.run(
+            command, env=given | environment, capture_output=True, text=True, timeout=60, check=True, pass_fds=(told,)
+        )
+        os.close(told)
+        return done.stdout
+    environment |= {"PYTHONPATH": str(_ROOT)}
+    return subprocess.run(
+        command, env=given | environment, capture_output=True, text=True, timeout=60, check=True
+    ).stdout
+
+
+def test_supervised_process_has_few_heaps(tmp_path: Path) -> None:
+    assert int(_run(_HEAPS)) > 4  # what glibc does by itself
+    assert int(_run(_HEAPS, tmp_path)) == 2
+
+
+def test_supervised_process_gets_no_huge_pages(tmp_path: Path) -> None:
+    assert _run(_HUGE_PAGES).strip() == "1"
+    assert _run(_HUGE_PAGES, tmp_path).strip() == "0"
+    assert _run(_HUGE_PAGES, tmp_path, NUMPY_MADVISE_HUGEPAGE="1").strip() == "1"
+
+
+def test_users_choice_of_heaps_wins(tmp_path: Path) -> None:
+    assert int(_run(_HEAPS, tmp_path, MALLOC_ARENA_MAX="3")) == 3
+
+
+def test_what_the_start_left_over_is_gone_and_what_stays_is_looked_at_no_more() -> None:
+    before, after, looks = _run(_CYCLES).splitlines()
+    assert (before, after) == ("1000 True", "0 False")
+    assert looks == "True"
+
+
+def test_heaps_are_trimmed_now_and_then() -> None:
+    moments: list[float] = []
+    trimming = Trimming(70.0, lambda: moments.append(second))
+    for second in range(70, 70 + round(3 * TRIM_EVERY_S), 7):
+        trimming.look(second)
+    assert len(moments) == 2
+    assert all(TRIM_EVERY_S <= later - former < TRIM_EVERY_S + 7 for former, later in pairwise([70.0, *moments]))
+
+
+def test_a_trim_gives_back_what_lies_free_between_others() -> None:
+    given_back = _run(_HOLES)
+    assert float(given_back) > 0.8
