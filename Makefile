@@ -14,7 +14,7 @@ PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -c constraints
 # The nodes' kernels, compiled by two processes together; a test run compiles what has changed since by itself.
 KERNELS := PYTHONPATH=tests $(BIN)/python -m scenes.compiled_kernels
 
-.PHONY: demo demo-real test test-all fuzz chaos soak audit bench docs lint format clean
+.PHONY: demo demo-real test test-all fuzz chaos soak audit bench docs lint format lock deb try-deb clean
 
 $(INSTALLED): pyproject.toml constraints.txt setup.py setup.cfg
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.12")'
@@ -91,6 +91,17 @@ $(VENV)/.installed-docs: $(INSTALLED)
 docs: $(VENV)/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir out/site
 	! grep -rnE '<(script|link|img)[^>]*(src|href)="(https?:)?//' out/site --include='*.html' # no page asks another host
+
+# The Debian package. Versions and hashes of what is in it, for the Python of the tower: Debian 12's 3.11 on x86-64.
+lock: $(INSTALLED)
+	$(BIN)/python packaging/lock.py
+
+deb: $(INSTALLED)
+	$(BIN)/python packaging/build_deb.py --out out/deb
+
+# As root, with debootstrap: a clean Debian with a real systemd, in namespaces of this machine, and without a network.
+try-deb: deb
+	$(BIN)/python packaging/try_deb.py "$$(ls -t out/deb/ltm_*.deb | head -n 1)"
 
 bench: $(VENV)/.installed-dev
 	$(BIN)/ltm bench trace

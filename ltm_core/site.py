@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import math
 import re
 from pathlib import Path
@@ -41,7 +42,7 @@ RosName = Annotated[str, AfterValidator(_ros_name)]
 FARTHEST_ORIGIN = 100_000.0
 """Metres from the DEM to the origin: beyond it, float32 coordinates no longer hold centimetres."""
 
-SITE_NAMES = ("fuel_map", "terrain", "locate", "viewer", "recorder")
+SITE_NAMES = ("fuel_map", "terrain", "locate", "viewer", "recorder", "health")
 """Nodes and topics that stand beside the cameras in `/<site>/`: no camera may be called so."""
 
 
@@ -210,18 +211,18 @@ class CameraConfig(Config):
     """None: from the pose topic."""
     sensors: SensorsConfig | None = None
     """Instead of the pose topic: from the topics `fix` (NavSatFix) and `imu` (Imu)."""
-    mount: MountConfig | None = None
-    """Of a pan-tilt-zoom head: what makes poses, and where it zooms calibrations, of what its encoders say."""
-    ptz: PtzConfig | None = None
-    """How the head is asked where it looks, and which presets it is driven to; needs `mount`."""
-    source: SourceConfig | None = None
-    """Where given, the node `source` asks the camera for its pictures and publishes them; None: a driver does."""
     mask: MaskConfig | None = None
     """What of a fixed camera's pictures never shows the landscape: a PNG in the site file's folder, or polygons; see
     `ltm mask`. None: nothing of them."""
     head: str = SHIPPED_HEAD
     """Head of the segmentation network for what this camera sees: `landscape` is the network's own, others are taught
     (`ltm train head`); a name, or a path from the site's folder of heads."""
+    mount: MountConfig | None = None
+    """Of a pan-tilt-zoom head: what makes poses, and where it zooms calibrations, of what its encoders say."""
+    ptz: PtzConfig | None = None
+    """How the head is asked where it looks, and which presets it is driven to; needs `mount`."""
+    source: SourceConfig | None = None
+    """Where given, the node `source` asks the camera for its pictures and publishes them; None: a driver does."""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:
@@ -259,6 +260,37 @@ class CameraConfig(Config):
             raise ValueError("a camera with a source needs its calibration here: width, height and hfov_deg or fx")
         if self.image == "raw" and self.source.kind != "rtsp":
             raise ValueError(f"a source of kind {self.source.kind} publishes the camera's JPEGs: leave image out")
+        return self
+
+
+class HealthConfig(Config):
+    """Where a tower answers monitoring systems; a site that has this section runs the node `health`."""
+
+    port: int = Field(9464, ge=0, le=65535)
+    """TCP; 0: any that is free."""
+    address: str = "127.0.0.1"
+    """IP address to listen on. Any but this machine's own loopback needs `certificate`, `key` and `token`."""
+    certificate: Path | None = None
+    """PEM, with the chain; relative to the site file."""
+    key: Path | None = None
+    """PEM. A systemd credential of the file's name goes before the file."""
+    token: Path | None = None
+    """File with the token that must be known (`Authorization: Bearer ...`); a credential goes before it, too."""
+    frame_age: float = Field(120.0, gt=0)
+    """Seconds; a camera whose newest frame is older is not ready."""
+
+    @model_validator(mode="after")
+    def _closed_to_strangers(self) -> Self:
+        try:
+            local = ipaddress.ip_address(self.address).is_loopback
+        except ValueError as error:
+            raise ValueError(f"address {self.address!r}: give an IP address, such as 127.0.0.1") from error
+        if (self.certificate is None) != (self.key is None):
+            raise ValueError("give certificate and key together")
+        if not local and (self.certificate is None or self.token is None):
+            raise ValueError(
+                f"address {self.address} is not this machine alone: give certificate, key and token, or 127.0.0.1"
+            )
         return self
 
 
@@ -301,6 +333,8 @@ class Site(Config):
     """None: poses are taken as they are stated."""
     limits: Limits = Limits()
     watchdog: WatchdogConfig = WatchdogConfig()
+    health: HealthConfig | None = None
+    """Where given, `ltm run` answers monitoring systems there, and serves the status page."""
     nodes: dict[RosName, dict[str, Any]] = {}
     """Parameters a node type: `nodes: {capture: {pose_tolerance: 0.1}}`. Each node refuses what it does not know."""
 

@@ -177,7 +177,7 @@ def _camera(config: CameraConfig, name: str, site: Site, dem: Dem, views: list[P
         yield Finding.of("cameras", name, error)
         return
     if config.mount is not None:
-        yield _turning_head(config.mount, name, site, dem)
+        yield _head(config.mount, name, site, dem)
         return
     topics = [what for what, part in (("calibration", camera), ("pose", pose)) if part is None]
     if pose is None or config.pose is None:
@@ -207,7 +207,27 @@ def _camera(config: CameraConfig, name: str, site: Site, dem: Dem, views: list[P
         views.append(PosedCamera(name, camera, pose))
 
 
-def _turning_head(mount: MountConfig, name: str, site: Site, dem: Dem) -> Finding:
+def _mask(site: Site, name: str) -> Iterator[Finding]:
+    """Where a camera has one: what share of the picture it hides, if its size is known."""
+    config = site.cameras[name]
+    if config.mask is None:
+        return
+    called = f"{name}: mask"
+    try:
+        mask = SceneFilter.of(site, name).mask
+    except LtmError as error:
+        yield Finding.of("cameras", called, error)
+        return
+    if mask is None:
+        yield Finding("cameras", called, Verdict.OK, "polygons, drawn when the calibration comes as topic")
+        return
+    found = f"hides {mask.share:.1%} of {mask.size[0]} x {mask.size[1]} pixels"
+    if mask.share > _MUCH_MASKED:
+        found = f"{found}: little is left to see; masked is what is not 0 in a PNG: is it inverted?"
+    yield Finding("cameras", called, Verdict.DOUBTFUL if mask.share > _MUCH_MASKED else Verdict.OK, found)
+
+
+def _head(mount: MountConfig, name: str, site: Site, dem: Dem) -> Finding:
     """Of a camera on a pan-tilt-zoom head."""
     try:
         model = mount.model(dem, site.frame)
@@ -228,26 +248,6 @@ def _turning_head(mount: MountConfig, name: str, site: Site, dem: Dem) -> Findin
         )
         return Finding.of("cameras", name, doubt, Verdict.DOUBTFUL)
     return Finding("cameras", name, Verdict.OK, f"head {above:.1f} m above the ground, directions to {worst:.2f} deg")
-
-
-def _mask(site: Site, name: str) -> Iterator[Finding]:
-    """Where a camera has one: what share of the picture it hides, if its size is known."""
-    config = site.cameras[name]
-    if config.mask is None:
-        return
-    called = f"{name}: mask"
-    try:
-        mask = SceneFilter.of(site, name).mask
-    except LtmError as error:
-        yield Finding.of("cameras", called, error)
-        return
-    if mask is None:
-        yield Finding("cameras", called, Verdict.OK, "polygons, drawn when the calibration comes as topic")
-        return
-    found = f"hides {mask.share:.1%} of {mask.size[0]} x {mask.size[1]} pixels"
-    if mask.share > _MUCH_MASKED:
-        found = f"{found}: little is left to see; masked is what is not 0 in a PNG: is it inverted?"
-    yield Finding("cameras", called, Verdict.DOUBTFUL if mask.share > _MUCH_MASKED else Verdict.OK, found)
 
 
 def check_views(views: Sequence[PosedCamera], dem: Dem) -> Iterator[Finding]:

@@ -30,8 +30,12 @@ def load_site(path: Path | str) -> Site:
         if beside.suffix == ".yaml" and beside.is_file():
             changes[name] = str(beside)
     changes["cameras"] = {
-        name: _with_mask(name, _source_beside(camera, path.parent), path) for name, camera in site.cameras.items()
+        name: _source_beside(_with_mask(name, camera, path), path.parent) for name, camera in site.cameras.items()
     }
+    if site.health is not None:
+        given = {name: getattr(site.health, name) for name in ("certificate", "key", "token")}
+        files = {name: path.parent / file for name, file in given.items() if file is not None}
+        changes["health"] = site.health.model_copy(update=files)
     fuel: dict[str, object] = {}
     if site.fuel.prior is not None:
         fuel["prior"] = site.fuel.prior.below(path.parent)
@@ -40,22 +44,6 @@ def load_site(path: Path | str) -> Site:
     if fuel:
         changes["fuel"] = site.fuel.model_copy(update=fuel)
     return site.model_copy(update=changes)
-
-
-def _source_beside(camera: CameraConfig, folder: Path) -> CameraConfig:
-    """With the paths of its source and of its head below the site file's folder."""
-    found: dict[str, object] = {}
-    for name, section in (("source", camera.source), ("ptz", camera.ptz)):
-        changes: dict[str, object] = {}
-        if isinstance(section, FolderConfig):
-            changes["path"] = folder / section.path
-        if isinstance(section, HttpSettings | PtzSettings) and section.ca is not None:
-            changes["ca"] = folder / section.ca
-        if isinstance(section, NetworkSettings | PtzSettings) and section.password and section.password.file:
-            changes["password"] = section.password.model_copy(update={"file": folder / section.password.file})
-        if section is not None and changes:
-            found[name] = section.model_copy(update=changes)
-    return camera.model_copy(update=found) if found else camera
 
 
 def _with_mask(name: str, camera: CameraConfig, site: Path) -> CameraConfig:
@@ -72,3 +60,19 @@ def _with_mask(name: str, camera: CameraConfig, site: Path) -> CameraConfig:
     if not inside:
         raise ConfigError(f"{place}: {camera.mask} leads out of the site's folder; copy the mask into {site.parent}")
     return camera.model_copy(update={"mask": file})
+
+
+def _source_beside(camera: CameraConfig, folder: Path) -> CameraConfig:
+    """With the paths of its source and of its head below the site file's folder."""
+    found: dict[str, object] = {}
+    for name, section in (("source", camera.source), ("ptz", camera.ptz)):
+        changes: dict[str, object] = {}
+        if isinstance(section, FolderConfig):
+            changes["path"] = folder / section.path
+        if isinstance(section, HttpSettings | PtzSettings) and section.ca is not None:
+            changes["ca"] = folder / section.ca
+        if isinstance(section, NetworkSettings | PtzSettings) and section.password and section.password.file:
+            changes["password"] = section.password.model_copy(update={"file": folder / section.password.file})
+        if section is not None and changes:
+            found[name] = section.model_copy(update=changes)
+    return camera.model_copy(update=found) if found else camera

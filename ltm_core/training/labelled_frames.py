@@ -20,9 +20,10 @@ from ltm_core.camera import Camera
 from ltm_core.errors import ImageError, RecordingError
 from ltm_core.picture_io import check_picture
 from ltm_core.training.config import SplitConfig
-from ltm_core.training.polygon_labels_io import POLYGONS_FILE, NamedArea, drawn, read_polygons
+from ltm_core.training.polygon_labels_io import POLYGONS_FILE, drawn, read_polygons
 from ltm_core.types import Float32Array, UInt8Array
 from ltm_core.vision.labels import UNLABELLED, LabelSet
+from ltm_core.vision.polygons_io import NamedArea
 
 LABELS_SUFFIX = "_labels.png"
 UNKNOWN: Final = 254

@@ -1,51 +1,38 @@
-"""Reads areas that a person named in photos: `polygons.json`, a list of image, class and polygon in pixels."""
+"""Truth from areas that a person named in photos (`polygons_io`), as label images."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Final
 
 import cv2
 import numpy as np
-from pydantic import Field, TypeAdapter, ValidationError
 
 from ltm_core.errors import RecordingError
-from ltm_core.strict_model import StrictModel
-from ltm_core.text_io import LARGEST_TABLE, read_text
 from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import UNLABELLED, LabelSet
+from ltm_core.vision.polygons_io import NamedArea, read_areas
 
 POLYGONS_FILE: Final = "polygons.json"
-
-_Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]
-
-
-class NamedArea(StrictModel):
-    """An area of one class. `image`: the photo's file name; `polygon`: its corners (u, v), pixels of that photo."""
-
-    image: str = Field(pattern=r"^[^/\\\x00]+$")
-    label: str = Field(alias="class")
-    polygon: tuple[tuple[_Coordinate, _Coordinate], ...] = Field(min_length=3)
-
-
-_AREAS = TypeAdapter(list[NamedArea])
+_NO_CLASS: Final = ("unlabelled", "lens", "caption", "structure")
+"""Areas that take truth away: nothing is known there, or `ltm mask` hides it."""
 
 
 def read_polygons(path: Path, labels: LabelSet) -> dict[str, list[NamedArea]]:
-    """The areas of each photo, in the order of the file. Raises RecordingError: another content, an unknown class."""
-    try:
-        areas = _AREAS.validate_json(read_text(path, LARGEST_TABLE, RecordingError))
-    except ValidationError as error:
-        found = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:3])
-        raise RecordingError(
-            f"{path}: no list of areas ({found}); each has image, class and polygon [[u, v], ...]"
-        ) from error
+    """The areas of each photo, in the order of the file.
+
+    Raises ConfigError as `read_areas`; RecordingError for an unknown class, and a photo that is in another folder.
+    """
     named: dict[str, list[NamedArea]] = {}
-    for place, area in enumerate(areas):
-        if area.label != "unlabelled" and area.label not in labels.names:
-            known = ", ".join((*labels.names, "unlabelled"))
-            raise RecordingError(f"{path}: area {place} is of class {area.label!r}; classes: {known}")
+    for place, area in enumerate(read_areas(path)):
+        if area.kind not in labels.names and area.kind not in _NO_CLASS:
+            known = ", ".join((*labels.names, *_NO_CLASS))
+            raise RecordingError(f"{path}: area {place} is of class {area.kind!r}; classes: {known}")
+        if Path(area.image).name != area.image or not area.image.isprintable():
+            raise RecordingError(
+                f"{path}: area {place}: image is {area.image!r}, expected the name of a file beside it"
+            )
         named.setdefault(area.image, []).append(area)
     return named
 
@@ -54,6 +41,7 @@ def drawn(areas: Sequence[NamedArea], labels: LabelSet, size: tuple[int, int]) -
     """Label image (H, W) uint8 of areas, a later one over an earlier one; 255 where none lies."""
     image = np.full(size, UNLABELLED, np.uint8)
     for area in areas:
-        corners = np.rint(np.asarray(area.polygon)).astype(np.int32)
-        cv2.fillPoly(image, [corners], int(labels.id_of(area.label)))
+        label = UNLABELLED if area.kind in _NO_CLASS else labels.id_of(area.kind)
+        corners = np.rint(np.clip(np.asarray(area.polygon, np.float64), -1e5, 1e5)).astype(np.int32)
+        cv2.fillPoly(image, [corners], int(label))
     return image

@@ -64,7 +64,8 @@ def _band(strokes: BoolArray, height: int) -> tuple[int, int, int, int] | None:
     # The longest run of busy rows, small gaps (between a letter's strokes) closed.
     gap = max(1, round(0.003 * height))
     closed = cv2.morphologyEx(busy.astype(np.uint8)[:, None], cv2.MORPH_CLOSE, np.ones((2 * gap + 1, 1), np.uint8))
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], closed[:, 0], [0]])))
+    rows = np.asarray(closed).ravel()
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], rows, [0]])))
     runs = edges.reshape(-1, 2)
     first, end = max(runs, key=lambda run: share[run[0] : run[1]].sum())
     tall = end - first
@@ -76,9 +77,9 @@ def _band(strokes: BoolArray, height: int) -> tuple[int, int, int, int] | None:
         return None
     columns = np.flatnonzero(strokes[first:end].any(axis=0))
     # Letters follow each other: most of the width between the first and the last is not empty.
-    spread = columns[-1] - columns[0] + 1
-    written = strokes[first:end].any(axis=0).astype(np.uint8)[None]
-    filled = np.asarray(cv2.dilate(written, np.ones((1, 2 * tall + 1), np.uint8)))[0]
+    spread = int(columns[-1]) - int(columns[0]) + 1
+    written = np.asarray(strokes[first:end].any(axis=0), np.uint8)[None]
+    filled = np.asarray(cv2.dilate(written, np.ones((1, 2 * tall + 1), np.uint8))).ravel()
     if spread < 4 * tall or float(filled[columns[0] : columns[-1] + 1].mean()) < 0.8:
         return None
     return int(first), int(end - 1), int(columns[0]), int(columns[-1])

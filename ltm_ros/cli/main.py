@@ -25,8 +25,10 @@ from ltm_ros.cli.record import record
 from ltm_ros.cli.replay import replay
 from ltm_ros.cli.run import run
 from ltm_ros.cli.simulate import simulate
+from ltm_ros.cli.status import status
 from ltm_ros.cli.trace import trace
 from ltm_ros.cli.train import train
+from ltm_ros.cli.upgrade import rollback, upgrade
 from ltm_ros.cli.view import view
 from ltm_ros.cli.viewshed import viewshed
 
@@ -53,7 +55,10 @@ cli.command()(simulate)
 cli.add_typer(train, name="train")
 cli.command()(export)
 cli.command()(view)
+cli.command()(status)
 cli.command()(doctor)
+cli.command()(upgrade)
+cli.command()(rollback)
 cli.command()(models)
 cli.add_typer(bench, name="bench")
 cli.add_typer(evaluate, name="eval")
@@ -85,6 +90,7 @@ def app() -> None:
             "matplotlib": "train",
             "jinja2": "report",
             "laspy": "export",
+            "prometheus_client": "tower",
             "rosbags": "eval",
             "skimage": "eval",
         }.get((error.name or "").partition(".")[0])

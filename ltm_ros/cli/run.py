@@ -72,7 +72,7 @@ def run(
     parameters = {"fuel_map": kept, "terrain": kept} if kept else {}
     seen: dict[str, ParameterValue] | None = {"serve": True} if view else None
     try:
-        wanted = Wanted(only or (), seen, recorded, parameters, folders)
+        wanted = Wanted(only or (), seen, recorded, {}, parameters, folders)
         config = require_ready(site, wanted, lambda doubt: typer.echo(f"-- {doubt}"))
     except NotReadyError as error:
         typer.echo("\n".join(f"ltm: {line}" for line in str(error).splitlines()), err=True)
@@ -80,14 +80,26 @@ def run(
         raise typer.Exit(error.status) from error
     if state is not None:
         folders["state"].mkdir(parents=True, exist_ok=True)
+    place = logs or new_log_folder(config.name)
+    kept_in = [str(folder) for folder in {**folders, "logs": place}.values()]
     graph = describe(
-        config, site, cameras=only or (), sim_time=sim_time, view=seen, record=recorded, parameters=parameters
+        config,
+        site,
+        cameras=only or (),
+        sim_time=sim_time,
+        view=seen,
+        record=recorded,
+        health={"folders": kept_in},
+        parameters=parameters,
     )
-    runner = Runner(graph, log_folder=logs or new_log_folder(config.name), domain_id=domain)
+    runner = Runner(graph, log_folder=place, domain_id=domain)
     processes = f"{len(graph)} nodes in {len(graph.processes)} processes"
     typer.echo(f"-- {config.name}: {processes}, logs in {runner.log_folder}; Ctrl-C stops them")
     if view:
         typer.echo(f"-- live view, as soon as the nodes are up: {_address(graph.node('viewer').parameters)}")
+    if config.health is not None:
+        scheme = "https" if config.health.certificate else "http"
+        typer.echo(f"-- health and status page: {scheme}://{config.health.address}:{config.health.port}")
     status = runner.run(manager)
     # Not by echo: a console that has gone meanwhile is no error of the run.
     print_line(f"-- {config.name} has ended; its logs: {runner.log_folder}")

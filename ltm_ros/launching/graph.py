@@ -34,7 +34,7 @@ TERRAIN_NODES = ("terrain",)
 """Node types that a site has one of where its file has a section `terrain`."""
 LOCATING_NODES = ("locate",)
 """Node types that a site has one of where its file has a section `locating`."""
-OPTIONAL_NODES = ("viewer", "recorder")
+OPTIONAL_NODES = ("viewer", "recorder", "health")
 """Site-level node types that run on request; the graph works without them."""
 NODE_TYPES = (
     *SOURCE_NODES,
@@ -176,12 +176,14 @@ def describe(
     sim_time: bool = False,
     view: Mapping[str, ParameterValue] | None = None,
     record: Mapping[str, ParameterValue] | None = None,
+    health: Mapping[str, ParameterValue] | None = None,
     parameters: Mapping[str, Mapping[str, ParameterValue]] | None = None,
     sources: bool | None = None,
 ) -> Graph:
     """The graph of `site`, which was read from `path`.
 
-    `cameras`: only these (empty: all). `view`, `record`: also run the viewer, the recorder, with these parameters.
+    `cameras`: only these (empty: all). `view`, `record`: also run the viewer, the recorder, with these parameters;
+    `health`: the node that answers monitoring systems, too, where the site's file has a section for it.
     `parameters`: by node type, over those of the site file. Raises ConfigError for an unknown camera or node type, a
     parameter that the graph itself gives, and a value that ROS has no parameter type for.
 
@@ -193,7 +195,7 @@ def describe(
     """
     place = Path(path).expanduser().resolve()
     given = _overrides(site, place, parameters or {})
-    for extra, values in (("viewer", view), ("recorder", record)):
+    for extra, values in (("viewer", view), ("recorder", record), ("health", health)):
         given[extra] = given.get(extra, {}) | dict(values or {})
     if sim_time:
         given["capture"] = {"shed": False} | given.get("capture", {})
@@ -234,6 +236,9 @@ def describe(
         nodes.append(spec("viewer", f"/{site.name}", {}))
     if record is not None:
         nodes.append(spec("recorder", f"/{site.name}", {}))
+    if health is not None and site.health is not None:
+        expected = [node.full_name for node in nodes]
+        nodes.append(spec("health", f"/{site.name}", {"expected": expected}))
     return Graph(site.name, tuple(nodes), site.watchdog)
 
 

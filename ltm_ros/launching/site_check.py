@@ -40,6 +40,7 @@ class Wanted:
     cameras: Sequence[str] = ()
     view: Mapping[str, ParameterValue] | None = None
     record: Mapping[str, ParameterValue] | None = None
+    health: Mapping[str, ParameterValue] | None = None
     parameters: Mapping[str, Mapping[str, ParameterValue]] | None = None
     folders: Mapping[str, Path] | None = None
     """Where something is kept, by what it is."""
@@ -109,7 +110,13 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
     """The parameters of each node type, which it would refuse itself."""
     try:
         graph = describe(
-            site, path, cameras=wanted.cameras, view=wanted.view, record=wanted.record, parameters=wanted.parameters
+            site,
+            path,
+            cameras=wanted.cameras,
+            view=wanted.view,
+            record=wanted.record,
+            health=wanted.health,
+            parameters=wanted.parameters,
         )
     except LtmError as error:
         yield Finding.of("site", "nodes", error)
@@ -154,6 +161,8 @@ def _places(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
             port = given.get(name, usual)
             if isinstance(port, int) and port:
                 yield _port(name, port)
+    if wanted.health is not None and site.health is not None and site.health.port:
+        yield _port("health", site.health.port, site.health.address)
 
 
 def _sources(site: Site, wanted: Wanted) -> Iterator[Finding]:
@@ -182,12 +191,13 @@ def _folder(what: str, folder: Path) -> Finding:
     return Finding(MACHINE, what, verdict, f"{said}: make room, or name a place on another disk")
 
 
-def _port(name: str, port: int) -> Finding:
-    with socket.socket() as probe:
+def _port(name: str, port: int, address: str = _LOOPBACK) -> Finding:
+    with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind((_LOOPBACK, port))
+            probe.bind((address, port))
         except OSError as error:
-            said = f"port {port} on {_LOOPBACK} is taken ({error.strerror}): name another under `nodes: {{viewer: "
-            return Finding(MACHINE, name, Verdict.WRONG, f"{said}{{{name}: ...}}}}`, or end what uses it")
-    return Finding(MACHINE, name, Verdict.OK, f"{port} on {_LOOPBACK} is free")
+            said = f"port {port} on {address} is taken ({error.strerror}): name another under `"
+            key = "health: {port: ...}" if name == "health" else f"nodes: {{viewer: {{{name}: ...}}}}"
+            return Finding(MACHINE, name, Verdict.WRONG, f"{said}{key}`, or end what uses it")
+    return Finding(MACHINE, name, Verdict.OK, f"{port} on {address} is free")

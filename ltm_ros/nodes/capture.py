@@ -160,6 +160,7 @@ class Capture(Handler[CaptureConfig]):
         if stamp < self._newest and not self._join.known("image", stamp):
             self.health.note("out_of_order")
         self._newest = max(stamp, self._newest)
+        self.health.gauge("newest_stamp", f"{self._newest / 1e9:.3f}")
         self._join.add("image", stamp, message)
 
     def on_camera_info(self, message: Any) -> None:

@@ -35,7 +35,6 @@ from ltm_core.simulator.scenario_io import load_scenario
 from ltm_core.site_io import load_site
 from ltm_core.tracing.trace_io import load_picture_config, set_up_picture
 from ltm_core.training.config import TrainingConfig
-from ltm_core.training.polygon_labels_io import drawn, read_polygons
 from ltm_core.vision.label_calibration_io import Calibration
 from ltm_core.vision.label_head_io import read_head
 from ltm_core.vision.labels import LabelSet
@@ -154,12 +153,6 @@ def _frames(folder: Path) -> list[bytes]:
     return [json.dumps(index | {"frames": [entry]}).encode()]
 
 
-def _draw_polygons(path: Path) -> None:
-    labels = LabelSet.load()
-    for areas in read_polygons(path, labels).values():
-        drawn(areas, labels, (20, 30))
-
-
 def _whole(frames: Any) -> None:
     for _ in frames:
         pass
@@ -249,15 +242,6 @@ TEXT_FILES = (
         "readings.csv",
     ),
     _yaml("mount", _texts(_MOUNT), _read_mount, "mount.yaml"),
-    _yaml(
-        "polygons",
-        _texts(
-            '[{"image": "a.jpg", "class": "sky", "polygon": [[10, 140], [250.5, 45], [1000, 45], [1265, 145]]},\n'
-            ' {"image": "b.jpg", "class": "unlabelled", "polygon": [[0, 0], [5, 0], [5, 5]]}]\n'
-        ),
-        _draw_polygons,
-        "polygons.json",
-    ),
     _yaml("bag_metadata", _metadata, lambda path: BagReader(path.parent).topic_infos(), _METADATA_FILE),
     _yaml("simulated_index", _frames, lambda path: _whole(read_truth_frames(path.parent)), "frames.json"),
 )  # fmt: skip

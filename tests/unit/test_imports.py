@@ -32,6 +32,7 @@ TOWER = {
 ON_DEMAND = {
     "rerun": "the viewer",
     "laspy": "LAS export",
+    "prometheus_client": "the health node",
     "rosbags": "message definitions where no ROS is installed",
     "av": "videos for `ltm import`, RTSP streams",
 }

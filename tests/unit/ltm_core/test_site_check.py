@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from scenes.networks import write_classifier, write_swapping_head
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -111,3 +112,15 @@ def test_a_head_under_the_ground_is_wrong(tmp_path: Path) -> None:
     ((name, message),) = said(checked(tmp_path, 890.0, cameras={"north": {"mount": below}}), Verdict.WRONG)
     assert name == "north"
     assert "camera at (347000, 3783500)" in message
+
+
+def test_a_head_that_no_network_has_is_told_with_its_cameras_place(tmp_path: Path) -> None:
+    check = checked(tmp_path, 890.0, heads="heads", cameras={"north": {"head": "chaparral"}, "south": {}})
+    ((name, message),) = [found for found in said(check, Verdict.WRONG) if found[0] == "head chaparral"]
+    assert str(tmp_path / "heads" / "chaparral.yaml") in message
+    network = write_classifier(tmp_path, maps=True)
+    write_swapping_head(tmp_path / "heads" / "chaparral.yaml", network)
+    cameras = {"north": {"head": "chaparral"}, "south": {}}
+    check = checked(tmp_path, 890.0, heads="heads", model="colors.yaml", cameras=cameras)
+    ((_, message),) = [found for found in said(check, Verdict.OK) if found[0] == name]
+    assert message.startswith("of north: ")

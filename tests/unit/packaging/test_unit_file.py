@@ -43,6 +43,7 @@ def test_systemd_understands_every_line(tmp_path: Path) -> None:
     text = UNIT.read_text()
     assert "/opt/ltm/current/bin/ltm" in text
     unit = tmp_path / "ltm.service"
+    text = text.replace("/usr/lib/ltm/release-guard", str(UNITS / "release-guard"))
     unit.write_text(text.replace("/opt/ltm/current/bin/ltm", str(program)))
     ran = subprocess.run([tool("systemd-analyze"), "verify", str(unit)], capture_output=True, text=True)
     assert (ran.returncode, re.findall(r".*ltm\.service.*", ran.stderr)) == (0, []), ran.stderr

@@ -11,7 +11,7 @@ import pytest
 from scenes.networks import COLORS, changed, write_classifier
 from typer.testing import CliRunner
 
-from ltm_core.errors import RecordingError
+from ltm_core.errors import ConfigError, RecordingError
 from ltm_core.evaluation.metrics.confidence import CalibrationScore, RiskCoverage
 from ltm_core.evaluation.segmentation.network_score import score_frames
 from ltm_core.training.labelled_frames import read_frames
@@ -116,7 +116,7 @@ def test_areas_named_in_polygons_are_truth_as_a_picture_of_labels_is(tmp_path: P
     areas = [
         {"image": "b.jpg", "class": "sky", "polygon": [[0, 0], [59, 0], [59, 14], [0, 14]]},
         {"image": "b.jpg", "class": "shrub", "polygon": [[10, 20], [29, 20], [29, 34], [10, 34]]},
-        {"image": "b.jpg", "class": "unlabelled", "polygon": [[10, 20], [19, 20], [19, 34], [10, 34]]},
+        {"image": "b.jpg", "class": "structure", "polygon": [[10, 20], [19, 20], [19, 34], [10, 34]]},
         {"image": "gone.jpg", "class": "sky", "polygon": [[0, 0], [5, 0], [5, 5]]},
     ]
     (folder / "polygons.json").write_text(json.dumps(areas))
@@ -147,7 +147,7 @@ def test_areas_named_in_polygons_are_truth_as_a_picture_of_labels_is(tmp_path: P
 )
 def test_areas_that_cannot_be_taken_are_refused_in_words(tmp_path: Path, areas: object, said: str) -> None:
     (tmp_path / "polygons.json").write_text(json.dumps(areas))
-    with pytest.raises(RecordingError, match=said):
+    with pytest.raises((ConfigError, RecordingError), match=said):
         read_frames(tmp_path, 7)
 
 

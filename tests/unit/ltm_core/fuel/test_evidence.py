@@ -332,3 +332,18 @@ def test_votes_over_other_classes() -> None:
 def test_a_prior_of_another_grid() -> None:
     with pytest.raises(RasterError, match="prior is"):
         EvidenceMap(GridGeometry(0, 0, 30.0, 4, 4), PRIOR, LABELS)
+
+
+def test_a_camera_s_votes_are_weighed_by_the_errors_of_its_own_head() -> None:
+    shares = ASSUMED.shares.copy()
+    shrub, tree = LifeForm.SHRUB - 1, LifeForm.TREE - 1
+    shares[[shrub, tree]] = shares[[tree, shrub]]  # a head that calls shrub what is tree, and tree what is shrub
+    turned = LabelErrors(shares, INDEPENDENT)
+    mixed = EvidenceMap(GRID, PRIOR, LABELS, FusionRules(min_cells=1), TRUSTED, errors_of={"north": turned})
+    for second in (NOW, NOW + HOUR):
+        mixed.add(votes(Label.SHRUB, second, "north"))
+    assert mixed.layers().life_form[0, 0] == LifeForm.TREE
+    other = EvidenceMap(GRID, PRIOR, LABELS, FusionRules(min_cells=1), TRUSTED, errors_of={"south": turned})
+    for second in (NOW, NOW + HOUR):
+        other.add(votes(Label.SHRUB, second, "north"))
+    assert other.layers().life_form[0, 0] == LifeForm.SHRUB

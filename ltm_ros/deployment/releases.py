@@ -1,0 +1,133 @@
+"""The releases that are installed beside each other, the one that runs, and the one that is on trial."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from ltm_core.errors import ConfigError
+
+ROOT = Path("/opt/ltm")
+_VERSION = re.compile(r"[A-Za-z0-9][A-Za-z0-9.+~-]*")
+
+
+def checked_version(version: str) -> str:
+    """A name that is one folder. Raises ConfigError."""
+    if not _VERSION.fullmatch(version):
+        raise ConfigError(f"version {version!r}: expected letters, digits and . + ~ - as Debian has them")
+    return version
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A release that was switched to and has not been confirmed: `former` returns where it fails."""
+
+    former: str
+    candidate: str
+    copy: str
+    """Folder with the copy of the stores as `former` left them; empty: there was none."""
+
+
+class Releases:
+    """`ROOT/releases/VERSION`, each whole in itself; `ROOT/current` is a link to one.
+
+    A trial outlives a power cut: `ROOT/trial` names it, and the service's start looks there first
+    (`packaging/systemd/release-guard`).
+    """
+
+    def __init__(self, root: Path = ROOT) -> None:
+        self.root = root
+        self._folder = root / "releases"
+        self._trial = root / "trial"
+
+    @property
+    def current(self) -> str:
+        """Raises ConfigError where this is no installed tower."""
+        link = self.root / "current"
+        try:
+            return link.readlink().name
+        except OSError as error:
+            raise ConfigError(
+                f"{link}: {error.strerror}: upgrades and returns are for a tower that was installed from the package "
+                "(docs/deployment.md)"
+            ) from error
+
+    @property
+    def installed(self) -> list[str]:
+        """In the order in which they were unpacked."""
+        folders = [path for path in self._folder.iterdir() if path.is_dir() and not path.name.startswith(".")]
+        return [path.name for path in sorted(folders, key=lambda path: (path.stat().st_mtime, path.name))]
+
+    def folder(self, version: str) -> Path:
+        return self._folder / checked_version(version)
+
+    def program(self, version: str) -> Path:
+        """Raises ConfigError naming the releases there are."""
+        program = self.folder(version) / "bin/ltm"
+        if not program.exists():
+            raise ConfigError(f"no release {version} in {self._folder}; there are {', '.join(self.installed)}")
+        return program
+
+    def other(self) -> str:
+        """The release to return to: the one that ran before, else the newest beside the current one.
+
+        Raises ConfigError where there is none.
+        """
+        others = [version for version in self.installed if version != self.current]
+        if not others:
+            raise ConfigError(f"{self._folder} holds no release but {self.current}: there is nothing to return to")
+        link = self.root / "former"
+        ran = link.readlink().name if link.is_symlink() else ""
+        return ran if ran in others else others[-1]
+
+    def switch(self, version: str) -> None:
+        """In one step: after a power cut one or the other is current. Raises ConfigError."""
+        self.program(version)
+        former = self.current
+        if former != version:
+            self._link("former", former)
+        self._link("current", version)
+        _sync(self.root)
+
+    def _link(self, name: str, version: str) -> None:
+        link = self.root / f".{name}.new"
+        link.unlink(missing_ok=True)
+        link.symlink_to(Path("releases") / version)
+        link.replace(self.root / name)
+
+    @property
+    def trial(self) -> Trial | None:
+        try:
+            former, candidate, copy = (self._trial / "release").read_text(encoding="utf-8").split("\n")[:3]
+        except (OSError, ValueError):
+            return None
+        return Trial(former, candidate, copy)
+
+    def begin_trial(self, trial: Trial) -> None:
+        """Before the switch: from here on a second start of the service is one too many."""
+        self.end_trial()
+        self._trial.mkdir(mode=0o755)
+        partial = self._trial / ".release"
+        partial.write_text(f"{trial.former}\n{trial.candidate}\n{trial.copy}\n", encoding="utf-8")
+        with partial.open("rb") as file:
+            os.fsync(file.fileno())
+        partial.rename(self._trial / "release")
+        _sync(self._trial)
+
+    def end_trial(self) -> None:
+        for name in ("release", ".release", "started"):
+            (self._trial / name).unlink(missing_ok=True)
+        with contextlib.suppress(FileNotFoundError):
+            self._trial.rmdir()
+        _sync(self.root)
+
+
+def _sync(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

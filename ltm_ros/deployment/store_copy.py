@@ -1,0 +1,106 @@
+"""Copies of a tower's stores, made before a release is changed, and what to do with them on the way back.
+
+A release may move a store's schema forward, never back. On the way back the store is taken as it is where the schema is
+still the one of the copy, so that no frame is lost; else the copy returns and the newer store is put aside.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import sqlite3
+import time
+from pathlib import Path
+
+from ltm_core.errors import StoreError
+
+COPIES = 3
+"""Of each kind that are kept, the newest."""
+SUFFIXES = (".ltm", ".sqlite")
+ROOM = 1.1
+"""Times the stores' size that must be free."""
+
+
+def copy_stores(state: Path, copies: Path, version: str) -> Path | None:
+    """A folder below `copies` with every store of `state`, as the release `version` left them; None: there are none.
+
+    Whole even where a store is written to meanwhile (SQLite's backup). Raises StoreError.
+    """
+    stores = stores_of(state)
+    if not stores:
+        return None
+    copies.mkdir(parents=True, exist_ok=True, mode=0o750)
+    size, free = sum(store.stat().st_size for store in stores), shutil.disk_usage(copies).free
+    if free < ROOM * size:
+        raise StoreError(
+            f"{copies}: {free / 1e6:.0f} MB free, a copy of the stores takes {size / 1e6:.0f} MB: make room"
+        )
+    target = copies / f"{time.strftime('%Y%m%d-%H%M%S')}-{version}"
+    partial = copies / f".{target.name}"
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir()
+    for store in stores:
+        _backup(store, partial / store.name)
+        _give_to_owner_of(store, partial / store.name)
+    os.sync()
+    partial.rename(target)
+    for former in sorted(path for path in copies.iterdir() if path.name[:1] != ".")[:-COPIES]:
+        shutil.rmtree(former, ignore_errors=True)
+    return target
+
+
+def stores_of(state: Path) -> list[Path]:
+    if not state.is_dir():
+        return []
+    return sorted(path for path in state.iterdir() if path.suffix in SUFFIXES and path.is_file())
+
+
+def return_stores(state: Path, copy: Path, aside: Path) -> list[Path]:
+    """Put back the stores of `copy` whose schema has changed since; the newer ones go to the folder `aside`.
+
+    Returns what was put back. Nothing may write the stores meanwhile. Raises StoreError.
+    """
+    changed = [store for store in stores_of(copy) if schema_of(state / store.name) != schema_of(store)]
+    for store in changed:
+        aside.mkdir(parents=True, exist_ok=True, mode=0o750)
+        for end in ("", "-wal", "-shm"):
+            former = state / f"{store.name}{end}"
+            if former.exists():
+                former.replace(aside / former.name)
+        partial = state / f".{store.name}.returned"
+        shutil.copyfile(store, partial)
+        _give_to_owner_of(store, partial)
+        with partial.open("rb") as file:
+            os.fsync(file.fileno())
+        partial.replace(state / store.name)
+    return changed
+
+
+def schema_of(store: Path) -> tuple[int, tuple[str, ...]]:
+    """SQLite's user_version, and every table as it is declared; (-1, ()) of what is no store any more."""
+    try:
+        with contextlib.closing(sqlite3.connect(f"{store.resolve().as_uri()}?mode=ro", uri=True)) as db:
+            (version,) = db.execute("PRAGMA user_version").fetchone()
+            tables = db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name").fetchall()
+            return int(version), tuple(str(sql) for (sql,) in tables)
+    except sqlite3.Error:
+        return -1, ()
+
+
+def _backup(store: Path, target: Path) -> None:
+    try:
+        with (
+            contextlib.closing(sqlite3.connect(f"{store.resolve().as_uri()}?mode=ro", uri=True)) as source,
+            contextlib.closing(sqlite3.connect(target)) as copy,
+        ):
+            source.backup(copy)
+    except sqlite3.Error as error:
+        raise StoreError(f"{store}: cannot be copied ({error}); nothing was changed") from error
+
+
+def _give_to_owner_of(store: Path, file: Path) -> None:
+    stated = store.stat()
+    if os.geteuid() == 0:
+        os.chown(file, stated.st_uid, stated.st_gid)
+    file.chmod(stated.st_mode & 0o7777)

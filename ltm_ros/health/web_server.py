@@ -1,0 +1,198 @@
+"""Answers monitoring systems and browsers by HTTP: on loopback, or elsewhere by TLS to whoever knows a token."""
+
+from __future__ import annotations
+
+import base64
+import hmac
+import ipaddress
+import json
+import os
+import ssl
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from ltm_core.errors import ConfigError
+from ltm_core.site import HealthConfig
+
+TIMEOUT_S = 10.0
+"""For a request to come and an answer to be taken: who is slower is let go."""
+CONNECTIONS = 16
+"""At a time; others are closed at once."""
+LEAST_TOKEN = 16
+"""Characters."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    body: bytes
+    kind: str = "text/plain; charset=utf-8"
+    status: HTTPStatus = HTTPStatus.OK
+
+    @classmethod
+    def json(cls, value: object) -> Answer:
+        return cls(json.dumps(value, allow_nan=False, default=str).encode(), "application/json")
+
+
+Route = Callable[[], Answer]
+
+
+def secret(path: Path) -> Path:
+    """A file with a secret: the systemd credential of its name (`LoadCredential=ltm:/etc/ltm/credentials`) where the
+    service was given one, else the file itself.
+    """
+    folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
+    given = Path(folder) / f"ltm_{path.name}"
+    return given if folder and given.is_file() else path
+
+
+def read_token(path: Path) -> str:
+    """Raises ConfigError; what is in the file is in no message."""
+    try:
+        token = secret(path).read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"health.token: {path}: cannot be read ({type(error).__name__})") from error
+    if len(token) < LEAST_TOKEN or not token.isascii() or any(c.isspace() for c in token):
+        raise ConfigError(
+            f"health.token: {path}: give {LEAST_TOKEN} characters or more, such as `openssl rand -hex 32`"
+        )
+    return token
+
+
+class WebServer:
+    """Serves `routes` (by path) from threads of its own, from the moment it is made.
+
+    Raises ConfigError where the address is taken or a certificate cannot be read.
+    """
+
+    def __init__(self, config: HealthConfig, routes: Mapping[str, Route]) -> None:
+        self._token = read_token(config.token) if config.token is not None else None
+        local = ipaddress.ip_address(config.address).is_loopback
+        # A page of somebody else in a browser on this machine could have its own name lead here.
+        hosts = {"localhost", config.address, f"[{config.address}]"} if local and self._token is None else None
+        handler = _handler(routes, self._token, hosts)
+        try:
+            self._server = _BoundedServer((config.address, config.port), handler, config)
+        except OSError as error:
+            raise ConfigError(
+                f"health: {config.address}:{config.port} cannot be listened on ({error.strerror}): name another port"
+            ) from error
+        scheme = "https" if config.certificate else "http"
+        host = f"[{config.address}]" if ":" in config.address else config.address
+        self.url = f"{scheme}://{host}:{self._server.server_address[1]}"
+        self._thread = threading.Thread(target=self._server.serve_forever, name="health web", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+
+
+class _BoundedServer(ThreadingHTTPServer):
+    daemon_threads = True
+    request_queue_size = CONNECTIONS
+
+    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler], config: HealthConfig) -> None:
+        import socket
+
+        self.address_family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
+        self._room = threading.BoundedSemaphore(CONNECTIONS)
+        self._tls = _tls(config)
+        super().__init__(address, handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        if not self._room.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        request.settimeout(TIMEOUT_S)
+        try:
+            super().process_request(request, client_address)
+        except BaseException:
+            self._room.release()
+            raise
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        try:
+            if self._tls is not None:
+                # Here, not where connections are accepted: a client that is slow with it holds up nobody.
+                request = self._tls.wrap_socket(request, server_side=True)
+            super().process_request_thread(request, client_address)
+        except OSError:
+            self.shutdown_request(request)
+        finally:
+            self._room.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A client that goes away, or sends junk, is nothing to write of."""
+
+
+def _tls(config: HealthConfig) -> ssl.SSLContext | None:
+    if config.certificate is None or config.key is None:
+        return None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    try:
+        context.load_cert_chain(secret(config.certificate), secret(config.key))
+    except (OSError, ssl.SSLError) as error:
+        raise ConfigError(
+            f"health: certificate {config.certificate} and key {config.key} cannot be taken ({error})"
+        ) from error
+    return context
+
+
+def _handler(routes: Mapping[str, Route], token: str | None, hosts: set[str] | None) -> type[BaseHTTPRequestHandler]:
+    class Handler(BaseHTTPRequestHandler):
+        server_version, sys_version = "ltm", ""
+        protocol_version = "HTTP/1.0"
+        timeout = TIMEOUT_S
+
+        def do_GET(self) -> None:
+            self._answer()
+
+        def do_HEAD(self) -> None:
+            self._answer()
+
+        def log_message(self, *_: object) -> None:
+            """Scrapes come each few seconds."""
+
+        def _answer(self) -> None:
+            host = self.headers.get("Host", "")
+            if hosts is not None and host.rpartition(":")[0 if ":" in host.rpartition("]")[2] else 2] not in hosts:
+                answer = Answer(b"ask for this machine by its address\n", status=HTTPStatus.MISDIRECTED_REQUEST)
+            elif token is not None and not _knows(self.headers.get("Authorization", ""), token):
+                answer = Answer(b"a token is needed\n", status=HTTPStatus.UNAUTHORIZED)
+            elif (route := routes.get(urlsplit(self.path).path)) is None:
+                answer = Answer(b"not found\n", status=HTTPStatus.NOT_FOUND)
+            else:
+                answer = route()
+            self.send_response(answer.status)
+            self.send_header("Content-Type", answer.kind)
+            self.send_header("Content-Length", str(len(answer.body)))
+            self.send_header("Cache-Control", "no-store")
+            self.send_header("X-Content-Type-Options", "nosniff")
+            self.send_header("Content-Security-Policy", "default-src 'self' 'unsafe-inline'; frame-ancestors 'none'")
+            if answer.status is HTTPStatus.UNAUTHORIZED:
+                self.send_header("WWW-Authenticate", 'Basic realm="ltm", charset="UTF-8"')
+            self.end_headers()
+            if self.command != "HEAD":
+                self.wfile.write(answer.body)
+
+    return Handler
+
+
+def _knows(authorization: str, token: str) -> bool:
+    """`Bearer TOKEN`, or the token as a password under any name: a browser asks for these."""
+    scheme, _, given = authorization.partition(" ")
+    if scheme.lower() == "basic":
+        try:
+            given = base64.b64decode(given, validate=True).decode("ascii").partition(":")[2]
+        except ValueError:
+            return False
+    elif scheme.lower() != "bearer":
+        return False
+    return hmac.compare_digest(given.strip().encode(errors="replace"), token.encode())

@@ -1,0 +1,123 @@
+"""health: answers monitoring systems and shows the status page, from what the other nodes say on /diagnostics."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+from http import HTTPStatus
+from importlib.resources import files
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from pydantic import Field
+from rclpy.node import Node
+
+from ltm_core.errors import ConfigError, LtmError
+from ltm_core.site_io import load_site
+from ltm_ros.health import machine
+from ltm_ros.health.last_pictures import LastPictures
+from ltm_ros.health.metrics import exposition
+from ltm_ros.health.tower_status import TowerStatus, TowerWatch, camera_of
+from ltm_ros.health.web_server import Answer, Route, WebServer
+from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
+from ltm_ros.runtime.handler import NodeConfig
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.node_process import run_until_stopped
+from ltm_ros.runtime.outlet_node import read_parameters
+
+METRICS_KIND = "text/plain; version=0.0.4; charset=utf-8"
+
+
+class HealthNodeConfig(NodeConfig):
+    expected: list[str] = Field(default_factory=list)
+    """Full names of the nodes that shall report."""
+    folders: list[str] = Field(default_factory=list)
+    """Where something is kept: their disks are looked at."""
+
+
+class HealthNode(Node):  # type: ignore[misc]
+    def __init__(self) -> None:
+        super().__init__("health", automatically_declare_parameters_from_overrides=True)
+        config = read_parameters(self, HealthNodeConfig)
+        site = load_site(config.site)
+        if site.health is None:
+            raise ConfigError(f"{config.site}: has no section `health`")
+        self._watch = TowerWatch(site.name, config.expected, site.health.frame_age)
+        self._lock = threading.Lock()
+        self._folders = config.folders
+        self._runner = os.getppid()
+        self._health = Health()
+        cameras = list(dict.fromkeys(filter(None, map(camera_of, config.expected))))
+        self._pictures = LastPictures(self, site, cameras, self._health)
+        self.create_timer(1.0, self._pictures.tick, clock=DiagnosticsPublisher.steady_clock())
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 100)
+        self._diagnostics = DiagnosticsPublisher(self, {self.get_fully_qualified_name(): self._health})
+        page = (files("ltm_ros.health") / "status_page.html").read_bytes()
+        routes: dict[str, Route] = {
+            "/": lambda: Answer(page, "text/html; charset=utf-8"),
+            "/metrics": lambda: Answer(exposition(self.status()), METRICS_KIND),
+            "/healthz": lambda: _verdict(self.status(), "alive"),
+            "/readyz": lambda: _verdict(self.status(), "ready"),
+            "/status.json": lambda: Answer.json(self.status().as_dict()),
+            "/page.json": self._page_json,
+            "/map.png": lambda: _picture(self._pictures.map_png, "image/png"),
+        }
+        for camera in cameras:
+            for kind in ("photo", "labels", "depth"):
+                draw = partial(self._pictures.jpeg, camera, kind)
+                routes[f"/picture/{camera}/{kind}.jpg"] = partial(_picture, draw, "image/jpeg")
+        self._server = WebServer(site.health, routes)
+        self.get_logger().info(f"health at {self._server.url}")
+
+    def close(self) -> int:
+        self._server.close()
+        return 0
+
+    def _page_json(self) -> Answer:
+        """What the page asks for, again and again while somebody looks at it."""
+        self._pictures.look()
+        return Answer.json(self.status().as_dict() | {"pictures": self._pictures.stamps_s()})
+
+    def status(self) -> TowerStatus:
+        """Now; may be asked for from any thread."""
+        disks, used = machine.disks(self._folders), machine.processes_of(self._runner)
+        with self._lock:
+            return self._watch.status(
+                time.monotonic(),
+                self.get_clock().now().nanoseconds / 1e9,
+                versions=machine.versions(),
+                clock=machine.clock(),
+                disks=disks,
+                memory=machine.memory(),
+                process_memory=used,
+            )
+
+    def _hear(self, message: DiagnosticArray) -> None:
+        now_s = time.monotonic()
+        with self._lock:
+            for status in message.status:
+                values = {value.key: value.value for value in status.values}
+                self._watch.hear(status.name, status.level != DiagnosticStatus.OK, status.message, values, now_s)
+
+
+def _verdict(status: TowerStatus, what: str) -> Answer:
+    fine = status.alive if what == "alive" else status.ready
+    lines = [what if fine else f"not {what}", *status.wrong]
+    return Answer(("\n".join(lines) + "\n").encode(), status=HTTPStatus.OK if fine else HTTPStatus.SERVICE_UNAVAILABLE)
+
+
+def _picture(draw: Callable[[], bytes | None], kind: str) -> Answer:
+    try:
+        drawn = draw()
+    except LtmError as error:
+        return Answer(f"{error}\n".encode(), status=HTTPStatus.INTERNAL_SERVER_ERROR)
+    return Answer(b"not yet\n", status=HTTPStatus.NOT_FOUND) if drawn is None else Answer(drawn, kind)
+
+
+CONFIG = HealthNodeConfig
+main = partial(run_until_stopped, "health", HealthNode)
+
+if __name__ == "__main__":
+    main()

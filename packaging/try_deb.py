@@ -1,0 +1,225 @@
+"""Tries the package on a clean Debian with a real systemd, and prints what holds: `make try-deb`.
+
+`python3 packaging/try_deb.py PACKAGE.deb` as root: installed without a network, the service started on the demo's site
+(no camera sends), a node killed, the runner hung; upgraded, rolled back, upgraded to releases that do not come up;
+removed and purged. The other releases are the package's own under other versions, broken where they shall be.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from trial_machine import TrialError, TrialMachine, make_debian_root
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+SHOW = "systemctl show ltm --value --property"
+CURRENT = "readlink /opt/ltm/current"
+PROCESSES = "for p in /proc/[0-9]*; do grep -qas ltm_ros $p/cmdline && stat -c %U $p; done | sort -u"
+"""The owners of all that runs of ours."""
+READY_S = 900.0
+"""For the first start, which compiles kernels."""
+
+
+class Trial:
+    """Prints each thing that shall hold with what was found; `failed` counts those that do not."""
+
+    def __init__(self) -> None:
+        self.failed = 0
+        self._begun = time.monotonic()
+
+    def holds(self, what: str, fact: bool, found: object = "") -> None:
+        self.failed += not fact
+        mark = "holds " if fact else "FAILS "
+        print(
+            f"[{time.monotonic() - self._begun:5.0f} s] {mark} {what}{f': {found}' if str(found) else ''}", flush=True
+        )
+
+
+def put_site(machine: TrialMachine) -> None:
+    """The demo's site, as an administrator puts one."""
+    machine.run("cp /opt/trial/demo/*.tif /opt/trial/demo/site.yaml /etc/ltm/ && chmod 644 /etc/ltm/*")
+
+
+def why(machine: TrialMachine) -> str:
+    return machine.says(
+        "systemctl status ltm --no-pager --lines 0; tail -n 15 /var/log/ltm/*.log; "
+        "journalctl --namespace=ltm -n 30 --no-pager"
+    )
+
+
+def installed(machine: TrialMachine, trial: Trial, package: str) -> None:
+    begun = time.monotonic()
+    machine.run(f"dpkg --install /opt/trial/{package}")
+    trial.holds("installs without a network", True, f"{time.monotonic() - begun:.0f} s")
+    trial.holds("the files are as packaged", machine.says("dpkg --verify ltm") == "", machine.says("dpkg --verify ltm"))
+    user = machine.says("getent passwd ltm")
+    trial.holds("user ltm without a shell", user.endswith("/var/lib/ltm:/usr/sbin/nologin"), user)
+    trial.holds("starts at boot", machine.says("systemctl is-enabled ltm") == "enabled")
+    doctor = machine.run("ltm doctor", check=False)
+    trial.holds("ltm doctor", doctor.returncode == 0, doctor.stdout.splitlines()[-1])
+
+
+def started(machine: TrialMachine, trial: Trial) -> None:
+    template = machine.run("systemctl start ltm", check=False).returncode
+    trial.holds(
+        "a site that is not filled in is refused, and not tried again",
+        template != 0 and machine.says(f"{SHOW} ExecMainStatus") == "78" and machine.says(f"{SHOW} NRestarts") == "0",
+        machine.says(f"{SHOW} StatusText"),
+    )
+    put_site(machine)
+    begun = time.monotonic()
+    machine.run("systemctl reset-failed ltm; systemctl start --no-block ltm")
+    try:
+        machine.wait_for(f"{SHOW} ActiveState", "active", READY_S)
+    except TrialError as error:
+        trial.holds("is ready", False, f"{error}\n{why(machine)}")
+        return
+    trial.holds(
+        "is ready, kernels compiled", True, f"{time.monotonic() - begun:.0f} s; {machine.says(f'{SHOW} StatusText')}"
+    )
+    owners = machine.says(PROCESSES)
+    trial.holds("runs as ltm alone", owners == "ltm", owners)
+    main = machine.says(f"{SHOW} MainPID")
+    caps = machine.says(f"grep CapEff /proc/{main}/status | cut -f2")
+    trial.holds("without capabilities", int(caps, 16) == 0, caps)
+    shm = machine.says(f"nsenter --target {main} --mount df --output=size,target /dev/shm | tail -1")
+    trial.holds("a /dev/shm of its own", shm.split()[0] == str(2 << 20), f"{int(shm.split()[0]) >> 10} MiB")
+    sockets = (
+        machine.says("ss -Hltn; true")
+        if machine.says("command -v ss")
+        else machine.says("cat /proc/net/tcp | tail -n +2")
+    )
+    trial.holds("no TCP socket listens", sockets == "", sockets)
+    score = machine.says("systemd-analyze security ltm | tail -1")
+    trial.holds("hardened, as systemd sees the running unit", float(score.split(":")[1].split()[0]) <= 2.0, score)
+    machine.run("pid=$(sed -n 's/.*started as process //p' /var/log/ltm/fuel_map.log | tail -1); kill -9 $pid")
+    machine.wait_for(f"{SHOW} StatusText | grep -c 'down: fuel_map'", "1", 60)
+    machine.wait_for(f"{SHOW} StatusText | grep -c 'all . processes run'", "1", 120)
+    trial.holds("a killed node comes back, the service is not restarted", machine.says(f"{SHOW} NRestarts") == "0")
+    trial.holds(
+        "the map is kept", machine.says("ls /var/lib/ltm/state") != "", machine.says("ls /var/lib/ltm/state").split()
+    )
+    begun = time.monotonic()
+    machine.run(f"kill -STOP {machine.says(f'{SHOW} MainPID')}")
+    machine.wait_for(f"{SHOW} NRestarts", "1", 400)
+    machine.wait_for(f"{SHOW} ActiveState", "active", 300)
+    trial.holds(
+        "a runner that hangs is restarted by the watchdog", True, f"{time.monotonic() - begun:.0f} s until ready"
+    )
+
+
+def changed(package: Path, version: str, target: Path, spoilt: dict[str, str] | None = None) -> Path:
+    """The package as another version; `spoilt`: modules of it with what they are replaced by."""
+    with tempfile.TemporaryDirectory(dir=target) as folder:
+        root = Path(folder) / "root"
+        subprocess.run(["dpkg-deb", "--raw-extract", package, root], check=True)
+        (old,) = (root / "opt/ltm/releases").iterdir()
+        new = old.rename(old.with_name(version))
+        for file in (*(root / "DEBIAN").iterdir(), *(path for path in (new / "bin").iterdir() if path.is_file())):
+            if not file.is_symlink():
+                mode = file.stat().st_mode
+                file.write_bytes(file.read_bytes().replace(old.name.encode(), version.encode()))
+                file.chmod(mode)
+        (site_packages,) = new.glob("lib/python3.*/site-packages")
+        for name, text in (spoilt or {}).items():
+            module = site_packages / name
+            module.write_text(text)
+            for compiled in (module.parent / "__pycache__").glob(f"{module.stem}.*.pyc"):
+                compiled.unlink()
+        made = target / f"ltm_{version}_amd64.deb"
+        subprocess.run(["dpkg-deb", "--root-owner-group", "-Zzstd", "-z1", "--build", root, made], check=True)
+        return made
+
+
+def upgraded(machine: TrialMachine, trial: Trial, shared: Path, package: Path) -> None:
+    first = machine.says(CURRENT)
+    good = changed(package, "0.9+good", shared)
+    begun = time.monotonic()
+    said = machine.run(f"ltm upgrade /opt/trial/{good.name}", check=False)
+    steps = [line for line in said.stdout.splitlines() if line.startswith(("--", "ltm:"))]
+    fine = said.returncode == 0 and machine.says(CURRENT) == "releases/0.9+good"
+    trial.holds("an upgrade", fine, f"{time.monotonic() - begun:.0f} s\n  " + "\n  ".join(steps))
+    installed = machine.says("dpkg-query --show --showformat='${Version} ${Status}' ltm")
+    trial.holds("dpkg knows it", installed == "0.9+good install ok installed", installed)
+    trial.holds("the former release stays", first.removeprefix("releases/") in machine.says("ls /opt/ltm/releases"))
+    said = machine.run("ltm rollback", check=False)
+    fine = said.returncode == 0 and machine.says(CURRENT) == first and machine.says(f"{SHOW} ActiveState") == "active"
+    trial.holds("the way back", fine, said.stdout.strip().splitlines()[-2:])
+    good.unlink()
+
+    never = {"ltm_ros/nodes/cameras.py": "import time\ntime.sleep(1e6)\n"}
+    crashes = {"ltm_ros/launching/runner.py": "raise RuntimeError('a broken build')\n"}
+    refused = {"ltm_ros/doctor.py": "raise RuntimeError('a broken build')\n"}
+    for what, spoilt, minutes in (
+        ("that never gets ready", never, 1.0),
+        ("that crashes", crashes, 2.0),
+        ("that its own doctor does not take", refused, 2.0),
+    ):
+        broken = changed(package, "0.9+broken", shared, spoilt)
+        begun = time.monotonic()
+        said = machine.run(f"ltm upgrade --ready-minutes {minutes} /opt/trial/{broken.name}", check=False)
+        back = machine.says(CURRENT) == first and machine.says(f"{SHOW} ActiveState") == "active"
+        word = said.stdout.strip().splitlines()[-1]
+        took = f"{time.monotonic() - begun:.0f} s with the questions before: {word}"
+        trial.holds(f"back by itself from a release {what}", said.returncode == 1 and back, took)
+        trial.holds("nothing is on trial any more", machine.says("ls -d /opt/ltm/trial 2>/dev/null") == "")
+        if spoilt is crashes:
+            # As a power cut in the midst of an upgrade leaves it: the release on trial is current, nobody waits for it.
+            former = first.removeprefix("releases/")
+            machine.run(f"mkdir /opt/ltm/trial; printf '{former}\\n0.9+broken\\n\\n' > /opt/ltm/trial/release")
+            machine.run("ln -sfnT releases/0.9+broken /opt/ltm/current; systemctl restart --no-block ltm")
+            took_s = machine.wait_for(f"{CURRENT}; {SHOW} ActiveState", f"{first}\nactive", 180)
+            trial.holds("back by itself after a power cut in an upgrade", True, f"{took_s:.0f} s")
+        broken.unlink()
+
+
+def removed(machine: TrialMachine, trial: Trial) -> None:
+    machine.run("dpkg --remove ltm")
+    trial.holds("removed: no process is left", machine.says(PROCESSES) == "")
+    kept = machine.says("find /opt/ltm /usr/lib/systemd/system/ltm.service /usr/bin/ltm /var/cache/ltm 2>/dev/null")
+    trial.holds("removed: nothing left but state and configuration", kept == "", kept)
+    trial.holds("the map stays", machine.says("ls /var/lib/ltm/state") != "")
+    machine.run("dpkg --purge ltm")
+    left = machine.says(
+        "find / -xdev -path /proc -prune -o -path /var/lib/ltm -prune -o -name 'ltm*' -print 2>/dev/null "
+        "| grep -v -e ^/tmp -e ^/opt/trial"
+    )
+    trial.holds("purged: nothing left but the map", left == "", left.split())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("package", type=Path)
+    parser.add_argument(
+        "--root", type=Path, default=REPOSITORY / "out/trial/debian", help="Made by debootstrap if missing."
+    )
+    options = parser.parse_args()
+    trial = Trial()
+    try:
+        make_debian_root(options.root)
+        with tempfile.TemporaryDirectory(dir="/var/tmp") as folder:
+            shared = Path(folder)
+            shared.chmod(0o755)
+            shutil.copy(options.package, shared)
+            shutil.copytree(REPOSITORY / "bags/demo", shared / "demo", ignore=shutil.ignore_patterns("recording"))
+            with TrialMachine(options.root, shared) as machine:
+                trial.holds("a clean Debian boots", True, machine.says("systemctl --version | head -1"))
+                installed(machine, trial, options.package.name)
+                started(machine, trial)
+                upgraded(machine, trial, shared, options.package)
+                removed(machine, trial)
+    except TrialError as error:
+        print(f"cannot be tried: {error}", file=sys.stderr)
+        sys.exit(2)
+    print(f"{trial.failed} things do not hold" if trial.failed else "all holds")
+    sys.exit(1 if trial.failed else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,215 @@
+"""The health of a real graph: what HTTP says is what /diagnostics says, and what a person reads."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from bystander import Bystander
+from scenes.small_site import NAME, SmallSite
+from scenes.waiting import wait_for
+
+from ltm_msgs_py.camera_info import camera_to_msg
+from ltm_msgs_py.image import compressed_to_msg, encode_rgb
+from ltm_msgs_py.pose import pose_to_msg
+from ltm_ros.runtime.topics import CAMERA_INFO, FUEL_MAP_UPDATE, IMAGE_COMPRESSED, POSE, camera_topic, site_topic
+
+pytestmark = pytest.mark.graph
+parser = pytest.importorskip("prometheus_client.parser", reason="the extra `tower` is not installed")
+
+LTM = "from ltm_ros.cli.main import app; app()"
+TOPICS = (CAMERA_INFO, POSE, IMAGE_COMPRESSED)
+
+
+@dataclass
+class Tower:
+    site: SmallSite
+    path: Path
+    port: int
+    process: subprocess.Popen[bytes]
+    console: Path
+
+    def get(self, path: str) -> tuple[int, str]:  # of a picture: its bytes, each as a character
+        """(0, ...) while nobody answers."""
+        try:
+            with closing(http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)) as connection:
+                connection.request("GET", path)
+                answer = connection.getresponse()
+                return answer.status, answer.read().decode("latin-1")
+        except (OSError, http.client.HTTPException) as error:
+            return 0, str(error)
+
+    def said(self) -> str:
+        return self.console.read_text()
+
+
+@pytest.fixture(scope="module")
+def tower(small_site: SmallSite, module_ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tower]:
+    folder = tmp_path_factory.mktemp("health")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    path = small_site.folder / "watched.yaml"
+    keys = yaml.safe_load(small_site.path.read_text())
+    path.write_text(yaml.safe_dump(keys | {"health": {"port": port, "frame_age": 3600.0}}))
+    command = [sys.executable, "-c", LTM, "run", str(path), "--only", "tower", "--state", str(folder / "state")]
+    with (folder / "console").open("w") as console:
+        graph = subprocess.Popen([*command, "--logs", str(folder / "logs")], stdout=console, stderr=subprocess.STDOUT)
+        try:
+            yield Tower(small_site, path, port, graph, folder / "console")
+            graph.send_signal(signal.SIGTERM)
+            assert graph.wait(60) == 0
+        finally:
+            graph.kill()
+            graph.wait()
+
+
+def send(bystander: Bystander, site: SmallSite) -> int:
+    """One frame of the tower, taken now; its stamp."""
+    stamp = time.time_ns()
+    (frame,) = [f for f in site.frames(1) if f.camera_name == "tower"]
+    messages = (
+        camera_to_msg(frame.camera, stamp, "tower_optical"),
+        pose_to_msg(frame.pose, stamp),
+        compressed_to_msg(encode_rgb(site.photo(frame), quality=95), "jpeg", stamp, "tower_optical"),
+    )
+    for topic, message in zip(TOPICS, messages, strict=True):
+        bystander.send(camera_topic(NAME, "tower", topic), message)
+    return stamp
+
+
+def test_a_camera_that_sends_makes_a_tower_ready_and_numbers_are_those_of_the_diagnostics(tower: Tower) -> None:
+    wait_for(lambda: tower.get("/healthz")[0] == 200, "all nodes", tower.said, patience_s=180.0)
+    status, words = tower.get("/readyz")
+    assert status == 503
+    assert "camera tower: no frame has come since the start" in words
+
+    update = site_topic(NAME, FUEL_MAP_UPDATE)
+    with Bystander() as bystander:
+        bystander.listen(update, FUEL_MAP_UPDATE.type, depth=200)
+        for topic in TOPICS:
+            bystander.open(camera_topic(NAME, "tower", topic), topic.type, listeners=1)
+        bystander.wait_for_wiring(5)
+        for _ in range(3):
+            bystander.wait_for_stamp(update, send(bystander, tower.site))
+        wait_for(lambda: tower.get("/readyz")[0] == 200, "frames", lambda: tower.get("/readyz"))
+
+        # Now nothing moves any more: both must come to say the same.
+        def differences() -> list[str]:
+            return [
+                f"{name} {key}: {value} in /diagnostics, {numbers.get((name, key))} in /metrics"
+                for numbers in (metrics(tower.get("/metrics")[1]),)
+                for name, summary in bystander.summaries.items()
+                if not name.endswith("/health")
+                for key, value in counts(summary).items()
+                if numbers.get((name, key)) != value
+            ]
+
+        wait_for(lambda: bystander.count(f"/{NAME}/tower/capture", "frames_in") == 3, "capture's word")
+        wait_for(lambda: not differences(), "the same numbers", differences)
+        checked = sum(len(counts(summary)) for summary in bystander.summaries.values())
+    assert checked > 20
+    said = json.loads(tower.get("/status.json")[1])
+    (camera,) = said["cameras"]
+    assert (camera["name"], camera["frames_in"], camera["finished"], camera["wrong"]) == ("tower", 3, 3, "")
+    assert {"cameras", "fuel_map"} <= set(said["process_memory"])
+    assert min(said["process_memory"].values()) > 10e6
+
+
+def browse(tower: Tower, folder: Path, *options: str) -> str:
+    """What a real browser makes of the page, after some seconds of its own time."""
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("needs a browser: apt install chromium")
+    command = [browser, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder / 'browser'}"]
+    command += ["--window-size=1280,1500", "--hide-scrollbars", "--virtual-time-budget=9000", *options]
+    ran = subprocess.run(
+        [*command, f"http://127.0.0.1:{tower.port}/"], capture_output=True, text=True, timeout=180, check=True
+    )
+    return ran.stdout
+
+
+def test_the_page_shows_pictures_map_and_words(tower: Tower, tmp_path: Path) -> None:
+    """In a real browser."""
+    wait_for(lambda: tower.get("/readyz")[0] == 200, "frames", tower.said)
+    assert tower.get("/picture/tower/secret.jpg")[0] == tower.get("/picture/mast/photo.jpg")[0] == 404
+    wait_for(lambda: tower.get("/picture/tower/labels.jpg")[0] == 200, "a picture", tower.said)
+    wait_for(lambda: tower.get("/map.png")[0] == 200, "the map", tower.said)
+    page = browse(tower, tmp_path, "--dump-dom")
+    assert re.search(r'<img alt="Last picture of tower: photo" src="/picture/tower/photo\.jpg\?\d+', page), page
+    assert "all nodes report, all cameras send" in page
+    assert re.search(r"Newest frame [\d.]+ (ms|s|min) ago .*3 frames came, 3 are finished", page), page
+    assert f"<td>/{NAME}/fuel_map</td>" in page
+    shot = tmp_path / "page.png"
+    browse(tower, tmp_path, f"--screenshot={shot}")
+    colors = cv2.imread(str(shot)).reshape(-1, 3)
+    assert len(colors) == 1280 * 1500
+    # The site is painted in pure colours; its photo is on the page as it is.
+    painted = (np.abs(colors.astype(int)[:, ::-1] - (0, 255, 0)).max(axis=1) < 30).mean()
+    assert painted > 0.01, "the picture is drawn, not only named"
+
+
+def counts(summary: dict[str, str]) -> dict[str, float]:
+    """What of a summary counts something."""
+    kinds = ("frames_in", "frames_out", "received", "published")
+    return {k: float(v) for k, v in summary.items() if k in kinds or k.startswith(("dropped.", "noted."))}
+
+
+def metrics(text: str) -> dict[tuple[str, str], float]:
+    """Counters by node and the key that /diagnostics has for them."""
+    found: dict[tuple[str, str], float] = {}
+    for family in parser.text_string_to_metric_families(text):
+        for sample in family.samples:
+            labels: dict[str, Any] = sample.labels
+            if "node" not in labels or not (matched := re.fullmatch(r"ltm_(\w+)_total", sample.name)):
+                continue
+            which = labels.get("cause") or labels.get("event")
+            found[labels["node"], f"{matched[1]}.{which}" if which else matched[1]] = sample.value
+    return found
+
+
+def test_a_person_reads_the_same_and_learns_what_is_down(tower: Tower) -> None:
+    wait_for(lambda: tower.get("/readyz")[0] == 200, "frames", tower.said)
+    environment = os.environ | {"COLUMNS": "160"}
+    command = [sys.executable, "-c", LTM, "status", str(tower.path)]
+    ran = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert re.search(r"│ tower +│ [\d.]+ s ago +│ 3 +│ 3 +│", ran.stdout), ran.stdout
+    assert f"/{NAME}/fuel_map" in ran.stdout
+
+    log = tower.console.parent / "logs/fuel_map.log"
+    *_, last = (line for line in log.read_text().splitlines() if "-- started as process" in line)
+    os.kill(int(last.rpartition(" ")[2]), signal.SIGSTOP)
+    wait_for(lambda: tower.get("/healthz")[0] == 503, "the node to be missed", lambda: tower.get("/healthz"))
+    assert f"/{NAME}/fuel_map no word for" in tower.get("/healthz")[1]
+    ran = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert ran.returncode == 1
+    assert "silent" in ran.stdout
+    # The runner gives it up for hung, and starts another.
+    wait_for(lambda: tower.get("/healthz")[0] == 200, "it to be back", lambda: tower.get("/healthz"), patience_s=120.0)
+
+
+def test_nothing_listens_beyond_loopback(tower: Tower) -> None:
+    wait_for(lambda: tower.get("/healthz")[0] == 200, "all nodes", tower.said, patience_s=180.0)
+    lines = [
+        line.split() for name in ("tcp", "tcp6") for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]
+    ]
+    listening = [line[1] for line in lines if line[3] == "0A" and int(line[1].rpartition(":")[2], 16) == tower.port]
+    assert listening == [f"0100007F:{tower.port:04X}"]

@@ -1,0 +1,60 @@
+"""What the nodes of a tower with two cameras say on /diagnostics, in all its kinds of keys."""
+
+from __future__ import annotations
+
+from ltm_ros.health.machine import Clock, Disk
+from ltm_ros.health.tower_status import TowerStatus, TowerWatch
+from ltm_ros.runtime.health import Health
+
+NOW_S = 1_750_000_000.0
+NODES = (
+    "/ridge/fuel_map",
+    *(f"/ridge/{camera}/{node}" for camera in ("north", "east") for node in ("capture", "topodepth")),
+)
+
+
+def healths() -> dict[str, Health]:
+    """Of each node, by what nodes really count with."""
+    made = {name: Health() for name in NODES}
+    for number, name in enumerate(NODES, 1):
+        health = made[name]
+        for frame in range(7 * number):
+            health.received("image" if name.count("/") > 2 else "/ridge/north/fuel/votes")
+            health.worked(0.001 * frame * number)
+            if frame % 2:
+                health.published("posed/image", 0.25 * number)
+        health.used(1.25 * number)
+    for camera, age_s, shed in (("north", 4.5, 3), ("east", 700.25, 11)):
+        capture, judge = made[f"/ridge/{camera}/capture"], made[f"/ridge/{camera}/topodepth"]
+        capture.gauge("newest_stamp", f"{NOW_S - age_s:.3f}")
+        capture.gauge("finished", 5 + shed)
+        capture.gauge("waiting", 2)
+        capture.drop("shed", "more come than can be done", shed)
+        capture.drop("no_pose", "publish one", 2)
+        capture.note("clock_step")
+        judge.note("verdict.ok")
+        judge.note("verdict.pose_suspected")
+        judge.gauge("verdict", "ok" if camera == "north" else "pose_suspected")
+        judge.gauge("inlier_ratio", "0.625")
+        judge.gauge("last_verdict", "pose_suspected: the skyline is 2.1 degrees off")
+    made["/ridge/north/topodepth"].gauge("inlier_ratio", "nan")
+    return made
+
+
+def watch_of(made: dict[str, Health]) -> TowerWatch:
+    watch = TowerWatch("ridge", NODES, frame_limit_s=120.0)
+    for name, health in made.items():
+        watch.hear(name, health.troubled, health.last_error or "ok", health.summary(), now_s=50.0)
+    return watch
+
+
+def status_of(watch: TowerWatch, now_s: float = 51.0) -> TowerStatus:
+    return watch.status(
+        now_s,
+        NOW_S,
+        versions={"ltm": "0.1.0", "ros-rclpy": "7.1.6"},
+        clock=Clock(False, None),
+        disks=[Disk("/state", 100_000_000_000, 2_000_000_000), Disk("/gone", -1, -1)],
+        memory=(8_000_000_000, 3_000_000_000),
+        process_memory={"cameras": 400_000_000},
+    )

@@ -1,0 +1,162 @@
+"""A tower is upgraded, and comes back by itself from what does not work."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sqlite3
+import subprocess
+from pathlib import Path
+
+import pytest
+from scenes.tower import Tower, frames_of, write_package, write_store
+
+from ltm_core.errors import ConfigError, StoreError
+from ltm_ros.deployment.package_file import PackageError
+from ltm_ros.deployment.releases import Trial
+from ltm_ros.deployment.service import ServiceError, ServiceState
+from ltm_ros.deployment.upgrade import UpgradeError
+
+pytestmark = pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="needs dpkg-deb: apt install dpkg")
+GUARD = Path(__file__).parents[4] / "packaging/systemd/release-guard"
+
+
+@pytest.fixture
+def tower(tmp_path: Path) -> Tower:
+    return Tower(tmp_path)
+
+
+def test_a_good_release_is_asked_then_run(tower: Tower, tmp_path: Path) -> None:
+    tower.install(write_package(tmp_path, "2.0"))
+    assert tower.releases.current == "2.0"
+    assert tower.releases.installed == ["1.0", "2.0"]
+    questions = [line.partition("/releases/2.0/bin/")[2] for line in tower.asked.splitlines()]
+    site = tower.places.site
+    assert questions == ["ltm doctor", f"ltm check {site}", f"python -m ltm_ros.deployment.compile_kernels {site}"]
+    assert tower.service.did == ["stop", "start 2.0"]
+    assert tower.releases.trial is None
+    (copy,) = tower.places.copies.iterdir()
+    assert frames_of(copy / "fuel_map.ltm") == 5
+    assert copy.name.endswith("-1.0")
+
+    tower.upgrade.go_back()
+    assert tower.releases.current == "1.0"
+    assert tower.service.did[2:] == ["stop", "start 1.0"]
+
+
+@pytest.mark.parametrize("question", ["doctor", "check", "compile_kernels"])
+def test_a_release_that_finds_something_wrong_changes_nothing(tower: Tower, tmp_path: Path, question: str) -> None:
+    with pytest.raises(UpgradeError, match=f"{question}: not as it should be; nothing was changed"):
+        tower.install(write_package(tmp_path, "2.0", refuses=question))
+    assert (tower.releases.current, tower.service.did) == ("1.0", [])
+
+
+@pytest.mark.parametrize(
+    ("state", "why"),
+    [
+        (ServiceState(False, True, "exit-code, exit code 1"), "exit-code, exit code 1"),
+        (ServiceState(False, False, "starting; 2 of 3 processes run"), r"not ready within 0 s \(starting; 2 of 3"),
+    ],
+)
+def test_a_release_that_does_not_come_up_is_taken_back(
+    tower: Tower, tmp_path: Path, state: ServiceState, why: str
+) -> None:
+    tower.service.behaviour["2.0"] = state
+    with pytest.raises(UpgradeError, match=f"2.0 was not taken: {why}.*; 1.0 runs again"):
+        tower.install(write_package(tmp_path, "2.0"))
+    assert tower.releases.current == "1.0"
+    assert tower.service.did == ["stop", "start 2.0", "stop", "start 1.0"]
+    assert tower.releases.trial is None
+    assert frames_of(tower.store) == 5
+
+
+def test_frames_that_the_failed_release_kept_stay_where_it_changed_no_schema(tower: Tower, tmp_path: Path) -> None:
+    tower.service.behaviour["2.0"] = ServiceState(False, True, "")
+    tower.service.on_start = lambda version: write_store(tower.store, 3) if version == "2.0" else None
+    with pytest.raises(UpgradeError):
+        tower.install(write_package(tmp_path, "2.0"))
+    assert frames_of(tower.store) == 8
+
+
+def test_a_store_whose_schema_moved_forward_is_put_aside_and_the_copy_returns(tower: Tower, tmp_path: Path) -> None:
+    def migrates(version: str) -> None:
+        if version == "2.0":
+            with sqlite3.connect(tower.store) as db:
+                db.execute("ALTER TABLE frames ADD COLUMN quality REAL")
+            write_store(tower.store.with_name("terrain.sqlite"), 2)
+
+    tower.service.behaviour["2.0"] = ServiceState(False, True, "")
+    tower.service.on_start = migrates
+    with pytest.raises(UpgradeError):
+        tower.install(write_package(tmp_path, "2.0"))
+    with sqlite3.connect(tower.store) as db:
+        assert len(db.execute("PRAGMA table_info(frames)").fetchall()) == 1
+    assert frames_of(tower.places.copies.parent / "stores-of-2.0/fuel_map.ltm") == 5
+    assert any("had changed its schema" in line for line in tower.said)
+
+
+def test_a_store_that_cannot_be_copied_leaves_the_former_release_at_work(tower: Tower, tmp_path: Path) -> None:
+    tower.store.write_bytes(b"no database" * 500)
+    with pytest.raises(StoreError, match=r"fuel_map\.ltm: cannot be copied"):
+        tower.install(write_package(tmp_path, "2.0"))
+    assert tower.service.did == ["stop", "start 1.0"]
+    assert tower.releases.current == "1.0"
+
+
+def test_a_service_that_cannot_be_started_with_it_brings_the_former_release_back(tower: Tower, tmp_path: Path) -> None:
+    def fails(version: str) -> None:
+        if version == "2.0":
+            raise ServiceError("systemctl start: no")
+
+    tower.service.on_start = fails
+    with pytest.raises(UpgradeError, match=r"systemctl start: no; 1\.0 runs again"):
+        tower.install(write_package(tmp_path, "2.0"))
+    assert tower.releases.current == "1.0"
+
+
+def test_what_is_no_package_of_ours_is_refused(tower: Tower, tmp_path: Path) -> None:
+    with pytest.raises(PackageError, match="package 'other', expected 'ltm'"):
+        tower.install(write_package(tmp_path, "2.0", name="other"))
+    with pytest.raises(PackageError, match="for m68k, this machine is"):
+        tower.install(write_package(tmp_path, "2.1", machine="m68k"))
+    junk = tmp_path / "junk.deb"
+    junk.write_bytes(b"!<arch>\njunk")
+    with pytest.raises(PackageError, match=r"junk\.deb"):
+        tower.install(junk)
+    with pytest.raises(PackageError, match="no such file"):
+        tower.install(tmp_path / "none.deb")
+    with pytest.raises(UpgradeError, match=r"release 1\.0 runs already"):
+        tower.install(write_package(tmp_path, "1.0"))
+    assert (tower.releases.current, tower.service.did) == ("1.0", [])
+
+
+def test_there_must_be_something_to_return_to(tower: Tower, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="there is nothing to return to"):
+        tower.upgrade.go_back()
+    with pytest.raises(ConfigError, match=r"no release 7\.0 in"):
+        tower.upgrade.go_back("7.0")
+    with pytest.raises(ConfigError, match="expected letters"):
+        tower.upgrade.go_back("../../etc")
+
+
+def test_the_guard_lets_a_release_start_once_and_then_asks_the_former_one_to_return(
+    tower: Tower, tmp_path: Path
+) -> None:
+    """As after a crash, or a power cut in the midst of an upgrade: nobody waits for READY any more."""
+    tower.install(write_package(tmp_path, "2.0"))
+    guard = tmp_path / "guard"
+    guard.write_text(GUARD.read_text().replace("/opt/ltm", str(tower.releases.root)))
+    begun = tower.asked
+
+    def start() -> str:
+        subprocess.run(["sh", str(guard)], check=True)
+        return tower.asked.removeprefix(begun)
+
+    assert start() == start() == "", "nothing is on trial"
+    tower.releases.begin_trial(Trial("1.0", "2.0", ""))
+    assert start() == "", "its first start"
+    assert re.fullmatch(r".*/releases/1\.0/bin/ltm rollback --unconfirmed\n", start())
+    assert tower.upgrade.return_unconfirmed() == "1.0"
+    assert tower.releases.current == "1.0"
+    assert tower.upgrade.return_unconfirmed() is None
+    assert not (tower.releases.root / "trial").exists()
