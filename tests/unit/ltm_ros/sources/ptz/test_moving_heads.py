@@ -117,10 +117,9 @@ def test_after_a_slew_pictures_come_again_by_themselves(camera: HttpCamera, head
 
 def test_a_flicker_of_the_encoders_is_no_motion(camera: HttpCamera, head: FakeHead) -> None:
     tested = sourced(camera)
+    head.rate, head.starts_after_s = 1e9, 0.0
     for k in range(6):
-        head.place = (123.4 + 0.02 * (k % 2), -7.2, 1.0)
-        head.rate = 1e6
-        head.send(head.place)
+        head.send((123.4 + 0.02 * (k % 2), -7.2, 1.0))
         tested.steps(1)
     assert len(tested.frames) == 6
 
@@ -139,9 +138,8 @@ def test_focal_length_follows_the_zoom(camera: HttpCamera, head: FakeHead) -> No
 
 def test_a_zoom_that_the_lens_has_no_row_for_is_refused(camera: HttpCamera, head: FakeHead) -> None:
     tested = sourced(camera, lens=True)
-    head.place = (0.0, 0.0, 12000.0)
-    head.rate = 1e6
-    head.send(head.place)
+    head.rate, head.starts_after_s = 1e9, 0.0
+    head.send((0.0, 0.0, 12000.0))
     tested.steps(1)
     assert not tested.frames
     assert tested.health.dropped == {"zoom": 1}
