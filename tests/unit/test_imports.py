@@ -31,6 +31,7 @@ TOWER = {
 ON_DEMAND = {
     "rerun": "the viewer",
     "laspy": "LAS export",
+    "pyretechnics": "fires, by an interpreter of its own",
     "rosbags": "message definitions where no ROS is installed",
     "av": "videos for `ltm import`",
 }
