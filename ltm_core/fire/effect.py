@@ -45,6 +45,11 @@ class FireEffect:
         """(H, W) hours by which the fire comes later on the map as it is; NaN where it does not come on both."""
         return self.after.arrival - self.before.arrival
 
+    def flame_difference(self) -> Float32Array:
+        """(H, W) metres by which flames are longer on the map as it is; NaN where the fire does not come on both."""
+        both = self.before.burned & self.after.burned
+        return np.where(both, self.after.flame - self.before.flame, np.float32(np.nan))
+
     def hours_shown(self) -> tuple[float, ...]:
         return tuple(sorted({h for h in USUAL_HOURS if h < self.hours} | {self.hours}))
 
@@ -59,8 +64,10 @@ class FireEffect:
         return rows
 
     def first_contact(self) -> float | None:
-        """Hours after which the fire on the map as it is reaches a changed cell; None: it reaches none."""
-        there = self.after.arrival[self.changed & self.after.burned]
+        """Hours after which a fire, on the map as it was or as it is, comes to a changed cell; None: to none. What does
+        not burn any more was reached before.
+        """
+        there = np.concatenate([run.arrival[self.changed & run.burned] for run in (self.before, self.after)])
         return float(there.min()) if there.size else None
 
     def _hectares(self, run: FireRun, hours: float) -> float:

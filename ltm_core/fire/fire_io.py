@@ -17,6 +17,7 @@ BANDS: Mapping[str, str] = {
     "arrival_difference": "hours, positive: later on the map as it is",
     "flame_before": "m",
     "flame_after": "m",
+    "flame_difference": "m, positive: longer on the map as it is",
     "changed": "0 no, 1 yes",
     "burn_probability": "1",
 }
@@ -31,6 +32,7 @@ def write_fire(path: Path, effect: FireEffect, geometry: GridGeometry, tags: Map
         effect.difference(),
         np.where(effect.before.burned, effect.before.flame, np.nan),
         np.where(effect.after.burned, effect.after.flame, np.nan),
+        effect.flame_difference(),
         effect.changed,
     ]
     if effect.probability is not None:

@@ -44,6 +44,16 @@ DIFFERENCE: Final = Scale(
     ),
     (0.5, 1.5, 2.5, 3.5, 4.5, 5.5),
 )  # fmt: skip
+FLAME_DIFFERENCE: Final = Scale(
+    (
+        "shorter by 2.4 m and more", "shorter by 1.2 to 2.4 m", "shorter by 0.3 to 1.2 m", "the same to 0.3 m",
+        "longer by 0.3 to 1.2 m", "longer by 1.2 to 2.4 m", "longer by 2.4 m and more",
+    ),
+    (
+        (20, 40, 110), (50, 120, 190), (146, 197, 222), (226, 216, 176), (244, 165, 120), (214, 84, 50), (122, 4, 3),
+    ),
+    (-2.4, -1.2, -0.3, 0.3, 1.2, 2.4),
+)  # fmt: skip
 
 
 def arrival_scale(hours: float) -> Scale:
@@ -70,25 +80,28 @@ def terrain_of(landscape: Landscape) -> Dem:
 
 
 def fire_sheet(effect: FireEffect, landscape: Landscape, cell: tuple[int, int], width: int = 760) -> RgbImage:
-    """Arrival before and after, their difference, flame lengths, and the burn probability of an ensemble; cells whose
-    fuel has changed are outlined. `cell`: where it starts.
+    """Arrival and flame length before and after, their differences, and the burn probability of an ensemble; cells
+    whose fuel has changed are outlined. `cell`: where it starts.
     """
     canvas = _canvas(effect, landscape, cell, width)
     arrival = arrival_scale(effect.hours)
     values, known = difference_classes(effect)
+    was, now = effect.before, effect.after
+    both = _flames(was) & _flames(now)
     maps = {
-        "arrival on the map as it was": _drawn(canvas, effect.before.arrival, effect.before.burned, arrival, effect),
+        "arrival on the map as it was": _drawn(canvas, was.arrival, was.burned, arrival, effect),
         "arrival on the map as it is; outlined: its fuel has changed": _drawn(
-            canvas, effect.after.arrival, effect.after.burned, arrival, effect
+            canvas, now.arrival, now.burned, arrival, effect
         ),
-        "what the update changes": _drawn(canvas, values, known, DIFFERENCE, effect),
-        "flame length on the map as it is": _drawn(canvas, effect.after.flame, _flames(effect.after), FLAME, effect),
+        "flame length on the map as it was": _drawn(canvas, was.flame, _flames(was), FLAME, effect),
+        "flame length on the map as it is": _drawn(canvas, now.flame, _flames(now), FLAME, effect),
+        "what the update changes in the arrival": _drawn(canvas, values, known, DIFFERENCE, effect),
+        "what it changes in the flames, where both burn": _drawn(
+            canvas, effect.flame_difference(), both, FLAME_DIFFERENCE, effect
+        ),
     }
     if effect.probability is not None:
         count = len(effect.members)
-        maps["flame length on the map as it was"] = _drawn(
-            canvas, effect.before.flame, _flames(effect.before), FLAME, effect
-        )
         maps[f"probability to burn, of {count} landscapes drawn from what is known of the fuel"] = _drawn(
             canvas, effect.probability, effect.probability > 0, PROBABILITY, effect
         )

@@ -60,7 +60,7 @@ def test_of_two_files(tmp_path: Path) -> None:
     assert "This is no forecast" in told
     assert sorted(p.name for p in out.iterdir()) == ["fire.json", "fire.kmz", "fire.png", "fire.tif", "index.html"]
     with rasterio.open(out / "fire.tif") as source:
-        before, after, changed = source.read(1), source.read(2), source.read(6)
+        before, after, changed = source.read(1), source.read(2), source.read(7)
         tags = source.tags()
     np.testing.assert_array_equal(changed == 1, bands[3] == 99)
     assert not np.isfinite(after[changed == 1]).any()
@@ -102,7 +102,7 @@ def test_of_a_store_with_an_ensemble(tmp_path: Path) -> None:
             "--moisture", "6,7,8,60,90", "--hours", 2, "--ensemble", 3, "--seed", seed, "--out", out,
         )  # fmt: skip
         with rasterio.open(out / "fire.tif") as source:
-            figures[out] = source.read(7)
+            figures[out] = source.read(8)
             assert source.tags()["map_site"] == load_site(site).name
             assert source.tags()["map_as_of"].startswith("2023-11-14")
     first, again, other = figures.values()

@@ -53,7 +53,12 @@ def test_where_it_comes_later_earlier_or_only_once() -> None:
     ]  # fmt: skip
     turned = FireEffect(AFTER, BEFORE, effect().changed, 100.0, 3.0)
     assert DIFFERENCE.names[int(difference_classes(turned)[0][1, 3])] == "earlier by 1 h and more"
-    assert effect().first_contact() == 2.5
+    assert effect().first_contact() == 1.0
+    felled = FireEffect(BEFORE, AFTER, ~AFTER.burned, 100.0, 3.0)
+    assert felled.first_contact() == 2.0
+    untouched = np.zeros(GRID.shape, bool)
+    untouched[0, 0] = True
+    assert FireEffect(BEFORE, AFTER, untouched, 100.0, 3.0).first_contact() is None
     assert effect().after.reaches_edge() is None
     edge = run([N] * 6, [0.0, 0.5, N, N, N, N], [N] * 6, [1.0, N, N, N, N, N])
     assert edge.reaches_edge() == 0.0
@@ -87,7 +92,7 @@ def test_a_geotiff_and_pictures(tmp_path: Path, drawn: bool) -> None:
     made = effect(probability=probability, members=((4.0, 7.0),) if drawn else ())
     write_fire(tmp_path / "fire.tif", made, GRID, {"wind": "8 m/s"})
     with rasterio.open(tmp_path / "fire.tif") as source:
-        assert source.descriptions == tuple(BANDS)[: 7 if drawn else 6]
+        assert source.descriptions == tuple(BANDS)[: 8 if drawn else 7]
         assert source.units == tuple(BANDS.values())[: source.count]
         assert source.tags()["wind"] == "8 m/s"
         bands = source.read()
@@ -95,7 +100,7 @@ def test_a_geotiff_and_pictures(tmp_path: Path, drawn: bool) -> None:
     np.testing.assert_allclose(bands[2][1, 3], 1.5)
     assert np.isnan(bands[2][1, 4])
     sheet = fire_sheet(made, landscape(), (1, 1), width=300)
-    assert sheet.shape[0] > (1.3 if drawn else 1.0) * sheet.shape[1] * 0.5
+    assert (sheet.shape[0] > 1.7 * sheet.shape[1]) == drawn
     picture, legend = arrival_overlay(made, landscape())
     assert picture.shape == (16, 24, 3)
     assert legend.shape[1] == 520
