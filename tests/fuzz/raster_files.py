@@ -12,6 +12,7 @@ from scenes.rasters import rough_terrain
 
 from fuzz.target import Target
 from ltm_core.dem import Dem
+from ltm_core.fire.landscape_source_io import read_landscape
 from ltm_core.fuel.barriers_io import with_barriers
 from ltm_core.fuel.fuel_map_io import read_fuel_map, write_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
@@ -78,6 +79,11 @@ def _lcp(folder: Path) -> list[bytes]:
     return [(folder / "made.lcp").read_bytes()]
 
 
+def _lcp_with_crs(folder: Path) -> list[bytes]:
+    (folder / "land.prj").write_text(str(rasterio.crs.CRS.from_epsg(26911).to_wkt()))
+    return _lcp(folder)
+
+
 def _read_prior(name: str) -> Callable[[Path], object]:
     return lambda folder: load_prior(PriorConfig(path=folder / name, crs="EPSG:26911"), GRID)
 
@@ -111,5 +117,7 @@ RASTER_FILES = (
     Target("prior_lcp", "prior.lcp", _lcp, _read_prior("prior.lcp")),
     Target("prior_folder", "bands/fbfm40.tif", lambda folder: [_codes(1)], _read_prior("bands")),
     Target("barriers", "b.gpkg", _barriers, _read_barriers),
+    Target("landscape_tif", "land.tif", lambda folder: [_codes(8)], lambda f: read_landscape(f / "land.tif")),
+    Target("landscape_lcp", "land.lcp", _lcp_with_crs, lambda f: read_landscape(f / "land.lcp")),
     Target("fuel_map", "map.tif", _fuel_map, lambda folder: read_fuel_map(folder / "map.tif")),
 )

@@ -33,6 +33,7 @@ ON_DEMAND = {
     "rerun": "the viewer",
     "laspy": "LAS export",
     "prometheus_client": "the health node",
+    "pyretechnics": "fires, by an interpreter of its own",
     "rosbags": "message definitions where no ROS is installed",
     "av": "videos for `ltm import`, RTSP streams",
 }

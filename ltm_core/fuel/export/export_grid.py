@@ -143,3 +143,12 @@ def _filled(heights: Float64Array, spare: NDArray[np.floating]) -> tuple[Float64
     filled = heights.copy()
     filled[1:-1, 1:-1] = np.where(wanted, spare + shift, own)
     return filled, wanted
+
+
+def with_fuel(landscape: Landscape, layers: FuelLayers, prior: FuelPrior | None, region: FuelRegion) -> Landscape:
+    """A landscape of the fuel grid with the fuel and canopy of other layers on the same ground."""
+    bands = landscape.bands.copy()
+    bands[3] = surface_codes(layers, prior, region, landscape.system)
+    bands[4:] = canopy_bands(layers, prior, region)
+    bands[:, bands[0] == NODATA] = NODATA
+    return replace(landscape, bands=bands)

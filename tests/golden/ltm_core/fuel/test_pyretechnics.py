@@ -1,6 +1,7 @@
 """A fire on our landscape, by Pyretechnics.
 
-Its pins (NumPy 1.26) exclude ours, so it runs in an interpreter of its own: LTM_PYRETECHNICS names one that has it.
+Its pins (NumPy 1.26) exclude ours, so it runs in an interpreter of its own: LTM_PYRETECHNICS names one that has it. The
+adapter has its own tests, in `tests/golden/ltm_core/fire`.
 """
 
 from __future__ import annotations

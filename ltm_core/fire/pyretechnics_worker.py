@@ -1,0 +1,104 @@
+"""Spreads fires with Pyretechnics. A program for an interpreter of its own, which knows nothing of this project.
+
+Pyretechnics pins a NumPy that excludes ours, so `ltm_core.fire.pyretechnics` starts this file with the Python of
+another environment, and asks by lines of JSON: {"given": "in.npz", "result": "out.npz"} for a fire, {"rates": {...}}
+for the head fire over one cell. Each answer is a line of JSON.
+"""
+
+import json
+import sys
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from pyretechnics.burn_cells import burn_cell_as_head_fire
+from pyretechnics.eulerian_level_set import SpreadState, spread_fire_with_phi_field
+from pyretechnics.fuel_models import fuel_model_exists
+from pyretechnics.space_time_cube import SpaceTimeCube
+
+BARE = 99
+WOODY_13 = (4, 5, 7, 10)
+"""Models of Anderson's whose live fuel is wood, which Pyretechnics' table takes for herbs (BehavePlus: wood)."""
+
+
+def cubes(bands: Any, weather: dict[str, float], shape: tuple[int, int, int]) -> dict[str, Any]:
+    """Space-time cubes of a landscape's bands (7, H, W), slope to bulk density, in LANDFIRE's units, nodata -9999.
+    Pyretechnics' rows go from south to north.
+    """
+    slope, aspect, fuel, cover, height, base, density = bands[:, ::-1].astype(np.float32)
+    known = fuel != -9999
+    codes = np.unique(fuel).astype(int)
+    modelled = np.isin(fuel, [code for code in codes.tolist() if fuel_model_exists(code)])
+    layers = {
+        "slope": np.tan(np.radians(np.where(slope < 0, 0, slope))),
+        "aspect": np.where(aspect < 0, 0, aspect),
+        "fuel_model": np.where(known & modelled, fuel, BARE),
+        "canopy_cover": np.where(cover < 0, 0, cover) / 100,
+        "canopy_height": np.where(height < 0, 0, height) / 10,
+        "canopy_base_height": np.where(base < 0, 0, base) / 10,
+        "canopy_bulk_density": np.where(density < 0, 0, density) / 100,
+    }
+    result = {name: SpaceTimeCube(shape, np.ascontiguousarray(v, dtype=np.float32)) for name, v in layers.items()}
+    result.update({name: SpaceTimeCube(shape, value) for name, value in weather.items()})
+    herbs, wood = weather["fuel_moisture_live_herbaceous"], weather["fuel_moisture_live_woody"]
+    live = np.where(np.isin(layers["fuel_model"], WOODY_13), wood, herbs)
+    result["fuel_moisture_live_herbaceous"] = SpaceTimeCube(shape, np.ascontiguousarray(live, dtype=np.float32))
+    return result
+
+
+def weather_of(asked: dict[str, Any]) -> dict[str, float]:
+    """Of Pyretechnics' names: km/h, degrees, shares."""
+    moisture = asked["moisture"]
+    return {
+        "wind_speed_10m": asked["wind_speed"] * 3.6,
+        "upwind_direction": asked["wind_from"],
+        "fuel_moisture_dead_1hr": moisture[0] / 100,
+        "fuel_moisture_dead_10hr": moisture[1] / 100,
+        "fuel_moisture_dead_100hr": moisture[2] / 100,
+        "fuel_moisture_live_herbaceous": moisture[3] / 100,
+        "fuel_moisture_live_woody": moisture[4] / 100,
+        "foliar_moisture": moisture[5] / 100,
+    }
+
+
+def spread(asked: dict[str, Any]) -> dict[str, Any]:
+    """Writes arrival (H, W) minutes, NaN where it does not burn, and flame (H, W) metres."""
+    with np.load(asked["given"]) as given:
+        bands = given["bands"]
+    rows, cols = bands.shape[1:]
+    minutes = asked["minutes"]
+    shape = (int(np.ceil(minutes / 60)), rows, cols)
+    state = SpreadState(shape).ignite_cell((rows - 1 - asked["row"], asked["col"]))
+    result = spread_fire_with_phi_field(
+        cubes(bands, weather_of(asked), shape), state, (60.0, asked["cell"], asked["cell"]), 0.0, minutes
+    )
+    found = result["spread_state"].get_full_matrices()
+    burned = found["fire_type"] > 0
+    arrival = np.where(burned, found["time_of_arrival"], np.nan)[::-1].astype(np.float32)
+    flame = np.where(burned, found["flame_length"], 0.0)[::-1].astype(np.float32)
+    crown = np.where(burned, found["fire_type"], 0)[::-1].astype(np.uint8)
+    arrival[asked["row"], asked["col"]] = 0.0
+    np.savez(asked["result"], arrival=arrival, flame=flame, fire_type=crown)
+    return {"stopped": result["stop_condition"]}
+
+
+def rates(asked: dict[str, Any]) -> dict[str, list[float]]:
+    """m/min and flame lengths, metres, of head fires on flat ground without trees, for each code."""
+    answer = {}
+    for code in asked["codes"]:
+        bands = np.zeros((7, 1, 1), np.int16)
+        bands[2] = code
+        found = burn_cell_as_head_fire(cubes(bands, weather_of(asked), (1, 1, 1)), (0, 0, 0))
+        answer[str(code)] = [float(found["spread_rate"]), float(found["flame_length"])]
+    return answer
+
+
+def main() -> None:
+    print(json.dumps({"version": version("pyretechnics")}), flush=True)
+    for line in sys.stdin:
+        asked = json.loads(line)
+        print(json.dumps(rates(asked["rates"]) if "rates" in asked else spread(asked)), flush=True)
+
+
+if __name__ == "__main__":
+    main()

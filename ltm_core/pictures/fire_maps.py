@@ -1,0 +1,137 @@
+"""Maps of a fire over relief: when it comes, how long its flames are, and what an update of the map changes in that."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.dem import Dem
+from ltm_core.fire.effect import FireEffect
+from ltm_core.fire.pyretechnics import FireRun
+from ltm_core.fuel.export.landscape import Landscape
+from ltm_core.fuel.life_form import NODATA
+from ltm_core.pictures.fuel_maps import CameraMark, FuelCanvas, Scale, bare_map
+from ltm_core.pictures.legend import label_legend
+from ltm_core.pictures.maps import interesting_bounds
+from ltm_core.pictures.overlay import label_colors
+from ltm_core.pictures.panel import panel
+from ltm_core.types import BoolArray, Float32Array, RgbImage
+
+FLAME: Final = Scale.of(
+    ("below 1.2 m: hand tools", "1.2 to 2.4 m: engines", "2.4 to 3.4 m: hard to control", "3.4 m and more"),
+    (1.2, 2.4, 3.4),
+    cv2.COLORMAP_PLASMA,
+    upwards=False,
+)  # fmt: skip
+"""Limits of 4, 8 and 11 feet: the hauling chart (Rothermel 1983; NWCG)."""
+PROBABILITY: Final = Scale.of(
+    ("below 5 %", "5 to 20 %", "20 to 40 %", "40 to 60 %", "60 to 80 %", "80 to 95 %", "95 % and more"),
+    (0.05, 0.2, 0.4, 0.6, 0.8, 0.95),
+    cv2.COLORMAP_VIRIDIS,
+)
+_SOON: Final = 5 / 60
+"""Hours by which two arrivals are called the same: the model's steps are minutes."""
+DIFFERENCE: Final = Scale(
+    (
+        "burns only as the map is now", "earlier by 1 h and more", "earlier by 5 min to 1 h", "the same to 5 min",
+        "later by 5 min to 1 h", "later by 1 h and more", "burns only as the map was",
+    ),
+    (
+        (122, 4, 3), (214, 84, 50), (244, 165, 120), (226, 216, 176), (146, 197, 222), (50, 120, 190), (20, 40, 110),
+    ),
+    (0.5, 1.5, 2.5, 3.5, 4.5, 5.5),
+)  # fmt: skip
+FLAME_DIFFERENCE: Final = Scale(
+    (
+        "shorter by 2.4 m and more", "shorter by 1.2 to 2.4 m", "shorter by 0.3 to 1.2 m", "the same to 0.3 m",
+        "longer by 0.3 to 1.2 m", "longer by 1.2 to 2.4 m", "longer by 2.4 m and more",
+    ),
+    (
+        (20, 40, 110), (50, 120, 190), (146, 197, 222), (226, 216, 176), (244, 165, 120), (214, 84, 50), (122, 4, 3),
+    ),
+    (-2.4, -1.2, -0.3, 0.3, 1.2, 2.4),
+)  # fmt: skip
+
+
+def arrival_scale(hours: float) -> Scale:
+    """Eight spans of time from ignition to the end, in whole or half hours where that fits."""
+    edges = np.round(np.linspace(0, hours, 9)[1:-1], 2)
+    names = [f"{a:g} to {b:g} h" for a, b in zip([0, *edges], [*edges, hours], strict=True)]
+    return Scale.of(names, edges.tolist(), cv2.COLORMAP_INFERNO, upwards=False)
+
+
+def difference_classes(effect: FireEffect) -> tuple[NDArray[np.floating], BoolArray]:
+    """(H, W) values on the scale DIFFERENCE, and where there are any."""
+    a, b = effect.before.burned, effect.after.burned
+    later = np.nan_to_num(effect.difference())
+    value = np.select(
+        [~a & b, a & ~b, later <= -1, later < -_SOON, later <= _SOON, later < 1], [0, 6, 1, 2, 3, 4], default=5
+    )
+    return value.astype(float), a | b
+
+
+def terrain_of(landscape: Landscape) -> Dem:
+    """The elevations of a landscape as a DEM, unknown ones NaN."""
+    band = landscape.band("elevation")
+    return Dem(np.where(band == NODATA, np.nan, band).astype(np.float32), landscape.geometry)
+
+
+def fire_sheet(effect: FireEffect, landscape: Landscape, cell: tuple[int, int], width: int = 760) -> RgbImage:
+    """Arrival and flame length before and after, their differences, and the burn probability of an ensemble; cells
+    whose fuel has changed are outlined. `cell`: where it starts.
+    """
+    canvas = _canvas(effect, landscape, cell, width)
+    arrival = arrival_scale(effect.hours)
+    values, known = difference_classes(effect)
+    was, now = effect.before, effect.after
+    both = _flames(was) & _flames(now)
+    maps = {
+        "arrival on the map as it was": _drawn(canvas, was.arrival, was.burned, arrival, effect),
+        "arrival on the map as it is; outlined: its fuel has changed": _drawn(
+            canvas, now.arrival, now.burned, arrival, effect
+        ),
+        "flame length on the map as it was": _drawn(canvas, was.flame, _flames(was), FLAME, effect),
+        "flame length on the map as it is": _drawn(canvas, now.flame, _flames(now), FLAME, effect),
+        "what the update changes in the arrival": _drawn(canvas, values, known, DIFFERENCE, effect),
+        "what it changes in the flames, where both burn": _drawn(
+            canvas, effect.flame_difference(), both, FLAME_DIFFERENCE, effect
+        ),
+    }
+    if effect.probability is not None:
+        count = len(effect.members)
+        maps[f"probability to burn, of {count} landscapes drawn from what is known of the fuel"] = _drawn(
+            canvas, effect.probability, effect.probability > 0, PROBABILITY, effect
+        )
+    return panel(list(maps.items()), columns=2, width=next(iter(maps.values())).shape[1])
+
+
+def arrival_overlay(effect: FireEffect, landscape: Landscape) -> tuple[RgbImage, RgbImage]:
+    """The arrival on the map as it is, (n H, n W, 3) for laying over others, and its legend."""
+    arrival = arrival_scale(effect.hours)
+    colors = label_colors(arrival.classes(effect.after.arrival, effect.after.burned), arrival)
+    heights = np.nan_to_num(terrain_of(landscape).elevation, nan=float("nan"))
+    picture = bare_map(colors, effect.after.burned, heights, landscape.geometry.resolution, effect.changed)
+    return picture, label_legend(520, arrival)
+
+
+def _flames(run: FireRun) -> BoolArray:
+    return run.burned & (run.flame > 0)
+
+
+def _canvas(effect: FireEffect, landscape: Landscape, cell: tuple[int, int], width: int) -> FuelCanvas:
+    g = landscape.geometry
+    x, y = (float(v) for v in g.to_map(*cell))
+    burned = effect.before.burned | effect.after.burned
+    bounds = interesting_bounds(burned, g, (), g)
+    return FuelCanvas(g, terrain_of(landscape), [CameraMark("ignition", x, y)], bounds, width=width)
+
+
+def _drawn(
+    canvas: FuelCanvas, values: Float32Array | NDArray[np.floating], known: BoolArray, scale: Scale, effect: FireEffect
+) -> RgbImage:
+    outlined = effect.changed if effect.changed.mean() < 0.5 else None
+    picture = canvas.map(label_colors(scale.classes(values, known), scale), known, outlined)
+    return canvas.finished(picture, label_legend(picture.shape[1], scale))

@@ -1,0 +1,82 @@
+"""Landscapes that a fire can be run on, and what is told of those that it cannot."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+
+from ltm_core.errors import ConfigError, RasterError
+from ltm_core.fire.landscape_source_io import read_landscape, require_same_grid
+from ltm_core.fuel.codes import FuelSystem
+from ltm_core.fuel.export.landscape import Landscape
+from ltm_core.fuel.export.landscape_io import write_landscape, write_raster
+from ltm_core.fuel.export.lcp_io import write_lcp
+from ltm_core.grid import GridGeometry
+
+GRID = GridGeometry(345_975.0, 3_783_195.0, 30.0, 9, 7, "EPSG:32611")
+
+
+def landscape(codes: tuple[int, ...] = (91, 102, 145), geometry: GridGeometry = GRID) -> Landscape:
+    rng = np.random.default_rng(2)
+    bands = rng.integers(0, 50, (8, *geometry.shape))
+    bands[3] = rng.choice(codes, geometry.shape)
+    return Landscape(bands.astype(np.int16), geometry)
+
+
+@pytest.mark.parametrize("name", ["a.lcp", "a.tif"])
+def test_what_we_write_comes_back(tmp_path: Path, name: str) -> None:
+    made = landscape()
+    (write_lcp if name.endswith("lcp") else write_landscape)(tmp_path / name, made)
+    found = read_landscape(tmp_path / name)
+    np.testing.assert_array_equal(found.bands, made.bands)
+    assert found.system is FuelSystem.FBFM40
+    require_same_grid(made, found, ("made", "found"))
+    write_landscape(tmp_path / "13.tif", landscape((2, 9, 98)))
+    assert read_landscape(tmp_path / "13.tif").system is FuelSystem.FBFM13
+
+
+def test_landfires_nodata(tmp_path: Path) -> None:
+    bands = landscape().bands.copy()
+    bands[:, 2, 3] = 32767
+    write_raster(tmp_path / "a.tif", bands, GRID, None)
+    assert (read_landscape(tmp_path / "a.tif").bands[:, 2, 3] == -9999).all()
+
+
+def test_others_are_refused_with_the_remedy(tmp_path: Path) -> None:
+    write_raster(tmp_path / "one.tif", landscape().bands[0], GRID, -9999)
+    with pytest.raises(RasterError, match=r"has 1 bands.*ltm export --format landscape"):
+        read_landscape(tmp_path / "one.tif")
+    degrees = GridGeometry(-118.0, 34.0, 0.0003, 9, 7, "EPSG:4326")
+    write_raster(tmp_path / "degrees.tif", landscape(geometry=degrees).bands, degrees, -9999)
+    with pytest.raises(RasterError, match=r"EPSG:4326; a fire needs a projected CRS.*ltm export --crs"):
+        read_landscape(tmp_path / "degrees.tif")
+    path = write_lcp(tmp_path / "a.lcp", landscape())
+    path.with_suffix(".prj").unlink()
+    with pytest.raises(RasterError, match=r"no CRS; .*keep its .prj"):
+        read_landscape(path)
+    path = write_lcp(tmp_path / "percent.lcp", landscape())
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<h", content, 4226, 1)
+    path.write_bytes(content)
+    with pytest.raises(RasterError, match=r"units that are not LANDFIRE's \(SLOPE_UNIT 1\)"):
+        read_landscape(path)
+    with rasterio.open(
+        tmp_path / "wide.tif", "w", driver="GTiff", width=9, height=7, count=8, dtype="int16", crs="EPSG:32611",
+        transform=rasterio.transform.from_origin(0, 0, 30, 20),
+    ) as sink:  # fmt: skip
+        sink.write(landscape().bands)
+    with pytest.raises(RasterError, match="square cells"):
+        read_landscape(tmp_path / "wide.tif")
+
+
+def test_two_of_different_grids() -> None:
+    other = GridGeometry(345_975.0, 3_783_195.0, 30.0, 9, 7, "EPSG:32610")
+    with pytest.raises(ConfigError, match=r"was.tif is in .*zone 11N, now.tif in .*zone 10N.*ltm export --crs"):
+        require_same_grid(landscape(), landscape(geometry=other), ("was.tif", "now.tif"))
+    moved = GridGeometry(346_005.0, 3_783_195.0, 30.0, 9, 7, "EPSG:32611")
+    with pytest.raises(ConfigError, match="so that they have one grid"):
+        require_same_grid(landscape(), landscape(geometry=moved), ("was.tif", "now.tif"))

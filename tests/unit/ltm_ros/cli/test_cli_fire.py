@@ -1,0 +1,78 @@
+"""`ltm fire`: what cannot be run is told with the remedy, before any work."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from ltm_core.errors import LtmError
+from ltm_core.fuel.export.landscape import Landscape
+from ltm_core.fuel.export.landscape_io import write_landscape
+from ltm_core.grid import GridGeometry
+from ltm_ros.cli.main import cli
+
+GRID = GridGeometry(345_975.0, 3_783_195.0, 30.0, 9, 7, "EPSG:32611")
+USUAL = ("--ignition", "346110,3783090", "--wind", "8,45", "--moisture", "D2L2")
+
+
+@pytest.fixture
+def landscapes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+    """As it is, and as it was."""
+    monkeypatch.setenv("LTM_PYRETECHNICS", sys.executable)
+    found = []
+    for name, code in (("now.tif", 145), ("was.tif", 102)):
+        bands = np.zeros((8, *GRID.shape), np.int16)
+        bands[3] = code
+        bands[3, :, 1] = 98
+        found.append(write_landscape(tmp_path / name, Landscape(bands, GRID)))
+    return found[0], found[1]
+
+
+def fire(*arguments: object) -> None:
+    CliRunner().invoke(cli, ["fire", *map(str, arguments)], catch_exceptions=False)
+
+
+def test_mistakes(landscapes: tuple[Path, Path], tmp_path: Path) -> None:
+    now, was = landscapes
+    other = GridGeometry(345_975.0, 3_783_195.0, 30.0, 9, 7, "EPSG:32610")
+    moved = write_landscape(tmp_path / "moved.tif", Landscape(np.zeros((8, *GRID.shape), np.int16), other))
+    out = tmp_path / "out"
+    before = ("--before", was, "--out", out)
+    for arguments, message in (
+        ((now, *USUAL, "--out", out), r"is one landscape: name the one as it was with --before"),
+        ((now, *USUAL, "--before", moved, "--out", out), r"moved.tif is in .*ltm export --crs"),
+        ((now, "--ignition", "1,2", *USUAL[2:], *before), r"--ignition 1,2: is outside .*looks like degrees"),
+        ((now, "--ignition", "346020,3783090", *USUAL[2:], *before), r"there is water there; the nearest cell"),
+        ((now, *USUAL[:4], *before), r"needs the moisture of its fuel: give --moisture"),
+        ((now, *USUAL, "--hours", 0, *before), r"--hours 0"),
+        ((now, *USUAL, "--since", "2026-01-01", *before), r"--since is for a store"),
+        ((now, *USUAL, "--ensemble", 3, *before), r"which a landscape file does not hold"),
+        ((tmp_path / "a.ltm", *USUAL, "--out", out), r"name its file with --site"),
+        ((tmp_path / "none.tif", *USUAL, *before), r"none.tif"),
+    ):
+        with pytest.raises(LtmError, match=message):
+            fire(*arguments)
+        assert not out.exists()
+
+
+def test_without_the_fire_model(landscapes: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now, was = landscapes
+    monkeypatch.setenv("LTM_PYRETECHNICS", str(tmp_path / "absent/python"))
+    with pytest.raises(LtmError, match=r"absent/python: no Python with .*make fire"):
+        fire(now, *USUAL, "--before", was, "--out", tmp_path / "out")
+    if not (Path(sys.prefix) / "lib/python3.11/site-packages/pyretechnics").exists():
+        monkeypatch.setenv("LTM_PYRETECHNICS", sys.executable)
+        with pytest.raises(LtmError, match=r"Pyretechnics has ended: ModuleNotFoundError"):
+            fire(now, *USUAL, "--before", was, "--out", tmp_path / "out")
+
+
+def test_what_is_there_is_not_written_over(landscapes: tuple[Path, Path], tmp_path: Path) -> None:
+    now, was = landscapes
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/fire.tif").write_text("mine")
+    with pytest.raises(LtmError, match=r"fire.tif: exists already"):
+        fire(now, *USUAL, "--before", was, "--out", tmp_path / "out")
