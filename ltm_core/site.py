@@ -209,6 +209,9 @@ class CameraConfig(Config):
     mask: MaskConfig | None = None
     """What of a fixed camera's pictures never shows the landscape: a PNG in the site file's folder, or polygons; see
     `ltm mask`. None: nothing of them."""
+    judge_pictures: bool = True
+    """Tell pictures by night, in fog or glare, blank or blurred ones from usable ones; they do not vote, move the
+    terrain or fit the pose."""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:

@@ -77,8 +77,8 @@ def _band(strokes: BoolArray, height: int) -> tuple[int, int, int, int] | None:
     columns = np.flatnonzero(strokes[first:end].any(axis=0))
     # Letters follow each other: most of the width between the first and the last is not empty.
     spread = columns[-1] - columns[0] + 1
-    written = strokes[first:end].any(axis=0).astype(np.uint8)[None]
-    filled = np.asarray(cv2.dilate(written, np.ones((1, 2 * tall + 1), np.uint8)))[0]
+    written = strokes[first:end].max(axis=0, keepdims=True)
+    filled = np.asarray(cv2.dilate(written.astype(np.uint8), np.ones((1, 2 * tall + 1), np.uint8)))[0]
     if spread < 4 * tall or float(filled[columns[0] : columns[-1] + 1].mean()) < 0.8:
         return None
     return int(first), int(end - 1), int(columns[0]), int(columns[-1])

@@ -16,7 +16,7 @@ from ltm_ros.cli import main
 
 COMMANDS = (
     "demo", "check", "run", "replay", "record", "import", "trace", "simulate", "train", "export", "bench", "view",
-    "doctor", "models", "pose", "locate", "viewshed", "eval",
+    "doctor", "models", "pose", "locate", "mask", "label", "viewshed", "eval",
 )  # fmt: skip
 
 
