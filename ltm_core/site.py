@@ -223,6 +223,9 @@ class CameraConfig(Config):
     """How the head is asked where it looks, and which presets it is driven to; needs `mount`."""
     source: SourceConfig | None = None
     """Where given, the node `source` asks the camera for its pictures and publishes them; None: a driver does."""
+    judge_pictures: bool = True
+    """Tell pictures by night, in fog or glare, blank or blurred ones from usable ones; they do not vote, move the
+    terrain or fit the pose."""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:

@@ -18,6 +18,7 @@ from ltm_ros.cli.eval import evaluate
 from ltm_ros.cli.export import export
 from ltm_ros.cli.fire import fire
 from ltm_ros.cli.import_ import import_
+from ltm_ros.cli.label import label
 from ltm_ros.cli.locate import locate
 from ltm_ros.cli.mask import mask
 from ltm_ros.cli.models import models
@@ -52,6 +53,7 @@ cli.command()(pose)
 cli.command()(viewshed)
 cli.command()(locate)
 cli.command()(mask)
+cli.command()(label)
 cli.command()(simulate)
 cli.add_typer(train, name="train")
 cli.command()(export)

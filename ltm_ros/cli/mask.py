@@ -29,7 +29,10 @@ def mask(
         str, typer.Option(help="Numbers of the proposals that are right, such as 1,3; or all, or none.")
     ] = "",
     drawn: Annotated[
-        Path | None, typer.Option(help="polygons.json of `ltm label`: areas that are proposed besides.")
+        Path | None,
+        typer.Option(
+            help="polygons.json of `ltm label`: areas of its class masked (or any that is no label) are proposed too."
+        ),
     ] = None,
     model: Annotated[str, typer.Option(help="Segmentation network; default: the site's, or the shipped one.")] = "",
     overwrite: Overwrite = False,
@@ -72,7 +75,7 @@ def mask(
     skyline = None if known is None else _terrain_skyline(known, camera, frames[0])
     proposals = propose_mask(frames, segmenter, skyline)
     if drawn is not None:
-        areas = [area for area in read_areas(drawn) if area.image in names]
+        areas = [area for area in read_areas(drawn) if area.image in names and area.kind not in segmenter.labels.names]
         proposals += drawn_proposals(areas, frames[0].shape[:2])
     kept = _kept(keep, len(proposals))
     console = Console()

@@ -23,6 +23,7 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.picture_health import note_picture
 from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
 from ltm_ros.runtime.topics import (
     LABELS_IMAGE,
@@ -74,10 +75,13 @@ class PoseKeeping(Handler[JoinConfig]):
         stamp = stamp_of(image)
         if 0 <= stamp - self._last_ns < self._every_ns:
             return
-        self._last_ns = stamp
-        watch, before = self._watch, self._watch.correction
         photo = msg_to_rgb(image)
         seen = self._scene.look(photo)
+        note_picture(self.health, seen)
+        if seen.reason is not None:
+            return  # the next one may be better
+        self._last_ns = stamp
+        watch, before = self._watch, self._watch.correction
         evidence = picture_evidence(
             photo, msg_to_array(labels, ("mono8",)), msg_to_camera(info), self._search, seen.hidden
         )

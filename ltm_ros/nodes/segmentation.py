@@ -6,12 +6,14 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
+import numpy as np
 from pydantic import Field
 
 from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.scene_view import SceneFilter
+from ltm_core.vision.segmenter import Segmentation as Labels
 from ltm_core.vision.segmenter import Segmenter
 from ltm_msgs_py.image import image_to_msg, msg_to_rgb
 from ltm_msgs_py.label_info import label_set_to_msg
@@ -19,6 +21,7 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.picture_health import note_picture
 from ltm_ros.runtime.topics import FINISHED, LABELS_CONFIDENCE, LABELS_IMAGE, LABELS_INFO, POSED_IMAGE
 
 
@@ -61,7 +64,11 @@ class Segmentation(Handler[SegmentationConfig]):
         stamp, frame_id = stamp_of(message), message.header.frame_id
         photo = msg_to_rgb(message)
         seen = self._scene.look(photo)
-        found = self._segmenter.segment(photo, self.config.zoom)
+        note_picture(self.health, seen)
+        if seen.reason is None:
+            found = self._segmenter.segment(photo, self.config.zoom)
+        else:
+            found = Labels(np.zeros(photo.shape[:2], np.uint8), np.zeros(photo.shape[:2], np.uint8))
         seen.unlabelled(found.labels, found.confidence)
         for topic, image in ((LABELS_CONFIDENCE, found.confidence), (LABELS_IMAGE, found.labels)):
             self.outlet.provide(topic, stamp, partial(image_to_msg, image, "mono8", stamp, frame_id))

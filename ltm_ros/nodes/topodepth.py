@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from ltm_core.site_io import load_site
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest
-from ltm_core.vision.scene_view import SceneFilter
+from ltm_core.vision.scene_view import SceneFilter, SceneView
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
@@ -131,7 +131,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
             traced, surface = self._ground.trace(camera, where), traced
         network = None
         try:
-            network = self._network.predict(rgb, camera)
+            network = self._network.predict(rgb, camera) if seen.reason is None else None
         except ModelError as error:
             # The terrain's depth is worth having without a network.
             self.health.drop("network", str(error))
@@ -145,8 +145,9 @@ class TopoDepth(Handler[TopoDepthConfig]):
             surface,
             self._config,
             seen.hidden,
+            seen.unusable,
         )
-        self._publish(fused, stamp)
+        self._publish(fused, stamp, seen)
         self.outlet.acknowledge(FINISHED, stamp)
 
     def _settings(self, pose: Any) -> FusionSettings:
@@ -158,7 +159,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
             float(np.sqrt(angle**2 + known)), self.config.dem_sigma, label_columns=self._label_columns
         )
 
-    def _publish(self, fused: FusedDepth, stamp: int) -> None:
+    def _publish(self, fused: FusedDepth, stamp: int, seen: SceneView) -> None:
         frame = self._frame_id
         self.health.note(f"verdict.{fused.verdict.value}")
         if fused.verdict is not Verdict.OK:
@@ -170,7 +171,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
         metres = fused.network_depth() if self.outlet.wanted(NETWORK_DEPTH) else None
         if metres is not None:
             self.outlet.publish(NETWORK_DEPTH, depth_to_msg(metres, stamp, frame))
-        measured = cache(fused.measured)
+        measured = cache(partial(fused.measured, seen.doubtful))
         self.outlet.provide(MEASURED_SIGMA, stamp, lambda: depth_to_msg(measured().sigma, stamp, frame))
         self.outlet.provide(MEASURED_DEPTH, stamp, lambda: depth_to_msg(measured().depth, stamp, frame))
         self.outlet.provide(FUSED_SIGMA, stamp, lambda: depth_to_msg(fused.sigma, stamp, frame))

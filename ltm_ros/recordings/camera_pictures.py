@@ -19,7 +19,8 @@ from ltm_ros.runtime.topics import IMAGE_COMPRESSED, IMAGE_RAW, camera_topic
 
 T = TypeVar("T")
 
-PICTURES = (".jpg", ".jpeg", ".png", ".heic", ".tif", ".tiff", ".bmp", ".webp")
+PICTURES = (".jpg", ".jpeg", ".png", ".heic", ".bmp", ".webp")
+"""Endings of photos; .tif is left out: rasters are called so."""
 
 
 def read_rgb(path: Path) -> UInt8Array:

@@ -23,6 +23,7 @@ from ltm_ros.cli.eval.relative_depth import relative_depth
 from ltm_ros.cli.eval.segmentation import segmentation
 from ltm_ros.cli.eval.sim2real import sim2real
 from ltm_ros.cli.eval.terrain import terrain
+from ltm_ros.cli.eval.usable import usable
 
 WHOLE = "bag"
 """The command that runs where the first argument is no command: a recorded run as a whole."""
@@ -52,3 +53,4 @@ evaluate.command()(relative_depth)
 evaluate.command()(segmentation)
 evaluate.command()(sim2real)
 evaluate.command()(terrain)
+evaluate.command()(usable)

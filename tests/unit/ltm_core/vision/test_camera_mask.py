@@ -38,7 +38,9 @@ def test_a_mask_comes_back_as_it_was_written(tmp_path: Path) -> None:
     write_mask(tmp_path / "m.png", hidden)
     np.testing.assert_array_equal(read_mask(tmp_path / "m.png", "here").hidden, hidden)
     scene = SceneFilter.of(load_site(site_with(tmp_path, "m.png")), "mast")
-    view = scene.look(np.zeros((MAST.height, MAST.width, 3), np.uint8))
+    blocks = np.random.default_rng(3).integers(20, 235, (MAST.height // 8, MAST.width // 8, 3), np.uint8)
+    view = scene.look(blocks.repeat(8, 0).repeat(8, 1))
+    assert view.reason is None
     assert view.hidden is not None
     np.testing.assert_array_equal(view.hidden, hidden)
     labels, confidence = np.full(hidden.shape, 3, np.uint8), np.full(hidden.shape, 200, np.uint8)

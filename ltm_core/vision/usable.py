@@ -1,0 +1,153 @@
+"""Judges whether a picture shows enough of the landscape to be used, and where it does not, cheaply.
+
+By night, in fog, in glare, with a blank or a blurred picture, a network names what it was taught to see. Such a picture
+does not vote. The judgement is of one picture alone, reduced to some 480 columns: a few milliseconds at most.
+
+The constants were chosen on half of a set of mountain photos, as they are and spoilt on purpose, and on renderings;
+`ltm eval usable` scores them on others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import cv2
+import numpy as np
+
+from ltm_core.errors import ImageError
+from ltm_core.types import BoolArray, Float32Array, UInt8Array
+
+WORKING_WIDTH = 480
+ROWS, COLUMNS = 9, 12
+"""Of the grid on which regions are judged."""
+
+_BLANK = 1.5
+"""Standard deviation of grey levels below which a picture holds nothing."""
+_NIGHT = 60.0
+"""Grey level that 95 % of the picture stay below by night."""
+_GLARE, _GLARE_BELOW = 0.35, 0.2
+"""Shares of the picture, and of its lower half, that are burnt out."""
+_BURNT, _BLACK = 245, 14
+"""Levels above which all channels, or below which none, tell anything."""
+_CONTRAST = 1.5
+"""Grey levels: local contrast of a cell of the grid that shows something."""
+_FOG = 0.06
+"""Share of the cells that show something; in fog it is less."""
+_BLUR = 0.2
+"""Fine against coarse contrast, where there is any; out of focus, or with a wet lens, it is less."""
+_BLUR_CONTRAST = 1.0
+"""Coarse contrast of the best cells, from which on that can be told."""
+_REGION = 0.6
+"""Share of a cell that is burnt out or black, for the cell to be doubtful."""
+
+
+class Unusable(StrEnum):
+    """Why a picture shows too little."""
+
+    BLANK = "blank"
+    NIGHT = "night"
+    GLARE = "glare"
+    FOG = "fog"
+    BLUR = "blur"
+
+
+@dataclass(frozen=True, eq=False)
+class Usability:
+    """`reason`: why the picture as a whole shows too little; None: it can be used. `doubtful`: (ROWS, COLUMNS) bool,
+    edge to edge over the picture: cells that are burnt out or black, so that nothing can be told there."""
+
+    reason: Unusable | None
+    doubtful: BoolArray
+
+    @property
+    def said(self) -> str:
+        """In words; empty where the picture can be used."""
+        return "" if self.reason is None else _SAID[self.reason]
+
+
+_SAID = {
+    Unusable.BLANK: "blank: the picture is of one colour",
+    Unusable.NIGHT: "night: the picture is too dark",
+    Unusable.GLARE: "glare: too much of the picture is burnt out",
+    Unusable.FOG: "fog: the picture shows no contrast anywhere",
+    Unusable.BLUR: "blur: the picture has no fine detail; out of focus, or a wet or dirty lens",
+}
+
+
+def judge(picture: UInt8Array, hidden: BoolArray | None = None) -> Usability:
+    """Of a picture (H, W, 3) RGB. `hidden`: (H, W) bool, what of it is masked and so says nothing; None: nothing.
+
+    Raises ImageError for another shape.
+    """
+    if picture.ndim != 3 or picture.shape[2] != 3 or picture.size == 0:
+        raise ImageError(f"picture is {picture.shape}, expected (H, W, 3) RGB")
+    height, width = picture.shape[:2]
+    size = min(WORKING_WIDTH, width), max(1, round(height * min(WORKING_WIDTH, width) / width))
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    levels = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)
+    grey = levels.astype(np.float32)
+    fine = cv2.absdiff(grey, cv2.GaussianBlur(grey, (7, 7), 1.0))
+    # The coarse contrast has no fine detail, so half the size says as much.
+    half = cv2.resize(grey, (max(1, size[0] // 2), max(1, size[1] // 2)), interpolation=cv2.INTER_AREA)
+    smooth = cv2.GaussianBlur(half, (7, 7), 1.0)
+    coarse = cv2.absdiff(smooth, cv2.GaussianBlur(smooth, (17, 17), 2.8))
+    red, green, blue = cv2.split(small)
+    burnt = (cv2.min(cv2.min(red, green), blue) >= _BURNT).astype(np.float32)
+    black = (cv2.max(cv2.max(red, green), blue) <= _BLACK).astype(np.float32)
+    seen = np.ones(grey.shape, np.bool_)
+    if hidden is not None:
+        seen = cv2.resize(hidden.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
+        # What is masked, and its edge, has no say.
+        inner = cv2.erode(seen.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
+        within = cv2.resize(inner.astype(np.uint8), coarse.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
+        fine, coarse = np.where(inner, fine, 0), np.where(within, coarse, 0)
+        burnt, black = burnt * seen, black * seen
+    if not seen.any():
+        return Usability(Unusable.BLANK, np.ones((ROWS, COLUMNS), np.bool_))
+    cells = _Cells(seen)
+    doubtful = (cells.mean(burnt) >= _REGION) | (cells.mean(black) >= _REGION)
+    reason = _reason(levels if hidden is None else levels[seen], cells.mean(fine), cells.mean(coarse), cells, burnt)
+    return Usability(reason, doubtful & cells.known)
+
+
+class _Cells:
+    """Means over the cells of the grid, of what is seen (h, w)."""
+
+    def __init__(self, seen: BoolArray) -> None:
+        self._share = _to_grid(seen.astype(np.float32))
+        self.known = self._share > 0.3
+        """Cells of which enough is seen."""
+
+    def mean(self, values: Float32Array) -> Float32Array:
+        return np.asarray(_to_grid(values) / np.maximum(self._share, np.float32(1e-3)), np.float32)
+
+
+def _to_grid(values: Float32Array) -> Float32Array:
+    return np.asarray(
+        cv2.resize(np.asarray(values, np.float32), (COLUMNS, ROWS), interpolation=cv2.INTER_AREA), np.float32
+    )
+
+
+def _reason(
+    levels: UInt8Array, fine: Float32Array, coarse: Float32Array, cells: _Cells, burnt: Float32Array
+) -> Unusable | None:
+    """`levels`: grey of what is seen; `fine`, `coarse`: contrast of the cells; `burnt`: (h, w)."""
+    if float(cv2.meanStdDev(levels)[1].item()) < _BLANK:
+        return Unusable.BLANK
+    counts = np.cumsum(cv2.calcHist([levels], [0], None, [256], [0, 256]).ravel())
+    if int(np.searchsorted(counts, 0.95 * counts[-1])) < _NIGHT:
+        return Unusable.NIGHT
+    lower = burnt[len(burnt) // 2 :]
+    if float(burnt.mean()) > _GLARE and float(lower.mean()) > _GLARE_BELOW:
+        return Unusable.GLARE
+    fine, coarse = fine[cells.known], coarse[cells.known]
+    if not len(coarse):
+        return None
+    if float((coarse > _CONTRAST).mean()) < _FOG:
+        return Unusable.FOG
+    best = coarse >= np.percentile(coarse, 70)
+    sharpness = float(fine[best].sum() / (coarse[best].sum() + 0.3))
+    if sharpness < _BLUR and float(np.percentile(coarse, 90)) > _BLUR_CONTRAST:
+        return Unusable.BLUR
+    return None

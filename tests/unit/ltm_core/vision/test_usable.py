@@ -1,0 +1,87 @@
+"""Which pictures show enough to be used, on a drawn landscape that is spoilt in one way at a time."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from scenes.tower_pictures import HEIGHT, HORIZON, WIDTH, corners, tower_picture
+
+from ltm_core.errors import ImageError
+from ltm_core.types import UInt8Array
+from ltm_core.vision.scene_view import SceneView
+from ltm_core.vision.usable import COLUMNS, ROWS, Unusable, judge
+
+
+def clear() -> UInt8Array:
+    return tower_picture(3, hood=False, caption="")
+
+
+def spoilt(way: str) -> UInt8Array:
+    photo, rng = clear().astype(np.float32), np.random.default_rng(2)
+    if way == "night":
+        photo = 0.07 * photo + rng.normal(2.0, 2.0, photo.shape)
+    elif way == "fog":
+        photo = 0.05 * photo + 175.0
+    elif way == "glare":
+        photo[: 3 * HEIGHT // 4] = 255.0
+    elif way == "blur":
+        photo = cv2.GaussianBlur(photo, (0, 0), 0.008 * WIDTH)
+    else:
+        photo[:] = (0.0, 128.0, 0.0)
+    return np.clip(photo, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("reason", list(Unusable))
+def test_each_way_to_be_of_no_use_is_told(reason: Unusable) -> None:
+    found = judge(spoilt(reason))
+    assert found.reason is reason
+    assert found.said.startswith(f"{reason}: ")
+
+
+def test_a_clear_picture_is_usable() -> None:
+    found = judge(clear())
+    assert found.reason is None
+    assert found.said == ""
+    assert not found.doubtful.any()
+    assert judge(clear()[::4, ::4].copy()).reason is None
+
+
+def test_what_is_masked_has_no_say() -> None:
+    """A black hood over most of a picture: black as by night, were it not masked."""
+    photo = clear()
+    hidden = np.ones((HEIGHT, WIDTH), np.bool_)
+    hidden[HORIZON - 40 : HORIZON + 60, 200:420] = False
+    photo[hidden] = 0
+    assert judge(photo).doubtful.mean() > 0.7
+    found = judge(photo, hidden)
+    assert found.reason is None
+    assert not found.doubtful.any()
+    assert judge(photo, np.ones_like(hidden)).reason is Unusable.BLANK
+    assert judge(tower_picture(3), corners()).reason is None
+
+
+def test_burnt_out_and_black_regions_are_doubtful_and_lose_land_not_sky() -> None:
+    photo = clear()
+    photo[HORIZON + 40 :, 600:] = 255
+    photo[HORIZON + 40 :, :150] = 3
+    photo[:60, :300] = 255
+    found = judge(photo)
+    assert found.reason is None
+    assert found.doubtful.shape == (ROWS, COLUMNS)
+    assert found.doubtful[-2, -2:].all()
+    assert found.doubtful[-2, :2].all()
+    assert not found.doubtful[-2, 4:8].any()
+    labels = np.where(np.arange(HEIGHT)[:, None] < HORIZON, 0, 3).astype(np.uint8) * np.ones((1, WIDTH), np.uint8)
+    confidence = np.full(labels.shape, 200, np.uint8)
+    SceneView(None, found).unlabelled(labels, confidence)
+    assert (labels[: HORIZON - 5] == 0).all(), "a burnt out sky is sky all the same"
+    assert (labels[-60:-10, 640:] == 255).all()
+    assert (labels[-60:-10, :120] == 255).all()
+    assert (labels[-60:-10, 260:500] == 3).all()
+    np.testing.assert_array_equal(confidence == 0, labels == 255)
+
+
+def test_another_shape_is_refused() -> None:
+    with pytest.raises(ImageError, match=r"expected \(H, W, 3\) RGB"):
+        judge(np.zeros((9, 12), np.uint8))

@@ -1,0 +1,129 @@
+"""What is kept of areas that a person names, whatever the page sends."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from ltm_core.errors import ConfigError, RecordingError
+from ltm_core.vision.area_labels import areas_of, labels_of
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.polygons_io import NamedArea, read_areas, write_areas
+from ltm_ros.labelling.session import LabelSession
+
+WIDTH, HEIGHT = 60, 40
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    rng = np.random.default_rng(1)
+    for name in ("a.png", "b.png"):
+        Image.fromarray(rng.integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8)).save(tmp_path / name)
+    return tmp_path
+
+
+def square(name: str, left: int, top: int, right: int, bottom: int) -> dict[str, object]:
+    return {"kind": "polygon", "name": name, "points": [[left, top], [right, top], [right, bottom], [left, bottom]]}
+
+
+def saved(folder: Path, name: str) -> np.ndarray:
+    with Image.open(folder / f"{name}_labels.png") as png:
+        assert png.mode == "L"
+        return np.asarray(png)
+
+
+def test_areas_become_polygons_and_a_label_image(folder: Path) -> None:
+    session = LabelSession(folder)
+    shapes = [square("sky", 0, 0, 59, 19), square("tree", 10, 10, 30, 30), square("masked", 0, 0, 4, 39)]
+    assert session.save(0, {"shapes": shapes}) == session.areas(0)
+    labels = saved(folder, "a")
+    expected = np.full((HEIGHT, WIDTH), 255, np.uint8)
+    expected[:20], expected[10:31, 10:31], expected[:, :5] = 0, 3, 255
+    np.testing.assert_array_equal(labels, expected)
+    assert [area.kind for area in read_areas(folder / "polygons.json")] == ["sky", "tree", "masked"]
+    assert [photo["areas"] for photo in session.overview()["photos"]] == [3, 0]
+    again = LabelSession(folder)
+    assert again.areas(0) == session.areas(0)
+    assert [photo["name"] for photo in again.overview()["photos"]] == ["a.png", "b.png"], "label images are no photos"
+
+
+def test_strokes_are_kept_as_outlines_that_give_the_same_labels(folder: Path) -> None:
+    session = LabelSession(folder)
+    stroke = {"kind": "stroke", "name": "shrub", "points": [[12, 20], [40, 22], [45, 30]], "radius": 5}
+    dot = {"kind": "stroke", "name": "unlabelled", "points": [[40, 22]], "radius": 2}
+    session.save(0, {"shapes": [stroke, dot]})
+    labels = saved(folder, "a")
+    assert labels[20, 12] == labels[21, 30] == 2
+    assert labels[22, 40] == 255
+    assert labels[10, 12] == labels[38, 50] == 255
+    kept = session.areas(0)
+    session.save(0, {"shapes": kept})
+    np.testing.assert_array_equal(saved(folder, "a"), labels)
+
+
+def test_other_photos_keep_their_areas(folder: Path) -> None:
+    elsewhere = NamedArea(image="gone.jpg", kind="bare", polygon=((1, 1), (9, 1), (5, 9)))
+    write_areas(folder / "polygons.json", [elsewhere])
+    session = LabelSession(folder)
+    session.save(1, {"shapes": [square("water", 5, 5, 9, 9)]})
+    session.save(0, {"shapes": [square("grass", 5, 5, 9, 9)]})
+    session.save(0, {"shapes": []})
+    assert [(a.image, a.kind) for a in read_areas(folder / "polygons.json")] == [
+        ("gone.jpg", "bare"),
+        ("b.png", "water"),
+    ]
+    assert (saved(folder, "a") == 255).all()
+
+
+def test_a_label_image_comes_back_from_its_areas() -> None:
+    labels = LabelSet.load()
+    drawn = np.zeros((90, 130), np.uint8)
+    drawn[40:] = 2
+    drawn[50:70, 30:60] = 4
+    drawn[55:64, 40:52] = 3
+    back = labels_of(areas_of("a.jpg", drawn, labels.names), 90, 130, labels)
+    assert (back == drawn).mean() > 0.985
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        [],
+        {"shapes": 7},
+        {"shapes": [square("volcano", 0, 0, 5, 5)]},
+        {"shapes": [square("sky", 0, 0, 5, 5) | {"kind": "circle"}]},
+        {"shapes": [{"kind": "polygon", "name": "sky", "points": [[0, 0], [1, 1]]}]},
+        {"shapes": [{"kind": "stroke", "name": "sky", "points": [[0, 0]], "radius": 1e9}]},
+        {"shapes": [{"kind": "stroke", "name": "sky", "points": [[0, 1e300]], "radius": 3}]},
+        {"shapes": [square("sky", 0, 0, 5, 5)] * 5001},
+        {"shapes": [square("sky", 0, 0, 5, 5)], "image": "../../etc/passwd"},
+    ],
+)
+def test_what_is_no_list_of_areas_changes_nothing(folder: Path, content: object) -> None:
+    session = LabelSession(folder)
+    with pytest.raises(ConfigError):
+        session.save(0, content)
+    assert sorted(path.name for path in folder.iterdir()) == ["a.png", "b.png"]
+
+
+def test_folders_that_cannot_be_labelled(folder: Path, tmp_path: Path) -> None:
+    for number in (-1, 2):
+        with pytest.raises(ConfigError, match="there is no photo"):
+            LabelSession(folder).save(number, {"shapes": []})
+    with pytest.raises(ConfigError, match="no network"):
+        LabelSession(folder).suggested(0)
+    (folder / "a.jpg").write_bytes((folder / "a.png").read_bytes())
+    with pytest.raises(ConfigError, match="several photos are called a"):
+        LabelSession(folder)
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    with pytest.raises(RecordingError, match="no photos"):
+        LabelSession(empty)
+    (folder / "a.jpg").unlink()
+    (folder / "polygons.json").write_text(json.dumps([{"image": "a.png"}]))
+    with pytest.raises(ConfigError, match=r"polygons\.json"):
+        LabelSession(folder)
