@@ -42,6 +42,8 @@ _SAMPLES = 200
 """Points a side at which two rasters' heights are compared."""
 _MUCH_MASKED = 0.6
 """Share of a picture above which a mask may be inverted."""
+_TURNING = ("lens", "caption")
+"""Classes of polygons that hide the same pixels wherever a head looks."""
 _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 
 
@@ -218,13 +220,20 @@ def _mask(site: Site, name: str) -> Iterator[Finding]:
     except LtmError as error:
         yield Finding.of("cameras", called, error)
         return
-    if mask is None:
-        yield Finding("cameras", called, Verdict.OK, "polygons, drawn when the calibration comes as topic")
-        return
-    found = f"hides {mask.share:.1%} of {mask.size[0]} x {mask.size[1]} pixels"
-    if mask.share > _MUCH_MASKED:
-        found = f"{found}: little is left to see; masked is what is not 0 in a PNG: is it inverted?"
-    yield Finding("cameras", called, Verdict.DOUBTFUL if mask.share > _MUCH_MASKED else Verdict.OK, found)
+    found = "polygons, drawn when the calibration comes as topic"
+    doubts = []
+    if mask is not None:
+        found = f"hides {mask.share:.1%} of {mask.size[0]} x {mask.size[1]} pixels"
+        if mask.share > _MUCH_MASKED:
+            doubts.append("little is left to see; masked is what is not 0 in a PNG: is it inverted?")
+    turning = not isinstance(config.mask, Path) and all(polygon.kind in _TURNING for polygon in config.mask)
+    if config.mount is not None and not turning:
+        doubts.append(
+            "the head turns, and the mask hides the same pixels in every view: only what turns with it belongs into "
+            "it, such as corners of the lens and captions"
+        )
+    verdict = Verdict.DOUBTFUL if doubts else Verdict.OK
+    yield Finding("cameras", called, verdict, ": ".join([found, *doubts]))
 
 
 def _head(mount: MountConfig, name: str, site: Site, dem: Dem) -> Finding:

@@ -107,6 +107,27 @@ def test_a_head_is_doubted_until_it_is_calibrated(tmp_path: Path) -> None:
     assert ("north", "head 20.0 m above the ground, directions to 0.03 deg") in said(check, Verdict.OK)
 
 
+@pytest.mark.parametrize(
+    ("camera", "classes", "doubted"),
+    [
+        ({"mount": HEAD}, ("caption", "mast"), True),
+        ({"mount": HEAD}, ("caption", "lens"), False),
+        ({}, ("caption", "mast"), False),
+    ],
+)
+def test_a_mask_of_a_head_that_hides_the_same_of_every_view(
+    tmp_path: Path, camera: dict[str, Any], classes: tuple[str, str], doubted: bool
+) -> None:
+    mask = [{"class": name, "polygon": [[10 * i, 0], [10 * i + 9, 0], [10 * i, 40]]} for i, name in enumerate(classes)]
+    sized = {"calibration": {"width": 200, "height": 120, "hfov_deg": 60.0}, "mask": mask}
+    check = checked(tmp_path, 890.0, cameras={"north": camera | sized, "south": {}})
+    ((_, message),) = [
+        found for found in said(check, Verdict.DOUBTFUL if doubted else Verdict.OK) if "mask" in found[0]
+    ]
+    assert message.startswith("hides ")
+    assert ("same pixels in every view" in message) is doubted
+
+
 def test_a_head_under_the_ground_is_wrong(tmp_path: Path) -> None:
     below = {key: value for key, value in HEAD.items() if key != "height_above_ground"} | {"z": 5.0}
     ((name, message),) = said(checked(tmp_path, 890.0, cameras={"north": {"mount": below}}), Verdict.WRONG)
