@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 from urllib.parse import parse_qsl, urlsplit
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, PositiveInt, field_validator, model_validator
 
 from ltm_core.redaction import SECRET_KEYS
 from ltm_core.strict_model import StrictModel
@@ -156,6 +156,32 @@ class RtspConfig(NetworkSettings):
         return url_without_secrets(url, ("rtsp", "rtsps"))
 
 
+class V4l2Config(SourceSettings):
+    """A USB camera at this computer, by Video4Linux."""
+
+    kind: Literal["v4l2"]
+    device: Path
+    """`/dev/v4l/by-id/...` stays when another camera is plugged in; `/dev/video0` may not."""
+    every: float = Field(10.0, ge=0)
+    """0: each picture."""
+    rate: float | None = Field(None, gt=0)
+    """Pictures a second that the camera is set to; None: as it is."""
+    format: str | None = Field(None, pattern=r"[a-z0-9]+")
+    """What it is set to send, as FFmpeg names it: `mjpeg`, `yuyv422`. Many send large pictures fast only as `mjpeg`.
+    None: as it is."""
+    size: tuple[PositiveInt, PositiveInt] | None = None
+    """Width and height that it is set to; None: as it is."""
+    least_delay: float = Field(0.02, ge=0, le=5)
+    """From an exposure to its arrival, of the fastest picture."""
+
+    @field_validator("device")
+    @classmethod
+    def _device(cls, path: Path) -> Path:
+        if path.parts[:2] != ("/", "dev") or ".." in path.parts:
+            raise ValueError("a camera's device lies below /dev: /dev/video0, or better /dev/v4l/by-id/...")
+        return path
+
+
 class FolderConfig(SourceSettings):
     """A folder that a camera writes into, such as an FTP drop."""
 
@@ -215,6 +241,6 @@ class CameraListConfig(HttpSettings):
 
 
 SourceConfig = Annotated[
-    SnapshotConfig | MjpegConfig | RtspConfig | FolderConfig | CameraListConfig,
+    SnapshotConfig | MjpegConfig | RtspConfig | V4l2Config | FolderConfig | CameraListConfig,
     Field(discriminator="kind"),
 ]

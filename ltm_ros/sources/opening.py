@@ -9,6 +9,7 @@ from ltm_core.source_config import (
     RtspConfig,
     SnapshotConfig,
     SourceConfig,
+    V4l2Config,
 )
 from ltm_ros.sources.camera_list import CameraListReader
 from ltm_ros.sources.folder import FolderReader
@@ -17,6 +18,7 @@ from ltm_ros.sources.picture import PictureReader
 from ltm_ros.sources.rtsp import RtspReader
 from ltm_ros.sources.snapshot import SnapshotReader
 from ltm_ros.sources.system_clock import Clock
+from ltm_ros.sources.v4l2 import V4l2Reader
 
 
 def open_reader(config: SourceConfig, most_bytes: int, clock: Clock) -> PictureReader:
@@ -28,6 +30,8 @@ def open_reader(config: SourceConfig, most_bytes: int, clock: Clock) -> PictureR
             return MjpegReader(config, most_bytes)
         case RtspConfig():
             return RtspReader(config)
+        case V4l2Config():
+            return V4l2Reader(config)
         case FolderConfig():
             return FolderReader(config, most_bytes, clock)
         case CameraListConfig():

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from importlib.util import find_spec
 
-from ltm_core.source_config import FolderConfig, HttpSettings, NetworkSettings, RtspConfig, SourceConfig
+from ltm_core.source_config import FolderConfig, HttpSettings, NetworkSettings, RtspConfig, SourceConfig, V4l2Config
 from ltm_ros.sources.credentials import read_secret
 from ltm_ros.sources.errors import UnauthorisedError
 
@@ -17,8 +18,13 @@ def doubts_of(source: SourceConfig) -> Iterator[str]:
             read_secret(source.password)
         except UnauthorisedError as error:
             yield str(error)
-    if isinstance(source, RtspConfig) and find_spec("av") is None:
-        yield 'RTSP needs PyAV: pip install "ltm[rtsp]"'
+    if isinstance(source, RtspConfig | V4l2Config) and find_spec("av") is None:
+        yield 'video needs PyAV: pip install "ltm[rtsp]"'
+    if isinstance(source, V4l2Config):
+        if not source.device.exists():
+            yield f"{source.device} is not there: plug the camera in, or mend device (ls /dev/v4l/by-id)"
+        elif not os.access(source.device, os.R_OK | os.W_OK):
+            yield f"{source.device} may not be read: add the user to the group video"
     if isinstance(source, HttpSettings) and source.ca is not None and not source.ca.is_file():
         yield f"ca {source.ca} is not there"
     if isinstance(source, FolderConfig) and not source.path.is_dir():

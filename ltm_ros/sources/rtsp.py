@@ -1,77 +1,36 @@
-"""A camera's video stream (RTSP), read with PyAV (extra `rtsp`)."""
+"""A camera's video stream over the network (RTSP)."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
 from typing import Any
 from urllib.parse import quote, urlsplit, urlunsplit
 
 from ltm_core.source_config import RtspConfig
-from ltm_core.types import UInt8Array
 from ltm_ros.sources.credentials import Login
-from ltm_ros.sources.errors import PictureError, SourceError, UnauthorisedError
-from ltm_ros.sources.picture import CameraTime, Nothing, Picture, Timing
+from ltm_ros.sources.errors import SourceError, UnauthorisedError
+from ltm_ros.sources.picture import CameraTime, Timing
+from ltm_ros.sources.video import VideoReader
 
 _READ_S = 5.0
 """Without a packet, after which FFmpeg gives a stream up: cameras send some each second."""
-_TURN_S = 2.0
-"""After which a call returns without a picture, so that its caller can end."""
 _ANALYSE_US = "1000000"
-_HELD_BACK = ("h264", "hevc")
-"""Codecs of which FFmpeg knows that a picture is whole only when the next one begins: a picture began to arrive when
-the one before was handed out, a period before it is handed out itself."""
 
 
-class RtspReader:
+class RtspReader(VideoReader):
     """Raises SourceError where PyAV is missing, UnauthorisedError where the password is wrong or cannot be read."""
 
     def __init__(self, config: RtspConfig) -> None:
-        self.pause = 0.0
+        super().__init__(_Stream(config), config.frames == "key", config.every, config.stall_s)
+
+
+class _Stream:
+    """The `VideoOrigin` of a stream."""
+
+    def __init__(self, config: RtspConfig) -> None:
         self._config = config
         self._login = Login.of(config)
-        self._av = _pyav()
-        self._container = self._opened()
-        try:
-            if not self._container.streams.video:
-                raise SourceError("the stream has no video")
-            video = self._container.streams.video[0]
-            # With more threads a picture comes out as many pictures later.
-            video.codec_context.thread_count = 1
-            self._codec = video.codec_context
-            self._packets: Iterator[Any] = self._container.demux(video)
-        except BaseException:
-            self.close()
-            raise
-        self._held_back = self._codec.name in _HELD_BACK
-        self._began: float | None = None
-        """When the picture that is handed out next began to arrive."""
-        self._due = 0.0
-        self._whole = False
-        """Whether a key frame has come, without which the others show nothing."""
-        self._last = time.monotonic()
 
-    def read(self) -> Picture | Nothing:
-        until = time.monotonic() + _TURN_S
-        while True:
-            packet = self._packet()
-            arrived = time.monotonic()
-            began, self._began = self._began, arrived
-            if self._held_back and began is None:
-                continue
-            picture = self._picture(packet, began if self._held_back and began is not None else arrived)
-            if picture is not None:
-                self._last = arrived
-                return picture
-            if arrived - self._last > self._config.stall_s:
-                raise SourceError(f"packets, but no picture for {arrived - self._last:.0f} s")
-            if arrived > until:
-                return Nothing.YET
-
-    def close(self) -> None:
-        self._container.close()
-
-    def _opened(self) -> Any:
+    def opened(self, av: Any) -> Any:
         options = {
             "rtsp_transport": self._config.transport,
             "allowed_media_types": "video",
@@ -79,15 +38,15 @@ class RtspReader:
             "analyzeduration": _ANALYSE_US,
         }
         try:
-            return self._av.open(
+            return av.open(
                 self._address(), options=options, timeout=(self._config.timeout, min(self._config.timeout, _READ_S))
             )
-        except (self._av.error.HTTPUnauthorizedError, self._av.error.HTTPForbiddenError):
+        except (av.error.HTTPUnauthorizedError, av.error.HTTPForbiddenError):
             raise UnauthorisedError(
                 f"the camera refuses the user {self._config.user or '(none)'}: mend user and password"
             ) from None
-        except (self._av.error.FFmpegError, OSError, ValueError) as error:
-            raise SourceError(f"no stream: {self._said(error)}") from None
+        except (av.error.FFmpegError, OSError, ValueError) as error:
+            raise SourceError(f"no stream: {self.said(error)}") from None
 
     def _address(self) -> str:
         """A secret from here on."""
@@ -99,50 +58,10 @@ class RtspReader:
         user_info = f"{quote(self._config.user, safe='')}:{quote(password, safe='')}"
         return urlunsplit(parts._replace(netloc=f"{user_info}@{parts.netloc}"))
 
-    def _packet(self) -> Any:
-        try:
-            packet = next(self._packets)
-        except StopIteration:
-            packet = None
-        except (self._av.error.FFmpegError, OSError) as error:
-            raise SourceError(f"the stream breaks off: {self._said(error)}") from None
-        # FFmpeg ends a stream whose server is gone without a word, with a packet that holds nothing.
-        if packet is None or (packet.dts is None and packet.size == 0):
-            raise SourceError("the stream has ended: the camera is gone, or has closed it")
-        return packet
-
-    def _picture(self, packet: Any, arrived: float) -> Picture | None:
-        key_only = self._config.frames == "key"
-        self._whole |= packet.is_keyframe
-        due = arrived >= self._due
-        if not self._whole or (key_only and not (packet.is_keyframe and due)):
-            return None
-        frames = self._decoded(packet, key_only)
-        if not frames or not due:
-            return None
-        frame = frames[-1]
-        if packet.is_corrupt or frame.is_corrupt:
-            raise PictureError("a picture of the stream is damaged")
-        self._due = arrived + self._config.every
-        return Picture(self._timing(frame, arrived), rgb=_rgb(frame))
-
-    def _decoded(self, packet: Any, alone: bool) -> list[Any]:
-        try:
-            frames = list(self._codec.decode(packet))
-            if alone:
-                # What is whole in itself need not wait for what follows, in case of pictures out of order.
-                frames += self._codec.decode(None)
-                self._codec.flush_buffers()
-        except (self._av.error.FFmpegError, ValueError) as error:
-            raise PictureError(f"a picture of the stream cannot be decoded: {self._said(error)}") from None
-        return frames
-
-    def _timing(self, frame: Any, arrived: float) -> Timing:
-        stream = None if frame.pts is None else float(frame.pts * frame.time_base)
-        begun = self._container.start_time_realtime
+    def timing(self, arrived: float, stream: float | None, begun: float | None) -> Timing:
         taken = None
-        if stream is not None and begun:
-            taken = CameraTime(begun / 1e6 + stream, 0.0, "sender-report")
+        if stream is not None and begun is not None:
+            taken = CameraTime(begun + stream, 0.0, "sender-report")
         return Timing(
             arrived=arrived,
             oldest=0.5,
@@ -152,19 +71,5 @@ class RtspReader:
             trusted=self._config.clock == "trusted",
         )
 
-    def _said(self, error: BaseException) -> str:
+    def said(self, error: BaseException) -> str:
         return self._login.redact(getattr(error, "strerror", None) or type(error).__name__)
-
-
-def _pyav() -> Any:
-    try:
-        import av
-    except ImportError:
-        raise SourceError('RTSP needs PyAV: pip install "ltm[rtsp]"') from None
-    av.logging.set_level(None)  # its lines hold URLs
-    return av
-
-
-def _rgb(frame: Any) -> UInt8Array:
-    array: UInt8Array = frame.to_ndarray(format="rgb24")
-    return array
