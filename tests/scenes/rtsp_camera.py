@@ -43,6 +43,8 @@ class RtspCamera:
     """`basic` or `digest`; empty: none."""
     keys: int = 5
     """Pictures, at ten a second, from one key frame to the next."""
+    shown: Path | None = None
+    """File of a picture of `SIZE` as I420, which it shows; None: a scene that tells the time."""
     port: int = 0
     process: subprocess.Popen[str] | None = field(default=None, repr=False)
 
@@ -56,6 +58,7 @@ class RtspCamera:
                 free.bind(("127.0.0.1", 0))
                 self.port = free.getsockname()[1]
         command = [SYSTEM_PYTHON, str(SERVER), str(self.port), "--ahead", str(self.ahead), "--keys", str(self.keys)]
+        command += ["--i420", str(self.shown)] if self.shown is not None else []
         command += ["--password", PASSWORD] if self.authentication else []
         command += ["--digest"] if self.authentication == "digest" else []
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)

@@ -2,7 +2,8 @@
 
 For the system's Python, which has GStreamer's bindings; knows nothing of ours. Serves H.264 with sender reports at
 `/live`; each picture shows when it was made in milliseconds, as black and white squares (`scenes.timed_picture`).
-`--ahead`: by how much the camera's clock, which its sender reports tell, is wrong; its pictures show the true time.
+`--i420`: a file of one picture, which it shows instead, with noise and without the time. `--ahead`: by how much the
+camera's clock, which its sender reports tell, is wrong; its pictures show the true time.
 Prints `ready`.
 """
 
@@ -10,6 +11,7 @@ import argparse
 import random
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import gi
@@ -27,8 +29,8 @@ CLOCK_TIME = 3
 """Of rtpbin: sender reports tell the pipeline's clock."""
 
 
-def noisy_scenes(count: int, width: int, height: int) -> list[bytes]:
-    """Pictures as I420: squares of several greys and colours, with another noise in each."""
+def noisy_scenes(count: int, width: int, height: int, shown: bytes = b"") -> list[bytes]:
+    """Pictures as I420: what is `shown`, or squares of several greys and colours, with another noise in each."""
     colours = b"".join(
         bytes((60 + 40 * (row // 24) + 30 * (column // 40)) % 160 + 40 for column in range(width // 2))
         for row in range(height // 2)
@@ -39,10 +41,13 @@ def noisy_scenes(count: int, width: int, height: int) -> list[bytes]:
     }
     grey = int.from_bytes(b"".join(rows[row // 32] for row in range(height)), "big")
     size, scenes = width * height, []
+    colours += colours[::-1]
+    if shown:
+        grey, colours = int.from_bytes(shown[:size], "big"), shown[size:]
     mask = int.from_bytes(b"\x07" * size, "big")
     for seed in range(count):
         noise = int.from_bytes(random.Random(seed).randbytes(size), "big") & mask
-        scenes.append((grey + noise).to_bytes(size, "big") + colours + colours[::-1])
+        scenes.append((grey + noise).to_bytes(size, "big") + colours)
     return scenes
 
 
@@ -71,9 +76,9 @@ def tell_pipeline_clock(pipeline: Any, inside: Any, element: Any) -> None:
 
 
 class Live(GstRtspServer.RTSPMediaFactory):
-    def __init__(self, ahead: float, keys: int, width: int, height: int) -> None:
+    def __init__(self, ahead: float, keys: int, width: int, height: int, shown: bytes) -> None:
         super().__init__()
-        self.scenes, self.width = noisy_scenes(8, width, height), width
+        self.scenes, self.width, self.tells_time = noisy_scenes(8, width, height, shown), width, not shown
         self.set_clock(clock_ahead(ahead))
         self.set_shared(True)
         self.set_launch(
@@ -92,7 +97,8 @@ class Live(GstRtspServer.RTSPMediaFactory):
         def push() -> None:
             number, due = 0, time.monotonic()
             while True:
-                made = Gst.Buffer.new_wrapped(picture(self.scenes[number % len(self.scenes)], self.width))
+                scene = self.scenes[number % len(self.scenes)]
+                made = Gst.Buffer.new_wrapped(picture(scene, self.width) if self.tells_time else scene)
                 if source.emit("push-buffer", made) == Gst.FlowReturn.EOS:
                     return
                 number, due = number + 1, due + 1 / RATE
@@ -110,10 +116,12 @@ def main() -> None:
     parser.add_argument("--keys", type=int, default=10)
     parser.add_argument("--width", type=int, default=320)
     parser.add_argument("--height", type=int, default=192)
+    parser.add_argument("--i420", type=Path)
     options = parser.parse_args()
     Gst.init(None)
     server = GstRtspServer.RTSPServer(address="127.0.0.1", service=options.port)
-    factory = Live(options.ahead, options.keys, options.width, options.height)
+    shown = b"" if options.i420 is None else options.i420.read_bytes()
+    factory = Live(options.ahead, options.keys, options.width, options.height, shown)
     if options.password:
         auth = GstRtspServer.RTSPAuth()
         token = GstRtspServer.RTSPToken()
