@@ -20,6 +20,7 @@ from ltm_ros.sources.camera_state import CameraState, StateRecord
 from ltm_ros.sources.direction import Direction, Patrol, PoseModel, Reading, Tolerance, at_rest
 from ltm_ros.sources.errors import PictureError, SourceError, StuckHeadError, UnauthorisedError
 from ltm_ros.sources.exposure import Exposure, ExposureClock
+from ltm_ros.sources.lens_watch import LensWatch
 from ltm_ros.sources.picture import Nothing, Picture, PictureReader
 from ltm_ros.sources.stuck_picture import StuckPicture
 from ltm_ros.sources.system_clock import Clock
@@ -94,6 +95,7 @@ class CameraSource:
         self._reader: PictureReader | None = None
         self._exposures = ExposureClock()
         self._stuck = StuckPicture(settings.stuck_s)
+        self._lens = LensWatch()
         self._record = StateRecord(clock.monotonic())
         self._before: Reading | None = None
         """What the head said last; None: not since the connection was made."""
@@ -212,7 +214,9 @@ class CameraSource:
                 self._health.note("night")
                 return True
         else:
-            self._become(CameraState.ALIVE)
+            self._lens.look(picture, self._calibration.width, reading, now)
+            why = self._lens.said()
+            self._become(CameraState.DIRTY if why else CameraState.ALIVE, why)
         self._publish(picture, exposure, wall_less_monotonic, reading)
         return True
 

@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 from ltm_ros.cli.eval.bag import bag
 from ltm_ros.cli.eval.crosswalk import crosswalk
 from ltm_ros.cli.eval.depth import depth
+from ltm_ros.cli.eval.dirty_lens import dirty_lens
 from ltm_ros.cli.eval.fuel import fuel
 from ltm_ros.cli.eval.gallery import gallery
 from ltm_ros.cli.eval.locate import locate
@@ -42,6 +43,7 @@ evaluate = typer.Typer(cls=EvalGroup, no_args_is_help=True, help="Score a record
 evaluate.command(WHOLE)(bag)
 evaluate.command()(crosswalk)
 evaluate.command()(depth)
+evaluate.command()(dirty_lens)
 evaluate.command()(fuel)
 evaluate.command()(gallery)
 evaluate.command()(mask)
