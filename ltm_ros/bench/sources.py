@@ -8,21 +8,15 @@ import json
 import subprocess  # nosec B404 # argument lists, no shell
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import cv2
 import numpy as np
-import rclpy
 import yaml
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 
 from ltm_core.camera import Camera
 from ltm_core.errors import LtmError
@@ -34,13 +28,13 @@ from ltm_msgs_py.image import compressed_to_rgb, encode_rgb
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.bench.process_usage import usage_of
 from ltm_ros.bench.snapshot_cameras import time_in
-from ltm_ros.launching.dds_shutdown import wait_for_quiet
 from ltm_ros.launching.graph import SOURCES_PROCESS, describe
 from ltm_ros.launching.ros_environment import apply_to_process
 from ltm_ros.launching.runner import Runner
 from ltm_ros.nodes.source import JPEG_QUALITY
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.outlet_node import stream_qos
+from ltm_ros.runtime.spinning_node import SpinningNode
 from ltm_ros.runtime.topics import IMAGE_COMPRESSED, SOURCE_INFO, camera_topic
 from ltm_ros.sources.camera_source import CameraSource, Frame, Gaze
 from ltm_ros.sources.opening import open_reader
@@ -159,36 +153,16 @@ def run_stream(url: str, frames: str, seconds: float) -> StreamResult:
     return StreamResult(frames, took, len(sizes), (calibration.width, calibration.height), cores, source.state.value)
 
 
-class _Listener:
+class _Listener(SpinningNode):
     """Keeps of one camera's pictures the stamp, the true time and the uncertainty that was told."""
 
     def __init__(self, topic: str, camera: str) -> None:
-        self._context = Context()
-        rclpy.init(context=self._context)
-        self._node = Node("bench_sources", context=self._context, enable_rosout=False)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
+        super().__init__("bench_sources")
         self._true: dict[int, float] = {}
         self._told: dict[int, float] = {}
-        self._node.create_subscription(IMAGE_COMPRESSED.type, topic, self._on_image, stream_qos())
+        self.node.create_subscription(IMAGE_COMPRESSED.type, topic, self._on_image, stream_qos())
         info = camera_topic(NAME, camera, SOURCE_INFO)
-        self._node.create_subscription(SOURCE_INFO.type, info, self._on_info, stream_qos())
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._spin, daemon=True)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stopping.set()
-        self._thread.join()
-        self._executor.shutdown()
-        wait_for_quiet(self._node)
-        self._node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
+        self.node.create_subscription(SOURCE_INFO.type, info, self._on_info, stream_qos())
 
     def pairs(self) -> list[tuple[float, float, float]]:
         """Stamp, true time, uncertainty; seconds."""
@@ -200,10 +174,6 @@ class _Listener:
     def _on_info(self, message: Any) -> None:
         said = json.loads(message.data)
         self._told[said["stamp_ns"]] = said["uncertainty_s"]
-
-    def _spin(self) -> None:
-        while not self._stopping.is_set():
-            self._executor.spin_once(timeout_sec=0.1)
 
 
 def _photo(path: Path, width: int) -> tuple[int, int]:

@@ -180,8 +180,9 @@ class LivePlayer:
             time.sleep(min(wait, 0.1))
 
     def _idle(self, summaries: Iterable[dict[str, str] | None]) -> bool:
-        """Nothing has moved for a while, and nothing waits."""
-        empty = all(s is not None and {s.get("queue", "0"), s.get("waiting", "0")} == {"0"} for s in list(summaries))
+        """Nothing has moved for a while, and nothing waits or is at work: a large frame is, for longer than a while."""
+        busy = ("queue", "waiting", "in_flight")
+        empty = all(s is not None and {s.get(key, "0") for key in busy} == {"0"} for s in list(summaries))
         return empty and time.monotonic() - self._changed > QUIET
 
     def _tick(self) -> None:

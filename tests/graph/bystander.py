@@ -2,56 +2,30 @@
 
 from __future__ import annotations
 
-import threading
 from collections import defaultdict
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from scenes.waiting import PATIENCE_S, wait_for
 from std_srvs.srv import Trigger
 
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.launching.dds_shutdown import wait_for_quiet
 from ltm_ros.runtime.discovery_check import unmatched
 from ltm_ros.runtime.outlet_node import stream_qos
+from ltm_ros.runtime.spinning_node import SpinningNode
 
 
-class Bystander:
+class Bystander(SpinningNode):
     """A context manager; its node spins in a thread of its own."""
 
     def __init__(self) -> None:
-        self._context = Context()
-        rclpy.init(context=self._context)
-        self.node = Node("bystander", context=self._context, enable_rosout=False)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
+        super().__init__("bystander")
         self.heard: dict[str, list[Any]] = defaultdict(list)
         """Messages by topic, in the order of arrival."""
         self.summaries: dict[str, dict[str, str]] = {}
         """The last diagnostics of every node, by full name."""
         self._senders: dict[str, Any] = {}
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, 200)
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._spin, daemon=True)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stopping.set()
-        self._thread.join()
-        self._executor.shutdown()
-        wait_for_quiet(self.node)
-        self.node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
 
     def listen(self, topic: str, message_type: type, latched: bool = False, depth: int = 10) -> None:
         """Keep what comes on `topic`, an absolute name."""
@@ -109,7 +83,3 @@ class Bystander:
     def _diagnosed(self, message: Any) -> None:
         for status in message.status:
             self.summaries[status.name] = {item.key: item.value for item in status.values}
-
-    def _spin(self) -> None:
-        while not self._stopping.is_set():
-            self._executor.spin_once(timeout_sec=0.1)

@@ -62,8 +62,8 @@ def test_a_change_in_a_called_kernel_reaches_its_callers(tmp_path: Path, package
 
 def test_a_constant_that_a_kernel_has_through_other_modules_reaches_it(tmp_path: Path, package: Path) -> None:
     assert answer(tmp_path) == "2.0"
-    (package / "origin.py").write_text(ORIGIN.format(offset=0.5))
-    assert answer(tmp_path) == "2.5"
+    (package / "origin.py").write_text(ORIGIN.format(offset=0.25))
+    assert answer(tmp_path) == "2.25"
 
 
 def test_an_edit_that_no_kernel_depends_on_compiles_nothing_anew(package: Path) -> None:

@@ -63,6 +63,9 @@ class Head:
         self.readings += 1
         return Reading(self.pan, -2.0, 1.0, None, 0.0)
 
+    def close(self) -> None:
+        pass
+
 
 @dataclass
 class Bench:
