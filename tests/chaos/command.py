@@ -3,18 +3,35 @@
 from __future__ import annotations
 
 import argparse
+import fcntl
 import json
 import random
 import secrets
+import signal
 import sys
 import tempfile
 from pathlib import Path
+from typing import IO
 
 from chaos.disks import enter_own_mounts
 from ltm_ros.launching.ros_environment import apply_to_process
 
 DOMAIN = 99
 """Below those of the tests."""
+
+
+def claim(domain: int) -> IO[str]:
+    """A lock on a ROS domain, held as long as the file is open: two runs on one would hear each other's frames.
+
+    Raises BlockingIOError where another run has it.
+    """
+    lock = (Path(tempfile.gettempdir()) / f"ltm-chaos-domain-{domain}.lock").open("w")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        lock.close()
+        raise
+    return lock
 
 
 def main() -> None:
@@ -31,6 +48,16 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="for site, state and logs, new; default: a temporary one")
     parser.add_argument("--json", type=Path, help="also write what was found into this file")
     options = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # the site ends with its run
+    try:
+        lock = claim(options.domain)
+    except BlockingIOError:
+        parser.error(f"another run is on domain {options.domain}: give another one with --domain")
+    with lock:
+        _run(parser, options)
+
+
+def _run(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     own_disks = not options.soak and enter_own_mounts()
     apply_to_process(options.domain)
     from chaos.faults import FAULTS
