@@ -25,8 +25,9 @@ from ltm_core.grid import GridGeometry
 from ltm_core.plausibility import TALLEST_MAST, doubt_of_dem, doubt_of_height, doubt_of_heights, doubt_of_radians
 from ltm_core.pose_estimation.mount_config import MountConfig
 from ltm_core.resources import config_path
-from ltm_core.site import CameraConfig, Site
+from ltm_core.site import Site
 from ltm_core.site_io import load_site
+from ltm_core.site_sections import CameraConfig
 from ltm_core.types import Float64Array
 from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.label_head import SHIPPED_HEAD

@@ -7,7 +7,8 @@ from pathlib import Path
 from ltm_core.config_io import load_yaml
 from ltm_core.errors import ConfigError
 from ltm_core.ptz_config import PtzSettings
-from ltm_core.site import CameraConfig, DemConfig, Site
+from ltm_core.site import Site
+from ltm_core.site_sections import CameraConfig, DemConfig
 from ltm_core.source_config import FolderConfig, HttpSettings, NetworkSettings
 
 

@@ -14,7 +14,7 @@ from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.pose import Pose
 from ltm_core.raster.tile_store import TileStore
-from ltm_core.site import TerrainConfig
+from ltm_core.site_sections import TerrainConfig
 from ltm_core.terrain import DepthFrame, LabelImage, Reference, SurfaceMap
 from ltm_core.terrain.tile_pool import schema_of
 from ltm_core.tracing import TerrainTracer

@@ -27,7 +27,7 @@ from ltm_core.pose_estimation.pose_hypothesis import search_reach
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.pose_refinement import PictureEvidence, refine, skyline_cost
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
-from ltm_core.site import PoseRefinementConfig
+from ltm_core.site_sections import PoseRefinementConfig
 from ltm_core.types import Float64Array
 
 _KEPT = 16

@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ltm_core.raster.tile_store import Key, Tile
-from ltm_core.site import TerrainConfig
+from ltm_core.site_sections import TerrainConfig
 from ltm_core.terrain.cell_layout import TILE
 from ltm_core.terrain.cell_update import Rules, independent, mean_variance
 from ltm_core.terrain.neighbours import REACH, WIDE, Estimates, mean_of_neighbours, own_shift, regions, stand_rise

@@ -10,7 +10,7 @@ import numpy as np
 from ltm_core.errors import ConfigError
 from ltm_core.pose import Pose
 from ltm_core.raster.tile_store import CellChanges, FrameRecord, Key, TileStore
-from ltm_core.site import PoseErrorConfig, TerrainConfig
+from ltm_core.site_sections import PoseErrorConfig, TerrainConfig
 from ltm_core.terrain.cell_layout import TILE
 from ltm_core.terrain.cell_update import Rules, merge
 from ltm_core.terrain.change import Changed, decide, margin_of, mosaic

@@ -18,8 +18,8 @@ import yaml
 from ltm_core.bench.measure import peak_mb
 from ltm_core.camera import Camera
 from ltm_core.pose import Pose
-from ltm_core.site import Limits
 from ltm_core.site_io import load_site
+from ltm_core.site_sections import Limits
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg

@@ -13,7 +13,7 @@ from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geodesy import SiteFrame, ray_bend
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.pose import Pose
-from ltm_core.site import PoseErrorConfig
+from ltm_core.site_sections import PoseErrorConfig
 from ltm_core.types import Float64Array
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera

@@ -9,7 +9,7 @@ import ssl
 from typing import Any
 
 from ltm_core.errors import ConfigError
-from ltm_core.site import HealthConfig
+from ltm_core.site_sections import HealthConfig
 from ltm_ros.health.web_server import read_token, secret
 
 LARGEST = 16 << 20

@@ -18,7 +18,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from ltm_core.errors import ConfigError
-from ltm_core.site import HealthConfig
+from ltm_core.site_sections import HealthConfig
 
 TIMEOUT_S = 10.0
 """For a request to come and an answer to be taken: who is slower is let go."""

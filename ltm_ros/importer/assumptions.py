@@ -8,7 +8,7 @@ from datetime import tzinfo
 
 from ltm_core.dem import Dem
 from ltm_core.geodesy import SiteFrame
-from ltm_core.site import CameraConfig, PoseErrorConfig
+from ltm_core.site_sections import CameraConfig, PoseErrorConfig
 
 
 @dataclass(frozen=True)

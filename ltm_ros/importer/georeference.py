@@ -12,7 +12,7 @@ from ltm_core.errors import CameraError, PoseError, RecordingError
 from ltm_core.geodesy import SiteFrame
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, moved_covariance
-from ltm_core.site import CameraConfig
+from ltm_core.site_sections import CameraConfig
 from ltm_core.types import Float64Array
 from ltm_ros.importer.assumptions import Assumptions, Surroundings
 from ltm_ros.importer.exif import FULL_FRAME_WIDTH_MM

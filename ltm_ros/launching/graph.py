@@ -12,7 +12,8 @@ from typing import Any
 import yaml
 
 from ltm_core.errors import ConfigError
-from ltm_core.site import Site, WatchdogConfig
+from ltm_core.site import Site
+from ltm_core.site_sections import WatchdogConfig
 
 ParameterValue = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 

@@ -14,7 +14,7 @@ from enum import Enum
 from pathlib import Path
 from typing import IO
 
-from ltm_core.site import WatchdogConfig
+from ltm_core.site_sections import WatchdogConfig
 from ltm_ros.launching.node_log import NodeLog
 from ltm_ros.launching.orphan_cleanup import end_groups, group_alive
 from ltm_ros.launching.supervised import SHOW_STACKS, start_supervised

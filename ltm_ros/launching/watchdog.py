@@ -7,7 +7,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from ltm_core.site import WatchdogConfig
+from ltm_core.site_sections import WatchdogConfig
 
 BUSY = 0.05
 """Share of a core from which a process that says nothing is taken to compute, in code that holds Python's lock."""

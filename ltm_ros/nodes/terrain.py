@@ -22,8 +22,8 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.raster.tile_store import TileStore
 from ltm_core.resources import config_path
-from ltm_core.site import TerrainConfig
 from ltm_core.site_io import load_site
+from ltm_core.site_sections import TerrainConfig
 from ltm_core.terrain import DepthFrame, LabelImage, Reference, SurfaceMap
 from ltm_core.terrain.change import Changed, ChangeKind
 from ltm_core.terrain.terrain_io import write_surface

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
-from ltm_core.site import Config
+from ltm_core.strict_model import StrictModel
 from ltm_ros.runtime.health import Health
 
 
@@ -27,7 +27,7 @@ class Topic:
     counted: bool = True
 
 
-class NodeConfig(Config):
+class NodeConfig(StrictModel):
     """Parameters that every node takes."""
 
     site: str

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import Field
 
 from ltm_core.errors import LtmError
-from ltm_core.site import Limits
+from ltm_core.site_sections import Limits
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health, cause_of
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from ltm_core.camera import Camera
 from ltm_core.errors import ConfigError
-from ltm_core.site import CameraConfig, Site
+from ltm_core.site import Site
+from ltm_core.site_sections import CameraConfig
 from ltm_ros.sources.camera_source import Gaze
 from ltm_ros.sources.ptz.gaze import gaze_of_head
 

@@ -11,7 +11,7 @@ from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.raster.tile_store import TileStore
-from ltm_core.site import TerrainConfig
+from ltm_core.site_sections import TerrainConfig
 from ltm_core.terrain import DepthFrame, Reference, SurfaceMap
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND

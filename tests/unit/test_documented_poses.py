@@ -8,7 +8,7 @@ from pathlib import Path
 import yaml
 
 from ltm_core.camera_config import PartialCalibration, PartialPose
-from ltm_core.site import CameraConfig
+from ltm_core.site_sections import CameraConfig
 from ltm_core.tracing.trace_io import load_picture_config
 from ltm_ros.importer.pose_file import columns, read_pose_file
 

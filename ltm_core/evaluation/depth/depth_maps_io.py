@@ -20,7 +20,7 @@ from ltm_core.evaluation.metrics.depth_fit import DepthKind
 from ltm_core.numpy_io import load_array
 from ltm_core.picture_io import check_picture
 from ltm_core.raster.raster_source import check_size, open_raster
-from ltm_core.site import Config
+from ltm_core.strict_model import StrictModel
 from ltm_core.types import Float32Array
 
 SUFFIXES = (".npy", ".png", ".tif", ".tiff")
@@ -29,7 +29,7 @@ _LARGEST = 512 << 20
 """Bytes of an .npy file."""
 
 
-class DepthMapsConfig(Config):
+class DepthMapsConfig(StrictModel):
     """What the numbers in a folder mean: `depth_maps.yaml` in it; all keys may be left out but for 16-bit PNG."""
 
     kind: DepthKind = "metric"

@@ -9,7 +9,7 @@ from ltm_core.errors import RecordingError
 from ltm_core.evaluation.truth_frames_io import is_curved, open_dem, read_truth_frames, scenario_name, site_frame
 from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.votes import CellVotes, VoteCaster
-from ltm_core.site import FuelConfig
+from ltm_core.site_sections import FuelConfig
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND
 from ltm_core.types import UInt8Array

@@ -16,7 +16,7 @@ from ltm_core.evaluation.metrics.change import ChangeScore, score_change
 from ltm_core.evaluation.metrics.depth_fit import at_pixels_of
 from ltm_core.evaluation.metrics.heights import SurfaceScore, score_surface
 from ltm_core.evaluation.terrain.canyon_io import PHOTOS, Canyon
-from ltm_core.site import TerrainConfig
+from ltm_core.site_sections import TerrainConfig
 from ltm_core.terrain.layers import SurfaceLayers
 from ltm_core.terrain.observation import DepthFrame
 from ltm_core.terrain.reference_surface import Reference

@@ -21,7 +21,7 @@ from ltm_core.evaluation.metrics.depth_fit import at_pixels_of
 from ltm_core.evaluation.metrics.heights import SurfaceScore, cell_means, score_surface
 from ltm_core.evaluation.terrain.hillside_scenes import Noise
 from ltm_core.evaluation.truth_frames_io import TruthFrame
-from ltm_core.site import TerrainConfig
+from ltm_core.site_sections import TerrainConfig
 from ltm_core.terrain.layers import SurfaceLayers
 from ltm_core.terrain.observation import DepthFrame
 from ltm_core.terrain.reference_surface import Reference

@@ -13,7 +13,7 @@ from ltm_core.evaluation.metrics.change import ChangeScore, score_change
 from ltm_core.evaluation.metrics.heights import score_surface
 from ltm_core.evaluation.terrain.hillside_ground import TOWERS
 from ltm_core.evaluation.terrain.hillside_scenes import HillsideScene, SceneConditions, frames, trial
-from ltm_core.site import TerrainConfig
+from ltm_core.site_sections import TerrainConfig
 from ltm_core.terrain.layers import SurfaceLayers
 from ltm_core.terrain.reference_surface import Reference
 from ltm_core.terrain.surface_map import SurfaceMap

@@ -15,7 +15,7 @@ def bounds(json_path: JsonFile = None) -> None:
     from rich.console import Console
 
     from ltm_core.bench.measure import conditions
-    from ltm_core.site import Limits
+    from ltm_core.site_sections import Limits
     from ltm_ros.bench.message_bounds import dropped, largest_camera, nodes_at_bound
 
     console = Console()

@@ -21,7 +21,7 @@ from ltm_core.evaluation.terrain.hillside_score import HillsideScore, score_tria
 from ltm_core.evaluation.terrain.hillside_summary import Spread, TrialSummary
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.pictures import to_png
-from ltm_core.site import TerrainConfig
+from ltm_core.site_sections import TerrainConfig
 from ltm_core.terrain.layers import SurfaceLayers
 from ltm_core.types import BoolArray
 from ltm_ros.evaluation.figures_io import write_figures

@@ -8,7 +8,8 @@ import pytest
 
 from ltm_core.config_io import checked, load_yaml
 from ltm_core.errors import ConfigError
-from ltm_core.site import FuelConfig, Site
+from ltm_core.site import Site
+from ltm_core.site_sections import FuelConfig
 
 
 def load(tmp_path: Path, text: str) -> FuelConfig:

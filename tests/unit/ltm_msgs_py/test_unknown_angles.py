@@ -14,7 +14,7 @@ from ltm_core.fuel.rules import FusionRules
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_covariance
-from ltm_core.site import PoseErrorConfig
+from ltm_core.site_sections import PoseErrorConfig
 from ltm_msgs_py.pose import UNKNOWN_VARIANCES, msg_to_covariance, pose_to_msg
 
 POSE = Pose.from_angles((0.0, 0.0, 31.6), 40.0, 0.0, 0.0)

@@ -15,7 +15,7 @@ from ltm_core.evaluation.terrain.hillside_summary import TrialSummary
 from ltm_core.evaluation.truth_frames_io import TruthFrame
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
-from ltm_core.site import TerrainConfig
+from ltm_core.site_sections import TerrainConfig
 from ltm_core.terrain.observation import DepthFrame
 from ltm_core.tracing import TerrainTracer
 

@@ -10,7 +10,7 @@ from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
-from ltm_core.site import TerrainConfig
+from ltm_core.site_sections import TerrainConfig
 from ltm_core.terrain import DepthFrame, Reference, SurfaceMap
 from ltm_core.terrain.change import ChangeKind
 from ltm_core.terrain.expected_view import EXPECTED_PIXEL, ExpectedViews

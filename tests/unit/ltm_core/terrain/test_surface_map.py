@@ -29,7 +29,7 @@ from ltm_core.errors import ConfigError, ImageError, PoseError
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.raster.tile_store import TileStore
-from ltm_core.site import TerrainConfig
+from ltm_core.site_sections import TerrainConfig
 from ltm_core.terrain import Reference, SurfaceMap
 from ltm_core.terrain.change import ChangeKind
 from ltm_core.terrain.tile_pool import TilePool, schema_of

@@ -19,7 +19,7 @@ from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.depth.topodepth import fuse
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.pose import Pose
-from ltm_core.site import TerrainConfig
+from ltm_core.site_sections import TerrainConfig
 from ltm_core.terrain import DepthFrame, Reference, SurfaceMap
 from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet

@@ -16,7 +16,7 @@ import pytest
 from pydantic import ValidationError
 
 from ltm_core.errors import ConfigError
-from ltm_core.site import HealthConfig
+from ltm_core.site_sections import HealthConfig
 from ltm_ros.health.web_client import ask
 from ltm_ros.health.web_server import CONNECTIONS, Answer, WebServer
 
