@@ -212,7 +212,7 @@ class CameraConfig(StrictModel):
             return self
         if self.calibration is None and (self.mount is None or self.mount.lens is None):
             raise ValueError("a camera with a source needs its calibration here: width, height and hfov_deg or fx")
-        if self.image == "raw" and self.source.kind != "rtsp":
+        if self.image == "raw" and self.source.kind not in ("rtsp", "v4l2"):
             raise ValueError(f"a source of kind {self.source.kind} publishes the camera's JPEGs: leave image out")
         return self
 
