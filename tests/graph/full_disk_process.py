@@ -6,7 +6,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -14,32 +13,15 @@ from bystander import Bystander
 from scenes.own_disk import answer, fill, make_disk
 from scenes.small_site import NAME, SmallSite
 from scenes.waiting import wait_for
+from tower_frames import TOPICS, send_frame
 
 from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
 from ltm_core.raster.tile_store import TileStore
 from ltm_msgs_py.bag.reader import BagReader
-from ltm_msgs_py.camera_info import camera_to_msg
-from ltm_msgs_py.image import compressed_to_msg, encode_rgb
-from ltm_msgs_py.pose import pose_to_msg
-from ltm_ros.runtime.topics import CAMERA_INFO, FUEL_MAP_UPDATE, IMAGE_COMPRESSED, POSE, camera_topic, site_topic
+from ltm_ros.runtime.topics import FUEL_MAP_UPDATE, IMAGE_COMPRESSED, camera_topic, site_topic
 
 LTM = "from ltm_ros.cli.main import app; app()"
 FUEL_MAP, RECORDER = f"/{NAME}/fuel_map", f"/{NAME}/recorder"
-TOPICS = (CAMERA_INFO, POSE, IMAGE_COMPRESSED)
-
-
-def send(bystander: Bystander, site: SmallSite) -> int:
-    """One frame of the tower, taken now; its stamp."""
-    stamp = time.time_ns()
-    (frame,) = [f for f in site.frames(1) if f.camera_name == "tower"]
-    messages = (
-        camera_to_msg(frame.camera, stamp, "tower_optical"),
-        pose_to_msg(frame.pose, stamp),
-        compressed_to_msg(encode_rgb(site.photo(frame), quality=95), "jpeg", stamp, "tower_optical"),
-    )
-    for topic, message in zip(TOPICS, messages, strict=True):
-        bystander.send(camera_topic(NAME, "tower", topic), message)
-    return stamp
 
 
 def stopped_while_full(disk: Path, site_path: Path) -> dict[str, Any]:
@@ -58,11 +40,11 @@ def stopped_while_full(disk: Path, site_path: Path) -> dict[str, Any]:
                 bystander.open(camera_topic(NAME, "tower", topic), topic.type, listeners=2)
             bystander.wait_for_wiring(6)
             for _ in range(3):
-                bystander.wait_for_stamp(update, send(bystander, site))
+                bystander.wait_for_stamp(update, send_frame(bystander, site))
             wait_for(lambda: bystander.count(RECORDER, "frames_out") >= 3, "the recorder", lambda: bystander.summaries)
             fill(disk)
             for _ in range(4):
-                bystander.wait_for_stamp(update, send(bystander, site))
+                bystander.wait_for_stamp(update, send_frame(bystander, site))
             wait_for(
                 lambda: bystander.count(RECORDER, "dropped.disk_low") > 0, "the floor", lambda: bystander.summaries
             )

@@ -11,7 +11,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -25,17 +24,14 @@ import yaml
 from bystander import Bystander
 from scenes.small_site import NAME, SmallSite
 from scenes.waiting import wait_for
+from tower_frames import TOPICS, send_frame
 
-from ltm_msgs_py.camera_info import camera_to_msg
-from ltm_msgs_py.image import compressed_to_msg, encode_rgb
-from ltm_msgs_py.pose import pose_to_msg
-from ltm_ros.runtime.topics import CAMERA_INFO, FUEL_MAP_UPDATE, IMAGE_COMPRESSED, POSE, camera_topic, site_topic
+from ltm_ros.runtime.topics import FUEL_MAP_UPDATE, camera_topic, site_topic
 
 pytestmark = pytest.mark.graph
 parser = pytest.importorskip("prometheus_client.parser", reason="the extra `tower` is not installed")
 
 LTM = "from ltm_ros.cli.main import app; app()"
-TOPICS = (CAMERA_INFO, POSE, IMAGE_COMPRESSED)
 
 
 @dataclass
@@ -81,20 +77,6 @@ def tower(small_site: SmallSite, module_ros_domain: int, tmp_path_factory: pytes
             graph.wait()
 
 
-def send(bystander: Bystander, site: SmallSite) -> int:
-    """One frame of the tower, taken now; its stamp."""
-    stamp = time.time_ns()
-    (frame,) = [f for f in site.frames(1) if f.camera_name == "tower"]
-    messages = (
-        camera_to_msg(frame.camera, stamp, "tower_optical"),
-        pose_to_msg(frame.pose, stamp),
-        compressed_to_msg(encode_rgb(site.photo(frame), quality=95), "jpeg", stamp, "tower_optical"),
-    )
-    for topic, message in zip(TOPICS, messages, strict=True):
-        bystander.send(camera_topic(NAME, "tower", topic), message)
-    return stamp
-
-
 def test_a_camera_that_sends_makes_a_tower_ready_and_numbers_are_those_of_the_diagnostics(tower: Tower) -> None:
     wait_for(lambda: tower.get("/healthz")[0] == 200, "all nodes", tower.said, patience_s=180.0)
     status, words = tower.get("/readyz")
@@ -108,7 +90,7 @@ def test_a_camera_that_sends_makes_a_tower_ready_and_numbers_are_those_of_the_di
             bystander.open(camera_topic(NAME, "tower", topic), topic.type, listeners=1)
         bystander.wait_for_wiring(5)
         for _ in range(3):
-            bystander.wait_for_stamp(update, send(bystander, tower.site))
+            bystander.wait_for_stamp(update, send_frame(bystander, tower.site))
         wait_for(lambda: tower.get("/readyz")[0] == 200, "frames", lambda: tower.get("/readyz"))
 
         # Now nothing moves any more: both must come to say the same.

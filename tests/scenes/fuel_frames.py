@@ -12,6 +12,8 @@ from ltm_core.dem import Dem
 from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
+from ltm_core.raster.raster_io import write_geotiff
+from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.votes import votes_to_msg
@@ -76,3 +78,14 @@ def votes(number: int, grid: GridGeometry, stamp_ns: int | None = None) -> CellV
 
 def message(number: int, grid: GridGeometry, stamp_ns: int | None = None) -> Any:
     return votes_to_msg(votes(number, grid, stamp_ns), LABELS.names)
+
+
+def write_grass_site(folder: Path) -> Path:
+    """The site of `write_site` with a prior of grass (102) everywhere, and errors whose correlation is known."""
+    plain = write_site(folder)
+    grid = load_site(plain).in_crs(grid_of(plain))
+    write_geotiff(folder / "prior.tif", np.full(grid.shape, 102, np.int16), grid, -9999)
+    errors = yaml.safe_load(config_path("fuel/label_errors/default.yaml").read_text())
+    errors["correlation"] = {"cell": 0.28, "stand": 0.1, "view": 0.11, "network": 0.05}
+    (folder / "errors.yaml").write_text(yaml.safe_dump(errors))
+    return write_site(folder, fuel={"prior": "prior.tif", "label_errors": "errors.yaml"})

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-import yaml
-from scenes.fuel_frames import camera_of, grid_of, message, stamp_of_frame, write_site
+from scenes.fuel_frames import camera_of, grid_of, message, stamp_of_frame, write_grass_site
 from scenes.outlets import Kept
 from typer.testing import CliRunner
 
@@ -19,8 +18,6 @@ from ltm_core.fire.pyretechnics import interpreter
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.landscape_io import write_landscape
 from ltm_core.grid import GridGeometry
-from ltm_core.raster.raster_io import write_geotiff
-from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_ros.cli.main import cli
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
@@ -80,13 +77,7 @@ def test_of_two_files(tmp_path: Path) -> None:
 
 
 def test_of_a_store_with_an_ensemble(tmp_path: Path) -> None:
-    plain = write_site(tmp_path)
-    grid = load_site(plain).in_crs(grid_of(plain))
-    write_geotiff(tmp_path / "prior.tif", np.full(grid.shape, 102, np.int16), grid, -9999)
-    errors = yaml.safe_load(config_path("fuel/label_errors/default.yaml").read_text())
-    errors["correlation"] = {"cell": 0.28, "stand": 0.1, "view": 0.11, "network": 0.05}
-    (tmp_path / "errors.yaml").write_text(yaml.safe_dump(errors))
-    site = write_site(tmp_path, fuel={"prior": "prior.tif", "label_errors": "errors.yaml"})
+    site = write_grass_site(tmp_path)
     node = FuelMap(FuelMapConfig(site=str(site), folder=str(tmp_path / "kept")), Kept(), Health())
     node.start()
     for number in range(40):

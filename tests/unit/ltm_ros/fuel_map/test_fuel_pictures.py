@@ -10,8 +10,18 @@ import cv2
 import numpy as np
 import pytest
 import rasterio
-import yaml
-from scenes.fuel_frames import BEGIN_NS, LABELS, NAME, camera_of, grid_of, message, stamp_of_frame, votes, write_site
+from scenes.fuel_frames import (
+    BEGIN_NS,
+    LABELS,
+    NAME,
+    camera_of,
+    grid_of,
+    message,
+    stamp_of_frame,
+    votes,
+    write_grass_site,
+    write_site,
+)
 from scenes.outlets import Kept
 from typer.testing import CliRunner
 
@@ -36,8 +46,6 @@ from ltm_core.pictures.fuel_maps import (
     overlay_picture,
 )
 from ltm_core.pictures.fuel_sheets import change_sheet, coverage_sheet, fuel_sheet, seen_sheet
-from ltm_core.raster.raster_io import write_geotiff
-from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.grid import classes_to_msg
@@ -208,13 +216,7 @@ def export(*arguments: Any) -> str:
 @pytest.fixture
 def kept(tmp_path: Path) -> tuple[Path, Path, FuelMap]:
     """Site file and store of a map whose covers change over the years, and its node, which has ended."""
-    plain = write_site(tmp_path)
-    grid = load_site(plain).in_crs(grid_of(plain))
-    write_geotiff(tmp_path / "prior.tif", np.full(grid.shape, 102, np.int16), grid, -9999)
-    errors = yaml.safe_load(config_path("fuel/label_errors/default.yaml").read_text())
-    errors["correlation"] = {"cell": 0.28, "stand": 0.1, "view": 0.11, "network": 0.05}
-    (tmp_path / "errors.yaml").write_text(yaml.safe_dump(errors))
-    site = write_site(tmp_path, fuel={"prior": "prior.tif", "label_errors": "errors.yaml"})
+    site = write_grass_site(tmp_path)
     node = FuelMap(FuelMapConfig(site=str(site), folder=str(tmp_path / "kept")), Kept(), Health())
     node.start()
     for number in range(60):
