@@ -4,9 +4,11 @@ of what makes, teaches and judges it. Read from the sources, so that imports ins
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
@@ -37,6 +39,8 @@ ON_DEMAND = {
     "rosbags": "message definitions where no ROS is installed",
     "av": "videos for `ltm import`, RTSP streams",
 }
+NOT_ON_A_TOWER = {"rerun", "laspy", "pyretechnics", "rosbags"}
+"""Of those on demand; all else is in the package that `make deb` builds."""
 
 
 def imported(source: str, package: str) -> Iterator[str]:
@@ -97,6 +101,20 @@ def test_runtime_imports_no_package_that_only_the_study_wing_needs() -> None:
     allowed = TOWER | set(ON_DEMAND) | ROS | own | set(sys.stdlib_module_names)
     strangers = {f"{m} imports {n}" for m, names in runtime() for n in names if n.partition(".")[0] not in allowed}
     assert not strangers
+
+
+def test_what_a_tower_imports_is_in_its_package() -> None:
+    """Each kind of camera that a site file may name has to work there, without a network to fetch what it needs."""
+    lock = (REPOSITORY / "packaging/requirements.lock").read_text(encoding="utf-8")
+    locked = set(re.findall(r"^([a-z0-9.-]+)==", lock, re.MULTILINE))
+    assert len(locked) > 100
+    distributions = packages_distributions()
+    missing = [
+        package
+        for package in sorted(TOWER | set(ON_DEMAND) - NOT_ON_A_TOWER)
+        if locked.isdisjoint(name.lower().replace("_", "-") for name in distributions[package])
+    ]
+    assert missing == []
 
 
 def test_nodes_load_no_study_package() -> None:
