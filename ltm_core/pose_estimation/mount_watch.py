@@ -80,6 +80,10 @@ class MountWatch:
         roll, where that is more than errors explain."""
         self._horizons: dict[tuple[object, ...], tuple[TerrainHorizon, ContourDirections]] = {}
 
+    def recall(self, state: MountState, correction: PoseCorrection, reason: str) -> None:
+        """Go on from what a former watch of the same mount has found."""
+        self._become(state, correction, reason)
+
     def look(self, evidence: PictureEvidence, stated: Pose, covariance: Float64Array) -> bool:
         """Take a picture whose pose is stated with a covariance, (6, 6) as in `pose_covariance`; whether it was clear.
 
