@@ -46,9 +46,8 @@ class Segmentation(Handler[SegmentationConfig]):
         super().__init__(config, outlet, health)
         site = load_site(config.site)
         self._scene = SceneFilter.of(site, config.camera)
-        head = site.camera(config.camera).head
         self._labels = LabelSet.load(config_path(site.labels))
-        self._segmenter = Segmenter.open(config.model or site.model, config.threads, head=head, heads=site.heads)
+        self._segmenter = Segmenter.of(site, config.camera, config.model, config.threads)
         chosen = {"confidence": config.confidence, "tree_contrast": config.tree_contrast}
         given = {name: value for name, value in chosen.items() if value is not None}
         self._segmenter.withdrawal = self._segmenter.withdrawal.model_copy(update=given)
