@@ -14,7 +14,7 @@ from pydantic import Field
 
 from ltm_core.config_io import checked
 from ltm_core.errors import ConfigError
-from ltm_core.picture_io import open_picture
+from ltm_core.picture_io import open_picture, read_rgb
 from ltm_core.pictures import to_jpeg
 from ltm_core.strict_model import StrictModel
 from ltm_core.vision.area_labels import areas_of, labels_of, stroke_areas
@@ -30,7 +30,7 @@ from ltm_core.vision.polygons_io import (
     write_areas,
 )
 from ltm_core.vision.segmenter import Segmenter
-from ltm_ros.recordings.camera_pictures import pictures_in, read_rgb
+from ltm_ros.recordings.camera_pictures import pictures_in
 
 MOST_SHAPES = 5000
 
