@@ -35,6 +35,8 @@ ON_DEMAND = {
     "rerun": "the viewer",
     "laspy": "LAS export",
     "prometheus_client": "the health node",
+    "paho": "the link to a region's map",
+    "cryptography": "certificates of that link",
     "pyretechnics": "fires, by an interpreter of its own",
     "rosbags": "message definitions where no ROS is installed",
     "av": "videos for `ltm import`, RTSP streams",
