@@ -39,6 +39,10 @@ ON_DEMAND = {
     "cryptography": "certificates of that link",
     "pyretechnics": "fires, by an interpreter of its own",
     "rosbags": "message definitions where no ROS is installed",
+    "pyarrow": "archives worked again",
+    "fsspec": "the same, on disk or S3",
+    "dask": "the same, on many workers",
+    "distributed": "the same, on many workers",
     "av": "videos for `ltm import`, RTSP streams",
 }
 NOT_ON_A_TOWER = {"rerun", "laspy", "pyretechnics", "rosbags"}
@@ -132,6 +136,7 @@ print(*sys.modules, sep="\\n")
 """
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     study = {"matplotlib", "jinja2", "torch", "mitsuba", "skimage", "onnx", "rosbags", "laspy", "rerun"}
+    study |= {"pyarrow", "fsspec", "dask", "distributed"}
     assert not {name for name in loaded if within(name, STUDY | study)}
 
 
