@@ -11,6 +11,7 @@ from prometheus_client.registry import Collector
 
 from ltm_ros.health.tower_status import TowerStatus
 
+METRICS_KIND = "text/plain; version=0.0.4; charset=utf-8"
 NODE = ("node", "camera")
 COUNTERS = {
     "frames_in": "Frames that came",

@@ -18,7 +18,7 @@ from ltm_core.errors import ConfigError, LtmError
 from ltm_core.site_io import load_site
 from ltm_ros.health import machine
 from ltm_ros.health.last_pictures import LastPictures
-from ltm_ros.health.metrics import exposition
+from ltm_ros.health.metrics import METRICS_KIND, exposition
 from ltm_ros.health.tower_status import TowerStatus, TowerWatch, camera_of
 from ltm_ros.health.web_server import Answer, Route, WebServer
 from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
@@ -27,8 +27,6 @@ from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.kernel_clock import kernel_clock
 from ltm_ros.runtime.node_process import run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
-
-METRICS_KIND = "text/plain; version=0.0.4; charset=utf-8"
 
 
 class HealthNodeConfig(NodeConfig):

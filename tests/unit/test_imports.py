@@ -35,11 +35,17 @@ ON_DEMAND = {
     "rerun": "the viewer",
     "laspy": "LAS export",
     "prometheus_client": "the health node",
+    "paho": "the link to a region's map",
+    "cryptography": "certificates of that link",
     "pyretechnics": "fires, by an interpreter of its own",
     "rosbags": "message definitions where no ROS is installed",
+    "pyarrow": "archives worked again",
+    "fsspec": "the same, on disk or S3",
+    "dask": "the same, on many workers",
+    "distributed": "the same, on many workers",
     "av": "videos for `ltm import`, RTSP streams",
 }
-NOT_ON_A_TOWER = {"rerun", "laspy", "pyretechnics", "rosbags"}
+NOT_ON_A_TOWER = {"rerun", "laspy", "pyretechnics", "rosbags", "pyarrow", "fsspec", "dask", "distributed"}
 """Of those on demand; all else is in the package that `make deb` builds."""
 
 
@@ -130,6 +136,7 @@ print(*sys.modules, sep="\\n")
 """
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     study = {"matplotlib", "jinja2", "torch", "mitsuba", "skimage", "onnx", "rosbags", "laspy", "rerun"}
+    study |= {"pyarrow", "fsspec", "dask", "distributed"}
     assert not {name for name in loaded if within(name, STUDY | study)}
 
 
