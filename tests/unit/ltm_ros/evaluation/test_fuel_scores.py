@@ -51,6 +51,20 @@ def test_what_a_map_found_and_what_it_invented() -> None:
     assert "water" not in score.by_form
 
 
+def test_the_accuracy_of_reported_changes_at_any_prevalence() -> None:
+    """Ten cells of shrub, four of them felled: two found, one called grass, one missed; one of the others reported."""
+    prior = np.full((2, 5), 145, np.int16)
+    truth = np.array([[3, 3, 3, 3, 2], [2, 2, 2, 2, 2]], np.uint8)
+    mapped = np.array([[3, 3, 1, 2, 1], [2, 2, 2, 2, 2]], np.uint8)
+    score = score_map("ours", mapped, truth, prior, np.ones((2, 5), bool))
+    assert (score.found.count, score.mistaken.count, score.false_flips.of) == (2, 1, 6)
+    assert score.prevalence == 0.4
+    assert score.users_accuracy() == pytest.approx(2 / 4)
+    assert score.users_accuracy(0.01) == pytest.approx(0.005 / (0.01 * 0.75 + 0.99 / 6))
+    silent = score_map("prior", np.full((2, 5), 2, np.uint8), truth, prior, np.ones((2, 5), bool))
+    assert np.isnan(silent.users_accuracy(0.01))
+
+
 def drawn(wrong: np.ndarray, camera: str, second: int) -> CellVotes:
     """Votes of shrub cells (SIDE, SIDE); `wrong`: their share of pixels that are called tree."""
     grid = GridGeometry(0.0, 30.0 * SIDE, 30.0, SIDE, SIDE)
