@@ -72,11 +72,8 @@ def score_map(
     if prior is None:
         held = agrees = np.ones(len(true), np.bool_)
     else:
-        forms = forms_of(prior[cells])
-        known = forms.any(axis=1)
-        every = np.arange(len(true))
-        held = forms[every, true - 1] | ~known
-        agrees = forms[every, np.where(form == UNSEEN, 1, form) - 1] | (form == UNSEEN) | ~known
+        held = held_forms(prior[cells], true)
+        agrees = held_forms(prior[cells], np.where(form == UNSEEN, np.uint8(1), form)) | (form == UNSEEN)
     return MapScore(
         name,
         _share(right, np.ones_like(right)),
@@ -89,6 +86,12 @@ def score_map(
             if (true == shown).any()
         },
     )
+
+
+def held_forms(prior: Int16Array, forms: UInt8Array) -> BoolArray:
+    """(N,) whether a cell of this life form is no change of the prior's code; none is where that tells no form."""
+    agreeing = forms_of(prior)
+    return np.asarray(agreeing[np.arange(len(forms)), forms - 1] | ~agreeing.any(axis=1), np.bool_)
 
 
 def _share(chosen: BoolArray, among: BoolArray) -> Share:

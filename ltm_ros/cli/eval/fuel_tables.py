@@ -14,6 +14,7 @@ from rich.table import Table
 from ltm_core.bench.measure import conditions
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError
+from ltm_core.evaluation.fuel.false_changes import FalseRegion
 from ltm_core.evaluation.fuel.map_score import MapScore, Share
 from ltm_core.evaluation.fuel.trial import TRIALS, TUNING_SEEDS, Trial
 from ltm_core.evaluation.fuel.trial_score import TrialScore, run_trial
@@ -148,11 +149,47 @@ def score_recording(
             table.add_row("", form, _share(right), "", _share(false))
         table.add_section()
     console.print(table)
+    _print_false(console, score.false)
     if repeat_hours:
         console.print(f"cells that only the repeated frames changed: {score.unjustified}", highlight=False)
     console.print(f"network: {score.errors.source}; right on {_right_on(score.errors)}", highlight=False)
     _print_errors(console, score)
     _write(path, _figures(score))
+
+
+def _print_false(console: Console, regions: Sequence[FalseRegion]) -> None:
+    if not regions:
+        return
+    table = Table(
+        title=f"what the {sum(region.cells for region in regions)} falsely changed cells are",
+        caption="labels: of the pixels that voted there; footprint: metres of ground a pixel covers",
+    )
+    for name in (
+        "cells",
+        "row, col",
+        "true",
+        "map",
+        "labels",
+        "seen by",
+        "footprint",
+        "labels right",
+        "beside a change",
+    ):
+        table.add_column(name, justify="right" if name in ("cells", "footprint") else "left")
+    for region in regions:
+        labels = [(share, LifeForm(k + 1).name.lower()) for k, share in enumerate(region.labels) if share >= 0.05]
+        table.add_row(
+            str(region.cells),
+            f"{region.row}, {region.col}",
+            region.true.name.lower(),
+            region.mapped.name.lower(),
+            ", ".join(f"{name} {share:.0%}" for share, name in sorted(labels, reverse=True)),
+            ", ".join(region.cameras),
+            f"{region.footprint:.1f}",
+            "yes" if region.labelled_right else "no",
+            "yes" if region.beside_change else "no",
+        )
+    console.print(table)
 
 
 def _print_errors(console: Console, score: FuelBagScore) -> None:
@@ -183,7 +220,26 @@ def _figures(score: FuelBagScore) -> dict[str, Any]:
         for found in score.maps
     ]
     measured = None if score.correlation is None else score.correlation.model_dump()
-    return {"frames": score.frames, "maps": maps, "unjustified": score.unjustified, "correlation": measured}
+    false = [
+        {
+            "cells": region.cells,
+            "cell": [region.row, region.col],
+            "true": region.true.name.lower(),
+            "map": region.mapped.name.lower(),
+            "labels": {form.name.lower(): region.labels[form - 1] for form in LifeForm},
+            "cameras": region.cameras,
+            "footprint": region.footprint,
+            "beside_change": region.beside_change,
+        }
+        for region in score.false
+    ]
+    return {
+        "false": false,
+        "frames": score.frames,
+        "maps": maps,
+        "unjustified": score.unjustified,
+        "correlation": measured,
+    }
 
 
 def _share(share: Share) -> str:
