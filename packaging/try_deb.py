@@ -189,7 +189,9 @@ def broken(machine: TrialMachine, trial: Trial, shared: Path, package: Path) -> 
 def removed(machine: TrialMachine, trial: Trial) -> None:
     machine.run("dpkg --remove ltm")
     trial.holds("removed: no process is left", machine.says(PROCESSES) == "")
-    kept = machine.says("find /opt/ltm /usr/lib/systemd/system/ltm.service /usr/bin/ltm /var/cache/ltm 2>/dev/null")
+    kept = machine.says(
+        "find /opt/ltm /usr/lib/systemd/system/ltm.service /usr/bin/ltm /var/lib/ltm/.cache 2>/dev/null"
+    )
     trial.holds("removed: nothing left but state and configuration", kept == "", kept)
     trial.holds("the map stays", machine.says("ls /var/lib/ltm/state") != "")
     machine.run("dpkg --purge ltm")

@@ -21,7 +21,7 @@ from ltm_core.pose_estimation.pose_file_io import GuessConfig, write_pose_file
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch, Terrain
 from ltm_core.pose_estimation.pose_prior import UNKNOWN_DEG, PosePrior, angle_slopes
 from ltm_core.tracing.trace_io import near_frame
-from ltm_core.types import Float64Array, UInt8Array
+from ltm_core.types import BoolArray, Float64Array, UInt8Array
 from ltm_core.vision.labels import Label
 
 AZIMUTH_SIGMA_DEG, TILT_SIGMA_DEG = 6.0, 2.0
@@ -89,14 +89,15 @@ def read_labels(path: Path | str, camera: Camera) -> UInt8Array:
     return labels
 
 
-def doubt_of_sky(labels: UInt8Array) -> str | None:
-    """In words, where the sky of labels (H, W) lies lower than the land."""
-    sky = labels == np.uint8(Label.SKY)
-    if not 0.05 < sky.mean() < 0.95:
+def doubt_of_sky(labels: UInt8Array, hidden: BoolArray | None = None) -> str | None:
+    """In words, where the sky of labels (H, W) lies lower than the land, beside what a mask hides (H, W)."""
+    seen = np.ones(labels.shape, np.bool_) if hidden is None else ~hidden
+    sky = seen & (labels == np.uint8(Label.SKY))
+    land = seen & ~sky
+    if not 0.05 * seen.sum() < sky.sum() < 0.95 * seen.sum():
         return None
     rows = np.arange(len(sky))
-    middle, land = float(rows @ sky.sum(axis=1) / sky.sum()), float(rows @ (~sky).sum(axis=1) / (~sky).sum())
-    if middle < land:
+    if rows @ sky.sum(axis=1) / sky.sum() < rows @ land.sum(axis=1) / land.sum():
         return None
     return "the sky lies below the land: the photo seems to be upside down; turn it, or mend its orientation tag"
 

@@ -22,7 +22,8 @@ _STRIP = 256
 def confirmed_surface(surface: SurfaceMap) -> tuple[ConfirmedSurface, int]:
     """The changed cells, and how many cells independent views have judged.
 
-    What was removed leaves bare earth at the lowest; bare earth itself follows where the ground is lower.
+    Where something was removed, of two surfaces the nearer is taken: what is left of it, or bare earth where less than
+    half is left. Bare earth itself follows where the ground is lower.
     """
     geometry = surface.reference.geometry
     found: list[tuple[NDArray[Any], ...]] = []
@@ -35,7 +36,8 @@ def confirmed_surface(surface: SurfaceMap) -> tuple[ConfirmedSurface, int]:
         rows, cols = np.nonzero(changed)
         kind, now, bare = layers.change[changed], layers.height[changed], layers.bare[changed]
         ground = np.where(kind == ChangeKind.LOWERED, now, np.float32(np.nan))
-        visible = np.where(kind == ChangeKind.LOWERED, now, np.fmax(now, bare))
+        gone = (kind == ChangeKind.REMOVED) & (now - bare < (layers.reference[changed] - bare) / 2)
+        visible = np.where(kind == ChangeKind.LOWERED, now, np.where(gone, bare, np.fmax(now, bare)))
         found.append((rows + row, cols + left, visible, ground))
     if not found:
         nothing = np.empty(0, np.float32)

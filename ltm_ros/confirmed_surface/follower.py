@@ -23,7 +23,8 @@ class SurfaceFollower:
 
     Args:
         folder: that of the site's surfaces, from the graph; empty: the site does not follow them.
-        take: called at once with the terrain that counts now. May raise LtmError, and then keeps what it had.
+        take: called with each new terrain; what traces begins with the terrain as given, and keeps what it has where
+            this raises.
     """
 
     def __init__(self, site: Site, folder: str, take: Callable[[ConfirmedTerrain], None], health: Health) -> None:
@@ -31,7 +32,6 @@ class SurfaceFollower:
         self._versions = surface_versions(site, Path(folder)) if folder else None
         self._name = AS_GIVEN
         self._late = False
-        self._take(ConfirmedTerrain.as_given(site))
         self._follow()
 
     def on_message(self, message: Any) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,12 +18,14 @@ CHANGED = 1.5
 
 @dataclass(frozen=True)
 class UpdateScore:
-    """Frames traced to the terrain as given and to a confirmed surface; of each the median error of depth in metres,
-    over the pixels that see a truly changed cell, as it was given or as it is.
+    """Frames that were traced to the terrain as given, before any surface was confirmed, and those of the later half;
+    of each the median error of depth in metres, over the pixels that see a truly changed cell, as it was given or as
+    it is. `followed`: of the later frames, those that were traced to a confirmed surface.
     """
 
     frames_before: int
     frames_after: int
+    followed: int
     before: float
     after: float
 
@@ -34,25 +36,28 @@ class UpdateScore:
 
 
 def score_update(
-    scene: HillsideScene, frames: Iterable[DepthFrame], depths: Mapping[tuple[str, int], tuple[str, Float32Array]]
+    scene: HillsideScene, frames: Sequence[DepthFrame], depths: Mapping[tuple[str, int], tuple[str, Float32Array]]
 ) -> UpdateScore:
     """`depths`: by camera and stamp, the version of the surface and the traced depth (H, W); frames that are not among
     them, as one whose process was killed, are left out.
     """
     moved = np.abs(scene.true_now.elevation - scene.given.elevation) >= CHANGED
     given, true = (TerrainTracer(dem) for dem in (scene.given, scene.true_now))
-    errors: dict[bool, list[Float32Array]] = {True: [], False: []}
-    for frame in frames:
-        if (frame.source, frame.stamp_ns) not in depths:
+    before: list[Float32Array] = []
+    after: list[Float32Array] = []
+    followed = 0
+    for number, frame in enumerate(frames):
+        version, depth = depths.get((frame.source, frame.stamp_ns), ("", None))
+        later = number >= len(frames) // 2
+        if depth is None or (version and not later):
             continue
-        version, depth = depths[frame.source, frame.stamp_ns]
         was, now = (tracer.trace(frame.camera, frame.pose) for tracer in (given, true))
-        sees = _on(moved, was.cells()) | _on(moved, now.cells())
         truth = now.depth()
-        known = sees & np.isfinite(truth) & np.isfinite(depth)
-        errors[bool(version)].append(np.abs(depth[known] - truth[known]))
-    before, after = (float(np.median(np.concatenate(e))) if e else float("nan") for e in (errors[False], errors[True]))
-    return UpdateScore(len(errors[False]), len(errors[True]), before, after)
+        known = np.isfinite(truth) & np.isfinite(depth) & (_on(moved, was.cells()) | _on(moved, now.cells()))
+        (after if later else before).append(np.abs(depth[known] - truth[known]))
+        followed += later and bool(version)
+    medians = (float(np.median(np.concatenate(errors))) if errors else float("nan") for errors in (before, after))
+    return UpdateScore(len(before), len(after), followed, *medians)
 
 
 def _on(cells: BoolArray, places: Int32Array) -> BoolArray:

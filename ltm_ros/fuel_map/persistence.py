@@ -103,6 +103,11 @@ class FuelMapPersistence:
             return Counting.TOO_OLD if self.store.forgotten(source, stamp_ns) else Counting.DUPLICATE
         return None
 
+    def stored(self, source: str, stamp_ns: int) -> bool:
+        """Whether a frame that must not be counted is on disk, so that it may be acknowledged once more."""
+        in_memory = (source, stamp_ns) in self._in_batch
+        return not in_memory and self.store is not None and self.store.counted(source, stamp_ns)
+
     def count(self, votes: CellVotes, model: str = "") -> Counting:
         """Count a frame, once. Raises LtmError where it cannot be taken; nothing of it is counted then."""
         if (before := self.seen(votes.source, votes.stamp_ns)) is not None:

@@ -38,6 +38,9 @@ TERRAIN_NODES = ("terrain",)
 """Node types that a site has one of where its file has a section `terrain`."""
 LOCATING_NODES = ("locate",)
 """Node types that a site has one of where its file has a section `locating`."""
+REGION_NODES = ("uplink",)
+"""Node types that a site has one of where its file has a section `region`, outside a replay; the graph works without
+them."""
 OPTIONAL_NODES = ("viewer", "recorder", "health")
 """Site-level node types that run on request; the graph works without them."""
 NODE_TYPES = (
@@ -48,6 +51,7 @@ NODE_TYPES = (
     *SITE_NODES,
     *TERRAIN_NODES,
     *LOCATING_NODES,
+    *REGION_NODES,
     *OPTIONAL_NODES,
 )
 
@@ -216,7 +220,7 @@ def describe(
             namespace=namespace,
             module=f"{NODES_MODULE}.{kind}",
             parameters=common | dict(own) | given.get(kind, {}),
-            required=kind not in OPTIONAL_NODES,
+            required=kind not in OPTIONAL_NODES + REGION_NODES,
             busy=kind in BUSY_NODES,
             process=process_of(kind),
         )
@@ -233,6 +237,7 @@ def describe(
         site.camera(camera)
     of_site = SITE_NODES + (TERRAIN_NODES if site.terrain is not None else ())
     of_site += LOCATING_NODES if site.locating is not None else ()
+    of_site += REGION_NODES if site.region is not None and not sim_time else ()
     nodes = [spec(kind, f"/{site.name}", {}) for kind in of_site]
     kinds = CAMERA_NODES + (FUSION_NODES if site.depth_model else ())
     kinds += POSE_NODES if site.refine_poses is not None else ()

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 
 from ltm_core.camera import Camera
-from ltm_core.confirmed_terrain import ConfirmedTerrain
 from ltm_core.dem import Dem
-from ltm_core.errors import PoseError
+from ltm_core.frame_steps import TracingConfig, TracingStep, seen
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
-from ltm_core.range_image import RangeImage
-from ltm_core.raster.surface_versions_io import AS_GIVEN
 from ltm_core.site_io import load_site
 from ltm_core.tracing import TerrainTracer
-from ltm_core.types import BoolArray, Float32Array
-from ltm_core.vision.scene_view import SceneFilter
 from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
 from ltm_msgs_py.confirmed_surface import traced_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
@@ -44,21 +39,11 @@ from ltm_ros.runtime.topics import (
 )
 
 
-class DepthConfig(JoinConfig):
-    surface: bool = True
-    """Trace to the tops of trees and houses where the site has a surface raster; else, and where not, to bare earth.
-    Both hits are kept: the one on bare earth is then on `depth/ground`, while someone listens."""
+class DepthConfig(JoinConfig, TracingConfig):
+    """Parameters of the node: how it joins, and how it traces."""
+
     surfaces: str = ""
     """Folder of the confirmed surfaces that are traced to; empty: the site's rasters are. The graph gives it."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Traced:
-    """`version`: of the confirmed surface. `bare`: the same tracer where nothing stands on bare earth."""
-
-    version: str
-    tracer: TerrainTracer
-    bare: TerrainTracer
 
 
 class Depth(Handler[DepthConfig]):
@@ -70,10 +55,9 @@ class Depth(Handler[DepthConfig]):
     def __init__(self, config: DepthConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = load_site(config.site)
-        self._scene = SceneFilter.of(site, config.camera)
-        self._site = site
-        self._given: _Traced | None = None
-        self._follower = SurfaceFollower(site, config.surfaces, self._trace_to, health)
+        self._step = TracingStep(site, config.camera, config)
+        self._surface = replace(TERRAIN_SURFACE, name=site_topic(site.name, TERRAIN_SURFACE))
+        self._follower = SurfaceFollower(site, config.surfaces, self._step.trace_to, health)
         if config.surfaces:
             self.publications = (*self.publications, DEPTH_INFO)
         self._most_pixels = site.limits.pixels
@@ -88,36 +72,8 @@ class Depth(Handler[DepthConfig]):
             POSED_POSE: lambda m: self._join.add("pose", stamp_of(m), m),
         }
         if self.config.surfaces:
-            found[replace(TERRAIN_SURFACE, name=site_topic(self._site.name, TERRAIN_SURFACE))] = (
-                self._follower.on_message
-            )
+            found[self._surface] = self._follower.on_message
         return found
-
-    def _trace_to(self, terrain: ConfirmedTerrain) -> None:
-        """All of it is made beside the former, whose place it takes at once."""
-        self._traced = self._traced_over(terrain)
-
-    def _traced_over(self, terrain: ConfirmedTerrain) -> _Traced:
-        site = self._site
-        top = terrain.top if self.config.surface else terrain.ground
-        rays = site.curvature, site.refraction, site.possible_ground
-        tracer = TerrainTracer(top, *rays)
-        bare = tracer if top is terrain.ground else TerrainTracer(terrain.ground, *rays)
-        return _Traced(terrain.name, tracer, bare)
-
-    def _ranges(self, camera: Camera, pose: Pose) -> tuple[_Traced, RangeImage]:
-        """What has grown about a mast shall not end its depth: such a frame is traced to the terrain as given."""
-        traced = self._traced
-        try:
-            return traced, traced.tracer.trace(camera, pose)
-        except PoseError:
-            if traced.version == AS_GIVEN:
-                raise
-        if self._given is None:
-            self._given = self._traced_over(ConfirmedTerrain.as_given(self._site))
-        ranges = self._given.tracer.trace(camera, pose)
-        self.health.note("below_confirmed_surface")
-        return self._given, ranges
 
     def discard(self, stamp_ns: int) -> None:
         self._join.discard(stamp_ns)
@@ -138,31 +94,25 @@ class Depth(Handler[DepthConfig]):
                 "raise pixels under `limits:` in the site file",
             )
             return
-        hidden = self._scene.hidden(camera.width, camera.height)
-        traced, ranges = self._ranges(camera, where)
+        hidden = self._step.hidden(camera)
+        traced = self._step.trace(camera, where)
+        ranges, version = traced.ranges, traced.version
+        if version != self._step.version:
+            self.health.note("below_confirmed_surface")
         self.outlet.publish(DEPTH_CAMERA_INFO, camera_to_msg(camera, stamp, self._frame_id))
         self.outlet.provide(
-            DEPTH_IMAGE, stamp, lambda: depth_to_msg(_seen(ranges.depth(), hidden), stamp, self._frame_id)
+            DEPTH_IMAGE, stamp, lambda: depth_to_msg(seen(ranges.depth(), hidden), stamp, self._frame_id)
         )
         if self.outlet.wanted(GROUND_DEPTH):
-            bare = ranges if traced.bare is traced.tracer else traced.bare.trace(camera, where)
-            self.outlet.publish(GROUND_DEPTH, depth_to_msg(_seen(bare.depth(), hidden), stamp, self._frame_id))
+            bare = traced.bare_earth().depth()
+            self.outlet.publish(GROUND_DEPTH, depth_to_msg(seen(bare, hidden), stamp, self._frame_id))
         if self.outlet.wanted(ALIGNMENT):
-            self.outlet.publish(ALIGNMENT, image_to_msg(_seen(ranges.points(), hidden), "32FC3", stamp, "map"))
+            self.outlet.publish(ALIGNMENT, image_to_msg(seen(ranges.points(), hidden), "32FC3", stamp, "map"))
         if self.config.surfaces:
-            self.outlet.provide(DEPTH_INFO, stamp, lambda: traced_to_msg(self.config.camera, stamp, traced.version))
-        for name, count in asdict(traced.tracer.statistics).items():
+            self.outlet.provide(DEPTH_INFO, stamp, lambda: traced_to_msg(self.config.camera, stamp, version))
+        for name, count in asdict(self._step.statistics).items():
             self.health.gauge(f"tracer.{name}", count)
         self.outlet.acknowledge(FINISHED, stamp)
-
-
-def _seen(values: Float32Array, hidden: BoolArray | None) -> Float32Array:
-    """Depths (H, W) or points (H, W, 3), unknown where the camera's mask has it that something else is seen."""
-    if hidden is None:
-        return values
-    seen = values.copy()
-    seen[hidden] = np.nan
-    return seen
 
 
 def _compile_kernels() -> None:

@@ -87,7 +87,6 @@ class TopoDepth(Handler[TopoDepthConfig]):
     def __init__(self, config: TopoDepthConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = load_site(config.site)
-        site.camera(config.camera)
         model = config.model or site.depth_model
         if not model:
             raise ConfigError(f"{config.site}: no depth network; give `depth_model` a manifest's name or path")

@@ -66,7 +66,7 @@ def update(
         found[name] = asdict(score) | {"ratio": score.ratio, "run": said}
         typer.echo(
             f"{name}: {score.before:.2f} m before ({score.frames_before} frames), {score.after:.2f} m after "
-            f"({score.frames_after}), ratio {score.ratio:.2f}; {said}"
+            f"({score.frames_after}, {score.followed} to a confirmed surface), ratio {score.ratio:.2f}; {said}"
         )
     if json_path is not None:
         write_figures(json_path, {"update": found})
