@@ -1,4 +1,4 @@
-"""Scores traced depth before and after the surface was confirmed, over what has truly changed."""
+"""Scores and draws traced depth before and after the surface was confirmed, over what has truly changed."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ltm_core.evaluation.pictures.depth_sheet import residual
 from ltm_core.evaluation.terrain.hillside_scenes import HillsideScene
+from ltm_core.pictures.panel import panel
+from ltm_core.pictures.ranges import RangeScale, depth_colors
 from ltm_core.terrain.observation import DepthFrame
 from ltm_core.tracing import TerrainTracer
-from ltm_core.types import BoolArray, Float32Array, Int32Array
+from ltm_core.types import BoolArray, Float32Array, Int32Array, RgbImage
 
 CHANGED = 1.5
 """Metres by which a cell's true surface has moved that counts as changed: the map's own threshold."""
@@ -58,6 +61,26 @@ def score_update(
         followed += later and bool(version)
     medians = (float(np.median(np.concatenate(errors))) if errors else float("nan") for errors in (before, after))
     return UpdateScore(len(before), len(after), followed, *medians)
+
+
+def update_sheet(
+    scene: HillsideScene, frames: Sequence[DepthFrame], depths: Mapping[tuple[str, int], tuple[str, Float32Array]]
+) -> RgbImage:
+    """The last frame of the first camera: what is seen now, and the errors of the depth that is traced to the terrain
+    as it was given, and of the depth that it has.
+    """
+    frame = next(one for one in reversed(frames) if one.source == frames[0].source)
+    true, given = (TerrainTracer(dem).trace(frame.camera, frame.pose).depth() for dem in (scene.true_now, scene.given))
+    version, traced = depths[frame.source, frame.stamp_ns]
+    return panel(
+        [
+            (f"{scene.name}: true depth", depth_colors(true, RangeScale.of(true))),
+            ("as given: error / true depth, red too far, blue too near", residual(given, true)),
+            (f"traced to surface {version or 'as given'}", residual(traced, true)),
+        ],
+        columns=3,
+        width=640,
+    )
 
 
 def _on(cells: BoolArray, places: Int32Array) -> BoolArray:

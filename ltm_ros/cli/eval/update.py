@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ltm_ros.cli.output import JsonFile
+from ltm_ros.cli.output import JsonFile, writable_folder
 
 
 def update(
@@ -24,6 +24,10 @@ def update(
     ] = False,
     layout: Annotated[str, typer.Option(help="Of processes: site (all cameras share one) or node.")] = "site",
     domain: Annotated[int | None, typer.Option(help="ROS domain of --live.")] = None,
+    pictures: Annotated[
+        Path | None,
+        typer.Option(help="Folder for a picture of each scene: depth before and after.", callback=writable_folder),
+    ] = None,
     json_path: JsonFile = None,
 ) -> None:
     """Median error of traced depth over truly changed cells, before the surface is confirmed and after.
@@ -36,8 +40,9 @@ def update(
 
     from ltm_core.errors import ConfigError
     from ltm_core.evaluation.terrain.hillside_scenes import trial
+    from ltm_core.pictures import to_png
     from ltm_ros.evaluation.figures_io import write_figures
-    from ltm_ros.evaluation.update_score import score_update
+    from ltm_ros.evaluation.update_score import score_update, update_sheet
     from ltm_ros.evaluation.update_site import NAME, write_update_site
     from ltm_ros.evaluation.update_trial import live_depths, offline_depths
     from ltm_ros.launching.runner import new_log_folder
@@ -54,11 +59,14 @@ def update(
         with tempfile.TemporaryDirectory(prefix="ltm-update-") as folder:
             site = write_update_site(Path(folder), scene, looks, seed, layout)
             if live:
-                score = score_update(scene, site.frames, live_depths(site, new_log_folder(NAME), kills, domain))
+                depths, first = live_depths(site, new_log_folder(NAME), kills, domain), ""
                 said = f"live, processes: {layout}{', each killed at the switch' if kills else ''}"
             else:
                 depths, first = offline_depths(site)
-                score, said = score_update(scene, site.frames, depths), first
+            score = score_update(scene, site.frames, depths)
+            if pictures is not None:
+                pictures.mkdir(parents=True, exist_ok=True)
+                (pictures / f"update_{name}.png").write_bytes(to_png(update_sheet(scene, site.frames, depths)))
         if not live:
             with tempfile.TemporaryDirectory(prefix="ltm-update-") as folder:
                 again = offline_depths(write_update_site(Path(folder), scene, looks, seed, layout))[1]
