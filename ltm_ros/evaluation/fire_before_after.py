@@ -80,7 +80,7 @@ def _of_store(store: Path, site_path: Path, since: str | None) -> MapPair:
         system = system_of(prior)
         spare = spare_heights(site, site.in_map(map_.geometry))
         now = make_landscape(
-            layers, prior, site.open_dem(), site.frame, map_.geometry, region, system, spare=spare
+            layers, prior, map_.terrain().ground, site.frame, map_.geometry, region, system, spare=spare
         )  # fmt: skip
         was = with_fuel(now, empty, prior, region)
         made = map_.provenance(layers, None, system, now)

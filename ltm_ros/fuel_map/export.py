@@ -51,7 +51,7 @@ def export_site(
     layers = map_.at(as_of)
     made = map_.provenance(layers, as_of)
     transfer, palette = GridTransfer(grid, target), life_form_labels(map_.labels)
-    moved, heights = transfer.layers(layers), transfer.heights(map_.site.open_dem(), map_.site.frame)[1:-1, 1:-1]
+    moved, heights = transfer.layers(layers), transfer.heights(map_.terrain(as_of).ground, map_.site.frame)[1:-1, 1:-1]
     if kind == "layers":
         write_layers(out, moved, target, made.tags(), palette)
         write_item(out, sorted(out.glob("*.tif")), target, made)
@@ -73,7 +73,7 @@ def _write_landscape(
     landscape = make_landscape(
         layers,
         map_.prior,
-        site.open_dem(),
+        map_.terrain(as_of).ground,
         site.frame,
         map_.geometry,
         map_.region,

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ltm_core.confirmed_terrain import exported_terrain
 from ltm_core.errors import ImageError, MessageError
 from ltm_core.fuel.codes import fuel_models
 from ltm_core.fuel.evidence import TILE, EvidenceMap, Window
@@ -137,22 +138,25 @@ def forgotten(evidence: EvidenceMap, cells: BoolArray) -> dict[Key, Tile]:
     return tiles
 
 
-def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path) -> list[Path]:
+def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path, state: Path) -> list[Path]:
     """The map as `landscape.lcp` and `landscape.tif`, for fire models, with their STAC items beside them. Raises
-    ConfigError, RasterError."""
+    ConfigError, RasterError, StoreError.
+
+    `state`: where its store lies, and the confirmed surface where the site follows that.
+    """
     system = system_of(evidence.prior)
-    layers = evidence.layers()
+    layers, terrain = evidence.layers(), exported_terrain(site, state)
     landscape = make_landscape(
         layers,
         evidence.prior,
-        site.open_dem(),
+        terrain.ground,
         site.frame,
         site.in_crs(evidence.geometry),
         evidence.region,
         system,
         spare=spare_heights(site, evidence.geometry),
     )
-    made = provenance_of(site, layers, system, landscape=landscape)
+    made = provenance_of(site, layers, system, landscape=landscape, surface=terrain.version)
     lcp = write_lcp(folder / "landscape.lcp", landscape, made.line())
     tif = write_landscape(folder / "landscape.tif", landscape, made.tags() | landscape_units())
     for path, files in ((lcp, [lcp, lcp.with_suffix(".prj")]), (tif, [tif])):

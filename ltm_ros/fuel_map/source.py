@@ -9,6 +9,7 @@ from typing import Self
 
 import numpy as np
 
+from ltm_core.confirmed_terrain import ConfirmedTerrain, exported_terrain
 from ltm_core.errors import ConfigError, RasterError
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
 from ltm_core.fuel.coverage import CoverageMap
@@ -32,8 +33,8 @@ from ltm_core.vision.labels import LabelSet
 
 @dataclass(frozen=True, eq=False)
 class FuelSource:
-    """A context manager. `geometry`: in the site's CRS. `empty`: the layers before any evidence. `evidence`, `store`:
-    of a store alone; `bag`: of a bag alone.
+    """A context manager. `geometry`: in the site's CRS. `empty`: the layers before any evidence. `evidence`, `store`,
+    `folder`: of a store alone, the last where it lies; `bag`: of a bag alone.
     """
 
     site: Site
@@ -45,6 +46,7 @@ class FuelSource:
     evidence: LivingFuelMap | None = None
     store: TileStore | None = None
     bag: Path | None = None
+    folder: Path | None = None
 
     @classmethod
     def open(cls, path: Path, site: Site) -> FuelSource:
@@ -55,7 +57,9 @@ class FuelSource:
             evidence = site_evidence_map(site, geometry, labels)
             prior, empty = evidence.prior, evidence.layers()
             store = open_stored_map(path, site, evidence)
-            return cls(site, labels, site.in_crs(geometry), prior, evidence.layers(), empty, evidence, store)
+            return cls(
+                site, labels, site.in_crs(geometry), prior, evidence.layers(), empty, evidence, store, None, path.parent
+            )
         if path.suffix.lower() in (".tif", ".tiff"):
             classes, grid = read_fuel_map(path)
             if grid.crs != site.crs:
@@ -85,6 +89,14 @@ class FuelSource:
 
         return layers_as_of(self.store, self.empty, when(moment))
 
+    def terrain(self, moment: str | None = None) -> ConfirmedTerrain:
+        """What heights come from: the surface that counted at the moment, where the site follows the confirmed one and
+        its terrain keeps it beside the store. Raises ConfigError as `at` does, StoreError.
+        """
+        from ltm_ros.fuel_map.pictures import when
+
+        return exported_terrain(self.site, self.folder, None if moment is None else when(moment))
+
     def provenance(
         self,
         layers: FuelLayers,
@@ -96,7 +108,8 @@ class FuelSource:
         from ltm_ros.fuel_map.pictures import when
 
         as_of = None if moment is None else when(moment)
-        return provenance_of(self.site, layers, system or system_of(self.prior), as_of, landscape)
+        system = system or system_of(self.prior)
+        return provenance_of(self.site, layers, system, as_of, landscape, self.terrain(moment).version)
 
     def seen_by(self) -> dict[str, BoolArray]:
         """The cells that each camera has seen, as far as the store's cells remember."""
