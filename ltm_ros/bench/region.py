@@ -113,7 +113,12 @@ class RegionTrial:
             command = [sys.executable, "-m", "ltm_ros.bench.region_tower", str(order), str(self.said[name]["kept"])]
         with (self._folder / f"{name}.log").open("a", encoding="utf-8") as log:
             process = subprocess.Popen(  # nosec B603 # our own program, and a fixed one of the system
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True, env=ros_environment()
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+                env=ros_environment(busy=False),
             )
         with self._lock:
             self._processes[name] = process
