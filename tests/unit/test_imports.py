@@ -37,6 +37,7 @@ ON_DEMAND = {
     "prometheus_client": "the health node",
     "paho": "the link to a region's map",
     "cryptography": "certificates of that link",
+    "fsspec": "exports on S3",
     "pyretechnics": "fires, by an interpreter of its own",
     "rosbags": "message definitions where no ROS is installed",
     "pyarrow": "archives worked again",
