@@ -6,6 +6,7 @@ All give the same files; who runs a task, when and how often decides nothing.
 from __future__ import annotations
 
 import ipaddress
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -71,11 +72,11 @@ def on_workers(count: int) -> Engine:
         import dask
         from distributed import Client, LocalCluster
 
-        quiet = {"distributed.scheduler.allowed-failures": _DEATHS, "distributed.logging.distributed": "error"}
+        place: dict[str, object] = {"host": "127.0.0.1", "dashboard_address": None}
         with (
-            dask.config.set(quiet),
+            dask.config.set({"distributed.scheduler.allowed-failures": _DEATHS}),
             LocalCluster(
-                n_workers=count, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, memory_limit=0
+                n_workers=count, threads_per_worker=1, memory_limit=0, silence_logs=logging.ERROR, **place
             ) as cluster,
             Client(cluster) as client,
         ):

@@ -103,7 +103,7 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
     manifest = make_manifest(scans, site, cameras, rules)
     since, until = options.since_ns or 0, options.until_ns or 2**63 - 1
     frames = sampled([f for f in manifest.frames if since <= f.stamp_ns <= until], options.sample)
-    settings = TaskSettings(str(options.site.resolve()), options.out, code_digest(), tracing, labelling)
+    settings = TaskSettings(str(options.site.resolve()), results.url, code_digest(), tracing, labelling)
     results.write(MANIFEST, packed(frames))
     tasks = plan(frames, site, settings, options.frames_per_task)
     return Plan(options, site, results, settings, manifest, tuple(frames), tuple(tasks))
@@ -187,8 +187,7 @@ def _publish(planned: Plan, store: Path, summary: Summary) -> None:
 
 
 def _require_own(results: ResultFolder) -> None:
-    names = results.names("")
-    if STORE_FILE not in names:
+    if not results.has(STORE_FILE):
         return
     known = ""
     with contextlib.suppress(FileNotFoundError, ValueError):

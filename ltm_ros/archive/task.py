@@ -134,14 +134,14 @@ def work(task: Task, settings: TaskSettings) -> TaskReport:
             "on all workers"
         )
     results = ResultFolder(settings.results)
-    if f"{task.evidence_key}.parquet" in results.names(EVIDENCE):
+    votes, evidence = f"{VOTES}/{task.votes_key}.parquet", f"{EVIDENCE}/{task.evidence_key}.parquet"
+    if results.has(evidence):
         return TaskReport(0, False)
     worked = 0
-    if f"{task.votes_key}.parquet" not in results.names(VOTES):
-        results.write(f"{VOTES}/{task.votes_key}.parquet", votes_file(task, settings))
+    if not results.has(votes):
+        results.write(votes, votes_file(task, settings))
         worked = len(task.frames)
-    content = results.read(f"{VOTES}/{task.votes_key}.parquet")
-    results.write(f"{EVIDENCE}/{task.evidence_key}.parquet", _evidence_file(content, load_site(settings.site)))
+    results.write(evidence, _evidence_file(results.read(votes), load_site(settings.site)))
     return TaskReport(worked, True)
 
 
