@@ -157,5 +157,5 @@ def test_a_task_that_kills_its_workers_is_named_and_the_others_end(
             reprocessed(options, on_workers(2))
     record = json.loads((tmp_path / "out/run.json").read_text())
     assert [failure["place"] for failure in record["failures"]] == [deadly.label]
-    assert "workers died of it" in record["failures"][0]["why"]
+    assert "worker after worker died of it" in record["failures"][0]["why"]
     assert reprocessed(options).worked == 3
