@@ -108,7 +108,6 @@ def app() -> None:
             "prometheus_client": "tower",
             "paho": "region",
             "cryptography": "region",
-            "fsspec": "region",
             "rosbags": "eval",
             "skimage": "eval",
         }.get((error.name or "").partition(".")[0])

@@ -37,7 +37,6 @@ ON_DEMAND = {
     "prometheus_client": "the health node",
     "paho": "the link to a region's map",
     "cryptography": "certificates of that link",
-    "fsspec": "exports on S3",
     "pyretechnics": "fires, by an interpreter of its own",
     "rosbags": "message definitions where no ROS is installed",
     "pyarrow": "archives worked again",
@@ -46,7 +45,7 @@ ON_DEMAND = {
     "distributed": "the same, on many workers",
     "av": "videos for `ltm import`, RTSP streams",
 }
-NOT_ON_A_TOWER = {"rerun", "laspy", "pyretechnics", "rosbags", "pyarrow", "fsspec", "dask", "distributed"}
+NOT_ON_A_TOWER = {"rerun", "laspy", "pyretechnics", "rosbags", "pyarrow", "dask", "distributed"}
 """Of those on demand; all else is in the package that `make deb` builds."""
 
 
@@ -137,7 +136,7 @@ print(*sys.modules, sep="\\n")
 """
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     study = {"matplotlib", "jinja2", "torch", "mitsuba", "skimage", "onnx", "rosbags", "laspy", "rerun"}
-    study |= {"pyarrow", "fsspec", "dask", "distributed"}
+    study |= {"pyarrow", "dask", "distributed"}
     assert not {name for name in loaded if within(name, STUDY | study)}
 
 
