@@ -8,9 +8,10 @@ import numpy as np
 from scipy import optimize
 
 from ltm_core.errors import ImageError
-from ltm_core.types import Float32Array, Float64Array, Int64Array, UInt8Array
+from ltm_core.types import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 
 _RANGE = (0.2, 8.0)  # of temperatures; at either end something other than the temperature is wrong
+_EXPONENTS = 5.0  # the largest of agreement; the least is that of temperatures
 _ENOUGH = 0.02  # of a set's pixels: a class of fewer is known the less from that set
 _PRIOR = 1e-3  # of a row of the confusion matrix, given to each entry: what was never seen is not impossible
 
@@ -32,6 +33,20 @@ def fit_temperature(logits: Float32Array, labels: UInt8Array) -> float:
         return float((normaliser - scaled[rows, labels]).mean())
 
     bounds = (float(np.log(_RANGE[0])), float(np.log(_RANGE[1])))
+    return float(np.exp(optimize.minimize_scalar(cost, bounds=bounds, method="bounded").x))
+
+
+def fit_exponent(sure: Float64Array, right: BoolArray) -> float:
+    """The exponent that makes `sure` (N,), 0 to 1, explain best which labels are `right` (N,); 1 where N is 0."""
+    if not len(sure):
+        return 1.0
+    logs = np.log(np.clip(sure, 1e-3, 1 - 1e-3))
+
+    def cost(log_exponent: float) -> float:
+        scaled = np.exp(log_exponent) * logs
+        return float(-np.where(right, scaled, np.log(-np.expm1(scaled))).mean())
+
+    bounds = (float(np.log(_RANGE[0])), float(np.log(_EXPONENTS)))
     return float(np.exp(optimize.minimize_scalar(cost, bounds=bounds, method="bounded").x))
 
 

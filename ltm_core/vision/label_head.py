@@ -16,6 +16,7 @@ import numpy as np
 
 from ltm_core.errors import ModelError
 from ltm_core.types import Float32Array
+from ltm_core.vision.label_agreement import Agreement
 from ltm_core.vision.manifest import Withdrawal
 
 SHIPPED_HEAD: Final = "landscape"
@@ -26,7 +27,8 @@ SHIPPED_HEAD: Final = "landscape"
 class LabelHead:
     """`weights`: map -> (K, C) float32; `bias`: (K,) float32; `temperature` divides the corrected scores.
 
-    `withdraw`: labels that are left out. `described`: name and checksum, for `labels/info`.
+    `withdraw`: labels that are left out. `agreement`: what those around say of how sure the others are. `described`:
+    name and checksum, for `labels/info`.
     """
 
     name: str
@@ -35,6 +37,7 @@ class LabelHead:
     bias: Float32Array
     temperature: float
     withdraw: Withdrawal = field(default_factory=Withdrawal)
+    agreement: Agreement = field(default_factory=Agreement)
 
     @property
     def maps(self) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 from ltm_core.config_io import load_yaml
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.strict_model import StrictModel
+from ltm_core.vision.label_agreement import Agreement
 from ltm_core.vision.label_calibration_io import Calibration
 from ltm_core.vision.label_head import SHIPPED_HEAD, LabelHead
 from ltm_core.vision.manifest import Manifest, Withdrawal, added_folder
@@ -35,6 +36,7 @@ class HeadFile(StrictModel):
     classes: tuple[str, ...] = Field(min_length=2)
     temperature: float = Field(gt=0)
     withdraw: Withdrawal = Withdrawal()
+    agreement: Agreement = Agreement()
     bias: tuple[_Weight, ...]
     maps: dict[str, tuple[tuple[_Weight, ...], ...]] = Field(min_length=1)
     calibration: Calibration | None = None
@@ -92,6 +94,7 @@ def read_head(path: Path, manifest: Manifest) -> tuple[LabelHead, HeadFile]:
         bias=np.asarray(content.bias, np.float32),
         temperature=content.temperature,
         withdraw=content.withdraw,
+        agreement=content.agreement,
     )
     return head, content
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ltm_core.errors import ImageError, ModelError
 from ltm_core.types import Float32Array, UInt8Array
+from ltm_core.vision.label_agreement import agreed
 from ltm_core.vision.label_head import SHIPPED_HEAD, LabelHead
 from ltm_core.vision.label_head_io import find_head, read_head
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
@@ -32,7 +33,8 @@ class Segmentation:
     """What each pixel shows.
 
     `labels` (H, W) uint8: ids of the label set, 255 unlabelled. `confidence` (H, W) uint8: the network's probability
-    of that label x 255; 0 where unlabelled; 255 wherever labelled by a network that gives bare ids.
+    of that label x 255, of a head as its `agreement` has it; 0 where unlabelled; 255 wherever labelled by a network
+    that gives bare ids.
     """
 
     labels: UInt8Array
@@ -136,6 +138,10 @@ class Segmenter:
         if UNLABELLED in self._group_labels:
             confidence[labels == UNLABELLED] = 0
         withdraw(image, labels, confidence, self.withdrawal)
+        if self.head is not None and self.head.agreement.reach > 0:
+            sure = np.rint(np.maximum(255 * agreed(probabilities, self.head.agreement), 1)).astype(np.uint8)
+            confidence = np.asarray(cv2.resize(sure, (width, height)), np.uint8)
+            confidence[labels == UNLABELLED] = 0
         return Segmentation(labels, confidence)
 
     def _from_ids(self, output: npt.NDArray[Any], height: int, width: int) -> Segmentation:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,11 @@ from scenes.networks import COLORS, changed, write_classifier, write_swapping_he
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import LifeForm
+from ltm_core.vision.label_agreement import Agreement
 from ltm_core.vision.label_head import SHIPPED_HEAD, LabelHead
 from ltm_core.vision.label_head_io import HeadFile, find_head, heads_folder, read_head, write_head
-from ltm_core.vision.labels import Label
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.manifest import Manifest, Withdrawal
 from ltm_core.vision.segmenter import Segmenter
 
 
@@ -39,6 +41,21 @@ def test_a_head_of_zeros_leaves_the_shipped_network_s_answers_equal_to_the_bit()
     np.testing.assert_array_equal(headed.labels, bare.labels)
     np.testing.assert_array_equal(headed.confidence, bare.confidence)
     np.testing.assert_array_equal(Segmenter(manifest, head=head).logits(photo), plain.logits(photo))
+
+
+def test_agreement_changes_how_sure_labels_are_and_not_the_labels() -> None:
+    manifest = Segmenter.open().manifest
+    zeros = {name: np.zeros((len(manifest.classes), count), np.float32) for name, count in manifest.maps.items()}
+    head = LabelHead("a", "a", zeros, np.zeros(len(manifest.classes), np.float32), 1.0, Withdrawal(confidence=0.5))
+    photo = _photo()
+    alone = Segmenter(manifest, head=head).segment(photo)
+    around = Segmenter(manifest, head=replace(head, agreement=Agreement(reach=0.02))).segment(photo)
+    np.testing.assert_array_equal(around.labels, alone.labels)
+    unlabelled = around.labels == UNLABELLED
+    assert 0 < unlabelled.mean() < 1
+    assert not around.confidence[unlabelled].any()
+    assert around.confidence[~unlabelled].mean() < alone.confidence[~unlabelled].mean()
+    assert (around.confidence[~unlabelled] < 0.8 * alone.confidence[~unlabelled]).any()
 
 
 def test_what_a_head_adds_is_its_weights_times_the_enlarged_maps() -> None:
