@@ -18,7 +18,7 @@ from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.provenance import Provenance, provenance_of
 from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.majority import UNSEEN
-from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.fuel.prior_io import load_prior
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import open_stored_map
@@ -98,14 +98,18 @@ class FuelSource:
         return exported_terrain(self.site, self.folder, None if moment is None else when(moment))
 
     def provenance(
-        self, moment: str | None = None, system: FuelSystem | None = None, landscape: Landscape | None = None
+        self,
+        layers: FuelLayers,
+        moment: str | None = None,
+        system: FuelSystem | None = None,
+        landscape: Landscape | None = None,
     ) -> Provenance:
-        """What an export of the map, now or as of a moment, says of itself. Raises ConfigError as `at` does."""
+        """What an export of the map says of itself; `layers`: of it now or as of a moment, as `at` gives them."""
         from ltm_ros.fuel_map.pictures import when
 
-        own = FuelSystem.FBFM40 if self.prior is None else self.prior.system
         as_of = None if moment is None else when(moment)
-        return provenance_of(self.site, self.at(moment), system or own, as_of, landscape, self.terrain(moment).version)
+        system = system or system_of(self.prior)
+        return provenance_of(self.site, layers, system, as_of, landscape, self.terrain(moment).version)
 
     def seen_by(self) -> dict[str, BoolArray]:
         """The cells that each camera has seen, as far as the store's cells remember."""

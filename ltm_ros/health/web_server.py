@@ -43,7 +43,7 @@ Route = Callable[[], Answer]
 
 
 def secret(path: Path) -> Path:
-    """A file with a secret: the systemd credential of its name where the service was given one, else itself."""
+    """A file with a secret: the systemd credential of its name where the service was given one, else `path`."""
     return service_credential(path.name) or path
 
 
