@@ -19,6 +19,7 @@ from ltm_core.config_io import checked
 from ltm_core.errors import ArchiveError, RasterError
 from ltm_core.frame_steps import LabellingConfig, TracingConfig
 from ltm_core.fuel.export.provenance import software
+from ltm_core.fuel.prior import system_of
 from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
 from ltm_core.raster.tile_store import TileStore
 from ltm_core.site import Site
@@ -201,7 +202,7 @@ def _publish(planned: Plan, store: Path, summary: Summary) -> None:
     out = store.parent / "out"
     (out / LAYERS).mkdir(parents=True)
     with FuelSource.open(store, planned.site) as map_:
-        system = map_.provenance().system.value
+        system = system_of(map_.prior).value
         export_site(map_, out / LAYERS, None, "layers", system, None, None)
         landscape = LANDSCAPE
         try:

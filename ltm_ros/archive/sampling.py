@@ -61,8 +61,8 @@ class Sampled:
 
 
 def spans(frames: Sequence[ArchiveFrame], sample: Sample, longitude: float) -> list[list[ArchiveFrame]]:
-    """Frames of one camera and span each; frames come by camera and stamp. `longitude`: radians east, so that a day
-    begins at the middle of the site's night.
+    """Frames of one camera and span each; frames come by camera and stamp. `longitude`: radians east, so that days
+    begin at the middle of the site's night.
     """
     shift = round(longitude / (2 * np.pi) * DAY_NS)
     found: dict[tuple[str, int], list[ArchiveFrame]] = {}

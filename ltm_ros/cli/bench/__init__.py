@@ -13,6 +13,7 @@ from ltm_ros.cli.bench.fusion import fusion
 from ltm_ros.cli.bench.graph import graph
 from ltm_ros.cli.bench.memory import memory
 from ltm_ros.cli.bench.network import network
+from ltm_ros.cli.bench.region import region
 from ltm_ros.cli.bench.render import render
 from ltm_ros.cli.bench.runs import print_conditions
 from ltm_ros.cli.bench.segmentation import segmentation
@@ -31,6 +32,7 @@ bench.command()(bounds)
 bench.command()(memory)
 bench.command()(network)
 bench.command()(fusion)
+bench.command()(region)
 bench.command()(render)
 bench.command()(segmentation)
 bench.command()(sources)
