@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ltm_core.fuel.prior import system_of
 from ltm_core.fuel.stored_map import JOURNALED
 from ltm_ros.archive.manifest import DAY_NS
 from ltm_ros.fuel_map.export import export_site
@@ -67,12 +68,13 @@ def write_page(map_: FuelSource, folder: Path) -> None:
     days = _days(map_)
     if not days:
         return
+    system = system_of(map_.prior).value
     for day in days:
-        export_site(map_, folder / f"{day}.png", None, "png", map_.provenance().system.value, day, None)
-    export_site(map_, folder / "change.png", None, "change", map_.provenance().system.value, None, None)
+        export_site(map_, folder / f"{day}.png", None, "png", system, day, None)
+    export_site(map_, folder / "change.png", None, "change", system, None, None)
     text = _HTML.format(
         title=html.escape(f"Fuel map of {map_.site.name}"),
-        about=html.escape(map_.provenance().line()),
+        about=html.escape(map_.provenance(map_.layers).line()),
         last=days[-1],
         most=len(days) - 1,
         picture=f"{days[-1]}.png",
