@@ -17,10 +17,11 @@ from pydantic import BaseModel
 
 from ltm_core.config_io import checked
 from ltm_core.errors import ConfigError, LtmError
+from ltm_core.finding import Finding, Verdict
 from ltm_core.output_io import free_bytes, require_folder
 from ltm_core.raster.dem_io import prepare_heights
 from ltm_core.site import Site
-from ltm_core.site_check import Finding, SiteCheck, Verdict, check_site
+from ltm_core.site_check import SiteCheck, check_site
 from ltm_core.site_io import load_site
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import ParameterValue, describe
@@ -167,7 +168,7 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
 
 def _places(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
     folders = dict(wanted.folders or {})
-    for kind in ("fuel_map", "terrain"):
+    for kind in ("fuel_map", "terrain", "uplink"):
         folder = site.nodes.get(kind, {}).get("folder")
         if isinstance(folder, str):
             folders.setdefault(f"what {kind} keeps", Path(folder))
