@@ -150,7 +150,7 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
 
 def _places(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
     folders = dict(wanted.folders or {})
-    for kind in ("fuel_map", "terrain"):
+    for kind in ("fuel_map", "terrain", "uplink"):
         folder = site.nodes.get(kind, {}).get("folder")
         if isinstance(folder, str):
             folders.setdefault(f"what {kind} keeps", Path(folder))

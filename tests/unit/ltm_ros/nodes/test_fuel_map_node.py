@@ -263,6 +263,10 @@ def test_export_writes_landscapes_into_the_folder(kept: Callable[..., Node], sit
             known = found.read(1) != -9999
             assert known[1:].all()  # the grid's first row lies beyond the terrain
             np.testing.assert_array_equal(found.read(4), np.where(known, node.map.layers().code, -9999))
+            if name.endswith("tif"):
+                assert found.tags()["unit_height"] == "m x 10"
+        item = json.loads((tmp_path / "kept" / f"{name}.stac.json").read_text())
+        assert name in item["assets"]
 
 
 def test_frames_survive_as_bytes() -> None:
