@@ -20,7 +20,7 @@ FIRE := $(VENV)/pyretechnics
 BURN := $(BIN)/ltm fire out/demo/state/fuel_map.ltm --site bags/demo/site.yaml --ignition 348400,3784900 --wind 6,80 \
 	--moisture D2L2 --hours 6 --ensemble 20 --out out/demo/fire --overwrite
 
-.PHONY: demo demo-real demo-fire fire test test-all fuzz chaos soak audit bench docs lint format lock deb try-deb clean
+.PHONY: demo demo-real demo-update demo-fire fire test test-all fuzz chaos soak audit bench docs lint format lock deb try-deb clean
 
 $(INSTALLED): pyproject.toml constraints.txt setup.py setup.cfg
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.12")'
@@ -44,6 +44,10 @@ fire: $(FIRE)/.installed
 demo-fire: $(INSTALLED) $(FIRE)/.installed
 	[ -e out/demo/state/fuel_map.ltm ] || $(BIN)/ltm demo --out out/demo
 	$(BURN)
+
+# A felled and a burnt stand: depth before and after the terrain has confirmed it. Two minutes.
+demo-update: $(INSTALLED)
+	$(BIN)/ltm eval update --pictures out/demo-update
 
 demo-real: $(INSTALLED)
 	$(BIN)/ltm demo --real --out out/demo-real

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Self
 
@@ -89,6 +89,14 @@ class ZoomLens:
     cx: float
     cy: float
     table: tuple[tuple[float, ...], ...]
+    aspect: float = 1.0
+    """fy over fx: of pixels that are not square."""
+
+    @classmethod
+    def fixed(cls, camera: Camera) -> Self:
+        """The lens of a camera that does not zoom."""
+        row = (0.0, _hfov_deg(camera.width, camera.fx), *camera.distortion)
+        return cls(camera.width, camera.height, camera.cx, camera.cy, (row,), camera.fy / camera.fx)
 
     def camera(self, zoom: float) -> Camera:
         """Raises CameraError for a zoom that the table does not reach."""
@@ -113,7 +121,7 @@ class ZoomLens:
             at = self._measure(np.array([zoom, *known]))
             factor = math.exp(float(np.interp(at[0], at[1:], np.log([factors[k] for k in known]))))
             rows.append((zoom, _hfov_deg(self.width, camera.fx * factor), *camera.distortion))
-        return ZoomLens(self.width, self.height, self.cx, self.cy, tuple(rows))
+        return replace(self, table=tuple(rows))
 
     def config(self) -> LensConfig:
         points = tuple(
@@ -154,4 +162,4 @@ def _hfov_deg(width: int, fx: float) -> float:
 def _camera(lens: ZoomLens, zoom: float) -> Camera:
     focal, (k1, k2, p1, p2, k3) = lens.values(zoom)
     distortion = (float(k1), float(k2), float(p1), float(p2), float(k3))
-    return Camera(lens.width, lens.height, focal, focal, lens.cx, lens.cy, distortion)
+    return Camera(lens.width, lens.height, focal, focal * lens.aspect, lens.cx, lens.cy, distortion)

@@ -29,12 +29,12 @@ def _beside(name: str) -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def _kernels(request: pytest.FixtureRequest) -> None:
-    """A large run beside others compiles the nodes' kernels first, each once; see `scenes.compiled_kernels`."""
+    """A large run beside others compiles most kernels first, each once; see `scenes.compiled_kernels`."""
     beside_others = hasattr(request.config, "workerinput")
     if beside_others and len(request.session.items) > LARGE and importlib.util.find_spec("rclpy") is not None:
-        from scenes.compiled_kernels import compile_kernels
+        from scenes.compiled_kernels import ALL, compile_kernels
 
-        compile_kernels()
+        compile_kernels(ALL)
 
 
 @pytest.fixture

@@ -78,7 +78,11 @@ class MountWatch:
         self._tracked: deque[Float64Array | None] = deque(maxlen=config.judged)
         """Of each clear picture of a mount that is held: by how much the camera is off, radians of azimuth, pitch and
         roll, where that is more than errors explain."""
-        self._horizons: dict[tuple[object, ...], TerrainHorizon] = {}
+        self._horizons: dict[tuple[object, ...], tuple[TerrainHorizon, ContourDirections]] = {}
+
+    def recall(self, state: MountState, correction: PoseCorrection, reason: str) -> None:
+        """Go on from what a former watch of the same mount has found."""
+        self._become(state, correction, reason)
 
     def look(self, evidence: PictureEvidence, stated: Pose, covariance: Float64Array) -> bool:
         """Take a picture whose pose is stated with a covariance, (6, 6) as in `pose_covariance`; whether it was clear.
@@ -163,9 +167,8 @@ class MountWatch:
         if evidence.skyline is None:
             return False
         prior = PosePrior(pose, *(_TRACKED_SIGMA_DEG,) * 3)
-        horizon, contours = self._horizon(evidence, prior), self._search.contours
-        ridges = ContourDirections.of(horizon, contours.nearest)
-        around = ridges.in_view(pose, evidence.camera, contours.most_points)
+        horizon, ridges = self._horizon(evidence, prior)
+        around = ridges.in_view(pose, evidence.camera, self._search.contours.most_points)
         found = refine(pose, evidence.camera, evidence, horizon, around, prior, 0.0, self._search)
         here = skyline_cost(pose, evidence.camera, evidence, horizon, self._search)[1]
         refined, covariance, support = found.pose, found.covariance[3:6, 3:6], found.support
@@ -198,10 +201,10 @@ class MountWatch:
         self._become(MountState.SLIPPED, PoseCorrection(self.correction.rotation, unknown_angles()), reason)
 
     def _find(self, evidence: PictureEvidence, prior: PosePrior) -> PictureSearch:
-        return find_pose(evidence, self._terrain, prior, self._search, horizon=self._horizon(evidence, prior))
+        return find_pose(evidence, self._terrain, prior, self._search, horizon=self._horizon(evidence, prior)[0])
 
-    def _horizon(self, evidence: PictureEvidence, prior: PosePrior) -> TerrainHorizon:
-        """About the prior direction, of the last few that were asked for."""
+    def _horizon(self, evidence: PictureEvidence, prior: PosePrior) -> tuple[TerrainHorizon, ContourDirections]:
+        """About the prior direction, of the last few that were asked for, with its ridges."""
         azimuth = round(prior.pose.angles_deg[0] / _STEP_DEG) * _STEP_DEG
         place = tuple(round(float(v), 2) for v in prior.pose.position)
         reach = search_reach(prior, self._search)
@@ -209,7 +212,8 @@ class MountWatch:
         if key not in self._horizons:
             middle = Pose.from_angles(prior.pose.position, azimuth, 0.0)
             around = replace(prior, pose=middle, azimuth_sigma_deg=prior.azimuth_sigma_deg + _STEP_DEG)
-            self._horizons[key] = self._terrain.horizon_for(evidence.camera, around, self._search)
+            horizon = self._terrain.horizon_for(evidence.camera, around, self._search)
+            self._horizons[key] = horizon, ContourDirections.of(horizon, self._search.contours.nearest)
             if len(self._horizons) > _KEPT:
                 del self._horizons[next(iter(self._horizons))]
         return self._horizons[key]

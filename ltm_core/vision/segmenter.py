@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -20,6 +20,9 @@ from ltm_core.vision.text_io import load_text
 from ltm_core.vision.tiling import with_distant_tiles
 from ltm_core.vision.upsample import upsampled_winner
 from ltm_core.vision.withdrawal import withdraw
+
+if TYPE_CHECKING:
+    from ltm_core.site import Site
 
 DEFAULT_MODEL = "landscape_lite0"
 
@@ -88,6 +91,14 @@ class Segmenter:
         manifest = Manifest.find(path_or_name)
         file = find_head(head, manifest, heads)
         return cls(manifest, threads, labels, head=None if file is None else read_head(file, manifest)[0])
+
+    @classmethod
+    def of(cls, site: "Site", camera: str, model: str = "", threads: int = 1) -> "Segmenter":
+        """The network of a site, or another one, with the head that its file names for a camera.
+
+        Raises ConfigError for a camera that the site lacks, and ModelError as `open`.
+        """
+        return cls.open(model or site.model, threads, head=site.camera(camera).head, heads=site.heads)
 
     @property
     def name(self) -> str:

@@ -27,6 +27,7 @@ from ltm_ros.cli.pose import pose
 from ltm_ros.cli.record import record
 from ltm_ros.cli.region import region
 from ltm_ros.cli.replay import replay
+from ltm_ros.cli.reprocess import reprocess
 from ltm_ros.cli.run import run
 from ltm_ros.cli.simulate import simulate
 from ltm_ros.cli.status import status
@@ -47,6 +48,7 @@ cli.command()(demo)
 cli.command()(check)
 cli.command()(run)
 cli.command()(replay)
+cli.command()(reprocess)
 cli.add_typer(cameras, name="cameras")
 cli.command()(record)
 cli.command(name="import")(import_)
@@ -98,10 +100,14 @@ def app() -> None:
             "matplotlib": "train",
             "jinja2": "report",
             "laspy": "export",
+            "pyarrow": "archive",
+            "fsspec": "archive",
+            "dask": "archive",
+            "distributed": "archive",
+            "s3fs": "archive",
             "prometheus_client": "tower",
             "paho": "region",
             "cryptography": "region",
-            "fsspec": "region",
             "rosbags": "eval",
             "skimage": "eval",
         }.get((error.name or "").partition(".")[0])

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from ltm_ros.cli.output import Overwrite
 
-if TYPE_CHECKING:
-    from rich.table import Table
-
-    from ltm_core.camera import Camera
-    from ltm_core.pose_estimation.resection import Resection
-    from ltm_core.pose_estimation.resection_check import TracedErrors
-    from ltm_core.pose_estimation.resection_io import ResectionSetup
+_SHARED = {"out", "overwrite"}
+_OF_POINTS = {"gcps", "first_pixel", "sigma_px"}
+_OF_PHOTOS = {"photo", "pose_guess", "poses", "dem", "crs", "labels", "mask", "model", "free", "canopy", "mount"}
+_TAKEN = {
+    "--gcps": _OF_POINTS | {"pose_guess", "dem", "crs", "free", "force", "position_sigma", "report"},
+    "--photo": _OF_PHOTOS | {"picture", "report"},
+    "--site with --gcps": _OF_POINTS | {"site", "camera", "free"},
+    "--site with --photo": {"site", "camera", "photo", "readings", "model"},
+}
+"""Options that each way of finding a pose looks at. What a site's file states of a camera, it alone states."""
 
 
 def pose(
+    context: typer.Context,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="Pose file to write; `ltm trace --pose` reads it. With --poses a folder."),
@@ -84,16 +88,19 @@ def pose(
     """
     from ltm_core.errors import ConfigError
     from ltm_core.output_io import require_files, require_folder
+    from ltm_ros.cli.pose_points import fit_to_points
 
     if photo is None and gcps is None:
         raise ConfigError("give --photo (a skyline in the picture), --gcps (surveyed points), or both")
     if site is not None or camera:
         if site is None or not camera:
             raise ConfigError("give --site and --camera together: which head of which site")
-        _mount(
-            site, camera, photo, readings, gcps, first_pixel, free or "focal", sigma_px, model, canopy, out, overwrite
-        )
+        if photo is not None and gcps is not None:
+            raise ConfigError("give either --photo or --gcps for the mount of a head, not both")
+        _refuse_unused(context, "--site with --gcps" if photo is None else "--site with --photo")
+        _mount(site, camera, photo, readings, gcps, first_pixel, free or "focal", sigma_px, model, out, overwrite)
         return
+    _refuse_unused(context, *(["--gcps"] if gcps is not None else []), *(["--photo"] if photo is not None else []))
     if out is None:
         raise ConfigError("give --out, the pose file to write")
     if poses is not None:
@@ -101,12 +108,26 @@ def pose(
         require_files([] if report is None else [report], overwrite)
     else:
         require_files([place for place in (out, report, picture) if place is not None], overwrite)
-    if pose_guess is None and poses is None:
-        raise ConfigError("give --pose-guess, a pose file of what is known (docs/poses.md), or --poses for many photos")
+    if (pose_guess is None) == (poses is None):
+        raise ConfigError(
+            "give either --pose-guess, a pose file of what is known (docs/poses.md), or --poses for many photos"
+        )
+    if gcps is not None and poses is not None:
+        raise ConfigError("--gcps are marked in one photo: give --pose-guess, not --poses")
     if gcps is not None:
         assert pose_guess is not None  # nosec B101 # tells the type checker what holds
-        fitted = _control_points(
-            gcps, pose_guess, out, dem, free or "focal,k1", force, first_pixel, position_sigma, sigma_px, report, crs
+        fitted = fit_to_points(
+            gcps,
+            pose_guess,
+            out,
+            dem,
+            _names(free or "focal,k1"),
+            _names(force),
+            first_pixel,
+            position_sigma,
+            sigma_px,
+            report,
+            crs,
         )
         if photo is None:
             return
@@ -119,6 +140,19 @@ def pose(
     )
 
 
+def _refuse_unused(context: typer.Context, *ways: str) -> None:
+    """Raises ConfigError for options that were given and that none of these ways looks at."""
+    from ltm_core.errors import ConfigError
+
+    taken = _SHARED.union(*(_TAKEN[way] for way in ways))
+    sources = {name: context.get_parameter_source(name) for name in context.params}
+    given = {name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"}
+    unused = sorted(f"--{name.replace('_', '-')}" for name in given - taken)
+    if unused:
+        hint = "; labels, mask and terrain are those of the site file" if "site" in given else ""
+        raise ConfigError(f"{' and '.join(ways)} does not look at {', '.join(unused)}: leave it out{hint}")
+
+
 def _mount(
     site: Path,
     camera: str,
@@ -129,7 +163,6 @@ def _mount(
     free: str,
     sigma_px: float,
     model: str,
-    canopy: bool,
     out: Path | None,
     overwrite: bool,
 ) -> None:
@@ -137,8 +170,6 @@ def _mount(
     from ltm_core.output_io import require_files
     from ltm_ros.cli.pose_mount import calibrate_from_photos, calibrate_from_points, head_of, write_mount
 
-    if photo is not None and gcps is not None:
-        raise ConfigError("give either --photo or --gcps for the mount of a head, not both")
     unknown = set(_names(free)) - {"focal", "position"}
     if unknown:
         raise ConfigError(f"--free {free}: of a head, focal (the lens at each zoom) and position can be fitted")
@@ -154,7 +185,7 @@ def _mount(
     elif readings is None or photo is None:
         raise ConfigError("--photo with --site needs --readings, a CSV of what the encoders said of each photo")
     else:
-        found, lens = calibrate_from_photos(head, photo, readings, model, canopy)
+        found, lens = calibrate_from_photos(head, photo, readings, model)
     write_mount(head, found, lens, site, camera, out)
 
 
@@ -209,142 +240,5 @@ def _photos(
     console.print(f"  {out}", highlight=False)
 
 
-def _control_points(
-    gcps: Path,
-    pose_guess: Path,
-    out: Path,
-    dem: list[Path] | None,
-    free: str,
-    force: str,
-    first_pixel: float,
-    position_sigma: float | None,
-    sigma_px: float,
-    report: Path | None,
-    crs: str | None,
-) -> Path:
-    """Fit to control points; returns the pose file that was written."""
-    from typing import cast
-
-    from rich.console import Console
-
-    from ltm_core.config_io import load_yaml
-    from ltm_core.geodesy import ray_bend
-    from ltm_core.pose_estimation.pose_file_io import GuessConfig
-    from ltm_core.pose_estimation.resection import resect
-    from ltm_core.pose_estimation.resection_adjustment import Parameter
-    from ltm_core.pose_estimation.resection_io import (
-        held_notes,
-        read_control_points,
-        set_up_resection,
-        write_pose,
-        write_report,
-    )
-    from ltm_core.raster.dem_stack import open_terrain
-
-    guess = load_yaml(pose_guess, GuessConfig)
-    terrain = open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])]) if dem else None
-    setup = set_up_resection(guess, terrain, crs)
-    result = resect(
-        read_control_points(gcps, setup.frame, first_pixel),
-        setup.camera,
-        setup.position,
-        setup.angles_deg,
-        cast("list[Parameter]", _names(free)),
-        ray_bend(guess.curvature, guess.refraction),
-        position_sigma,
-        sigma_px,
-        cast("list[Parameter]", _names(force)),
-    )
-    for place in (out, report):
-        if place is not None:
-            place.parent.mkdir(parents=True, exist_ok=True)
-    write_pose(out, result, guess, setup.frame)
-    if report is not None:
-        write_report(report, result, setup.frame)
-    console = Console()
-    for note in held_notes(result, setup.position, setup.frame):
-        console.print(f"[yellow]{note}", highlight=False)
-    if result.outliers:
-        console.print(f"[yellow]left out as outliers: {', '.join(result.outliers)}", highlight=False)
-    console.print(_parameters(result, setup.camera, setup))
-    console.print(_points(result, setup, guess.curvature, guess.refraction))
-    console.print(f"  {out}", highlight=False)
-    return out
-
-
 def _names(listed: str) -> list[str]:
     return [name.strip() for name in listed.split(",") if name.strip() not in ("", "none", "angles")]
-
-
-def _parameters(result: Resection, start: Camera, setup: ResectionSetup) -> Table:
-    from rich.table import Table
-
-    azimuth, pitch, roll = result.pose.angles_deg
-    x, y, z = (float(v) for v in result.pose.position)
-    values = {
-        "azimuth_deg": f"{azimuth:.4f}",
-        "pitch_deg": f"{pitch:.4f}",
-        "roll_deg": f"{roll:.4f}",
-        "fx": f"{result.camera.fx:.2f}",
-        "k1": f"{result.camera.distortion[0]:.5f}",
-        "x": f"{x + setup.frame.x_origin:.2f}",
-        "y": f"{y + setup.frame.y_origin:.2f}",
-        "z": f"{z:.2f}",
-    }
-    started = {"fx": f"{start.fx:.2f}", "k1": f"{start.distortion[0]:.5f}"}
-    started |= {
-        "x": f"{setup.position[0] + setup.frame.x_origin:.2f}",
-        "y": f"{setup.position[1] + setup.frame.y_origin:.2f}",
-        "z": f"{setup.position[2]:.2f}",
-    }
-    table = Table("parameter", "fitted", "sigma", "given", title="camera")
-    for name, value in values.items():
-        sigma = result.sigmas.get(name)
-        table.add_row(name, value, "held" if sigma is None else f"{sigma:.3g}", started.get(name, ""))
-    return table
-
-
-def _points(result: Resection, setup: ResectionSetup, curvature: bool, refraction: float) -> Table:
-    import numpy as np
-    from rich.table import Table
-
-    median = float(np.median(result.residual_px))
-    title = f"{len(result.used)} points: median residual {median:.2f} px"
-    table = Table("point", "u", "v", "du px", "dv px", "residual px")
-    traced = None
-    if setup.dem is not None:
-        from ltm_core.pose_estimation.resection_check import traced_errors
-        from ltm_core.tracing import TerrainTracer
-
-        tracer = TerrainTracer(setup.dem, curvature, refraction)
-        traced = traced_errors(result, tracer)
-        table.add_column("traced off by", justify="right")
-        table.add_column("over the DEM", justify="right")
-        table.add_column("the DEM says")
-        title += f"\n{_summary(traced)}"
-    for k, name in enumerate(result.points.names):
-        u, v = result.points.pixels[k]
-        du, dv = result.residuals[k]
-        cells = [name, f"{u:.1f}", f"{v:.1f}", f"{du:.2f}", f"{dv:.2f}", f"{result.residual_px[k]:.2f}"]
-        if traced is not None:
-            off, above = float(traced.errors[k]), float(traced.above_ground[k])
-            cells += [f"{off:.2f} m" if traced.met[k] else "no terrain", "" if np.isnan(above) else f"{above:+.1f} m"]
-            cells.append(str(traced.states[k]))
-        table.add_row(*cells, style=None if result.used[k] else "red")
-    table.title = title
-    return table
-
-
-def _summary(traced: TracedErrors) -> str:
-    """How far traced places lie from surveyed ones, of the points that it can be said of."""
-    import numpy as np
-
-    met, seen = traced.met, traced.met & traced.visible
-    if not met.any():
-        return "no marked pixel meets known terrain: check the DEM and the camera's position"
-    said = f"traced against surveyed: median {np.median(traced.errors[met]):.2f} m"
-    if not met.all():
-        said += f" of {met.sum()} points ({(~met).sum()} meet no known terrain)"
-    if seen.any():
-        said += f", {np.median(traced.errors[seen]):.2f} m on the {seen.sum()} that the camera sees on the DEM"
-    return said

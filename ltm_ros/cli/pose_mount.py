@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ class Head:
     """A head of a site, as its file states it."""
 
     site: Site
+    camera: str
     config: MountConfig
     model: MountModel
     lens: ZoomLens
@@ -42,12 +43,10 @@ def head_of(site_file: Path, camera: str) -> Head:
     if mount.lens is not None:
         lens = mount.lens.lens()
     elif settings.calibration is not None:
-        fixed = settings.calibration.camera()
-        hfov = math.degrees(2 * math.atan(fixed.width / 2 / fixed.fx))
-        lens = ZoomLens(fixed.width, fixed.height, fixed.cx, fixed.cy, ((0.0, hfov, *fixed.distortion),))
+        lens = ZoomLens.fixed(settings.calibration.camera())
     else:
         raise ConfigError(f"{site_file}: camera {camera} has neither `mount.lens` nor `calibration`: state its lens")
-    return Head(site, mount, mount.model(site.open_dem(), site.frame), lens)
+    return Head(site, camera, mount, mount.model(site.open_dem(), site.frame), lens)
 
 
 def calibrate_from_points(
@@ -81,26 +80,26 @@ def calibrate_from_points(
     return found.model, found.lens
 
 
-def calibrate_from_photos(
-    head: Head, photos: Path, readings: Path, model_name: str, canopy: bool
-) -> tuple[MountModel, ZoomLens]:
-    """Fit to the skylines of pictures of several presets. Raises PoseError where they do not tell."""
+def calibrate_from_photos(head: Head, photos: Path, readings: Path, model_name: str) -> tuple[MountModel, ZoomLens]:
+    """Fit to the skylines of pictures of several presets, labelled and masked as the site has it. Raises PoseError
+    where they do not tell."""
     from rich.console import Console
 
     from ltm_core.errors import ConfigError, ImageError, PoseError
     from ltm_core.pose_estimation.mount_fit import fit_mount, widened
     from ltm_core.pose_estimation.mount_io import read_readings
     from ltm_core.pose_estimation.picture_evidence import picture_evidence
-    from ltm_core.pose_estimation.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
     from ltm_core.pose_estimation.picture_pose_io import doubt_of_sky
-    from ltm_core.pose_estimation.pose_from_picture import Terrain, find_pose
+    from ltm_core.pose_estimation.pose_from_picture import find_pose
     from ltm_core.pose_estimation.pose_prior import PosePrior
+    from ltm_core.pose_estimation.site_terrain import site_terrain
     from ltm_core.tracing.trace_io import read_photo
-    from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+    from ltm_core.vision.scene_view import SceneFilter
+    from ltm_core.vision.segmenter import Segmenter
 
-    config = PicturePoseConfig(skyline=SkylineConfig(cover=CANOPY_SURFACE)) if canopy else PicturePoseConfig()
-    segmenter = Segmenter.open(model_name or DEFAULT_MODEL)
-    terrain = Terrain(head.site.open_dem(), head.site.bend, head.site.possible_ground)
+    terrain, config = site_terrain(head.site)
+    segmenter = Segmenter.of(head.site, head.camera, model_name)
+    scene = SceneFilter.of(head.site, head.camera)
     azimuth, pitch, roll, tilt_zero = head.config.angle_sigmas_deg
     place, height = head.config.position_sigma or 0.0, head.config.height_sigma or 0.0
     priors, searches = [], []
@@ -110,13 +109,13 @@ def calibrate_from_photos(
             raise ConfigError(f"{readings} names {name}, which is not in {photos}")
         camera = head.lens.camera(zoom)
         photo = read_photo(file, camera)
-        labels = segmenter.segment(photo).labels
-        doubt = doubt_of_sky(labels)
+        labels, hidden = segmenter.segment(photo).labels, scene.hidden(camera.width, camera.height)
+        doubt = doubt_of_sky(labels, hidden)
         if doubt is not None:
             raise ImageError(f"{file}: {doubt}")
         prior = PosePrior(head.model.pose(pan, tilt)[0], azimuth, pitch, roll, place, height)
         priors.append(prior)
-        evidence = picture_evidence(photo, labels, camera, config)
+        evidence = picture_evidence(photo, labels, camera, config, hidden)
         searches.append(find_pose(evidence, terrain, widened(prior, tilt_zero), config))
     fit = fit_mount(priors, searches, config, tilt_zero)
     if fit.word != "accepted":
@@ -164,8 +163,7 @@ def _mount_table(stated: MountModel, found: MountModel) -> Any:
     ):
         words = ("clockwise", "anticlockwise") if name.startswith("pan") else ("upwards", "downwards")
         table.add_row(name, words[now < 0], "", words[before < 0])
-    still = replace(found, encoder_sigma=0.0)
-    worst = max(still.direction_sigma_deg(pan) for pan in np.arange(0.0, 360.0, 10.0))
+    worst = max(found.direction_sigma_deg(pan) for pan in np.arange(0.0, 360.0, 10.0))
     table.caption = f"a direction is known to {worst:.3f} deg or better at every pan"
     return table
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from ltm_core.pose_estimation.pose_file_io import GuessConfig
     from ltm_core.pose_estimation.pose_from_picture import PictureSearch
     from ltm_core.types import UInt8Array
+    from ltm_core.vision.scene_view import SceneFilter
     from ltm_core.vision.segmenter import Segmenter
 
 FOCAL_SIGMA = 0.05
@@ -73,26 +74,30 @@ def guesses_of(photos: Path, poses: Path) -> dict[Path, GuessConfig]:
 def search_photos(guesses: dict[Path, GuessConfig], dem: Dem, options: PhotoOptions) -> list[FoundPhoto]:
     """Search the pose of each photo; with `mount`, one correction for all of them."""
     from ltm_core.pose_estimation.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
+    from ltm_core.vision.scene_view import SceneFilter
     from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
 
     config = PicturePoseConfig(skyline=SkylineConfig(cover=CANOPY_SURFACE)) if options.canopy else PicturePoseConfig()
     segmenter = None if options.labels is not None else Segmenter.open(options.model or DEFAULT_MODEL)
-    found = [_find(file, guess, dem, segmenter, options, config) for file, guess in guesses.items()]
+    scene = SceneFilter() if options.mask is None else SceneFilter.of_png(options.mask, "--mask")
+    found = [_find(file, guess, dem, segmenter, scene, options, config) for file, guess in guesses.items()]
     return _as_one_mount(found, config) if options.mount else found
 
 
 def _find(
-    file: Path, guess: GuessConfig, dem: Dem, segmenter: Segmenter | None, options: PhotoOptions, config: Any
+    file: Path,
+    guess: GuessConfig,
+    dem: Dem,
+    segmenter: Segmenter | None,
+    scene: SceneFilter,
+    options: PhotoOptions,
+    config: Any,
 ) -> FoundPhoto:
-    import numpy as np
-
     from ltm_core.errors import ImageError
     from ltm_core.pose_estimation.picture_evidence import picture_evidence
     from ltm_core.pose_estimation.picture_pose_io import doubt_of_sky, read_labels, result_of, set_up_search
     from ltm_core.pose_estimation.pose_from_picture import find_pose
     from ltm_core.tracing.trace_io import read_photo
-    from ltm_core.vision.labels import UNLABELLED
-    from ltm_core.vision.scene_view import SceneFilter
 
     setup = set_up_search(guess, dem)
     prior = setup.prior
@@ -104,10 +109,8 @@ def _find(
     else:
         assert segmenter is not None  # nosec B101 # tells the type checker what holds
         labels = segmenter.segment(photo).labels
-    hidden = None if options.mask is None else SceneFilter.of_png(options.mask, "--mask").look(photo).hidden
-    if hidden is not None:
-        labels = np.where(hidden, np.uint8(UNLABELLED), labels)
-    doubt = doubt_of_sky(labels)
+    hidden = scene.hidden(setup.camera.width, setup.camera.height)
+    doubt = doubt_of_sky(labels, hidden)
     if doubt is not None:
         raise ImageError(f"{file}: {doubt}")
     begin = time.process_time()

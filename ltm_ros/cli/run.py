@@ -69,7 +69,7 @@ def run(
         recorded = {"bag": str(folders["record"])}
     if logs is not None:
         folders["logs"] = logs.expanduser()
-    parameters = dict.fromkeys(("fuel_map", "terrain", "uplink"), kept) if kept else {}
+    parameters = dict.fromkeys(("fuel_map", "terrain", "pose", "uplink"), kept) if kept else {}
     seen: dict[str, ParameterValue] | None = {"serve": True} if view else None
     try:
         wanted = Wanted(only or (), seen, recorded, {}, parameters, folders)

@@ -48,9 +48,10 @@ def export_site(
     target = grid if crs is None else snapped_grid(grid, crs, map_.site.fuel.phase)
     if kind in LANDSCAPES:
         return target, _write_landscape(map_, out, kind, FuelSystem(system), target, as_of)
-    layers, made = map_.at(as_of), map_.provenance(as_of)
+    layers = map_.at(as_of)
+    made = map_.provenance(layers, as_of)
     transfer, palette = GridTransfer(grid, target), life_form_labels(map_.labels)
-    moved, heights = transfer.layers(layers), transfer.heights(map_.site.open_dem(), map_.site.frame)[1:-1, 1:-1]
+    moved, heights = transfer.layers(layers), transfer.heights(map_.terrain(as_of).ground, map_.site.frame)[1:-1, 1:-1]
     if kind == "layers":
         write_layers(out, moved, target, made.tags(), palette)
         write_item(out, sorted(out.glob("*.tif")), target, made)
@@ -72,7 +73,7 @@ def _write_landscape(
     landscape = make_landscape(
         layers,
         map_.prior,
-        site.open_dem(),
+        map_.terrain(as_of).ground,
         site.frame,
         map_.geometry,
         map_.region,
@@ -80,7 +81,7 @@ def _write_landscape(
         target,
         spare_heights(site, site.in_map(map_.geometry)),
     )
-    made = map_.provenance(as_of, system, landscape)
+    made = map_.provenance(layers, as_of, system, landscape)
     tags = made.tags() | landscape_units()
     if kind == "lcp":
         write_lcp(out, landscape, made.line())

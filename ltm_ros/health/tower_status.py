@@ -11,7 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from ltm_ros.health.machine import Clock, Disk
+from ltm_ros.health.machine import Disk
+from ltm_ros.runtime.kernel_clock import KernelClock
 
 SILENT_S = 10.0
 """A node sends its diagnostics once a second; after that long without one it is taken for dead."""
@@ -27,15 +28,10 @@ LEAST_FREE = 0.05
 """Share of a disk; less is worth a word."""
 
 
-@dataclass(frozen=True)
-class NodeReport:
-    """One node's last word. `heard_s`: by a clock that nobody sets."""
+class StatedValues:
+    """Reads what a node states, by key, as numbers."""
 
-    name: str
-    troubled: bool
-    message: str
     values: Mapping[str, str]
-    heard_s: float
 
     def number(self, key: str) -> float | None:
         """A value that is a finite number."""
@@ -56,7 +52,18 @@ class NodeReport:
 
 
 @dataclass(frozen=True)
-class NodeState:
+class NodeReport(StatedValues):
+    """One node's last word. `heard_s`: by a clock that nobody sets."""
+
+    name: str
+    troubled: bool
+    message: str
+    values: Mapping[str, str]
+    heard_s: float
+
+
+@dataclass(frozen=True)
+class NodeState(StatedValues):
     name: str
     camera: str
     """Empty: of the whole site."""
@@ -105,7 +112,7 @@ class TowerStatus:
     versions: Mapping[str, str]
     nodes: Sequence[NodeState]
     cameras: Sequence[CameraState]
-    clock: Clock
+    clock: KernelClock
     clock_steps: int
     disks: Sequence[Disk]
     memory_total: int
@@ -164,7 +171,7 @@ class TowerWatch:
         time_s: float,
         *,
         versions: Mapping[str, str],
-        clock: Clock,
+        clock: KernelClock,
         disks: Sequence[Disk],
         memory: tuple[int, int],
         process_memory: Mapping[str, int],
@@ -256,7 +263,7 @@ def camera_of(name: str) -> str:
 def _sentences(
     nodes: Sequence[NodeState],
     cameras: Sequence[CameraState],
-    clock: Clock,
+    clock: KernelClock,
     disks: Sequence[Disk],
     outbox: OutboxState | None,
 ) -> list[str]:

@@ -22,7 +22,8 @@ from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between
 from ltm_core.pose_estimation.site_terrain import site_terrain
 from ltm_core.site import Site
 from ltm_core.types import UInt8Array
-from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
+from ltm_core.vision.scene_view import SceneFilter
+from ltm_core.vision.segmenter import Segmenter
 from ltm_msgs_py.image import decode_rgb
 from ltm_ros.importer.georeference import PlacedPhoto
 
@@ -68,47 +69,80 @@ class CompassError:
         return replace(prior, pose=pose, azimuth_sigma_deg=1.2 * self.spread_deg)
 
 
+@dataclass(frozen=True, eq=False)
+class _CameraView:
+    """How a camera's photos are labelled, and what of them shows the landscape."""
+
+    segment: Callable[[UInt8Array], UInt8Array]
+    scene: SceneFilter
+
+
+@dataclass(frozen=True, eq=False)
+class _Looked:
+    """What came of one photo by itself, from its own prior."""
+
+    prior: PosePrior
+    result: PoseResult
+    refinement: Refinement
+
+
 class PoseRefinement:
     """Lays each photo's skyline and ridges on the terrain of `site`, from what it states of its pose.
 
-    `segment`: labels (H, W) of a photo (H, W, 3); by default those of the shipped network. Raises DemError and
-    ModelError when it is made.
+    `segment`: labels (H, W) of a photo (H, W, 3); by default those of the network and head that the site names for
+    each camera. Raises DemError when it is made.
     """
 
     def __init__(self, site: Site, segment: Callable[[UInt8Array], UInt8Array] | None = None) -> None:
+        self._site = site
         self._terrain, self._config = site_terrain(site)
         self._assumed = site.assumed_pose_error.covariance()
-        self._segment = _shipped_labels() if segment is None else segment
-        self._found: dict[tuple[str, str], tuple[PoseResult, Refinement]] = {}
-        """By camera and photo, of those whose compass told a direction."""
+        self._segment = segment
+        self._views: dict[str, _CameraView] = {}
+        self._looked: dict[tuple[str, str], _Looked | str] = {}
+        """By camera and photo; why, of a photo that could not be searched."""
 
     def look(self, camera: str, name: str, item: PlacedPhoto) -> None:
-        """Search one photo by itself; all are looked at before the first is refined."""
+        """Search one photo by itself; all are looked at before the first is refined. Raises ModelError for the
+        camera's network, and ConfigError for its mask."""
+        view = self._view(camera)
         try:
             prior = self._prior(item)
-            result, refinement = self._search(item, prior)
-        except LtmError:
-            return  # `refine` meets it again, and says it
-        if result.accepted and prior.heading_known:
-            self._found[camera, name] = result, refinement
+            self._looked[camera, name] = _Looked(prior, *self._search(item, prior, view))
+        except LtmError as error:
+            self._looked[camera, name] = str(error)
 
     def refine(self, camera: str, name: str, item: PlacedPhoto) -> tuple[PlacedPhoto, Refinement]:
-        """A photo that cannot be searched, as one beside the DEM, stays as it is: the reason says why."""
-        if (camera, name) in self._found:
-            result, refinement = self._found[camera, name]
-            return _with_pose(item, result), refinement
-        try:
-            prior = self._prior(item)
-            others = [r.turned_deg[0] for (of, _), (_, r) in self._found.items() if of == camera]
-            compass = CompassError.of(others) if prior.heading_known else None
-            result, refinement = self._search(item, prior if compass is None else compass.corrected(prior))
-        except LtmError as error:
-            return item, Refinement("not_searched", str(error))
+        """A photo that could not be searched, as one beside the DEM, stays as it is: the reason says why."""
+        looked = self._looked[camera, name]
+        if isinstance(looked, str):
+            return item, Refinement("not_searched", looked)
+        if looked.result.accepted:
+            return _with_pose(item, looked.result), looked.refinement
+        others = self._compass_errors(camera)
+        compass = CompassError.of(others) if looked.prior.heading_known else None
+        if compass is None:
+            return item, looked.refinement
+        result, refinement = self._search(item, compass.corrected(looked.prior), self._view(camera))
         if result.accepted:
             return _with_pose(item, result), refinement
-        if compass is None:
-            return item, refinement
         return self._as_others(item, compass, len(others), refinement)
+
+    def _compass_errors(self, camera: str) -> list[float]:
+        """Degrees, of the camera's photos that show their pose, and whose compass told a direction."""
+        return [
+            looked.refinement.turned_deg[0]
+            for (of, _), looked in self._looked.items()
+            if of == camera and isinstance(looked, _Looked) and looked.result.accepted and looked.prior.heading_known
+        ]
+
+    def _view(self, camera: str) -> _CameraView:
+        if camera not in self._views:
+            segment = self._segment
+            if segment is None:
+                segment = _labels_of(Segmenter.of(self._site, camera))
+            self._views[camera] = _CameraView(segment, SceneFilter.of(self._site, camera))
+        return self._views[camera]
 
     def _as_others(
         self, item: PlacedPhoto, compass: CompassError, others: int, refinement: Refinement
@@ -132,13 +166,13 @@ class PoseRefinement:
         pitch, roll = (min(s, UNSTATED_TILT_SIGMA_DEG) for s in (stated.pitch_sigma_deg, stated.roll_sigma_deg))
         return replace(stated, pitch_sigma_deg=pitch, roll_sigma_deg=roll)
 
-    def _search(self, item: PlacedPhoto, prior: PosePrior) -> tuple[PoseResult, Refinement]:
+    def _search(self, item: PlacedPhoto, prior: PosePrior, view: _CameraView) -> tuple[PoseResult, Refinement]:
         photo = decode_rgb(item.photo.data)
-        labels = self._segment(photo)
-        doubt = doubt_of_sky(labels)
+        labels, hidden = view.segment(photo), view.scene.hidden(item.camera.width, item.camera.height)
+        doubt = doubt_of_sky(labels, hidden)
         if doubt is not None:
             raise ImageError(doubt)
-        evidence = picture_evidence(photo, labels, item.camera, self._config)
+        evidence = picture_evidence(photo, labels, item.camera, self._config, hidden)
         search = find_pose(evidence, self._terrain, prior, self._config)
         result = result_of(search, prior, item.camera)
         verdict = search.verdict
@@ -148,10 +182,9 @@ class PoseRefinement:
         return result, Refinement(verdict.word, verdict.reason, (azimuth, pitch, roll))
 
 
+def _labels_of(segmenter: Segmenter) -> Callable[[UInt8Array], UInt8Array]:
+    return lambda photo: segmenter.segment(photo).labels
+
+
 def _with_pose(item: PlacedPhoto, result: PoseResult) -> PlacedPhoto:
     return replace(item, pose=result.pose, camera=result.camera, covariance=result.covariance)
-
-
-def _shipped_labels() -> Callable[[UInt8Array], UInt8Array]:
-    segmenter = Segmenter.open(DEFAULT_MODEL)
-    return lambda photo: segmenter.segment(photo).labels

@@ -16,9 +16,10 @@ from pydantic import BaseModel
 
 from ltm_core.config_io import checked
 from ltm_core.errors import ConfigError, LtmError
+from ltm_core.finding import Finding, Verdict
 from ltm_core.output_io import free_bytes, require_folder
 from ltm_core.site import Site
-from ltm_core.site_check import Finding, SiteCheck, Verdict, check_site
+from ltm_core.site_check import SiteCheck, check_site
 from ltm_core.site_io import load_site
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import ParameterValue, describe

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from std_msgs.msg import String
 
-from ltm_core.errors import ConfigError
+from ltm_core.camera import Camera
+from ltm_core.errors import ConfigError, StoreError
+from ltm_core.pose_estimation.mount_memory_io import memory_file, mount_terms, recall_memory, write_memory
 from ltm_core.pose_estimation.mount_watch import MountWatch
 from ltm_core.pose_estimation.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.site_terrain import site_terrain
@@ -35,12 +38,17 @@ from ltm_ros.runtime.topics import (
 )
 
 
-class PoseKeeping(Handler[JoinConfig]):
+class PoseKeepingConfig(JoinConfig):
+    folder: str = ""
+    """What is found of the mount is kept here over a restart; relative to the site file. Empty: nowhere."""
+
+
+class PoseKeeping(Handler[PoseKeepingConfig]):
     """Looks at a picture now and then: what it costs is that of a few frames a minute."""
 
     publications = (POSE_CORRECTION, POSE_INFO)
 
-    def __init__(self, config: JoinConfig, outlet: Outlet, health: Health) -> None:
+    def __init__(self, config: PoseKeepingConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = load_site(config.site)
         self._scene = SceneFilter.of(site, config.camera)
@@ -49,6 +57,9 @@ class PoseKeeping(Handler[JoinConfig]):
         terrain, self._search = site_terrain(site)
         self._watch = MountWatch(terrain, site.refine_poses, self._search)
         self._assumed = site.assumed_pose_error.covariance()
+        self._site, self._terms = site, ""
+        folder = Path(config.site).parent / Path(config.folder).expanduser()
+        self._file = memory_file(folder, config.camera) if config.folder else None
         self._every_ns = round(site.refine_poses.every * 1e9)
         self._last_ns = -self._every_ns
         self._join = StampJoin(("image", "info", "pose", "labels"), self._look, health, max_wait=config.max_wait)
@@ -61,6 +72,11 @@ class PoseKeeping(Handler[JoinConfig]):
             STATED_POSE: lambda m: self._join.add("pose", stamp_of(m), m),
             LABELS_IMAGE: lambda m: self._join.add("labels", stamp_of(m), m),
         }
+
+    def start(self) -> None:
+        camera = self._site.camera(self.config.camera)
+        if camera.calibration is not None or (camera.mount is not None and camera.mount.lens is not None):
+            self._recall(None)
 
     def discard(self, stamp_ns: int) -> None:
         self._join.discard(stamp_ns)
@@ -81,21 +97,47 @@ class PoseKeeping(Handler[JoinConfig]):
         if seen.reason is not None:
             return  # the next one may be better
         self._last_ns = stamp
+        camera = msg_to_camera(info)
+        if not self._terms:
+            self._recall(camera)
         watch, before = self._watch, self._watch.correction
-        evidence = picture_evidence(
-            photo, msg_to_array(labels, ("mono8",)), msg_to_camera(info), self._search, seen.hidden
-        )
+        evidence = picture_evidence(photo, msg_to_array(labels, ("mono8",)), camera, self._search, seen.hidden)
         covariance = msg_to_covariance(pose, self._assumed)
         assert covariance is not None  # nosec B101 # tells the type checker what holds
         clear = watch.look(evidence, msg_to_pose(pose, "map"), covariance)
         self.health.note("clear" if clear else "unclear")
-        self.health.gauge("mount", f"{watch.state.value}: {watch.reason}")
         if not watch.correction.known:
             self.health.trouble(f"mount_{watch.state.value}", watch.reason)
         if watch.correction is not before:
             self.health.note(f"mount.{watch.state.value}")
-            self.outlet.publish(POSE_INFO, String(data=json.dumps(self._info(stamp))))
-            self.outlet.publish(POSE_CORRECTION, correction_to_msg(watch.correction, stamp))
+            self._tell(stamp)
+            self._keep()
+        self.health.gauge("mount", f"{watch.state.value}: {watch.reason}")
+
+    def _tell(self, stamp: int) -> None:
+        self.outlet.publish(POSE_INFO, String(data=json.dumps(self._info(stamp))))
+        self.outlet.publish(POSE_CORRECTION, correction_to_msg(self._watch.correction, stamp))
+
+    def _recall(self, seen: Camera | None) -> None:
+        """Begin with what is kept. `seen`: the calibration of the pictures, where the site does not state it."""
+        if self._file is None or self._terms:
+            return
+        try:
+            self._terms = mount_terms(self._site, self.config.camera, seen)
+            if recall_memory(self._file, self._watch, self._terms):
+                self.health.note("mount.recalled")
+                self.health.gauge("mount", f"{self._watch.state.value}: {self._watch.reason}")
+                self._tell(max(self.outlet.now_ns(), 0))
+        except StoreError as error:
+            self.health.trouble("mount_memory", str(error))
+
+    def _keep(self) -> None:
+        if self._file is None or not self._terms:
+            return
+        try:
+            write_memory(self._file, self._watch, self._terms)
+        except StoreError as error:
+            self.health.trouble("mount_memory", str(error))
 
     def _info(self, stamp: int) -> dict[str, object]:
         watch = self._watch
@@ -111,7 +153,7 @@ class PoseKeeping(Handler[JoinConfig]):
         }
 
 
-NODE = NodeType("pose", JoinConfig, PoseKeeping)
+NODE = NodeType("pose", PoseKeepingConfig, PoseKeeping)
 
 
 def main() -> None:

@@ -21,10 +21,10 @@ from ltm_core.uplink.outbox_io import OutboxFrame
 from ltm_msgs_py.label_info import msg_to_model
 from ltm_msgs_py.pointcloud import msg_to_columns
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.health import machine
 from ltm_ros.region.tower_link import TowerLink
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.kernel_clock import kernel_clock
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.topics import FUEL_VOTES, LABELS_INFO, camera_topic
 
@@ -106,7 +106,7 @@ def _grid(site: Site) -> VotesGrid:
 
 def _age_clock() -> int | None:
     """A clock that nothing keeps right makes no frame too old."""
-    return None if machine.clock().synchronised is False else time.time_ns()
+    return None if kernel_clock().synchronised is False else time.time_ns()
 
 
 NODE = NodeType("uplink", UplinkNodeConfig, Uplink)

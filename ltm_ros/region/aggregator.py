@@ -15,6 +15,7 @@ from ltm_core.errors import LtmError, MessageError
 from ltm_core.fuel.evidence import Window
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import STORE_FILE, fuel_schema
+from ltm_core.fuel.vote_columns import MAX_BYTES
 from ltm_core.raster.tile_store import TileStore
 from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
@@ -34,7 +35,7 @@ from ltm_core.uplink.envelope import (
 from ltm_core.uplink.vote_transfer import VoteTransfer
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.stamp import stamp_of
-from ltm_msgs_py.votes import MAX_BYTES, msg_to_votes
+from ltm_msgs_py.votes import msg_to_votes
 from ltm_ros.fuel_map.persistence import Counted, Counting, FuelMapPersistence
 from ltm_ros.region.identity import Identity
 from ltm_ros.runtime.health import Health, cause_of

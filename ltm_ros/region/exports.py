@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ltm_core.errors import LtmError, StoreError
 from ltm_core.fuel.export.stac_item_io import item_path
+from ltm_core.fuel.prior import system_of
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.uplink.config import ExportConfig
 from ltm_ros.fuel_map.export import export_site
@@ -67,7 +68,7 @@ class RegionExports:
         return FuelSource(aggregator.site, aggregator.labels, geometry, evidence.prior, layers, self._empty)
 
     def _write(self, source: FuelSource) -> None:
-        export_site(source, self._config.folder, None, "layers", source.provenance().system.value, None, None)
+        export_site(source, self._config.folder, None, "layers", system_of(source.prior).value, None, None)
         if self._config.copy_to:
             _copy(self._config.folder, self._config.copy_to)
         self._health.note("exported")

@@ -17,6 +17,7 @@ from ltm_ros.health.web_server import Answer, WebServer
 from ltm_ros.launching.runner import print_line
 from ltm_ros.region.service import RegionService
 from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.kernel_clock import kernel_clock
 
 SAID_EVERY_S: Final = 60.0
 
@@ -72,7 +73,7 @@ class RegionWatch:
                 now_s,
                 time.time(),
                 versions=machine.versions(),
-                clock=machine.clock(),
+                clock=kernel_clock(),
                 disks=machine.disks([str(self._config.folder)]),
                 memory=machine.memory(),
                 process_memory={},

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from ltm_ros.health.machine import Clock, Disk
+from ltm_ros.health.machine import Disk
 from ltm_ros.health.tower_status import TowerStatus, TowerWatch
 from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.kernel_clock import KernelClock
 
 NOW_S = 1_750_000_000.0
 NODES = (
@@ -56,7 +57,7 @@ def status_of(watch: TowerWatch, now_s: float = 51.0) -> TowerStatus:
         now_s,
         NOW_S,
         versions={"ltm": "0.1.0", "ros-rclpy": "7.1.6"},
-        clock=Clock(False, None),
+        clock=KernelClock(False, None),
         disks=[Disk("/state", 100_000_000_000, 2_000_000_000), Disk("/gone", -1, -1)],
         memory=(8_000_000_000, 3_000_000_000),
         process_memory={"cameras": 400_000_000},

@@ -24,6 +24,7 @@ from ltm_ros.cli.eval.relative_depth import relative_depth
 from ltm_ros.cli.eval.segmentation import segmentation
 from ltm_ros.cli.eval.sim2real import sim2real
 from ltm_ros.cli.eval.terrain import terrain
+from ltm_ros.cli.eval.update import update
 from ltm_ros.cli.eval.usable import usable
 
 WHOLE = "bag"
@@ -55,4 +56,5 @@ evaluate.command()(relative_depth)
 evaluate.command()(segmentation)
 evaluate.command()(sim2real)
 evaluate.command()(terrain)
+evaluate.command()(update)
 evaluate.command()(usable)

@@ -25,6 +25,7 @@ from ltm_core.visibility.line_of_sight import pixel_rays
 from ltm_core.vision.labels import Label
 from ltm_core.zoom_lens import LensConfig
 from ltm_ros.cli.main import cli
+from ltm_ros.cli.pose_mount import head_of
 
 ORIGIN = (380_000.0, 3_800_000.0)
 TABLE = [{"zoom": 1.0, "hfov_deg": 52.0}, {"zoom": 400.0, "hfov_deg": 26.0}]
@@ -132,6 +133,18 @@ def test_an_axis_that_runs_the_other_way_is_told_and_written(tmp_path: Path) -> 
     assert max(errors_deg(load_site(path))) < 0.02
 
 
+MAST = slice(60, 330)
+
+
+def with_mast(path: Path, model: Path) -> Path:
+    """The site with a network of its own, and a camera that looks past a wide mast."""
+    content = yaml.safe_load(path.read_text())
+    corners = [[59.5, -1], [329.5, -1], [329.5, 301], [59.5, 301]]
+    content["cameras"]["north"]["mask"] = [{"class": "mast", "polygon": corners}]
+    path.write_text(yaml.safe_dump(content | {"model": str(model)}))
+    return path
+
+
 def painted(pose: Pose) -> UInt8Array:
     """Sky and ground in the colours that the test's network knows."""
     photo, labels = view(pose, LENS.camera(1.0))
@@ -140,17 +153,33 @@ def painted(pose: Pose) -> UInt8Array:
     return np.where((labels == Label.SKY)[..., None], np.array(PAINT[SKY], np.uint8), ground)
 
 
+def test_a_lens_that_does_not_zoom_keeps_its_pixels_shape(tmp_path: Path) -> None:
+    path = write_site(tmp_path)
+    content = yaml.safe_load(path.read_text())
+    del content["cameras"]["north"]["mount"]["lens"]
+    stated = {"width": 480, "height": 300, "fx": 500.0, "fy": 470.0, "cx": 236.0, "cy": 151.5, "k1": -0.08}
+    content["cameras"]["north"]["calibration"] = stated
+    path.write_text(yaml.safe_dump(content))
+    calibration = load_site(path).camera("north").calibration
+    assert calibration is not None
+    lens, given = head_of(path, "north").lens.camera(0.0), calibration.camera()
+    assert (lens.width, lens.height, lens.cx, lens.cy) == (480, 300, 236.0, 151.5)
+    assert (lens.fx, lens.fy) == pytest.approx((500.0, 470.0))
+    assert lens.distortion == given.distortion
+
+
 @pytest.mark.slow
 def test_pictures_of_several_presets_calibrate_the_head(tmp_path: Path) -> None:
     path = write_site(tmp_path)
-    model = write_classifier(tmp_path)
+    path = with_mast(path, write_classifier(tmp_path))
     lines = ["name,pan_deg,tilt_deg,zoom"]
     for k, pan in enumerate((0.0, 85.0, 175.0, 270.0)):
         photo = painted(Pose(TRUE.base.position, TRUE.rotation(pan, 2.0)))
+        photo[:, MAST] = (0, 140, 0)
         Image.fromarray(photo).save(tmp_path / f"preset{k}.png")
         lines.append(f"preset{k}.png,{pan},2.0,1")
     (tmp_path / "readings.csv").write_text("\n".join(lines))
-    files = ("--photo", tmp_path, "--readings", tmp_path / "readings.csv", "--model", model)
+    files = ("--photo", tmp_path, "--readings", tmp_path / "readings.csv")
     said = run("--site", path, "--camera", "north", *files)
     assert "4 pictures agree" in said
     assert max(errors_deg(load_site(path), tilt=2.0)) < 0.15
@@ -162,6 +191,14 @@ def test_pictures_of_several_presets_calibrate_the_head(tmp_path: Path) -> None:
         (["--site", "{site}", "--gcps", "{points}"], "--site and --camera together"),
         (["--site", "{site}", "--camera", "south", "--gcps", "{points}"], "no camera 'south'; it has north"),
         (["--site", "{site}", "--camera", "north", "--photo", "{folder}"], "needs --readings"),
+        (
+            ["--site", "{site}", "--camera", "north", "--photo", "{folder}", "--canopy", "--free", "position"],
+            r"--site with --photo does not look at --canopy, --free.*those of the site file",
+        ),
+        (
+            ["--site", "{site}", "--camera", "north", "--gcps", "{points}", "--mask", "{folder}/mask.png"],
+            "--site with --gcps does not look at --mask",
+        ),
         (
             ["--site", "{site}", "--camera", "north", "--gcps", "{points}", "--free", "k1"],
             r"of a head, focal .* and position",

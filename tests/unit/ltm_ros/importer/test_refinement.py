@@ -21,6 +21,7 @@ from ltm_core.site import Site
 from ltm_core.site_io import load_site
 from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import Label
+from ltm_core.vision.segmenter import Segmentation, Segmenter
 from ltm_ros.cli.main import cli
 from ltm_ros.importer.assumptions import Assumptions
 from ltm_ros.importer.build import import_photos
@@ -52,7 +53,7 @@ def site(tmp_path: Path) -> Site:
 
 
 def imported_photo(
-    site: Site, folder: Path, photo: UInt8Array, segment: Callable[[UInt8Array], UInt8Array], **stated: float
+    site: Site, folder: Path, photo: UInt8Array, segment: Callable[[UInt8Array], UInt8Array] | None, **stated: float
 ) -> tuple[Pose, np.ndarray | None, str]:
     """Pose and covariance in the bag of one photo, of which `stated` is told; and the verdict."""
     Image.fromarray(photo).save(folder / "a.png")
@@ -104,6 +105,62 @@ def test_what_shows_no_pose_stays_as_given(
     np.testing.assert_allclose(pose.angles_deg, (66.0, 1.9, 0.4), atol=1e-6)
     assert covariance is not None
     assert np.degrees(np.sqrt(covariance[5, 5])) == pytest.approx(3.0, rel=0.01)
+
+
+def test_a_photo_that_others_cannot_help_is_labelled_once(
+    site: Site, tmp_path: Path, photo_and_labels: tuple[UInt8Array, UInt8Array]
+) -> None:
+    """Whether its pose was rejected, or found without a heading: a search from the same prior tells nothing new."""
+    photo, labels = photo_and_labels
+    fog = np.full_like(labels, np.uint8(Label.BARE))
+    tilt = {"pitch_deg": 1.9, "roll_deg": 0.4}
+    for shown, stated, expected in ((fog, {"azimuth_deg": 66.0} | tilt, None), (labels, tilt, "accepted")):
+        asked: list[int] = []
+        folder = tmp_path / str(expected)
+        folder.mkdir()
+
+        def segment(seen: UInt8Array, shown: UInt8Array = shown, asked: list[int] = asked) -> UInt8Array:
+            asked.append(len(seen))
+            return shown
+
+        _, _, verdict = imported_photo(site, folder, photo, segment, **stated)
+        assert (verdict == "accepted") == (expected == "accepted")
+        assert asked == [CAMERA.height]
+
+
+def test_network_and_mask_are_the_camera_s_own(
+    site: Site, tmp_path: Path, photo_and_labels: tuple[UInt8Array, UInt8Array], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    photo, labels = photo_and_labels
+    roof = slice(CAMERA.height // 8, CAMERA.height * 3 // 4), slice(CAMERA.width // 8, CAMERA.width * 7 // 10)
+    photo, labels = photo.copy(), labels.copy()
+    photo[roof], labels[roof] = (0, 140, 0), np.uint8(Label.BUILT)
+    asked: list[tuple[str, str]] = []
+
+    class Network:
+        def segment(self, photo: UInt8Array) -> Segmentation:
+            return Segmentation(labels, np.full_like(labels, 255))
+
+    def of(site: Site, camera: str) -> Network:
+        asked.append((site.name, camera))
+        return Network()
+
+    monkeypatch.setattr(Segmenter, "of", of)
+    rows, columns = ((part.start - 0.5, part.stop - 0.5) for part in roof)
+    corners = [[columns[0], rows[0]], [columns[1], rows[0]], [columns[1], rows[1]], [columns[0], rows[1]]]
+    content = yaml.safe_load((tmp_path / "site.yaml").read_text())
+    stated = {"azimuth_deg": 66.0, "pitch_deg": 1.9, "roll_deg": 0.4, "azimuth_sigma_deg": 3.0}
+    verdicts = []
+    for name, mask in (("bare", None), ("masked", [{"class": "roof", "polygon": corners}])):
+        content["cameras"] = {"phone": {"mask": mask}}
+        (tmp_path / "site.yaml").write_text(yaml.safe_dump(content))
+        (tmp_path / name).mkdir()
+        pose, _, verdict = imported_photo(load_site(tmp_path / "site.yaml"), tmp_path / name, photo, None, **stated)
+        verdicts.append(verdict)
+    assert verdicts[0] != "accepted"
+    assert verdicts[1] == "accepted"
+    assert np.degrees(np.abs(angles_between(TRUE, pose))).max() < 0.2
+    assert set(asked) == {("walk", "phone")}
 
 
 def test_it_needs_a_site(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from scenes.small_site import write_small_site
 
-from ltm_core.site_check import Finding, Verdict
+from ltm_core.finding import Finding, Verdict
 from ltm_ros.launching import site_check
 from ltm_ros.launching.site_check import MACHINE, NotReadyError, Wanted, examine, examined_apart, exit_status
 from ltm_ros.replay import run as replay_run

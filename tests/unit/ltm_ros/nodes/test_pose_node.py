@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +30,9 @@ from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_msgs_py.pose_correction import correction_to_msg, msg_to_correction
 from ltm_ros.launching.graph import describe
 from ltm_ros.nodes.capture import Capture, CaptureConfig
-from ltm_ros.nodes.pose import PoseKeeping
+from ltm_ros.nodes.pose import PoseKeeping, PoseKeepingConfig
 from ltm_ros.replay.offline import OfflineGraph
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.stamp_join import JoinConfig
 from ltm_ros.runtime.topics import (
     CAMERA_INFO,
     IMAGE_RAW,
@@ -86,7 +86,7 @@ def show(node: PoseKeeping, stamp: int) -> None:
 
 def test_what_is_found_reaches_the_frames(tmp_path: Path) -> None:
     site, kept, health = write_site(tmp_path, every=10.0, gather=2), Kept(), Health()
-    node = PoseKeeping(JoinConfig(site=site, camera="mast"), kept, health)
+    node = PoseKeeping(PoseKeepingConfig(site=site, camera="mast"), kept, health)
     show(node, STAMP)
     show(node, STAMP + 3 * SECOND)  # too soon to be looked at
     assert not kept.on(POSE_CORRECTION)
@@ -119,6 +119,54 @@ def test_what_is_found_reaches_the_frames(tmp_path: Path) -> None:
         np.testing.assert_allclose(msg_to_covariance(stated), COVARIANCE)
 
 
+def test_what_is_found_is_kept_over_a_restart(tmp_path: Path) -> None:
+    """And told before the first picture where the site states the calibration; under other terms it is not used."""
+    site = Path(write_site(tmp_path, every=10.0, gather=2))
+    folder = tmp_path / "state"
+    calibration = {"width": CAMERA.width, "height": CAMERA.height, "fx": CAMERA.fx}
+
+    def started(**camera: Any) -> tuple[PoseKeeping, Kept, Health]:
+        content = yaml.safe_load(site.read_text())
+        content["cameras"]["mast"] = {"image": "raw"} | camera
+        site.write_text(yaml.safe_dump(content))
+        kept, health = Kept(), Health()
+        node = PoseKeeping(PoseKeepingConfig(site=str(site), camera="mast", folder=str(folder)), kept, health)
+        node.start()
+        return node, kept, health
+
+    node, _, _ = started(calibration=calibration)
+    show(node, STAMP)
+    assert not folder.exists()
+    show(node, STAMP + 10 * SECOND)
+    assert [path.name for path in folder.iterdir()] == ["mount_mast.json"]
+
+    _, kept, health = started(calibration=calibration)
+    (correction,) = kept.on(POSE_CORRECTION)
+    pose, known = msg_to_correction(correction).applied(STATED, COVARIANCE)
+    assert np.degrees(np.abs(angles_between(pose, TRUE))).max() < 0.12
+    assert known[5, 5] < COVARIANCE[5, 5]
+    assert health.summary()["mount"].startswith("held")
+
+    for other in ({"calibration": calibration | {"fx": 1.01 * CAMERA.fx}}, {}):
+        _, kept, health = started(**other)
+        assert not kept.on(POSE_CORRECTION)
+        assert "mount" not in health.summary()
+
+    node, kept, _ = started()  # its calibration comes with the pictures, and is another's than the file's
+    show(node, STAMP + 20 * SECOND)
+    assert not kept.on(POSE_CORRECTION)
+
+    dem = tmp_path / "dem.tif"
+    os.utime(dem, ns=(1, 1))
+    _, kept, _ = started(calibration=calibration)
+    assert not kept.on(POSE_CORRECTION)
+
+    (folder / "mount_mast.json").write_text('{"layout": 1, "rotation": [0.1]}')
+    _, kept, health = started(calibration=calibration)
+    assert not kept.on(POSE_CORRECTION)
+    assert "does not hold what is known of a mount" in health.summary()["last_error"]
+
+
 def test_what_the_mask_hides_is_no_part_of_the_skyline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A tower's roof that stands into the sky, as the labels have it land: with the mask the search never sees it."""
     hidden = np.zeros((CAMERA.height, CAMERA.width), np.bool_)
@@ -138,7 +186,7 @@ def test_what_the_mask_hides_is_no_part_of_the_skyline(tmp_path: Path, monkeypat
         content = yaml.safe_load(Path(write_site(tmp_path, every=10.0, gather=2)).read_text())
         content["cameras"]["mast"]["mask"] = mask
         (tmp_path / "site.yaml").write_text(yaml.safe_dump(content))
-        node = PoseKeeping(JoinConfig(site=str(tmp_path / "site.yaml"), camera="mast"), Kept(), Health())
+        node = PoseKeeping(PoseKeepingConfig(site=str(tmp_path / "site.yaml"), camera="mast"), Kept(), Health())
         node.subscriptions[STATED_POSE](pose_to_msg(STATED, STAMP, "map", COVARIANCE))
         node.subscriptions[POSED_CAMERA_INFO](camera_to_msg(CAMERA, STAMP, "mast_optical"))
         node.subscriptions[POSED_IMAGE](image_to_msg(photo, "rgb8", STAMP, "mast_optical"))
@@ -158,7 +206,9 @@ def test_what_the_mask_hides_is_no_part_of_the_skyline(tmp_path: Path, monkeypat
 
 def test_a_picture_by_night_is_not_looked_at_and_the_next_one_is(tmp_path: Path) -> None:
     health = Health()
-    node = PoseKeeping(JoinConfig(site=write_site(tmp_path, every=10.0, gather=2), camera="mast"), Kept(), health)
+    node = PoseKeeping(
+        PoseKeepingConfig(site=write_site(tmp_path, every=10.0, gather=2), camera="mast"), Kept(), health
+    )
     photo, labels = view(TRUE)
     for stamp, dark in ((STAMP, True), (STAMP + SECOND, False)):
         node.subscriptions[STATED_POSE](pose_to_msg(STATED, stamp, "map", COVARIANCE))
@@ -186,7 +236,7 @@ def test_a_correction_travels(angles: Any) -> None:
 def test_without_the_section_there_is_no_such_node_and_capture_says_nothing_more(tmp_path: Path) -> None:
     site = write_site(tmp_path)
     with pytest.raises(ConfigError, match="refine_poses"):
-        PoseKeeping(JoinConfig(site=site, camera="mast"), Kept(), Health())
+        PoseKeeping(PoseKeepingConfig(site=site, camera="mast"), Kept(), Health())
     sent = Kept()
     capture = Capture(CaptureConfig(site=site, camera="mast"), sent, Health())
     assert POSE_CORRECTION not in capture.subscriptions

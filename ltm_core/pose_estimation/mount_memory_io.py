@@ -1,0 +1,98 @@
+"""Keeps what a camera's pictures have told of its mount, in a file, over a restart.
+
+It holds for the place, mount and calibration that the site states, and for the DEM that the pictures were compared
+with: where any of these has changed since, it is not used, and the mount's error is found anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from ltm_core.camera import Camera
+from ltm_core.errors import StoreError
+from ltm_core.pose_estimation.mount_watch import MountState, MountWatch
+from ltm_core.pose_estimation.pose_correction import PoseCorrection
+from ltm_core.site import Site
+from ltm_core.strict_model import StrictModel
+from ltm_core.text_io import read_text
+
+_LAYOUT = 1
+_LARGEST = 64 << 10
+_Three = tuple[float, float, float]
+
+
+class _Memory(StrictModel):
+    layout: int
+    terms: str
+    """What it holds for (`mount_terms`)."""
+    state: MountState
+    reason: str = Field(max_length=2000)
+    rotation: _Three
+    angles: tuple[_Three, _Three, _Three] | None
+
+
+def memory_file(folder: Path, camera: str) -> Path:
+    return folder / f"mount_{camera}.json"
+
+
+def mount_terms(site: Site, camera: str, seen: Camera | None) -> str:
+    """Hexadecimal SHA-256 of all that a correction of a camera's poses hangs on. `seen`: the calibration of its
+    pictures; None where the site states it. Raises StoreError for a raster that is not there."""
+    stated = site.camera(camera).model_dump(mode="json", include={"pose", "mount", "sensors", "calibration"})
+    rasters = [site.dem, *site.coarser, *([] if site.surface is None else [site.surface])]
+    try:
+        files = [(raster.path.name, (at := raster.path.stat()).st_size, at.st_mtime_ns) for raster in rasters]
+    except OSError as error:
+        raise StoreError(f"{error.filename}: {error.strerror}; mend `dem` in the site file") from error
+    ground = [files, site.crs, site.origin, site.bend, site.possible_ground.model_dump(mode="json")]
+    lens = None if seen is None else [seen.width, seen.height, seen.fx, seen.fy, seen.cx, seen.cy, *seen.distortion]
+    return hashlib.sha256(json.dumps([stated, ground, lens], sort_keys=True).encode()).hexdigest()
+
+
+def write_memory(path: Path, watch: MountWatch, terms: str) -> None:
+    """In place of the former file, at once and whole. Raises StoreError."""
+    angles = watch.correction.angles
+    memory = _Memory(
+        layout=_LAYOUT,
+        terms=terms,
+        state=watch.state,
+        reason=watch.reason[:2000],
+        rotation=watch.correction.rotation.tolist(),
+        angles=None if angles is None else angles.tolist(),
+    )
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        path.parent.mkdir(exist_ok=True)
+        with partial.open("w", encoding="utf-8") as file:
+            file.write(memory.model_dump_json(indent=1))
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except OSError as error:
+        raise StoreError(f"{path}: what is known of the mount cannot be kept ({error.strerror})") from error
+
+
+def recall_memory(path: Path, watch: MountWatch, terms: str) -> bool:
+    """Give a watch what is kept of its mount; False where nothing is, or where it was learnt under other terms.
+
+    Raises StoreError for a file that cannot be read, or that is none of these.
+    """
+    if not path.exists():
+        return False
+    try:
+        memory = _Memory.model_validate_json(read_text(path, _LARGEST, StoreError))
+    except ValidationError as error:
+        raise StoreError(
+            f"{path}: does not hold what is known of a mount ({error.error_count()} errors); remove it"
+        ) from error
+    if memory.layout != _LAYOUT or memory.terms != terms:
+        return False
+    angles = None if memory.angles is None else np.array(memory.angles)
+    watch.recall(memory.state, PoseCorrection(np.array(memory.rotation), angles), memory.reason)
+    return True

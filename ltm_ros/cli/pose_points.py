@@ -1,0 +1,151 @@
+"""`ltm pose --gcps`: fits a camera's pose and calibration to ground control points, and shows how well they fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from ltm_core.camera import Camera
+    from ltm_core.pose_estimation.resection import Resection
+    from ltm_core.pose_estimation.resection_check import TracedErrors
+    from ltm_core.pose_estimation.resection_io import ResectionSetup
+
+
+def fit_to_points(
+    gcps: Path,
+    pose_guess: Path,
+    out: Path,
+    dem: list[Path] | None,
+    free: list[str],
+    force: list[str],
+    first_pixel: float,
+    position_sigma: float | None,
+    sigma_px: float,
+    report: Path | None,
+    crs: str | None,
+) -> Path:
+    """Fit to control points; returns the pose file that was written."""
+    from typing import cast
+
+    from rich.console import Console
+
+    from ltm_core.config_io import load_yaml
+    from ltm_core.geodesy import ray_bend
+    from ltm_core.pose_estimation.pose_file_io import GuessConfig
+    from ltm_core.pose_estimation.resection import resect
+    from ltm_core.pose_estimation.resection_adjustment import Parameter
+    from ltm_core.pose_estimation.resection_io import (
+        held_notes,
+        read_control_points,
+        set_up_resection,
+        write_pose,
+        write_report,
+    )
+    from ltm_core.raster.dem_stack import open_terrain
+
+    guess = load_yaml(pose_guess, GuessConfig)
+    terrain = open_terrain([(dem[0], crs), *((path, None) for path in dem[1:])]) if dem else None
+    setup = set_up_resection(guess, terrain, crs)
+    result = resect(
+        read_control_points(gcps, setup.frame, first_pixel),
+        setup.camera,
+        setup.position,
+        setup.angles_deg,
+        cast("list[Parameter]", free),
+        ray_bend(guess.curvature, guess.refraction),
+        position_sigma,
+        sigma_px,
+        cast("list[Parameter]", force),
+    )
+    for place in (out, report):
+        if place is not None:
+            place.parent.mkdir(parents=True, exist_ok=True)
+    write_pose(out, result, guess, setup.frame)
+    if report is not None:
+        write_report(report, result, setup.frame)
+    console = Console()
+    for note in held_notes(result, setup.position, setup.frame):
+        console.print(f"[yellow]{note}", highlight=False)
+    if result.outliers:
+        console.print(f"[yellow]left out as outliers: {', '.join(result.outliers)}", highlight=False)
+    console.print(_parameters(result, setup.camera, setup))
+    console.print(_points(result, setup, guess.curvature, guess.refraction))
+    console.print(f"  {out}", highlight=False)
+    return out
+
+
+def _parameters(result: Resection, start: Camera, setup: ResectionSetup) -> Table:
+    from rich.table import Table
+
+    azimuth, pitch, roll = result.pose.angles_deg
+    x, y, z = (float(v) for v in result.pose.position)
+    values = {
+        "azimuth_deg": f"{azimuth:.4f}",
+        "pitch_deg": f"{pitch:.4f}",
+        "roll_deg": f"{roll:.4f}",
+        "fx": f"{result.camera.fx:.2f}",
+        "k1": f"{result.camera.distortion[0]:.5f}",
+        "x": f"{x + setup.frame.x_origin:.2f}",
+        "y": f"{y + setup.frame.y_origin:.2f}",
+        "z": f"{z:.2f}",
+    }
+    started = {"fx": f"{start.fx:.2f}", "k1": f"{start.distortion[0]:.5f}"}
+    started |= {
+        "x": f"{setup.position[0] + setup.frame.x_origin:.2f}",
+        "y": f"{setup.position[1] + setup.frame.y_origin:.2f}",
+        "z": f"{setup.position[2]:.2f}",
+    }
+    table = Table("parameter", "fitted", "sigma", "given", title="camera")
+    for name, value in values.items():
+        sigma = result.sigmas.get(name)
+        table.add_row(name, value, "held" if sigma is None else f"{sigma:.3g}", started.get(name, ""))
+    return table
+
+
+def _points(result: Resection, setup: ResectionSetup, curvature: bool, refraction: float) -> Table:
+    import numpy as np
+    from rich.table import Table
+
+    median = float(np.median(result.residual_px))
+    title = f"{len(result.used)} points: median residual {median:.2f} px"
+    table = Table("point", "u", "v", "du px", "dv px", "residual px")
+    traced = None
+    if setup.dem is not None:
+        from ltm_core.pose_estimation.resection_check import traced_errors
+        from ltm_core.tracing import TerrainTracer
+
+        tracer = TerrainTracer(setup.dem, curvature, refraction)
+        traced = traced_errors(result, tracer)
+        table.add_column("traced off by", justify="right")
+        table.add_column("over the DEM", justify="right")
+        table.add_column("the DEM says")
+        title += f"\n{_summary(traced)}"
+    for k, name in enumerate(result.points.names):
+        u, v = result.points.pixels[k]
+        du, dv = result.residuals[k]
+        cells = [name, f"{u:.1f}", f"{v:.1f}", f"{du:.2f}", f"{dv:.2f}", f"{result.residual_px[k]:.2f}"]
+        if traced is not None:
+            off, above = float(traced.errors[k]), float(traced.above_ground[k])
+            cells += [f"{off:.2f} m" if traced.met[k] else "no terrain", "" if np.isnan(above) else f"{above:+.1f} m"]
+            cells.append(str(traced.states[k]))
+        table.add_row(*cells, style=None if result.used[k] else "red")
+    table.title = title
+    return table
+
+
+def _summary(traced: TracedErrors) -> str:
+    """How far traced places lie from surveyed ones, of the points that it can be said of."""
+    import numpy as np
+
+    met, seen = traced.met, traced.met & traced.visible
+    if not met.any():
+        return "no marked pixel meets known terrain: check the DEM and the camera's position"
+    said = f"traced against surveyed: median {np.median(traced.errors[met]):.2f} m"
+    if not met.all():
+        said += f" of {met.sum()} points ({(~met).sum()} meet no known terrain)"
+    if seen.any():
+        said += f", {np.median(traced.errors[seen]):.2f} m on the {seen.sum()} that the camera sees on the DEM"
+    return said
