@@ -85,7 +85,7 @@ def _told(camera: Camera, repeats: int, config: TerrainConfig) -> Cost:
             sigma=np.float32(0.15) * depth,
             measured=np.isfinite(depth),
             camera=small,
-            told=LabelImage(labels, camera),
+            full_labels=LabelImage(labels, camera),
         )
 
     surface.add(frame(0))

@@ -121,7 +121,7 @@ def merge(cells: TileCells, sums: FrameSums, slots: Int32Array, seconds: int, bi
             relative_variance = (
                 min(one.relative_variance / n + pose, variance) if one.off_count <= one.number else variance
             )
-            if one.heard > 0 and one.off_count <= one.number:
+            if one.labelled > 0 and one.off_count <= one.number:
                 # Depth and label of the same pixels: two words on one height.
                 by_label, doubt, shared = _told(cells, slot, k, one, seconds, bit, rules)
                 if doubt < variance:
@@ -132,7 +132,7 @@ def merge(cells: TileCells, sums: FrameSums, slots: Int32Array, seconds: int, bi
                     max(_both(variance, doubt), pose),
                     max(_both(relative_variance, doubt), pose),
                 )
-        elif one.heard > 0:
+        elif one.labelled > 0:
             dz, variance, pose = _told(cells, slot, k, one, seconds, bit, rules)
             relative_variance, wait = variance, max(wait, TOLD_AFTER)
         else:
@@ -166,7 +166,7 @@ def _told(
     """
     e, c = cells.estimate[slot, k], cells.candidate[slot, k]
     share = one.gone / (one.gone + one.stays)
-    odds, pose = (one.gone + one.stays) / one.heard, one.heard_pose / one.heard
+    odds, pose = (one.gone + one.stays) / one.labelled, one.labelled_pose / one.labelled
     if c.watched & bit:
         odds = max(odds, np.float32(WATCHED))
     elif (

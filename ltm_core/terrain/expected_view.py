@@ -76,13 +76,13 @@ class ExpectedViews:
 
     def put(self, key: Hashable, shape: tuple[int, ...]) -> RecordArray:
         """The array of a new view, of arbitrary content: to be filled."""
-        sights, size = None, math.prod(shape) * EXPECTED_PIXEL.itemsize
+        pixels, size = None, math.prod(shape) * EXPECTED_PIXEL.itemsize
         while self._kept and size + sum(one.nbytes for one in self._kept.values()) > self._most:
-            sights = self._kept.popitem(last=False)[1]
-        if sights is None or sights.shape != shape:
-            sights = np.frombuffer(mmap.mmap(-1, size), EXPECTED_PIXEL).reshape(shape)
-        self._kept[key] = sights
-        return sights
+            pixels = self._kept.popitem(last=False)[1]
+        if pixels is None or pixels.shape != shape:
+            pixels = np.frombuffer(mmap.mmap(-1, size), EXPECTED_PIXEL).reshape(shape)
+        self._kept[key] = pixels
+        return pixels
 
 
 @njit(cache=True, error_model="numpy", inline="always")  # type: ignore[untyped-decorator]
@@ -99,14 +99,14 @@ def direction(view: CameraView, v: int, u: int) -> tuple[float, float, float]:
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def predict_view(
-    ground: ReferenceGrid, view: CameraView, expected: Float32Array, extremes: Extremes, sights: RecordArray
+    ground: ReferenceGrid, view: CameraView, expected: Float32Array, extremes: Extremes, pixels: RecordArray
 ) -> None:
-    """Fill `sights` (H, W) of EXPECTED_PIXEL: what each pixel sees of the reference."""
+    """Fill `pixels` (H, W) of EXPECTED_PIXEL: what each pixel sees of the reference."""
     rows, cols = expected.shape
     x0, y0 = view.position[0], view.position[1]
     for v in range(rows):
         for u in range(cols):
-            one = sights[v, u]
+            one = pixels[v, u]
             e = float(expected[v, u])
             one.expected = e
             one.nearest, one.farthest = extremes.nearest[v, u], extremes.farthest[v, u]

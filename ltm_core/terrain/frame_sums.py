@@ -14,13 +14,13 @@ from ltm_core.types import Int32Array, Int64Array, RecordArray
 SUM = np.dtype(
     [("place", "i4"), ("number", "f4"), ("weight", "f4"), ("moment", "f4"), ("relative_variance", "f4"), ("pose", "f4"),
      ("off_count", "f4"), ("off_weight", "f4"), ("off_moment", "f4"), ("off_pose", "f4"), ("lowest", "f4"),
-     ("passed", "f4"), ("stood", "f4"), ("heard", "f4"), ("gone", "f4"), ("stays", "f4"), ("heard_pose", "f4"),
+     ("passed", "f4"), ("stood", "f4"), ("labelled", "f4"), ("gone", "f4"), ("stays", "f4"), ("labelled_pose", "f4"),
      ("label", "u1"), ("_", "u1", 3)]
 )  # fmt: skip
 """Of one cell: sums over pixels that agree with the reference, over those that do not (off_), and the least height
 above the reference at which a ray passed it (infinite: none did), and by how many sigmas of range it did; and of the
-pixels that speak by their labels, how many were heard, how high it is that stood there, and the sums of the log odds of
-those that say it is gone and of those that say it stays.
+pixels that speak by their labels, how many count (`labelled`), how high it is that stood there, and the sums of the
+log odds of those that say it is gone and of those that say it stays.
 """
 
 
@@ -86,6 +86,6 @@ def sum_of(sums: FrameSums, place: int) -> int:
         one.number = one.weight = one.moment = one.relative_variance = one.pose = 0.0
         one.off_count = one.off_weight = one.off_moment = one.off_pose = 0.0
         one.lowest = math.inf
-        one.stood = one.heard = one.gone = one.stays = one.heard_pose = 0.0
+        one.stood = one.labelled = one.gone = one.stays = one.labelled_pose = 0.0
         one.label = NO_LABEL
     return int(found) - 1

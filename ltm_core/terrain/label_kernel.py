@@ -20,9 +20,9 @@ _EDGE = 0.5
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def hear(
+def add_labels(
     ground: ReferenceGrid,
-    sights: RecordArray,
+    expected_pixels: RecordArray,
     ids: UInt8Array,
     cosines: Float32Array,
     gone: Float32Array,
@@ -33,37 +33,37 @@ def hear(
     """Add up what labels (H, W) say, by cell. What finds no room in `sums` is left out.
 
     Args:
-        sights: what the reference has for these pixels (H, W); `cosines`: their depth / slant range.
+        expected_pixels: what the reference has for these pixels (H, W); `cosines`: their depth / slant range.
         gone: (256,) log odds by label that what stood is gone.
         depth: what the same photo measures, edge to edge over it, at its own size.
 
     At an edge, where ranges within a pixel differ by about as much as the height of what stood, the label may be that
-    of what is beside it: it is not heard.
+    of what is beside it: it does not count.
     """
     rows, cols = ids.shape
     height, width = depth.depth.shape
     for v in range(rows):
         below = v * height // rows
         for u in range(cols):
-            odds, sight = gone[ids[v, u]], sights[v, u]
-            if odds == 0.0 or sight.place < 0 or not limits.min_range < sight.expected < limits.max_range:
+            odds, pixel = gone[ids[v, u]], expected_pixels[v, u]
+            if odds == 0.0 or pixel.place < 0 or not limits.min_range < pixel.expected < limits.max_range:
                 continue
-            stood = stood_at(ground, sight.place)
-            if not stood >= limits.stands or sight.spread * sight.incidence > _EDGE * stood:
+            stood = stood_at(ground, pixel.place)
+            if not stood >= limits.stands or pixel.spread * pixel.incidence > _EDGE * stood:
                 continue
             across = u * width // cols
             if depth.informs[below, across]:
                 farthest = depth.depth[below, across] + limits.gate * depth.sigma[below, across]
-                if farthest < sight.nearest * cosines[v, u]:
+                if farthest < pixel.nearest * cosines[v, u]:
                     continue
-            number = sum_of(sums, sight.place)
+            number = sum_of(sums, pixel.place)
             if number < 0:
                 continue
             one = sums.cells[number]
             one.stood = stood
-            one.heard += 1.0
+            one.labelled += 1.0
             one.gone += max(odds, np.float32(0.0))
             one.stays += max(-odds, np.float32(0.0))
-            one.heard_pose += sight.pose_variance
+            one.labelled_pose += pixel.pose_variance
             if one.label == NO_LABEL:
                 one.label = ids[v, u]

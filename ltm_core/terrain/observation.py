@@ -14,7 +14,7 @@ from ltm_core.pose import Pose
 from ltm_core.terrain.cell_layout import TILE
 from ltm_core.terrain.expected_view import CameraView, ExpectedViews, Extremes, predict_view
 from ltm_core.terrain.frame_sums import FrameSums, clear
-from ltm_core.terrain.label_kernel import hear
+from ltm_core.terrain.label_kernel import add_labels
 from ltm_core.terrain.observation_kernel import Limits, Pixels, observe
 from ltm_core.terrain.reference_kernels import ReferenceGrid
 from ltm_core.terrain.reference_surface import BLOCK, Reference
@@ -46,7 +46,7 @@ class DepthFrame:
     bool, where depth is a measurement; False where it was copied from the terrain, which then says nothing of it.
     `labels`: (H, W) uint8 class ids or None. `covariance`: (6, 6) of the pose over x, y, z (m) and rotations about the
     map's axes (rad); None: not known. `stable`: (H, W) bool, open ground that does not grow, where the frame itself
-    tells it, or None. `told`: labels at their own size, of which the map asks what still stands, or None. Raises
+    tells it, or None. `full_labels`: labels at their own size, of which the map asks what still stands, or None. Raises
     ImageError where shapes differ, PoseError for a covariance that is none.
     """
 
@@ -60,7 +60,7 @@ class DepthFrame:
     covariance: Float64Array | None = None
     labels: UInt8Array | None = None
     stable: BoolArray | None = None
-    told: LabelImage | None = None
+    full_labels: LabelImage | None = None
 
     @classmethod
     def of_photo(
@@ -79,13 +79,13 @@ class DepthFrame:
         """
         height, width = depth.shape
         measured = ~np.isnan(depth)
-        small = told = None
+        small = full_labels = None
         if labels is not None:
             small = np.asarray(cv2.resize(labels, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
             if measured.any():
-                told = LabelImage(labels, camera.resized(labels.shape[1], labels.shape[0]))
+                full_labels = LabelImage(labels, camera.resized(labels.shape[1], labels.shape[0]))
         own = camera.resized(width, height)
-        return cls(depth, sigma, measured, own, pose, stamp_ns, source, covariance, small, None, told)
+        return cls(depth, sigma, measured, own, pose, stamp_ns, source, covariance, small, None, full_labels)
 
     def __post_init__(self) -> None:
         shape = (self.camera.height, self.camera.width)
@@ -141,21 +141,25 @@ class Observer:
 
     def observe(self, frame: DepthFrame, covariance: Float64Array) -> FrameSums:
         """What a frame says of each cell, valid until the next call. Raises PoseError as the tracer does."""
-        camera, told = self.sampled(frame), frame.told if self._gone.any() else None
+        camera, full_labels = self.sampled(frame), frame.full_labels if self._gone.any() else None
         view = self._view(camera, frame, covariance)
-        sights = self._sights(camera, frame, view)
-        step = -(-told.camera.width // self._columns) if told is not None else 1
-        ids = np.ascontiguousarray(told.ids[::step, ::step]) if told is not None else np.empty((0, 0), np.uint8)
-        if len(self._sums.cells) < 2 * sights.size + ids.size:
-            self._sums = FrameSums.empty(2 * sights.size + ids.size, self._tiles)
+        expected_pixels = self._expected_pixels(camera, frame, view)
+        step = -(-full_labels.camera.width // self._columns) if full_labels is not None else 1
+        ids = np.empty((0, 0), np.uint8)
+        if full_labels is not None:
+            ids = np.ascontiguousarray(full_labels.ids[::step, ::step])
+        if len(self._sums.cells) < 2 * expected_pixels.size + ids.size:
+            self._sums = FrameSums.empty(2 * expected_pixels.size + ids.size, self._tiles)
         clear(self._sums)
         pixels = self.pixels(frame)
         beside = _least_around(frame.depth[:: pixels.step, :: pixels.step])
-        observe(self._ground, view, sights, pixels, beside, self._limits, self._sums)
-        if told is not None:
-            camera = told.camera.scaled(step)
-            sights = self._sights(camera, frame, self._view(camera, frame, covariance))
-            hear(self._ground, sights, ids, camera.cosines(), self._gone, pixels, self._limits, self._sums)
+        observe(self._ground, view, expected_pixels, pixels, beside, self._limits, self._sums)
+        if full_labels is not None:
+            camera = full_labels.camera.scaled(step)
+            expected_pixels = self._expected_pixels(camera, frame, self._view(camera, frame, covariance))
+            add_labels(
+                self._ground, expected_pixels, ids, camera.cosines(), self._gone, pixels, self._limits, self._sums
+            )
         return self._sums
 
     def _view(self, camera: Camera, frame: DepthFrame, covariance: Float64Array) -> CameraView:
@@ -186,20 +190,20 @@ class Observer:
             self.sampled(frame).cosines(),
         )
 
-    def _sights(self, camera: Camera, frame: DepthFrame, view: CameraView) -> RecordArray:
+    def _expected_pixels(self, camera: Camera, frame: DepthFrame, view: CameraView) -> RecordArray:
         """What the reference has for the pixels in use (H, W), which it need not be asked twice."""
         key = (camera, view.rotation.tobytes(), view.position.tobytes(), view.covariance.tobytes())
-        sights = self._views.get(key)
-        if sights is None:
+        expected_pixels = self._views.get(key)
+        if expected_pixels is None:
             expected = self._tracer.trace(camera, frame.pose).range
             turn = math.sqrt(float(np.linalg.eigvalsh(view.covariance[3:, 3:])[-1]))
             window = min(1 + math.ceil(self._limits.gate * turn * camera.fx), _WIDEST_WINDOW)
             known = np.where(np.isnan(expected), np.float32(np.inf), expected)
             near, far = _extremes(known, 1)
             widest = (near, far) if window == 1 else _extremes(known, window)
-            sights = self._views.put(key, expected.shape)
-            predict_view(self._ground, view, expected, Extremes(*widest, near, far), sights)
-        return sights
+            expected_pixels = self._views.put(key, expected.shape)
+            predict_view(self._ground, view, expected, Extremes(*widest, near, far), expected_pixels)
+        return expected_pixels
 
 
 def block_maxima(surface: Float32Array) -> Float32Array:

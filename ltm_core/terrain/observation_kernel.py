@@ -191,7 +191,7 @@ def _cap(ground: ReferenceGrid, ray: Ray, t: float, below: float, passed: float,
 def observe(
     ground: ReferenceGrid,
     view: CameraView,
-    sights: RecordArray,
+    expected_pixels: RecordArray,
     pixels: Pixels,
     beside: Float32Array,
     limits: Limits,
@@ -203,7 +203,7 @@ def observe(
     Rows are taken from the bottom up: where a ray has carved, the one above it in its column passes higher, and goes on
     where that ended. So an image carves a cell a few times, and not once for each ray over it.
     """
-    rows, cols = sights.shape
+    rows, cols = expected_pixels.shape
     step = pixels.step
     labelled = pixels.labels.size > 0
     reached = np.zeros(cols, np.float64)
@@ -212,8 +212,8 @@ def observe(
     for v in range(rows - 1, -1, -1):
         for u in range(cols - 1, -1, -1):
             before, reached[u] = reached[u], 0.0
-            sight = sights[v, u]
-            expected = float(sight.expected)
+            pixel = expected_pixels[v, u]
+            expected = float(pixel.expected)
             # Nothing was measured, or no reference.
             if math.isnan(expected) or pixels.informs[v * step, u * step] == 0:
                 continue
@@ -224,7 +224,7 @@ def observe(
             sigma = float(pixels.sigma[v * step, u * step] / along)
             if not sigma > 0.0:
                 continue
-            nearest, farthest = float(sight.nearest), float(sight.farthest)
+            nearest, farthest = float(pixel.nearest), float(pixel.farthest)
             slack = limits.gate * sigma
             if math.isinf(r):
                 slack = 0.0
@@ -232,23 +232,23 @@ def observe(
                 continue
             label = pixels.labels[v * step, u * step] if labelled else NO_LABEL
             if not math.isinf(r) and nearest - slack <= r <= farthest + slack:
-                spread = float(sight.spread)
+                spread = float(pixel.spread)
                 # What only pixels beside it would see, a silhouette a little off its place, tells nothing.
-                if sight.place < 0 or not abs(r - expected) <= slack + min(spread, slack):
+                if pixel.place < 0 or not abs(r - expected) <= slack + min(spread, slack):
                     continue
-                number = sum_of(sums, sight.place)
+                number = sum_of(sums, pixel.place)
                 if number < 0:
                     continue
-                incidence = float(sight.incidence)
+                incidence = float(pixel.incidence)
                 aside = (spread * incidence) ** 2 + own
-                variance = (sigma * sight.steep) ** 2 + aside
-                w = 1.0 / (variance + sight.pose_variance)
+                variance = (sigma * pixel.steep) ** 2 + aside
+                w = 1.0 / (variance + pixel.pose_variance)
                 one = sums.cells[number]
                 one.number += 1.0
                 one.weight += w
                 one.moment += w * ((expected - r) * incidence)
                 one.relative_variance += (sigma * incidence) ** 2 + aside
-                one.pose += sight.pose_variance
+                one.pose += pixel.pose_variance
                 if one.label == NO_LABEL:
                     one.label = label
                 continue

@@ -54,9 +54,9 @@ def test_the_views_that_are_kept_are_bounded_and_the_oldest_goes() -> None:
     room.put("d", (6, 5))["place"] = ord("d")
     assert room.get("b") is None
     for key in "acd":
-        sights = room.get(key)
-        assert sights is not None
-        assert (sights["place"] == ord(key)).all()
+        pixels = room.get(key)
+        assert pixels is not None
+        assert (pixels["place"] == ord(key)).all()
     # One that alone is too large is kept by itself.
     assert room.put("large", (60, 50)).shape == (60, 50)
     assert room.get("large") is not None

@@ -48,8 +48,8 @@ def shown_cells(source: str) -> BoolArray:
 def labelled(source: str, hours: float, labels: UInt8Array, **changes: object) -> DepthFrame:
     """A frame in which nothing is measured but for what `changes` say."""
     nowhere = np.zeros(labels.shape, np.bool_)
-    told = LabelImage(labels, CAMERA)
-    return frame(STAND, source, hours, **{"measured": nowhere, "told": told} | changes)
+    full_labels = LabelImage(labels, CAMERA)
+    return frame(STAND, source, hours, **{"measured": nowhere, "full_labels": full_labels} | changes)
 
 
 def felled(source: str, hours: float, cells: BoolArray = PATCH) -> DepthFrame:
@@ -108,8 +108,8 @@ def test_a_standing_wood_stays_though_a_tenth_of_its_labels_are_wrong() -> None:
     for look in range(6):
         for camera in PLACES:
             seen = standing(camera, 2.0 * look, 0.1)
-            assert seen.told is not None
-            wrong += float((seen.told.ids[shown(camera)] == Label.GRASS).mean()) / 12
+            assert seen.full_labels is not None
+            wrong += float((seen.full_labels.ids[shown(camera)] == Label.GRASS).mean()) / 12
             surface.add(seen)
     assert wrong == pytest.approx(0.1, abs=0.03)
     assert len(surface.decide().rows) == 0
