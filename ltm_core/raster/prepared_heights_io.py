@@ -11,6 +11,7 @@ state, or was written by another version, counts as absent.
 from __future__ import annotations
 
 import contextlib
+import glob
 import json
 import os
 from collections.abc import Callable
@@ -67,6 +68,9 @@ def write_heights(raster: Path | str, source: Any, read: Callable[[Float32Array]
     header, path = _header(source), heights_path(raster)
     if header is None or free_bytes(path) < 4 * cells + SPARE_BYTES:
         return None
+    for left in path.parent.glob(f".{glob.escape(path.name)}.*"):  # by a process that was killed
+        if not Path("/proc", left.suffix[1:]).exists():
+            left.unlink(missing_ok=True)
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with partial.open("x+b") as file:

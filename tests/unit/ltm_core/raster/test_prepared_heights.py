@@ -107,6 +107,14 @@ def test_any_other_state_of_the_raster_has_none(raster: Path, what: str, monkeyp
     np.testing.assert_array_equal(Dem.open(raster).elevation, expected.elevation)
 
 
+def test_what_a_killed_process_has_left_is_removed(raster: Path) -> None:
+    left, of_another = (raster.with_name(f".dem.tif.ltm-heights.{pid}") for pid in (2**22 + 1, os.getppid()))
+    for path in (left, of_another):
+        path.write_bytes(b"cut short")
+    prepare_heights(raster)
+    assert (left.exists(), of_another.exists()) == (False, True)
+
+
 def test_heights_in_other_files_than_the_rasters_own_are_not_prepared(raster: Path) -> None:
     """A VRT stays as it is while the raster that it names changes."""
     source = f'<SourceFilename relativeToVRT="1">{raster.name}</SourceFilename><SourceBand>1</SourceBand>'
