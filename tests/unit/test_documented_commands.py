@@ -21,6 +21,7 @@ import yaml
 from ltm_core.resources import project_path
 from ltm_core.site import Site
 from ltm_core.tracing.trace_io import PictureConfig
+from ltm_core.uplink.config import RegionConfig
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import compressed_to_rgb, encode_rgb
 from ltm_ros.cli import eval as eval_commands
@@ -251,13 +252,15 @@ SITE_KEYS = set(Site.model_fields)
 
 @pytest.mark.parametrize("page", TODAYS, ids=ids)
 def test_yaml_keys_exist(page: Path) -> None:
-    """YAML that is a pose file, a site or a part of one: it has no key that the system does not know."""
+    """YAML that is a pose file, a region, a site or a part of one: it has no key that the system does not know."""
     for block in blocks(page, "yaml"):
         given = yaml.safe_load(block.text)
         if not isinstance(given, dict):
             continue
         if "position" in given or {"pose", "calibration"} <= given.keys():
             PictureConfig.model_validate(given)
+        elif "towers" in given:
+            RegionConfig.model_validate(given)
         elif given.keys() <= SITE_KEYS:
             whole = {"name": "a", "crs": "EPSG:32611", "origin": [0, 0], "dem": {"path": "d.tif"}, "cameras": {"a": {}}}
             site = Site.model_validate(whole | given)
