@@ -27,6 +27,7 @@ from ltm_core.site_io import load_site
 from ltm_ros.archive.content_digest import code_digest, digest, look_digest
 from ltm_ros.archive.engine import Engine
 from ltm_ros.archive.manifest import ArchiveFrame, Failure, Manifest, ManifestRules, make_manifest, packed
+from ltm_ros.archive.page import write_page
 from ltm_ros.archive.pictures import SmallLook
 from ltm_ros.archive.reduction import Reduction, reduce_to_store, store_digest
 from ltm_ros.archive.results import ResultFolder
@@ -38,7 +39,8 @@ from ltm_ros.fuel_map.source import FuelSource
 from ltm_ros.launching.graph import describe
 from ltm_ros.runtime.frame_join import FrameJoinConfig
 
-MANIFEST, RUN, LAYERS, LANDSCAPE, LOOKS = "manifest.parquet", "run.json", "layers", "landscape.tif", "looks"
+MANIFEST, RUN, LAYERS, MAPS = "manifest.parquet", "run.json", "layers", "maps"
+LANDSCAPE, LOOKS = "landscape.tif", "looks"
 _NAMED = 1000
 """Failures that the record of a run names one by one; all are counted."""
 
@@ -207,6 +209,8 @@ def _publish(planned: Plan, store: Path, summary: Summary) -> None:
             export_site(map_, out / LANDSCAPE, None, "landscape", system, None, None)
         except RasterError as error:  # without a prior, most cells may have no fuel model
             landscape = f"not written: {error}"
+        (out / MAPS).mkdir()
+        write_page(map_, out / MAPS)
     for file in sorted(path for path in out.rglob("*") if path.is_file()):
         results.put(file, file.relative_to(out).as_posix())
     results.put(store, STORE_FILE)

@@ -236,6 +236,11 @@ def test_the_journal_tells_the_end_of_each_day(small_site: SmallSite, tmp_path: 
         days = {change.stamp_ns // day for change in store.changes("life_form")}
     assert days <= {BEGIN_NS // day, BEGIN_NS // day + 1}
     assert BEGIN_NS // day in days
+    page = (tmp_path / "out/maps/index.html").read_text()
+    shown = sorted(path.stem for path in (tmp_path / "out/maps").glob("20*.png"))
+    assert shown == [str(np.datetime64(number, "D")) for number in sorted(days)]
+    assert json.dumps(shown) in page
+    assert (tmp_path / "out/maps/change.png").stat().st_size > 1000
     only = reprocessed(replace(options, since_ns=BEGIN_NS + day, out=str(tmp_path / "later")))
     assert only.merged == 4
 
