@@ -48,7 +48,7 @@ def region(
         "CPU ms a frame",
     ):
         table.add_column(column, justify="left" if column == "run" else "right")
-    for name, result in zip(("calm", "killed"), results, strict=True):
+    for name, result in results.items():
         table.add_row(
             name,
             str(sum(result.kills.values())),
@@ -61,9 +61,10 @@ def region(
         )
     console.print(table)
     console.print(
-        f"kills: {results[1].kills}; {results[0].bytes_a_frame:,.0f} bytes a frame; given up: {results[1].dropped}"
+        f"{results['calm'].bytes_a_frame:,.0f} bytes a frame; "
+        + "; ".join(f"{name}: kills {one.kills}, given up {one.dropped}" for name, one in results.items())
     )
     if json_path is not None:
-        runs = {name: asdict(result) for name, result in zip(("calm", "killed"), results, strict=True)}
+        runs = {name: asdict(result) for name, result in results.items()}
         write_figures(json_path, {"conditions": state.as_dict(), "towers": towers, "seconds": seconds, **runs})
-    raise typer.Exit(0 if all(result.equal for result in results) else 1)
+    raise typer.Exit(0 if all(result.equal for result in results.values()) else 1)

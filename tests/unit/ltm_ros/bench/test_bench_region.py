@@ -49,7 +49,8 @@ def test_a_map_that_lacks_a_frame_is_not_the_same(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_an_hour_of_ten_towers_and_fifty_kills() -> None:
-    calm, killed = run_bench(10, 3600, 50, 1, 12_000.0, 4, print)
+    runs = run_bench(10, 3600, 50, 1, 12_000.0, 4, print)
+    calm, killed = runs["calm"], runs["killed"]
     assert calm.equal
     assert killed.equal
     assert sum(killed.kills.values()) == 50

@@ -17,7 +17,7 @@ from ltm_ros.cli import main
 COMMANDS = (
     "demo", "check", "run", "replay", "record", "import", "trace", "simulate", "train", "export", "bench", "view",
     "doctor", "status", "upgrade", "rollback", "models", "pose", "locate", "viewshed", "eval",
-    "fire", "mask", "label", "cameras", "region", "certs",
+    "fire", "mask", "label", "cameras", "region", "certs", "reprocess",
 )  # fmt: skip
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ssl
 import threading
 import time
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,6 +24,7 @@ from ltm_core.uplink.envelope import VotesGrid
 from ltm_core.uplink.outbox_io import OutboxFrame
 from ltm_ros.region.certs import TrialAuthority
 from ltm_ros.region.mqtt_link import LARGEST_PACKET, MqttLink, ack_topic, presence_topic, tile_topic, votes_topic
+from ltm_ros.region.process import RegionWatch
 from ltm_ros.region.service import RegionService
 from ltm_ros.region.tiles import opened_tile
 from ltm_ros.region.tower_link import TowerLink
@@ -256,3 +258,22 @@ def test_who_follows_the_map_has_all_of_it_and_what_changes(scene: RegionScene, 
             assert not np.array_equal(before, shown.life_form)
         finally:
             follower.stop()
+
+
+def test_the_region_answers_monitoring_systems(scene: RegionScene, broker: Broker) -> None:
+    port, site = free_port(), scene.config.site
+    site.write_text(f"{site.read_text()}health: {{port: {port}}}\n")
+    with mapped(scene) as service, sending(scene, "alta") as (alta, _):
+        watch = RegionWatch(scene.config, service.service, service.health)
+        try:
+            offer(alta, scene, range(5))
+            service.health.drop("message", "somebody's junk", 3)
+
+            def metrics() -> str:
+                return str(urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics").read().decode())
+
+            said = 'ltm_node_value{camera="",name="frames",node="/kern_map/region"} 5.0'
+            wait_for(lambda: f"\n{said}\n" in metrics(), said, metrics)
+            assert 'ltm_dropped_total{camera="",cause="message",node="/kern_map/region"} 3.0' in metrics()
+        finally:
+            watch.close()
