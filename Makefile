@@ -11,7 +11,7 @@ export PYTHONDONTWRITEBYTECODE :=
 # Build back-ends warn of what a user of this Makefile cannot mend.
 PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -c constraints.txt
 
-# The nodes' kernels, compiled by two processes together; a test run compiles what has changed since by itself.
+# Most kernels, compiled by two processes together; a test run compiles what has changed since by itself.
 KERNELS := PYTHONPATH=tests $(BIN)/python -m scenes.compiled_kernels
 
 
@@ -52,12 +52,14 @@ demo-update: $(INSTALLED)
 demo-real: $(INSTALLED)
 	$(BIN)/ltm demo --real --out out/demo-real
 
-# By file: the tests of one file may share a graph. The order is that of tests/graph/conftest.py. Three on two cores:
-# graphs wait more than they work.
-GRAPHS := -n 3 --dist loadfile --no-loadscope-reorder
+# More processes than the two cores that they are for: what waits (for a camera's next picture, a file's flush, a node
+# to be up) leaves its core to the others.
+UNITS := -n 3 --dist worksteal
+# By file: the tests of one file may share a graph. The order is that of tests/graph/conftest.py.
+GRAPHS := -n 4 --dist loadfile --no-loadscope-reorder
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m "not slow and not graph" -n 2 --dist worksteal -q --durations=20
+	$(BIN)/python -m pytest -m "not slow and not graph" $(UNITS) -q --durations=20
 	$(BIN)/python -m pytest tests/graph -m "not slow and graph" $(GRAPHS) -q --durations=20
 
 $(VENV)/.installed-all: $(VENV)/.installed-dev
@@ -73,7 +75,7 @@ $(FIRE)/.installed: | $(INSTALLED)
 test-all: $(VENV)/.installed-all $(FIRE)/.installed
 	LTM_PYRETECHNICS=$(FIRE)/bin/python $(BIN)/python -m pytest -m "not graph" -q --durations=20
 	$(BIN)/python -m pytest -m graph $(GRAPHS) -q --durations=20
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m kernel -n 2 --dist worksteal -q --durations=20
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m kernel $(UNITS) -q --durations=20
 
 # New cases each time; what fails is kept in out/fuzz, and printed with the command that repeats it.
 fuzz: MINUTES ?= 20

@@ -8,6 +8,7 @@ from pathlib import Path
 from ltm_core.dem import Dem
 from ltm_core.errors import StoreError
 from ltm_core.grid import GridGeometry
+from ltm_core.raster.confirmed_surface import ConfirmedSurface
 from ltm_core.raster.shared_rasters import shared
 from ltm_core.raster.surface_versions_io import AS_GIVEN, FOLDER, SurfaceVersion, SurfaceVersions
 from ltm_core.site import Site
@@ -18,12 +19,13 @@ class ConfirmedTerrain:
     """Two terrains in the map frame, of one version of the confirmed surface (None: as the site's rasters give them).
 
     `ground`: bare earth. `top`: what cameras see, with trees and houses where the site knows them; the same object as
-    `ground` where nothing is known to stand.
+    `ground` where nothing is known to stand. `surface`: the changed cells of the version.
     """
 
     version: SurfaceVersion | None
     ground: Dem
     top: Dem
+    surface: ConfirmedSurface | None = None
 
     @property
     def name(self) -> str:
@@ -58,7 +60,7 @@ class ConfirmedTerrain:
                 ("confirmed surface", surface.surface_over, given.top),
             )
         )
-        return cls(entry, ground, top)
+        return cls(entry, ground, top, surface)
 
 
 def surface_versions(site: Site, folder: Path) -> SurfaceVersions:

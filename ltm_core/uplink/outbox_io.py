@@ -67,7 +67,8 @@ class Removed:
 
 class Outbox:
     """One process at a time opens a file. Methods raise StoreError where the disk does not serve just now: then nothing
-    of that call is in the file, and the call may be made again.
+    of that call is in the file, and the call may be made again; ConfigError where the file has become damaged, which
+    the next one that opens it puts aside.
 
     Args:
         path: of the file; made where there is none, its folder must exist.
@@ -127,13 +128,12 @@ class Outbox:
         """
         left_out = set(without)
         with named_errors(str(self._path)):
-            keys = self._db.execute(
-                "SELECT camera, stamp_ns FROM frames WHERE retry_s <= ? ORDER BY stamp_ns DESC LIMIT ?",
+            rows = self._db.execute(
+                "SELECT camera, stamp_ns, view, model, message FROM frames WHERE retry_s <= ? "
+                "ORDER BY stamp_ns DESC LIMIT ?",
                 (now_s, limit + len(left_out)),
             ).fetchall()
-            wanted = [key for key in keys if key not in left_out][:limit]
-            query = "SELECT camera, stamp_ns, view, model, message FROM frames WHERE camera = ? AND stamp_ns = ?"
-            return [OutboxFrame(*self._db.execute(query, key).fetchone()) for key in wanted]
+        return [OutboxFrame(*row) for row in rows if row[:2] not in left_out][:limit]
 
     def acknowledge(self, keys: Iterable[FrameKey]) -> int:
         """Let go of frames that are in the region's map; how many of them were here."""
@@ -235,7 +235,7 @@ def _connect(path: Path) -> sqlite3.Connection:
                 db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_VALUE)
                 _make_table(db)
                 check_tables(db, path, _TABLE)
-                (verdict,) = db.execute("PRAGMA quick_check(1)").fetchone()
+                (verdict,) = db.execute("PRAGMA integrity_check(1)").fetchone()
             except BaseException:
                 db.close()
                 raise

@@ -20,6 +20,7 @@ from ltm_core.fuel.export.export_grid import make_landscape, with_fuel
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.provenance import Provenance
 from ltm_core.fuel.prior import system_of
+from ltm_core.fuel.seen_canopy import seen_canopy
 from ltm_core.fuel.site_map import spare_heights
 from ltm_core.site_io import load_site
 from ltm_ros.fuel_map.source import FuelSource
@@ -78,9 +79,10 @@ def _of_store(store: Path, site_path: Path, since: str | None) -> MapPair:
         layers, empty = map_.layers, map_.empty if since is None else map_.at(since)
         evidence, prior, region = map_.evidence, map_.prior, map_.region
         system = system_of(prior)
-        spare = spare_heights(site, site.in_map(map_.geometry))
+        grid, terrain = site.in_map(map_.geometry), map_.terrain()
+        spare, seen = spare_heights(site, grid), seen_canopy(terrain, grid)
         now = make_landscape(
-            layers, prior, map_.terrain().ground, site.frame, map_.geometry, region, system, spare=spare
+            layers, prior, terrain.ground, site.frame, map_.geometry, region, system, spare=spare, seen=seen
         )  # fmt: skip
         was = with_fuel(now, empty, prior, region)
         made = map_.provenance(layers, None, system, now)
@@ -93,7 +95,7 @@ def _of_store(store: Path, site_path: Path, since: str | None) -> MapPair:
     def draw(rng: np.random.Generator) -> Landscape:
         width, stand = evidence.rules.context_cells, evidence.stand_correlation
         codes = drawn_codes(doubt(), region, system, rng, width, stand)
-        return with_fuel(now, with_codes(layers, codes), prior, region)
+        return with_fuel(now, with_codes(layers, codes), prior, region, seen)
 
     earlier = "before any camera looked" if since is None else since
     return MapPair(site.name, earlier, was, now, draw, made)

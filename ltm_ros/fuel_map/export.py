@@ -14,6 +14,7 @@ from ltm_core.fuel.export.points_io import fuel_points, write_las, write_ply
 from ltm_core.fuel.export.provenance import Provenance, landscape_units
 from ltm_core.fuel.export.stac_item_io import item_path, write_item
 from ltm_core.fuel.life_form import life_form_labels
+from ltm_core.fuel.seen_canopy import seen_canopy
 from ltm_core.fuel.site_map import spare_heights
 from ltm_core.grid import GridGeometry
 from ltm_core.pictures import to_png
@@ -69,17 +70,19 @@ def export_site(
 def _write_landscape(
     map_: FuelSource, out: Path, kind: str, system: FuelSystem, target: GridGeometry, as_of: str | None
 ) -> list[str]:
-    site, layers = map_.site, map_.at(as_of)
+    site, layers, terrain = map_.site, map_.at(as_of), map_.terrain(as_of)
+    grid = site.in_map(map_.geometry)
     landscape = make_landscape(
         layers,
         map_.prior,
-        map_.terrain(as_of).ground,
+        terrain.ground,
         site.frame,
         map_.geometry,
         map_.region,
         system,
         target,
-        spare_heights(site, site.in_map(map_.geometry)),
+        spare_heights(site, grid),
+        seen_canopy(terrain, grid),
     )
     made = map_.provenance(layers, as_of, system, landscape)
     tags = made.tags() | landscape_units()

@@ -21,6 +21,7 @@ from ltm_core.fuel.export.provenance import landscape_units, provenance_of
 from ltm_core.fuel.export.stac_item_io import write_item
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import system_of
+from ltm_core.fuel.seen_canopy import seen_canopy
 from ltm_core.fuel.site_map import spare_heights
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import Key, Tile, TileStore
@@ -155,6 +156,7 @@ def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path, state: Pat
         evidence.region,
         system,
         spare=spare_heights(site, evidence.geometry),
+        seen=seen_canopy(terrain, evidence.geometry),
     )
     made = provenance_of(site, layers, system, landscape=landscape, surface=terrain.version)
     lcp = write_lcp(folder / "landscape.lcp", landscape, made.line())

@@ -18,7 +18,7 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from ltm_core.errors import LtmError, MessageError
+from ltm_core.errors import MessageError, StoreError
 from ltm_core.uplink.config import AGGREGATOR, UplinkConfig
 from ltm_core.uplink.envelope import VERSION, AckHeader, Outcome, VotesGrid, VotesHeader, header_of, outcomes_of
 from ltm_core.uplink.outbox_io import FrameKey, Outbox, OutboxFrame
@@ -133,11 +133,11 @@ class TowerLink:
             try:
                 with self._activity.turn("outbox", slow=True):
                     self.step(time.monotonic())
-            except LtmError as error:
+            except StoreError as error:
                 self._health.trouble(cause_of(error), str(error))
                 time.sleep(STEP_S)
             except BaseException:
-                # A bug: an uplink that sends nothing shall not seem to; the graph starts another.
+                # A bug, or a damaged outbox: an uplink that sends nothing shall not seem to; the graph starts another.
                 sys.excepthook(*sys.exc_info())
                 os._exit(1)
             if self._stopping.is_set():

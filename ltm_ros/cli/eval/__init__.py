@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from ltm_ros.cli.eval.bag import bag
+from ltm_ros.cli.eval.canopy import canopy
 from ltm_ros.cli.eval.crosswalk import crosswalk
 from ltm_ros.cli.eval.depth import depth
 from ltm_ros.cli.eval.dirty_lens import dirty_lens
@@ -42,6 +43,7 @@ class EvalGroup(TyperGroup):
 
 evaluate = typer.Typer(cls=EvalGroup, no_args_is_help=True, help="Score a recorded run, or one part of the system.")
 evaluate.command(WHOLE)(bag)
+evaluate.command()(canopy)
 evaluate.command()(crosswalk)
 evaluate.command()(depth)
 evaluate.command()(dirty_lens)
