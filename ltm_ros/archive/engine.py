@@ -70,7 +70,7 @@ def on_workers(count: int) -> Engine:
         import dask
         from distributed import Client, LocalCluster
 
-        place: dict[str, object] = {"host": "127.0.0.1", "dashboard_address": None}
+        place: dict[str, object] = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
         with (
             dask.config.set({"distributed.scheduler.allowed-failures": _DEATHS}),
             LocalCluster(

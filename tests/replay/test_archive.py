@@ -71,6 +71,7 @@ def test_any_chunks_give_the_map_of_the_offline_replay(
     assert summary.tasks == 2 * -(-FRAMES // frames_per_task)
 
 
+@pytest.mark.slow
 def test_workers_give_it_too_and_nothing_is_worked_twice(options: ArchiveOptions, expected: str) -> None:
     options = replace(options, frames_per_task=3)
     summary = reprocessed(options, on_workers(2))
