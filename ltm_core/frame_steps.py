@@ -15,16 +15,20 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ltm_core.camera import Camera
+from ltm_core.confirmed_terrain import ConfirmedTerrain
+from ltm_core.errors import PoseError
 from ltm_core.frame import PosedImage
 from ltm_core.fuel.vote_columns import fitting, turn_of, votes_to_columns
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.named_columns import Columns
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
+from ltm_core.raster.surface_versions_io import AS_GIVEN
 from ltm_core.resources import config_path
 from ltm_core.site import Site
 from ltm_core.strict_model import StrictModel
 from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.caches import TracerStatistics
 from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest, Withdrawal
@@ -51,27 +55,80 @@ class LabellingConfig(StrictModel):
     """*tree* is withdrawn where the photo's local contrast is lower (8-bit steps): hazy far slopes are called so."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Tracers:
+    """Over one terrain. `version`: of the confirmed surface. `bare`: the same where nothing stands on bare earth."""
+
+    version: str
+    tracer: TerrainTracer
+    bare: TerrainTracer
+
+
+@dataclass(frozen=True, eq=False)
+class TracedFrame:
+    """`ranges`: to what the camera sees of the terrain. `over`: what it was traced with."""
+
+    ranges: RangeImage
+    over: _Tracers
+
+    @property
+    def version(self) -> str:
+        """Of the confirmed surface; AS_GIVEN where it was the site's rasters."""
+        return self.over.version
+
+    def bare_earth(self) -> RangeImage:
+        """The ranges to bare earth of the same version: the same where nothing is known to stand on it."""
+        over, seen_from = self.over, self.ranges
+        return seen_from if over.bare is over.tracer else over.bare.trace(seen_from.camera, seen_from.pose)
+
+
 class TracingStep:
     """Traces every pixel of a camera to the terrain. Raises ConfigError and RasterError as the site does."""
 
     def __init__(self, site: Site, camera: str, config: TracingConfig) -> None:
         self._scene = SceneFilter.of(site, camera)
-        ground = site.open_dem()
-        traced = site.open_surface(ground) if config.surface else ground
-        rays = site.curvature, site.refraction, site.possible_ground
-        self.tracer = TerrainTracer(traced, *rays)
-        self._bare = self.tracer if traced is ground else TerrainTracer(ground, *rays)
+        self._site, self._surface = site, config.surface
+        self._given: _Tracers | None = None
+        self.trace_to(ConfirmedTerrain.as_given(site))
 
-    def trace(self, camera: Camera, pose: Pose) -> RangeImage:
-        return self.tracer.trace(camera, pose)
+    def trace_to(self, terrain: ConfirmedTerrain) -> None:
+        """From here on. All of it is made beside the former, whose place it takes at once. Raises RasterError."""
+        self._over = self._tracers(terrain)
 
-    def trace_bare_earth(self, camera: Camera, pose: Pose, traced: RangeImage) -> RangeImage:
-        """`traced`: what `trace` gave, which is the same where the site has no surface raster."""
-        return traced if self._bare is self.tracer else self._bare.trace(camera, pose)
+    def trace(self, camera: Camera, pose: Pose) -> TracedFrame:
+        """Raises PoseError as the tracer does; but what has grown about a mast shall not end its depth: a frame from
+        below a confirmed surface is traced to the terrain as given.
+        """
+        over = self._over
+        try:
+            return TracedFrame(over.tracer.trace(camera, pose), over)
+        except PoseError:
+            if over.version == AS_GIVEN:
+                raise
+        if self._given is None:
+            self._given = self._tracers(ConfirmedTerrain.as_given(self._site))
+        return TracedFrame(self._given.tracer.trace(camera, pose), self._given)
+
+    @property
+    def statistics(self) -> TracerStatistics:
+        """Of the tracer in use."""
+        return self._over.tracer.statistics
+
+    @property
+    def version(self) -> str:
+        """Of the confirmed surface in use."""
+        return self._over.version
 
     def hidden(self, camera: Camera) -> BoolArray | None:
         """(H, W) bool, where the camera's mask has it that something else is seen; None: nowhere."""
         return self._scene.hidden(camera.width, camera.height)
+
+    def _tracers(self, terrain: ConfirmedTerrain) -> _Tracers:
+        site, top = self._site, terrain.top if self._surface else terrain.ground
+        rays = site.curvature, site.refraction, site.possible_ground
+        tracer = TerrainTracer(top, *rays)
+        bare = tracer if top is terrain.ground else TerrainTracer(terrain.ground, *rays)
+        return _Tracers(terrain.name, tracer, bare)
 
 
 def seen(values: Float32Array, hidden: BoolArray | None) -> Float32Array:
@@ -178,7 +235,7 @@ class FrameSteps:
     def votes(self, frame: PosedImage, covariance: NDArray[Any] | None) -> FrameVotes:
         """`covariance`: (6, 6) of the frame's pose; None: it is exact. Raises LtmError as the steps do."""
         traced = self._tracing.trace(frame.camera, frame.pose)
-        depth = seen(traced.depth(), self._tracing.hidden(frame.camera))
+        depth = seen(traced.ranges.depth(), self._tracing.hidden(frame.camera))
         found, view = self._labelling.label(frame.image)
         cast = self._voting.cast(depth, frame.camera, frame.pose, found, frame.stamp_ns, covariance)
         columns = votes_to_columns(self._voting.carried(cast), self._voting.labels.names)

@@ -52,17 +52,6 @@ class UplinkConfig(StrictModel):
         return self
 
 
-class S3Config(StrictModel):
-    """A bucket that speaks S3's protocol. Keys come from AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY."""
-
-    endpoint: str = Field(pattern=r"^https?://[^/\s]+$")
-    """Such as https://s3.us-west-2.amazonaws.com; the bucket is the first part of the path."""
-    bucket: str = Field(pattern=r"^[a-z0-9][a-z0-9.-]{1,61}[a-z0-9]$")
-    prefix: str = Field("", pattern=r"^([A-Za-z0-9._-]+/)*$")
-    """In front of the files' names, with a slash at its end."""
-    region: str = "us-east-1"
-
-
 class ExportConfig(StrictModel):
     """The map as Cloud Optimized GeoTIFFs with a STAC item, written anew while it changes."""
 
@@ -70,8 +59,9 @@ class ExportConfig(StrictModel):
     """Relative to region.yaml; made where only it is missing."""
     every: float = Field(600.0, ge=1.0)
     """Seconds between two of them at least."""
-    s3: S3Config | None = None
-    """Where the files go besides."""
+    copy_to: str = Field("", pattern=r"^(s3://[a-z0-9][a-z0-9.-]+(/[A-Za-z0-9._-]+)*)?$")
+    """Such as s3://bucket/folder: where the files go besides. Keys and endpoint come from the environment
+    (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_ENDPOINT_URL)."""
 
 
 class RegionConfig(StrictModel):

@@ -18,7 +18,7 @@ from typing import Final, Self
 import numpy as np
 
 from ltm_core.errors import ConfigError, StoreError
-from ltm_core.raster.tile_store_file import lock_store, named_errors
+from ltm_core.raster.tile_store_file import LARGEST_VALUE, check_tables, lock_store, named_errors
 from ltm_core.uplink.thinning import thinned
 
 APPLICATION_ID: Final = 0x4C544D42  # "LTMB"
@@ -33,7 +33,7 @@ KEPT_DAMAGED: Final = 3
 _TABLE: Final = """
 CREATE TABLE frames (
     camera TEXT NOT NULL, stamp_ns INTEGER NOT NULL, view INTEGER NOT NULL, model TEXT NOT NULL,
-    message BLOB NOT NULL, retry_s REAL NOT NULL DEFAULT 0, PRIMARY KEY (camera, stamp_ns));
+    message BLOB NOT NULL, retry_s REAL NOT NULL DEFAULT 0, PRIMARY KEY (camera, stamp_ns)) STRICT;
 CREATE INDEX by_time ON frames (stamp_ns);
 """
 FrameKey = tuple[str, int]
@@ -67,7 +67,8 @@ class Removed:
 
 class Outbox:
     """One process at a time opens a file. Methods raise StoreError where the disk does not serve just now: then nothing
-    of that call is in the file, and the call may be made again.
+    of that call is in the file, and the call may be made again; ConfigError where the file has become damaged, which
+    the next one that opens it puts aside.
 
     Args:
         path: of the file; made where there is none, its folder must exist.
@@ -127,13 +128,12 @@ class Outbox:
         """
         left_out = set(without)
         with named_errors(str(self._path)):
-            keys = self._db.execute(
-                "SELECT camera, stamp_ns FROM frames WHERE retry_s <= ? ORDER BY stamp_ns DESC LIMIT ?",
+            rows = self._db.execute(
+                "SELECT camera, stamp_ns, view, model, message FROM frames WHERE retry_s <= ? "
+                "ORDER BY stamp_ns DESC LIMIT ?",
                 (now_s, limit + len(left_out)),
             ).fetchall()
-            wanted = [key for key in keys if key not in left_out][:limit]
-            query = "SELECT camera, stamp_ns, view, model, message FROM frames WHERE camera = ? AND stamp_ns = ?"
-            return [OutboxFrame(*self._db.execute(query, key).fetchone()) for key in wanted]
+        return [OutboxFrame(*row) for row in rows if row[:2] not in left_out][:limit]
 
     def acknowledge(self, keys: Iterable[FrameKey]) -> int:
         """Let go of frames that are in the region's map; how many of them were here."""
@@ -223,30 +223,31 @@ def _connect(path: Path) -> sqlite3.Connection:
     try:
         if path.exists() and path.stat().st_size:
             _check_header(path)
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read ({error.strerror})") from error
+    try:
         with named_errors(str(path)):
             db = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0)
             try:
                 db.execute("PRAGMA journal_mode = WAL")
                 db.execute("PRAGMA synchronous = FULL")  # what `put` has returned from outlives a power cut
                 db.execute("PRAGMA secure_delete = OFF")  # else freeing pages takes as much room as writing them
-                _make_table(db, path)
-                (verdict,) = db.execute("PRAGMA quick_check(1)").fetchone()
+                db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_VALUE)
+                _make_table(db)
+                check_tables(db, path, _TABLE)
+                (verdict,) = db.execute("PRAGMA integrity_check(1)").fetchone()
             except BaseException:
                 db.close()
                 raise
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read ({error.strerror})") from error
     except ConfigError as error:
-        if isinstance(error.__cause__, sqlite3.Error | UnicodeDecodeError):
-            raise _DamagedError(str(error)) from error
-        raise
+        raise _DamagedError(str(error)) from error
     if verdict != "ok":
         db.close()
         raise _DamagedError(f"{path}: the outbox is damaged ({verdict})")
     return db
 
 
-def _make_table(db: sqlite3.Connection, path: Path) -> None:
+def _make_table(db: sqlite3.Connection) -> None:
     (layout,) = db.execute("PRAGMA user_version").fetchone()
     if layout == 0:
         db.execute("BEGIN IMMEDIATE")
@@ -255,13 +256,14 @@ def _make_table(db: sqlite3.Connection, path: Path) -> None:
         db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         db.execute(f"PRAGMA user_version = {LAYOUT}")
         db.execute("COMMIT")
-    elif layout != LAYOUT:
-        raise ConfigError(f"{path}: an outbox of layout {layout}, this program has {LAYOUT}; use the one that wrote it")
 
 
 def _check_header(path: Path) -> None:
     """Before SQLite touches it. Until the first transaction is whole in the file, its header names no program."""
     with path.open("rb") as file:
         header = file.read(100)
-    if not header.startswith(b"SQLite format 3\0") or int.from_bytes(header[68:72], "big") not in (0, APPLICATION_ID):
+    application, layout = (int.from_bytes(header[place : place + 4], "big") for place in (68, 60))
+    if not header.startswith(b"SQLite format 3\0") or application not in (0, APPLICATION_ID):
         raise ConfigError(f"{path}: not an outbox; it stays as it is: move it away or name another folder")
+    if layout not in (0, LAYOUT):
+        raise ConfigError(f"{path}: an outbox of layout {layout}, this program has {LAYOUT}; use the one that wrote it")

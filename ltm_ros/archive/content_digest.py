@@ -80,6 +80,12 @@ def votes_digest(site: Site, camera: str, tracing: TracingConfig, labelling: Lab
     return digest(_by_content(settings))
 
 
+def look_digest(site: Site, camera: str) -> str:
+    """Of what decides whether a camera's picture is clear, besides the picture."""
+    config = site.camera(camera)
+    return digest(_by_content(config.model_dump(include={"mask", "judge_pictures"})), site.crs, list(site.origin))
+
+
 def evidence_digest(site: Site) -> str:
     """Of what makes evidence of votes. Raises LtmError for files that are not there."""
     errors = site_label_errors(site), sorted(camera_label_errors(site).items())

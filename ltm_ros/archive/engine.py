@@ -6,6 +6,7 @@ All give the same files; who runs a task, when and how often decides nothing.
 from __future__ import annotations
 
 import ipaddress
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -16,10 +17,8 @@ from urllib.parse import urlsplit
 from ltm_core.errors import ArchiveError, LtmError
 from ltm_ros.archive.task import Task, TaskReport, TaskSettings, work
 
-WINDOW = 4
-"""Tasks of a worker that are with the scheduler at once: the memory of a year's run is that of an hour's."""
-_DEATHS = 1
-"""Workers beyond the first that a task may take with it before it is given up."""
+_DEATHS = 3
+"""Workers beyond the first that may die while they have a task, before it is given up as their killer."""
 
 
 @dataclass(frozen=True)
@@ -71,15 +70,15 @@ def on_workers(count: int) -> Engine:
         import dask
         from distributed import Client, LocalCluster
 
-        quiet = {"distributed.scheduler.allowed-failures": _DEATHS, "distributed.logging.distributed": "error"}
+        place: dict[str, object] = {"host": "127.0.0.1", "dashboard_address": None}
         with (
-            dask.config.set(quiet),
+            dask.config.set({"distributed.scheduler.allowed-failures": _DEATHS}),
             LocalCluster(
-                n_workers=count, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, memory_limit=0
+                n_workers=count, threads_per_worker=1, memory_limit=0, silence_logs=logging.ERROR, **place
             ) as cluster,
             Client(cluster) as client,
         ):
-            yield from _windowed(client, tasks, settings, count)
+            yield from _windowed(client, tasks, settings)
 
     return run
 
@@ -103,24 +102,28 @@ def on_cluster(cluster: Cluster) -> Engine:
                 "with certificates of the same authority"
             ) from error
         with client:
-            count = len(client.scheduler_info(n_workers=-1)["workers"])
-            yield from _windowed(client, tasks, settings, max(count, 1))
+            yield from _windowed(client, tasks, settings)
 
     return run
 
 
-def _windowed(client: Any, tasks: Sequence[Task], settings: TaskSettings, workers: int) -> Iterator[Done]:
+def _windowed(client: Any, tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
+    """As many tasks are with the scheduler as workers have threads: the memory of a year's run is that of an hour's,
+    and a worker that dies is blamed on the one task that it had. A task takes minutes, so nobody waits for the next.
+    """
     from distributed import as_completed
 
-    ahead = iter(tasks)
-    waiting: dict[str, Task] = {}
+    ahead, waiting = iter(tasks), dict[str, Task]()
+    running = as_completed()
 
-    def submit(task: Task) -> Any:
-        future = client.submit(work, task, settings, key=f"{task.label} {task.evidence_key}", pure=False)
-        waiting[future.key] = task
-        return future
+    def fill() -> None:
+        room = max(sum(client.nthreads().values()), 1) - len(waiting)
+        for task in islice(ahead, max(room, 0)):
+            future = client.submit(work, task, settings, key=f"{task.label} {task.evidence_key}", pure=False)
+            waiting[future.key] = task
+            running.add(future)
 
-    running = as_completed([submit(task) for task in islice(ahead, WINDOW * workers)])
+    fill()
     for future in running:
         task = waiting.pop(future.key)
         error = future.exception() if future.status == "error" else None
@@ -131,17 +134,14 @@ def _windowed(client: Any, tasks: Sequence[Task], settings: TaskSettings, worker
         else:
             raise error  # a bug
         future.release()
-        for following in islice(ahead, 1):
-            running.add(submit(following))
-    if waiting:
-        raise ArchiveError(f"{len(waiting)} tasks were lost with their scheduler; run again: what is done stays done")
+        fill()
 
 
 def _said(error: BaseException | None, status: str) -> str:
     if error is None:
         return f"the task is {status}"
     if type(error).__name__ == "KilledWorker":
-        return f"{_DEATHS + 1} workers died of it in a row: out of memory, or a picture that ends the process"
+        return "worker after worker died of it: out of memory, or a picture that ends the process"
     return str(error)
 
 

@@ -19,9 +19,9 @@ class ResultFolder:
     """
 
     def __init__(self, url: str) -> None:
-        self.url = url
+        self.url = url if "://" in url else str(Path(url).expanduser().resolve())
         try:
-            self._files, self._root = fsspec.core.url_to_fs(url)
+            self._files, self._root = fsspec.core.url_to_fs(self.url)
         except (ImportError, ValueError) as error:
             raise ArchiveError(f"{url}: no place for results ({error}); give a folder or s3://bucket/folder") from error
 
@@ -37,6 +37,10 @@ class ResultFolder:
         if not self._files.exists(place):
             return set()
         return {posixpath.basename(str(path)) for path in self._files.ls(place, detail=False)}
+
+    def has(self, name: str) -> bool:
+        self._files.invalidate_cache()
+        return bool(self._files.exists(self._path(name)))
 
     def read(self, name: str) -> bytes:
         return bytes(self._files.cat_file(self._path(name)))

@@ -19,16 +19,19 @@ from ltm_core.config_io import checked
 from ltm_core.errors import ArchiveError, RasterError
 from ltm_core.frame_steps import LabellingConfig, TracingConfig
 from ltm_core.fuel.export.provenance import software
+from ltm_core.fuel.prior import system_of
 from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
 from ltm_core.raster.tile_store import TileStore
 from ltm_core.site import Site
 from ltm_core.site_io import load_site
-from ltm_ros.archive.content_digest import code_digest
+from ltm_ros.archive.content_digest import code_digest, digest, look_digest
 from ltm_ros.archive.engine import Engine
 from ltm_ros.archive.manifest import ArchiveFrame, Failure, Manifest, ManifestRules, make_manifest, packed
+from ltm_ros.archive.page import write_page
+from ltm_ros.archive.pictures import SmallLook
 from ltm_ros.archive.reduction import Reduction, reduce_to_store, store_digest
 from ltm_ros.archive.results import ResultFolder
-from ltm_ros.archive.sampling import Sample, sampled
+from ltm_ros.archive.sampling import Sample, in_daylight, place_of, sampled, spans
 from ltm_ros.archive.scan import recordings, scan
 from ltm_ros.archive.task import EVIDENCE, Task, TaskSettings, plan
 from ltm_ros.fuel_map.export import export_site
@@ -36,7 +39,8 @@ from ltm_ros.fuel_map.source import FuelSource
 from ltm_ros.launching.graph import describe
 from ltm_ros.runtime.frame_join import FrameJoinConfig
 
-MANIFEST, RUN, LAYERS, LANDSCAPE = "manifest.parquet", "run.json", "layers", "landscape.tif"
+MANIFEST, RUN, LAYERS, MAPS = "manifest.parquet", "run.json", "layers", "maps"
+LANDSCAPE, LOOKS = "landscape.tif", "looks"
 _NAMED = 1000
 """Failures that the record of a run names one by one; all are counted."""
 
@@ -69,6 +73,8 @@ class Plan:
     manifest: Manifest
     frames: tuple[ArchiveFrame, ...]
     """To work, of those in the manifest."""
+    passed_over: Counter[str]
+    """Pictures that the sampling looked at and found not clear, by reason."""
     tasks: tuple[Task, ...]
 
 
@@ -102,11 +108,35 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
     rules, tracing, labelling = _node_rules(site, options.site, cameras[0])
     manifest = make_manifest(scans, site, cameras, rules)
     since, until = options.since_ns or 0, options.until_ns or 2**63 - 1
-    frames = sampled([f for f in manifest.frames if since <= f.stamp_ns <= until], options.sample)
-    settings = TaskSettings(str(options.site.resolve()), options.out, code_digest(), tracing, labelling)
+    frames = [frame for frame in manifest.frames if since <= frame.stamp_ns <= until]
+    passed = Counter[str]()
+    if options.sample.count:
+        frames, passed = _sampled(frames, options.sample, site, results)
+    settings = TaskSettings(str(options.site.resolve()), results.url, code_digest(), tracing, labelling)
     results.write(MANIFEST, packed(frames))
     tasks = plan(frames, site, settings, options.frames_per_task)
-    return Plan(options, site, results, settings, manifest, tuple(frames), tuple(tasks))
+    return Plan(options, site, results, settings, manifest, tuple(frames), passed, tuple(tasks))
+
+
+def _sampled(
+    frames: list[ArchiveFrame], sample: Sample, site: Site, results: ResultFolder
+) -> tuple[list[ArchiveFrame], Counter[str]]:
+    """The choice of each span is kept, so that no picture is looked at twice."""
+    looks = {camera: SmallLook(site, camera) for camera in {frame.camera for frame in frames}}
+    chosen, passed = list[ArchiveFrame](), Counter[str]()
+    for span in spans(in_daylight(frames, site), sample, place_of(site)[0]):
+        camera = span[0].camera
+        view = look_digest(site, camera)
+        name = f"{LOOKS}/{digest(code_digest(), view, sample.described, [f.identity() for f in span])}.json"
+        if not results.has(name):
+            found = sampled(span, sample, looks[camera])
+            kept = {"stamps": [frame.stamp_ns for frame in found.frames], "passed_over": found.passed_over}
+            results.write(name, json.dumps(kept).encode())
+        known = json.loads(results.read(name))
+        stamps = set(known["stamps"])
+        chosen += [frame for frame in span if frame.stamp_ns in stamps]
+        passed.update(known["passed_over"])
+    return chosen, passed
 
 
 def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> Summary:
@@ -172,13 +202,15 @@ def _publish(planned: Plan, store: Path, summary: Summary) -> None:
     out = store.parent / "out"
     (out / LAYERS).mkdir(parents=True)
     with FuelSource.open(store, planned.site) as map_:
-        system = map_.provenance().system.value
+        system = system_of(map_.prior).value
         export_site(map_, out / LAYERS, None, "layers", system, None, None)
         landscape = LANDSCAPE
         try:
             export_site(map_, out / LANDSCAPE, None, "landscape", system, None, None)
         except RasterError as error:  # without a prior, most cells may have no fuel model
             landscape = f"not written: {error}"
+        (out / MAPS).mkdir()
+        write_page(map_, out / MAPS)
     for file in sorted(path for path in out.rglob("*") if path.is_file()):
         results.put(file, file.relative_to(out).as_posix())
     results.put(store, STORE_FILE)
@@ -187,8 +219,7 @@ def _publish(planned: Plan, store: Path, summary: Summary) -> None:
 
 
 def _require_own(results: ResultFolder) -> None:
-    names = results.names("")
-    if STORE_FILE not in names:
+    if not results.has(STORE_FILE):
         return
     known = ""
     with contextlib.suppress(FileNotFoundError, ValueError):
@@ -217,6 +248,7 @@ def _record(planned: Plan, summary: Summary, about: dict[str, str] | None = None
             "found": len(planned.manifest.frames),
             "repeated": planned.manifest.repeated,
             "chosen": len(planned.frames),
+            "passed_over": planned.passed_over,
             "worked_now": summary.worked,
             "merged": summary.merged,
             "failed": summary.failed,

@@ -87,13 +87,13 @@ def scan(file: Path, site: Site, results: ResultFolder) -> Scan:
     state = file.stat()
     topics = {camera_topic(site.name, camera, topic): topic.name for camera in site.cameras for topic in CAMERA_INPUTS}
     key = digest(_VERSION, str(file), state.st_size, state.st_mtime_ns, sorted(topics))
-    name = f"{key}.parquet"
-    if name in results.names(SCANS):
-        return _read(file, results.read(f"{SCANS}/{name}"))
+    name = f"{SCANS}/{key}.parquet"
+    if results.has(name):
+        return _read(file, results.read(name))
     reader = BagReader(file)
     messages = tuple(_scanned(message, topics[message.topic]) for message in _inputs(reader, set(topics)))
     found = Scan(file, messages, reader.damage)
-    results.write(f"{SCANS}/{name}", _packed(found))
+    results.write(name, _packed(found))
     return found
 
 

@@ -11,7 +11,6 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -32,10 +31,9 @@ from ltm_core.resources import config_path
 from ltm_core.site import Site
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
-from ltm_msgs_py.bag.picture_cdr import picture_of
-from ltm_msgs_py.bag.reader import BagReader
-from ltm_ros.archive.content_digest import code_digest, digest, evidence_digest, picture_digest, votes_digest
+from ltm_ros.archive.content_digest import code_digest, digest, evidence_digest, votes_digest
 from ltm_ros.archive.manifest import ArchiveFrame
+from ltm_ros.archive.pictures import PictureReader
 from ltm_ros.archive.results import ResultFolder
 from ltm_ros.runtime.health import cause_of
 
@@ -134,14 +132,14 @@ def work(task: Task, settings: TaskSettings) -> TaskReport:
             "on all workers"
         )
     results = ResultFolder(settings.results)
-    if f"{task.evidence_key}.parquet" in results.names(EVIDENCE):
+    votes, evidence = f"{VOTES}/{task.votes_key}.parquet", f"{EVIDENCE}/{task.evidence_key}.parquet"
+    if results.has(evidence):
         return TaskReport(0, False)
     worked = 0
-    if f"{task.votes_key}.parquet" not in results.names(VOTES):
-        results.write(f"{VOTES}/{task.votes_key}.parquet", votes_file(task, settings))
+    if not results.has(votes):
+        results.write(votes, votes_file(task, settings))
         worked = len(task.frames)
-    content = results.read(f"{VOTES}/{task.votes_key}.parquet")
-    results.write(f"{EVIDENCE}/{task.evidence_key}.parquet", _evidence_file(content, load_site(settings.site)))
+    results.write(evidence, _evidence_file(results.read(votes), load_site(settings.site)))
     return TaskReport(worked, True)
 
 
@@ -151,11 +149,14 @@ def votes_file(task: Task, settings: TaskSettings) -> bytes:
     camera = task.frames[0].camera
     steps = _steps(settings.site, camera, settings.tracing, settings.labelling, task.steps_key)
     parts, listed, lost = list[Columns](), list[dict[str, object]](), list[LostFrame]()
-    for frame, (raw, type_name) in _pictures(task.frames):
+    reader = PictureReader()
+    for frame in task.frames:
         try:
-            picture = picture_of(raw, type_name)
+            picture = reader.read(frame)
             posed = PosedImage(picture.rgb(), frame.calibration, frame.pose, frame.stamp_ns, camera)
             found = steps.votes(posed, frame.pose_covariance)
+        except ArchiveError:
+            raise
         except LtmError as error:
             why = f"{error} ({frame.file}, stamp {frame.stamp_ns} ns)"
             lost.append(LostFrame(frame.stamp_ns, cause_of(error), why))
@@ -180,25 +181,6 @@ def _parquet(table: pa.Table, about: Mapping[str, object]) -> bytes:
     file = io.BytesIO()
     pq.write_table(table.replace_schema_metadata({_ABOUT: json.dumps(about)}), file, compression="zstd")
     return file.getvalue()
-
-
-def _pictures(frames: Sequence[ArchiveFrame]) -> Iterator[tuple[ArchiveFrame, tuple[bytes, str]]]:
-    """Each frame with its serialised picture and type. Raises ArchiveError where a file has one no longer."""
-    by_file: dict[tuple[str, str], list[ArchiveFrame]] = {}
-    for frame in frames:
-        by_file.setdefault((frame.file, frame.topic), []).append(frame)
-    for (file, topic), wanted in by_file.items():
-        due = {(frame.log_time_ns, frame.content): frame for frame in wanted}
-        times = [frame.log_time_ns for frame in wanted]
-        for message in BagReader(Path(file)).messages([topic], min(times), max(times) + 1):
-            key = message.log_time_ns, picture_digest(message.raw)
-            if key in due:
-                yield due.pop(key), (message.raw, message.type_name)
-        if due:
-            raise ArchiveError(
-                f"{file} no longer holds {len(due)} pictures of {topic} that were found there: it has changed since; "
-                "run again"
-            )
 
 
 def read_votes(content: bytes, geometry: GridGeometry, labels: LabelSet) -> Iterator[CellVotes]:

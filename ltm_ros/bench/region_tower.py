@@ -51,7 +51,7 @@ def main() -> None:
     link = TowerLink(order.config, order.grid, order.folder / "outbox.sqlite", health, time.time_ns)
     link.start()
     offered, said_at = first, 0.0
-    while not select.select([sys.stdin], [], [], 0.005)[0]:
+    while not select.select([sys.stdin], [], [], 0.02 if offered < order.frames else SAY_EVERY_S)[0]:
         while offered < order.frames and offered - first - link.kept < AHEAD:
             link.offer(order.frame(offered, pool))
             offered += 1

@@ -14,6 +14,13 @@ def region(
     """Keep the fuel map of a region until Ctrl-C or SIGTERM: count the votes of its towers, which come over MQTT, each
     frame once; send tiles as they change; write GeoTIFFs.
     """
+    import os
+
+    from ltm_ros.launching.ros_environment import thread_limits
+
+    # Before NumPy is loaded: its threads would fight over arrays of a thousand cells.
+    os.environ.update(thread_limits(busy=False))
+
     from ltm_core.uplink.region_io import load_region
     from ltm_ros.region.process import run_region
 

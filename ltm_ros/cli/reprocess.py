@@ -42,7 +42,7 @@ def reprocess(
     from ltm_ros.archive.dry_run import dry_run_table
     from ltm_ros.archive.run import ArchiveOptions, look_through, run
     from ltm_ros.archive.sampling import Sample
-    from ltm_ros.cli.progress import message_bar
+    from ltm_ros.cli.progress import counting_bar
     from ltm_ros.fuel_map.pictures import when
 
     console = Console()
@@ -59,13 +59,13 @@ def reprocess(
         shard=_shard(shard),
         max_failed=_share(max_failed),
     )
-    with message_bar(console, "looking through") as progress:
+    with counting_bar(console, "looking through") as progress:
         planned = look_through(options, progress)
     if dry_run:
         for table in dry_run_table(planned):
             console.print(table)
         return
-    with message_bar(console, "working") as progress:
+    with counting_bar(console, "working") as progress:
         summary = run(planned, engine, progress)
     _print(console, summary, out)
 

@@ -27,13 +27,6 @@ _POINT_BYTES = 64
 """Bound of what a changed cell takes on the wire."""
 
 
-def terrain_grid(dem: GridGeometry, resolution: float | None) -> GridGeometry:
-    """The grid of a site's `terrain` node, in the map frame: the DEM's, or over it with cells of `resolution`."""
-    cell = resolution or dem.resolution
-    height, width = (max(2, round(n * dem.resolution / cell)) for n in dem.shape)
-    return GridGeometry(dem.x_min, dem.y_max, cell, width, height, dem.crs)
-
-
 @dataclass(frozen=True, eq=False)
 class _Heard:
     """A message that was found good."""

@@ -9,7 +9,7 @@ from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from ltm_ros.health.tower_status import TowerStatus
+from ltm_ros.health.tower_status import OUTBOX_KEYS, TowerStatus
 
 METRICS_KIND = "text/plain; version=0.0.4; charset=utf-8"
 NODE = ("node", "camera")
@@ -21,7 +21,7 @@ COUNTERS = {
 }
 BY_KIND = {"dropped": ("cause", "Inputs given up, by cause; `shed`: turned away"), "noted": ("event", "What was noted")}
 QUANTILES = {"0.5": "p50", "0.95": "p95"}
-OWN = {"dropped", "rate_hz", "cpu_s", "newest_stamp", *COUNTERS}
+OWN = {"dropped", "rate_hz", "cpu_s", "newest_stamp", *COUNTERS, *OUTBOX_KEYS}
 """Keys of `/diagnostics` that have metrics of their own; other numbers are `ltm_node_value`."""
 
 
@@ -35,6 +35,7 @@ class TowerCollector(Collector):
         yield from self._tower()
         yield from self._cameras()
         yield from self._nodes()
+        yield from self._outbox()
         yield from self._machine()
 
     def _tower(self) -> Iterator[Metric]:
@@ -45,6 +46,15 @@ class TowerCollector(Collector):
         yield GaugeMetricFamily("ltm_alive", "Whether every node reports (/healthz)", value=status.alive)
         yield GaugeMetricFamily("ltm_ready", "Whether frames of every camera come too (/readyz)", value=status.ready)
         yield GaugeMetricFamily("ltm_wrong", "Number of things that are wrong, in words", value=len(status.wrong))
+
+    def _outbox(self) -> Iterator[Metric]:
+        outbox = self._status.outbox
+        if outbox is None:
+            return
+        yield GaugeMetricFamily("ltm_outbox_frames", "Frames that wait for the region's map", value=outbox.frames)
+        yield GaugeMetricFamily("ltm_outbox_bytes", "Of their votes", value=outbox.bytes)
+        yield GaugeMetricFamily("ltm_outbox_age_seconds", "Since the oldest one's stamp", value=outbox.age_s)
+        yield GaugeMetricFamily("ltm_link_up", "Whether the region's map can be reached", value=outbox.link_up)
 
     def _cameras(self) -> Iterator[Metric]:
         age = GaugeMetricFamily("ltm_frame_age_seconds", "Since the stamp of the newest frame", labels=("camera",))

@@ -6,6 +6,7 @@ remember what is on its way: after any end, what was not answered is sent again,
 
 from __future__ import annotations
 
+import os
 import queue
 import sys
 import threading
@@ -15,7 +16,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from ltm_core.errors import LtmError, MessageError
+from pydantic import ValidationError
+
+from ltm_core.errors import MessageError, StoreError
 from ltm_core.uplink.config import AGGREGATOR, UplinkConfig
 from ltm_core.uplink.envelope import VERSION, AckHeader, Outcome, VotesGrid, VotesHeader, header_of, outcomes_of
 from ltm_core.uplink.outbox_io import FrameKey, Outbox, OutboxFrame
@@ -130,13 +133,13 @@ class TowerLink:
             try:
                 with self._activity.turn("outbox", slow=True):
                     self.step(time.monotonic())
-            except LtmError as error:
+            except StoreError as error:
                 self._health.trouble(cause_of(error), str(error))
                 time.sleep(STEP_S)
             except BaseException:
-                # A bug: an uplink that sends nothing shall not seem to; the graph starts another.
+                # A bug, or a damaged outbox: an uplink that sends nothing shall not seem to; the graph starts another.
                 sys.excepthook(*sys.exc_info())
-                raise SystemExit(1) from None
+                os._exit(1)
             if self._stopping.is_set():
                 stop_at = stop_at or time.monotonic() + LAST_TRIES_S
                 if not self._offered or time.monotonic() > stop_at:
@@ -229,19 +232,27 @@ class TowerLink:
         for frame in self._outbox.waiting(WINDOW - len(self._on_their_way), now_s, self._on_their_way):
             if len(frame.message) > room and self._on_their_way:
                 return
-            header = VotesHeader(
-                region=self._config.name,
-                tower=self._config.tower,
-                camera=frame.camera,
-                stamp_ns=frame.stamp_ns,
-                model=frame.model,
-                grid=self._grid,
-            )
-            content = self._identity.sealed(header.model_dump_json().encode(), frame.message)
+            try:
+                content = self._sealed(frame)
+            except (MessageError, ValidationError) as error:
+                self._outbox.acknowledge([frame.key])
+                self._health.drop("message", f"the frame {frame.stamp_ns} of {frame.camera} cannot be sent: {error}")
+                continue
             if not self._link.send(votes_topic(self._config.name, self._config.tower), content):
                 return
             self._on_their_way[frame.key] = now_s + self._resend_s, len(frame.message)
             room -= len(frame.message)
+
+    def _sealed(self, frame: OutboxFrame) -> bytes:
+        header = VotesHeader(
+            region=self._config.name,
+            tower=self._config.tower,
+            camera=frame.camera,
+            stamp_ns=frame.stamp_ns,
+            model=frame.model,
+            grid=self._grid,
+        )
+        return self._identity.sealed(header.model_dump_json().encode(), frame.message)
 
     def _state(self) -> None:
         oldest, now = self._outbox.oldest_ns(), self._clock()

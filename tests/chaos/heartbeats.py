@@ -17,10 +17,15 @@ from ltm_ros.runtime.process_memory import MemoryInUse
 
 
 class Heartbeats:
-    """By label, as `tower/depth`. `processes`: labels of the processes that are a node each, or the cameras'."""
+    """By label, as `tower/depth`. `site`: its name. `processes`: labels of those that are a node each, or the cameras'.
 
-    def __init__(self, node: Node, processes: Collection[str]) -> None:
-        self._processes = processes
+    Of another site's graph in the same domain only the names are kept, in `strangers`: whoever joins costs memory in
+    every process.
+    """
+
+    def __init__(self, node: Node, site: str, processes: Collection[str]) -> None:
+        self._site, self._processes = site, processes
+        self.strangers: set[str] = set()
         self._at: dict[str, float] = {}
         self._latest: dict[str, dict[str, str]] = {}
         self._lock = threading.Lock()
@@ -64,6 +69,9 @@ class Heartbeats:
     def _take(self, message: Any) -> None:
         with self._lock:
             for status in message.status:
-                label = status.name.partition("/")[2].partition("/")[2]
+                site, _, label = status.name.removeprefix("/").partition("/")
+                if site != self._site:
+                    self.strangers.add(status.name)
+                    continue
                 self._at[label] = time.monotonic()
                 self._latest[label] = {item.key: item.value for item in status.values}

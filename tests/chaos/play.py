@@ -68,7 +68,7 @@ class Stage:
         self.site = RunningSite(self.small.path, self.state, self.recording, folder / "logs", domain)
         self.cameras = Cameras(bystander.node, self.photos, period_s)
         self.acknowledgements = Acknowledgements(bystander.node)
-        self.heartbeats = Heartbeats(bystander.node, self.site.nodes)
+        self.heartbeats = Heartbeats(bystander.node, self.small.site.name, self.site.nodes)
         self.first_usage: dict[str, Usage] = {}
 
     def begin(self) -> None:
@@ -187,6 +187,8 @@ def play_soak(folder: Path, domain: int, period_s: float, processes: str, minute
     growth, in_use = soak.growth(), soak.growth_in_use()
     print(*report.growth(growth, in_use), sep="\n")
     found.missed += soak.missed()
+    if strangers := sorted(stage.heartbeats.strangers):
+        found.missed.append(f"another graph was in the domain ({', '.join(strangers[:3])}...): nothing is said by this")
     found.content["soak"] = asdict(soak) | {
         "growth": {label: asdict(one) for label, one in growth.items()},
         "growth_in_use": {label: asdict(one) for label, one in in_use.items()},

@@ -9,9 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 import pytest
 import yaml
+from rclpy.serialization import serialize_message
 from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite
 from typer.testing import CliRunner
 
@@ -20,9 +22,12 @@ from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
 from ltm_core.raster.tile_store import TileStore
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.image import compressed_to_msg, encode_rgb
+from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.archive.engine import Engine, on_workers, serial
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
+from ltm_ros.archive.sampling import Sample
 from ltm_ros.archive.task import work
 from ltm_ros.cli.main import cli
 from ltm_ros.replay.run import ReplayOptions, run_offline
@@ -231,8 +236,42 @@ def test_the_journal_tells_the_end_of_each_day(small_site: SmallSite, tmp_path: 
         days = {change.stamp_ns // day for change in store.changes("life_form")}
     assert days <= {BEGIN_NS // day, BEGIN_NS // day + 1}
     assert BEGIN_NS // day in days
+    page = (tmp_path / "out/maps/index.html").read_text()
+    shown = sorted(path.stem for path in (tmp_path / "out/maps").glob("20*.png"))
+    assert shown == [str(np.datetime64(number, "D")) for number in sorted(days)]
+    assert json.dumps(shown) in page
+    assert (tmp_path / "out/maps/change.png").stat().st_size > 1000
     only = reprocessed(replace(options, since_ns=BEGIN_NS + day, out=str(tmp_path / "later")))
     assert only.merged == 4
+
+
+def test_a_sample_is_worked_alone_and_looked_at_once(options: ArchiveOptions, small_site: SmallSite) -> None:
+    options = replace(options, sample=Sample.parsed("2/day"))
+    planned = look_through(options, lambda done, total: None)
+    assert len(planned.frames) == 4
+    assert run(planned, serial, lambda done, total: None).merged == 4
+    looks = sorted((Path(options.out) / "looks").iterdir())
+    changed = [file.stat().st_mtime_ns for file in looks]
+    again = look_through(options, lambda done, total: None)
+    assert again.frames == planned.frames
+    assert [file.stat().st_mtime_ns for file in looks] == changed
+
+
+def test_pictures_that_show_nothing_are_passed_over(
+    options: ArchiveOptions, small_site: SmallSite, tmp_path: Path
+) -> None:
+    topic, black = camera_topic(NAME, "tower", IMAGE_COMPRESSED), np.zeros((180, 320, 3), np.uint8)
+    with BagWriter(tmp_path / "night") as bag:
+        for message in BagReader(small_site.bag).messages():
+            raw = message.raw
+            if message.topic == topic:
+                stamp = stamp_of(BagReader(small_site.bag).decode(message))
+                raw = serialize_message(compressed_to_msg(encode_rgb(black), "jpeg", stamp, "tower_optical"))
+            bag.write_raw(message.topic, message.type_name, raw, message.log_time_ns)
+    sample = Sample.parsed("2/day")
+    planned = look_through(replace(options, archives=(tmp_path / "night",), sample=sample), lambda done, total: None)
+    assert {frame.camera for frame in planned.frames} == {"mast"}
+    assert planned.passed_over == {"blank: the picture is of one colour": FRAMES}
 
 
 def test_layers_and_their_catalogue_entry_are_written(options: ArchiveOptions) -> None:

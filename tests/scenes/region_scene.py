@@ -99,5 +99,5 @@ def write_region_scene(folder: Path, port: int = 8883, **changes: Any) -> Region
         "max_behind": 1e9,
     }
     (folder / "region.yaml").write_text(yaml.safe_dump(region | changes), encoding="utf-8")
-    (folder / "map").mkdir()
+    (folder / "map").mkdir(exist_ok=True)
     return RegionScene(folder, port)

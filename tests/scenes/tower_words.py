@@ -10,6 +10,7 @@ from ltm_ros.runtime.kernel_clock import KernelClock
 NOW_S = 1_750_000_000.0
 NODES = (
     "/ridge/fuel_map",
+    "/ridge/uplink",
     *(f"/ridge/{camera}/{node}" for camera in ("north", "east") for node in ("capture", "topodepth")),
 )
 
@@ -39,6 +40,8 @@ def healths() -> dict[str, Health]:
         judge.gauge("inlier_ratio", "0.625")
         judge.gauge("last_verdict", "pose_suspected: the skyline is 2.1 degrees off")
     made["/ridge/north/topodepth"].gauge("inlier_ratio", "nan")
+    for key, value in (("outbox_frames", 412), ("outbox_bytes", 5_130_000), ("outbox_age_s", "7260.5"), ("link_up", 0)):
+        made["/ridge/uplink"].gauge(key, value)
     return made
 
 

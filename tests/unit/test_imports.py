@@ -45,7 +45,7 @@ ON_DEMAND = {
     "distributed": "the same, on many workers",
     "av": "videos for `ltm import`, RTSP streams",
 }
-NOT_ON_A_TOWER = {"rerun", "laspy", "pyretechnics", "rosbags", "pyarrow", "fsspec", "dask", "distributed"}
+NOT_ON_A_TOWER = {"rerun", "laspy", "pyretechnics", "rosbags", "pyarrow", "dask", "distributed"}
 """Of those on demand; all else is in the package that `make deb` builds."""
 
 
@@ -136,7 +136,7 @@ print(*sys.modules, sep="\\n")
 """
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     study = {"matplotlib", "jinja2", "torch", "mitsuba", "skimage", "onnx", "rosbags", "laspy", "rerun"}
-    study |= {"pyarrow", "fsspec", "dask", "distributed"}
+    study |= {"pyarrow", "dask", "distributed"}
     assert not {name for name in loaded if within(name, STUDY | study)}
 
 

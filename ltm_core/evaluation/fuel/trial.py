@@ -17,6 +17,7 @@ from scipy.special import ndtr
 
 from ltm_core.evaluation.fuel.trial_clumping import Clumping, clumping_of, correlation_of
 from ltm_core.evaluation.fuel.trial_country import CAMERA, REACH, SUBCELLS, View, World, tower_views
+from ltm_core.evaluation.fuel.trial_pictures import TrialPictures
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.votes import CellVotes, VoteCaster
@@ -42,14 +43,16 @@ class Trial:
     """Errors and conditions of a trial.
 
     `pose_deg`: root mean square of the rotation by which a pose is wrong, about any axis; half of its variance is the
-    same in all frames of a view. `clumping`: of the network's errors; None: as its correlations, which are known, say.
-    `network_error`: relative, by which the network differs in the field from what is known of it. `prior_wrong`: share
-    of the prior's cells, in patches. `near`: one more camera low among the plants, with errors of its own, each third
-    pixel taken for trees. `hours`: when each view is taken.
+    same in all frames of a view. `refined`: each frame's pose is first sought in its picture. `clumping`: of the
+    network's errors; None: as its correlations, which are known, say. `network_error`: relative, by which the
+    network differs in the field from what is known of it. `prior_wrong`: share of the prior's cells, in patches.
+    `near`: one more camera low among the plants, with errors of its own, each third pixel taken for trees. `hours`:
+    when each view is taken.
     """
 
     name: str
     pose_deg: float = 0.0
+    refined: bool = False
     clumping: Clumping | None = MODERATE
     network_error: float = 0.15
     prior_wrong: float = 0.05
@@ -68,6 +71,7 @@ class Trial:
 TRIALS = (
     Trial("exact poses"),
     Trial("pose 1 deg", pose_deg=1.0),
+    Trial("pose 1 deg, refined", pose_deg=1.0, refined=True),
     Trial("stands mislabelled", clumping=SYSTEMATIC),
     Trial("slopes mislabelled", clumping=SLOPES),
     Trial("errors as measured", clumping=None),
@@ -75,6 +79,7 @@ TRIALS = (
     Trial("outdated prior", prior_wrong=0.2),
     Trial("no prior", has_prior=False),
     Trial("all of it", pose_deg=1.0, clumping=SYSTEMATIC, near=True, prior_wrong=0.1),
+    Trial("all of it, refined", pose_deg=1.0, refined=True, clumping=SYSTEMATIC, near=True, prior_wrong=0.1),
     Trial(
         "all of it, a week",
         pose_deg=1.0,
@@ -97,24 +102,27 @@ def frames(world: World, trial: Trial, errors: LabelErrors, labels: LabelSet, se
     covariance = np.diag([0.0, 0.0, 0.0, sigma**2, sigma**2, sigma**2]) if sigma else None
     lasting = rng.normal(0, each / np.sqrt(2), (len(views), 3))
     network = _Network(world, trial, errors, rng)
+    pictures = TrialPictures(world, tracer.bend, np.random.default_rng([seed, 78])) if trial.refined else None
     for hour in trial.hours:
         for view, (name, position, azimuth, pitch) in enumerate(views):
             passing = rng.normal(0, each / np.sqrt(2), 3)
             turn = lasting[view] + passing
             believed = Pose.from_angles(position, azimuth, pitch)
             true = Pose.from_angles(position, azimuth + turn[0], pitch + turn[1], turn[2]) if sigma else believed
-            ranges = tracer.trace(CAMERA, believed)
-            shown = ranges if true is believed else tracer.trace(CAMERA, true)
+            shown = tracer.trace(CAMERA, true)
             label, confidence = network.labels(shown.points(), name)
+            pose, known = believed, covariance
+            if pictures is not None:
+                pose, known = pictures.refined(believed, true, each, label)
             yield caster.cast(
-                ranges.range,
+                tracer.trace(CAMERA, pose).range,
                 CAMERA,
-                believed,
+                pose,
                 label,
                 int(BEGIN_NS + hour * 3600e9),
                 name,
                 confidence,
-                covariance,
+                known,
                 along_axis=False,
             )
 

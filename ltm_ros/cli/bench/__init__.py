@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from ltm_ros.cli.bench.archive import archive
 from ltm_ros.cli.bench.bounds import bounds
 from ltm_ros.cli.bench.fusion import fusion
 from ltm_ros.cli.bench.graph import graph
@@ -26,6 +27,7 @@ bench = typer.Typer(
     no_args_is_help=True,
 )
 bench.command()(graph)
+bench.command()(archive)
 bench.command()(bounds)
 bench.command()(memory)
 bench.command()(network)

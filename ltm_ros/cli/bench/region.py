@@ -37,7 +37,16 @@ def region(
     print_conditions(console, state)
     results = run_bench(towers, seconds, kills, seed, extent, views, lambda line: console.print(f"-- {line}"))
     table = Table(title=f"{towers} towers, {seconds} s of votes while the link was down")
-    for column in ("run", "kills", "frames", "in the map", "the same to the bit", "caught up in s", "times real time"):
+    for column in (
+        "run",
+        "kills",
+        "frames",
+        "in the map",
+        "the same to the bit",
+        "caught up in s",
+        "times real time",
+        "CPU ms a frame",
+    ):
         table.add_column(column, justify="left" if column == "run" else "right")
     for name, result in zip(("calm", "killed"), results, strict=True):
         table.add_row(
@@ -47,7 +56,8 @@ def region(
             str(result.stored),
             "yes" if result.equal else "NO",
             f"{result.catch_up_s:.1f}",
-            f"{result.times_real:.0f}",
+            f"{result.times_real:.1f}",
+            "" if result.cpu_ms_a_frame is None else f"{result.cpu_ms_a_frame:.1f}",
         )
     console.print(table)
     console.print(

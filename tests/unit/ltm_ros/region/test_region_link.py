@@ -5,7 +5,7 @@ from __future__ import annotations
 import ssl
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import pytest
 from paho.mqtt.enums import CallbackAPIVersion
 from scenes.mqtt_broker import Broker, free_port
 from scenes.region_scene import CAMERA, REGION, RegionScene, stamp_of, write_region_scene
+from scenes.waiting import PATIENCE_S, wait_for
 
 from ltm_core.uplink.config import UplinkConfig
 from ltm_core.uplink.envelope import VotesGrid
@@ -26,15 +27,6 @@ from ltm_ros.region.service import RegionService
 from ltm_ros.region.tiles import opened_tile
 from ltm_ros.region.tower_link import TowerLink
 from ltm_ros.runtime.health import Health
-
-PATIENCE_S = 30.0
-
-
-def wait_for(what: str, reached: Callable[[], object]) -> None:
-    until = time.monotonic() + PATIENCE_S
-    while not reached():
-        assert time.monotonic() < until, what
-        time.sleep(0.02)
 
 
 @pytest.fixture
@@ -100,27 +92,27 @@ def test_frames_reach_the_map_and_leave_the_outbox(scene: RegionScene, broker: B
     with sending(scene, "alta") as (alta, said), sending(scene, "bear") as (bear, _):
         offer(alta, scene, range(30))
         offer(bear, scene, range(9))
-        wait_for("the outbox", lambda: waiting(said) == "30")
+        wait_for(lambda: waiting(said) == "30", "the outbox")
         summary = said.summary()
         assert float(summary["outbox_bytes"]) == sum(len(scene.votes(number)) for number in range(30))
         assert float(summary["outbox_age_s"]) == pytest.approx(time.time() - stamp_of(0) / 1e9, abs=60)
         with mapped(scene) as service:
-            wait_for("all frames", lambda: service.frames == 39)
-            wait_for("an empty outbox", lambda: waiting(said) == "0")
+            wait_for(lambda: service.frames == 39, "all frames")
+            wait_for(lambda: waiting(said) == "0", "an empty outbox")
             assert said.summary()["noted.acknowledged"] == "30"
             assert said.summary()["outbox_age_s"] == "0.0"
             broker.stop()
             offer(alta, scene, range(30, 40))
-            wait_for("the outbox again", lambda: waiting(said) == "10")
+            wait_for(lambda: waiting(said) == "10", "the outbox again")
             broker.start()
-            wait_for("the rest", lambda: service.frames == 49 and waiting(said) == "0")
+            wait_for(lambda: service.frames == 49 and waiting(said) == "0", "the rest")
             assert (service.health.dropped, said.dropped) == ({}, {})
 
 
 def test_a_frame_that_is_refused_stays_and_is_told_in_words(scene: RegionScene, broker: Broker) -> None:
     with mapped(scene) as service, sending(scene, "alta", resolution=10.0) as (alta, said):
         offer(alta, scene, range(2))
-        wait_for("a refusal", lambda: said.summary().get("noted.refused") == "2")
+        wait_for(lambda: said.summary().get("noted.refused") == "2", "a refusal")
         assert "fuel cells are 10 m wide, the region's 30 m" in said.last_error
         assert waiting(said) == "2"
         assert service.frames == 0
@@ -166,7 +158,7 @@ def test_nobody_comes_without_a_certificate_of_the_authority(
     with Client(scene, "") as nobody, Client(scene, "alta", tmp_path / "others") as stranger:
         with Client(scene, "alta") as alta:
             assert alta.connected.wait(PATIENCE_S)
-        wait_for("refusals", lambda: broker.log.count("OpenSSL Error") >= 2)
+        wait_for(lambda: broker.log.count("OpenSSL Error") >= 2, "refusals")
         assert not nobody.connected.is_set()
         assert not stranger.connected.is_set()
 
@@ -183,10 +175,10 @@ def test_a_tower_writes_its_own_topic_alone_and_hears_what_is_its_own(scene: Reg
         assert bear.connected.wait(PATIENCE_S)
         alta.subscribe("#")
         bear.publish(votes_topic(REGION, "bear"), b"mine")
-        wait_for("an answer", lambda: len(bear.reasons) == 1)
+        wait_for(lambda: len(bear.reasons) == 1, "an answer")
         for topic in topics:
             alta.publish(topic, b"not mine")
-        wait_for("answers", lambda: len(alta.reasons) == len(topics))
+        wait_for(lambda: len(alta.reasons) == len(topics), "answers")
         assert set(alta.reasons) == {"Not authorized"}
         assert "Not authorized" not in bear.reasons
         assert alta.got == []
@@ -201,10 +193,10 @@ def test_an_acknowledgement_that_is_forged_or_replayed_lets_nothing_go(scene: Re
     with sending(scene, "alta") as (alta, said), Client(scene, "aggregator") as enemy:
         offer(alta, scene, range(1))
         enemy.publish(presence_topic(REGION), b"some life", retain=True)
-        wait_for("the link", lambda: said.summary().get("link_up") == "1")
+        wait_for(lambda: said.summary().get("link_up") == "1", "the link")
         for number, content in enumerate([b"junk", by_tower, for_bear], start=1):
             enemy.publish(ack_topic(REGION, "alta"), content)
-            wait_for("it is counted", lambda number=number: said.dropped.get("message") == number)
+            wait_for(lambda number=number: said.dropped.get("message") == number, "it is counted")
         assert waiting(said) == "1"
 
 
@@ -216,15 +208,15 @@ def resident_mb() -> float:
 def test_junk_is_refused_and_counted_in_bounded_memory(scene: RegionScene, broker: Broker, megabytes: int) -> None:
     with mapped(scene) as service, Client(scene, "alta") as alta, sending(scene, "bear") as (bear, said):
         assert alta.connected.wait(PATIENCE_S)
-        wait_for("the map is there", lambda: said.summary().get("link_up") == "1")
+        wait_for(lambda: said.summary().get("link_up") == "1", "the map is there")
         before = resident_mb()
         junk = np.random.default_rng(1).bytes(90_000)
         for number in range(megabytes * 10**6 // len(junk)):
             alta.publish(votes_topic(REGION, "alta"), junk, qos=1)
             if number % 200 == 0:
-                wait_for("the broker", lambda number=number: len(alta.reasons) >= number - 200)
+                wait_for(lambda number=number: len(alta.reasons) >= number - 200, "the broker")
         offer(bear, scene, range(3))
-        wait_for("the votes of the other tower", lambda: service.frames == 3)
+        wait_for(lambda: service.frames == 3, "the votes of the other tower")
         refused = service.health.dropped
         assert 0 < refused["message"] <= megabytes * 10**6 // len(junk)
         assert resident_mb() - before < 250
@@ -232,7 +224,7 @@ def test_junk_is_refused_and_counted_in_bounded_memory(scene: RegionScene, broke
         with Client(scene, "alta") as other:
             assert other.connected.wait(PATIENCE_S)
             other.publish(votes_topic(REGION, "alta"), bytes(LARGEST_PACKET + 1000), qos=0)
-            wait_for("the broker's word", lambda: "oversize packet" in broker.log or "Packet too large" in broker.log)
+            wait_for(lambda: "oversize packet" in broker.log or "Packet too large" in broker.log, "the broker's word")
 
 
 def test_who_follows_the_map_has_all_of_it_and_what_changes(scene: RegionScene, broker: Broker) -> None:
@@ -240,7 +232,7 @@ def test_who_follows_the_map_has_all_of_it_and_what_changes(scene: RegionScene, 
     got: dict[str, bytes] = {}
     with mapped(scene) as service, sending(scene, "alta") as (alta, _):
         offer(alta, scene, range(8))
-        wait_for("frames", lambda: service.frames == 8)
+        wait_for(lambda: service.frames == 8, "frames")
         follower = MqttLink(scene.broker("desk"), desk, "desk", [f"ltm/{REGION}/tile/#"], got.__setitem__, Health())
         follower.start()
         try:
@@ -257,10 +249,10 @@ def test_who_follows_the_map_has_all_of_it_and_what_changes(scene: RegionScene, 
                     classes[row : row + part.shape[0], col : col + part.shape[1]] = part
                 return classes
 
-            wait_for("the map", lambda: np.array_equal(followed(), shown.life_form))
+            wait_for(lambda: np.array_equal(followed(), shown.life_form), "the map")
             before = shown.life_form.copy()
             offer(alta, scene, range(8, 40))
-            wait_for("more", lambda: service.frames == 40 and np.array_equal(followed(), shown.life_form))
+            wait_for(lambda: service.frames == 40 and np.array_equal(followed(), shown.life_form), "more")
             assert not np.array_equal(before, shown.life_form)
         finally:
             follower.stop()

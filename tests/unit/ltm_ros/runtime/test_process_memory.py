@@ -180,6 +180,6 @@ def test_large_blocks_that_pass_through_leave_no_holes() -> None:
 def test_what_objects_lie_in_is_counted() -> None:
     heap, blocks, heap_after, blocks_after = map(int, _run(_OBJECTS).split())
     assert 5_200_000 < heap < 6_500_000
-    assert 50_000 <= blocks < 51_000
+    assert abs(blocks - 50_000) < 2_000  # Python keeps some to use again
     assert abs(heap_after) < 100_000
-    assert abs(blocks_after) < 2_000  # Python keeps tuples to use again
+    assert abs(blocks_after) < 2_000

@@ -1,0 +1,31 @@
+"""Poses of the fuel map's trials, found in the pictures that are drawn for them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltm_core.evaluation.fuel.trial_country import CAMERA, make_world, tower_views
+from ltm_core.evaluation.fuel.trial_pictures import TrialPictures
+from ltm_core.fuel.life_form import LifeForm
+from ltm_core.geodesy import ray_bend
+from ltm_core.pose import Pose
+from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between
+from ltm_core.vision.labels import Label
+
+
+@pytest.mark.slow
+def test_a_believed_pose_becomes_the_true_one_and_fog_leaves_it() -> None:
+    world = make_world(6, 0.05)
+    pictures = TrialPictures(world, ray_bend(True, 0.13), np.random.default_rng(3))
+    _, position, azimuth, pitch = tower_views(world.towers)[1]
+    believed = Pose.from_angles(position, azimuth, pitch)
+    true = Pose.from_angles(position, azimuth + 0.9, pitch - 0.6, 0.5)
+    land = np.full((CAMERA.height, CAMERA.width), np.uint8(LifeForm.SHRUB))
+    found, covariance = pictures.refined(believed, true, 0.6, land)
+    assert np.degrees(np.abs(angles_between(true, found))).max() < 0.25
+    assert np.degrees(np.sqrt(covariance.diagonal()[3:])).max() < 0.3
+    far_off = Pose.from_angles(position, azimuth, pitch - 70.0)  # looks at its feet
+    found, covariance = pictures.refined(far_off, far_off, 0.6, np.full_like(land, np.uint8(Label.BARE)))
+    np.testing.assert_allclose(found.rotation, far_off.rotation, atol=1e-12)
+    np.testing.assert_allclose(covariance, PosePrior(far_off, 0.6, 0.6, 0.6).covariance)
