@@ -11,7 +11,7 @@ export PYTHONDONTWRITEBYTECODE :=
 # Build back-ends warn of what a user of this Makefile cannot mend.
 PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -c constraints.txt
 
-# The nodes' kernels, compiled by two processes together; a test run compiles what has changed since by itself.
+# Most kernels, compiled by two processes together; a test run compiles what has changed since by itself.
 KERNELS := PYTHONPATH=tests $(BIN)/python -m scenes.compiled_kernels
 
 
@@ -20,7 +20,7 @@ FIRE := $(VENV)/pyretechnics
 BURN := $(BIN)/ltm fire out/demo/state/fuel_map.ltm --site bags/demo/site.yaml --ignition 348400,3784900 --wind 6,80 \
 	--moisture D2L2 --hours 6 --ensemble 20 --out out/demo/fire --overwrite
 
-.PHONY: demo demo-real demo-fire fire test test-all fuzz chaos soak audit bench docs lint format lock deb try-deb clean
+.PHONY: demo demo-real demo-update demo-fire fire test test-all fuzz chaos soak audit bench docs lint format lock deb try-deb clean
 
 $(INSTALLED): pyproject.toml constraints.txt setup.py setup.cfg
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.12")'
@@ -45,15 +45,21 @@ demo-fire: $(INSTALLED) $(FIRE)/.installed
 	[ -e out/demo/state/fuel_map.ltm ] || $(BIN)/ltm demo --out out/demo
 	$(BURN)
 
+# A felled and a burnt stand: depth before and after the terrain has confirmed it. Two minutes.
+demo-update: $(INSTALLED)
+	$(BIN)/ltm eval update --pictures out/demo-update
+
 demo-real: $(INSTALLED)
 	$(BIN)/ltm demo --real --out out/demo-real
 
-# By file: the tests of one file may share a graph. The order is that of tests/graph/conftest.py. Three on two cores:
-# graphs wait more than they work.
-GRAPHS := -n 3 --dist loadfile --no-loadscope-reorder
+# More processes than the two cores that they are for: what waits (for a camera's next picture, a file's flush, a node
+# to be up) leaves its core to the others.
+UNITS := -n 3 --dist worksteal
+# By file: the tests of one file may share a graph. The order is that of tests/graph/conftest.py.
+GRAPHS := -n 4 --dist loadfile --no-loadscope-reorder
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m "not slow and not graph" -n 2 --dist worksteal -q --durations=20
+	$(BIN)/python -m pytest -m "not slow and not graph" $(UNITS) -q --durations=20
 	$(BIN)/python -m pytest tests/graph -m "not slow and graph" $(GRAPHS) -q --durations=20
 
 $(VENV)/.installed-all: $(VENV)/.installed-dev
@@ -69,7 +75,7 @@ $(FIRE)/.installed: | $(INSTALLED)
 test-all: $(VENV)/.installed-all $(FIRE)/.installed
 	LTM_PYRETECHNICS=$(FIRE)/bin/python $(BIN)/python -m pytest -m "not graph" -q --durations=20
 	$(BIN)/python -m pytest -m graph $(GRAPHS) -q --durations=20
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m kernel -n 2 --dist worksteal -q --durations=20
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m kernel $(UNITS) -q --durations=20
 
 # New cases each time; what fails is kept in out/fuzz, and printed with the command that repeats it.
 fuzz: MINUTES ?= 20

@@ -20,6 +20,7 @@ from ltm_core.depth.topodepth import FusedDepth, FusionSettings, fuse
 from ltm_core.frame import PosedImage
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.site_map import site_evidence_map
+from ltm_core.fuel.vote_columns import fitting
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.range_image import DepthImage, RangeImage
 from ltm_core.resources import config_path, project_path
@@ -34,7 +35,7 @@ from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import compressed_to_rgb
 from ltm_msgs_py.pose import msg_to_pose, pose_to_msg
 from ltm_msgs_py.stamp import stamp_of
-from ltm_msgs_py.votes import fitting, msg_to_votes, votes_to_msg
+from ltm_msgs_py.votes import msg_to_votes, votes_to_msg
 
 
 class OneFrame(NamedTuple):

@@ -43,3 +43,7 @@ class RecordingError(LtmError):
 
 class StoreError(LtmError):
     """A store that cannot be read or written just now: disk full, read-only, in use by another process."""
+
+
+class ArchiveError(LtmError):
+    """An archive of recordings that cannot be worked again as asked."""

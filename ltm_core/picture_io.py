@@ -9,9 +9,11 @@ from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 
-from PIL import Image, UnidentifiedImageError
+import numpy as np
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from ltm_core.errors import ImageError
+from ltm_core.types import UInt8Array
 
 LARGEST_FILE = 256 << 20
 """Bytes of a photo file."""
@@ -35,6 +37,12 @@ def open_picture(path: Path) -> Iterator[tuple[Image.Image, bytes]]:
     data = read_picture(path)
     with opened_picture(data, path) as image:
         yield image, data
+
+
+def read_rgb(path: Path) -> UInt8Array:
+    """A photo upright as its EXIF says, (H, W, 3) RGB. Raises ImageError."""
+    with open_picture(path) as (source, _):
+        return np.asarray(ImageOps.exif_transpose(source).convert("RGB"), np.uint8)
 
 
 def read_picture(path: Path) -> bytes:

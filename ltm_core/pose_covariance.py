@@ -49,6 +49,14 @@ def moved_covariance(covariance: Float64Array, offset: Float64Array) -> Float64A
     return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
+def sigma_keys(pose: Pose, covariance: Float64Array) -> dict[str, float]:
+    """`pose_sigmas` as a pose file has them, three digits each; what is 0 is left out."""
+    x, y, z, azimuth, pitch, roll = pose_sigmas(pose, covariance)
+    sigmas = {"position_sigma": max(x, y), "height_sigma": z}
+    sigmas |= {"azimuth_sigma_deg": azimuth, "pitch_sigma_deg": pitch, "roll_sigma_deg": roll}
+    return {key: float(f"{sigma:.3g}") for key, sigma in sigmas.items() if sigma > 0}
+
+
 def pose_sigmas(pose: Pose, covariance: Float64Array) -> Float64Array:
     """Standard deviations of x, y, z (m), azimuth, pitch and roll (deg), (6,), from a covariance as `pose_covariance`
     makes it: the turns about the map's axes as turns about the vertical, the level right and the viewing direction.

@@ -28,6 +28,7 @@ from ltm_core.site_sections import (
 )
 from ltm_core.strict_model import StrictModel
 from ltm_core.tracing.possible_ground import PossibleGround
+from ltm_core.uplink.config import UplinkConfig
 
 
 def _ros_name(name: str) -> str:
@@ -41,7 +42,7 @@ RosName = Annotated[str, AfterValidator(_ros_name)]
 FARTHEST_ORIGIN = 100_000.0
 """Metres from the DEM to the origin: beyond it, float32 coordinates no longer hold centimetres."""
 
-SITE_NAMES = ("fuel_map", "terrain", "locate", "viewer", "recorder", "health")
+SITE_NAMES = ("fuel_map", "terrain", "locate", "viewer", "recorder", "health", "uplink")
 """Nodes and topics that stand beside the cameras in `/<site>/`: no camera may be called so."""
 
 
@@ -106,6 +107,8 @@ class Site(StrictModel):
     watchdog: WatchdogConfig = WatchdogConfig()
     health: HealthConfig | None = None
     """Where given, `ltm run` answers monitoring systems there, and serves the status page."""
+    region: UplinkConfig | None = None
+    """Where given, votes also go to the map of a region."""
     nodes: dict[RosName, dict[str, Any]] = Field(default_factory=dict)
     """Parameters a node type: `nodes: {capture: {pose_tolerance: 0.1}}`. Each node refuses what it does not know."""
 

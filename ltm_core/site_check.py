@@ -6,28 +6,26 @@ they read it with.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
 
+from ltm_core.camera_check import check_angles, check_camera, check_mask
 from ltm_core.dem import Dem
-from ltm_core.errors import LtmError, PoseError
+from ltm_core.errors import LtmError
+from ltm_core.finding import Finding, Verdict
 from ltm_core.fuel.codes import FuelRegion
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.prior_io import load_prior, prior_heights
 from ltm_core.fuel.site_map import site_label_errors
 from ltm_core.grid import GridGeometry
-from ltm_core.plausibility import TALLEST_MAST, doubt_of_dem, doubt_of_height, doubt_of_heights, doubt_of_radians
-from ltm_core.pose_estimation.mount_config import MountConfig
+from ltm_core.plausibility import doubt_of_dem, doubt_of_heights
 from ltm_core.resources import config_path
 from ltm_core.site import Site
 from ltm_core.site_io import load_site
-from ltm_core.site_sections import CameraConfig
 from ltm_core.types import Float64Array
 from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.label_head import SHIPPED_HEAD
@@ -35,40 +33,11 @@ from ltm_core.vision.label_head_io import find_head, read_head
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.onnx_model import OnnxModel
-from ltm_core.vision.scene_view import SceneFilter
 
 _FAR_ORIGIN = 30_000.0
 """Metres from the origin beyond which float32 no longer holds millimetres."""
 _SAMPLES = 200
 """Points a side at which two rasters' heights are compared."""
-_MUCH_MASKED = 0.6
-"""Share of a picture above which a mask may be inverted."""
-_TURNING = ("lens", "caption")
-"""Classes of polygons that hide the same pixels wherever a head looks."""
-_WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
-
-
-class Verdict(StrEnum):
-    OK = "ok"
-    DOUBTFUL = "doubtful"
-    """It runs, but may not be what is meant."""
-    WRONG = "wrong"
-    """It cannot work."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing that was looked at. `said`: what was found, and the remedy where something is amiss; one line."""
-
-    area: str
-    name: str
-    verdict: Verdict
-    said: str
-
-    @classmethod
-    def of(cls, area: str, name: str, error: LtmError | str, verdict: Verdict = Verdict.WRONG) -> Finding:
-        """Of an error or a doubt; its lines become one."""
-        return cls(area, name, verdict, "; ".join(line.strip() for line in str(error).splitlines()).replace(":;", ":"))
 
 
 @dataclass
@@ -105,10 +74,10 @@ def check_site(path: Path, cameras: Sequence[str] = ()) -> SiteCheck:
     else:
         check.findings += _terrain(site, check.dem)
         for name in cameras or site.cameras:
-            check.findings += _camera(site.cameras[name], name, site, check.dem, check.views)
+            check.findings += check_camera(name, site, check.dem, check.views)
     for name in cameras or site.cameras:
-        check.findings += _mask(site, name)
-    check.findings += _angles(site, cameras)
+        check.findings += check_mask(site, name)
+    check.findings += check_angles(site, cameras)
     check.findings += _fuel(site, check)
     check.findings += _networks(site)
     return check
@@ -165,126 +134,6 @@ def _sampled(dem: Dem, over: GridGeometry) -> Float64Array:
     """Heights at points spread evenly over a raster."""
     rows, cols = (np.linspace(0, n - 1, min(n, _SAMPLES)) for n in over.shape)
     return dem.elevation_at(*over.to_map(rows[:, None], cols[None, :]))
-
-
-def _camera(config: CameraConfig, name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> Iterator[Finding]:
-    try:
-        camera = config.calibration.camera() if config.calibration is not None else None
-        pose = config.pose.pose(dem, site.frame) if config.pose is not None else None
-        if camera is not None and camera.width * camera.height > site.limits.pixels:
-            raise PoseError(
-                f"calibration of {camera.width} x {camera.height} pixels, at most {site.limits.pixels} are taken: "
-                "raise pixels under `limits`"
-            )
-    except LtmError as error:
-        yield Finding.of("cameras", name, error)
-        return
-    if config.mount is not None:
-        yield _head(config.mount, name, site, dem)
-        return
-    topics = [what for what, part in (("calibration", camera), ("pose", pose)) if part is None]
-    if pose is None or config.pose is None:
-        yield Finding("cameras", name, Verdict.OK, f"{' and '.join(topics)} come as topics")
-        return
-    x, y, z = (float(v) for v in pose.position)
-    ground = float(dem.elevation_at(x, y))
-    if math.isnan(ground):
-        covered = dem.levels[-1].geometry.translated(*site.origin).described()
-        doubt: str | None = f"stands at ({config.pose.x:g}, {config.pose.y:g}) beside the DEM, which covers {covered}"
-    elif config.pose.height_above_ground is not None:
-        tall = f"height_above_ground {z - ground:g} m is more than masts have: if these are feet, write metres"
-        doubt = tall if z - ground > TALLEST_MAST else None
-    else:
-        doubt = doubt_of_height(z, ground)
-    azimuth, pitch, _ = pose.angles_deg
-    width = "" if camera is None else f", {camera.hfov_deg:.0f} deg wide"
-    found = f"{z - ground:.1f} m above the ground, looks {_WINDS[round(azimuth / 45) % 8]} ({azimuth:g} deg), "
-    found += f"{abs(pitch):g} deg {'up' if pitch > 0 else 'down'}{width}"
-    found += "; calibration comes as topic" if camera is None else ""
-    yield (
-        Finding("cameras", name, Verdict.OK, found)
-        if doubt is None
-        else Finding.of("cameras", name, doubt, Verdict.DOUBTFUL)
-    )
-    if camera is not None:
-        views.append(PosedCamera(name, camera, pose))
-
-
-def _mask(site: Site, name: str) -> Iterator[Finding]:
-    """Where a camera has one: what share of the picture it hides, if its size is known."""
-    config = site.cameras[name]
-    if config.mask is None:
-        return
-    called = f"{name}: mask"
-    try:
-        mask = SceneFilter.of(site, name).mask
-    except LtmError as error:
-        yield Finding.of("cameras", called, error)
-        return
-    found = "polygons, drawn when the calibration comes as topic"
-    doubts = []
-    if mask is not None:
-        found = f"hides {mask.share:.1%} of {mask.size[0]} x {mask.size[1]} pixels"
-        if mask.share > _MUCH_MASKED:
-            doubts.append("little is left to see; masked is what is not 0 in a PNG: is it inverted?")
-    turning = not isinstance(config.mask, Path) and all(polygon.kind in _TURNING for polygon in config.mask)
-    if config.mount is not None and not turning:
-        doubts.append(
-            "the head turns, and the mask hides the same pixels in every view: only what turns with it belongs into "
-            "it, such as corners of the lens and captions"
-        )
-    verdict = Verdict.DOUBTFUL if doubts else Verdict.OK
-    yield Finding("cameras", called, verdict, ": ".join([found, *doubts]))
-
-
-def _head(mount: MountConfig, name: str, site: Site, dem: Dem) -> Finding:
-    """Of a camera on a pan-tilt-zoom head."""
-    try:
-        model = mount.model(dem, site.frame)
-        lens = mount.lens
-        if lens is not None and lens.width * lens.height > site.limits.pixels:
-            raise PoseError(
-                f"lens of {lens.width} x {lens.height} pixels, at most {site.limits.pixels} are taken: raise pixels "
-                "under `limits`"
-            )
-    except LtmError as error:
-        return Finding.of("cameras", name, error)
-    above = float(model.base.position[2]) - float(dem.elevation_at(*model.base.position[:2]))
-    worst = max(model.direction_sigma_deg(pan) for pan in range(0, 360, 30))
-    if not mount.calibrated:
-        doubt = (
-            f"its mount is not calibrated: directions are open by {worst:.1f} deg; `ltm pose --site SITE --camera "
-            f"{name}` calibrates it (docs/cameras.md)"
-        )
-        return Finding.of("cameras", name, doubt, Verdict.DOUBTFUL)
-    return Finding("cameras", name, Verdict.OK, f"head {above:.1f} m above the ground, directions to {worst:.2f} deg")
-
-
-def check_views(views: Sequence[PosedCamera], dem: Dem) -> Iterator[Finding]:
-    """Of views that a recording has, a finding a camera: whether they were taken from above the ground of the DEM."""
-    for name in dict.fromkeys(view.name for view in views):
-        positions = np.array([view.pose.position for view in views if view.name == name])
-        above = positions[:, 2] - dem.elevation_at(positions[:, 0], positions[:, 1])
-        lowest = int(np.argmin(np.where(np.isnan(above), np.inf, above)))
-        doubt = doubt_of_height(float(positions[lowest, 2]), float(positions[lowest, 2] - above[lowest]))
-        if np.isnan(above).all():
-            x, y = positions[0, :2]
-            doubt = (
-                f"stands at map ({x:.0f}, {y:.0f}) beside the DEM, which covers {dem.levels[-1].geometry.described()}"
-            )
-        if doubt is not None:
-            verdict = Verdict.WRONG if above[lowest] <= 0 else Verdict.DOUBTFUL
-            yield Finding.of("recording", name, doubt, verdict)
-        else:
-            said = f"{len(positions)} different views, {above[lowest]:.1f} m above the ground"
-            yield Finding("recording", name, Verdict.OK, said)
-
-
-def _angles(site: Site, cameras: Sequence[str]) -> Iterator[Finding]:
-    poses = {name: site.cameras[name].pose for name in cameras or site.cameras}
-    doubt = doubt_of_radians([pose.azimuth_deg for pose in poses.values() if pose is not None])
-    if doubt is not None:
-        yield Finding("cameras", "azimuth_deg", Verdict.DOUBTFUL, doubt)
 
 
 def _fuel(site: Site, check: SiteCheck) -> Iterator[Finding]:

@@ -10,6 +10,7 @@ from ltm_core.ptz_config import PtzSettings
 from ltm_core.site import Site
 from ltm_core.site_sections import CameraConfig, DemConfig
 from ltm_core.source_config import FolderConfig, HttpSettings, NetworkSettings
+from ltm_core.uplink.region_io import broker_beside
 
 
 def load_site(path: Path | str) -> Site:
@@ -37,6 +38,9 @@ def load_site(path: Path | str) -> Site:
         given = {name: getattr(site.health, name) for name in ("certificate", "key", "token")}
         files = {name: path.parent / file for name, file in given.items() if file is not None}
         changes["health"] = site.health.model_copy(update=files)
+    if site.region is not None:
+        broker = broker_beside(site.region.broker, path.parent)
+        changes["region"] = site.region.model_copy(update={"broker": broker})
     fuel: dict[str, object] = {}
     if site.fuel.prior is not None:
         fuel["prior"] = site.fuel.prior.below(path.parent)

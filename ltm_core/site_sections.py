@@ -149,6 +149,12 @@ class TerrainConfig(StrictModel):
     """Turn each frame, within its pose's uncertainty, so that it agrees best with the reference."""
     cache_mb: float = Field(100.0, ge=32)
     """Memory for cells; the others wait in the store."""
+    trace_confirmed: bool = False
+    """Trace depth, and export heights, to the surface as views have confirmed it; False: to `dem` and `surface` as
+    they were given. Needs a folder for the node's state."""
+    confirm_every: float = Field(600.0, ge=0)
+    """Of the frames' time: a new version of the confirmed surface follows the one before after so long at the
+    earliest."""
     views_mb: float = Field(34.0, ge=0)
     """Memory for what the reference shows in the pixels of cameras that stand still: 17 MB each at 1080p."""
 

@@ -20,7 +20,7 @@ class SecretConfig(StrictModel):
     file: Path | None = None
     """A file that holds nothing else; its last line break does not count."""
     credential: str | None = Field(None, pattern=r"[A-Za-z0-9_.-]+")
-    """Name of a systemd credential (`LoadCredential=`), a file in `$CREDENTIALS_DIRECTORY`."""
+    """Name of a systemd credential (`LoadCredential=`): of a file in `/etc/ltm/credentials` on an installed tower."""
 
     @model_validator(mode="before")
     @classmethod

@@ -17,8 +17,9 @@ from sensor_msgs.msg import PointCloud2
 from ltm_core.errors import MessageError
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.grid import GridGeometry
+from ltm_core.named_columns import take
 from ltm_core.types import Int64Array
-from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns, take
+from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns
 
 _FIELDS: Final[dict[str, Any]] = {
     "life_form": np.uint8,

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
 from ltm_core.errors import MessageError
+from ltm_core.named_columns import Columns
 from ltm_msgs_py.stamp import make_header
-
-Columns = dict[str, NDArray[Any]]
 
 _DTYPES: dict[int, np.dtype[Any]] = {
     PointField.INT8: np.dtype(np.int8),
@@ -97,13 +96,3 @@ def msg_to_columns(msg: Any) -> Columns:
     rows = np.frombuffer(msg.data, np.uint8).reshape(height, row_step)[:, : width * point_step]
     points = np.ascontiguousarray(rows).reshape(-1).view(layout)
     return {name: np.ascontiguousarray(points[name], points[name].dtype.newbyteorder("=")) for name in names}
-
-
-def take(columns: Columns, name: str, dtype: Any, what: str) -> NDArray[Any]:
-    """The column `name`, which must be there with that dtype. Raises MessageError naming what is there."""
-    if name not in columns:
-        raise MessageError(f"{what} lacks the field {name!r}; it has {', '.join(columns)}")
-    column = columns[name]
-    if column.dtype != np.dtype(dtype):
-        raise MessageError(f"{what}: field {name!r} is {column.dtype}, must be {np.dtype(dtype)}")
-    return column

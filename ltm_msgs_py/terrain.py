@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
 from ltm_core.grid import GridGeometry
+from ltm_core.named_columns import take
 from ltm_core.terrain.change import Changed
 from ltm_core.terrain.layers import SurfaceLayers
 from ltm_core.types import Float32Array
 from ltm_msgs_py.grid import UNKNOWN, classes_to_msg
-from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns, take
+from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns
 
 
 def changed_to_msg(

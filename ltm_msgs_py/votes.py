@@ -1,179 +1,44 @@
-"""CellVotes <-> sensor_msgs/PointCloud2.
+"""CellVotes <-> sensor_msgs/PointCloud2: one point a cell, with the columns of `ltm_core.fuel.vote_columns` as fields.
 
-One point a cell: x, y, z float32 (its centre on the terrain), and one uint16 field of pixels for each class that the
-frame saw, named after it. Where they are known: `confidence` of the labels and `cos_incidence`, uint8 x 255;
-`footprint_dm`, `sigma_along_dm`, `sigma_across_dm` in decimetres and `bearing_deg`, uint16. So votes are sparse and
-name the classes that they count, and any ROS tool shows them as points.
+So votes are sparse and name the classes that they count, and any ROS tool shows them as points.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
 from ltm_core.errors import MessageError
-from ltm_core.fuel.cell_visibility import CellVisibility
+from ltm_core.fuel.vote_columns import checked_names, columns_to_votes, most_bytes, votes_to_columns
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
-from ltm_core.types import Int32Array, Int64Array
-from ltm_msgs_py.pointcloud import Columns, columns_to_msg, msg_to_columns, take
+from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns
 from ltm_msgs_py.stamp import stamp_of
-
-MAX_BYTES = 64_000
-"""Largest message of a frame's votes."""
-_HEADER_BYTES = 1_500
-"""Bound of what a message holds besides its points: header, names of fields."""
-_AXES = ("x", "y", "z")
-_LENGTHS = ("footprint_dm", "sigma_along_dm", "sigma_across_dm")
-_VISIBILITY = ("cos_incidence", *_LENGTHS, "bearing_deg")
-_RESERVED = (*_AXES, "row", "col", "confidence", *_VISIBILITY)
-_MOST = 65_535
-
-
-def fitting(votes: CellVotes, turn: int) -> CellVotes:
-    """The votes that fit into a message of `MAX_BYTES`.
-
-    Where there are more, the strongest take three quarters of the room and the others take turns in the rest, so that
-    the distance that a fixed camera sees is not left out for good. `turn`: number of the frame.
-    """
-    limit = (MAX_BYTES - _HEADER_BYTES) // _point_bytes(votes)
-    if len(votes) <= limit:
-        return votes
-    chosen = np.isin(_cells(votes), _cells(votes.strongest(limit - limit // 4)))
-    others = np.flatnonzero(~chosen)
-    rounds = -(-len(others) // (limit // 4))
-    chosen[others[turn % rounds :: rounds]] = True
-    return votes.only(chosen)
 
 
 def votes_to_msg(votes: CellVotes, class_names: Sequence[str], frame_id: str = "map") -> PointCloud2:
-    """Votes as points; `class_names`: (K,) in the order of the counts' columns.
-
-    Where a class has more pixels in a cell than a field holds, all of that cell's are scaled down. Raises MessageError
-    when the names are not K distinct identifiers.
-    """
-    names = _checked_names(class_names)
-    if votes.counts.shape[1] != len(names):
-        raise MessageError(
-            f"votes of {votes.source} count {votes.counts.shape[1]} classes, {len(names)} are named: {', '.join(names)}"
-        )
-    centres = votes.centres()
-    columns: dict[str, NDArray[Any]] = {axis: centres[:, i] for i, axis in enumerate(_AXES)}
-    scale = np.minimum(1.0, _MOST / np.maximum(votes.counts.max(axis=1, initial=1), 1))
-    for k, name in enumerate(names):
-        if votes.counts[:, k].any():
-            columns[name] = np.rint(votes.counts[:, k] * scale).astype(np.uint16)
-    if votes.confidence is not None:
-        columns["confidence"] = _scaled(votes.confidence, 255, np.uint8)
-    if votes.visibility is not None:
-        seen = votes.visibility
-        columns["cos_incidence"] = _scaled(seen.cos_incidence, 255, np.uint8)
-        for name, length in zip(_LENGTHS, (seen.footprint, seen.sigma_along, seen.sigma_across), strict=True):
-            columns[name] = _scaled(length, 10, np.uint16)
-        columns["bearing_deg"] = np.mod(np.rint(np.degrees(seen.bearing)), 360).astype(np.uint16)
-    return columns_to_msg(columns, votes.stamp_ns, frame_id, is_dense=bool(np.isfinite(centres).all()))
+    """Votes as points; `class_names`: (K,) in the order of the counts' columns. Raises MessageError as
+    `votes_to_columns` does."""
+    columns = votes_to_columns(votes, class_names)
+    dense = all(np.isfinite(columns[axis]).all() for axis in ("x", "y", "z"))
+    return columns_to_msg(columns, votes.stamp_ns, frame_id, is_dense=dense)
 
 
 def msg_to_votes(msg: Any, geometry: GridGeometry, class_names: Sequence[str], source: str) -> CellVotes:
     """Votes over the fuel grid `geometry` of the receiver; `source`: the camera, which only the topic names.
 
-    Raises MessageError when fields are missing, foreign or of another type, sizes contradict each other or exceed the
-    grid's, a point lies outside the grid or not on the centre of a cell (then the sender counts on another grid), or
-    cells come twice or out of row-major order.
+    Raises MessageError as `columns_to_votes` does, and when sizes contradict each other or exceed the grid's: such a
+    message is refused unread.
     """
-    names = _checked_names(class_names)
-    what = f"votes of {source}"
-    columns = _checked_columns(msg, geometry, names, what)
-    x, y, z = (take(columns, axis, np.float32, what) for axis in _AXES)
-    rows, cols = _cells_at(x, y, geometry, what)
-    counts = np.zeros((len(x), len(names)), np.uint32)
-    for k, name in enumerate(names):
-        if name in columns:
-            counts[:, k] = take(columns, name, np.uint16, what)
-    confidence = None
-    if "confidence" in columns:
-        confidence = take(columns, "confidence", np.uint8, what).astype(np.float32) / np.float32(255)
-    return CellVotes(geometry, rows, cols, counts, z, stamp_of(msg), source, confidence, _sighting(columns, what))
-
-
-def _checked_columns(msg: Any, geometry: GridGeometry, names: Sequence[str], what: str) -> Columns:
-    """The columns, none of them foreign; a message that claims more than the grid holds is refused unread."""
+    names = checked_names(class_names)
     cells = geometry.width * geometry.height
-    most = cells * (4 * len(_AXES) + 2 * len(names) + 2 * len(_RESERVED))
+    most = most_bytes(cells, names)
     if int(msg.height) * int(msg.width) > cells or len(msg.data) > most:
         raise MessageError(
-            f"{what} name {int(msg.height) * int(msg.width)} cells in {len(msg.data)} bytes; "
+            f"votes of {source} name {int(msg.height) * int(msg.width)} cells in {len(msg.data)} bytes; "
             f"the fuel grid has {cells}, whose votes take {most} bytes at most"
         )
-    columns = msg_to_columns(msg)
-    if foreign := sorted(columns.keys() - {*_AXES, "confidence", *_VISIBILITY, *names}):
-        raise MessageError(f"{what} have the fields {', '.join(foreign)}; classes here are {', '.join(names)}")
-    return columns
-
-
-def _cells_at(x: NDArray[Any], y: NDArray[Any], geometry: GridGeometry, what: str) -> tuple[Int32Array, Int32Array]:
-    """Rows and columns of the cells whose centres these points are."""
-    row, col = geometry.to_grid(x, y)
-    with np.errstate(invalid="ignore"):
-        inside = (np.abs(2 * row - geometry.height + 1) < geometry.height) & (
-            np.abs(2 * col - geometry.width + 1) < geometry.width
-        )
-    if not inside.all():
-        first = int(np.argmin(inside))
-        raise MessageError(
-            f"{what}: point {first} at ({x[first]}, {y[first]}) is outside a fuel grid of {geometry.shape} cells"
-        )
-    rows, cols = np.rint(row).astype(np.int32), np.rint(col).astype(np.int32)
-    centred = np.maximum(np.abs(row - rows), np.abs(col - cols)) <= 0.01
-    if not centred.all():
-        first = int(np.argmin(centred))
-        raise MessageError(
-            f"{what}: point {first} at ({x[first]}, {y[first]}) is no cell's centre: sender and receiver use "
-            "different fuel grids"
-        )
-    steps = np.diff(rows.astype(np.int64) * geometry.width + cols)
-    if (steps <= 0).any():
-        first = int(np.argmax(steps <= 0)) + 1
-        raise MessageError(
-            f"{what}: point {first} is cell ({rows[first]}, {cols[first]}), which comes twice or out of row-major order"
-        )
-    return rows, cols
-
-
-def _sighting(columns: Columns, what: str) -> CellVisibility | None:
-    if not columns.keys() & set(_VISIBILITY):
-        return None
-    cosine = take(columns, "cos_incidence", np.uint8, what).astype(np.float32) / np.float32(255)
-    footprint, along, across = (
-        take(columns, name, np.uint16, what).astype(np.float32) / np.float32(10) for name in _LENGTHS
-    )
-    bearing = np.radians(take(columns, "bearing_deg", np.uint16, what).astype(np.float32))
-    return CellVisibility(cosine, footprint, along, across, bearing)
-
-
-def _scaled(values: NDArray[Any], factor: float, dtype: Any) -> NDArray[Any]:
-    """Rounded and clipped to an unsigned integer type; what is not a number counts as the greatest."""
-    most = np.iinfo(dtype).max
-    return np.clip(np.rint(np.nan_to_num(values * factor, nan=most)), 0, most).astype(dtype)
-
-
-def _point_bytes(votes: CellVotes) -> int:
-    classes = int(votes.counts.any(axis=0).sum())
-    return 12 + 2 * classes + (votes.confidence is not None) + (9 if votes.visibility is not None else 0)
-
-
-def _cells(votes: CellVotes) -> Int64Array:
-    return votes.rows.astype(np.int64) * votes.geometry.width + votes.cols
-
-
-def _checked_names(class_names: Sequence[str]) -> tuple[str, ...]:
-    names = tuple(class_names)
-    bad = [n for n in names if n in _RESERVED or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", n)]
-    if not names or bad or len(set(names)) != len(names):
-        raise MessageError(f"vote classes must be distinct identifiers other than {', '.join(_RESERVED)}; got {names}")
-    return names
+    return columns_to_votes(msg_to_columns(msg), geometry, names, stamp_of(msg), source)

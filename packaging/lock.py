@@ -16,8 +16,9 @@ from typing import Any
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 LOCK = REPOSITORY / "packaging/requirements.lock"
-EXTRAS = ("ros", "tower")
-"""Beside the base; the live view (view) is left out, which is as large as all the rest."""
+EXTRAS = ("ros", "tower", "rtsp", "region")
+"""Beside the base; each kind of camera works with them, and the link to a region. The live view (view) is left out,
+which is as large as all the rest."""
 
 
 def requirements() -> list[str]:

@@ -6,10 +6,15 @@ import importlib.util
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 REPOSITORY = Path(__file__).parents[1]
 LARGE = 300
 """Tests of a run that uses most kernels."""
+
+# How long an example takes is the machine's affair, and that of who else is on it.
+settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any machine")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -29,12 +34,12 @@ def _beside(name: str) -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def _kernels(request: pytest.FixtureRequest) -> None:
-    """A large run beside others compiles the nodes' kernels first, each once; see `scenes.compiled_kernels`."""
+    """A large run beside others compiles most kernels first, each once; see `scenes.compiled_kernels`."""
     beside_others = hasattr(request.config, "workerinput")
     if beside_others and len(request.session.items) > LARGE and importlib.util.find_spec("rclpy") is not None:
-        from scenes.compiled_kernels import compile_kernels
+        from scenes.compiled_kernels import ALL, compile_kernels
 
-        compile_kernels()
+        compile_kernels(ALL)
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ independent one, with the measured correlation of a stand as the weight of the f
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -17,9 +18,8 @@ from scipy import ndimage
 from scipy.special import gammaincinv, ndtr
 
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
-from ltm_core.fuel.crosswalk import is_custom
 from ltm_core.fuel.decision import FuelLayers
-from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of
+from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, held
 from ltm_core.types import BoolArray, Float64Array, Int16Array
 
 _USUAL_STAND: Final = 0.4
@@ -45,7 +45,7 @@ class CellDoubt:
     @classmethod
     def of(cls, layers: FuelLayers, alpha: Float64Array, mask: tuple[int, ...]) -> CellDoubt:
         """`mask`: codes that labels never change (`FusionRules.mask`)."""
-        fixed = np.isin(layers.prior, mask) | is_custom(layers.prior) | (layers.code == NODATA)
+        fixed = held(layers.prior, mask) | (layers.code == NODATA)
         return cls(alpha, layers.prior, layers.code, fixed)
 
 
@@ -60,9 +60,9 @@ def drawn_codes(
     """(H, W) the codes of one draw. `width`: cells, of the smooth field; `stand`: its share of the variance."""
     shared = _USUAL_STAND if stand is None else stand
     agreeing = forms_of(doubt.prior)
-    held = np.where(agreeing, doubt.alpha, 0.0).sum(axis=-1)
+    prior = np.where(agreeing, doubt.alpha, 0.0).sum(axis=-1)
     has_prior = agreeing.any(axis=-1)
-    best = np.where(has_prior, _gamma(held, rng, width, shared), -1.0)
+    best = np.where(has_prior, _gamma(prior, rng, width, shared), -1.0)
     form = np.full(doubt.prior.shape, -1)
     for k in range(FORMS):
         alpha = np.where(agreeing[..., k] & has_prior, 0.0, doubt.alpha[..., k])
@@ -71,7 +71,8 @@ def drawn_codes(
         drawn = _gamma(alpha, rng, width, shared)
         larger = (alpha > 0) & (drawn > best)
         best, form = np.where(larger, drawn, best), np.where(larger, k, form)
-    codes = np.where(form < 0, doubt.prior, _codes_of(form, agreeing, region, system))
+    over_shrubs = agreeing[..., LifeForm.SHRUB - 1]
+    codes = np.where(form < 0, doubt.prior, getattr(region.changed, system).of(form, over_shrubs))
     # Where the draw is of what the map says anyway, its own code of that form: a mixture, or what grew after a burn.
     own = forms_of(doubt.code)
     rows, cols = np.indices(form.shape)
@@ -88,10 +89,7 @@ def with_codes(layers: FuelLayers, codes: Int16Array) -> FuelLayers:
 def _gamma(alpha: Float64Array, rng: np.random.Generator, width: float, shared: float) -> Float64Array:
     """(H, W) gamma variates of shapes `alpha`, correlated between neighbours; 0 where the shape is 0."""
     smooth = ndimage.gaussian_filter(rng.standard_normal(alpha.shape), width, mode="wrap")
-    # The filter's weights, squared and summed, are the variance that is left.
-    impulse = np.zeros(alpha.shape)
-    impulse[0, 0] = 1.0
-    smooth /= np.sqrt((ndimage.gaussian_filter(impulse, width, mode="wrap") ** 2).sum())
+    smooth /= _smoothed_deviation(alpha.shape, width)
     field = np.sqrt(shared) * smooth + np.sqrt(1 - shared) * rng.standard_normal(alpha.shape)
     share = np.clip(ndtr(field), 1e-9, 1 - 1e-9)
     result = np.zeros(alpha.shape)
@@ -100,9 +98,9 @@ def _gamma(alpha: Float64Array, rng: np.random.Generator, width: float, shared: 
     return result
 
 
-def _codes_of(form: Float64Array, agreeing: BoolArray, region: FuelRegion, system: FuelSystem) -> Int16Array:
-    c = getattr(region.changed, system)
-    table = np.array([c.grass, c.shrub, c.to_tree, c.bare, c.water, c.built, c.burned], np.int16)
-    codes = table[np.maximum(form, 0).astype(np.int64)]
-    over_shrubs = (form == LifeForm.TREE - 1) & agreeing[..., LifeForm.SHRUB - 1]
-    return np.where(over_shrubs, np.int16(c.shrubs_to_tree), codes).astype(np.int16)
+@lru_cache(maxsize=4)
+def _smoothed_deviation(shape: tuple[int, ...], width: float) -> float:
+    """What the filter leaves of a deviation of 1: its weights, squared and summed, are the variance that is left."""
+    impulse = np.zeros(shape)
+    impulse[0, 0] = 1.0
+    return float(np.sqrt((ndimage.gaussian_filter(impulse, width, mode="wrap") ** 2).sum()))

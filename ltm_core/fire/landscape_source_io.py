@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from ltm_core.errors import ConfigError, RasterError
-from ltm_core.fuel.codes import FuelSystem, fuel_models
+from ltm_core.fuel.codes import system_of_codes
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, Landscape
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.grid import GridGeometry
@@ -48,10 +48,7 @@ def read_landscape(path: Path) -> Landscape:
     if own is not None:
         unknown |= bands == own
     bands = np.where(unknown, NODATA, bands).astype(np.int16)
-    fuel = bands[LANDSCAPE_BANDS.index("fuel")]
-    burnable = fuel[(fuel != NODATA) & ~np.isin(fuel, list(fuel_models().nonburnable))]
-    system = FuelSystem.FBFM13 if burnable.size and (burnable <= 13).all() else FuelSystem.FBFM40
-    return Landscape(bands, geometry, system)
+    return Landscape(bands, geometry, system_of_codes(bands[LANDSCAPE_BANDS.index("fuel")]))
 
 
 def require_same_grid(before: Landscape, after: Landscape, names: tuple[str, str]) -> None:

@@ -20,14 +20,19 @@ _FINE: Final = 8
 """Parts a side into which a cell is cut, to tell how much of it an area covers."""
 
 
-def with_barriers(codes: Int16Array, barriers: Iterable[BarrierConfig], geometry: GridGeometry) -> Int16Array:
-    """(H, W) fuel codes with NB1 and NB8 where the layers say so and a code is known. Raises RasterError for a file
-    that cannot be read, a layer that it lacks, or one without CRS.
+def barrier_codes(barriers: Iterable[BarrierConfig], geometry: GridGeometry) -> Int16Array:
+    """(H, W) NB1 and NB8 where the layers say so, NODATA elsewhere. Raises RasterError for a file that cannot be read,
+    a layer that it lacks, or one without CRS.
     """
-    codes = codes.copy()
+    codes = np.full(geometry.shape, NODATA, np.int16)
     for barrier in barriers:
-        codes[_cells(barrier, geometry) & (codes != NODATA)] = barrier.code
+        codes[_cells(barrier, geometry)] = barrier.code
     return codes
+
+
+def with_barriers(codes: Int16Array, barriers: Int16Array) -> Int16Array:
+    """(H, W) fuel codes with those of `barrier_codes` over them where a code is known."""
+    return np.where((barriers != NODATA) & (codes != NODATA), barriers, codes)
 
 
 def _cells(barrier: BarrierConfig, geometry: GridGeometry) -> BoolArray:

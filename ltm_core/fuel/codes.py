@@ -11,10 +11,10 @@ from pydantic import Field, model_validator
 from ltm_core.config_io import load_yaml
 from ltm_core.errors import ConfigError
 from ltm_core.fuel.crosswalk import Crosswalk, partners
-from ltm_core.fuel.life_form import NODATA
+from ltm_core.fuel.life_form import NODATA, LifeForm
 from ltm_core.resources import config_path
 from ltm_core.strict_model import StrictModel
-from ltm_core.types import Int16Array
+from ltm_core.types import BoolArray, Int16Array, Int64Array
 
 
 class FuelSystem(StrEnum):
@@ -75,6 +75,13 @@ def fuel_models() -> FuelModels:
     return load_yaml(config_path("fuel/fuel_models.yaml"), FuelModels)
 
 
+def system_of_codes(codes: Int16Array) -> FuelSystem:
+    """The system of a map (H, W) that does not name it: FBFM13 where all standard models in it that burn are its."""
+    models = fuel_models()
+    burnable = codes[np.isin(codes, [*models.fbfm13, *models.fbfm40])]
+    return FuelSystem.FBFM13 if len(burnable) and (burnable <= max(models.fbfm13)).all() else FuelSystem.FBFM40
+
+
 class ChangedCodes(StrictModel):
     """The code that a cell gets when its life form is no longer the prior's, and where there is no prior."""
 
@@ -92,6 +99,12 @@ class ChangedCodes(StrictModel):
     burned: int
     regrowth: int
     """After a burn's time to live."""
+
+    def of(self, form: Int64Array, over_shrubs: BoolArray) -> Int16Array:
+        """(...) the codes of cells now of a life form (`form`: its id - 1). `over_shrubs`: where the prior has them."""
+        table = [self.grass, self.shrub, self.to_tree, self.bare, self.water, self.built, self.burned]
+        trees = (form == LifeForm.TREE - 1) & over_shrubs
+        return np.where(trees, self.shrubs_to_tree, np.array(table)[form]).astype(np.int16)
 
 
 class TreeCanopy(StrictModel):

@@ -56,10 +56,7 @@ class Crosswalk:
     @classmethod
     def of(cls, table: Mapping[int, int], under_trees: Mapping[int, tuple[int, int]]) -> Crosswalk:
         """`under_trees`: code -> (least cover in %, partner). Non-burnable and custom codes stay what they are."""
-        plain = np.full(256, NODATA, np.int16)
-        for code in (*NONBURNABLE, *CUSTOM):
-            plain[code] = code
-        plain[list(table)] = list(table.values())
+        plain = _lookup(table)
         shaded, least = plain.copy(), np.full(256, 101, np.int16)
         for code, (cover, partner) in under_trees.items():
             shaded[code], least[code] = partner, cover
@@ -67,11 +64,9 @@ class Crosswalk:
 
     def to_fbfm13(self, codes: Int16Array, cover: Int16Array | None = None) -> Int16Array:
         """(H, W) of FBFM40 codes; codes that are none become NODATA. `cover`: of trees, %, NODATA where unknown."""
-        known = (codes >= 0) & (codes < len(self.open_ground))
-        index = np.where(known, codes, 0)
+        index = _index(codes)
         shaded = np.zeros(codes.shape, np.bool_) if cover is None else cover >= self.least_cover[index]
-        found = np.where(shaded, self.under_trees[index], self.open_ground[index])
-        return np.where(known, found, np.int16(NODATA)).astype(np.int16)
+        return np.where(shaded, self.under_trees[index], self.open_ground[index])
 
     def learned(self, fbfm40: Int16Array, fbfm13: Int16Array, cover: Int16Array | None = None) -> Crosswalk:
         """With the commonest partners, of the same fuel type, that a map of both systems has itself."""
@@ -86,15 +81,20 @@ class Crosswalk:
         return Crosswalk(*tables, self.least_cover)
 
 
+def _lookup(table: Mapping[int, int]) -> Int16Array:
+    """(256,) what each code becomes; non-burnable and custom ones stay, of the others those of no table are NODATA."""
+    lookup = np.full(256, NODATA, np.int16)
+    for code in (*NONBURNABLE, *CUSTOM):
+        lookup[code] = code
+    lookup[list(table)] = list(table.values())
+    return lookup
+
+
 def _index(codes: Int16Array) -> Int16Array:
+    """Places in a table; 0, which is no code, for what lies outside it."""
     return np.where((codes >= 0) & (codes < 256), codes, 0).astype(np.int16)
 
 
 def to_fbfm40(table: Mapping[int, int], codes: Int16Array) -> Int16Array:
     """FBFM13 codes as FBFM40 by a table; non-burnable and custom codes stay, unknown ones become NODATA."""
-    lookup = np.full(256, NODATA, np.int16)
-    for code in (*NONBURNABLE, *CUSTOM):
-        lookup[code] = code
-    lookup[list(table)] = list(table.values())
-    known = (codes >= 0) & (codes < len(lookup))
-    return np.where(known, lookup[_index(codes)], np.int16(NODATA)).astype(np.int16)
+    return np.asarray(_lookup(table)[_index(codes)], np.int16)

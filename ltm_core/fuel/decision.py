@@ -10,14 +10,13 @@ from scipy import ndimage
 from scipy.special import betainc, entr
 
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
-from ltm_core.fuel.crosswalk import is_custom
-from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of
+from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, held
 from ltm_core.fuel.majority import UNSEEN
-from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.types import BoolArray, Float32Array, Float64Array, Int16Array, Int64Array, UInt8Array, UInt32Array
 
-_GRASS, _SHRUB, _TREE, _BURNED = (f - 1 for f in (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.TREE, LifeForm.BURNED))
+_GRASS, _SHRUB, _BURNED = (f - 1 for f in (LifeForm.GRASS, LifeForm.SHRUB, LifeForm.BURNED))
 _FLAT: Final = 0.5
 """Evidence for each life form where there is no prior map (Jeffreys)."""
 
@@ -95,11 +94,11 @@ class _Decided:
 
 
 class ChangeDecision:
-    """Applies the rules of change. `system`: of the prior's codes; None: no prior, codes are FBFM40."""
+    """Applies the rules of change. `system`: of the codes."""
 
-    def __init__(self, system: FuelSystem | None, rules: FusionRules, region: FuelRegion) -> None:
+    def __init__(self, system: FuelSystem, rules: FusionRules, region: FuelRegion) -> None:
         self._rules = rules
-        self._codes = getattr(region.changed, system or FuelSystem.FBFM40)
+        self._codes = getattr(region.changed, system)
         # What a cell without evidence is depends on its code alone.
         every = np.arange(256, dtype=np.int16)
         none = np.zeros((256, FORMS), np.uint32)
@@ -168,7 +167,7 @@ class ChangeDecision:
     def _judge(self, codes: Int16Array, cells: CellEvidence, now_s: float) -> _Judged:
         rules = self._rules
         original = forms_of(codes)
-        masked = np.isin(codes, rules.mask) | is_custom(codes)
+        masked = held(codes, rules.mask)
         burned = (cells.burned_at > 0) & original.any(axis=1) & ~masked
         regrown = burned & (now_s - cells.burned_at >= rules.burned_days * 86400)
         base = np.where(regrown, np.int16(self._codes.regrowth), codes)
@@ -202,8 +201,7 @@ class ChangeDecision:
         code = np.where(back, codes, code)
         shares = judged.alpha / judged.alpha.sum(axis=1, keepdims=True)
         entropy = entr(shares).sum(axis=1) / np.log(FORMS)
-        # An analyst's own model is of no form that we know: whatever is seen there, it stays.
-        own = is_custom(codes)
+        own = held(codes, rules.mask)
         code = np.where(own, codes, code)
         changed = (changes | judged.fresh | judged.regrown) & ~back & ~own
         return _Decided(code.astype(np.int16), form, changed, judged.p_max, entropy)
@@ -217,15 +215,13 @@ class ChangeDecision:
         prior = rules.prior_evidence * np.where(agreeing, inside, outside)
         return np.where(has_prior[:, None], prior, _FLAT)
 
-    def _new_codes(self, form: Int64Array, original: BoolArray, evidence: Float64Array) -> Int64Array:
+    def _new_codes(self, form: Int64Array, original: BoolArray, evidence: Float64Array) -> Int16Array:
         """The codes of cells that are now of `form` (N,)."""
         c = self._codes
-        table = np.array([c.grass, c.shrub, c.to_tree, c.bare, c.water, c.built, c.burned])
         total = np.maximum(evidence.sum(axis=1), 1e-12)
         both = np.minimum(evidence[:, _GRASS], evidence[:, _SHRUB]) / total > self._rules.mixture
         mixed = both & ((form == _GRASS) | (form == _SHRUB))
-        code = np.where((form == _TREE) & original[:, _SHRUB], c.shrubs_to_tree, table[form])
-        return np.where(mixed, c.grass_shrub, code)
+        return np.where(mixed, np.int16(c.grass_shrub), c.of(form, original[:, _SHRUB]))
 
 
 def _in_regions(forms: UInt8Array, least: int) -> BoolArray:
@@ -283,4 +279,4 @@ def layers_of_classes(classes: UInt8Array, prior: FuelPrior | None, region: Fuel
     certain[np.arange(len(certain)), classes[seen].astype(np.int64) - 1] = 1000.0
     shown = (certain > 0).astype(np.uint32)
     cells = CellEvidence(certain, shown, shown, 2 * shown.astype(np.int64), np.zeros(len(certain), np.uint32))
-    return ChangeDecision(prior.system if prior is not None else None, rules, region).decide(codes, seen, cells, 0.0)
+    return ChangeDecision(system_of(prior), rules, region).decide(codes, seen, cells, 0.0)

@@ -23,7 +23,7 @@ from ltm_core.fuel.evidence_kernel import accumulate, pooled
 from ltm_core.fuel.frame_evidence import FrameEvidence, frame_evidence
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, label_forms
-from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
@@ -116,7 +116,7 @@ class EvidenceMap:
         self._forms = label_forms(labels)
         # Cells of which the prior says the same are of one stand.
         self._stands = None if prior is None else np.packbits(forms_of(prior.codes), axis=-1)[..., 0]
-        self._decider = ChangeDecision(prior.system if prior is not None else None, self.rules, self.region)
+        self._decider = ChangeDecision(system_of(prior), self.rules, self.region)
         years = self.rules.decay_years.model_dump()
         self._decay_s = np.array([years[form.name.lower()] for form in LifeForm]) * (365.25 * 86400)
         # calloc'ed: cells that no frame sees take no memory.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import IntEnum
 from typing import Final
 
@@ -65,6 +66,13 @@ def forms_of(codes: Int16Array) -> BoolArray:
     """(..., FORMS): the life forms that agree with each fuel code; none for unknown codes and nodata."""
     known = (codes >= 0) & (codes < len(FORMS_OF_CODE))
     return np.asarray(FORMS_OF_CODE[np.where(known, codes, 0)], np.bool_)
+
+
+def held(codes: Int16Array, mask: Sequence[int]) -> BoolArray:
+    """(...) where nothing that is seen changes a cell of these prior codes: codes of `mask` (`FusionRules.mask`), and
+    those of no known form, an analyst's own models or what the prior was told to keep."""
+    unknown = ~forms_of(codes).any(axis=-1) & (codes != NODATA)
+    return np.asarray(np.isin(codes, mask) | unknown, np.bool_)
 
 
 def label_forms(labels: LabelSet) -> Int64Array:

@@ -40,3 +40,8 @@ class FuelPrior:
                 raise RasterError(f"{name} of shape {band.shape} do not fit a fuel grid of {shape}")
         if not (self.codes != NODATA).any():
             raise RasterError("the prior fuel map holds no code at all on the fuel grid: does it lie elsewhere?")
+
+
+def system_of(prior: FuelPrior | None) -> FuelSystem:
+    """Of a map's codes: its prior's, FBFM40 without one."""
+    return FuelSystem.FBFM40 if prior is None else prior.system

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from ltm_core.errors import RasterError
-from ltm_core.fuel.barriers_io import with_barriers
-from ltm_core.fuel.codes import FuelSystem, fuel_models
+from ltm_core.fuel.barriers_io import barrier_codes, with_barriers
+from ltm_core.fuel.codes import FuelSystem, fuel_models, system_of_codes
 from ltm_core.fuel.crosswalk import is_custom
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import CANOPY_BANDS, FuelPrior
@@ -65,13 +65,14 @@ def load_prior(config: PriorConfig, geometry: GridGeometry) -> FuelPrior:
     read = {name: _read(band, geometry, config.crs) for name, band in bands.items()}
     if "codes" in read:
         codes = read.pop("codes")
-        read[_system_of(codes)] = codes
+        read[system_of_codes(codes).value] = codes
     system = FuelSystem.FBFM40 if "fbfm40" in read else FuelSystem.FBFM13
+    barriers = barrier_codes(config.barriers, geometry)
     for name in ("fbfm40", "fbfm13"):
         if name in read:
             path = bands.get(name, bands.get("codes", _Band(Path()))).path
             read[name] = _known_codes(read[name], FuelSystem(name), path, config.unknown_codes)
-            read[name] = with_barriers(read[name], config.barriers, geometry)
+            read[name] = with_barriers(read[name], barriers)
     canopy = None
     if any(name in read for name in CANOPY_BANDS):
         unknown = np.full(geometry.shape, NODATA, np.int16)
@@ -202,13 +203,6 @@ def _read(band: _Band, geometry: GridGeometry, crs: str | None) -> Int16Array:
             values = warped.read(band.band).astype(np.float64)
     unknown = np.isin(values, _NODATA_VALUES) | (values < -32768) | (values > 32767)
     return np.where(unknown, NODATA, np.round(values * band.factor)).astype(np.int16)
-
-
-def _system_of(codes: Int16Array) -> str:
-    models = fuel_models()
-    known = models.codes(FuelSystem.FBFM40) | models.codes(FuelSystem.FBFM13)
-    burnable = codes[np.isin(codes, list(known - models.nonburnable.keys()))]
-    return "fbfm13" if len(burnable) and (burnable <= 13).all() else "fbfm40"
 
 
 def _known_codes(codes: Int16Array, system: FuelSystem, path: Path, others: str) -> Int16Array:

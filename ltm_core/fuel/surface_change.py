@@ -12,11 +12,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.evidence import TILE, EvidenceMap, Window
-from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
-from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of, held
+from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import Key, Tile
 from ltm_core.terrain.change import ChangeKind
@@ -157,11 +156,12 @@ def record(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict
         height, width = (min(TILE, n - k) for n, k in zip(evidence.geometry.shape, (top, left), strict=True))
         layers = evidence.layers((top, left, height, width))
         state = tiles[key] = evidence.tile_state(key)
+        stays = held(layers.prior, evidence.rules.mask)
         for i in np.flatnonzero((keys == key).all(axis=1)):
             cell = int(news.rows[i]) - top, int(news.cols[i]) - left
             before = int(evidence.surface_changes[news.rows[i], news.cols[i]]) % _CODES
             given, form = int(layers.prior[cell]), int(layers.life_form[cell])
-            if news.kind[i] == ChangeKind.NONE or given in evidence.rules.mask:
+            if news.kind[i] == ChangeKind.NONE or stays[cell]:
                 continue
             last = state["last"][cell]
             shown = int(last.argmax()) + 1 if last.any() else UNSEEN
@@ -181,10 +181,8 @@ def _code_of(form: LifeForm, given: int, evidence: LivingFuelMap) -> int:
     agreeing = forms_of(np.array([given], np.int16))[0]
     if agreeing[form - 1]:
         return 0
-    codes = getattr(evidence.region.changed, FuelSystem.FBFM40 if evidence.prior is None else evidence.prior.system)
-    to_tree = codes.shrubs_to_tree if agreeing[LifeForm.SHRUB - 1] else codes.to_tree
-    of_form = {LifeForm.GRASS: codes.grass, LifeForm.SHRUB: codes.shrub, LifeForm.TREE: to_tree}
-    return int((of_form | {LifeForm.BARE: codes.bare, LifeForm.BUILT: codes.built})[form])
+    codes = getattr(evidence.region.changed, system_of(evidence.prior))
+    return int(codes.of(np.array(form - 1), agreeing[LifeForm.SHRUB - 1]))
 
 
 def form_after(kind: ChangeKind, shift: float, form: int, shown: int) -> int | None:

@@ -112,7 +112,7 @@ def arrival_overlay(effect: FireEffect, landscape: Landscape) -> tuple[RgbImage,
     """The arrival on the map as it is, (n H, n W, 3) for laying over others, and its legend."""
     arrival = arrival_scale(effect.hours)
     colors = label_colors(arrival.classes(effect.after.arrival, effect.after.burned), arrival)
-    heights = np.nan_to_num(terrain_of(landscape).elevation, nan=float("nan"))
+    heights = terrain_of(landscape).elevation
     picture = bare_map(colors, effect.after.burned, heights, landscape.geometry.resolution, effect.changed)
     return picture, label_legend(520, arrival)
 

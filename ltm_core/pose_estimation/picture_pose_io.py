@@ -17,9 +17,10 @@ from ltm_core.geodesy import SiteFrame, ray_bend
 from ltm_core.picture_io import open_picture
 from ltm_core.plausibility import doubt_of_height
 from ltm_core.pose import Pose
+from ltm_core.pose_covariance import pose_sigmas, sigma_keys
 from ltm_core.pose_estimation.pose_file_io import GuessConfig, write_pose_file
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch, Terrain
-from ltm_core.pose_estimation.pose_prior import UNKNOWN_DEG, PosePrior, angle_slopes
+from ltm_core.pose_estimation.pose_prior import UNKNOWN_DEG, PosePrior
 from ltm_core.tracing.trace_io import near_frame
 from ltm_core.types import BoolArray, Float64Array, UInt8Array
 from ltm_core.vision.labels import Label
@@ -113,26 +114,14 @@ def result_of(search: PictureSearch, prior: PosePrior, camera: Camera) -> PoseRe
     return PoseResult(found.pose, lens, found.covariance[:6, :6], True)
 
 
-def angle_sigmas_deg(pose: Pose, covariance: Float64Array) -> tuple[float, float, float]:
-    """Of azimuth, pitch and roll, from a (6, 6) covariance."""
-    slopes = angle_slopes(pose)
-    a, p, r = np.degrees(np.sqrt(np.maximum(np.diag(slopes @ covariance[3:, 3:] @ slopes.T), 0.0)))
-    return float(a), float(p), float(r)
-
-
 def write_result(
     path: Path | str, result: PoseResult, reason: str, word: str, guess: GuessConfig, frame: SiteFrame
 ) -> None:
     """The pose file of a result; whether and why it was found stands at its top."""
-    place = np.sqrt(np.diag(result.covariance)[:3])
-    angles = angle_sigmas_deg(result.pose, result.covariance)
-    sigmas = {"position_sigma": float(max(place[0], place[1])), "height_sigma": float(place[2])}
-    sigmas |= dict(zip(("azimuth_sigma_deg", "pitch_sigma_deg", "roll_sigma_deg"), angles, strict=True))
-    kept = {key: float(f"{value:.3g}") for key, value in sigmas.items() if value > 0}
     notes = [f"Pose from the picture: {word} ({reason})."]
     if not result.accepted:
         notes.append("It was not taken: this is the pose that was given.")
-    write_pose_file(path, result.camera, result.pose, kept, guess, frame, notes)
+    write_pose_file(path, result.camera, result.pose, sigma_keys(result.pose, result.covariance), guess, frame, notes)
 
 
 def figures(search: PictureSearch, result: PoseResult, prior: PosePrior, frame: SiteFrame) -> dict[str, Any]:
@@ -145,7 +134,7 @@ def figures(search: PictureSearch, result: PoseResult, prior: PosePrior, frame: 
 
     def described(pose: Pose, covariance: Float64Array) -> dict[str, Any]:
         azimuth, pitch, roll = pose.angles_deg
-        sigma = angle_sigmas_deg(pose, covariance)
+        sigma = pose_sigmas(pose, covariance)[3:].tolist()
         return {
             "position": place(pose),
             "azimuth_deg": azimuth,

@@ -12,6 +12,7 @@ from pyproj import CRS
 
 from ltm_core.errors import RasterError
 from ltm_core.grid import GridGeometry
+from ltm_core.raster.prepared_heights_io import map_heights, write_heights
 from ltm_core.raster.raster_source import check_size, open_raster
 from ltm_core.types import Float32Array
 
@@ -23,7 +24,10 @@ _TO_METRES = "convert them to metres first (feet: gdal_translate -ot Float32 -sc
 
 
 def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridGeometry]:
-    """Band 1 as heights, (H, W) float32, north up, NaN where nodata, and its geometry; see `Dem.open`."""
+    """Band 1 as heights, (H, W) float32, north up, NaN where nodata, and its geometry; see `Dem.open`.
+
+    The prepared heights of a large raster are mapped (see `prepared_heights_io`).
+    """
     with open_raster(path) as source:
         stated = _crs_of(source.crs, crs, path)
         if not stated.is_projected or {axis.unit_name for axis in stated.axis_info[:2]} != {"metre"}:
@@ -36,10 +40,22 @@ def read_heights(path: Path | str, crs: str | None) -> tuple[Float32Array, GridG
             raise RasterError(f"{path}: rotated raster {tuple(t)[:6]}; warp it north-up first (gdalwarp)")
         if not np.isclose(abs(t.a), abs(t.e), rtol=1e-6) or t.a <= 0:
             raise RasterError(f"{path}: cells must be square, got {t.a} x {t.e} m; warp it first (gdalwarp -tr)")
-        elevation = _read(source, path)
+        prepared = map_heights(path, source)
+        elevation = _read(source, path) if prepared is None else prepared
     height, width = elevation.shape
     y_max = t.f if t.e < 0 else t.f + height * t.e
     return elevation, GridGeometry(t.c, y_max, t.a, width, height, name_of(stated))
+
+
+def prepare_heights(path: Path | str) -> Path | None:
+    """Decode a large raster once, for all who read its heights after; the file, None where it is there or not worth it.
+
+    Raises RasterError: not readable; OSError: no file can be written beside it.
+    """
+    with open_raster(path) as source:
+        check_size(source, path, source.height, source.width)
+        scaling = source.scales[0], source.offsets[0]
+        return write_heights(path, source, lambda heights: _fill(heights, source, 0, 0, scaling))
 
 
 def read_around(path: Path | str, crs: str | None, target: str, bounds: Bounds) -> tuple[Float32Array, GridGeometry]:
@@ -106,14 +122,20 @@ def _read(
     width: int | None = None,
     scaling: tuple[float, float] | None = None,
 ) -> Float32Array:
-    """A window of band 1, strip after strip, so that nothing but the result is ever held whole."""
-    from rasterio.windows import Window
-
+    """A window of band 1; its size is checked where it is not the whole of a warped raster (`scaling`)."""
     height, width = height or source.height, width or source.width
     if scaling is None:
         check_size(source, path, height, width)
-    scale, offset = scaling or (source.scales[0], source.offsets[0])
     elevation = np.empty((height, width), np.float32)
+    _fill(elevation, source, row0, col0, scaling or (source.scales[0], source.offsets[0]))
+    return elevation
+
+
+def _fill(elevation: Float32Array, source: Any, row0: int, col0: int, scaling: tuple[float, float]) -> None:
+    """Strip after strip, so that nothing but the result is ever held whole."""
+    from rasterio.windows import Window
+
+    (height, width), (scale, offset) = elevation.shape, scaling
     blocks = source.block_shapes[0][0]
     rows = max(blocks, _ROWS // blocks * blocks)
     for start in range(0, height, rows):
@@ -128,7 +150,6 @@ def _read(
         strip[~np.isfinite(strip)] = np.nan
     if source.transform.e > 0:
         _turn(elevation)
-    return elevation
 
 
 def _turn(elevation: Float32Array) -> None:

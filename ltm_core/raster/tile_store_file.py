@@ -94,7 +94,7 @@ def open_store(path: Path, read_only: bool) -> tuple[sqlite3.Connection, StoreSc
             db.execute("PRAGMA cell_size_check = ON")
             db.execute("PRAGMA secure_delete = OFF")  # else freeing pages takes as much room as writing them
             db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_VALUE)
-            _check_tables(db, path)
+            check_tables(db, path, TABLES)
             if path.stat().st_size <= CHECKED_BYTES:
                 (verdict,) = db.execute("PRAGMA quick_check(1)").fetchone()
                 if verdict != "ok":
@@ -106,11 +106,13 @@ def open_store(path: Path, read_only: bool) -> tuple[sqlite3.Connection, StoreSc
             raise
 
 
-def _check_tables(db: sqlite3.Connection, path: Path) -> None:
-    """A view or a computed column in a table's place would run what its maker likes, for hours. Raises ConfigError."""
+def check_tables(db: sqlite3.Connection, path: Path, tables: str) -> None:
+    """A view or a computed column in a table's place would run what its maker likes, for hours. `tables`: the script
+    that makes ours. Raises ConfigError.
+    """
     query = "SELECT type, name, sql FROM sqlite_schema WHERE sql IS NOT NULL ORDER BY name"
     with contextlib.closing(sqlite3.connect(":memory:")) as ours:
-        ours.executescript(TABLES)
+        ours.executescript(tables)
         expected = ours.execute(query).fetchall()
     if (found := db.execute(query).fetchall()) != expected:
         names = ", ".join(f"{kind} {name!r:.40}" for kind, name, _ in set(found) ^ set(expected))

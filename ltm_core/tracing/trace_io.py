@@ -113,15 +113,12 @@ def near_frame(config: PoseFile, dem: Dem) -> tuple[SiteFrame, Dem]:
 
 def read_photo(path: Path | str, camera: Camera) -> UInt8Array:
     """A photo upright as its EXIF says, (H, W, 3) uint8 RGB. Raises ImageError: not readable, not the camera's size."""
-    from PIL import ImageOps
+    from ltm_core.picture_io import open_picture, read_rgb
 
-    from ltm_core.picture_io import open_picture
-
-    with open_picture(Path(path)) as (source, _):
-        width, height = source.size
-        upright = ImageOps.exif_transpose(source)
-        photo = np.asarray(upright.convert("RGB"), np.uint8)
+    photo = read_rgb(Path(path))
     if photo.shape[:2] != (camera.height, camera.width):
+        with open_picture(Path(path)) as (source, _):
+            width, height = source.size
         turned = f", upright as EXIF turns its {width} x {height}," if photo.shape[1] != width else ""
         raise ImageError(
             f"{path}: photo of {photo.shape[1]} x {photo.shape[0]} pixels{turned} but the pose file's camera has "

@@ -20,10 +20,11 @@ from ltm_core.camera import Camera
 from ltm_core.errors import ImageError, RecordingError
 from ltm_core.picture_io import check_picture
 from ltm_core.training.config import SplitConfig
-from ltm_core.training.polygon_labels_io import POLYGONS_FILE, drawn, read_polygons
+from ltm_core.training.polygon_labels_io import read_polygons
 from ltm_core.types import Float32Array, UInt8Array
+from ltm_core.vision.area_labels import labels_of
 from ltm_core.vision.labels import UNLABELLED, LabelSet
-from ltm_core.vision.polygons_io import NamedArea
+from ltm_core.vision.polygons_io import POLYGONS_FILE, NamedArea
 
 LABELS_SUFFIX = "_labels.png"
 UNKNOWN: Final = 254
@@ -74,9 +75,10 @@ def read_frames(folder: Path, classes: int, sampled: bool = False) -> list[Frame
     polygons = folder / POLYGONS_FILE
     if polygons.is_file():
         taken = {frame.path.name for frame in frames}
-        for name, areas in read_polygons(polygons, LabelSet.load()).items():
+        labels = LabelSet.load()
+        for name, areas in read_polygons(polygons, labels).items():
             if name not in taken and (folder / name).is_file():
-                frames.append(_named(folder / name, areas, classes, polygons))
+                frames.append(_named(folder / name, areas, labels, classes, polygons))
         frames.sort(key=lambda frame: frame.path.name)
     if not frames:
         raise RecordingError(
@@ -91,13 +93,13 @@ def holds_frames(folder: Path) -> bool:
     return any(folder.glob(f"*{LABELS_SUFFIX}")) or (folder / POLYGONS_FILE).is_file()
 
 
-def _named(photo: Path, areas: list[NamedArea], classes: int, source: Path) -> Frame:
+def _named(photo: Path, areas: list[NamedArea], label_set: LabelSet, classes: int, source: Path) -> Frame:
     """A photo whose labels are the areas that were named in it."""
     check_picture(photo)
     image = cv2.imread(str(photo), cv2.IMREAD_COLOR)
     if image is None:
         raise ImageError(f"{photo}: cannot be read as a picture, though {source} names areas of it")
-    labels = drawn(areas, LabelSet.load(), (image.shape[0], image.shape[1]))
+    labels = labels_of(areas, image.shape[0], image.shape[1], label_set)
     if ((labels >= classes) & (labels != UNLABELLED)).any():
         raise ImageError(f"{source}: names a class of {photo.name} that is none of the first {classes}")
     return Frame(np.ascontiguousarray(image[..., ::-1], dtype=np.uint8), labels, photo)

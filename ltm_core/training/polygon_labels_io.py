@@ -1,21 +1,15 @@
-"""Truth from areas that a person named in photos (`polygons_io`), as label images."""
+"""The areas that a person named in the photos of a folder (`polygons_io`), checked, photo by photo."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-import cv2
-import numpy as np
-
 from ltm_core.errors import RecordingError
-from ltm_core.types import UInt8Array
-from ltm_core.vision.labels import UNLABELLED, LabelSet
-from ltm_core.vision.polygons_io import NamedArea, read_areas
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.polygons_io import ERASED, MASKED, NamedArea, read_areas
 
-POLYGONS_FILE: Final = "polygons.json"
-_NO_CLASS: Final = ("unlabelled", "lens", "caption", "structure")
+_NO_CLASS: Final = (ERASED, MASKED, "lens", "caption", "structure")
 """Areas that take truth away: nothing is known there, or `ltm mask` hides it."""
 
 
@@ -35,13 +29,3 @@ def read_polygons(path: Path, labels: LabelSet) -> dict[str, list[NamedArea]]:
             )
         named.setdefault(area.image, []).append(area)
     return named
-
-
-def drawn(areas: Sequence[NamedArea], labels: LabelSet, size: tuple[int, int]) -> UInt8Array:
-    """Label image (H, W) uint8 of areas, a later one over an earlier one; 255 where none lies."""
-    image = np.full(size, UNLABELLED, np.uint8)
-    for area in areas:
-        label = UNLABELLED if area.kind in _NO_CLASS else labels.id_of(area.kind)
-        corners = np.rint(np.clip(np.asarray(area.polygon, np.float64), -1e5, 1e5)).astype(np.int32)
-        cv2.fillPoly(image, [corners], int(label))
-    return image

@@ -10,14 +10,8 @@ import numpy as np
 from ltm_core.types import UInt8Array
 from ltm_core.vision.camera_mask import fill
 from ltm_core.vision.labels import UNLABELLED, LabelSet
-from ltm_core.vision.mask_config import MOST_POINTS
-from ltm_core.vision.mask_proposals import polygons_of
+from ltm_core.vision.outlines import polygons_of
 from ltm_core.vision.polygons_io import NamedArea
-
-MASKED = "masked"
-"""Class of areas that hide the landscape, for `ltm mask --drawn`; unlabelled in label images."""
-ERASED = "unlabelled"
-"""Class of areas in which what was drawn before is taken back."""
 
 Points = Sequence[Sequence[float]]
 
@@ -39,7 +33,7 @@ def stroke_areas(image: str, kind: str, points: Points, radius: float, height: i
     cv2.polylines(drawn, [path.reshape(-1, 1, 2)], False, [1], thick)
     for u, v in path.tolist():
         cv2.circle(drawn, (u, v), max(0, round(radius)), [1], -1)
-    return _areas(image, kind, drawn)
+    return [NamedArea(image=image, kind=kind, polygon=outline) for outline in polygons_of(drawn > 0, 0.5)]
 
 
 def areas_of(image: str, labels: UInt8Array, names: Sequence[str], least: float = 0.0003) -> list[NamedArea]:
@@ -54,16 +48,8 @@ def areas_of(image: str, labels: UInt8Array, names: Sequence[str], least: float 
             continue
         smooth = cv2.medianBlur(region * np.uint8(255), 5) > 127
         found += [
-            (cv2.contourArea(np.array(area.polygon, np.float32)), area)
-            for area in _areas(image, name, smooth.astype(np.uint8), 1.5)
+            (cv2.contourArea(np.array(outline, np.float32)), NamedArea(image=image, kind=name, polygon=outline))
+            for outline in polygons_of(np.asarray(smooth, np.bool_), 1.5, filled=True)
         ]
     kept = [(size, area) for size, area in found if size >= least * labels.size]
     return [area for _, area in sorted(kept, key=lambda one: -one[0])]
-
-
-def _areas(image: str, kind: str, drawn: UInt8Array, tolerance: float = 0.5) -> list[NamedArea]:
-    outlines = polygons_of(drawn > 0, tolerance)
-    while any(len(outline) > MOST_POINTS for outline in outlines):
-        tolerance *= 2
-        outlines = polygons_of(drawn > 0, tolerance)
-    return [NamedArea(image=image, kind=kind, polygon=outline) for outline in outlines]

@@ -22,7 +22,8 @@ from ltm_core.vision.usable import WORKING_WIDTH, Unusable, judge
 ROWS, COLUMNS = 18, 24
 """Of the grid on which sharpness is compared."""
 APART_S = 600.0
-"""Between two pictures of a view that are compared: with `AGREEING` of them, fog has more than three hours to drift."""
+"""Between two pictures that are compared, whatever their views: with `AGREEING` of them, fog has more than three hours
+to drift."""
 HISTORY_APART_S = 1200.0
 """Between two pictures that enter a view's history,"""
 HISTORY = 108
@@ -118,11 +119,12 @@ class DirtyLens:
         self._views: dict[int, _View] = {}
         self._lost: deque[BoolArray] = deque(maxlen=AGREEING)
         self._known: deque[BoolArray] = deque(maxlen=AGREEING)
+        self._compared = -np.inf
         self._since: float | None = None
         self.blurred = np.zeros((ROWS, COLUMNS), np.bool_)
 
     def wants(self, view: int, now: float) -> bool:
-        """Whether a picture would be compared, so that others need not be decoded."""
+        """Whether a picture may be compared or learnt, so that others need not be decoded."""
         known = self._views.get(view)
         return known is None or now - known.looked >= APART_S
 
@@ -140,7 +142,8 @@ class DirtyLens:
         if reason is not None and reason is not Unusable.BLUR:
             return  # night, fog and glare are not the lens's
         seen = Detail.of(picture)
-        if known.usual is not None:
+        if known.usual is not None and now - self._compared >= APART_S:
+            self._compared = now
             median, spread, telling = known.usual
             change = seen.relative - median
             # Haze and light change the whole picture; drops leave most of it. Where nothing is sharp, all is lost.

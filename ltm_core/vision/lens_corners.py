@@ -21,7 +21,7 @@ _PATCH = 0.02
 _TOLERANCES = np.arange(5.0, 46.0, 2.0)
 """Units of CIE Lab by which a hood's colour may vary; the one whose edge is sharpest is taken."""
 _REACH = 0.5
-"""Of each side: a corner is no larger."""
+"""Of the width: a corner is no wider."""
 _LEAST_AREA, _MOST_AREA = 0.0015, 0.13
 """Of the picture."""
 _MOST_TEXTURE = 1.6
@@ -36,10 +36,9 @@ _PENUMBRA = 0.012
 
 @dataclass(frozen=True, eq=False)
 class LensCorner:
-    """`hidden`: (H, W). `residual`: of its edge to the arc, `edge`: its mean gradient; both as above."""
+    """`hidden`: (H, W). `edge`: mean gradient at its edge, units of CIE Lab a pixel at a width of 640."""
 
     hidden: BoolArray
-    residual: float
     edge: float
 
 
@@ -53,7 +52,7 @@ def lens_corners(frames: Sequence[UInt8Array]) -> list[LensCorner]:
             corner = _top_left(turned)
             if corner is not None:
                 hidden = np.ascontiguousarray(_to_top_left(corner.hidden, up, left))
-                found.append(LensCorner(hidden, corner.residual, corner.edge))
+                found.append(LensCorner(hidden, corner.edge))
     return found
 
 
@@ -106,7 +105,7 @@ def _within(near: BoolArray, gradient: Float32Array, texture: Float32Array) -> L
     if not _LEAST_AREA < area < _MOST_AREA:
         return None
     rows, cols = np.flatnonzero(region.any(axis=1)), np.flatnonzero(region.any(axis=0))
-    if rows[-1] > 2 * _REACH * height - 2 or cols[-1] > _REACH * width or rows[-1] > 0.97 * height:
+    if cols[-1] > _REACH * width or rows[-1] > 0.97 * height:
         return None
     if float(np.median(texture[region])) > _MOST_TEXTURE:
         return None
@@ -130,7 +129,7 @@ def _within(near: BoolArray, gradient: Float32Array, texture: Float32Array) -> L
     all_rows, all_cols = np.mgrid[0:height, 0:width]
     beyond = np.hypot(all_cols - middle[0], all_rows - middle[1]) > radius - _PENUMBRA * width
     window = (all_rows <= rows[-1] + 2 * size) & (all_cols <= cols[-1] + 2 * size)
-    return LensCorner(beyond & window, residual / width, strength)
+    return LensCorner(beyond & window, strength)
 
 
 def _arc(points: Float64Array) -> tuple[Float64Array, float, float] | None:

@@ -14,7 +14,7 @@ from ltm_core.vision.camera_mask import fill
 from ltm_core.vision.caption_strips import caption_strips
 from ltm_core.vision.labels import Label
 from ltm_core.vision.lens_corners import lens_corners
-from ltm_core.vision.polygons_io import NamedArea
+from ltm_core.vision.polygons_io import ERASED, NamedArea
 from ltm_core.vision.segmenter import Segmenter
 from ltm_core.vision.standing_structures import labelled_skyline, standing_structures
 
@@ -69,25 +69,20 @@ def propose_mask(
     return found
 
 
-def drawn_proposals(areas: Sequence[NamedArea], shape: tuple[int, int]) -> list[Proposal]:
-    """Of areas that a person has drawn in a picture of this size (H, W)."""
-    found = []
+def drawn_proposals(areas: Sequence[NamedArea], names: Sequence[str], shape: tuple[int, int]) -> list[Proposal]:
+    """Of areas that a person has drawn, in their order, in pictures of this size (H, W), those that hide the landscape:
+    of no class of `names`. What was drawn or erased over them later, in the same picture, is no part of them."""
+    found: list[tuple[NamedArea, UInt8Array]] = []
     for area in areas:
         drawn = np.zeros(shape, np.uint8)
         fill(drawn, area.polygon)
-        found.append(Proposal(area.kind, drawn > 0, area.reason or "drawn by hand"))
-    return found
-
-
-def polygons_of(hidden: BoolArray, tolerance: float = 1.0) -> list[tuple[tuple[float, float], ...]]:
-    """Outlines (u, v) of the parts of (H, W), to `tolerance` pixels; holes are filled."""
-    outlines, _ = cv2.findContours(hidden.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    found = []
-    for outline in outlines:
-        corners = cv2.approxPolyDP(outline, tolerance, closed=True)[:, 0]
-        if len(corners) >= 3:
-            found.append(tuple((float(u), float(v)) for u, v in corners))
-    return sorted(found)
+        if area.kind != ERASED and area.kind not in names:
+            found.append((area, drawn))
+            continue
+        for earlier, hidden in found:
+            if earlier.image == area.image:
+                hidden[drawn > 0] = 0
+    return [Proposal(area.kind, h > 0, area.reason or "drawn by hand") for area, h in found if h.any()]
 
 
 def _common_shape(frames: Sequence[UInt8Array]) -> tuple[int, int]:

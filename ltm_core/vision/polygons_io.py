@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 from pydantic import ConfigDict, Field
 
@@ -14,6 +15,11 @@ from ltm_core.strict_model import StrictModel
 from ltm_core.text_io import read_text
 from ltm_core.vision.mask_config import MOST_POINTS, Point
 
+POLYGONS_FILE: Final = "polygons.json"
+MASKED: Final = "masked"
+"""Class of areas that hide the landscape, for `ltm mask --drawn`; unlabelled in label images."""
+ERASED: Final = "unlabelled"
+"""Class of areas in which what was drawn before is taken back."""
 LARGEST_FILE = 16 << 20
 """Bytes."""
 MOST_AREAS = 20_000
@@ -29,7 +35,7 @@ class NamedArea(StrictModel):
     image: str = Field(max_length=255)
     """File name of the photo."""
     kind: str = Field(alias="class", max_length=80)
-    """A class of the label set, or what a mask hides: lens, caption, structure."""
+    """A class of the label set, `MASKED`, `ERASED`, or what a mask hides: lens, caption, structure."""
     polygon: tuple[Point, ...] = Field(min_length=3, max_length=MOST_POINTS)
     """Corners (u, v) in pixels of the photo."""
     number: int | None = None

@@ -47,6 +47,8 @@ class SceneView:
     def unlabelled(self, labels: UInt8Array, confidence: UInt8Array) -> None:
         """Take labels (H, W) and their confidence (H, W) away, in place: where the landscape is not seen, of a picture
         that is not used, and of land where it is burnt out or black."""
+        if self.reason is None and self.hidden is None and self.doubtful is None:
+            return
         gone = np.full(labels.shape, self.reason is not None)
         if self.hidden is not None:
             gone |= self.hidden

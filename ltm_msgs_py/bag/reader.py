@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rclpy.serialization import deserialize_message
-
 from ltm_core.errors import RecordingError
 from ltm_msgs_py.bag.mcap_index import McapIndex
 from ltm_msgs_py.bag.metadata import bag_files, is_latched
@@ -128,6 +126,8 @@ class BagReader:
         info = self._topics.get(message.topic)
         if info is not None and info.encoding != "cdr":
             raise RecordingError(f"{message.topic} in {self.path} is encoded as {info.encoding!r}, only cdr is read")
+        from rclpy.serialization import deserialize_message  # who only looks at bytes need not load the middleware
+
         cls = message_class(message.type_name)
         try:
             return deserialize_message(message.raw, cls)

@@ -10,7 +10,6 @@ from types import TracebackType
 from typing import Any, Literal, NoReturn, Self
 
 from mcap.writer import LIBRARY_IDENTIFIER, CompressionType
-from rclpy.serialization import serialize_message
 
 from ltm_core.errors import RecordingError
 from ltm_core.output_io import require_folder
@@ -130,6 +129,8 @@ class BagWriter:
 
     def write(self, topic: str, msg: Any, log_time_ns: int, publish_time_ns: int | None = None) -> None:
         """Append a message object. Raises RecordingError as `write_raw` does."""
+        from rclpy.serialization import serialize_message  # who only reads bags need not load the middleware
+
         self.write_raw(topic, type_name_of(msg), serialize_message(msg), log_time_ns, publish_time_ns)
 
     def write_raw(

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from ltm_core.errors import LtmError
+from ltm_core.raster.dem_io import prepare_heights
 from ltm_core.resources import project_path
 from ltm_core.site_io import load_site
 from ltm_ros.bench.graph_site import NAME, Load, write_site
@@ -124,6 +125,7 @@ def run_graph(load: Load, rate: float, seconds: float, domain_id: int | None = N
         folder = Path(name)
         traffic = write_site(folder, project_path("bags/demo"), load)
         site = load_site(traffic.site)
+        prepare_heights(site.dem.path)  # as `ltm run` does
         graph = describe(site, traffic.site, parameters={"fuel_map": {"folder": str(folder / "kept")}})
         runner = Runner(graph, domain_id=domain_id, log_folder=folder / "log", console=lambda line: None)
         with runner, Listener(NAME) as listener:

@@ -11,6 +11,7 @@ from rclpy.serialization import serialize_message
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
+from ltm_core.fuel.vote_columns import fitting
 from ltm_core.fuel.votes import VoteCaster
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
@@ -18,7 +19,7 @@ from ltm_core.site_io import load_site
 from ltm_core.tracing import TerrainTracer
 from ltm_core.types import Float32Array, UInt8Array
 from ltm_core.vision.labels import LabelSet
-from ltm_msgs_py.votes import fitting, votes_to_msg
+from ltm_msgs_py.votes import votes_to_msg
 
 NAME = "region"
 _CELL = 20.0

@@ -9,8 +9,9 @@ import subprocess  # nosec B404 # argument lists, no shell
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -48,11 +49,12 @@ _DEMO = "bags/demo"
 
 @dataclass(frozen=True)
 class SourcesResult:
-    """`cores`: share of one core that the process took while it asked; `idle_cores`: while its cameras were not due.
+    """`pictures`: that came of all cameras in `seconds`. `cores`: share of one core that the process took meanwhile.
     Errors in seconds, stamp less true time, of one camera; `held`: the share of them within what was told."""
 
     cameras: int
     every: float
+    seconds: float
     pictures: int
     picture_kb: float
     cores: float
@@ -60,6 +62,10 @@ class SourcesResult:
     threads: int
     errors: list[float]
     held: float
+
+    @property
+    def cpu_ms_each(self) -> float:
+        return 1000 * self.cores * self.seconds / self.pictures
 
     @property
     def median_s(self) -> float:
@@ -83,23 +89,25 @@ def run_sources(
             graph = describe(load_site(path), path)
             asking = replace(graph, nodes=tuple(node for node in graph if node.name == "source"))
             runner = Runner(asking, domain_id=domain_id, log_folder=folder / "log", console=lambda line: None)
-            with runner, _Listener(camera_topic(NAME, "c00", IMAGE_COMPRESSED), "c00") as listener:
+            with runner, _Listener([node.namespace.rpartition("/")[2] for node in asking.nodes]) as listener:
                 runner.wait_until_ready(READY_S)
                 time.sleep(SETTLE_S + every)
                 process = runner.processes[SOURCES_PROCESS]
-                before, began = usage_of({"": process.pid or 0})[""], time.monotonic()
+                before, began, seen = usage_of({"": process.pid or 0})[""], time.monotonic(), listener.count
                 time.sleep(seconds)
                 after, took = usage_of({"": process.pid or 0})[""], time.monotonic() - began
+                pictures = listener.count - seen
                 if process.starts > 1:
                     raise LtmError("the sources died and were started again")
                 pairs = listener.pairs()
-            if not pairs:
+            if not pairs or not pictures:
                 raise LtmError("no picture came through")
             errors = [stamp - true for stamp, true, _ in pairs]
             return SourcesResult(
                 cameras,
                 every,
-                round(cameras * took / every),
+                took,
+                pictures,
                 (folder / "photo.jpg").stat().st_size / 1000,
                 (after.cpu_s - before.cpu_s) / took,
                 after.pss / 1024,
@@ -154,15 +162,21 @@ def run_stream(url: str, frames: str, seconds: float) -> StreamResult:
 
 
 class _Listener(SpinningNode):
-    """Keeps of one camera's pictures the stamp, the true time and the uncertainty that was told."""
+    """Counts the pictures of all `cameras`, and keeps of the first one's the stamp, the true time and the uncertainty
+    that was told."""
 
-    def __init__(self, topic: str, camera: str) -> None:
+    def __init__(self, cameras: Sequence[str]) -> None:
         super().__init__("bench_sources")
+        self.count = 0
         self._true: dict[int, float] = {}
         self._told: dict[int, float] = {}
+        # The other cameras' pictures are counted by what is told of each: to send them would cost more than to ask.
+        topic = camera_topic(NAME, cameras[0], IMAGE_COMPRESSED)
         self.node.create_subscription(IMAGE_COMPRESSED.type, topic, self._on_image, stream_qos())
-        info = camera_topic(NAME, camera, SOURCE_INFO)
-        self.node.create_subscription(SOURCE_INFO.type, info, self._on_info, stream_qos())
+        for number, camera in enumerate(cameras):
+            info = camera_topic(NAME, camera, SOURCE_INFO)
+            told = partial(self._on_info, first=number == 0)
+            self.node.create_subscription(SOURCE_INFO.type, info, told, stream_qos())
 
     def pairs(self) -> list[tuple[float, float, float]]:
         """Stamp, true time, uncertainty; seconds."""
@@ -171,7 +185,10 @@ class _Listener(SpinningNode):
     def _on_image(self, message: Any) -> None:
         self._true[stamp_of(message)] = time_in(bytes(memoryview(message.data)))
 
-    def _on_info(self, message: Any) -> None:
+    def _on_info(self, message: Any, first: bool) -> None:
+        self.count += 1
+        if not first:
+            return
         said = json.loads(message.data)
         self._told[said["stamp_ns"]] = said["uncertainty_s"]
 

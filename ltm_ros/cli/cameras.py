@@ -43,6 +43,7 @@ def probe(
 ) -> None:
     """What a camera speaks: pictures, size, rate, clock, head; and its entry for the site file."""
     from rich.console import Console
+    from rich.markup import escape
 
     from ltm_core.errors import ConfigError
     from ltm_core.site_edit_io import dumped, write_camera_section
@@ -76,7 +77,7 @@ def probe(
     name = camera or "north"
     typer.echo(dumped({"cameras": {name: entry}}).rstrip())
     for what in missing:
-        console.print(f"[yellow]still to be added: {what}", highlight=False)
+        console.print(f"[yellow]still to be added: {escape(what)}", highlight=False)
     if kept is not None and kept.environment == _variable(camera):
         console.print(f"set the password where `ltm run` runs: export {kept.environment}=...", highlight=False)
     if site is None:
@@ -99,6 +100,7 @@ def discover(
 ) -> None:
     """Cameras that answer to WS-Discovery (ONVIF) on one network."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     from ltm_ros.sources.discovery import discover as ask
@@ -106,13 +108,13 @@ def discover(
     found, wrong = ask(interface, seconds, port=port)
     table = Table("host", "name", "hardware", "address", title=f"{len(found)} cameras answered")
     for one in found:
-        table.add_row(one.host, one.name, one.hardware, one.address)
+        table.add_row(*map(escape, (one.host, one.name, one.hardware, one.address)))
     console = Console()
     console.print(table)
     if wrong:
         console.print(f"[yellow]{wrong} answers were none that could be read", highlight=False)
     if found:
-        console.print(f"next: ltm cameras probe http://{found[0].host} --user NAME", highlight=False)
+        console.print(f"next: ltm cameras probe http://{escape(found[0].host)} --user NAME", highlight=False)
 
 
 @cameras.command()
@@ -169,6 +171,7 @@ def snapshot(
 ) -> None:
     """A picture now, with its pose; of a head also a line in readings.csv, which `ltm pose --readings` takes."""
     from rich.console import Console
+    from rich.markup import escape
 
     from ltm_ros.cli.cameras_snapshot import take_snapshot
 
@@ -176,9 +179,9 @@ def snapshot(
     with console.status(f"asking {camera}"):
         written, told = take_snapshot(site, camera, out, name, trace, tries, overwrite)
     for line in told:
-        console.print(line, highlight=False)
+        console.print(escape(line), highlight=False)
     for path in written:
-        console.print(f"  {path}", highlight=False)
+        console.print(escape(f"  {path}"), highlight=False)
 
 
 def _checked_address(url: str) -> str:
@@ -243,13 +246,21 @@ def _placing(
 
 
 def _found_table(found: Found) -> Table:
+    from rich.markup import escape
     from rich.table import Table
+
+    from ltm_core.redaction import redacted
+    from ltm_ros.sources.strangers_text import plain
+
+    def row(what: str, told: str) -> None:
+        """Cameras' own words are text, not markup; the address that one states may hold its password."""
+        table.add_row(what, escape(plain(told)))
 
     table = Table("what", "found", title="camera")
     if found.source is not None:
-        table.add_row("pictures", f"{found.source['kind']} at {found.source['url']}")
+        row("pictures", f"{found.source['kind']} at {found.source['url']}")
     if found.stream is not None:
-        table.add_row("also at", found.stream)
+        row("also at", redacted(found.stream))
     if found.size is not None:
         each = "" if found.bytes_each is None else f", {found.bytes_each / 1000:.0f} kB each"
         table.add_row("size", f"{found.size[0]} x {found.size[1]} pixels{each}")
@@ -267,11 +278,11 @@ def _found_table(found: Found) -> Table:
         def ends(span: tuple[float, float] | None, unit: str) -> str:
             return "limits not told" if span is None else f"{span[0]:g} to {span[1]:g}{unit}"
 
-        table.add_row("head speaks", " ".join(str(value) for value in found.head.config.values()))
+        row("head speaks", " ".join(str(value) for value in found.head.config.values()))
         table.add_row("pan", f"{reading.pan_deg:.2f} deg; {ends(limits.pan_deg, ' deg')}")
         table.add_row("tilt", f"{reading.tilt_deg:.2f} deg; {ends(limits.tilt_deg, ' deg')}")
         table.add_row("zoom", f"{reading.zoom:g}; {ends(limits.zoom, '')}")
-        table.add_row("presets", ", ".join(found.head.presets) or "none")
+        row("presets", ", ".join(found.head.presets) or "none")
     for what, told in found.tried:
-        table.add_row(f"[dim]asked: {what}", f"[dim]{told}")
+        table.add_row(f"[dim]asked: {escape(plain(what))}", f"[dim]{escape(plain(told))}")
     return table

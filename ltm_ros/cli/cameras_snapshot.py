@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from rich.markup import escape
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -18,7 +17,7 @@ from ltm_core.output_io import require_files, require_folder
 from ltm_core.pictures import to_png
 from ltm_core.pictures.trace import depth_picture, map_picture
 from ltm_core.pose import Pose
-from ltm_core.pose_covariance import pose_sigmas
+from ltm_core.pose_covariance import pose_sigmas, sigma_keys
 from ltm_core.pose_estimation.mount_io import append_reading
 from ltm_core.pose_estimation.pose_file_io import GuessConfig, write_pose_file
 from ltm_core.site import Site
@@ -67,7 +66,6 @@ def take_snapshot(
     if frame.pose is None:
         return files, [*told, "the site file states no pose of it, so that it cannot be traced"]
     told.append(_pose_line(frame.pose, frame))
-    dem = site.open_dem()
     notes = [f"Picture of {camera_name} of {taken:%Y-%m-%dT%H:%M:%SZ}, by `ltm cameras snapshot`."]
     guess = GuessConfig.model_validate(
         {
@@ -77,9 +75,10 @@ def take_snapshot(
             "refraction": site.refraction,
         }
     )
-    write_pose_file(files[1], frame.camera, frame.pose, _sigmas(frame), guess, site.frame, notes)
+    sigmas = {} if frame.covariance is None else sigma_keys(frame.pose, frame.covariance)
+    write_pose_file(files[1], frame.camera, frame.pose, sigmas, guess, site.frame, notes)
     if trace:
-        told.append(_traced(site, dem, frame.camera, frame.pose, photo, files[2], files[3], camera_name))
+        told.append(_traced(site, site.open_dem(), frame.camera, frame.pose, photo, files[2], files[3], camera_name))
     return files, told
 
 
@@ -125,24 +124,15 @@ def _pose_line(pose: Pose, frame: Frame) -> str:
     return f"{line}; field of view {frame.camera.hfov_deg:.1f} deg"
 
 
-def _sigmas(frame: Frame) -> dict[str, float]:
-    if frame.pose is None or frame.covariance is None:
-        return {}
-    x, y, z, azimuth, pitch, roll = pose_sigmas(frame.pose, frame.covariance)
-    sigmas = {"position_sigma": max(x, y), "height_sigma": z}
-    sigmas |= {"azimuth_sigma_deg": azimuth, "pitch_sigma_deg": pitch, "roll_sigma_deg": roll}
-    return {key: float(f"{sigma:.3g}") for key, sigma in sigmas.items() if sigma > 0}
-
-
 def _traced(
     site: Site, dem: Dem, camera: Camera, pose: Pose, photo: UInt8Array, depth: Path, on_map: Path, name: str
 ) -> str:
     traced = TerrainTracer(dem, site.curvature, site.refraction, site.possible_ground).trace(camera, pose)
     depth.write_bytes(to_png(depth_picture(traced, dem, photo)))
-    on_map.write_bytes(to_png(map_picture(traced, dem, cell_counts(traced), f"what {escape(name)} sees")))
+    on_map.write_bytes(to_png(map_picture(traced, dem, cell_counts(traced), f"what {name} sees")))
     ranges = traced.range
     known = ranges[np.isfinite(ranges)]
     if not known.size:
-        return "[yellow]no pixel sees the terrain: check the pose"
+        return "no pixel sees the terrain: check the pose"
     share = np.isfinite(ranges).mean()
     return f"{share:.0%} of the pixels see terrain, {known.min():,.0f} to {known.max():,.0f} m away"

@@ -13,7 +13,8 @@ from ltm_ros.cli.output import Overwrite
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ltm_core.site_check import Finding, SiteCheck
+    from ltm_core.finding import Finding
+    from ltm_core.site_check import SiteCheck
     from ltm_core.types import RgbImage
 
 _CELLS = 100_000
@@ -34,8 +35,8 @@ def check(
     """Check a site: CRS, terrain, cameras, prior, networks, parameters, places. Exit code 1 where it cannot work."""
     from rich.console import Console
 
+    from ltm_core.finding import Verdict
     from ltm_core.output_io import require_files
-    from ltm_core.site_check import Verdict
     from ltm_ros.launching.site_check import Wanted, examine
 
     if out is not None:
@@ -60,7 +61,7 @@ def check(
 
 
 def _print(console: Console, findings: list[Finding]) -> None:
-    from ltm_core.site_check import Verdict
+    from ltm_core.finding import Verdict
 
     styles = {Verdict.OK: "green", Verdict.DOUBTFUL: "yellow", Verdict.WRONG: "bold red"}
     order = list(dict.fromkeys(finding.area for finding in findings))
@@ -71,8 +72,9 @@ def _print(console: Console, findings: list[Finding]) -> None:
 
 def _add_recorded(found: SiteCheck, bag: Path) -> None:
     """The views that a recording has of cameras without a pose in the site file."""
+    from ltm_core.camera_check import check_views
     from ltm_core.errors import LtmError
-    from ltm_core.site_check import Finding, check_views
+    from ltm_core.finding import Finding
     from ltm_ros.recordings.recorded_views import recorded_views
 
     assert found.site is not None  # nosec B101 # tells the type checker what holds

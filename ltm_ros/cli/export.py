@@ -157,15 +157,17 @@ def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None,
     else:
         if site is None:
             raise ConfigError("a bag's fuel map stands in its site's map frame: name the site file with --site")
-        tags = {"site": load_site(site).name, "software": software()}
+        loaded = load_site(site)
+        tags = {"site": loaded.name, "software": software()}
         if source.suffix == ".ltm" or as_of is not None:
-            with FuelSource.open(source, load_site(site)) as map_:
-                classes, geometry, labels = map_.at(as_of).life_form, map_.geometry, map_.labels
-                tags = map_.provenance(as_of).tags()
+            with FuelSource.open(source, loaded) as map_:
+                layers = map_.at(as_of)
+                classes, geometry, labels = layers.life_form, map_.geometry, map_.labels
+                tags = map_.provenance(layers, as_of).tags()
         else:
             from ltm_ros.recordings.recorded_map import last_fuel_map
 
-            classes, geometry, labels = last_fuel_map(source, load_site(site))
+            classes, geometry, labels = last_fuel_map(source, loaded)
     if crs is not None:
         classes, geometry = resampled(classes, geometry, crs)
     palette = life_form_labels(labels)

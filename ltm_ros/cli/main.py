@@ -11,6 +11,7 @@ import typer
 from ltm_core.errors import LtmError
 from ltm_ros.cli.bench import bench
 from ltm_ros.cli.cameras import cameras
+from ltm_ros.cli.certs import certs
 from ltm_ros.cli.check import check
 from ltm_ros.cli.demo import demo
 from ltm_ros.cli.doctor import doctor
@@ -24,7 +25,9 @@ from ltm_ros.cli.mask import mask
 from ltm_ros.cli.models import models
 from ltm_ros.cli.pose import pose
 from ltm_ros.cli.record import record
+from ltm_ros.cli.region import region
 from ltm_ros.cli.replay import replay
+from ltm_ros.cli.reprocess import reprocess
 from ltm_ros.cli.run import run
 from ltm_ros.cli.simulate import simulate
 from ltm_ros.cli.status import status
@@ -45,6 +48,7 @@ cli.command()(demo)
 cli.command()(check)
 cli.command()(run)
 cli.command()(replay)
+cli.command()(reprocess)
 cli.add_typer(cameras, name="cameras")
 cli.command()(record)
 cli.command(name="import")(import_)
@@ -64,6 +68,8 @@ cli.command()(doctor)
 cli.command()(upgrade)
 cli.command()(rollback)
 cli.command()(models)
+cli.command()(region)
+cli.command()(certs)
 cli.add_typer(bench, name="bench")
 cli.add_typer(evaluate, name="eval")
 
@@ -94,7 +100,14 @@ def app() -> None:
             "matplotlib": "train",
             "jinja2": "report",
             "laspy": "export",
+            "pyarrow": "archive",
+            "fsspec": "archive",
+            "dask": "archive",
+            "distributed": "archive",
+            "s3fs": "archive",
             "prometheus_client": "tower",
+            "paho": "region",
+            "cryptography": "region",
             "rosbags": "eval",
             "skimage": "eval",
         }.get((error.name or "").partition(".")[0])

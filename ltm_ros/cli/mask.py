@@ -75,8 +75,8 @@ def mask(
     skyline = None if known is None else _terrain_skyline(known, camera, frames[0])
     proposals = propose_mask(frames, segmenter, skyline)
     if drawn is not None:
-        areas = [area for area in read_areas(drawn) if area.image in names and area.kind not in segmenter.labels.names]
-        proposals += drawn_proposals(areas, frames[0].shape[:2])
+        areas = [area for area in read_areas(drawn) if area.image in names]
+        proposals += drawn_proposals(areas, segmenter.labels.names, frames[0].shape[:2])
     kept = _kept(keep, len(proposals))
     console = Console()
     table = Table("number", "what", "share", "why", "kept", title=f"{len(frames)} pictures of one camera")
@@ -123,15 +123,13 @@ def _kept(keep: str, count: int) -> list[bool]:
 
 
 def _areas(image: str, chosen: list[tuple[int, Proposal]]) -> list[NamedArea]:
-    from ltm_core.vision.mask_config import MOST_POINTS
-    from ltm_core.vision.mask_proposals import polygons_of
+    from ltm_core.vision.outlines import polygons_of
     from ltm_core.vision.polygons_io import NamedArea
 
     return [
         NamedArea(image=image, kind=proposal.kind, polygon=polygon, number=number, reason=proposal.reason)
         for number, proposal in chosen
         for polygon in polygons_of(proposal.hidden)
-        if len(polygon) <= MOST_POINTS
     ]
 
 

@@ -31,7 +31,7 @@ def run(
     state: Annotated[
         Path | None,
         typer.Option(
-            help="Folder, made if missing, where the fuel map and the terrain outlive stops, kills and power cuts. "
+            help="Folder, made if missing, where fuel map, terrain and outbox outlive stops, kills and power cuts. "
             "Default: what the site file's nodes say, else nothing is kept."
         ),
     ] = None,
@@ -69,7 +69,7 @@ def run(
         recorded = {"bag": str(folders["record"])}
     if logs is not None:
         folders["logs"] = logs.expanduser()
-    parameters = {"fuel_map": kept, "terrain": kept, "pose": kept} if kept else {}
+    parameters = dict.fromkeys(("fuel_map", "terrain", "pose", "uplink"), kept) if kept else {}
     seen: dict[str, ParameterValue] | None = {"serve": True} if view else None
     try:
         wanted = Wanted(only or (), seen, recorded, {}, parameters, folders)

@@ -10,7 +10,9 @@ import typer
 if TYPE_CHECKING:
     from ltm_ros.deployment.upgrade import Upgrade
 
-READY_MINUTES = 10.0
+READY_MINUTES = 2.0
+"""Kernels are compiled before, so a good release starts in seconds; a tower shall not stand still for longer than
+three minutes, and the former release needs some of them."""
 
 
 def upgrade(

@@ -83,7 +83,7 @@ def _show_graph(
     from ltm_core.site_io import load_site
     from ltm_ros.launching.graph import Graph, ParameterValue, describe
     from ltm_ros.launching.runner import Runner, new_log_folder
-    from ltm_ros.viewer.server import RerunProcess, grpc_url, web_url
+    from ltm_ros.viewer.server import OPEN_MEMORY, RerunProcess, grpc_url, web_url
 
     site = load_site(path)
     wanted: dict[str, ParameterValue] = {"serve": True, "web_port": web_port, "grpc_port": grpc_port}
@@ -98,7 +98,8 @@ def _show_graph(
             _announce(web_url(web_port, grpc_port), open_browser)
             _until_ended(None, runner)
         else:
-            _until_ended(RerunProcess(["--port", "auto", "--connect", grpc_url(grpc_port)], quiet=False), runner)
+            window = ["--port", "auto", "--connect", grpc_url(grpc_port), "--memory-limit", OPEN_MEMORY]
+            _until_ended(RerunProcess(window, quiet=False), runner)
 
 
 def _comes_up(runner: Runner, port: int, timeout: float = 60.0) -> bool:

@@ -85,7 +85,7 @@ def run_demo(
     evidence = site_evidence_map(site, site.fuel_geometry(dem), labels)
     before = evidence.layers()
     with open_stored_map(state / STORE_FILE, site, evidence):
-        write_landscapes(evidence, site, out)
+        write_landscapes(evidence, site, out, state)
     recorded = Recorded(out / "recording", site_path, site, demo)
     score = score_bag(recorded)
     walk = run_walk(bags / "phone", out / "walk", progress)

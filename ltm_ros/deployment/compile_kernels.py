@@ -21,7 +21,8 @@ def main() -> None:
     # Every handler as a node makes it, but on empty stores: the tower's own are another process's.
     with tempfile.TemporaryDirectory() as folder:
         kept = {kind: {"folder": folder} for kind in KEEPING_NODES}
-        graph = describe(load_site(sys.argv[1]), sys.argv[1], parameters=kept)
+        # Without sources: a camera may refuse a second one that asks, and an upgrade needs no picture.
+        graph = describe(load_site(sys.argv[1]), sys.argv[1], parameters=kept, sources=False)
         OfflineGraph(graph).finish()
     print(f"kernels of {len(graph)} nodes are compiled: {time.monotonic() - begun:.0f} s")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -97,6 +98,13 @@ class Releases:
         link.unlink(missing_ok=True)
         link.symlink_to(Path("releases") / version)
         link.replace(self.root / name)
+
+    def remove(self, version: str) -> None:
+        """Forget a release that does not run."""
+        shutil.rmtree(self.folder(version), ignore_errors=True)
+        link = self.root / "former"
+        if link.is_symlink() and link.readlink().name == version:
+            link.unlink()
 
     @property
     def trial(self) -> Trial | None:

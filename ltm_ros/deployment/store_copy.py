@@ -37,7 +37,7 @@ def copy_stores(state: Path, copies: Path, version: str) -> Path | None:
             f"{copies}: {free / 1e6:.0f} MB free, a copy of the stores takes {size / 1e6:.0f} MB: make room"
         )
     target = copies / f"{time.strftime('%Y%m%d-%H%M%S')}-{version}"
-    partial = copies / f".{target.name}"
+    partial = copies / ".partial"  # of one name, so that what a power cut leaves goes with the next copy
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir()
     for store in stores:

@@ -58,9 +58,15 @@ class Upgrade:
         if package.version == former:
             raise UpgradeError(f"{package.path}: release {former} runs already")
         self._say(f"unpacking {package.version} ({package.size / 1e6:.0f} MB) beside {former}")
+        new = package.version not in self._releases.installed
         package.unpack(self._releases)
-        self._ask(package.version)
-        self._change(former, package.version)
+        try:
+            self._ask(package.version)
+            self._change(former, package.version)
+        except (LtmError, OSError):
+            if new and self._releases.current == former:
+                self._releases.remove(package.version)  # else the next `ltm rollback` would go to it
+            raise
         self._say(f"{package.version} is ready")
 
     def go_back(self, version: str = "") -> str:
@@ -92,18 +98,17 @@ class Upgrade:
         self._service.stop()
         try:
             copy = copy_stores(self._places.state, self._places.copies, former)
-        except LtmError:
+            self._say(f"the stores are copied to {copy}" if copy else "there are no stores yet")
+            self._releases.begin_trial(Trial(former, target, str(copy or "")))
+        except (LtmError, OSError) as error:
             self._service.start()
-            raise
-        self._say(f"the stores are copied to {copy}" if copy else "there are no stores yet")
-        trial = Trial(former, target, str(copy or ""))
-        self._releases.begin_trial(trial)
+            raise UpgradeError(f"{target} was not taken: {error}; {former} is started again") from error
         try:
             self._releases.switch(target)
             self._say(f"starting {target}")
             self._service.start()
             wrong = self._wait_until_ready(target, self._ready_s)
-        except LtmError as error:
+        except (LtmError, OSError) as error:
             wrong = str(error)
         if not wrong:
             self._releases.end_trial()
@@ -121,12 +126,14 @@ class Upgrade:
         raise UpgradeError(f"{target} was not taken: {wrong}; {state if again else f'{former} runs again'}")
 
     def _put_back(self, trial: Trial) -> None:
+        # The stores first: where that is cut short, the candidate is still current, and all of it is done again.
+        if trial.copy:
+            aside = self._places.copies.parent / f"stores-of-{trial.candidate}"
+            for store in return_stores(self._places.state, Path(trial.copy), aside):
+                self._say(
+                    f"{store.name}: {trial.candidate} had changed its schema; the copy is back, the other in {aside}"
+                )
         self._releases.switch(trial.former)
-        if not trial.copy:
-            return
-        aside = self._places.copies.parent / f"stores-of-{trial.candidate}"
-        for store in return_stores(self._places.state, Path(trial.copy), aside):
-            self._say(f"{store.name}: {trial.candidate} had changed its schema; the copy is back, the other in {aside}")
 
     def _wait_until_ready(self, version: str, limit_s: float) -> str:
         """Why it did not come up; empty: it did."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,11 @@ from ltm_core.fire.ensemble import CellDoubt, drawn_codes, with_codes
 from ltm_core.fire.landscape_source_io import read_landscape, require_same_grid
 from ltm_core.fire.pyretechnics import Pyretechnics
 from ltm_core.fire.scenario import FireScenario
-from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.export.export_grid import make_landscape, with_fuel
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.provenance import Provenance
+from ltm_core.fuel.prior import system_of
+from ltm_core.fuel.seen_canopy import seen_canopy
 from ltm_core.fuel.site_map import spare_heights
 from ltm_core.site_io import load_site
 from ltm_ros.fuel_map.source import FuelSource
@@ -76,20 +78,24 @@ def _of_store(store: Path, site_path: Path, since: str | None) -> MapPair:
     with FuelSource.open(store, site) as map_:
         layers, empty = map_.layers, map_.empty if since is None else map_.at(since)
         evidence, prior, region = map_.evidence, map_.prior, map_.region
-        system = FuelSystem.FBFM40 if prior is None else prior.system
-        spare = spare_heights(site, site.in_map(map_.geometry))
+        system = system_of(prior)
+        grid, terrain = site.in_map(map_.geometry), map_.terrain()
+        spare, seen = spare_heights(site, grid), seen_canopy(terrain, grid)
         now = make_landscape(
-            layers, prior, site.open_dem(), site.frame, map_.geometry, region, system, spare=spare
+            layers, prior, terrain.ground, site.frame, map_.geometry, region, system, spare=spare, seen=seen
         )  # fmt: skip
         was = with_fuel(now, empty, prior, region)
-        made = map_.provenance(None, system, now)
+        made = map_.provenance(layers, None, system, now)
     assert evidence is not None
-    doubt = CellDoubt.of(layers, evidence.alpha(), evidence.rules.mask)
-    width, stand = evidence.rules.context_cells, evidence.stand_correlation
+
+    @cache  # for the first draw: without an ensemble nobody asks
+    def doubt() -> CellDoubt:
+        return CellDoubt.of(layers, evidence.alpha(), evidence.rules.mask)
 
     def draw(rng: np.random.Generator) -> Landscape:
-        codes = drawn_codes(doubt, region, system, rng, width, stand)
-        return with_fuel(now, with_codes(layers, codes), prior, region)
+        width, stand = evidence.rules.context_cells, evidence.stand_correlation
+        codes = drawn_codes(doubt(), region, system, rng, width, stand)
+        return with_fuel(now, with_codes(layers, codes), prior, region, seen)
 
     earlier = "before any camera looked" if since is None else since
     return MapPair(site.name, earlier, was, now, draw, made)

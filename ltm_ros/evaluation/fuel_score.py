@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from ltm_core.errors import LtmError, RecordingError
+from ltm_core.evaluation.fuel.false_changes import FalseRegion, false_regions
 from ltm_core.evaluation.fuel.label_correlation import label_correlation
 from ltm_core.evaluation.fuel.map_score import MapScore, score_map
 from ltm_core.evaluation.metrics.fuel import on_grid
@@ -31,6 +32,7 @@ class FuelBagScore:
 
     `unjustified`: cells that only the repetitions changed. `errors`: what was known of the network. `correlation`: of
     its errors in this recording; `lacking` says why it is not known. `cells`: by [true form, commonest label].
+    `false`: what the evidence changed falsely.
     """
 
     frames: int
@@ -40,6 +42,7 @@ class FuelBagScore:
     correlation: LabelCorrelation | None
     lacking: str
     cells: Int64Array | None
+    false: list[FalseRegion]
 
 
 def score_fuel_bag(recorded: Recorded, repeat_hours: float = 0.0) -> FuelBagScore:
@@ -64,12 +67,12 @@ def score_fuel_bag(recorded: Recorded, repeat_hours: float = 0.0) -> FuelBagScor
     empty = site_evidence_map(site, grid, labels)
     prior = None if empty.prior is None else empty.prior.codes
     once = _counted(site_evidence_map(site, grid, labels), frames)
-    shown = {"evidence": once.layers().life_form}
-    changed = once.layers().changed
+    layers = once.layers()
+    shown = {"evidence": layers.life_form}
     unjustified = 0
     if repeat_hours > 0:
         often = _counted(once, _again(frames, repeat_hours)).layers()
-        unjustified = int((often.changed & ~changed).sum())
+        unjustified = int((often.changed & ~layers.changed).sum())
         shown[f"evidence, {repeat_hours:g} h of the same frames"] = often.life_form
     shown |= {"the paper's vote": vote.classes()} | ({} if prior is None else {"prior alone": empty.layers().life_form})
     errors = site_label_errors(site)
@@ -79,8 +82,9 @@ def score_fuel_bag(recorded: Recorded, repeat_hours: float = 0.0) -> FuelBagScor
         correlation, cells = label_correlation(frames, truth, label_forms(labels), errors, reach)
     except LtmError as error:
         lacking = str(error)
+    false = false_regions(layers, truth, frames, label_forms(labels))
     maps = [score_map(name, forms, truth, prior, seen) for name, forms in shown.items()]
-    return FuelBagScore(len(frames), maps, unjustified, errors, correlation, lacking, cells)
+    return FuelBagScore(len(frames), maps, unjustified, errors, correlation, lacking, cells, false)
 
 
 def _counted(evidence: EvidenceMap, frames: Sequence[CellVotes]) -> EvidenceMap:

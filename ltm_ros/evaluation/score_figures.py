@@ -14,6 +14,7 @@ from ltm_core.dem import Dem
 from ltm_core.evaluation.depth.depth_maps_io import DepthMapFolder
 from ltm_core.evaluation.pictures.block import BlockView, Pin, block_picture
 from ltm_core.evaluation.pictures.height_legend import height_legend
+from ltm_core.evenly import evenly
 from ltm_core.fuel.majority import UNSEEN
 from ltm_core.grid import GridGeometry
 from ltm_core.pictures import (
@@ -291,10 +292,9 @@ def camera_maps(recorded: Recorded, geometry: GridGeometry, labels: LabelSet) ->
 
 def real_photos(folder: Path, most: int) -> list[tuple[str, RgbImage]]:
     """Pictures of a folder, evenly spread over their names, at most 1,280 pixels wide."""
-    from ltm_core.evaluation.sim2real.picture_folder_io import pictures_in
+    from ltm_core.evaluation.sim2real.picture_folder_io import pictures_below
 
-    paths = pictures_in(folder)
-    chosen = [paths[i] for i in np.unique(np.linspace(0, len(paths) - 1, most).round().astype(int))]
+    chosen = evenly(pictures_below(folder), most)
     loaded = [(path.stem, cv2.imread(str(path), cv2.IMREAD_COLOR)) for path in chosen]
     return [(name, fit(np.ascontiguousarray(bgr[..., ::-1]), 1280)) for name, bgr in loaded if bgr is not None]
 

@@ -14,11 +14,12 @@ from ltm_core.errors import RecordingError
 from ltm_core.evaluation.metrics.change import ChangeScore, score_change
 from ltm_core.evaluation.metrics.heights import SurfaceScore, cell_means, score_surface
 from ltm_core.grid import GridGeometry
+from ltm_core.named_columns import take
 from ltm_core.site import Site
 from ltm_core.types import Float32Array
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.grid import UNKNOWN, msg_to_classes
-from ltm_msgs_py.pointcloud import msg_to_columns, take
+from ltm_msgs_py.pointcloud import msg_to_columns
 from ltm_ros.runtime.topics import TERRAIN_CHANGE, TERRAIN_INFO, TERRAIN_UPDATE, site_topic
 
 

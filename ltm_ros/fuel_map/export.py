@@ -14,6 +14,7 @@ from ltm_core.fuel.export.points_io import fuel_points, write_las, write_ply
 from ltm_core.fuel.export.provenance import Provenance, landscape_units
 from ltm_core.fuel.export.stac_item_io import item_path, write_item
 from ltm_core.fuel.life_form import life_form_labels
+from ltm_core.fuel.seen_canopy import seen_canopy
 from ltm_core.fuel.site_map import spare_heights
 from ltm_core.grid import GridGeometry
 from ltm_core.pictures import to_png
@@ -48,9 +49,10 @@ def export_site(
     target = grid if crs is None else snapped_grid(grid, crs, map_.site.fuel.phase)
     if kind in LANDSCAPES:
         return target, _write_landscape(map_, out, kind, FuelSystem(system), target, as_of)
-    layers, made = map_.at(as_of), map_.provenance(as_of)
+    layers = map_.at(as_of)
+    made = map_.provenance(layers, as_of)
     transfer, palette = GridTransfer(grid, target), life_form_labels(map_.labels)
-    moved, heights = transfer.layers(layers), transfer.heights(map_.site.open_dem(), map_.site.frame)[1:-1, 1:-1]
+    moved, heights = transfer.layers(layers), transfer.heights(map_.terrain(as_of).ground, map_.site.frame)[1:-1, 1:-1]
     if kind == "layers":
         write_layers(out, moved, target, made.tags(), palette)
         write_item(out, sorted(out.glob("*.tif")), target, made)
@@ -68,19 +70,21 @@ def export_site(
 def _write_landscape(
     map_: FuelSource, out: Path, kind: str, system: FuelSystem, target: GridGeometry, as_of: str | None
 ) -> list[str]:
-    site, layers = map_.site, map_.at(as_of)
+    site, layers, terrain = map_.site, map_.at(as_of), map_.terrain(as_of)
+    grid = site.in_map(map_.geometry)
     landscape = make_landscape(
         layers,
         map_.prior,
-        site.open_dem(),
+        terrain.ground,
         site.frame,
         map_.geometry,
         map_.region,
         system,
         target,
-        spare_heights(site, site.in_map(map_.geometry)),
+        spare_heights(site, grid),
+        seen_canopy(terrain, grid),
     )
-    made = map_.provenance(as_of, system, landscape)
+    made = map_.provenance(layers, as_of, system, landscape)
     tags = made.tags() | landscape_units()
     if kind == "lcp":
         write_lcp(out, landscape, made.line())

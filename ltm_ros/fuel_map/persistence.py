@@ -24,6 +24,8 @@ UNSAVED_FRAMES = 500_000
 """Frames counted in memory alone, while the disk is away, before more are refused: three hours of 40 a second."""
 UNSAVED_BYTES = 256 << 20
 """Of the same, where the store has not been opened yet, so that they must be counted again once it is."""
+SLOW_S = 1.0
+"""For one transaction; a disk that takes longer is about to fail, or is somebody else's too."""
 AGE_NS = 3600 * 10**9
 """Of the map's own time, after which cells that no frame has touched are looked at again."""
 
@@ -103,6 +105,11 @@ class FuelMapPersistence:
             return Counting.TOO_OLD if self.store.forgotten(source, stamp_ns) else Counting.DUPLICATE
         return None
 
+    def stored(self, source: str, stamp_ns: int) -> bool:
+        """Whether a frame that must not be counted is on disk, so that it may be acknowledged once more."""
+        in_memory = (source, stamp_ns) in self._in_batch
+        return not in_memory and self.store is not None and self.store.counted(source, stamp_ns)
+
     def count(self, votes: CellVotes, model: str = "") -> Counting:
         """Count a frame, once. Raises LtmError where it cannot be taken; nothing of it is counted then."""
         if (before := self.seen(votes.source, votes.stamp_ns)) is not None:
@@ -170,6 +177,7 @@ class FuelMapPersistence:
         tiles = self._dirty if self._durable and (write_tiles or full or self._failed) else set()
         if not (self._batch or tiles or self._changes):
             return []
+        begun = time.monotonic()
         try:
             self.store.commit(
                 {key: self.map.tile_state(key) for key in sorted(tiles)},
@@ -180,6 +188,12 @@ class FuelMapPersistence:
         except LtmError as error:
             self._fail(error)
             return []
+        if (took := time.monotonic() - begun) > SLOW_S:
+            self._health.trouble(
+                "store_slow",
+                f"the disk took {took:.1f} s to keep {len(self._batch)} frames: look whether it fails (smartctl), or "
+                "who else writes to it",
+            )
         return self._succeed(bool(tiles))
 
     def close(self) -> list[Counted]:

@@ -10,14 +10,18 @@ from typing import Any
 
 import numpy as np
 
+from ltm_core.confirmed_terrain import exported_terrain
 from ltm_core.errors import ImageError, MessageError
-from ltm_core.fuel.codes import FuelSystem, fuel_models
+from ltm_core.fuel.codes import fuel_models
 from ltm_core.fuel.evidence import TILE, EvidenceMap, Window
 from ltm_core.fuel.export.export_grid import make_landscape
 from ltm_core.fuel.export.landscape_io import write_landscape
 from ltm_core.fuel.export.lcp_io import write_lcp
-from ltm_core.fuel.export.provenance import provenance_of
+from ltm_core.fuel.export.provenance import landscape_units, provenance_of
+from ltm_core.fuel.export.stac_item_io import write_item
 from ltm_core.fuel.life_form import NODATA
+from ltm_core.fuel.prior import system_of
+from ltm_core.fuel.seen_canopy import seen_canopy
 from ltm_core.fuel.site_map import spare_heights
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import Key, Tile, TileStore
@@ -135,20 +139,28 @@ def forgotten(evidence: EvidenceMap, cells: BoolArray) -> dict[Key, Tile]:
     return tiles
 
 
-def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path) -> list[Path]:
-    """The map as `landscape.lcp` and `landscape.tif`, for fire models. Raises ConfigError, RasterError."""
-    system = FuelSystem.FBFM40 if evidence.prior is None else evidence.prior.system
-    layers = evidence.layers()
+def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path, state: Path) -> list[Path]:
+    """The map as `landscape.lcp` and `landscape.tif`, for fire models, with their STAC items beside them. Raises
+    ConfigError, RasterError, StoreError.
+
+    `state`: where its store lies, and the confirmed surface where the site follows that.
+    """
+    system = system_of(evidence.prior)
+    layers, terrain = evidence.layers(), exported_terrain(site, state)
     landscape = make_landscape(
         layers,
         evidence.prior,
-        site.open_dem(),
+        terrain.ground,
         site.frame,
         site.in_crs(evidence.geometry),
         evidence.region,
         system,
         spare=spare_heights(site, evidence.geometry),
+        seen=seen_canopy(terrain, evidence.geometry),
     )
-    made = provenance_of(site, layers, system, landscape=landscape)
+    made = provenance_of(site, layers, system, landscape=landscape, surface=terrain.version)
     lcp = write_lcp(folder / "landscape.lcp", landscape, made.line())
-    return [lcp, write_landscape(folder / "landscape.tif", landscape, made.tags())]
+    tif = write_landscape(folder / "landscape.tif", landscape, made.tags() | landscape_units())
+    for path, files in ((lcp, [lcp, lcp.with_suffix(".prj")]), (tif, [tif])):
+        write_item(path, files, landscape.geometry, made)
+    return [lcp, tif]

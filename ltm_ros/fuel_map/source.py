@@ -9,6 +9,7 @@ from typing import Self
 
 import numpy as np
 
+from ltm_core.confirmed_terrain import ConfirmedTerrain, exported_terrain
 from ltm_core.errors import ConfigError, RasterError
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
 from ltm_core.fuel.coverage import CoverageMap
@@ -17,7 +18,7 @@ from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.provenance import Provenance, provenance_of
 from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.majority import UNSEEN
-from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.fuel.prior_io import load_prior
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import open_stored_map
@@ -32,8 +33,8 @@ from ltm_core.vision.labels import LabelSet
 
 @dataclass(frozen=True, eq=False)
 class FuelSource:
-    """A context manager. `geometry`: in the site's CRS. `empty`: the layers before any evidence. `evidence`, `store`:
-    of a store alone; `bag`: of a bag alone.
+    """A context manager. `geometry`: in the site's CRS. `empty`: the layers before any evidence. `evidence`, `store`,
+    `folder`: of a store alone, the last where it lies; `bag`: of a bag alone.
     """
 
     site: Site
@@ -45,6 +46,7 @@ class FuelSource:
     evidence: LivingFuelMap | None = None
     store: TileStore | None = None
     bag: Path | None = None
+    folder: Path | None = None
 
     @classmethod
     def open(cls, path: Path, site: Site) -> FuelSource:
@@ -55,7 +57,9 @@ class FuelSource:
             evidence = site_evidence_map(site, geometry, labels)
             prior, empty = evidence.prior, evidence.layers()
             store = open_stored_map(path, site, evidence)
-            return cls(site, labels, site.in_crs(geometry), prior, evidence.layers(), empty, evidence, store)
+            return cls(
+                site, labels, site.in_crs(geometry), prior, evidence.layers(), empty, evidence, store, None, path.parent
+            )
         if path.suffix.lower() in (".tif", ".tiff"):
             classes, grid = read_fuel_map(path)
             if grid.crs != site.crs:
@@ -85,15 +89,27 @@ class FuelSource:
 
         return layers_as_of(self.store, self.empty, when(moment))
 
-    def provenance(
-        self, moment: str | None = None, system: FuelSystem | None = None, landscape: Landscape | None = None
-    ) -> Provenance:
-        """What an export of the map, now or as of a moment, says of itself. Raises ConfigError as `at` does."""
+    def terrain(self, moment: str | None = None) -> ConfirmedTerrain:
+        """What heights come from: the surface that counted at the moment, where the site follows the confirmed one and
+        its terrain keeps it beside the store. Raises ConfigError as `at` does, StoreError.
+        """
         from ltm_ros.fuel_map.pictures import when
 
-        own = FuelSystem.FBFM40 if self.prior is None else self.prior.system
+        return exported_terrain(self.site, self.folder, None if moment is None else when(moment))
+
+    def provenance(
+        self,
+        layers: FuelLayers,
+        moment: str | None = None,
+        system: FuelSystem | None = None,
+        landscape: Landscape | None = None,
+    ) -> Provenance:
+        """What an export of the map says of itself; `layers`: of it now or as of a moment, as `at` gives them."""
+        from ltm_ros.fuel_map.pictures import when
+
         as_of = None if moment is None else when(moment)
-        return provenance_of(self.site, self.at(moment), system or own, as_of, landscape)
+        system = system or system_of(self.prior)
+        return provenance_of(self.site, layers, system, as_of, landscape, self.terrain(moment).version)
 
     def seen_by(self) -> dict[str, BoolArray]:
         """The cells that each camera has seen, as far as the store's cells remember."""

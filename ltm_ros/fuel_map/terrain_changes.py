@@ -12,11 +12,12 @@ from ltm_core.errors import MessageError
 from ltm_core.fuel.stored_map import SURFACE_LAYER
 from ltm_core.fuel.surface_change import SOURCE, UNSEEN, SurfaceNews, news_of, record
 from ltm_core.grid import GridGeometry
+from ltm_core.named_columns import take
 from ltm_core.raster.tile_store import CellChanges
 from ltm_core.terrain.change import ChangeKind
 from ltm_core.types import BoolArray, UInt8Array
 from ltm_msgs_py.grid import msg_to_classes, tile_window
-from ltm_msgs_py.pointcloud import msg_to_columns, take
+from ltm_msgs_py.pointcloud import msg_to_columns
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.terrain import msg_to_changed
 from ltm_ros.fuel_map.persistence import FuelMapPersistence
@@ -24,13 +25,6 @@ from ltm_ros.runtime.health import Health
 
 _POINT_BYTES = 64
 """Bound of what a changed cell takes on the wire."""
-
-
-def terrain_grid(dem: GridGeometry, resolution: float | None) -> GridGeometry:
-    """The grid of a site's `terrain` node, in the map frame: the DEM's, or over it with cells of `resolution`."""
-    cell = resolution or dem.resolution
-    height, width = (max(2, round(n * dem.resolution / cell)) for n in dem.shape)
-    return GridGeometry(dem.x_min, dem.y_max, cell, width, height, dem.crs)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,53 +1,19 @@
-"""What a tower's machine says of itself: its clock, memory, disks, and the memory of the graph's processes."""
+"""What a tower's machine says of itself: its memory, disks, and the memory of the graph's processes."""
 
 from __future__ import annotations
 
-import ctypes
 import functools
 import importlib.metadata
-import os
+import math
 import platform
 import shutil
-import time
+import threading
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-_TIME_ERROR = 5
-"""What adjtimex(2) returns while nothing keeps the clock right."""
-
-
-class _Timex(ctypes.Structure):
-    """struct timex of Linux on machines with 64 bits."""
-
-    _fields_ = (
-        ("modes", ctypes.c_uint),
-        *((name, ctypes.c_long) for name in ("offset", "freq", "maxerror", "esterror")),
-        ("status", ctypes.c_int),
-        *((name, ctypes.c_long) for name in ("constant", "precision", "tolerance", "seconds", "micros", "tick")),
-        *((name, ctypes.c_long) for name in ("ppsfreq", "jitter")),
-        ("shift", ctypes.c_int),
-        *((name, ctypes.c_long) for name in ("stabil", "jitcnt", "calcnt", "errcnt", "stbcnt")),
-        ("tai", ctypes.c_int),
-        ("rest", ctypes.c_int * 11),
-    )
-
-
-@dataclass(frozen=True)
-class Clock:
-    synchronised: bool | None
-    """Whether the kernel says that something keeps its clock right; None: it does not tell."""
-    estimated_error_s: float | None
-
-
-def clock() -> Clock:
-    """Asked without rights and without a change (`modes` = 0)."""
-    asked = _Timex()
-    state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(asked))
-    if state < 0:
-        return Clock(None, None)
-    synchronised = state != _TIME_ERROR
-    return Clock(synchronised, asked.esterror / 1e6 if synchronised else None)
+KEPT_S = 5.0
+"""For which the memory of processes is not looked at again."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +61,24 @@ def processes_of(parent: int) -> dict[str, int]:
     return found
 
 
+class ProcessMemory:
+    """`processes_of` the runner `parent`, looked at once in `KEPT_S`: the kernel walks all pages of a process for it,
+    and monitoring systems ask often. From any thread.
+    """
+
+    def __init__(self, parent: int) -> None:
+        self._parent = parent
+        self._used: dict[str, int] = {}
+        self._looked_s = -math.inf
+        self._lock = threading.Lock()
+
+    def used(self, now_s: float) -> dict[str, int]:
+        with self._lock:
+            if now_s - self._looked_s > KEPT_S:
+                self._used, self._looked_s = processes_of(self._parent), now_s
+            return self._used
+
+
 def _label(words: list[str]) -> str:
     """`depth`, or `north/depth` where its arguments name a namespace."""
     module = words[words.index("ltm_ros.launching.supervised") + 1].rpartition(".")[2]
@@ -123,12 +107,3 @@ def versions() -> dict[str, str]:
     if release.is_symlink():
         found["release"] = release.readlink().name
     return found
-
-
-def boot_age_s() -> float:
-    """Seconds since the machine was started, time asleep included."""
-    return time.clock_gettime(time.CLOCK_BOOTTIME)
-
-
-def runner_pid() -> int:
-    return os.getppid()

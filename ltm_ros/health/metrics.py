@@ -9,8 +9,9 @@ from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from ltm_ros.health.tower_status import NodeReport, NodeState, TowerStatus
+from ltm_ros.health.tower_status import OUTBOX_KEYS, TowerStatus
 
+METRICS_KIND = "text/plain; version=0.0.4; charset=utf-8"
 NODE = ("node", "camera")
 COUNTERS = {
     "frames_in": "Frames that came",
@@ -20,7 +21,7 @@ COUNTERS = {
 }
 BY_KIND = {"dropped": ("cause", "Inputs given up, by cause; `shed`: turned away"), "noted": ("event", "What was noted")}
 QUANTILES = {"0.5": "p50", "0.95": "p95"}
-OWN = {"dropped", "rate_hz", "cpu_s", "newest_stamp", *COUNTERS}
+OWN = {"dropped", "rate_hz", "cpu_s", "newest_stamp", *COUNTERS, *OUTBOX_KEYS}
 """Keys of `/diagnostics` that have metrics of their own; other numbers are `ltm_node_value`."""
 
 
@@ -34,6 +35,7 @@ class TowerCollector(Collector):
         yield from self._tower()
         yield from self._cameras()
         yield from self._nodes()
+        yield from self._outbox()
         yield from self._machine()
 
     def _tower(self) -> Iterator[Metric]:
@@ -44,6 +46,15 @@ class TowerCollector(Collector):
         yield GaugeMetricFamily("ltm_alive", "Whether every node reports (/healthz)", value=status.alive)
         yield GaugeMetricFamily("ltm_ready", "Whether frames of every camera come too (/readyz)", value=status.ready)
         yield GaugeMetricFamily("ltm_wrong", "Number of things that are wrong, in words", value=len(status.wrong))
+
+    def _outbox(self) -> Iterator[Metric]:
+        outbox = self._status.outbox
+        if outbox is None:
+            return
+        yield GaugeMetricFamily("ltm_outbox_frames", "Frames that wait for the region's map", value=outbox.frames)
+        yield GaugeMetricFamily("ltm_outbox_bytes", "Of their votes", value=outbox.bytes)
+        yield GaugeMetricFamily("ltm_outbox_age_seconds", "Since the oldest one's stamp", value=outbox.age_s)
+        yield GaugeMetricFamily("ltm_link_up", "Whether the region's map can be reached", value=outbox.link_up)
 
     def _cameras(self) -> Iterator[Metric]:
         age = GaugeMetricFamily("ltm_frame_age_seconds", "Since the stamp of the newest frame", labels=("camera",))
@@ -59,7 +70,7 @@ class TowerCollector(Collector):
             doubted.add_metric((camera.name,), bool(camera.wrong))
         judged: Counter[tuple[str, str]] = Counter()
         for node in self._status.nodes:
-            for verdict, count in _report(node).counts("noted.verdict.").items():
+            for verdict, count in node.counts("noted.verdict.").items():
                 judged[node.camera, verdict] += count
         for (name, verdict), count in judged.items():
             verdicts.add_metric((name, verdict), count)
@@ -81,24 +92,24 @@ class TowerCollector(Collector):
         }
         values = GaugeMetricFamily("ltm_node_value", "Other numbers that a node states", labels=(*NODE, "name"))
         for node in self._status.nodes:
-            labels, report = (node.name, node.camera), _report(node)
+            labels = (node.name, node.camera)
             up.add_metric(labels, node.state in ("ok", "troubled"))
             troubled.add_metric(labels, node.state == "troubled")
             for key, family in counters.items():
-                if (number := report.number(key)) is not None:
+                if (number := node.number(key)) is not None:
                     family.add_metric(labels, number)
             for kind, family in kinds.items():
-                for name, count in report.counts(f"{kind}.").items():
+                for name, count in node.counts(f"{kind}.").items():
                     family.add_metric((*labels, name), count)
             for key, single in (("rate_hz", rate), ("cpu_s", cpu)):
-                if (number := report.number(key)) is not None:
+                if (number := node.number(key)) is not None:
                     single.add_metric(labels, number)
             for name, gauge in times.items():
                 for quantile, suffix in QUANTILES.items():
-                    if (number := report.number(f"{name}_{suffix}_ms")) is not None:
+                    if (number := node.number(f"{name}_{suffix}_ms")) is not None:
                         gauge.add_metric((*labels, quantile), number / 1000)
-            for key in report.values:
-                if not _has_own(key) and (number := report.number(key)) is not None:
+            for key in node.values:
+                if not _has_own(key) and (number := node.number(key)) is not None:
                     values.add_metric((*labels, key), number)
         yield from (up, troubled, *counters.values(), *kinds.values(), rate, cpu, *times.values(), values)
 
@@ -135,10 +146,6 @@ def exposition(status: TowerStatus) -> bytes:
     registry = CollectorRegistry(auto_describe=False)
     registry.register(TowerCollector(status))
     return bytes(generate_latest(registry))
-
-
-def _report(node: NodeState) -> NodeReport:
-    return NodeReport(node.name, node.state == "troubled", node.said, node.values, 0.0)
 
 
 def _has_own(key: str) -> bool:

@@ -42,7 +42,7 @@ class CameraPicture:
         step = max(1, -(-self.photo.shape[1] // WIDTH))
 
         def thin(values: NDArray[Any]) -> NDArray[Any]:
-            return np.ascontiguousarray(values[::step, ::step]).copy()
+            return values[::step, ::step].copy()
 
         return CameraPicture(
             self.name, self.stamp_ns, thin(self.photo), thin(self.labels), thin(self.depth), self.camera, self.pose

@@ -49,6 +49,15 @@ def print_status(said: Mapping[str, Any]) -> None:
         )
     console.print(cameras)
     console.print(nodes)
+    if (outbox := said["outbox"]) is not None:
+        link = "the region's map is there" if outbox["link_up"] else "the region's map cannot be reached"
+        console.print(
+            escape(
+                f"outbox: {outbox['frames']} frames, {outbox['bytes'] / 1e6:.1f} MB, the oldest of "
+                f"{outbox['age_s']:.0f} s ago; {link}"
+            ),
+            highlight=False,
+        )
     kept = "; ".join(f"{d['folder']} {d['free'] / 1e9:.1f} of {d['total'] / 1e9:.0f} GB free" for d in said["disks"])
     used = ", ".join(f"{name} {size / 1e6:.0f} MB" for name, size in said["process_memory"].items())
     sync = {True: "kept right", False: "kept right by nothing", None: "not known"}[said["clock"]["synchronised"]]

@@ -11,7 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from ltm_ros.health.machine import Clock, Disk
+from ltm_ros.health.machine import Disk
+from ltm_ros.runtime.kernel_clock import KernelClock
 
 SILENT_S = 10.0
 """A node sends its diagnostics once a second; after that long without one it is taken for dead."""
@@ -21,19 +22,16 @@ LENGTH = 400
 """characters of each: what is named on a topic may be anybody's."""
 LARGEST_COUNT = 2.0**53
 """What a number of JSON and of Prometheus holds to the last unit."""
+OUTBOX_KEYS = ("outbox_frames", "outbox_bytes", "outbox_age_s", "link_up")
+"""What the node `uplink` states of its outbox."""
 LEAST_FREE = 0.05
 """Share of a disk; less is worth a word."""
 
 
-@dataclass(frozen=True)
-class NodeReport:
-    """One node's last word. `heard_s`: by a clock that nobody sets."""
+class StatedValues:
+    """Reads what a node states, by key, as numbers."""
 
-    name: str
-    troubled: bool
-    message: str
     values: Mapping[str, str]
-    heard_s: float
 
     def number(self, key: str) -> float | None:
         """A value that is a finite number."""
@@ -54,7 +52,18 @@ class NodeReport:
 
 
 @dataclass(frozen=True)
-class NodeState:
+class NodeReport(StatedValues):
+    """One node's last word. `heard_s`: by a clock that nobody sets."""
+
+    name: str
+    troubled: bool
+    message: str
+    values: Mapping[str, str]
+    heard_s: float
+
+
+@dataclass(frozen=True)
+class NodeState(StatedValues):
     name: str
     camera: str
     """Empty: of the whole site."""
@@ -84,6 +93,18 @@ class CameraState:
 
 
 @dataclass(frozen=True)
+class OutboxState:
+    """Votes that the map of the region has not yet answered for."""
+
+    frames: int
+    bytes: int
+    age_s: float
+    """Of the oldest, since its stamp; 0: nothing waits."""
+    link_up: bool
+    """Whether the broker answers and the region's map is there."""
+
+
+@dataclass(frozen=True)
 class TowerStatus:
     site: str
     time_s: float
@@ -91,13 +112,15 @@ class TowerStatus:
     versions: Mapping[str, str]
     nodes: Sequence[NodeState]
     cameras: Sequence[CameraState]
-    clock: Clock
+    clock: KernelClock
     clock_steps: int
     disks: Sequence[Disk]
     memory_total: int
     memory_available: int
     process_memory: Mapping[str, int]
     frame_limit_s: float
+    outbox: OutboxState | None = None
+    """None: the site belongs to no region, or its node `uplink` has not reported."""
     wrong: Sequence[str] = field(default_factory=tuple)
     """Sentences, the gravest first."""
 
@@ -148,7 +171,7 @@ class TowerWatch:
         time_s: float,
         *,
         versions: Mapping[str, str],
-        clock: Clock,
+        clock: KernelClock,
         disks: Sequence[Disk],
         memory: tuple[int, int],
         process_memory: Mapping[str, int],
@@ -157,6 +180,7 @@ class TowerWatch:
         nodes = [self._node(name, now_s) for name in self._expected]
         names = dict.fromkeys(node.camera for node in nodes if node.camera)
         cameras = [self._camera(name, time_s) for name in names]
+        outbox = self._outbox()
         steps = max((r.counts("noted.").get("clock_step", 0) for r in self._reports.values()), default=0)
         return TowerStatus(
             site=self._site,
@@ -171,8 +195,17 @@ class TowerWatch:
             memory_available=memory[1],
             process_memory=process_memory,
             frame_limit_s=self._frame_limit_s,
-            wrong=tuple(_sentences(nodes, cameras, clock, disks)),
+            outbox=outbox,
+            wrong=tuple(_sentences(nodes, cameras, clock, disks, outbox)),
         )
+
+    def _outbox(self) -> OutboxState | None:
+        report = self._reports.get(f"/{self._site}/uplink")
+        numbers = [report.number(key) if report else None for key in OUTBOX_KEYS]
+        if any(number is None for number in numbers):
+            return None
+        frames, size, age_s, link_up = (float(number or 0) for number in numbers)
+        return OutboxState(int(frames), int(size), age_s, link_up > 0)
 
     def _node(self, name: str, now_s: float) -> NodeState:
         report = self._reports.get(name)
@@ -228,7 +261,11 @@ def camera_of(name: str) -> str:
 
 
 def _sentences(
-    nodes: Sequence[NodeState], cameras: Sequence[CameraState], clock: Clock, disks: Sequence[Disk]
+    nodes: Sequence[NodeState],
+    cameras: Sequence[CameraState],
+    clock: KernelClock,
+    disks: Sequence[Disk],
+    outbox: OutboxState | None,
 ) -> list[str]:
     said = [f"{node.name} {node.said}" for node in nodes if node.state in ("silent", "missing")]
     said += [camera.wrong for camera in cameras if camera.wrong]
@@ -239,6 +276,11 @@ def _sentences(
             said.append(f"{disk.folder}: not there")
         elif disk.free < LEAST_FREE * disk.total:
             said.append(f"{disk.folder}: {disk.free / 1e9:.1f} GB free of {disk.total / 1e9:.0f} GB")
+    if outbox is not None and outbox.frames and not outbox.link_up:
+        said.append(
+            f"the region's map cannot be reached: {outbox.frames} frames wait in the outbox, the oldest of "
+            f"{_time(outbox.age_s)} ago"
+        )
     said += [f"{node.name}: {node.said}" for node in nodes if node.state == "troubled"]
     return said
 

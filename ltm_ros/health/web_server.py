@@ -6,7 +6,6 @@ import base64
 import hmac
 import ipaddress
 import json
-import os
 import ssl
 import threading
 from collections.abc import Callable, Mapping
@@ -19,6 +18,7 @@ from urllib.parse import urlsplit
 
 from ltm_core.errors import ConfigError
 from ltm_core.site_sections import HealthConfig
+from ltm_ros.runtime.service_credentials import service_credential
 
 TIMEOUT_S = 10.0
 """For a request to come and an answer to be taken: who is slower is let go."""
@@ -43,12 +43,8 @@ Route = Callable[[], Answer]
 
 
 def secret(path: Path) -> Path:
-    """A file with a secret: the systemd credential of its name (`LoadCredential=ltm:/etc/ltm/credentials`) where the
-    service was given one, else the file itself.
-    """
-    folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
-    given = Path(folder) / f"ltm_{path.name}"
-    return given if folder and given.is_file() else path
+    """A file with a secret: the systemd credential of its name where the service was given one, else `path`."""
+    return service_credential(path.name) or path
 
 
 def read_token(path: Path) -> str:
@@ -72,9 +68,9 @@ class WebServer:
 
     def __init__(self, config: HealthConfig, routes: Mapping[str, Route]) -> None:
         self._token = read_token(config.token) if config.token is not None else None
-        local = ipaddress.ip_address(config.address).is_loopback
+        address = ipaddress.ip_address(config.address)
         # A page of somebody else in a browser on this machine could have its own name lead here.
-        hosts = {"localhost", config.address, f"[{config.address}]"} if local and self._token is None else None
+        hosts = {"localhost", str(address)} if address.is_loopback and self._token is None else None
         handler = _handler(routes, self._token, hosts)
         try:
             self._server = _BoundedServer((config.address, config.port), handler, config)
@@ -161,8 +157,7 @@ def _handler(routes: Mapping[str, Route], token: str | None, hosts: set[str] | N
             """Scrapes come each few seconds."""
 
         def _answer(self) -> None:
-            host = self.headers.get("Host", "")
-            if hosts is not None and host.rpartition(":")[0 if ":" in host.rpartition("]")[2] else 2] not in hosts:
+            if hosts is not None and _host(self.headers.get("Host", "")) not in hosts:
                 answer = Answer(b"ask for this machine by its address\n", status=HTTPStatus.MISDIRECTED_REQUEST)
             elif token is not None and not _knows(self.headers.get("Authorization", ""), token):
                 answer = Answer(b"a token is needed\n", status=HTTPStatus.UNAUTHORIZED)
@@ -183,6 +178,14 @@ def _handler(routes: Mapping[str, Route], token: str | None, hosts: set[str] | N
                 self.wfile.write(answer.body)
 
     return Handler
+
+
+def _host(header: str) -> str:
+    """Name or address in a header `Host`, in lower case, without port and brackets; empty where it is none."""
+    try:
+        return urlsplit(f"//{header}").hostname or ""
+    except ValueError:
+        return ""
 
 
 def _knows(authorization: str, token: str) -> bool:

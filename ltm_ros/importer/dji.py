@@ -30,7 +30,7 @@ _LARGEST_SRT = 64 << 20
 _ATTRIBUTE = re.compile(r"drone-dji:(\w+)\s*(?:=\s*\"([^\"]*)\"|>([^<]*)<)")
 _GIMBAL_SIGMA_DEG = 0.5
 """Of pitch and roll: what a gimbal keeps."""
-_BLOCK = re.compile(r"(\d+):(\d{2}):(\d{2})[,.](\d{3})\s*-->")
+_BLOCK = re.compile(r"\b(\d{1,3}):(\d{2}):(\d{2})[,.](\d{3})\s*-->")
 _FIELD = re.compile(
     r"\b(latitude|longt?itude|rel_alt|abs_alt|altitude|gb_yaw|gb_pitch|gb_roll|focal_len|dzoom_ratio)\s*:\s*([+-]?\d+(?:\.\d+)?)"
 )

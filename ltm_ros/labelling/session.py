@@ -14,17 +14,24 @@ from pydantic import Field
 
 from ltm_core.config_io import checked
 from ltm_core.errors import ConfigError
-from ltm_core.picture_io import open_picture
+from ltm_core.picture_io import open_picture, read_rgb
 from ltm_core.pictures import to_jpeg
 from ltm_core.strict_model import StrictModel
-from ltm_core.vision.area_labels import ERASED, MASKED, areas_of, labels_of, stroke_areas
+from ltm_core.vision.area_labels import areas_of, labels_of, stroke_areas
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.mask_config import MOST_POINTS, Point
-from ltm_core.vision.polygons_io import NamedArea, read_areas, replace_file, write_areas
+from ltm_core.vision.polygons_io import (
+    ERASED,
+    MASKED,
+    POLYGONS_FILE,
+    NamedArea,
+    read_areas,
+    replace_file,
+    write_areas,
+)
 from ltm_core.vision.segmenter import Segmenter
-from ltm_ros.recordings.camera_pictures import pictures_in, read_rgb
+from ltm_ros.recordings.camera_pictures import pictures_in
 
-POLYGONS = "polygons.json"
 MOST_SHAPES = 5000
 
 
@@ -62,7 +69,7 @@ class LabelSession:
         self.labels = LabelSet.load() if segmenter is None else segmenter.labels
         self._segmenter = segmenter
         self._lock = threading.Lock()
-        file = folder / POLYGONS
+        file = folder / POLYGONS_FILE
         self._areas: list[NamedArea] = list(read_areas(file)) if file.exists() else []
 
     def overview(self) -> dict[str, Any]:
@@ -123,7 +130,7 @@ class LabelSession:
         Image.fromarray(labels_of(areas, height, width, self.labels)).save(png, "PNG", optimize=True)
         with self._lock:
             self._areas = [area for area in self._areas if area.image != path.name] + areas
-            write_areas(self.folder / POLYGONS, self._areas)
+            write_areas(self.folder / POLYGONS_FILE, self._areas)
             replace_file(self.folder / f"{path.stem}_labels.png", png.getvalue())
         return _shapes(areas)
 

@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from ltm_core.errors import ConfigError
+from ltm_core.raster.surface_versions_io import FOLDER
 from ltm_core.site import Site
 from ltm_core.site_sections import WatchdogConfig
 
@@ -31,10 +32,15 @@ POSE_NODES = ("pose",)
 """Node types that every camera has besides where the site's file has a section `refine_poses`."""
 SITE_NODES = ("fuel_map",)
 """Node types that a site has one of, in `/<site>`."""
+SURFACE_NODES = ("terrain", "depth", "topodepth")
+"""Node types that make or follow the confirmed surface, where the site asks for it."""
 TERRAIN_NODES = ("terrain",)
 """Node types that a site has one of where its file has a section `terrain`."""
 LOCATING_NODES = ("locate",)
 """Node types that a site has one of where its file has a section `locating`."""
+REGION_NODES = ("uplink",)
+"""Node types that a site has one of where its file has a section `region`, outside a replay; the graph works without
+them."""
 OPTIONAL_NODES = ("viewer", "recorder", "health")
 """Site-level node types that run on request; the graph works without them."""
 NODE_TYPES = (
@@ -45,6 +51,7 @@ NODE_TYPES = (
     *SITE_NODES,
     *TERRAIN_NODES,
     *LOCATING_NODES,
+    *REGION_NODES,
     *OPTIONAL_NODES,
 )
 
@@ -55,7 +62,7 @@ SOURCES_PROCESS = "sources"
 camera sends, and the libraries that read it, shall not touch the work on frames."""
 BUSY_NODES = ("depth", "segmentation", "topodepth")
 """Node types that compute on several threads; the others get one."""
-OWN_PARAMETERS = ("site", "camera", "use_sim_time")
+OWN_PARAMETERS = ("site", "camera", "use_sim_time", "surfaces")
 """Parameters that the graph itself gives; a site file cannot."""
 
 # What ROS allows for a name and a namespace.
@@ -200,6 +207,10 @@ def describe(
         given[extra] = given.get(extra, {}) | dict(values or {})
     if sim_time:
         given["capture"] = {"shed": False} | given.get("capture", {})
+    if site.terrain is not None and site.terrain.trace_confirmed:
+        surfaces = _surfaces_folder(place, given.get("terrain", {}))
+        for kind in SURFACE_NODES:
+            given[kind] = given.get(kind, {}) | {"surfaces": surfaces}
     together = site.processes == "site"
     common: dict[str, ParameterValue] = {"site": str(place), "use_sim_time": sim_time}
 
@@ -209,7 +220,7 @@ def describe(
             namespace=namespace,
             module=f"{NODES_MODULE}.{kind}",
             parameters=common | dict(own) | given.get(kind, {}),
-            required=kind not in OPTIONAL_NODES,
+            required=kind not in OPTIONAL_NODES + REGION_NODES,
             busy=kind in BUSY_NODES,
             process=process_of(kind),
         )
@@ -226,6 +237,7 @@ def describe(
         site.camera(camera)
     of_site = SITE_NODES + (TERRAIN_NODES if site.terrain is not None else ())
     of_site += LOCATING_NODES if site.locating is not None else ()
+    of_site += REGION_NODES if site.region is not None and not sim_time else ()
     nodes = [spec(kind, f"/{site.name}", {}) for kind in of_site]
     kinds = CAMERA_NODES + (FUSION_NODES if site.depth_model else ())
     kinds += POSE_NODES if site.refine_poses is not None else ()
@@ -241,6 +253,17 @@ def describe(
         expected = [node.full_name for node in nodes]
         nodes.append(spec("health", f"/{site.name}", {"expected": expected}))
     return Graph(site.name, tuple(nodes), site.watchdog)
+
+
+def _surfaces_folder(site: Path, terrain: Mapping[str, ParameterValue]) -> str:
+    """Where the confirmed surfaces are kept: beside the terrain's store. Raises ConfigError where it has no place."""
+    folder = str(terrain.get("folder", ""))
+    if not folder:
+        raise ConfigError(
+            f"{site}: terrain.trace_confirmed needs a place for the confirmed surfaces: give the terrain a folder "
+            "(`nodes: {terrain: {folder: kept}}`), or the command a --state"
+        )
+    return str(site.parent / Path(folder).expanduser() / FOLDER)
 
 
 def parameters_yaml(parameters: Mapping[str, ParameterValue]) -> str:

@@ -123,6 +123,11 @@ class Runner:
         """Labels of the processes that are not started any more because their configuration cannot work."""
         return [label for label, process in self.processes.items() if process.state is ProcessState.GIVEN_UP]
 
+    @property
+    def _lost_for_good(self) -> list[str]:
+        """Of the processes given up, those without which the graph is of no use."""
+        return [label for label in self.given_up if self.graph.process(label).required]
+
     def start(self) -> None:
         """Start every process and return at once. Raises GraphError when the runner has been started before."""
         with self._lock:
@@ -141,8 +146,8 @@ class Runner:
     def wait_until_ready(self, timeout_s: float = 60.0, *, discovered_suffices: bool = False) -> None:
         """Wait until each node has sent a diagnostic (or is merely seen by DDS, with `discovered_suffices`).
 
-        Raises GraphError naming the nodes that are missing after `timeout_s`, with the last words of each, or at once
-        when a node was given up.
+        An optional node that was given up is not waited for. Raises GraphError naming the nodes that are missing after
+        `timeout_s`, with the last words of each, or at once when a required node was given up.
         """
         names = {node.full_name: node.label for node in self.graph}
         process_of = {node.label: process.label for process in self.graph.processes for node in process.nodes}
@@ -151,6 +156,11 @@ class Runner:
         watch, heartbeat = start_supervised([*command, *names], self._environment(busy=False))
         self._cleanup.group(watch.pid, alive=True)
         missing = dict(names)
+
+        def awaited() -> list[str]:
+            given_up = self.given_up
+            return [label for label in missing.copy().values() if process_of[label] not in given_up]
+
         assert watch.stdout is not None  # nosec B101 # tells the type checker what holds
 
         def read(output: TextIO) -> None:
@@ -163,7 +173,7 @@ class Runner:
             deadline = time.monotonic() + timeout_s + 5.0
             # Until it has gone by itself: told to hurry it would leave its peers' shared memory marked as in use.
             while watch.poll() is None and time.monotonic() < deadline:
-                if self.given_up or self._stopping.is_set():
+                if self._lost_for_good or not awaited() or self._stopping.is_set():
                     break
                 self._changed.wait(0.05)
                 self._changed.clear()
@@ -178,7 +188,7 @@ class Runner:
             watch.stdout.close()
             os.close(heartbeat)
             self._cleanup.group(watch.pid, alive=False)
-        lost = self.given_up or list(missing.values())
+        lost = self._lost_for_good or awaited()
         if lost:
             processes = dict.fromkeys(process_of.get(label, label) for label in lost)
             raise GraphError("\n".join([f"not ready: {', '.join(lost)}", *map(self._obituary, processes)]))
@@ -256,10 +266,11 @@ class Runner:
                     for line in str(error).splitlines():
                         self._say(f"-- {line}")
                 told = True
-                if self.given_up:
+                if self._lost_for_good:
                     return
             else:
-                self._say(f"-- all {len(self.graph)} nodes are up")
+                without = f" but {', '.join(self.given_up)}, given up" if self.given_up else ""
+                self._say(f"-- all {len(self.graph)} nodes are up{without}")
                 manager.ready(in_words(self.processes.values()))
                 return
 

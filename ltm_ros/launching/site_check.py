@@ -7,6 +7,7 @@ import socket
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -16,9 +17,11 @@ from pydantic import BaseModel
 
 from ltm_core.config_io import checked
 from ltm_core.errors import ConfigError, LtmError
+from ltm_core.finding import Finding, Verdict
 from ltm_core.output_io import free_bytes, require_folder
+from ltm_core.raster.dem_io import prepare_heights
 from ltm_core.site import Site
-from ltm_core.site_check import Finding, SiteCheck, Verdict, check_site
+from ltm_core.site_check import SiteCheck, check_site
 from ltm_core.site_io import load_site
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import ParameterValue, describe
@@ -97,7 +100,23 @@ def exit_status(findings: Sequence[Finding]) -> int:
 
 
 def _findings(path: Path, wanted: Wanted) -> list[Finding]:
-    return examine(path, wanted).findings
+    """Of a graph that is about to start: a large DEM is prepared before it is looked at."""
+    prepared = list(_prepare(path))
+    return [*examine(path, wanted).findings, *prepared]
+
+
+def _prepare(path: Path) -> Iterator[Finding]:
+    """So that the graph's processes share it. What is wrong with the site or the raster, the check says."""
+    with suppress(LtmError):
+        raster = load_site(path).dem.path
+        try:
+            prepared = prepare_heights(raster)
+        except OSError as error:
+            why = error.strerror or error
+            yield Finding(MACHINE, "dem", Verdict.OK, f"no file beside {raster} ({why}): each process holds its own")
+        else:
+            if prepared is not None:
+                yield Finding(MACHINE, "dem", Verdict.OK, f"prepared in {prepared}: the processes share it")
 
 
 def _config_of(module: ModuleType) -> type[BaseModel]:
@@ -149,7 +168,7 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
 
 def _places(site: Site, path: Path, wanted: Wanted) -> Iterator[Finding]:
     folders = dict(wanted.folders or {})
-    for kind in ("fuel_map", "terrain"):
+    for kind in ("fuel_map", "terrain", "uplink"):
         folder = site.nodes.get(kind, {}).get("folder")
         if isinstance(folder, str):
             folders.setdefault(f"what {kind} keeps", Path(folder))

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
+from ltm_core.frame_steps import TracingConfig, TracingStep, seen
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.site_io import load_site
 from ltm_core.tracing import TerrainTracer
-from ltm_core.types import BoolArray, Float32Array
-from ltm_core.vision.scene_view import SceneFilter
 from ltm_msgs_py.camera_info import camera_to_msg, msg_to_camera
+from ltm_msgs_py.confirmed_surface import traced_to_msg
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.handler import Handler, NodeType, Outlet
+from ltm_ros.confirmed_surface.follower import SurfaceFollower
+from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
@@ -28,34 +29,37 @@ from ltm_ros.runtime.topics import (
     ALIGNMENT,
     DEPTH_CAMERA_INFO,
     DEPTH_IMAGE,
+    DEPTH_INFO,
     FINISHED,
     GROUND_DEPTH,
     POSED_CAMERA_INFO,
     POSED_POSE,
+    TERRAIN_SURFACE,
+    site_topic,
 )
 
 
-class DepthConfig(JoinConfig):
-    surface: bool = True
-    """Trace to the tops of trees and houses where the site has a surface raster; else, and where not, to bare earth.
-    Both hits are kept: the one on bare earth is then on `depth/ground`, while someone listens."""
+class DepthConfig(JoinConfig, TracingConfig):
+    """Parameters of the node: how it joins, and how it traces."""
+
+    surfaces: str = ""
+    """Folder of the confirmed surfaces that are traced to; empty: the site's rasters are. The graph gives it."""
 
 
 class Depth(Handler[DepthConfig]):
     """Needs no image: calibration and pose decide what the terrain looks like."""
 
-    publications = (DEPTH_IMAGE, DEPTH_CAMERA_INFO, GROUND_DEPTH, ALIGNMENT)
+    publications: Sequence[Topic] = (DEPTH_IMAGE, DEPTH_CAMERA_INFO, GROUND_DEPTH, ALIGNMENT)
     acknowledgements = (FINISHED,)
 
     def __init__(self, config: DepthConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = load_site(config.site)
-        self._scene = SceneFilter.of(site, config.camera)
-        ground = site.open_dem()
-        traced = site.open_surface(ground) if config.surface else ground
-        rays = site.curvature, site.refraction, site.possible_ground
-        self._tracer = TerrainTracer(traced, *rays)
-        self._bare = self._tracer if traced is ground else TerrainTracer(ground, *rays)
+        self._step = TracingStep(site, config.camera, config)
+        self._surface = replace(TERRAIN_SURFACE, name=site_topic(site.name, TERRAIN_SURFACE))
+        self._follower = SurfaceFollower(site, config.surfaces, self._step.trace_to, health)
+        if config.surfaces:
+            self.publications = (*self.publications, DEPTH_INFO)
         self._most_pixels = site.limits.pixels
         self._frame_id = f"{config.camera}_optical"
         self._join = StampJoin(("info", "pose"), self._trace, health, max_wait=config.max_wait)
@@ -63,16 +67,20 @@ class Depth(Handler[DepthConfig]):
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        return {
+        found: dict[Any, Callable[[Any], None]] = {
             POSED_CAMERA_INFO: lambda m: self._join.add("info", stamp_of(m), m),
             POSED_POSE: lambda m: self._join.add("pose", stamp_of(m), m),
         }
+        if self.config.surfaces:
+            found[self._surface] = self._follower.on_message
+        return found
 
     def discard(self, stamp_ns: int) -> None:
         self._join.discard(stamp_ns)
 
     def tick(self, waited: float) -> None:
         self._join.tick(waited)
+        self._follower.tick()
 
     def finish(self) -> None:
         self._join.finish()
@@ -86,29 +94,25 @@ class Depth(Handler[DepthConfig]):
                 "raise pixels under `limits:` in the site file",
             )
             return
-        hidden = self._scene.hidden(camera.width, camera.height)
-        ranges = self._tracer.trace(camera, where)
+        hidden = self._step.hidden(camera)
+        traced = self._step.trace(camera, where)
+        ranges, version = traced.ranges, traced.version
+        if version != self._step.version:
+            self.health.note("below_confirmed_surface")
         self.outlet.publish(DEPTH_CAMERA_INFO, camera_to_msg(camera, stamp, self._frame_id))
         self.outlet.provide(
-            DEPTH_IMAGE, stamp, lambda: depth_to_msg(_seen(ranges.depth(), hidden), stamp, self._frame_id)
+            DEPTH_IMAGE, stamp, lambda: depth_to_msg(seen(ranges.depth(), hidden), stamp, self._frame_id)
         )
         if self.outlet.wanted(GROUND_DEPTH):
-            bare = ranges if self._bare is self._tracer else self._bare.trace(camera, where)
-            self.outlet.publish(GROUND_DEPTH, depth_to_msg(_seen(bare.depth(), hidden), stamp, self._frame_id))
+            bare = traced.bare_earth().depth()
+            self.outlet.publish(GROUND_DEPTH, depth_to_msg(seen(bare, hidden), stamp, self._frame_id))
         if self.outlet.wanted(ALIGNMENT):
-            self.outlet.publish(ALIGNMENT, image_to_msg(_seen(ranges.points(), hidden), "32FC3", stamp, "map"))
-        for name, count in asdict(self._tracer.statistics).items():
+            self.outlet.publish(ALIGNMENT, image_to_msg(seen(ranges.points(), hidden), "32FC3", stamp, "map"))
+        if self.config.surfaces:
+            self.outlet.provide(DEPTH_INFO, stamp, lambda: traced_to_msg(self.config.camera, stamp, version))
+        for name, count in asdict(self._step.statistics).items():
             self.health.gauge(f"tracer.{name}", count)
         self.outlet.acknowledge(FINISHED, stamp)
-
-
-def _seen(values: Float32Array, hidden: BoolArray | None) -> Float32Array:
-    """Depths (H, W) or points (H, W, 3), unknown where the camera's mask has it that something else is seen."""
-    if hidden is None:
-        return values
-    seen = values.copy()
-    seen[hidden] = np.nan
-    return seen
 
 
 def _compile_kernels() -> None:

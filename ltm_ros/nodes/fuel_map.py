@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field
 from std_msgs.msg import String
 
+from ltm_core.confirmed_terrain import terrain_grid
 from ltm_core.errors import ConfigError, MessageError, StoreError
 from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.evidence import EvidenceMap
@@ -33,7 +34,7 @@ from ltm_msgs_py.votes import msg_to_votes
 from ltm_ros.fuel_map.persistence import Counting, FuelMapPersistence
 from ltm_ros.fuel_map.publisher import FuelPublisher
 from ltm_ros.fuel_map.services import DrawnRegion, answer, burned, forgotten, region_of, write_landscapes
-from ltm_ros.fuel_map.terrain_changes import SurfaceListener, terrain_grid
+from ltm_ros.fuel_map.terrain_changes import SurfaceListener
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
@@ -225,7 +226,7 @@ class FuelMap(Handler[FuelMapConfig]):
         """Write landscapes for fire models into the node's folder. Raises ConfigError where none is configured."""
         if self._folder is None:
             raise ConfigError("no folder is configured for landscapes: set the parameter folder")
-        paths = write_landscapes(self.persistence.map, self._site, self._folder)
+        paths = write_landscapes(self.persistence.map, self._site, self._folder, self._folder)
         return f"{' and '.join(path.name for path in paths)} written, as of stamp {self.persistence.map.newest_ns} ns"
 
     def clear(self) -> str:

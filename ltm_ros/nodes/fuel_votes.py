@@ -8,16 +8,15 @@ from typing import Any
 import numpy as np
 
 from ltm_core.camera import Camera
-from ltm_core.fuel.votes import VoteCaster
+from ltm_core.frame_steps import VotingStep
 from ltm_core.pose import Pose
-from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
-from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.segmenter import Segmentation
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
-from ltm_msgs_py.votes import fitting, votes_to_msg
+from ltm_msgs_py.votes import votes_to_msg
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
@@ -39,14 +38,7 @@ class FuelVotes(Handler[JoinConfig]):
 
     def __init__(self, config: JoinConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
-        site = load_site(config.site)
-        site.camera(config.camera)
-        dem = site.open_dem()
-        self._labels = LabelSet.load(config_path(site.labels))
-        votes_for = self._labels.votes_table[: len(self._labels)]
-        self._caster = VoteCaster(site.fuel_geometry(dem), dem, votes_for, site.fuel.max_range, site.bend)
-        self._assumed = site.assumed_pose_error.covariance()
-        self._frames = 0
+        self._step = VotingStep(load_site(config.site), config.camera)
         parts = ("depth", "info", "labels", "confidence", "pose")
         self._join = StampJoin(parts, self._vote, health, max_wait=config.max_wait)
 
@@ -64,7 +56,7 @@ class FuelVotes(Handler[JoinConfig]):
         """Compile the kernel before the first frame waits for it."""
         nothing, zeros = np.full((2, 3), np.nan, np.float32), np.zeros((2, 3), np.uint8)
         camera, pose = Camera.from_fov(3, 2, 60.0), Pose.from_angles((0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
-        self._caster.cast(nothing, camera, pose, zeros, 0, self.config.camera, zeros)
+        self._step.cast(nothing, camera, pose, Segmentation(zeros, zeros), 0, None)
 
     def discard(self, stamp_ns: int) -> None:
         self._join.discard(stamp_ns)
@@ -76,21 +68,18 @@ class FuelVotes(Handler[JoinConfig]):
         self._join.finish()
 
     def _vote(self, depth: Any, info: Any, labels: Any, confidence: Any, pose: Any) -> None:
-        votes = self._caster.cast(
+        votes = self._step.cast(
             msg_to_depth(depth),
             msg_to_camera(info),
             msg_to_pose(pose, "map"),
-            msg_to_array(labels, ("mono8",)),
+            Segmentation(msg_to_array(labels, ("mono8",)), msg_to_array(confidence, ("mono8",))),
             stamp_of(depth),
-            self.config.camera,
-            msg_to_array(confidence, ("mono8",)),
-            msg_to_covariance(pose, self._assumed),
+            msg_to_covariance(pose, self._step.assumed),
         )
-        sent = fitting(votes, self._frames)
-        self._frames += 1
+        sent = self._step.carried(votes)
         if len(sent) < len(votes):
             self.health.note("votes_in_turns")
-        self.outlet.publish(FUEL_VOTES, votes_to_msg(sent, self._labels.names))
+        self.outlet.publish(FUEL_VOTES, votes_to_msg(sent, self._step.labels.names))
         self.outlet.acknowledge(FINISHED, stamp_of(depth))
 
 

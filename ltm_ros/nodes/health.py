@@ -18,16 +18,15 @@ from ltm_core.errors import ConfigError, LtmError
 from ltm_core.site_io import load_site
 from ltm_ros.health import machine
 from ltm_ros.health.last_pictures import LastPictures
-from ltm_ros.health.metrics import exposition
+from ltm_ros.health.metrics import METRICS_KIND, exposition
 from ltm_ros.health.tower_status import TowerStatus, TowerWatch, camera_of
 from ltm_ros.health.web_server import Answer, Route, WebServer
 from ltm_ros.runtime.diagnostics import DiagnosticsPublisher
 from ltm_ros.runtime.handler import NodeConfig
 from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.kernel_clock import kernel_clock
 from ltm_ros.runtime.node_process import run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
-
-METRICS_KIND = "text/plain; version=0.0.4; charset=utf-8"
 
 
 class HealthNodeConfig(NodeConfig):
@@ -47,7 +46,7 @@ class HealthNode(Node):  # type: ignore[misc]
         self._watch = TowerWatch(site.name, config.expected, site.health.frame_age)
         self._lock = threading.Lock()
         self._folders = config.folders
-        self._runner = os.getppid()
+        self._memory = machine.ProcessMemory(os.getppid())
         self._health = Health()
         cameras = list(dict.fromkeys(filter(None, map(camera_of, config.expected))))
         self._pictures = LastPictures(self, site, cameras, self._health)
@@ -82,13 +81,13 @@ class HealthNode(Node):  # type: ignore[misc]
 
     def status(self) -> TowerStatus:
         """Now; may be asked for from any thread."""
-        disks, used = machine.disks(self._folders), machine.processes_of(self._runner)
+        disks, used = machine.disks(self._folders), self._memory.used(time.monotonic())
         with self._lock:
             return self._watch.status(
                 time.monotonic(),
                 self.get_clock().now().nanoseconds / 1e9,
                 versions=machine.versions(),
-                clock=machine.clock(),
+                clock=kernel_clock(),
                 disks=disks,
                 memory=machine.memory(),
                 process_memory=used,

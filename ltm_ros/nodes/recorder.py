@@ -31,6 +31,7 @@ from ltm_ros.runtime.message_info import with_info
 from ltm_ros.runtime.message_loss import LossCounter, loss_report, writers_of
 from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
+from ltm_ros.runtime.process_memory import map_large_blocks
 from ltm_ros.runtime.topics import RECORDED, camera_topic, site_topic
 
 QUEUE_BYTES = 256 << 20
@@ -61,6 +62,7 @@ class Recorder(Node):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__("recorder", automatically_declare_parameters_from_overrides=True)
+        map_large_blocks()  # a message stays until the disk has it
         config = read_parameters(self, RecorderConfig)
         self.health = Health()
         self._patterns = _patterns(config)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -35,6 +35,7 @@ from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.terrain import change_to_msg, changed_to_msg
+from ltm_ros.confirmed_surface.confirmation import Confirmation
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.node import run_node
@@ -50,6 +51,7 @@ from ltm_ros.runtime.topics import (
     POSED_POSE,
     TERRAIN_CHANGE,
     TERRAIN_INFO,
+    TERRAIN_SURFACE,
     TERRAIN_UPDATE,
     camera_topic,
 )
@@ -84,6 +86,8 @@ class TerrainNodeConfig(JoinConfig):
     """Seconds by which a camera's clock may be ahead."""
     max_behind: float = Field(MAX_BEHIND_S, gt=0)
     """Seconds by which a frame may be late."""
+    surfaces: str = ""
+    """Folder in which the confirmed surfaces are kept that depth is traced to; empty: it is not. The graph gives it."""
     depth_from_elsewhere: bool = False
     """`measured/depth` and `measured/sigma` come from no node of this graph: a range finder's, say, at any size."""
 
@@ -91,7 +95,7 @@ class TerrainNodeConfig(JoinConfig):
 class Terrain(Handler[TerrainNodeConfig]):
     """Sends the cells whose change is new as they are decided and stored, and the whole grid of changes, latched."""
 
-    publications = (TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO)
+    publications: Sequence[Topic] = (TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO)
 
     def __init__(self, config: TerrainNodeConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
@@ -122,6 +126,10 @@ class Terrain(Handler[TerrainNodeConfig]):
             site_label_errors(site).open_odds(),
             site.assumed_pose_error,
         )
+        self._confirmation: Confirmation | None = None
+        if config.surfaces:
+            self._confirmation = Confirmation(site, config.surfaces, self._map, outlet, health)
+            self.publications = (*self.publications, TERRAIN_SURFACE)
         self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, config.max_behind)
         labels_too: tuple[Part | str, ...] = (*_PARTS, Part("labels", wait_s=0.0, remembered=_WAITING))
         self._joins = {
@@ -149,7 +157,10 @@ class Terrain(Handler[TerrainNodeConfig]):
 
     @property
     def services(self) -> Mapping[str, Callable[[], str]]:
-        return {"terrain/save": self.save}
+        found: dict[str, Callable[[], str]] = {"terrain/save": self.save}
+        if self._confirmation is not None:
+            found |= {"terrain/confirm": self._confirm, "terrain/take_back": self._confirmation.take_back}
+        return found
 
     def start(self) -> None:
         geometry = self._site.in_crs(self._map.reference.geometry)
@@ -167,6 +178,8 @@ class Terrain(Handler[TerrainNodeConfig]):
         }
         self.outlet.publish(TERRAIN_INFO, String(data=json.dumps(info)))
         self._publish_grid()
+        if self._confirmation is not None:
+            self._confirmation.start()
 
     def idle(self) -> None:
         if not self._paced:
@@ -191,6 +204,8 @@ class Terrain(Handler[TerrainNodeConfig]):
             join.finish()
         try:
             self._store_the_last()
+            if self._confirmation is not None:
+                self._confirmation.finish()
         finally:
             self._publish_grid()
             self._store.close()
@@ -209,6 +224,12 @@ class Terrain(Handler[TerrainNodeConfig]):
             self._folder, layers, self._site.in_crs(layers.geometry), self._map.newest_ns, self._map.cameras
         )
         return f"written: {', '.join(path.name for path in files)}"
+
+    def _confirm(self) -> str:
+        assert self._confirmation is not None  # nosec B101 # tells the type checker what holds
+        self._settle()
+        self._map.commit()
+        return self._confirmation.confirm()
 
     def _of(self, camera: str, topic: Topic) -> Topic:
         return replace(topic, name=camera_topic(self._site.name, camera, topic))
@@ -255,6 +276,8 @@ class Terrain(Handler[TerrainNodeConfig]):
             if due and self._map.uncommitted:
                 self._map.commit()
                 self._since_commit = 0.0
+            if self._confirmation is not None:
+                self._confirmation.follow()
             self._pace.succeeded()
             if self._store.strain:
                 self.health.trouble("store", self._store.strain)
@@ -289,6 +312,8 @@ class Terrain(Handler[TerrainNodeConfig]):
         if len(self._untold.rows):
             self._publish_update(self._untold)
             self._untold = Changed.none()
+            if self._confirmation is not None:
+                self._confirmation.news = True
 
     def _publish_update(self, changed: Changed) -> None:
         heights = self._map.heights_at(changed)

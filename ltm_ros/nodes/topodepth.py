@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,14 @@ from pydantic import Field
 from std_msgs.msg import String
 
 from ltm_core.camera import Camera
+from ltm_core.confirmed_terrain import ConfirmedTerrain, surface_versions
 from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.depth.topodepth import FusedDepth, FusionSettings, Verdict, fuse
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.pose import Pose
 from ltm_core.range_image import DepthImage, RangeImage
+from ltm_core.raster.surface_versions_io import AS_GIVEN
 from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.tracing import TerrainTracer
@@ -25,6 +28,7 @@ from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.scene_view import SceneFilter, SceneView
 from ltm_msgs_py.camera_info import msg_to_camera
+from ltm_msgs_py.confirmed_surface import msg_to_traced
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
@@ -34,6 +38,7 @@ from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_join import JoinConfig, Part, StampJoin
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
+    DEPTH_INFO,
     FINISHED,
     FUSED_DEPTH,
     FUSED_INFO,
@@ -66,6 +71,9 @@ class TopoDepthConfig(JoinConfig):
     """Standard deviation of a camera's direction, beside what its pose's covariance says."""
     dem_sigma: float = Field(1.0, ge=0)
     """Standard deviation of the terrain's heights, metres."""
+    surfaces: str = ""
+    """Folder of the confirmed surfaces that `depth` traces to; empty: it traces to the site's rasters. The graph gives
+    it."""
 
 
 class TopoDepth(Handler[TopoDepthConfig]):
@@ -79,7 +87,6 @@ class TopoDepth(Handler[TopoDepthConfig]):
     def __init__(self, config: TopoDepthConfig, outlet: Outlet, health: Health) -> None:
         super().__init__(config, outlet, health)
         site = load_site(config.site)
-        site.camera(config.camera)
         model = config.model or site.depth_model
         if not model:
             raise ConfigError(f"{config.site}: no depth network; give `depth_model` a manifest's name or path")
@@ -88,27 +95,33 @@ class TopoDepth(Handler[TopoDepthConfig]):
         self._network = DepthNetwork.open(model, config.threads)
         self._config = self._network.fusion
         self._classes = ClassPriors.of(LabelSet.load(config_path(site.labels)), self._config)
-        # Depth is traced to a surface raster where the site has one; bare ground is then traced here besides.
-        self._ground = (
-            TerrainTracer(site.open_dem(), site.curvature, site.refraction, site.possible_ground)
-            if site.surface is not None
-            else None
-        )
+        self._site = site
+        self._versions = surface_versions(site, Path(config.surfaces)) if config.surfaces else None
+        self._trace_to(ConfirmedTerrain.as_given(site))
         labels = Part("labels", wait_s=config.label_wait, remembered=2 * config.max_waiting)
-        parts = ("image", "info", "pose", "depth", labels)
+        parts: list[Part | str] = ["image", "info", "pose", "depth", *(["traced"] if config.surfaces else []), labels]
         self._join = StampJoin(parts, self._fuse, health, whole_capacity=config.max_waiting, max_wait=config.max_wait)
         self._frame_id = f"{config.camera}_optical"
         self._compile_kernels()
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        return {
+        found: dict[Any, Callable[[Any], None]] = {
             POSED_IMAGE: lambda m: self._join.add("image", stamp_of(m), m),
             POSED_CAMERA_INFO: lambda m: self._join.add("info", stamp_of(m), m),
             POSED_POSE: lambda m: self._join.add("pose", stamp_of(m), m),
             DEPTH_IMAGE: lambda m: self._join.add("depth", stamp_of(m), m),
             LABELS_IMAGE: lambda m: self._join.add("labels", stamp_of(m), m),
         }
+        if self.config.surfaces:
+            found[DEPTH_INFO] = lambda m: self._join.add("traced", *msg_to_traced(m))
+        return found
+
+    def _trace_to(self, terrain: ConfirmedTerrain) -> None:
+        """Depth is traced to what stands on bare earth where that is known; bare earth is then traced here besides."""
+        site, bare = self._site, terrain.top is terrain.ground
+        rays = site.curvature, site.refraction, site.possible_ground
+        self._version, self._ground = terrain.name, None if bare else TerrainTracer(terrain.ground, *rays)
 
     def discard(self, stamp_ns: int) -> None:
         self._join.discard(stamp_ns)
@@ -119,16 +132,19 @@ class TopoDepth(Handler[TopoDepthConfig]):
     def finish(self) -> None:
         self._join.finish()
 
-    def _fuse(self, image: Any, info: Any, pose: Any, depth: Any, labels: Any) -> None:
+    def _fuse(self, image: Any, info: Any, pose: Any, depth: Any, labels: Any, traced: str = AS_GIVEN) -> None:
+        """`traced`: the version of the surface to which the frame was traced."""
+        if self._versions is not None and traced != self._version:
+            self._trace_to(ConfirmedTerrain.of(self._site, self._versions, traced))
         if labels is None:
             self.health.note("unlabelled")
         camera, where = msg_to_camera(info), msg_to_pose(pose, "map")
         stamp, rgb = stamp_of(image), msg_to_rgb(image)
         seen = self._scene.look(rgb)
-        traced: RangeImage | DepthImage = DepthImage(msg_to_depth(depth), camera, where)
+        ground: RangeImage | DepthImage = DepthImage(msg_to_depth(depth), camera, where)
         surface = None
         if self._ground is not None:
-            traced, surface = self._ground.trace(camera, where), traced
+            ground, surface = self._ground.trace(camera, where), ground
         network = None
         try:
             network = self._network.predict(rgb, camera) if seen.reason is None else None
@@ -136,7 +152,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
             # The terrain's depth is worth having without a network.
             self.health.drop("network", str(error))
         fused = fuse(
-            traced,
+            ground,
             network,
             rgb,
             None if labels is None else msg_to_array(labels, ("mono8",)),

@@ -3,31 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeVar
-
-import numpy as np
-from PIL import ImageOps
 
 from ltm_core.errors import RecordingError
-from ltm_core.picture_io import open_picture
+from ltm_core.evenly import evenly
+from ltm_core.picture_io import open_picture, read_rgb
 from ltm_core.site import Site
 from ltm_core.types import UInt8Array
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.image import compressed_to_rgb, msg_to_rgb
 from ltm_ros.runtime.topics import IMAGE_COMPRESSED, IMAGE_RAW, camera_topic
 
-T = TypeVar("T")
-
 PICTURES = (".jpg", ".jpeg", ".png", ".heic", ".bmp", ".webp")
 """Endings of photos; .tif is left out: rasters are called so."""
-
-
-def read_rgb(path: Path) -> UInt8Array:
-    """A photo upright as its EXIF says, (H, W, 3) RGB. Raises ImageError."""
-    with open_picture(path) as (source, _):
-        return np.asarray(ImageOps.exif_transpose(source).convert("RGB"), np.uint8)
 
 
 def pictures_in(folder: Path, pattern: str = "*") -> list[Path]:
@@ -59,7 +47,7 @@ def pictures_of_cameras(folder: Path) -> dict[str, list[Path]]:
 
 def folder_pictures(folder: Path, pattern: str, most: int) -> tuple[list[str], list[UInt8Array]]:
     """Names and photos, at most so many. Raises RecordingError and ImageError."""
-    paths = _spread(pictures_in(folder, pattern), most)
+    paths = evenly(pictures_in(folder, pattern), most)
     return [path.name for path in paths], [read_rgb(path) for path in paths]
 
 
@@ -71,7 +59,7 @@ def recorded_pictures(bag: Path, site: Site, camera: str, most: int) -> tuple[li
     count = sum(1 for _ in reader.messages([topic]))
     if count == 0:
         raise RecordingError(f"{bag}: no message on {topic}; it has {', '.join(reader.topics())}")
-    wanted = set(_spread(range(count), most))
+    wanted = set(evenly(range(count), most))
     names, pictures = [], []
     for number, message in enumerate(reader.messages([topic])):
         if number in wanted:
@@ -79,9 +67,3 @@ def recorded_pictures(bag: Path, site: Site, camera: str, most: int) -> tuple[li
             names.append(f"{camera}_{message.log_time_ns}")
             pictures.append(msg_to_rgb(decoded) if raw else compressed_to_rgb(decoded))
     return names, pictures
-
-
-def _spread(items: Sequence[T], most: int) -> list[T]:
-    if len(items) <= most:
-        return list(items)
-    return [items[i] for i in np.linspace(0, len(items) - 1, most).round().astype(int)]

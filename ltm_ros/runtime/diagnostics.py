@@ -9,12 +9,14 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.process_memory import memory_in_use
 
 
 class DiagnosticsPublisher:
     """Publishes on a steady clock: a replay that has ended stops ROS time, and diagnostics must go on.
 
-    `healths`: by full name, of the nodes that `node` speaks for; they are sent in one message.
+    `healths`: by full name, of the nodes that `node` speaks for; they are sent in one message, and the first says what
+    their process has in memory (`heap_bytes`, `python_blocks`).
     """
 
     def __init__(self, node: Node, healths: Mapping[str, Health], hardware_id: str = "") -> None:
@@ -27,6 +29,10 @@ class DiagnosticsPublisher:
         return Clock(clock_type=ClockType.STEADY_TIME)
 
     def publish(self) -> None:
+        first, in_use = next(iter(self._healths.values())), memory_in_use()
+        first.gauge("python_blocks", in_use.python_blocks)
+        if in_use.heap_bytes is not None:
+            first.gauge("heap_bytes", in_use.heap_bytes)
         array = DiagnosticArray(status=[self._status(name, health) for name, health in self._healths.items()])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(array)

@@ -33,6 +33,8 @@ DEPTH_IMAGE = Topic("depth/image", Image)
 DEPTH_CAMERA_INFO = Topic("depth/camera_info", CameraInfo)
 GROUND_DEPTH = Topic("depth/ground", Image)
 ALIGNMENT = Topic("alignment", Image)
+DEPTH_INFO = Topic("depth/info", String)
+"""Which version of the confirmed surface a frame was traced to, where the site follows that."""
 
 FUSED_DEPTH = Topic("fused/depth", Image)
 FUSED_SIGMA = Topic("fused/sigma", Image)
@@ -62,6 +64,8 @@ FUEL_MAP_CELLS = Topic("fuel_map/cells", PointCloud2, latched=True)
 TERRAIN_UPDATE = Topic("terrain/update", PointCloud2)
 TERRAIN_CHANGE = Topic("terrain/change", OccupancyGrid, latched=True)
 TERRAIN_INFO = Topic("terrain/info", String, latched=True)
+TERRAIN_SURFACE = Topic("terrain/surface", String, latched=True, counted=False)
+"""Which version of the confirmed surface counts: what depth is traced to from then on."""
 
 LOCATE_REGION = Topic("locate/region", PolygonStamped)
 LOCATE_POINT = Topic("locate/point", PointStamped)
@@ -93,6 +97,7 @@ RECORDED = (
             POSE_INFO,
             DEPTH_IMAGE,
             DEPTH_CAMERA_INFO,
+            DEPTH_INFO,
             FUSED_DEPTH,
             FUSED_INFO,
         ),
@@ -101,6 +106,7 @@ RECORDED = (
     ),
     (
         *(FUEL_MAP, FUEL_MAP_UPDATE, FUEL_MAP_INFO, TERRAIN_UPDATE, TERRAIN_CHANGE, TERRAIN_INFO),
+        TERRAIN_SURFACE,
         *(LOCATE_FUSED, LOCATE_TRACKS),
     ),
 )

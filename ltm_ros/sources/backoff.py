@@ -16,11 +16,6 @@ class Backoff:
         self._random = random_source or random.Random()  # nosec B311 # spreads load, guards nothing
         self._failures = 0
 
-    @property
-    def failures(self) -> int:
-        """In a row."""
-        return self._failures
-
     def succeeded(self) -> None:
         self._failures = 0
 

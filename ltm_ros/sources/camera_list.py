@@ -11,7 +11,7 @@ from ltm_core.source_config import CameraListConfig
 from ltm_ros.sources.direction import Reading, Tolerance, at_rest
 from ltm_ros.sources.errors import PictureError, SourceError
 from ltm_ros.sources.http_client import HttpClient, http_time
-from ltm_ros.sources.picture import CameraTime, Nothing, Picture, Timing
+from ltm_ros.sources.picture import CameraTime, Nothing, Picture, Timing, stated_number
 from ltm_ros.sources.snapshot import check_begins_as_picture
 
 _MOST_ENTRIES = 100_000
@@ -93,7 +93,7 @@ def entry_of(body: bytes, config: CameraListConfig) -> dict[str, Any]:
 
 def reading_of(entry: dict[str, Any], config: CameraListConfig) -> Reading | None:
     """Where the list says that the camera looks; None where it does not say."""
-    pan, tilt, zoom = (_number(entry.get(key)) for key in (config.pan_key, config.tilt_key, config.zoom_key))
+    pan, tilt, zoom = (stated_number(entry.get(key)) for key in (config.pan_key, config.tilt_key, config.zoom_key))
     if pan is None or tilt is None:
         return None
     return Reading(pan, tilt, zoom if zoom is not None else 1.0, None, time.monotonic())
@@ -102,7 +102,7 @@ def reading_of(entry: dict[str, Any], config: CameraListConfig) -> Reading | Non
 def time_of(value: Any) -> CameraTime | None:
     """Epoch seconds or milliseconds, or ISO 8601, which without a zone is UTC; whole seconds unless a fraction is
     stated."""
-    number = None if isinstance(value, bool) else _number(value)
+    number = None if isinstance(value, bool) else stated_number(value)
     if number is not None:
         epoch = number / 1000 if number > _MILLISECONDS else number
         return CameraTime(epoch, 0.001 if epoch % 1 else 1.0, "list") if 0 < epoch < _MILLISECONDS else None
@@ -113,11 +113,3 @@ def time_of(value: Any) -> CameraTime | None:
         return CameraTime(moment.timestamp(), 0.001 if moment.microsecond else 1.0, "list")
     except (ValueError, OverflowError):
         return None
-
-
-def _number(value: Any) -> float | None:
-    try:
-        number = float(value)
-    except (TypeError, ValueError, OverflowError):
-        return None
-    return number if abs(number) < float("inf") else None

@@ -153,6 +153,7 @@ class CameraSource:
         offset = self._exposures.offset(wall - now)
         if offset is not None:
             health.gauge("camera_clock_ahead_s", round(offset, 3))
+            health.gauge("camera_clock_resets", self._exposures.resets)
 
     def _ask(self) -> float:
         if self._reader is None:

@@ -9,10 +9,9 @@ from urllib.parse import quote, quote_plus
 
 from ltm_core.redaction import HIDDEN, redacted
 from ltm_core.source_config import NetworkSettings, SecretConfig
+from ltm_ros.runtime.service_credentials import FOLDER_VARIABLE, service_credential
 from ltm_ros.sources.errors import UnauthorisedError
 
-CREDENTIALS_FOLDER = "CREDENTIALS_DIRECTORY"
-"""Environment variable in which systemd names the folder of a service's credentials."""
 LONGEST = 4096
 
 
@@ -56,12 +55,13 @@ def read_secret(config: SecretConfig) -> Secret:
 def _path(config: SecretConfig) -> Path:
     if config.file is not None:
         return config.file
-    folder = os.environ.get(CREDENTIALS_FOLDER)
-    if not folder:
+    found = service_credential(config.credential or "")
+    if found is None:
         raise UnauthorisedError(
-            f"{config.place}: {CREDENTIALS_FOLDER} is not set, so this is no systemd service with LoadCredential="
+            f"{config.place} was not given to this process ({FOLDER_VARIABLE}): put the file into "
+            f"/etc/ltm/credentials and restart the service, or name it in a LoadCredential= of its own"
         )
-    return Path(folder) / (config.credential or "")
+    return found
 
 
 class Login:

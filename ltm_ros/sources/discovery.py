@@ -7,7 +7,6 @@ Only the network of the interface that the user names is asked, once, and answer
 from __future__ import annotations
 
 import ipaddress
-import re
 import socket
 import time
 import uuid
@@ -17,11 +16,11 @@ from urllib.parse import unquote
 from ltm_core.errors import ConfigError
 from ltm_ros.sources.errors import SourceError
 from ltm_ros.sources.ptz.connection import found, parsed_xml, split_address
+from ltm_ros.sources.strangers_text import plain
 
 GROUP, PORT = "239.255.255.250", 3702
 MOST_ANSWERS = 256
 MOST_BYTES = 64 << 10
-_PRINTABLE = re.compile(r"[^\x20-\x7e]+")
 
 
 @dataclass(frozen=True)
@@ -93,17 +92,12 @@ def camera_in(body: bytes, host: str, asked: str) -> Discovered:
     # A camera on two networks states both.
     own = next((place for place in places if split_address(place).hostname == host), places[0])
     words = ((scopes.text if scopes is not None else None) or "").split()
-    return Discovered(host, _plain(own, 200), _scope(words, "name"), _scope(words, "hardware"))
+    return Discovered(host, plain(own, 200), _scope(words, "name"), _scope(words, "hardware"))
 
 
 def _scope(words: list[str], key: str) -> str:
     mark = f"onvif://www.onvif.org/{key}/"
-    return _plain(next((unquote(word[len(mark) :]) for word in words if word.startswith(mark)), ""), 60)
-
-
-def _plain(text: str, most: int) -> str:
-    """What a stranger sent, so that it cannot write to a terminal but letters."""
-    return _PRINTABLE.sub("?", text)[:most]
+    return plain(next((unquote(word[len(mark) :]) for word in words if word.startswith(mark)), ""), 60)
 
 
 def _question(asked: str) -> bytes:

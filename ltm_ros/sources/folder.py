@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
+import stat
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
@@ -18,7 +19,7 @@ from ltm_ros.sources.picture import CameraTime, Nothing, Picture, Timing
 from ltm_ros.sources.system_clock import Clock
 
 MOST_FILES = 20_000
-"""That are looked at: a folder that nobody clears shall not slow the tower down."""
+"""Young enough to be taken, that are looked at more closely: a camera gone mad shall not fill the memory."""
 
 
 @dataclass(frozen=True)
@@ -48,16 +49,12 @@ class FolderReader:
 
     def read(self) -> Picture | Nothing:
         now, wall = self._clock.monotonic(), self._clock.wall()
-        files = self._look()
+        files = self._look(wall)
         # What is gone is forgotten, so that a name may come again.
         self._done = {path: seen for path, seen in self._done.items() if path in files}
         self._waiting = {path: entry for path, entry in self._waiting.items() if path in files}
         new = [(seen.modified_ns, path, seen) for path, seen in files.items() if self._done.get(path) != seen]
         for modified_ns, path, seen in sorted(new):
-            age = wall - modified_ns / 1e9
-            if age > self._config.oldest and path not in self._waiting:
-                self._done[path] = seen
-                continue
             former, since = self._waiting.get(path, (None, now))
             self._waiting[path] = seen, since
             if former != seen:
@@ -65,29 +62,31 @@ class FolderReader:
             data = self._whole(path, seen, now - since)
             if data is not None:
                 self._finish(path, seen)
-                return self._picture(path, data, now - age)
+                return self._picture(path, data, now - (wall - modified_ns / 1e9))
         return Nothing.YET
 
     def close(self) -> None:
         """Nothing is open."""
 
-    def _look(self) -> dict[Path, _Seen]:
+    def _look(self, wall: float) -> dict[Path, _Seen]:
         try:
             if not self._folder.is_dir():
                 raise SourceError(f"{self._folder} is gone: mount it, or mend path")
-            return dict(itertools.islice(self._files(), MOST_FILES))
+            return dict(itertools.islice(self._files(wall), MOST_FILES))
         except OSError as error:
             raise SourceError(f"{self._folder} cannot be read: {error.strerror}") from None
 
-    def _files(self) -> Iterator[tuple[Path, _Seen]]:
+    def _files(self, wall: float) -> Iterator[tuple[Path, _Seen]]:
         home = self._folder.resolve()
         for path in self._folder.glob(self._config.pattern):
             with contextlib.suppress(OSError):
-                # A link may lead anywhere, and a camera may write links.
-                if path.is_symlink() or not path.resolve().is_relative_to(home) or not path.is_file():
+                state = path.lstat()
+                # First, for most files of a folder that nobody clears are old.
+                if wall - state.st_mtime > self._config.oldest and path not in self._waiting:
                     continue
-                state = path.stat()
-                yield path, _Seen(state.st_size, state.st_mtime_ns)
+                # A link may lead anywhere, and a camera may write links.
+                if stat.S_ISREG(state.st_mode) and path.resolve().is_relative_to(home):
+                    yield path, _Seen(state.st_size, state.st_mtime_ns)
 
     def _whole(self, path: Path, seen: _Seen, waited: float) -> bytes | None:
         """The file's bytes; None where it may still grow. Raises PictureError where it will not be whole."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import httpx
 
 from ltm_core.source_config import MjpegConfig
 from ltm_ros.sources.errors import PictureError, SourceError
-from ltm_ros.sources.http_client import HttpClient
-from ltm_ros.sources.picture import Nothing, Picture, Timing
+from ltm_ros.sources.http_client import WHOLE_FACTOR, HttpClient
+from ltm_ros.sources.picture import Nothing, Picture, Timing, stated_number
 
 _OLDEST_S = 0.3
 """Of a picture that is sent when it has been taken."""
@@ -24,6 +24,7 @@ class MjpegReader:
     def __init__(self, config: MjpegConfig, most_bytes: int) -> None:
         self.pause = 0.0
         self._every, self._most_bytes, self._silent_s = config.every, most_bytes, config.timeout
+        self._whole_s = WHOLE_FACTOR * config.timeout
         self._client = HttpClient(config, most_bytes=most_bytes)
         self._open = contextlib.ExitStack()
         try:
@@ -43,8 +44,7 @@ class MjpegReader:
         if not body.startswith(_BEGIN):
             raise PictureError(f"a part of {len(body)} bytes of the stream is no JPEG")
         self._due = arrived + self._every
-        stamp = _number(head.get("x-timestamp"))
-        return Picture(Timing(arrived=arrived, oldest=_OLDEST_S, stream=stamp), jpeg=body)
+        return Picture(timing_of(head, arrived), jpeg=body)
 
     def close(self) -> None:
         with contextlib.suppress(SourceError):
@@ -63,13 +63,13 @@ class MjpegReader:
 
     def _split(self, response: httpx.Response, boundary: bytes) -> Iterator[tuple[dict[str, str], bytes, float]]:
         """Each part's head, its body, and when its last byte came."""
-        parts, until = PartSplitter(boundary, self._most_bytes), time.monotonic() + 3 * self._silent_s
+        parts, until = PartSplitter(boundary, self._most_bytes), time.monotonic() + self._whole_s
         for chunk in response.iter_bytes():
             for head, body in parts.feed(chunk):
-                until = time.monotonic() + 3 * self._silent_s
+                until = time.monotonic() + self._whole_s
                 yield head, body, time.monotonic()
             if time.monotonic() > until:
-                raise SourceError(f"no whole picture for {3 * self._silent_s:g} s")
+                raise SourceError(f"no whole picture for {self._whole_s:g} s")
 
 
 class PartSplitter:
@@ -96,7 +96,7 @@ class PartSplitter:
             return None
         head = _head(bytes(buffer[begin:head_end]))
         start = head_end + 4
-        length = _number(head.get("content-length"))
+        length = stated_number(head.get("content-length"))
         if length is None:
             end = buffer.find(self._boundary, start)
         elif 0 < length <= self._most_bytes:
@@ -110,6 +110,11 @@ class PartSplitter:
         return head, body.rstrip(b"\r\n") if length is None else body
 
 
+def timing_of(head: Mapping[str, str], arrived: float) -> Timing:
+    """Of a part by its head; some cameras count seconds there."""
+    return Timing(arrived=arrived, oldest=_OLDEST_S, stream=stated_number(head.get("x-timestamp")))
+
+
 def _boundary(response: httpx.Response) -> bytes:
     kind: str = response.headers.get("content-type", "")
     _, found, boundary = kind.partition("boundary=")
@@ -121,10 +126,3 @@ def _boundary(response: httpx.Response) -> bytes:
 def _head(data: bytes) -> dict[str, str]:
     lines = (line.partition(b":") for line in data.split(b"\r\n")[1:])
     return {name.decode("latin-1").strip().lower(): value.decode("latin-1").strip() for name, _, value in lines}
-
-
-def _number(text: str | None) -> float | None:
-    try:
-        return None if text is None else float(text)
-    except ValueError:
-        return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Protocol
@@ -17,7 +18,7 @@ class CameraTime:
     epoch: float
     resolution: float
     told_by: str
-    """`exif`, `last-modified`, `sender-report`, `name`, `file` or `list`."""
+    """`exif`, `last-modified`, `sender-report`, `name` or `list`."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,15 @@ class Picture:
     """(H, W, 3), of a video."""
     direction: Reading | None = None
     """Where it came with the picture."""
+
+
+def stated_number(value: object) -> float | None:
+    """A number as a camera states one, in text or not; None where it is none, or not finite."""
+    try:
+        number = float(value)  # type: ignore[arg-type] # what it cannot take, it refuses
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return number if math.isfinite(number) else None
 
 
 class Nothing(Enum):

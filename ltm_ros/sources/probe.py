@@ -14,13 +14,15 @@ from pydantic import TypeAdapter
 
 from ltm_core.errors import ImageError
 from ltm_core.ptz_config import PtzConfig
-from ltm_core.source_config import HttpSettings, MjpegConfig, RtspConfig, SecretConfig
+from ltm_core.redaction import redacted
+from ltm_core.source_config import HttpSettings, MjpegConfig, RtspConfig, SecretConfig, url_without_secrets
 from ltm_msgs_py.image import picture_size
 from ltm_ros.sources.direction import Reading
 from ltm_ros.sources.errors import SourceError, UnauthorisedError
 from ltm_ros.sources.http_client import Answer, HttpClient, http_time
 from ltm_ros.sources.mjpeg import MjpegReader
 from ltm_ros.sources.picture import Picture, PictureReader
+from ltm_ros.sources.ptz.connection import at_asked_host
 from ltm_ros.sources.ptz.head import Head, Limits
 from ltm_ros.sources.ptz.onvif import OnvifHead
 from ltm_ros.sources.ptz.opening import open_head
@@ -118,9 +120,19 @@ def probe(
             say(f"a head by {given['kind']}")
             _try(found, f"head by {' '.join(given.values())}", lambda given=given: _head(found, given, web))  # type: ignore[misc]
     if found.source is None and found.stream is not None and found.stream.startswith("http"):
-        place = found.stream
-        _try(found, place, lambda: _picture(found, place, {**login, "ca": ca, "check_name": check_name}))
+        stated = found.stream
+        tls = login | {"ca": ca, "check_name": check_name}
+        _try(found, redacted(stated), lambda: _picture(found, _address_at(base, stated), tls))
     return found
+
+
+def _address_at(base: str, stated: str) -> str:
+    """What the camera at `base` states as an address of its own. Raises SourceError where it is none, or holds what
+    would be a password in the site file."""
+    try:
+        return url_without_secrets(at_asked_host(stated, base), ("http", "https"))
+    except ValueError as error:
+        raise SourceError(f"the address that the camera states cannot be taken: {error}") from None
 
 
 def _is_reolink(base: str, timeout: float, ca: Path | None, check_name: bool) -> bool:

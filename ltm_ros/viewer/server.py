@@ -21,6 +21,10 @@ from ltm_core.errors import ConfigError
 LOOPBACK = "127.0.0.1"
 WEB_PORT, GRPC_PORT = 9090, 9876
 """Of the page, and of what feeds it, unless others are named."""
+LIVE_MEMORY = "768MiB"
+"""Of what is shown that the server of a live view keeps for those who look later; the oldest goes."""
+OPEN_MEMORY = "1GiB"
+"""Likewise of a window, and of the server of a recording. Rerun's own bound for a window is 75 % of the machine."""
 _PR_SET_PDEATHSIG = 1
 
 
@@ -65,7 +69,7 @@ class RerunProcess:
 
     @classmethod
     def serve(
-        cls, web_port: int, grpc_port: int, recording: Path | None = None, memory_limit: str = "1GiB"
+        cls, web_port: int, grpc_port: int, recording: Path | None = None, memory_limit: str = OPEN_MEMORY
     ) -> RerunProcess:
         """A gRPC server that keeps what it is sent (and `recording`) for late viewers, and the web viewer's page.
 

@@ -26,7 +26,7 @@ from ltm_core.types import Float32Array, Int32Array, RgbImage, UInt8Array
 from ltm_ros.viewer import archetypes, scene_geometry
 from ltm_ros.viewer.blueprint import TIMELINE, MapWindow, Tabs, site_blueprint
 from ltm_ros.viewer.fuel_maps import FuelMaps
-from ltm_ros.viewer.server import GRPC_PORT, WEB_PORT, RerunProcess, grpc_url, web_url
+from ltm_ros.viewer.server import GRPC_PORT, LIVE_MEMORY, WEB_PORT, RerunProcess, grpc_url, web_url
 from ltm_ros.viewer.terrain_change import ChangeLayer, ChangePicture, change_classes
 
 MAX_POINTS = 15_000
@@ -68,7 +68,7 @@ class RerunView:
         self._node_colors: dict[str, tuple[int, int, int]] = {}
         self._plotted: set[str] = set()
         self._live = serve
-        self._server = RerunProcess.serve(web_port, grpc_port) if serve else None
+        self._server = RerunProcess.serve(web_port, grpc_port, memory_limit=LIVE_MEMORY) if serve else None
         self.url = web_url(web_port, grpc_port) if serve else None
         self._recording = rr.RecordingStream(application_id)
         sinks: list[rr.FileSink | rr.GrpcSink] = []

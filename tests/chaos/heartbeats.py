@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
+from collections.abc import Collection
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -12,12 +13,19 @@ from rclpy.node import Node
 
 from chaos.running_site import CLEANUP
 from ltm_ros.launching.graph import CAMERAS_PROCESS
+from ltm_ros.runtime.process_memory import MemoryInUse
 
 
 class Heartbeats:
-    """By label, as `tower/depth`."""
+    """By label, as `tower/depth`. `site`: its name. `processes`: labels of those that are a node each, or the cameras'.
 
-    def __init__(self, node: Node) -> None:
+    Of another site's graph in the same domain only the names are kept, in `strangers`: whoever joins costs memory in
+    every process.
+    """
+
+    def __init__(self, node: Node, site: str, processes: Collection[str]) -> None:
+        self._site, self._processes = site, processes
+        self.strangers: set[str] = set()
         self._at: dict[str, float] = {}
         self._latest: dict[str, dict[str, str]] = {}
         self._lock = threading.Lock()
@@ -49,9 +57,21 @@ class Heartbeats:
         with self._lock:
             return {label: dict(summary) for label, summary in self._latest.items()}
 
+    def memory_in_use(self) -> dict[str, MemoryInUse]:
+        """What the process of each node that speaks for one has last said, by the process's label."""
+        found = {}
+        for label, summary in self.said().items():
+            if "heap_bytes" in summary:
+                process = label if label in self._processes else CAMERAS_PROCESS
+                found[process] = MemoryInUse(int(summary["heap_bytes"]), int(summary["python_blocks"]))
+        return found
+
     def _take(self, message: Any) -> None:
         with self._lock:
             for status in message.status:
-                label = status.name.partition("/")[2].partition("/")[2]
+                site, _, label = status.name.removeprefix("/").partition("/")
+                if site != self._site:
+                    self.strangers.add(status.name)
+                    continue
                 self._at[label] = time.monotonic()
                 self._latest[label] = {item.key: item.value for item in status.values}

@@ -68,7 +68,7 @@ class Stage:
         self.site = RunningSite(self.small.path, self.state, self.recording, folder / "logs", domain)
         self.cameras = Cameras(bystander.node, self.photos, period_s)
         self.acknowledgements = Acknowledgements(bystander.node)
-        self.heartbeats = Heartbeats(bystander.node)
+        self.heartbeats = Heartbeats(bystander.node, self.small.site.name, self.site.nodes)
         self.first_usage: dict[str, Usage] = {}
 
     def begin(self) -> None:
@@ -183,15 +183,14 @@ def play_soak(folder: Path, domain: int, period_s: float, processes: str, minute
     """No faults."""
     found, soak = Found(), Soak()
     with on_stage(folder, domain, period_s, processes, False, found) as stage:
-        soak.watch(stage.site, stage.state, minutes, lambda text: print(text, flush=True))
-    growth = soak.growth()
-    print(
-        "memory of their own over the last two thirds, kB a minute (95 % interval); kB grown, the largest step of it:"
-    )
-    for label, one in growth.items():
-        print(
-            f"  {label:<20}{one.slope:9.1f}  ({one.low:.1f} to {one.high:.1f}); {one.grown:.0f}, {one.largest_step:.0f}"
-        )
+        soak.watch(stage.site, stage.heartbeats, stage.state, minutes, lambda text: print(text, flush=True))
+    growth, in_use = soak.growth(), soak.growth_in_use()
+    print(*report.growth(growth, in_use), sep="\n")
     found.missed += soak.missed()
-    found.content["soak"] = asdict(soak) | {"growth": {label: asdict(one) for label, one in growth.items()}}
+    if strangers := sorted(stage.heartbeats.strangers):
+        found.missed.append(f"another graph was in the domain ({', '.join(strangers[:3])}...): nothing is said by this")
+    found.content["soak"] = asdict(soak) | {
+        "growth": {label: asdict(one) for label, one in growth.items()},
+        "growth_in_use": {label: asdict(one) for label, one in in_use.items()},
+    }
     return found

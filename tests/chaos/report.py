@@ -6,7 +6,9 @@ from collections.abc import Iterable, Mapping
 
 from chaos.cameras import CAMERAS
 from chaos.chaos_run import Outcome
+from chaos.soak import InUseGrowth
 from chaos.verdict import Verdict
+from ltm_ros.bench.growth import Growth
 
 
 def heading() -> str:
@@ -42,6 +44,22 @@ def causes(counted: Mapping[str, int], most: int = 40) -> Iterable[str]:
     """What nodes dropped and noted, the commonest first."""
     for name, count in sorted(counted.items(), key=lambda item: -item[1])[:most]:
         yield f"  {count:6d}  {name}"
+
+
+def growth(own: Mapping[str, Growth], in_use: Mapping[str, InUseGrowth]) -> Iterable[str]:
+    """Of memory, by process: what it has asked for, and how much of that objects lie in. What the former grows by
+    beyond the latter are holes of the heaps."""
+    yield "own memory over the last two thirds: kB a minute (95 % interval); kB grown, the largest step of it;"
+    yield "what of it is in use: kB a minute of the C library's heap (95 % interval), blocks a minute of Python's"
+    for label, one in own.items():
+        row = f"  {label:<20}{_slope(one)}; {one.grown:.0f}, {one.largest_step:.0f}"
+        if used := in_use.get(label):
+            row += f"; {_slope(used.heap_kb)}, {used.python_blocks.slope:.0f}"
+        yield row
+
+
+def _slope(growth: Growth) -> str:
+    return f"{growth.slope:9.1f}  ({growth.low:.1f} to {growth.high:.1f})"
 
 
 def _seconds(value: float | None) -> str:

@@ -17,6 +17,8 @@ from ltm_ros.launching.graph import CAMERAS_MODULE, CAMERAS_PROCESS, Graph, desc
 from ltm_ros.launching.ros_environment import ros_environment
 
 RUNNER, CLEANUP = "runner", "orphan_cleanup"
+LAST_MOMENTS_S = 2.0
+"""That a process has, which ends with the runner and is not waited for by it: Python's own resource tracker."""
 _MARK = "LTM_CHAOS_RUN"
 _NODE = re.compile(r"__ns:=/[^/ ]+(/[^ ]+)? -r __node:=(\S+)")
 
@@ -68,7 +70,7 @@ class RunningSite:
         try:
             return self._process.wait(patience_s)
         finally:
-            self.left = list(self.processes())
+            self.left = self.wait_gone(LAST_MOMENTS_S)
             for pid in self.processes().values():
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGKILL)

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import random
 import struct
+from contextlib import suppress
 from pathlib import Path
 
 import lz4.frame
+import numpy as np
 import zstandard
+from rclpy.serialization import serialize_message
 
 from fuzz.mutations import spoil_bytes
 from fuzz.target import Target
 from ltm_core.camera import Camera
-from ltm_core.errors import RecordingError
+from ltm_core.errors import LtmError, RecordingError
 from ltm_core.pose import Pose
+from ltm_msgs_py.bag.picture_cdr import COMPRESSED_TYPE, RAW_TYPE, picture_of
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg
+from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.pose import pose_to_msg
 
 
@@ -112,4 +117,19 @@ def _chunk(rng: random.Random, body: bytes) -> bytes:
     return head + struct.pack("<Q", len(packed)) + packed
 
 
-BAG_FILES = (Target("bag", "a.mcap", _bags, _read_bag, _spoil_bag, weight=3.0),)
+def _pictures(folder: Path) -> list[bytes]:
+    photo = np.arange(7 * 12 * 3, dtype=np.uint8).reshape(7, 12, 3)
+    sent = compressed_to_msg(encode_rgb(photo), "jpeg", 10**18, "a"), image_to_msg(photo, "rgb8", 10**18, "a")
+    return [serialize_message(message) for message in sent]
+
+
+def _read_picture(folder: Path) -> None:
+    for type_name in (COMPRESSED_TYPE, RAW_TYPE):
+        with suppress(LtmError):
+            picture_of((folder / "picture.cdr").read_bytes(), type_name).rgb()
+
+
+BAG_FILES = (
+    Target("bag", "a.mcap", _bags, _read_bag, _spoil_bag, weight=3.0),
+    Target("picture_cdr", "picture.cdr", _pictures, _read_picture),
+)

@@ -11,7 +11,8 @@ from scenes.timed_picture import exif_of, jpeg, scene
 from fuzz.mutations import spoil_text
 from fuzz.target import Target
 from ltm_ros.sources.camera_list import entry_of, reading_of, time_of
-from ltm_ros.sources.mjpeg import PartSplitter
+from ltm_ros.sources.exposure import ExposureClock
+from ltm_ros.sources.mjpeg import PartSplitter, timing_of
 
 _LIST = settings(kind="camera_list", url="http://127.0.0.1/all.json", image="http://127.0.0.1/{id}.jpg", id="north")
 
@@ -32,14 +33,18 @@ def _ask_folder(folder: Path) -> None:
 def _stream(folder: Path) -> list[bytes]:
     body = jpeg(scene(32, 24))
     stated = b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%b\r\n" % (len(body), body)
-    return [stated * 3, b"--frame\r\nX-Timestamp: 12.5\r\n\r\n" + body + b"\r\n--frame--\r\n"]
+    counted = [
+        b"--frame\r\nX-Timestamp: %b\r\n\r\n%b\r\n--frame--\r\n" % (at, body) for at in (b"12.5", b"nan", b"-inf")
+    ]
+    return [stated * 3, *counted]
 
 
 def _split(folder: Path) -> None:
-    parts, data = PartSplitter(b"--frame", 100_000), (folder / "x").read_bytes()
+    parts, data, clock = PartSplitter(b"--frame", 100_000), (folder / "x").read_bytes(), ExposureClock()
     for begin in range(0, len(data), 700):
-        for _ in parts.feed(data[begin : begin + 700]):
-            pass
+        for head, _ in parts.feed(data[begin : begin + 700]):
+            exposure = clock.estimate(timing_of(head, 5000.0), 1_790_000_000.0)
+            assert 0 < exposure.uncertainty < 60, exposure
 
 
 def _lists(folder: Path) -> list[bytes]:

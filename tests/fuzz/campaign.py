@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import multiprocessing
+import os
 import random
 import shutil
 import sys
@@ -17,11 +18,13 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from multiprocessing import forkserver
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import TracebackType
 from typing import Self
+from unittest import mock
 
 from fuzz.targets import TARGETS, target_named
 from fuzz.worker import Answer, serve
@@ -46,7 +49,14 @@ class Tally:
 
 
 _PROCESSES = multiprocessing.get_context("forkserver")
-_PROCESSES.set_forkserver_preload(["fuzz.worker"])  # imports cost ten seconds, and are made once
+_PROCESSES.set_forkserver_preload(["fuzz.worker"])  # imports cost more than most targets' cases, and are made once
+
+
+def _start_fork_server() -> None:
+    """Unless it runs. It finds what it shall import: Python 3.11 gives `sys.path` to the processes and not to the
+    server, which passes over in silence what it cannot import."""
+    with mock.patch.dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path)):
+        forkserver.ensure_running()
 
 
 class Worker:
@@ -80,6 +90,7 @@ class Worker:
         if self._folder is not None:
             self._folder.cleanup()
         self._folder = tempfile.TemporaryDirectory(prefix="ltm-fuzz-", ignore_cleanup_errors=True)
+        _start_fork_server()
         ours, theirs = _PROCESSES.Pipe()
         process = _PROCESSES.Process(target=serve, args=(theirs, self._name, Path(self._folder.name)), daemon=True)
         process.start()

@@ -30,9 +30,11 @@ from fuzz.mutations import spoil_bytes
 from fuzz.target import Target
 from ltm_core.errors import LtmError
 from ltm_core.fuel.votes import VoteCaster
+from ltm_core.raster.surface_versions_io import AS_GIVEN, SurfaceManifest
 from ltm_core.terrain.change import Changed
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.camera_info import camera_to_msg
+from ltm_msgs_py.confirmed_surface import manifest_to_msg, traced_to_msg
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.image import compressed_to_msg, depth_to_msg, encode_rgb, image_to_msg
 from ltm_msgs_py.label_info import label_set_to_msg
@@ -52,6 +54,7 @@ from ltm_ros.nodes.viewer import Viewer, ViewerConfig
 from ltm_ros.runtime.handler import Handler
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.stamp_join import JoinConfig
+from ltm_ros.runtime.topics import TERRAIN_SURFACE
 
 _FLOATS = (
     0.0,
@@ -248,6 +251,8 @@ def _frame(small: SmallSite, stamp: int = BEGIN_NS) -> dict[str, Any]:
         "depth": depth_to_msg(traced, stamp, "tower_optical"),
         "labels": image_to_msg(labels, "mono8", stamp, "tower_optical"),
         "confidence": image_to_msg(np.full(labels.shape, 200, np.uint8), "mono8", stamp, "tower_optical"),
+        "traced": traced_to_msg("tower", stamp, AS_GIVEN),
+        "surface": manifest_to_msg(SurfaceManifest(site=NAME)),
         "votes": votes_to_msg(_votes(small, traced, camera, pose, labels, stamp), LabelSet.load().names),
     }
 
@@ -295,7 +300,8 @@ def _capture_sensors(small: SmallSite, folder: Path) -> Handler[Any]:
 
 
 def _depth(small: SmallSite, folder: Path) -> Handler[Any]:
-    return Depth(DepthConfig(site=str(small.path), camera="tower"), _outlet(), Health())
+    config = DepthConfig(site=str(small.path), camera="tower", surfaces=str(folder / "surfaces"))
+    return Depth(config, _outlet(), Health())
 
 
 def _fuel_votes(small: SmallSite, folder: Path) -> Handler[Any]:
@@ -307,13 +313,18 @@ def _segmentation(small: SmallSite, folder: Path) -> Handler[Any]:
 
 
 def _topodepth(small: SmallSite, folder: Path) -> Handler[Any]:
-    config = TopoDepthConfig(site=str(small.path), camera="tower", model=str(folder / "depth.yaml"))
+    config = TopoDepthConfig(
+        site=str(small.path),
+        camera="tower",
+        model=str(folder / "depth.yaml"),
+        surfaces=str(folder / "surfaces"),
+    )
     return TopoDepth(config, _outlet(), Health())
 
 
 _FUSED = {
     "posed/image": "photo", "posed/camera_info": "info", "posed/pose": "pose",
-    "depth/image": "depth", "labels/image": "labels",
+    "depth/image": "depth", "depth/info": "traced", "labels/image": "labels",
 }  # fmt: skip
 
 
@@ -423,7 +434,13 @@ MESSAGES = (
         "capture_sensors",
         _play(_capture_sensors, {"camera_info": "info", "fix": "fix", "imu": "imu", "image_raw/compressed": "jpeg"}),
     ).target(1.5),
-    Play("depth", _play(_depth, {"posed/camera_info": "info", "posed/pose": "pose"})).target(1.5),
+    Play(
+        "depth",
+        _play(
+            _depth,
+            {"posed/camera_info": "info", "posed/pose": "pose", f"/{NAME}/{TERRAIN_SURFACE.name}": "surface"},
+        ),
+    ).target(1.5),
     Play(
         "fuel_votes",
         _play(

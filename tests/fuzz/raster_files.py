@@ -13,7 +13,7 @@ from scenes.rasters import rough_terrain
 from fuzz.target import Target
 from ltm_core.dem import Dem
 from ltm_core.fire.landscape_source_io import read_landscape
-from ltm_core.fuel.barriers_io import with_barriers
+from ltm_core.fuel.barriers_io import barrier_codes
 from ltm_core.fuel.fuel_map_io import read_fuel_map, write_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.fuel.prior_config import BarrierConfig, PriorConfig
@@ -102,12 +102,11 @@ def _barriers(folder: Path) -> list[bytes]:
 
 
 def _read_barriers(folder: Path) -> None:
-    codes = np.full(GRID.shape, 102, np.int16)
     barriers = [BarrierConfig(path=folder / "b.gpkg", layer=k, kind="road") for k in ("lakes", "roads")]
     try:
-        with_barriers(codes, barriers[:1], GRID)
+        barrier_codes(barriers[:1], GRID)
     finally:
-        with_barriers(codes, barriers[1:], GRID)
+        barrier_codes(barriers[1:], GRID)
 
 
 RASTER_FILES = (

@@ -10,6 +10,7 @@ from fuzz.head_answers import HEAD_ANSWERS
 from fuzz.messages import MESSAGES
 from fuzz.photo_files import PHOTO_FILES
 from fuzz.raster_files import RASTER_FILES
+from fuzz.region_link import REGION_LINK
 from fuzz.self_test import SELF_TEST
 from fuzz.store_files import STORE_FILES
 from fuzz.target import Target
@@ -20,6 +21,7 @@ TARGETS: tuple[Target, ...] = (
     *CAMERA_ANSWERS,
     *HEAD_ANSWERS,
     *MESSAGES,
+    *REGION_LINK,
 )
 
 

@@ -26,7 +26,7 @@ OF_SLOW = {
     **dict.fromkeys(("video", "stray_scanner", "record3d"), 40),
     **dict.fromkeys(("network", "node_terrain", "node_viewer"), 10),
 }
-"""How many cases, by what they cost: a minute together on two cores. Not so long, but so many: on each machine the same
+"""How many cases, by what they cost: a minute of one core together. Not so long, but so many: on each machine the same
 are run."""
 LONGEST_S = 120.0
 
@@ -44,6 +44,7 @@ def test_no_error_but_ours(name: str, tmp_path: Path) -> None:
     [
         ("whole", ""),
         ("ours", ""),
+        ("imports", ""),
         ("bug", "KeyError: 'not ours'"),
         ("kill", r"ended with -11"),
         ("grow", r"took \d+ MB, at most"),

@@ -30,6 +30,7 @@ from ltm_core.pose_estimation.mount_config import MountConfig
 from ltm_core.pose_estimation.mount_io import read_head_points, read_readings
 from ltm_core.pose_estimation.pose_file_io import GuessConfig
 from ltm_core.pose_estimation.resection_io import read_control_points, set_up_resection
+from ltm_core.raster.surface_versions_io import MANIFEST, SurfaceManifest, SurfaceVersion, SurfaceVersions
 from ltm_core.resources import config_path
 from ltm_core.simulator.scenario_io import load_scenario
 from ltm_core.site_io import load_site
@@ -46,6 +47,15 @@ from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_ros.importer.pose_file import read_pose_file
 from ltm_ros.launching.graph import describe
+
+_ENTRY = SurfaceVersion(
+    version="a" * 16, digest="a" * 64, parent="", as_of_ns=5, cells=20, seen=9, changed=2, lowered=1
+)
+_SURFACES = SurfaceManifest(site="a", current=_ENTRY.version, versions=(_ENTRY,)).model_dump_json(indent=1)
+
+
+def _read_surfaces(path: Path) -> None:
+    SurfaceVersions(path.parent, "a", GridGeometry(0.0, 4.0, 1.0, 5, 4)).manifest().at(7)
 
 
 def _texts(*texts: str) -> Callable[[Path], list[bytes]]:
@@ -243,5 +253,6 @@ TEXT_FILES = (
     ),
     _yaml("mount", _texts(_MOUNT), _read_mount, "mount.yaml"),
     _yaml("bag_metadata", _metadata, lambda path: BagReader(path.parent).topic_infos(), _METADATA_FILE),
+    _yaml("surfaces", _texts(_SURFACES), _read_surfaces, MANIFEST),
     _yaml("simulated_index", _frames, lambda path: _whole(read_truth_frames(path.parent)), "frames.json"),
 )  # fmt: skip

@@ -31,7 +31,7 @@ def test_the_living_graph_keeps_to_the_masks(small_site: SmallSite, ros_domain: 
     graph = describe(site, path, sim_time=True, record={"bag": str(tmp_path / "live")})
     with Runner(graph, domain_id=ros_domain, log_folder=tmp_path / "log", console=lambda line: None) as runner:
         runner.wait_until_ready(120.0)
-        with LivePlayer(Selection.open(small_site.bag, site), rate=0.1) as player:
+        with LivePlayer(Selection.open(small_site.bag, site), rate=0.25) as player:
             player.wait_for_listeners(len(graph), 60.0)
             player.play()
             assert player.drain([node.full_name for node in graph]), player.summaries

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -125,6 +126,15 @@ def test_wrong_configuration_is_given_up_with_its_reason(start: Callable[..., St
     verdicts = [line for line in graph.lines if "given up" in line]
     assert len(verdicts) == 1
     assert verdicts[0].endswith("the DEM moon.tif does not exist")
+
+
+def test_a_graph_is_up_without_an_optional_node_that_was_given_up(start: Callable[..., Started]) -> None:
+    """Else a service would never be ready for want of its status page."""
+    viewer = replace(spec("viewer", behaviour="config_error"), required=False)
+    graph = start(spec("capture"), viewer)
+    graph.runner.wait_until_ready(30)
+    graph.wait_for(lambda: graph.runner.given_up == ["north/viewer"], "the verdict")
+    graph.runner.wait_until_ready(30)
 
 
 def test_names_the_node_that_is_not_ready(start: Callable[..., Started]) -> None:

@@ -197,7 +197,8 @@ def test_killed_nodes_come_back_and_the_others_run_on(replayed: Replayed, tmp_pa
             bystander.listen(_name_of(victim, topic), topic.type)
     before = replayed.pids
     again: dict[str, int] = {}
-    with looping(LivePlayer(Selection.open(bag, small.site)), len(runner.graph)) as player:
+    # No faster than it takes to see that all work: each frame goes through a dozen processes.
+    with looping(LivePlayer(Selection.open(bag, small.site), rate=0.5), len(runner.graph)) as player:
         for victim, topic in VICTIMS.items():
             others = {label: pid for label, pid in replayed.pids.items() if label != victim}
             process = runner.processes[victim]

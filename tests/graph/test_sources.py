@@ -112,6 +112,7 @@ def test_from_a_snapshot_camera_to_a_fuel_map(
     said = summaries[well]
     assert (said["state"], said["dropped"], said["stamp_told_by"]) == ("alive", "0", "last-modified"), said
     assert float(said["camera_clock_ahead_s"]) == pytest.approx(3600.0, abs=1.0)
+    assert said["camera_clock_resets"] == "0"
     assert "no connection" in summaries[broken]["state_why"]
     stamps = bystander.stamps(image)
     assert stamps == sorted(set(stamps))

@@ -5,19 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import pytest
 from scenes.fuel_frames import write_site
 from scenes.own_disk import run_on_own_disk
+from scenes.slow_fsync import slow_fsync
 
 PROGRAM = Path(__file__).parents[1] / "scenes" / "disk_process.py"
 FRAMES = 30
 MANY = 150
 
 
-def states_of(case: str, folder: Path) -> list[dict[str, Any]]:
+def states_of(case: str, folder: Path, more: dict[str, str] | None = None) -> list[dict[str, Any]]:
     """What a node on a disk of its own says of itself, step by step."""
     disk = folder / "disk"
     disk.mkdir()
-    states: list[dict[str, Any]] = run_on_own_disk(PROGRAM, case, disk, write_site(folder))
+    states: list[dict[str, Any]] = run_on_own_disk(PROGRAM, case, disk, write_site(folder), more=more)
     return states
 
 
@@ -65,3 +67,22 @@ def test_disk_that_turns_read_only(tmp_path: Path) -> None:
     assert (during["frames"], during["unsaved"], during["troubled"]) == (0, 3, True)
     assert "ead-only" in during["error"]
     assert (after["frames"], after["unsaved"]) == (6, 0)
+
+
+def test_disk_without_room_for_another_name(tmp_path: Path) -> None:
+    running, stopped, started, after, restarted = states_of("no_inodes", tmp_path)
+    assert (running["frames"], running["unsaved"]) == (6, 0), "its files are there already"
+    assert (stopped["frames"], stopped["updates"]) == (6, 6)
+    assert started["troubled"]
+    assert started["frames"] + started["unsaved"] in (3, 9)
+    assert (after["frames"], after["unsaved"]) == (9, 0)
+    assert (restarted["frames"], restarted["unsaved"], restarted["troubled"]) == (9, 0, False)
+
+
+@pytest.mark.slow
+def test_disk_whose_every_fsync_takes_two_seconds(tmp_path: Path) -> None:
+    during, restarted = states_of("slow", tmp_path, slow_fsync(tmp_path, 2.0))
+    assert (during["frames"], during["unsaved"], during["updates"]) == (30, 0, 30), "one wait for all that came"
+    assert during["troubled"]
+    assert "store_slow: the disk took" in during["error"]
+    assert (restarted["frames"], restarted["unsaved"]) == (30, 0)

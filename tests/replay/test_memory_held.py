@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import ctypes
 import gc
-import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from chaos.cameras import CAMERAS, PHASES, Photos
 from chaos.living_site import write_living_site
 from scenes.small_site import NAME
 
+from ltm_core.grid import GridGeometry
+from ltm_core.raster.tile_store import Field, FrameRecord, StoreSchema, TileStore
 from ltm_ros.launching.graph import describe
 from ltm_ros.nodes.terrain import UNCOMMITTED
 from ltm_ros.replay.offline import OfflineGraph
+from ltm_ros.runtime.process_memory import memory_in_use
 from ltm_ros.runtime.stamp_join import REMEMBERED
 from ltm_ros.runtime.topics import camera_topic
 
@@ -24,20 +26,11 @@ FRAMES = UNCOMMITTED // len(CAMERAS)
 """Of each camera, between the two counts: as many of them wait for the terrain's next commit then."""
 
 
-class _Heap(ctypes.Structure):
-    """mallinfo2 of glibc."""
-
-    _fields_ = [(name, ctypes.c_size_t) for name in ("arena", *"abcdef", "in_use", "free", "keep")]
-
-
 def _held() -> tuple[int, int]:
     """Blocks of Python's allocator, and bytes of the C library's, that are in use."""
     gc.collect()
-    count = getattr(ctypes.CDLL(None), "mallinfo2", None)
-    if count is None:
-        return sys.getallocatedblocks(), 0
-    count.restype = _Heap
-    return sys.getallocatedblocks(), int(count().in_use)
+    in_use = memory_in_use()
+    return in_use.python_blocks, in_use.heap_bytes or 0
 
 
 def test_handlers_hold_no_more_after_more_frames(tmp_path: Path) -> None:
@@ -61,3 +54,18 @@ def test_handlers_hold_no_more_after_more_frames(tmp_path: Path) -> None:
     more_blocks, more_in_use = _held()
     assert more_blocks - blocks < FRAMES
     assert more_in_use - in_use < 2 * FRAMES * 100  # the stores' rows: a frame's stamp, as long as days are remembered
+
+
+def test_a_store_holds_no_more_than_its_cache_of_the_frames_that_were_counted(tmp_path: Path) -> None:
+    grid = GridGeometry(480_015.0, 4_150_915.0, 30.0, 21, 13, "EPSG:26911")
+    schema = StoreSchema("weather", 1, grid, 8, {"rain": Field(np.float32)})
+    held = []
+    with TileStore.open(tmp_path / "map.ltm", schema) as store:
+        for first in range(0, 100_000, 5_000):
+            stamps = range(first, first + 5_000)
+            store.commit({}, [FrameRecord(camera, 10**18 + k * 10**9) for k in stamps for camera in CAMERAS])
+            held.append(_held()[1])
+    filled = 14
+    assert held[4] - held[0] > 500_000
+    assert held[filled] - held[0] < 2_300_000
+    assert max(held[filled:]) - held[filled] < 50_000

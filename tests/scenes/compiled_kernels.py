@@ -1,4 +1,4 @@
-"""The nodes' kernels, compiled once for all processes of a test run.
+"""Kernels, compiled once for all processes of a test run: the nodes', and those of poses, places and the simulator.
 
 Numba keeps what it has compiled in a folder that all processes share, but two that need a kernel at the same time both
 compile it: cold, every node of a graph and every worker would spend a minute or two on the same.
@@ -9,9 +9,19 @@ from __future__ import annotations
 import fcntl
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import numpy as np
+
+from ltm_core.locating.locator import Locator
+from ltm_core.pose import Pose
+from ltm_core.pose_estimation.picture_evidence import picture_evidence
+from ltm_core.pose_estimation.pose_from_picture import find_pose
+from ltm_core.pose_estimation.pose_prior import PosePrior
+from ltm_core.simulator.clouds import Clouds
+from ltm_core.simulator.run import make_site, rasters_at
+from ltm_core.simulator.scenario import CloudConfig
 from ltm_ros.nodes.depth import Depth, DepthConfig
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
 from ltm_ros.nodes.fuel_votes import FuelVotes
@@ -19,7 +29,9 @@ from ltm_ros.nodes.terrain import Terrain, TerrainNodeConfig
 from ltm_ros.nodes.topodepth import TopoDepth, TopoDepthConfig
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.stamp_join import JoinConfig
+from scenes import located, mountain_view
 from scenes.outlets import Kept
+from scenes.small_scenario import small_scenario
 from scenes.terrain_frames import write_fusing_site
 
 
@@ -37,11 +49,30 @@ def _fuel(site: str) -> None:
     FuelMap(FuelMapConfig(site=site), Kept(), Health()).start()
 
 
-PARTS: dict[str, Callable[[str], None]] = {"terrain": _terrain, "fusion": _fusion, "fuel": _fuel}
-"""Each compiled by one process; the largest first."""
+def _poses(_: str) -> None:
+    pose = Pose.from_angles(mountain_view.eye(), 63.0, 2.5, 1.2)
+    evidence = picture_evidence(*mountain_view.view(pose), mountain_view.CAMERA)
+    find_pose(evidence, mountain_view.terrain(), PosePrior(pose, 1.5, 0.5, 0.5))
 
 
-def compile_kernels() -> None:
+def _places(_: str) -> None:
+    sighting = located.sighting("mast", (0.0, 0.0, 130.0), np.array([30.0, 1000.0, 100.0]))
+    Locator(located.hills(), 0.0).locate([sighting], smoke=True)
+
+
+def _simulator(_: str) -> None:
+    scenario = small_scenario()
+    rasters_at(scenario, make_site(scenario))
+    camera, pose = scenario.camera_model(70.0), Pose.from_angles((120.0, 90.0, 330.0), 30.0, 12.0)
+    Clouds(CloudConfig(cover=0.5), 300.0, scenario.sun, pose.position, seed=4).seen(camera, pose)
+
+
+NODES: dict[str, Callable[[str], None]] = {"terrain": _terrain, "fusion": _fusion, "fuel": _fuel}
+"""Each compiled by one process, from a site file; the largest first."""
+ALL = NODES | {"simulator": _simulator, "poses": _poses, "places": _places}
+
+
+def compile_kernels(parts: Mapping[str, Callable[[str], None]] = NODES) -> None:
     """Returns once all are compiled, by this process or by others that do the same now."""
     cache = os.environ.get("NUMBA_CACHE_DIR")
     if cache is None or os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
@@ -49,7 +80,7 @@ def compile_kernels() -> None:
     folder = Path(cache)
     # First what nobody is at, then wait for what others are at.
     for wait in (0, 1):
-        for name, compile_part in PARTS.items():
+        for name, compile_part in parts.items():
             with (folder / f"{name}.lock").open("w") as lock:
                 try:
                     fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
@@ -63,4 +94,4 @@ def compile_kernels() -> None:
 
 
 if __name__ == "__main__":
-    compile_kernels()
+    compile_kernels(ALL)

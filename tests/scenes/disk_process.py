@@ -11,10 +11,11 @@ from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.topics import FUEL_MAP_UPDATE
 from scenes.fuel_frames import camera_of, grid_of, message
 from scenes.outlets import Kept
-from scenes.own_disk import answer, fill, make_disk, mount
+from scenes.own_disk import answer, fill, make_disk, mount, take_inodes
 
 FRAMES = 30
 MANY = 150
+SLOW_FRAMES = 30
 
 
 class Node:
@@ -121,5 +122,42 @@ def read_only(disk: Path, site: Path) -> list[dict[str, object]]:
     return [*states, node.state()]
 
 
+def no_inodes(disk: Path, site: Path) -> list[dict[str, object]]:
+    """There is room for bytes and none for another file, while a node runs and when one starts."""
+    make_disk(disk, "8m", inodes=40)
+    node = Node(site, disk)
+    node.feed(0, 3)
+    taken = take_inodes(disk)
+    node.feed(3, 6)
+    states = [node.state()]
+    node.handler.finish()
+    states.append(node.state())
+    taken += take_inodes(disk)
+    node = Node(site, disk)
+    node.feed(6, 9)
+    states.append(node.state())
+    for file in taken:
+        file.unlink()
+    node.handler.tick(retry.LONGEST_RETRY_S)
+    states.append(node.state())
+    node.handler.persistence.store.close()  # killed
+    return [*states, Node(site, disk).state()]
+
+
+def slow(disk: Path, site: Path) -> list[dict[str, object]]:
+    """Each fsync takes 2 s (`slow_fsync`): a disk that is about to fail, or an SD card."""
+    make_disk(disk, "8m")
+    node = Node(site, disk)
+    for number in range(0, SLOW_FRAMES, 10):
+        # Ten frames between two looks of the node at the clock: as they come while it waits for the disk.
+        for frame in range(number, number + 10):
+            node.handler.on_votes(camera_of(frame), message(frame, node.grid))
+        node.handler.tick(0.5)
+    states = [node.state()]
+    node.handler.persistence.store.close()  # killed
+    return [*states, Node(site, disk).state()]
+
+
 if __name__ == "__main__":
-    answer({case.__name__: case for case in (full, stopped_while_full, lost, full_from_the_start, read_only)})
+    cases = (full, stopped_while_full, lost, full_from_the_start, read_only, no_inodes, slow)
+    answer({case.__name__: case for case in cases})

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +18,17 @@ import pytest
 TESTS = Path(__file__).parents[1]
 
 
-def run_on_own_disk(program: Path, case: str, *arguments: Path | str, patience_s: float = 300.0) -> Any:
-    """What `case` of a program, which ends with `answer`, returns. Skips, with the reason, where nothing is mounted."""
+def run_on_own_disk(
+    program: Path, case: str, *arguments: Path | str, patience_s: float = 300.0, more: Mapping[str, str] | None = None
+) -> Any:
+    """What `case` of a program, which ends with `answer`, returns; `more`: variables of its environment.
+
+    Skips, with the reason, where nothing is mounted.
+    """
     if shutil.which("unshare") is None:
         pytest.skip("needs `unshare` for a file system of its own")
     alone = ["unshare", "-m"] if os.geteuid() == 0 else ["unshare", "--user", "--map-root-user", "-m"]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(TESTS), str(TESTS.parent)])}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(TESTS), str(TESTS.parent)])} | dict(more or {})
     command = [*alone, sys.executable, str(program), case, *map(str, arguments)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=patience_s)
     if done.returncode != 0 and "unshare" in done.stderr:
@@ -49,8 +56,20 @@ def answer(cases: dict[str, Callable[..., Any]]) -> None:
     print(json.dumps({"answer": cases[case](Path(mount_point), *map(Path, rest))}))
 
 
-def make_disk(folder: Path, size: str) -> None:
-    mount(folder, "-t", "tmpfs", "-o", f"size={size}", "tmpfs")
+def make_disk(folder: Path, size: str, inodes: int = 0) -> None:
+    """`inodes`: names that it has room for, its own counted; 0: any number."""
+    mount(folder, "-t", "tmpfs", "-o", f"size={size},nr_inodes={inodes}", "tmpfs")
+
+
+def take_inodes(folder: Path) -> list[Path]:
+    """Empty files that take all names that are free; remove them to have room again."""
+    taken = []
+    with contextlib.suppress(OSError):
+        while True:
+            descriptor, file = tempfile.mkstemp(dir=folder)
+            os.close(descriptor)
+            taken.append(Path(file))
+    return taken
 
 
 def fill(folder: Path) -> Path:

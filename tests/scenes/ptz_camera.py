@@ -57,6 +57,8 @@ class FakeHead:
     password: str = ""
     """Of ONVIF's signed requests and of Reolink's log-in; empty: not looked at."""
     clock_ahead: float = 0.0
+    stated_picture: str = "http://{}/snapshot.jpg"
+    """By ONVIF; its own host in place of {}."""
     commands: list[str] = field(default_factory=list)
     """Presets that it was sent to, in their order."""
 
@@ -222,7 +224,7 @@ class FakeHead:
             head = "<tt:PTZConfiguration token='p'><tt:Name>p</tt:Name></tt:PTZConfiguration>"
             inside = f"<trt:Profiles token='still'/><trt:Profiles token='main'>{head}</trt:Profiles>"
         elif name in ("GetSnapshotUri", "GetStreamUri"):
-            place = "http://{}/snapshot.jpg" if name == "GetSnapshotUri" else "rtsp://{}/stream"
+            place = self.stated_picture if name == "GetSnapshotUri" else "rtsp://{}/stream"
             inside = f"<trt:MediaUri><tt:Uri>{place.format(request.headers['host'])}</tt:Uri></trt:MediaUri>"
         elif name == "GetStatus" and address["ProfileToken"] == "main":
             x = ((pan + 180) % 360 - 180) / 180 * (-1 if self.onvif_inverted else 1)

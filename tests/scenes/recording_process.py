@@ -18,7 +18,7 @@ from ltm_msgs_py.bag.writer import Split
 from ltm_ros.recordings import bounded_recording
 from ltm_ros.recordings.bounded_recording import BoundedRecording, RecordingLimits
 from ltm_ros.runtime.health import Health
-from scenes.own_disk import answer, fill, make_disk
+from scenes.own_disk import answer, fill, make_disk, mount, take_inodes
 
 STRING = "std_msgs/msg/String"
 WIDE = Split(1 << 40, 1 << 62)
@@ -162,5 +162,37 @@ def killed(disk: Path) -> Any:
     return [before, site.state(), read(bag), left]
 
 
+def no_inodes(disk: Path) -> Any:
+    """There is room for bytes and none for another file: the next one of a recording cannot begin."""
+    make_disk(disk, "16m", inodes=40)
+    site = Site(disk, split=Split(500_000, 1 << 62))
+    site.send(3)
+    taken = take_inodes(disk)
+    site.send(60)  # the first file of these takes the name of the room that the recording holds
+    states = [site.state()]
+    for file in taken:
+        file.unlink()
+    site.send(20)
+    site.recording.close()
+    return [*states, site.state(), read(disk / "bag")]
+
+
+def read_only(disk: Path) -> Any:
+    """The disk turns read-only, as one with errors does, and is mended: the file of then stays as it is."""
+    make_disk(disk, "16m")
+    site = Site(disk, split=Split(200_000, 1 << 62))
+    site.send(10)
+    site.recording.close()
+    mount(disk, "-o", "remount,ro")
+    site = Site(disk, split=Split(200_000, 1 << 62))
+    site.send(5)
+    states = [site.state()]
+    mount(disk, "-o", "remount,rw")
+    site.send(10)
+    site.recording.close()
+    return [*states, site.state(), read(disk / "bag"), read(disk / "bag_1")]
+
+
 if __name__ == "__main__":
-    answer({case.__name__: case for case in (full, stopped_while_full, floor, full_from_the_start, killed)})
+    cases = (full, stopped_while_full, floor, full_from_the_start, killed, no_inodes, read_only)
+    answer({case.__name__: case for case in cases})

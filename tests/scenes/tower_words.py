@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from ltm_ros.health.machine import Clock, Disk
+from ltm_ros.health.machine import Disk
 from ltm_ros.health.tower_status import TowerStatus, TowerWatch
 from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.kernel_clock import KernelClock
 
 NOW_S = 1_750_000_000.0
 NODES = (
     "/ridge/fuel_map",
+    "/ridge/uplink",
     *(f"/ridge/{camera}/{node}" for camera in ("north", "east") for node in ("capture", "topodepth")),
 )
 
@@ -38,6 +40,8 @@ def healths() -> dict[str, Health]:
         judge.gauge("inlier_ratio", "0.625")
         judge.gauge("last_verdict", "pose_suspected: the skyline is 2.1 degrees off")
     made["/ridge/north/topodepth"].gauge("inlier_ratio", "nan")
+    for key, value in (("outbox_frames", 412), ("outbox_bytes", 5_130_000), ("outbox_age_s", "7260.5"), ("link_up", 0)):
+        made["/ridge/uplink"].gauge(key, value)
     return made
 
 
@@ -53,7 +57,7 @@ def status_of(watch: TowerWatch, now_s: float = 51.0) -> TowerStatus:
         now_s,
         NOW_S,
         versions={"ltm": "0.1.0", "ros-rclpy": "7.1.6"},
-        clock=Clock(False, None),
+        clock=KernelClock(False, None),
         disks=[Disk("/state", 100_000_000_000, 2_000_000_000), Disk("/gone", -1, -1)],
         memory=(8_000_000_000, 3_000_000_000),
         process_memory={"cameras": 400_000_000},

@@ -44,8 +44,10 @@ FOREIGN = {
     "--break-system-packages",
     "--system-site-packages",
     "--strict",
+    "--tls-ca-file",
+    "--nthreads",
 }
-"""Options of pip, colcon, venv and MkDocs that the pages name by themselves."""
+"""Options of pip, colcon, venv, MkDocs and Dask that the pages name by themselves."""
 ROOTS = ("ltm_core", "ltm_msgs_py", "ltm_ros", "config", "bags", "docs", "tests", "examples", "scripts", ".ci")
 
 _FENCE = re.compile(r"^( *)```([^\n]*)\n(.*?)^\1```", re.MULTILINE | re.DOTALL)

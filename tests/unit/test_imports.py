@@ -4,9 +4,11 @@ of what makes, teaches and judges it. Read from the sources, so that imports ins
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
@@ -33,10 +35,18 @@ ON_DEMAND = {
     "rerun": "the viewer",
     "laspy": "LAS export",
     "prometheus_client": "the health node",
+    "paho": "the link to a region's map",
+    "cryptography": "certificates of that link",
     "pyretechnics": "fires, by an interpreter of its own",
     "rosbags": "message definitions where no ROS is installed",
+    "pyarrow": "archives worked again",
+    "fsspec": "the same, on disk or S3",
+    "dask": "the same, on many workers",
+    "distributed": "the same, on many workers",
     "av": "videos for `ltm import`, RTSP streams",
 }
+NOT_ON_A_TOWER = {"rerun", "laspy", "pyretechnics", "rosbags", "pyarrow", "dask", "distributed"}
+"""Of those on demand; all else is in the package that `make deb` builds."""
 
 
 def imported(source: str, package: str) -> Iterator[str]:
@@ -99,6 +109,20 @@ def test_runtime_imports_no_package_that_only_the_study_wing_needs() -> None:
     assert not strangers
 
 
+def test_what_a_tower_imports_is_in_its_package() -> None:
+    """Each kind of camera that a site file may name has to work there, without a network to fetch what it needs."""
+    lock = (REPOSITORY / "packaging/requirements.lock").read_text(encoding="utf-8")
+    locked = set(re.findall(r"^([a-z0-9.-]+)==", lock, re.MULTILINE))
+    assert len(locked) > 100
+    distributions = packages_distributions()
+    missing = [
+        package
+        for package in sorted(TOWER | set(ON_DEMAND) - NOT_ON_A_TOWER)
+        if locked.isdisjoint(name.lower().replace("_", "-") for name in distributions[package])
+    ]
+    assert missing == []
+
+
 def test_nodes_load_no_study_package() -> None:
     """What is really loaded, whoever imports it: also through packages of others."""
     nodes = [path.stem for path in (REPOSITORY / "ltm_ros/nodes").glob("[a-z]*.py") if path.stem != "viewer"]
@@ -112,6 +136,7 @@ print(*sys.modules, sep="\\n")
 """
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     study = {"matplotlib", "jinja2", "torch", "mitsuba", "skimage", "onnx", "rosbags", "laspy", "rerun"}
+    study |= {"pyarrow", "dask", "distributed"}
     assert not {name for name in loaded if within(name, STUDY | study)}
 
 

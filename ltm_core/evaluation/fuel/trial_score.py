@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ltm_core.dem import Dem
+from ltm_core.evaluation.fuel.map_score import MapScore, score_map
 from ltm_core.evaluation.fuel.trial import Trial, frames
 from ltm_core.evaluation.fuel.trial_country import make_world
 from ltm_core.fuel.evidence import EvidenceMap
@@ -27,7 +28,8 @@ class TrialScore:
     `flipped`: of the patch's cells, those that became trees; `flipped_well_seen`: of those among them with evidence
     enough for a change. `false_flips`: of all other cells, those that changed to a wrong life form. `code_kept`: of
     unchanged cells and cells that nobody saw, those with the prior's code. `ours`, `vote`, `prior`: cells of the right
-    life form. `vote_in_patch`: the same of the vote, in the patch. `add_ms`: processor time a frame.
+    life form. `vote_in_patch`: the same of the vote, in the patch. `add_ms`: processor time a frame. `changes`: of the
+    patch and of what else the prior has wrong, by the map's life forms; None without a prior.
     """
 
     trial: str
@@ -44,6 +46,7 @@ class TrialScore:
     prior: float
     vote_in_patch: float
     add_ms: float
+    changes: MapScore | None
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -93,6 +96,7 @@ def run_trial(
         prior=right(before, seen),
         vote_in_patch=right(voted, patch),
         add_ms=1e3 * spent / max(count, 1),
+        changes=None if prior is None else score_map(trial.name, layers.life_form, world.truth, prior.codes, seen),
     )
 
 

@@ -21,11 +21,11 @@ from ltm_core.evaluation.gallery.real_photos_io import (
     canyon_areas,
     read_engabreen_points,
     read_glacier,
-    read_rgb,
 )
 from ltm_core.evaluation.pictures.surface_change import surface_sheet
 from ltm_core.evaluation.terrain.canyon_io import PHOTOS, Canyon, read_canyon
 from ltm_core.evaluation.terrain.canyon_score import AFTER, BEFORE, RULES, CanyonScore, score_canyon
+from ltm_core.picture_io import read_rgb
 from ltm_core.pose_estimation.resection import Resection, resect
 from ltm_core.pose_estimation.resection_check import traced_errors
 from ltm_core.range_image import RangeImage

@@ -14,7 +14,7 @@ from ltm_core.errors import ConfigError, ImageError
 from ltm_core.evaluation.gallery.parts import Part
 from ltm_core.evaluation.terrain.canyon_io import PHOTOS, SURVEYS
 from ltm_core.geodesy import SiteFrame
-from ltm_core.picture_io import open_picture
+from ltm_core.picture_io import open_picture, read_rgb
 from ltm_core.pose_estimation.control_points import ControlPoints
 from ltm_core.pose_estimation.resection_io import read_control_points
 from ltm_core.resources import config_path
@@ -115,12 +115,6 @@ def read_glacier(data: Path) -> tuple[Dem, Dem]:
     names = "dem_3m_f64.tif", "glacier_mask_3m.tif"
     dem, ice = (Dem.open(folder / name).in_frame(ENGABREEN) for name in names)
     return dem, ice
-
-
-def read_rgb(path: Path) -> RgbImage:
-    """(H, W, 3) uint8. Raises ImageError where the file is no picture."""
-    with open_picture(path) as (image, _):
-        return np.ascontiguousarray(image.convert("RGB"), np.uint8)
 
 
 def _tower_photos(data: Path) -> list[Path]:

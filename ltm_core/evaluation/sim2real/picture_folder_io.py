@@ -15,7 +15,7 @@ NOT_PICTURES = ("_labels", "_mask", "_depth")
 """Ends of names (before the suffix) that simulator and graph give to rasters that are no pictures."""
 
 
-def pictures_in(folder: Path) -> list[Path]:
+def pictures_below(folder: Path) -> list[Path]:
     """The JPEG and PNG pictures of a folder and its subfolders, by name. Raises ImageError where there is none."""
     found = sorted(
         path

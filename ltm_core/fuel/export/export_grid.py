@@ -17,9 +17,10 @@ from ltm_core.fuel.export.landscape import Landscape, canopy_bands, surface_code
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.majority import UNSEEN
 from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.seen_canopy import SeenCanopy, with_seen_canopy
 from ltm_core.geodesy import SiteFrame
 from ltm_core.grid import GridGeometry
-from ltm_core.types import BoolArray, Float32Array, Float64Array
+from ltm_core.types import BoolArray, Float32Array, Float64Array, Int16Array
 
 _LIKE_HEIGHTS = 50.0
 """Metres of the median difference up to which a prior's elevations are of the same ground in the same unit."""
@@ -110,6 +111,7 @@ def make_landscape(
     system: FuelSystem,
     target: GridGeometry | None = None,
     spare: Float32Array | None = None,
+    seen: SeenCanopy | None = None,
 ) -> Landscape:
     """The landscape of a fuel map on its own grid or on `target`. A cell has all of elevation, slope, aspect and
     code, or nothing.
@@ -119,9 +121,10 @@ def make_landscape(
         dem: in the map frame of `frame`.
         spare: (H, W) elevations that came with the prior, for cells that the DEM does not reach; moved by the median
             difference to the DEM, and left aside where that is more than 50 m.
+        seen: the canopy of cells whose surface has changed, on the grid of the layers; None: none has.
     """
     transfer = GridTransfer(source, source if target is None else target)
-    canopy = transfer.layer(canopy_bands(layers, prior, region), NODATA)
+    canopy = transfer.layer(_canopy(layers, prior, region, seen), NODATA)
     codes = transfer.layer(surface_codes(layers, prior, region, system), NODATA)
     heights, filled = transfer.heights(dem, frame), np.zeros(codes.shape, np.bool_)
     if spare is not None:
@@ -145,10 +148,23 @@ def _filled(heights: Float64Array, spare: NDArray[np.floating]) -> tuple[Float64
     return filled, wanted
 
 
-def with_fuel(landscape: Landscape, layers: FuelLayers, prior: FuelPrior | None, region: FuelRegion) -> Landscape:
-    """A landscape of the fuel grid with the fuel and canopy of other layers on the same ground."""
+def _canopy(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegion, seen: SeenCanopy | None) -> Int16Array:
+    bands = canopy_bands(layers, prior, region)
+    return bands if seen is None else with_seen_canopy(bands, seen)
+
+
+def with_fuel(
+    landscape: Landscape,
+    layers: FuelLayers,
+    prior: FuelPrior | None,
+    region: FuelRegion,
+    seen: SeenCanopy | None = None,
+) -> Landscape:
+    """A landscape of the fuel grid with the fuel and canopy of other layers on the same ground; `seen` as of
+    `make_landscape`.
+    """
     bands = landscape.bands.copy()
     bands[3] = surface_codes(layers, prior, region, landscape.system)
-    bands[4:] = canopy_bands(layers, prior, region)
+    bands[4:] = _canopy(layers, prior, region, seen)
     bands[:, bands[0] == NODATA] = NODATA
     return replace(landscape, bands=bands)

@@ -13,7 +13,7 @@ from ltm_core.fuel.codes import FuelRegion, FuelSystem
 from ltm_core.fuel.crosswalk import to_fbfm40
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
-from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.grid import GridGeometry
 from ltm_core.types import Float64Array, Int16Array
 
@@ -30,6 +30,7 @@ LANDSCAPE_BANDS: Final = (
 LANDSCAPE_UNITS: Final = ("m", "degrees", "degrees", "code", "percent", "m x 10", "m x 10", "kg/m3 x 100")
 FLAT: Final = -1
 """Aspect of level ground, as LANDFIRE has it."""
+_HORN: Final = np.array([1.0, 2.0, 1.0])
 _ENOUGH_CELLS = 20
 """Of the prior's own trees, to learn from what canopy a code has here."""
 
@@ -84,9 +85,15 @@ def slope_and_aspect(elevation: NDArray[np.floating], cell: float) -> tuple[Floa
     south = ndimage.sobel(np.asarray(elevation, np.float64), axis=0)[1:-1, 1:-1] / (8 * cell)
     # SciPy lets NaN through where its weight is 0.
     unknown = ndimage.maximum_filter(np.isnan(elevation), 3)[1:-1, 1:-1]
+    slope, aspect = _steepest(east, south)
+    return np.where(unknown, np.nan, slope), np.where(unknown, np.nan, aspect)
+
+
+def _steepest(east: Float64Array, south: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Slope and aspect, as of `slope_and_aspect`, of gradients (...)."""
     slope = np.degrees(np.arctan(np.hypot(east, south)))
     aspect = np.where((east == 0) & (south == 0), float(FLAT), np.degrees(np.arctan2(-east, south)) % 360)
-    return np.where(unknown, np.nan, slope), np.where(unknown, np.nan, aspect)
+    return slope, aspect
 
 
 def terrain_bands(padded: NDArray[np.floating], cell: float) -> Int16Array:
@@ -103,9 +110,11 @@ def terrain_bands(padded: NDArray[np.floating], cell: float) -> Int16Array:
         middle = around[:, 1:2, 1:2]
         onward = 2 * middle - around[:, ::-1, ::-1]
         around = np.where(np.isnan(around), np.where(np.isnan(onward), middle, onward), around)
-        for k in range(len(rows)):
-            steep, faces = slope_and_aspect(around[k], cell)
-            slope[rows[k], cols[k]], aspect[rows[k], cols[k]] = steep[0, 0], faces[0, 0]
+        # Horn's weights, as in `slope_and_aspect`, of all such cells at once.
+        columns, lines = ((around * weights).sum(axis=axis) for weights, axis in ((_HORN[:, None], 1), (_HORN, 2)))
+        slope[ragged], aspect[ragged] = _steepest(
+            (columns[:, 2] - columns[:, 0]) / (8 * cell), (lines[:, 2] - lines[:, 0]) / (8 * cell)
+        )
     # 360 is 0, and a slope that rounds to 0 may keep its direction.
     turned = np.where(aspect == FLAT, FLAT, np.round(aspect) % 360)
     bands = np.stack([np.round(own), np.round(slope), turned])
@@ -147,7 +156,7 @@ def surface_codes(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegio
     take the FBFM13 map that came with the prior where one did, else the crosswalk (`ltm_core.fuel.crosswalk`), with the
     partners that the prior itself shows. An analyst's own models, 14 to 89, stay.
     """
-    own = prior.system if prior is not None else FuelSystem.FBFM40
+    own = system_of(prior)
     if system is own:
         return layers.code
     if system is FuelSystem.FBFM40:

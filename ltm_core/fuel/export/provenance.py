@@ -15,6 +15,7 @@ from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, LANDSCAPE_UNITS, Landscape
 from ltm_core.fuel.life_form import NODATA
+from ltm_core.raster.surface_versions_io import SurfaceVersion
 from ltm_core.site import Site
 
 NOTHING_SEEN = "nothing seen"
@@ -26,6 +27,7 @@ class Provenance:
     """`as_of`: ISO 8601 UTC of the newest frame that had a say, or of the moment asked for; NOTHING_SEEN where no frame
     had, WITHOUT_DATES of a map that does not tell. `seen`, `changed`: shares of the cells with a code; None where it is
     not known. `prior_version`: LANDFIRE's where its name tells it, and a digest of the codes on the fuel grid.
+    `terrain`, `surface`: what is to be told of heights, empty where they are the site's own.
     """
 
     site: str
@@ -39,6 +41,7 @@ class Provenance:
     system: FuelSystem
     software: str
     terrain: str = ""
+    surface: str = ""
 
     def tags(self) -> dict[str, str]:
         """For GeoTIFF: TIFF's own, and ours."""
@@ -56,8 +59,7 @@ class Provenance:
             "TIFFTAG_SOFTWARE": self.software,
             "TIFFTAG_IMAGEDESCRIPTION": self.line(),
         }
-        if self.terrain:
-            tags["terrain"] = self.terrain
+        tags |= {name: text for name, text in (("terrain", self.terrain), ("surface", self.surface)) if text}
         moment = self.moment()
         if moment is not None:
             tags["TIFFTAG_DATETIME"] = moment.strftime("%Y:%m:%d %H:%M:%S")
@@ -74,7 +76,7 @@ class Provenance:
             f"{self.system.value}, region {self.region}",
             self.software,
         ]
-        return "; ".join([*parts, self.terrain] if self.terrain else parts)
+        return "; ".join(filter(None, [*parts, self.terrain, self.surface]))
 
     def moment(self) -> datetime | None:
         """None where no frame had a say, or none is dated."""
@@ -92,8 +94,11 @@ def provenance_of(
     system: FuelSystem,
     moment_ns: int | None = None,
     landscape: Landscape | None = None,
+    surface: SurfaceVersion | None = None,
 ) -> Provenance:
-    """Of the layers of a map; `moment_ns`: the moment that was asked for, of which nobody knows what had been seen."""
+    """Of the layers of a map; `moment_ns`: the moment that was asked for, of which nobody knows what had been seen.
+    `surface`: the confirmed one that its heights are of; None: they are the site's rasters'.
+    """
     known = layers.code != NODATA
     cells = int(known.sum())
     newest = int(layers.last_seen.max()) if moment_ns is None else moment_ns
@@ -108,8 +113,17 @@ def provenance_of(
     released = landfire_version(name)
     of_prior = "none" if site.fuel.prior is None else ", ".join(filter(None, (released, f"sha256 {digest}")))
     terrain = "" if landscape is None else landscape.terrain_note()
+    shape = "" if surface is None else surface_note(surface)
     return Provenance(
-        site.name, as_of, cells, seen, changed, name, of_prior, site.fuel.region, system, software(), terrain
+        site.name, as_of, cells, seen, changed, name, of_prior, site.fuel.region, system, software(), terrain, shape
+    )
+
+
+def surface_note(surface: SurfaceVersion) -> str:
+    """What is to be told of heights that views have confirmed."""
+    return (
+        f"heights of surface {surface.version}, confirmed by views as of {iso_moment(surface.as_of_ns)}: "
+        f"{surface.changed_share:.1%} of {surface.seen} terrain cells seen have changed"
     )
 
 

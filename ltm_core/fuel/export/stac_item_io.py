@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ltm_core.errors import ConfigError
-from ltm_core.fuel.export.provenance import Provenance
+from ltm_core.fuel.export.provenance import Provenance, as_rows
 from ltm_core.grid import GridGeometry
 
 _TYPES: Final[Mapping[str, str]] = {
@@ -49,7 +49,7 @@ def stac_item(files: Iterable[Path], geometry: GridGeometry, made: Provenance) -
         "proj:code": geometry.crs,
         "proj:shape": list(geometry.shape),
         "proj:transform": list(transform)[:6],
-        **{f"ltm:{name}": text for name, text in made.tags().items() if not name.startswith("TIFFTAG_")},
+        **{f"ltm:{name}": text for name, text in as_rows(made.tags())},
     }
     return {
         "type": "Feature",

@@ -7,11 +7,13 @@ from typing import Annotated, Any
 
 import typer
 
+from ltm_ros.cli.bench.archive import archive
 from ltm_ros.cli.bench.bounds import bounds
 from ltm_ros.cli.bench.fusion import fusion
 from ltm_ros.cli.bench.graph import graph
 from ltm_ros.cli.bench.memory import memory
 from ltm_ros.cli.bench.network import network
+from ltm_ros.cli.bench.region import region
 from ltm_ros.cli.bench.render import render
 from ltm_ros.cli.bench.runs import print_conditions
 from ltm_ros.cli.bench.segmentation import segmentation
@@ -25,10 +27,12 @@ bench = typer.Typer(
     no_args_is_help=True,
 )
 bench.command()(graph)
+bench.command()(archive)
 bench.command()(bounds)
 bench.command()(memory)
 bench.command()(network)
 bench.command()(fusion)
+bench.command()(region)
 bench.command()(render)
 bench.command()(segmentation)
 bench.command()(sources)

@@ -46,8 +46,8 @@ def sources(
         result = run_sources(cameras, every, seconds, width, ahead, domain)
     console.print(
         f"{result.cameras} cameras, a snapshot of {result.picture_kb:.0f} kB each {result.every:g} s: "
-        f"{result.cores:.1%} of a core, {1000 * result.cores * result.every / result.cameras:.1f} ms a picture, "
-        f"{result.pss_mb:.0f} MB, {result.threads} threads",
+        f"{result.pictures} came in {result.seconds:.0f} s, {result.cores:.1%} of a core, "
+        f"{result.cpu_ms_each:.1f} ms a picture, {result.pss_mb:.0f} MB, {result.threads} threads",
         highlight=False,
     )
     console.print(

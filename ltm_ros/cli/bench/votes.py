@@ -24,8 +24,9 @@ def votes(
 
     from ltm_core.bench.measure import conditions
     from ltm_core.bench.votes import REACH, run
+    from ltm_core.fuel.vote_columns import MAX_BYTES, fitting
     from ltm_core.vision.labels import LabelSet
-    from ltm_msgs_py.votes import MAX_BYTES, fitting, votes_to_msg
+    from ltm_msgs_py.votes import votes_to_msg
     from ltm_ros.evaluation.figures_io import write_figures
 
     console = Console()

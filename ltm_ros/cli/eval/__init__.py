@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from ltm_ros.cli.eval.bag import bag
+from ltm_ros.cli.eval.canopy import canopy
 from ltm_ros.cli.eval.crosswalk import crosswalk
 from ltm_ros.cli.eval.depth import depth
 from ltm_ros.cli.eval.dirty_lens import dirty_lens
@@ -25,6 +26,7 @@ from ltm_ros.cli.eval.relative_depth import relative_depth
 from ltm_ros.cli.eval.segmentation import segmentation
 from ltm_ros.cli.eval.sim2real import sim2real
 from ltm_ros.cli.eval.terrain import terrain
+from ltm_ros.cli.eval.update import update
 from ltm_ros.cli.eval.usable import usable
 
 WHOLE = "bag"
@@ -42,6 +44,7 @@ class EvalGroup(TyperGroup):
 
 evaluate = typer.Typer(cls=EvalGroup, no_args_is_help=True, help="Score a recorded run, or one part of the system.")
 evaluate.command(WHOLE)(bag)
+evaluate.command()(canopy)
 evaluate.command()(crosswalk)
 evaluate.command()(depth)
 evaluate.command()(dirty_lens)
@@ -57,4 +60,5 @@ evaluate.command()(relative_depth)
 evaluate.command()(segmentation)
 evaluate.command()(sim2real)
 evaluate.command()(terrain)
+evaluate.command()(update)
 evaluate.command()(usable)

@@ -26,25 +26,22 @@ def dirty_lens(
     json_path: JsonFile = None,
 ) -> None:
     """Count series of pictures with dirt drawn onto the lens that are told, and series without that are told too."""
-    import numpy as np
     from rich.console import Console
     from rich.table import Table
 
     from ltm_core.errors import ConfigError
     from ltm_core.evaluation.segmentation.dirty_pictures import CASES, CLEAN, told_dirty
+    from ltm_core.evenly import evenly
+    from ltm_core.picture_io import read_rgb
     from ltm_ros.evaluation.figures_io import write_figures
-    from ltm_ros.recordings.camera_pictures import pictures_in, pictures_of_cameras, read_rgb
+    from ltm_ros.recordings.camera_pictures import pictures_in, pictures_of_cameras
 
     if photos is None and frames is None:
         raise ConfigError("give a folder of photos, or --frames FOLDER, or both")
     console = Console()
     figures: dict[str, object] = {}
     if photos is not None:
-        paths = pictures_in(photos)
-        paths = paths if half is Half.ALL else paths[0 if half is Half.A else 1 :: 2]
-        chosen = [
-            paths[k] for k in np.unique(np.linspace(0, len(paths) - 1, min(most, len(paths))).round().astype(int))
-        ]
+        chosen = evenly(half.of(pictures_in(photos)), most)
         told = dict.fromkeys(CASES, 0)
         for number, path in enumerate(chosen):
             for case, said in told_dirty(read_rgb(path), number).items():

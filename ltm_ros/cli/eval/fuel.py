@@ -32,12 +32,16 @@ def fuel(
     levels: Annotated[
         str, typer.Option(help="Draw so many times the network's share of wrong labels, with commas: the trade-off.")
     ] = "1",
+    hours: Annotated[
+        str, typer.Option(help="Hours at which each view is taken, with commas; default: as each trial has it.")
+    ] = "",
     json_path: JsonFile = None,
 ) -> None:
-    """Score flips, false flips and right cells of the evidence map and the majority vote, trial by trial or of BAG."""
+    """Score flips, false flips and right cells of the evidence map and the majority vote, trial by trial or of BAG;
+    of reported changes user's and producer's accuracy, as many as here and at 1 % changed."""
     from ltm_ros.cli.eval.fuel_tables import score_recording, score_trials
 
     if bag is not None:
         score_recording(bag, site, truth, date, repeat_hours, json_path)
     else:
-        score_trials(dem, model, trials, range(first_seed, first_seed + seeds), levels, json_path)
+        score_trials(dem, model, trials, range(first_seed, first_seed + seeds), levels, hours, json_path)

@@ -12,11 +12,9 @@ from ltm_ros.cli.output import JsonFile
 def mount(
     heads: Annotated[int, typer.Option(min=2, max=1000, help="Simulated heads for each number of landmarks.")] = 40,
     seed: Annotated[int, typer.Option(help="Of the heads and their landmarks.")] = 2026,
-    json: JsonFile = None,
+    json_path: JsonFile = None,
 ) -> None:
     """Worst error of a direction after a calibration by 4, 6, 8 landmarks, and without one. Simulated marks."""
-    import json as json_format
-
     import numpy as np
     from rich.console import Console
     from rich.table import Table
@@ -30,6 +28,7 @@ def mount(
         landmark_trial,
         refused,
     )
+    from ltm_ros.evaluation.figures_io import write_figures
 
     title = (
         f"{heads} simulated heads each (lean {LEAN_DEG[0]}, {LEAN_DEG[1]} deg, tilt zero {TILT_ZERO_DEG}, encoders "
@@ -55,5 +54,5 @@ def mount(
     console = Console()
     console.print(table)
     console.print(f"refused: {', '.join(str(n) for n in (1, 2, 3) if refused(n))} landmarks", highlight=False)
-    if json is not None:
-        json.write_text(json_format.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    if json_path is not None:
+        write_figures(json_path, figures)

@@ -21,13 +21,13 @@ def relative_depth(
     (RANSAC, the same for every network), and how many pairs of pixels are in order of near and far."""
     from dataclasses import asdict
 
-    import numpy as np
     from rich.console import Console
     from rich.table import Table
 
     from ltm_core.depth.monocular import DepthNetwork
     from ltm_core.errors import RecordingError
     from ltm_core.evaluation.depth.relative_depth import bin_names, score_relative_depth
+    from ltm_core.evenly import evenly
     from ltm_core.training.labelled_frames import read_frames
     from ltm_core.vision.labels import LabelSet
     from ltm_core.vision.segmenter import DEFAULT_MODEL
@@ -41,8 +41,8 @@ def relative_depth(
     result: dict[str, object] = {}
     for place in places:
         frames = read_frames(place, len(labels), sampled=True)
-        if limit is not None and limit < len(frames):
-            frames = [frames[i] for i in np.linspace(0, len(frames) - 1, limit).round().astype(int)]
+        if limit is not None:
+            frames = evenly(frames, limit)
         scores = {network.manifest.name: score_relative_depth(network, frames) for network in networks}
         one = next(iter(scores.values()))
         table = Table(

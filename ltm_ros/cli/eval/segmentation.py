@@ -62,7 +62,6 @@ def segmentation(
     import platform
     from functools import partial
 
-    import numpy as np
     from rich.console import Console
 
     from ltm_core.errors import RecordingError
@@ -70,9 +69,10 @@ def segmentation(
     from ltm_core.evaluation.segmentation.ignored_classes import without_classes
     from ltm_core.evaluation.segmentation.network_score import LabelScore, score_frames
     from ltm_core.evaluation.segmentation.overlays_io import write_overlay
+    from ltm_core.evenly import evenly
     from ltm_core.training.labelled_frames import LABELS_SUFFIX, holds_frames, read_frames
-    from ltm_core.training.polygon_labels_io import POLYGONS_FILE
     from ltm_core.vision.label_head import SHIPPED_HEAD
+    from ltm_core.vision.polygons_io import POLYGONS_FILE
     from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
     from ltm_ros.cli.eval.segmentation_tables import confusion_table, score_table
     from ltm_ros.evaluation.figures_io import write_figures
@@ -108,8 +108,8 @@ def segmentation(
     drawn: dict[str, LabelScore] = {}
     for path in sets:
         frames = read_frames(path, len(labels), sampled=True)
-        if limit is not None and limit < len(frames):
-            frames = [frames[i] for i in np.linspace(0, len(frames) - 1, limit).round().astype(int)]
+        if limit is not None:
+            frames = evenly(frames, limit)
         frames = without_classes(frames, left_out)
         scores = {}
         for s in segmenters:

@@ -31,13 +31,13 @@ def sim2real(
     from ltm_core.evaluation.sim2real.comparison import advice, compare
     from ltm_core.evaluation.sim2real.distribution import Estimate
     from ltm_core.evaluation.sim2real.lpips import Backbone
-    from ltm_core.evaluation.sim2real.picture_folder_io import pictures_in
+    from ltm_core.evaluation.sim2real.picture_folder_io import pictures_below
     from ltm_ros.evaluation.figures_io import write_figures
 
     if backbone not in ("alexnet", "vgg16"):
         raise ConfigError(f"--backbone {backbone!r}: LPIPS has alexnet and vgg16")
     console = Console()
-    a, b = pictures_in(real), pictures_in(simulated)
+    a, b = pictures_below(real), pictures_below(simulated)
     with console.status("reading") as status:
         found, pairing = compare(
             a, b, pairs, side, seed, cast(Backbone, backbone), lambda what, i, n: status.update(f"{what}: {i} of {n}")

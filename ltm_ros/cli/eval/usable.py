@@ -16,6 +16,9 @@ class Half(StrEnum):
     A = "a"
     B = "b"
 
+    def of(self, paths: list[Path]) -> list[Path]:
+        return paths if self is Half.ALL else paths[0 if self is Half.A else 1 :: 2]
+
 
 def usable(
     photos: Annotated[Path, typer.Argument(help="Folder of photos that can be used.")],
@@ -33,12 +36,12 @@ def usable(
     from rich.table import Table
 
     from ltm_core.evaluation.segmentation.spoilt_pictures import WAYS, spoilt
+    from ltm_core.picture_io import read_rgb
     from ltm_core.vision.usable import judge
     from ltm_ros.evaluation.figures_io import write_figures
-    from ltm_ros.recordings.camera_pictures import pictures_in, read_rgb
+    from ltm_ros.recordings.camera_pictures import pictures_in
 
-    paths = pictures_in(photos)
-    paths = paths if half is Half.ALL else paths[0 if half is Half.A else 1 :: 2]
+    paths = half.of(pictures_in(photos))
     refused: dict[str, str] = {}
     told = dict.fromkeys(WAYS, 0)
     kept = dict.fromkeys(WAYS, 0)

@@ -61,6 +61,7 @@ def head(
     from ltm_core.evaluation.segmentation.ignored_classes import without_classes
     from ltm_core.evaluation.segmentation.network_score import score_frames
     from ltm_core.evaluation.segmentation.overlays_io import write_overlay
+    from ltm_core.evenly import evenly
     from ltm_core.training.head_trial import teach_head
     from ltm_core.training.labelled_frames import read_frames
     from ltm_core.vision.label_head_io import heads_folder, read_head, write_head
@@ -96,9 +97,7 @@ def head(
     try:
         taught = Segmenter(manifest, threads, segmenter.labels, head=read_head(part, manifest)[0])
         for folder in also or []:
-            others = read_frames(folder, len(names), sampled=True)
-            chosen = np.linspace(0, len(others) - 1, min(limit, len(others))).round().astype(int)
-            others = [others[i] for i in chosen]
+            others = evenly(read_frames(folder, len(names), sampled=True), limit)
             elsewhere = {
                 "the network": score_frames(segmenter, others),
                 f"head {path.stem}": score_frames(taught, others),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ElementTree  # nosec B405 # documents with a DTD are refused before they are parsed
 from collections.abc import Collection, Mapping
-from urllib.parse import SplitResult, urlsplit
+from urllib.parse import SplitResult, urlsplit, urlunsplit
 
 from ltm_core.ptz_config import PtzSettings
 from ltm_core.source_config import HttpSettings, NetworkSettings, SourceConfig
@@ -83,6 +83,14 @@ def split_address(url: str) -> SplitResult:
         return urlsplit(url)
     except ValueError:
         raise SourceError(f"the camera states an address that is none: {url[:60]!r}") from None
+
+
+def at_asked_host(stated: str, asked: str) -> str:
+    """The address that a camera states, with scheme, host and port of `asked`: behind a gateway cameras state others,
+    and a password goes nowhere but to the host that its owner has named. Raises SourceError.
+    """
+    parts, own = split_address(stated.strip()), split_address(asked)
+    return urlunsplit((own.scheme, own.netloc, parts.path, parts.query, ""))
 
 
 def local(element: ElementTree.Element) -> str:

@@ -8,6 +8,7 @@ from typing import Protocol
 
 from ltm_core.ptz_config import IsapiConfig, OnvifConfig, PtzConfig, ReolinkConfig, VapixConfig
 from ltm_ros.sources.direction import Reading, Tolerance
+from ltm_ros.sources.errors import SourceError
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,13 @@ class Head(Protocol):
         ...
 
     def close(self) -> None: ...
+
+
+def token_of(presets: Mapping[str, str], preset: str) -> str:
+    """What the head calls a preset. Raises SourceError naming those there are."""
+    if preset not in presets:
+        raise SourceError(f"the head has no preset {preset!r}; it has {', '.join(presets) or 'none'}")
+    return presets[preset]
 
 
 def tolerance_of(config: PtzConfig) -> Tolerance:

@@ -13,7 +13,7 @@ from ltm_core.source_config import SourceConfig
 from ltm_ros.sources.direction import Reading
 from ltm_ros.sources.errors import SourceError
 from ltm_ros.sources.ptz.connection import Connection, found, local, number, parsed_xml, settings_of
-from ltm_ros.sources.ptz.head import Limits, spacing_for, tolerance_of
+from ltm_ros.sources.ptz.head import Limits, spacing_for, token_of, tolerance_of
 
 
 class IsapiHead:
@@ -27,15 +27,11 @@ class IsapiHead:
         self.spacing = spacing_for(tolerance_of(config).angle_deg)
 
     def read(self) -> Reading:
-        page, place, names = (
-            ("status", ("AbsoluteHigh",), ("azimuth", "elevation", "absoluteZoom"))
-            if self._tenths
-            else ("absoluteEx", (), ("azimuth", "elevation", "absoluteZoom"))
-        )
+        page, place = ("status", ("AbsoluteHigh",)) if self._tenths else ("absoluteEx", ())
         root = parsed_xml(self._connection.ask(f"{self._base}/{page}").body)
         at = time.monotonic()
         values = []
-        for name in names:
+        for name in ("azimuth", "elevation", "absoluteZoom"):
             element = found(root, *place, name)
             if element is None:
                 raise SourceError(f"the head's page {page} holds no {name}: write the other units as ptz.units")
@@ -70,10 +66,7 @@ class IsapiHead:
         return known
 
     def go_to(self, preset: str) -> None:
-        known = self.presets()
-        if preset not in known:
-            raise SourceError(f"the head has no preset {preset!r}; it has {', '.join(known) or 'none'}")
-        self._connection.ask(f"{self._base}/presets/{known[preset]}/goto", "PUT")
+        self._connection.ask(f"{self._base}/presets/{token_of(self.presets(), preset)}/goto", "PUT")
 
     def close(self) -> None:
         self._connection.close()

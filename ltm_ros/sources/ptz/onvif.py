@@ -11,8 +11,8 @@ from ltm_core.ptz_config import OnvifConfig
 from ltm_core.source_config import SourceConfig
 from ltm_ros.sources.direction import Reading
 from ltm_ros.sources.errors import SourceError
-from ltm_ros.sources.ptz.connection import Connection, found, local, number, settings_of, split_address
-from ltm_ros.sources.ptz.head import Limits, spacing_for, tolerance_of
+from ltm_ros.sources.ptz.connection import Connection, at_asked_host, found, local, number, settings_of
+from ltm_ros.sources.ptz.head import Limits, spacing_for, token_of, tolerance_of
 from ltm_ros.sources.ptz.soap import DEVICE, MEDIA, PTZ, STREAM_SETUP, SoapClient
 
 _DEGREES = "SphericalPositionSpaceDegrees"
@@ -70,10 +70,7 @@ class OnvifHead:
         return known
 
     def go_to(self, preset: str) -> None:
-        known = self.presets()
-        if preset not in known:
-            raise SourceError(f"the head has no preset {preset!r}; it has {', '.join(known) or 'none'}")
-        self._ask("GotoPreset", {"PresetToken": known[preset]})
+        self._ask("GotoPreset", {"PresetToken": token_of(self.presets(), preset)})
 
     def picture_addresses(self) -> tuple[str | None, str | None]:
         """URLs of a snapshot and of a stream, as the camera states them."""
@@ -99,7 +96,7 @@ class OnvifHead:
         return self.soap.call(address, PTZ, name, {**whole, **(arguments or {})})
 
     def _services(self) -> tuple[str, str]:
-        """Addresses of media and PTZ, at the host that was asked: behind a gateway, cameras state another."""
+        """Addresses of media and PTZ, at the host that was asked."""
         if self._addresses is None:
             root = self.soap.call(self._device, DEVICE, "GetCapabilities", {"Category": "All"})
             places = []
@@ -108,9 +105,7 @@ class OnvifHead:
                 if address is None or not address.text:
                     what = "no head" if name == "PTZ" else "no pictures"
                     raise SourceError(f"the camera has {what} by ONVIF (no service {name})")
-                parts = split_address(address.text.strip())
-                path = parts.path + (f"?{parts.query}" if parts.query else "")
-                places.append(self._connection.settings.url + path)
+                places.append(at_asked_host(address.text, self._connection.settings.url))
             self._addresses = places[0], places[1]
         return self._addresses
 

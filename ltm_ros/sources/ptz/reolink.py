@@ -17,7 +17,7 @@ from ltm_ros.sources.credentials import Login
 from ltm_ros.sources.direction import Reading
 from ltm_ros.sources.errors import SourceError, UnauthorisedError
 from ltm_ros.sources.ptz.connection import Connection, number, settings_of
-from ltm_ros.sources.ptz.head import Limits, spacing_for, tolerance_of
+from ltm_ros.sources.ptz.head import Limits, spacing_for, token_of, tolerance_of
 
 _PAGE = "/cgi-bin/api.cgi"
 _LOGIN_AGAIN = -6
@@ -68,10 +68,8 @@ class ReolinkHead:
         return {str(row.get("name") or row["id"]): str(row["id"]) for row in rows}
 
     def go_to(self, preset: str) -> None:
-        known = self.presets()
-        if preset not in known:
-            raise SourceError(f"the head has no preset {preset!r}; it has {', '.join(known) or 'none'}")
-        where = {"channel": self._config.channel, "op": "ToPos", "speed": 32, "id": int(known[preset])}
+        number = int(token_of(self.presets(), preset))
+        where = {"channel": self._config.channel, "op": "ToPos", "speed": 32, "id": number}
         self._ask("PtzCtrl", where)
 
     def close(self) -> None:

@@ -12,7 +12,7 @@ from ltm_core.source_config import SourceConfig
 from ltm_ros.sources.direction import Reading
 from ltm_ros.sources.errors import SourceError
 from ltm_ros.sources.ptz.connection import Connection, number, settings_of
-from ltm_ros.sources.ptz.head import Limits, spacing_for, tolerance_of
+from ltm_ros.sources.ptz.head import Limits, spacing_for, token_of, tolerance_of
 
 _PAGE = "/axis-cgi/com/ptz.cgi"
 _PRESET = re.compile(r"presetposno(\d+)")
@@ -49,9 +49,7 @@ class VapixHead:
         return found
 
     def go_to(self, preset: str) -> None:
-        known = self.presets()
-        if preset not in known:
-            raise SourceError(f"the head has no preset {preset!r}; it has {', '.join(known) or 'none'}")
+        token_of(self.presets(), preset)  # where it has none of that name, it says nothing
         self._ask(f"gotoserverpresetname={quote(preset)}", accepted=(200, 204))
 
     def close(self) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from chaos import report
 from chaos.resources import waited_s
 from chaos.soak import Soak
 from scenes.waiting import wait_for
@@ -16,6 +17,7 @@ from scenes.waiting import wait_for
 from ltm_core.resources import project_path
 from ltm_ros.bench.growth import SUM, Growth, GrowthWatch, HeldMore, Sample, folder_bytes
 from ltm_ros.bench.process_usage import Usage, usage
+from ltm_ros.runtime.process_memory import MemoryInUse
 
 _BYTES = 10_000 * mmap.PAGESIZE
 
@@ -82,6 +84,24 @@ def test_a_single_step_is_no_slope_and_is_told() -> None:
         total = soak.growth()[SUM]
         assert (total.slope, total.grown, total.largest_step) == (0.0, 2048.0, 2048.0)
         assert soak.missed() == []
+
+
+def test_growth_in_use_is_told_by_process_and_is_not_that_of_holes() -> None:
+    """Both processes ask for 20 kB a minute; the objects of one grow by 4 of them, those of the other by none."""
+    soak = _soak(45, lambda t: 5000 + 20 * t, lambda t: 6000 + 20 * t)
+    for sample in soak.samples:
+        minute = sample.seconds / 60
+        grows = MemoryInUse(4096 * round(1000 + minute), 70 + 3 * round(2 * minute))
+        soak.in_use.append({"0": grows, "1": MemoryInUse(9 << 20, 800)})
+    soak.in_use[5]["came late"] = MemoryInUse(5, 5)
+    found = soak.growth_in_use()
+    assert found.keys() == {"0", "1"}
+    np.testing.assert_allclose([found["0"].heap_kb.slope, found["0"].python_blocks.slope], [4.0, 6.0], rtol=0.01)
+    assert (found["1"].heap_kb.slope, found["1"].python_blocks.slope) == (0.0, 0.0)
+    *_, first, second, total = report.growth(soak.growth(), found)
+    assert first.split(";")[-1].split() == ["4.0", "(4.0", "to", "4.0),", "6"]
+    assert second.split(";")[-1].split() == ["0.0", "(0.0", "to", "0.0),", "0"]
+    assert total.split()[:3] == ["in", "sum", "40.0"]
 
 
 def test_pages_of_files_are_not_a_process_own() -> None:

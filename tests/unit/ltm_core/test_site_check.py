@@ -11,10 +11,12 @@ import yaml
 from scenes.networks import write_classifier, write_swapping_head
 
 from ltm_core.camera import Camera
+from ltm_core.camera_check import check_views
 from ltm_core.dem import Dem
+from ltm_core.finding import Verdict
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
-from ltm_core.site_check import SiteCheck, Verdict, check_site, check_views
+from ltm_core.site_check import SiteCheck, check_site
 from ltm_core.visibility.viewshed import PosedCamera
 
 FINE = GridGeometry(346_500.0, 3_784_000.0, 10.0, 120, 100, "EPSG:32611")

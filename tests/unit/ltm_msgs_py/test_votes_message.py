@@ -12,9 +12,10 @@ from sensor_msgs.msg import PointCloud2, PointField
 
 from ltm_core.errors import MessageError
 from ltm_core.fuel.cell_visibility import CellVisibility
+from ltm_core.fuel.vote_columns import MAX_BYTES, fitting
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
-from ltm_msgs_py.votes import MAX_BYTES, fitting, msg_to_votes, votes_to_msg
+from ltm_msgs_py.votes import msg_to_votes, votes_to_msg
 
 GRID = GridGeometry(-585.0, 315.0, 30.0, 7, 5)
 NAMES = ("grass", "shrub", "tree")

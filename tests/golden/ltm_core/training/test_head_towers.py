@@ -8,8 +8,10 @@ import pytest
 
 from ltm_core.training.head_trial import teach_head
 from ltm_core.training.labelled_frames import read_frames
-from ltm_core.training.polygon_labels_io import POLYGONS_FILE, drawn, read_polygons
+from ltm_core.training.polygon_labels_io import read_polygons
+from ltm_core.vision.area_labels import labels_of
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
+from ltm_core.vision.polygons_io import POLYGONS_FILE
 from ltm_core.vision.segmenter import Segmenter
 
 
@@ -19,7 +21,7 @@ def test_polygons_and_pictures_of_the_same_areas_agree(shared_data: Path) -> Non
     frames = read_frames(folder, len(labels))
     assert [frame.path.name for frame in frames] == sorted(named)
     for frame in frames:
-        areas = drawn(named[frame.path.name], labels, frame.labels.shape)
+        areas = labels_of(named[frame.path.name], *frame.labels.shape, labels)
         assert (areas != frame.labels).sum() < 0.01 * (areas != UNLABELLED).sum()  # the outlines' own pixels
 
 

@@ -77,13 +77,14 @@ CASES = {
 }
 
 
+@pytest.mark.parametrize("count", [10, pytest.param(24, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("case", CASES)
-def test_rays_against_the_reference(case: str) -> None:
+def test_rays_against_the_reference(case: str, count: int) -> None:
     dem = CASES[case]()
     tracer = TerrainTracer(dem)
     rng = np.random.default_rng(len(case))
     kinds = []
-    for position in positions(dem, rng, 24):
+    for position in positions(dem, rng, count):
         rays = directions(rng, 250)
         try:
             fast = tracer.trace_rays(position, rays)

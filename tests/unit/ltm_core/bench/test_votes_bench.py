@@ -8,7 +8,7 @@ from pathlib import Path
 from typer.testing import CliRunner
 
 from ltm_core.bench.votes import VIEWS
-from ltm_msgs_py.votes import MAX_BYTES
+from ltm_core.fuel.vote_columns import MAX_BYTES
 from ltm_ros.cli.main import cli
 
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from ltm_core.errors import ImageError
 from ltm_core.evaluation.sim2real.comparison import advice, pair_up, ssim
-from ltm_core.evaluation.sim2real.picture_folder_io import middle_square, pictures_in, read_square
+from ltm_core.evaluation.sim2real.picture_folder_io import middle_square, pictures_below, read_square
 from ltm_ros.cli.main import cli
 
 metrics = pytest.importorskip("skimage.metrics", reason="SSIM is scikit-image's: pip install 'ltm[eval]'")
@@ -58,18 +58,18 @@ def test_middle_square() -> None:
     np.testing.assert_array_equal(middle_square(wide, 2)[:, :, 0], [[100, 200], [100, 200]])
 
 
-def test_pictures_in(tmp_path: Path) -> None:
+def test_pictures_below(tmp_path: Path) -> None:
     real = folder(tmp_path / "real", range(3), "a")
     cv2.imwrite(str(real / "0000_labels.png"), np.zeros((4, 4), np.uint8))
     (real / "notes.txt").touch()
-    assert [p.stem for p in pictures_in(real)] == ["a000", "a001", "a002"]
+    assert [p.stem for p in pictures_below(real)] == ["a000", "a001", "a002"]
     np.testing.assert_array_equal(read_square(real / "a001.png", 60), middle_square(picture(1)[..., ::-1], 60))
     (real / "broken.jpg").write_bytes(b"no")
     with pytest.raises(ImageError, match="broken"):
         read_square(real / "broken.jpg", 8)
     (tmp_path / "empty").mkdir()
     with pytest.raises(ImageError, match="no picture"):
-        pictures_in(tmp_path / "empty")
+        pictures_below(tmp_path / "empty")
 
 
 def test_pairing() -> None:
@@ -96,7 +96,7 @@ def test_advice() -> None:
 def test_a_folder_against_itself(tmp_path: Path) -> None:
     from ltm_core.evaluation.sim2real.comparison import compare
 
-    paths = pictures_in(folder(tmp_path / "real", range(8), "a"))
+    paths = pictures_below(folder(tmp_path / "real", range(8), "a"))
     found, pairing = compare(paths, paths, pairs=10, side=64)
     assert pairing.rule == "pictures of equal names"
     values = {row.name: row.estimate.value for row in found}
@@ -104,7 +104,7 @@ def test_a_folder_against_itself(tmp_path: Path) -> None:
     assert values["LPIPS"] == 0
     assert values["FID"] == pytest.approx(0, abs=1e-6)
     assert values["KID"] < 0  # unbiased: the same pictures are nearer than two samples of one population
-    others = pictures_in(folder(tmp_path / "other", range(100, 108), "b"))
+    others = pictures_below(folder(tmp_path / "other", range(100, 108), "b"))
     apart = {row.name: row.estimate for row in compare(paths, others, pairs=10, side=64)[0]}
     assert apart["FID"].value > 1
     assert apart["SSIM"].value < 1

@@ -83,6 +83,18 @@ def test_the_same_seed_draws_the_same() -> None:
     assert (first != second).any()
 
 
+def test_no_draw_changes_a_code_of_no_known_form() -> None:
+    codes = np.full((3, 4), 102, np.int16)
+    codes[1] = (256, 20, 98, 102)
+    prior = FuelPrior(codes, GridGeometry(0.0, 90.0, 30.0, 4, 3, "EPSG:32611"))
+    layers = layers_of_classes(np.full((3, 4), LifeForm.TREE, np.uint8), prior, REGION)
+    np.testing.assert_array_equal(layers.code[1], (256, 20, 98, 183))
+    doubts = CellDoubt.of(layers, np.full((3, 4, FORMS), 2.0), MASK)
+    for seed in range(20):
+        drawn = drawn_codes(doubts, REGION, FuelSystem.FBFM40, np.random.default_rng(seed))
+        np.testing.assert_array_equal(drawn[1, :3], (256, 20, 98))
+
+
 def test_layers_with_drawn_codes() -> None:
     prior = FuelPrior(np.full((3, 4), 102, np.int16), GridGeometry(0.0, 90.0, 30.0, 4, 3, "EPSG:32611"))
     layers = layers_of_classes(np.full((3, 4), 255, np.uint8), prior, REGION)

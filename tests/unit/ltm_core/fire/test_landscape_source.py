@@ -37,6 +37,8 @@ def test_what_we_write_comes_back(tmp_path: Path, name: str) -> None:
     require_same_grid(made, found, ("made", "found"))
     write_landscape(tmp_path / "13.tif", landscape((2, 9, 98)))
     assert read_landscape(tmp_path / "13.tif").system is FuelSystem.FBFM13
+    write_landscape(tmp_path / "own.tif", landscape((2, 9, 20, 256)))  # an analyst's model, and a mark of ELMFIRE's
+    assert read_landscape(tmp_path / "own.tif").system is FuelSystem.FBFM13
 
 
 def test_landfires_nodata(tmp_path: Path) -> None:

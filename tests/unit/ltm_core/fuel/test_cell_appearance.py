@@ -21,7 +21,7 @@ from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.training.cell_appearance_fit import LEAST_CELLS, fit_cell_appearance, seen_cells
-from ltm_core.training.cell_appearance_io import learn_cell_appearance, write_cell_appearance
+from ltm_core.training.cell_appearance_io import LearntLook, learn_cell_appearance, write_cell_appearance
 
 HEIGHT, WIDTH = 31, 44
 GRID = GridGeometry(0.0, 30.0 * HEIGHT, 30.0, WIDTH, HEIGHT)
@@ -96,9 +96,13 @@ def site(seed: int) -> SimulatedVotes:
     return SimulatedVotes(f"s{seed}", [seen_from(*view, truth, 9 * seed + k) for k, view in enumerate(views)], truth)
 
 
-def test_learnt_looks_see_behind_what_stands_before() -> None:
+@pytest.fixture(scope="module")
+def learnt() -> LearntLook:
+    return learn_cell_appearance([site(1), site(2)], LABELS)
+
+
+def test_learnt_looks_see_behind_what_stands_before(learnt: LearntLook) -> None:
     """On a site that taught nothing, cells behind trees are told where most of their labels are wrong."""
-    learnt = learn_cell_appearance([site(1), site(2)], LABELS)
     other = site(3)
     cells = seen_cells(other.votes, other.truth, FORM_IDS)
     told = learnt.appearance.log_likelihood(cells.seen, cells.cosine).argmax(axis=1) == cells.true
@@ -113,8 +117,7 @@ def test_learnt_looks_see_behind_what_stands_before() -> None:
     assert found.view < 0.9  # each frame's pixels are drawn anew
 
 
-def test_a_file_and_back(tmp_path: Path) -> None:
-    learnt = learn_cell_appearance([site(1), site(2)], LABELS)
+def test_a_file_and_back(learnt: LearntLook, tmp_path: Path) -> None:
     write_cell_appearance(tmp_path / "net.yaml", learnt, "drawn")
     errors = LabelErrors.load(tmp_path / "net.yaml")
     assert errors.appearance is not None
@@ -123,9 +126,8 @@ def test_a_file_and_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(errors.appearance.weights, learnt.appearance.weights, atol=0.006, equal_nan=True)
 
 
-def test_evidence_is_of_the_look_and_of_labels_it_does_not_know() -> None:
+def test_evidence_is_of_the_look_and_of_labels_it_does_not_know(learnt: LearntLook) -> None:
     other = site(4)
-    learnt = learn_cell_appearance([site(1), site(2)], LABELS)
     votes = other.votes[0]
     water = votes.counts.copy()
     water[:50] = 0

@@ -56,6 +56,17 @@ def test_two_frames_an_hour_apart_change_a_life_form() -> None:
     assert layers.last_seen[0, 0] == (NOW + HOUR) * 10**9
 
 
+@pytest.mark.parametrize("kept", [256, 20, 95])
+def test_what_is_seen_never_changes_a_code_of_no_known_form(kept: int) -> None:
+    """A prior's own marks that `unknown_codes: keep` lets pass, and an analyst's models."""
+    codes = np.where(CODES == 145, np.int16(kept), CODES)
+    assert (codes == kept).any()
+    layers = fuel_map(votes(Label.TREE), votes(Label.TREE, NOW + HOUR), prior=FuelPrior(codes, GRID)).layers()
+    assert (layers.code[codes == kept] == kept).all()
+    assert not layers.changed[codes == kept].any()
+    assert layers.changed.any()
+
+
 def test_frames_less_than_an_hour_apart_do_not() -> None:
     burst = [votes(Label.TREE, NOW + k) for k in range(20)]
     layers = fuel_map(*burst).layers()

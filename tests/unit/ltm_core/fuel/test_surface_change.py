@@ -137,6 +137,8 @@ def frame(label: int, second: int, source: str) -> CellVotes:
         (102, GROWN, 2.0, 145),
         (122, LOWERED, -4.0, 99),
         (122, GROWN, 1.8, 122),
+        (20, GROWN, 9.0, 20),
+        (256, GROWN, 9.0, 256),
     ],
 )
 def test_told_cells_change_and_no_others(

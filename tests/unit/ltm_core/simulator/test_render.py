@@ -15,7 +15,7 @@ from ltm_core.errors import CameraError
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.simulator.landcover import BARE, GRASS, SHRUB, SKY, TREE, LandCover, Stand
-from ltm_core.simulator.mitsuba_scene import EARTH_RADIUS, REFRACTION, SceneBuilder, mitsuba
+from ltm_core.simulator.mitsuba_scene import EARTH_RADIUS, REFRACTION, EyePointScenes, SceneBuilder, mitsuba
 from ltm_core.simulator.output_io import write_frame, write_index, write_site
 from ltm_core.simulator.render import render_range
 from ltm_core.simulator.run import SimulatedSite, plan_shots, rasters_at, render_shots
@@ -89,24 +89,30 @@ def plane_range(camera: Camera, pose: Pose, bend: float) -> Float64Array:
     return np.where(r > 0, r * np.sqrt(1 + s * s), np.inf)
 
 
-@pytest.mark.parametrize("curvature", [False, True])
-@pytest.mark.parametrize("camera", CAMERAS)
-def test_range_through_pixel_centres_is_exact_on_a_plane(camera: Camera, curvature: bool) -> None:
-    config = scenario(curvature=curvature)
+EYE = np.array([310.0, 150.0, HEIGHT + SLOPE_X * 310 + SLOPE_Y * 150 + 30.0])
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["flat", "curved"])
+def plane_view(request: pytest.FixtureRequest) -> EyePointScenes:
+    """What an eye over the plane sees, without and with the Earth's curvature."""
     site = plane_site()
-    eye = np.array([310.0, 150.0, HEIGHT + SLOPE_X * 310 + SLOPE_Y * 150 + 30.0])
-    view = SceneBuilder(config, site.terrain, site.cover).view(eye)
-    assert view.bend == pytest.approx((1 - REFRACTION) / (2 * EARTH_RADIUS) if curvature else 0.0)
-    pose = Pose.from_angles(eye, 20.0, -17.0, 6.0)
-    ranges = render_range(view.ground, camera, pose)
-    truth = plane_range(camera, pose, view.bend)
+    view = SceneBuilder(scenario(curvature=request.param), site.terrain, site.cover).view(EYE)
+    assert view.bend == pytest.approx((1 - REFRACTION) / (2 * EARTH_RADIUS) if request.param else 0.0)
+    return view
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_range_through_pixel_centres_is_exact_on_a_plane(camera: Camera, plane_view: EyePointScenes) -> None:
+    pose = Pose.from_angles(EYE, 20.0, -17.0, 6.0)
+    ranges = render_range(plane_view.ground, camera, pose)
+    truth = plane_range(camera, pose, plane_view.bend)
     points = pose.position + camera.rays() @ pose.rotation.T * np.where(np.isfinite(truth), truth, 0)[..., None]
     inside = np.isfinite(truth) & np.all((points[..., :2] > 8) & (points[..., :2] < 592), axis=-1)
     assert inside.mean() > 0.5
     np.testing.assert_allclose(ranges[inside], truth[inside], rtol=2e-6, atol=1e-3)
     # A tenth of a pixel would show
     off = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy + 0.1)
-    assert np.abs(plane_range(off, pose, view.bend)[inside] - truth[inside]).max() > 0.1
+    assert np.abs(plane_range(off, pose, plane_view.bend)[inside] - truth[inside]).max() > 0.1
 
 
 def test_curvature_lengthens_far_ranges() -> None:

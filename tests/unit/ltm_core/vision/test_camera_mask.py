@@ -11,7 +11,8 @@ from PIL import Image
 from scenes.small_site import MAST, write_small_site
 
 from ltm_core.errors import ConfigError
-from ltm_core.site_check import Verdict, check_site
+from ltm_core.finding import Verdict
+from ltm_core.site_check import check_site
 from ltm_core.site_io import load_site
 from ltm_core.vision.camera_mask import CameraMask
 from ltm_core.vision.camera_mask_io import read_mask, write_mask

@@ -8,8 +8,10 @@ from scenes.tower_pictures import HEIGHT, HORIZON, MAST, WIDTH, corners, tower_p
 
 from ltm_core.errors import ImageError
 from ltm_core.types import BoolArray
+from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.mask_config import MaskPolygon
-from ltm_core.vision.mask_proposals import Proposal, drawn_proposals, polygons_of, propose_mask
+from ltm_core.vision.mask_proposals import Proposal, drawn_proposals, propose_mask
+from ltm_core.vision.outlines import polygons_of
 from ltm_core.vision.polygons_io import NamedArea
 from ltm_core.vision.segmenter import Segmenter
 
@@ -84,7 +86,20 @@ def test_outlines_give_back_what_they_enclose() -> None:
     outlines = polygons_of(hidden)
     assert len(outlines) == 2
     areas = [NamedArea(image="a.jpg", kind="roof", polygon=outline) for outline in outlines]
-    drawn = drawn_proposals(areas, hidden.shape)
+    drawn = drawn_proposals(areas, LabelSet.load().names, hidden.shape)
     np.testing.assert_array_equal(drawn[0].hidden | drawn[1].hidden, hidden)
     assert {p.kind for p in drawn} == {"roof"}
     assert MaskPolygon(kind="roof", polygon=outlines[0]).kind == "roof"
+
+
+def test_what_is_drawn_or_erased_later_is_no_part_of_a_drawn_mask() -> None:
+    def area(kind: str, left: int, right: int, image: str = "a.jpg") -> NamedArea:
+        return NamedArea(image=image, kind=kind, polygon=((left, 5), (right, 5), (right, 20), (left, 20)))
+
+    areas = [area("tree", 0, 39), area("masked", 10, 29), area("unlabelled", 25, 34), area("shrub", 5, 12)]
+    areas += [area("unlabelled", 15, 18, "b.jpg"), area("masked", 32, 33), area("unlabelled", 30, 39)]
+    (found,) = drawn_proposals(areas, LabelSet.load().names, (30, 40))
+    expected = np.zeros((30, 40), np.bool_)
+    expected[5:21, 13:25] = True
+    np.testing.assert_array_equal(found.hidden, expected)
+    assert found.kind == "masked"

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -253,3 +254,24 @@ def test_files_that_were_removed_take_no_memory(tmp_path: Path) -> None:
                 known[number] = sum(isinstance(thing, FileRecord) for thing in gc.get_objects())
     assert known[39] == known[19] < known[0] + 5
     assert information(tmp_path / "bag")["relative_file_paths"] == [f"bag_{number}.mcap" for number in (37, 38, 39)]
+
+
+def test_the_index_of_a_file_is_small_and_goes_with_it(tmp_path: Path) -> None:
+    """What a writer holds grows with each chunk of the file at hand, and no further."""
+    topics, chunks, held = 20, 30, []
+    with BagWriter(tmp_path / "long", split=Split(1 << 30, chunks * 10**9)) as writer:
+        tracemalloc.start()
+        try:
+            for second in range(3 * chunks + 1):
+                for topic in range(topics):
+                    writer.write(f"/s/t{topic}", String(data="x"), second * 10**9 + topic)
+                writer.flush()
+                if second % chunks in (0, chunks - 1):
+                    gc.collect()
+                    held.append(tracemalloc.get_traced_memory()[0] / topics)
+        finally:
+            tracemalloc.stop()
+    _, _, begun, full, begun_anew, full_anew, _ = held
+    assert 60 < (full - begun) / (chunks - 1) < 150
+    assert full - begun_anew > 60 * (chunks - 1)
+    assert full_anew - full < 20 * (chunks - 1)

@@ -9,10 +9,11 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 from typer.testing import CliRunner
 
+from ltm_core.fuel.vote_columns import MAX_BYTES
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.stamp import stamp_of
-from ltm_msgs_py.votes import MAX_BYTES, msg_to_votes
+from ltm_msgs_py.votes import msg_to_votes
 from ltm_ros.bench.network_site import write_region
 from ltm_ros.bench.network_towers import stamped
 from ltm_ros.cli.bench import bench

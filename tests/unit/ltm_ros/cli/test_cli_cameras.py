@@ -119,6 +119,38 @@ def test_probe_signs_to_an_onvif_camera_whose_clock_is_two_minutes_off(camera: H
     assert "+120." in said or "+119." in said
 
 
+def test_probe_takes_the_password_nowhere_but_to_the_host_that_was_named(camera: HttpCamera, head: FakeHead) -> None:
+    """A camera states an address of its pictures by ONVIF: another host's, or of its own behind a gateway."""
+    camera.routes = {path: route for path, route in camera.routes.items() if path.startswith("/onvif")}
+    camera.behaviour.authentication, camera.behaviour.password = "basic", PASSWORD
+    login = ("--user", "viewer", "--password-env", "HEAD_PASSWORD")
+    with running() as elsewhere:
+        elsewhere.behaviour.authentication, elsewhere.behaviour.password = "basic", PASSWORD
+        head.stated_picture = f"http://guest:hidden@127.0.0.1:{elsewhere.port}/snapshot.jpg?channel=1"
+        said = run("probe", camera.url("/none.jpg"), *login)
+        assert elsewhere.asked == []
+    assert "/snapshot.jpg?channel=1" in camera.asked
+    assert f"url: {camera.url('/snapshot.jpg')}?channel=1" in said
+    assert "hidden" not in said
+
+
+def test_an_address_that_cannot_be_asked_is_told_and_the_head_is_found_all_the_same(
+    camera: HttpCamera, head: FakeHead
+) -> None:
+    camera.routes = {path: route for path, route in camera.routes.items() if path.startswith("/onvif")}
+    for stated in ("http://[::1/snapshot.jpg", "http://{}/snapshot.jpg?pwd=hidden"):
+        head.stated_picture = stated
+        said = run("probe", camera.url("/none.jpg"))
+        assert "kind: onvif" in said
+        assert "an address that is none" in said or "cannot be taken" in said
+        assert "pwd=hidden" not in said
+
+
+def test_what_a_camera_calls_its_presets_is_text_and_no_markup(camera: HttpCamera, head: FakeHead) -> None:
+    head.presets = {"[/] [bold]north": (10.0, -5.0, 1.0)}
+    assert "[/] [bold]north" in run("probe", camera.url(""))
+
+
 @pytest.mark.slow
 def test_probe_counts_the_pictures_of_a_stream(camera: HttpCamera) -> None:
     said = run("probe", camera.url("/stream.mjpg"))
@@ -223,7 +255,7 @@ def answering() -> Iterator[int]:
                     return
                 asked = question.decode().split("MessageID>")[1].split("<")[0]
                 for relates, name, at in (
-                    (asked, "North%20Ridge%1b[2J", 81),
+                    (asked, "North%20Ridge%1b[2J%5B/%5D", 81),
                     (asked, "South", 82),
                     (asked, "South", 82),
                     ("urn:uuid:another", "stranger", 83),
@@ -243,10 +275,11 @@ def answering() -> Iterator[int]:
 def test_discover_asks_the_interface_that_it_is_told(answering: int) -> None:
     found, wrong = discover("127.0.0.1", 1.0, port=answering)
     assert [one.address for one in found] == [f"http://127.0.0.1:{port}/onvif/device_service" for port in (81, 82)]
-    assert [(one.name, one.hardware) for one in found] == [("North Ridge?[2J", "Q6"), ("South", "Q6")]
+    assert [(one.name, one.hardware) for one in found] == [("North Ridge?[2J[/]", "Q6"), ("South", "Q6")]
     assert wrong == 3
     said = run("discover", "--interface", "127.0.0.1", "--port", answering, "--seconds", 1)
     assert "2 cameras answered" in said
+    assert "North Ridge?[2J[/]" in said
     assert "3 answers were none" in said
     assert "\x1b[2J" not in said
 

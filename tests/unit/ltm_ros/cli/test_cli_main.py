@@ -17,7 +17,7 @@ from ltm_ros.cli import main
 COMMANDS = (
     "demo", "check", "run", "replay", "record", "import", "trace", "simulate", "train", "export", "bench", "view",
     "doctor", "status", "upgrade", "rollback", "models", "pose", "locate", "viewshed", "eval",
-    "fire", "mask", "label", "cameras",
+    "fire", "mask", "label", "cameras", "region", "certs",
 )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from ltm_core.errors import ConfigError, StoreError
 from ltm_ros.deployment.package_file import PackageError
 from ltm_ros.deployment.releases import Trial
 from ltm_ros.deployment.service import ServiceError, ServiceState
+from ltm_ros.deployment.store_copy import copy_stores
 from ltm_ros.deployment.upgrade import UpgradeError
 
 pytestmark = pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="needs dpkg-deb: apt install dpkg")
@@ -49,6 +50,7 @@ def test_a_release_that_finds_something_wrong_changes_nothing(tower: Tower, tmp_
     with pytest.raises(UpgradeError, match=f"{question}: not as it should be; nothing was changed"):
         tower.install(write_package(tmp_path, "2.0", refuses=question))
     assert (tower.releases.current, tower.service.did) == ("1.0", [])
+    assert tower.releases.installed == ["1.0"], "it is nothing to return to"
 
 
 @pytest.mark.parametrize(
@@ -68,6 +70,17 @@ def test_a_release_that_does_not_come_up_is_taken_back(
     assert tower.service.did == ["stop", "start 2.0", "stop", "start 1.0"]
     assert tower.releases.trial is None
     assert frames_of(tower.store) == 5
+    with pytest.raises(ConfigError, match="there is nothing to return to"):
+        tower.upgrade.go_back()
+
+
+def test_a_release_that_was_there_before_stays_when_it_is_refused(tower: Tower, tmp_path: Path) -> None:
+    tower.install(write_package(tmp_path, "2.0"))
+    tower.upgrade.go_back()
+    tower.service.behaviour["2.0"] = ServiceState(False, True, "")
+    with pytest.raises(UpgradeError):
+        tower.install(tmp_path / "ltm_2.0.deb")
+    assert tower.releases.installed == ["1.0", "2.0"]
 
 
 def test_frames_that_the_failed_release_kept_stay_where_it_changed_no_schema(tower: Tower, tmp_path: Path) -> None:
@@ -97,10 +110,30 @@ def test_a_store_whose_schema_moved_forward_is_put_aside_and_the_copy_returns(to
 
 def test_a_store_that_cannot_be_copied_leaves_the_former_release_at_work(tower: Tower, tmp_path: Path) -> None:
     tower.store.write_bytes(b"no database" * 500)
-    with pytest.raises(StoreError, match=r"fuel_map\.ltm: cannot be copied"):
+    with pytest.raises(UpgradeError, match=r"fuel_map\.ltm: cannot be copied.*; 1\.0 is started again"):
         tower.install(write_package(tmp_path, "2.0"))
     assert tower.service.did == ["stop", "start 1.0"]
     assert tower.releases.current == "1.0"
+
+
+@pytest.mark.parametrize("place", ["opt/trial", "lib/copies"])
+def test_a_disk_that_takes_nothing_leaves_the_former_release_at_work(tower: Tower, tmp_path: Path, place: str) -> None:
+    """A file where a folder should be made: as on a full or read-only disk, the system refuses, also root."""
+    (tmp_path / place).write_text("in the way")
+    with pytest.raises(UpgradeError, match=r"2\.0 was not taken: .*1\.0 is started again"):
+        tower.install(write_package(tmp_path, "2.0"))
+    assert tower.service.did == ["stop", "start 1.0"]
+    assert tower.releases.current == "1.0"
+
+
+def test_what_a_cut_left_of_a_copy_goes_with_the_next_one(tower: Tower) -> None:
+    good = tower.store.read_bytes()
+    tower.store.write_bytes(b"no database" * 500)
+    with pytest.raises(StoreError):
+        copy_stores(tower.places.state, tower.places.copies, "0.9")
+    tower.store.write_bytes(good)
+    copy = copy_stores(tower.places.state, tower.places.copies, "1.0")
+    assert list(tower.places.copies.iterdir()) == [copy]
 
 
 def test_a_service_that_cannot_be_started_with_it_brings_the_former_release_back(tower: Tower, tmp_path: Path) -> None:

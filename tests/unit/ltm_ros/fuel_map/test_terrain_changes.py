@@ -14,6 +14,7 @@ from scenes.fuel_frames import BEGIN_NS, grid_of, message, write_site
 from scenes.outlets import Kept
 from scenes.small_disk import SmallDisk
 
+from ltm_core.confirmed_terrain import terrain_grid
 from ltm_core.errors import ConfigError, MessageError, StoreError
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.grid import GridGeometry
@@ -26,7 +27,6 @@ from ltm_msgs_py.fuel_cells import msg_to_fuel_cells
 from ltm_msgs_py.grid import classes_to_msg, msg_to_classes
 from ltm_msgs_py.stamp import ns_to_time
 from ltm_msgs_py.terrain import changed_to_msg
-from ltm_ros.fuel_map.terrain_changes import terrain_grid
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
 from ltm_ros.runtime import retry
 from ltm_ros.runtime.health import Health

@@ -18,6 +18,14 @@ DASHBOARD = Path(__file__).parents[4] / "packaging/grafana/ltm.json"
 Samples = dict[tuple[str, tuple[tuple[str, str], ...]], float]
 
 
+OUTBOX = {
+    "outbox_frames": "ltm_outbox_frames",
+    "outbox_bytes": "ltm_outbox_bytes",
+    "outbox_age_s": "ltm_outbox_age_seconds",
+    "link_up": "ltm_link_up",
+}
+
+
 def samples(text: str) -> Samples:
     found: Samples = {}
     for family in parser.text_string_to_metric_families(text):
@@ -59,6 +67,8 @@ def test_every_number_of_the_diagnostics_is_a_metric_with_that_value() -> None:
                 assert value(f"ltm_{key}_total") == number
             elif key == "rate_hz":
                 assert value("ltm_rate_hertz") == number
+            elif key in OUTBOX:
+                assert scraped[OUTBOX[key], ()] == number
             elif key == "cpu_s":
                 assert value("ltm_cpu_seconds_total") == number
             else:

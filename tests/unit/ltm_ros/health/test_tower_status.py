@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from scenes.tower_words import NODES, healths, status_of, watch_of
 
-from ltm_ros.health.tower_status import KEYS, LENGTH, TowerWatch
+from ltm_ros.health.tower_status import KEYS, LENGTH, OutboxState, TowerWatch
 
 
 def test_a_tower_that_has_not_begun_is_neither_alive_nor_ready() -> None:
@@ -27,6 +27,16 @@ def test_what_is_wrong_is_said_in_words() -> None:
     assert any("kept right by nothing" in line for line in status.wrong)
     assert any("/state: 2.0 GB free of 100 GB" in line for line in status.wrong)
     assert any("/gone: not there" in line for line in status.wrong)
+
+
+def test_an_outbox_that_nobody_empties_is_said_in_words() -> None:
+    made = healths()
+    status = status_of(watch_of(made))
+    assert status.outbox == OutboxState(412, 5_130_000, 7260.5, link_up=False)
+    assert "the region's map cannot be reached: 412 frames wait in the outbox, the oldest of 2.0 h ago" in status.wrong
+    made["/ridge/uplink"].gauge("link_up", 1)
+    assert not any("region" in line for line in status_of(watch_of(made)).wrong)
+    assert status_of(TowerWatch("ridge", NODES, 120.0)).outbox is None
 
 
 def test_a_doubted_pose_is_said_where_frames_come() -> None:

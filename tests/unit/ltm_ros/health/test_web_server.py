@@ -38,8 +38,14 @@ def start() -> Iterator[Start]:
         server.close()
 
 
-def get(server: WebServer, path: str, headers: dict[str, str] | None = None, method: str = "GET") -> tuple[int, bytes]:
-    with closing(http.client.HTTPConnection("127.0.0.1", port_of(server), timeout=10)) as connection:
+def get(
+    server: WebServer,
+    path: str,
+    headers: dict[str, str] | None = None,
+    method: str = "GET",
+    address: str = "127.0.0.1",
+) -> tuple[int, bytes]:
+    with closing(http.client.HTTPConnection(address, port_of(server), timeout=10)) as connection:
         connection.request(method, path, headers=headers or {})
         answer = connection.getresponse()
         return answer.status, answer.read()
@@ -87,7 +93,21 @@ def test_answers_on_loopback(start: Start) -> None:
 def test_a_page_of_another_name_that_leads_here_is_not_answered(start: Start) -> None:
     server = start()
     assert get(server, "/healthz", {"Host": "evil.example"})[0] == 421
-    assert get(server, "/healthz", {"Host": f"localhost:{port_of(server)}"})[0] == 200
+    for wrong in ("", "[::1", "127.0.0.1.evil.example", "evil.example:127"):
+        assert get(server, "/healthz", {"Host": wrong})[0] == 421
+    for right in ("localhost", f"localhost:{port_of(server)}", f"LocalHost:{port_of(server)}", "127.0.0.1"):
+        assert get(server, "/healthz", {"Host": right})[0] == 200
+
+
+def test_answers_on_loopback_of_the_next_protocol(start: Start) -> None:
+    addresses = Path("/proc/net/if_inet6")
+    if not addresses.exists() or not addresses.read_text():
+        pytest.skip("no IPv6 on this machine")
+    server = start(address="0:0:0:0:0:0:0:1")
+    for host in ("[::1]", f"[::1]:{port_of(server)}", "localhost"):
+        assert get(server, "/healthz", {"Host": host}, address="::1") == (200, b"alive\n")
+    assert get(server, "/healthz", {"Host": "[::2]"}, address="::1")[0] == 421
+    assert ask(config_for(server, address="::1"), "/status.json") == {"ready": True}
 
 
 def test_a_token_is_asked_for_where_there_is_one(start: Start, token: Path) -> None:

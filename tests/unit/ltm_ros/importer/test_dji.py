@@ -161,6 +161,7 @@ def test_a_heading_turns_the_short_way_through_north(tmp_path: Path) -> None:
         ("", "no place in its 0 blocks: switch `Video Captions` on"),
         ("1\n00:00:00,000 --> 00:00:02,000\nA walk in the hills.\n", "no place in its 1 blocks"),
         (flight(NEW).replace("34.2", "94.2"), "no place in its 3 blocks"),
+        (flight(NEW).replace("00:00:", "0" * 5000 + ":00:"), "no place in its 0 blocks"),
         (re.sub(r"itude: [-.0-9]+", "itude: 0.000000", flight(NEW)), "--poses"),
     ],
 )

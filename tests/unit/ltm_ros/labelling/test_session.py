@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from ltm_core.errors import ConfigError, RecordingError
+from ltm_core.training.labelled_frames import read_frames
 from ltm_core.vision.area_labels import areas_of, labels_of
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.polygons_io import NamedArea, read_areas, write_areas
@@ -63,6 +64,28 @@ def test_strokes_are_kept_as_outlines_that_give_the_same_labels(folder: Path) ->
     kept = session.areas(0)
     session.save(0, {"shapes": kept})
     np.testing.assert_array_equal(saved(folder, "a"), labels)
+
+
+def test_a_stroke_about_a_place_leaves_the_place_out(folder: Path) -> None:
+    ring = {"kind": "stroke", "name": "water", "points": [[10, 8], [50, 8], [50, 32], [10, 32], [10, 8]], "radius": 3}
+    session = LabelSession(folder)
+    session.save(0, {"shapes": [ring]})
+    labels = saved(folder, "a")
+    assert (labels[13:28, 15:46] == 255).all()
+    assert (labels[8, 10:51] == 5).all()
+
+
+def test_a_labelled_folder_is_read_as_truth(folder: Path) -> None:
+    """With a mask and an erased place, as the page saves them; by its label images and by its areas alone."""
+    session = LabelSession(folder)
+    shapes = [square("tree", 0, 0, 59, 39), square("masked", 0, 0, 9, 9), square("unlabelled", 20, 20, 29, 29)]
+    session.save(0, {"shapes": shapes})
+    expected = np.full((HEIGHT, WIDTH), 3, np.uint8)
+    expected[:10, :10] = expected[20:30, 20:30] = 255
+    for _ in range(2):
+        (frame,) = read_frames(folder, len(session.labels))
+        np.testing.assert_array_equal(frame.labels, expected)
+        (folder / "a_labels.png").unlink(missing_ok=True)
 
 
 def test_other_photos_keep_their_areas(folder: Path) -> None:

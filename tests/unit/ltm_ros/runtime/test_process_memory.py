@@ -84,10 +84,42 @@ trim()
 print((before - resident()) / 60_000_000)
 """
 
+_PASSING = """
+import ctypes, sys
+from ltm_ros.runtime.process_memory import MAPPED_FROM, map_large_blocks
+if "map" in sys.argv:
+    map_large_blocks()
+libc = ctypes.CDLL(None)
+libc.malloc.restype = ctypes.c_void_p
+def resident():
+    return int(open("/proc/self/statm").read().split()[1]) * 4096
+libc.free(ctypes.c_void_p(libc.malloc(20_000_000)))  # from here on glibc maps only what is larger
+before, passing = resident(), []
+for _ in range(200):
+    for size in (2 * MAPPED_FROM, 5000):
+        block = ctypes.c_void_p(libc.malloc(size))
+        ctypes.memset(block, 1, size)
+        if size > 5000:
+            passing.append(block)
+[libc.free(block) for block in passing]
+print((resident() - before) / (400 * MAPPED_FROM))
+"""
 
-def _run(program: str, folder: Path | None = None, **environment: str) -> str:
+_OBJECTS = """
+from ltm_ros.runtime.process_memory import memory_in_use
+before = memory_in_use()
+large, small = bytearray(5_200_000), [(n / 3,) for n in range(50_000)]  # in a list of 400 kB
+both = memory_in_use()
+del large, small
+without = memory_in_use()
+for one in (both, without):
+    print(one.heap_bytes - before.heap_bytes, (one.python_blocks - before.python_blocks) // 2)
+"""
+
+
+def _run(program: str, folder: Path | None = None, *arguments: str, **environment: str) -> str:
     given = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "GLIBC_", "NUMPY_"))}
-    command = [sys.executable, "-c", program]
+    command = [sys.executable, "-c", program, *arguments]
     if folder is not None:
         (folder / "says_how_it_is.py").write_text(program)
         told = os.open(os.devnull, os.O_WRONLY)
@@ -137,3 +169,17 @@ def test_heaps_are_trimmed_now_and_then() -> None:
 def test_a_trim_gives_back_what_lies_free_between_others() -> None:
     given_back = _run(_HOLES)
     assert float(given_back) > 0.8
+
+
+def test_large_blocks_that_pass_through_leave_no_holes() -> None:
+    assert float(_run(_PASSING)) > 0.8
+    assert float(_run(_PASSING, None, "map")) < 0.1
+    assert float(_run(_PASSING, None, "map", MALLOC_MMAP_THRESHOLD_=str(1 << 25))) > 0.8
+
+
+def test_what_objects_lie_in_is_counted() -> None:
+    heap, blocks, heap_after, blocks_after = map(int, _run(_OBJECTS).split())
+    assert 5_200_000 < heap < 6_500_000
+    assert abs(blocks - 50_000) < 2_000  # Python keeps some to use again
+    assert abs(heap_after) < 100_000
+    assert abs(blocks_after) < 2_000

@@ -11,7 +11,7 @@ from scenes.source_under_test import MOST_BYTES, Sourced, TurnedClock, settings
 from scenes.timed_picture import exif_of, jpeg, scene
 
 from ltm_ros.sources.errors import PictureError, SourceError
-from ltm_ros.sources.folder import FolderReader
+from ltm_ros.sources.folder import MOST_FILES, FolderReader
 from ltm_ros.sources.picture import Nothing, Picture
 
 NOW = 1_790_000_000.0
@@ -41,6 +41,17 @@ def test_files_come_once_in_the_order_in_which_they_were_written(tmp_path: Path)
     assert given_by(asking) == [sooner, later]
     again = write(tmp_path / "a.jpg", jpeg(scene()), 1.0)
     assert given_by(asking) == [again]
+
+
+def test_a_folder_that_nobody_clears_goes_on_giving_new_pictures(tmp_path: Path) -> None:
+    for number in range(MOST_FILES + 5):
+        path = tmp_path / f"old{number}.jpg"
+        path.touch()
+        os.utime(path, (NOW - 5000.0, NOW - 5000.0))
+    asking = reader(tmp_path)
+    for name in ("zz.jpg", "aa.jpg", "old0.jpg"):
+        new = write(tmp_path / name, jpeg(scene()))
+        assert given_by(asking, looks=2) == [new]
 
 
 def test_a_file_that_is_being_written_is_waited_for(tmp_path: Path) -> None:

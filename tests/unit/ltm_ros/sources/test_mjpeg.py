@@ -7,7 +7,7 @@ import time
 from typing import Any
 
 import pytest
-from scenes.http_camera import Behaviour, HttpCamera, running
+from scenes.http_camera import Behaviour, HttpCamera, Request, running
 from scenes.source_under_test import Sourced, settings
 from scenes.timed_picture import jpeg, scene, time_in
 
@@ -72,6 +72,23 @@ def test_what_goes_wrong(broken: dict[str, Any], said: str) -> None:
                 break
         assert sourced.state == "alive", sourced.source.why
         sourced.source.close()
+
+
+@pytest.mark.parametrize("stamp", ["nan", "inf", "-1e999", "noon"])
+def test_a_count_that_is_no_number_is_none(stamp: str) -> None:
+    def stream(request: Request) -> None:
+        request.wfile.write(b"HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=x\r\n\r\n")
+        for _ in range(3):
+            body = jpeg(scene())
+            request.wfile.write(b"--x\r\nX-Timestamp: %b\r\n\r\n%b\r\n" % (stamp.encode(), body))
+        request.wfile.write(b"--x--\r\n")
+        request.close_connection = True
+
+    with running(HttpCamera(routes={"/stream.mjpg": stream})) as camera:
+        sourced = sourced_from(camera)
+        sourced.steps(2)
+        sourced.source.close()
+    assert (sourced.state, len(sourced.frames)) == ("alive", 2), sourced.source.why
 
 
 def test_a_page_is_no_stream() -> None:

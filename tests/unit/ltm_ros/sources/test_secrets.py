@@ -37,12 +37,14 @@ def assert_silent(text: str) -> None:
         assert spelling not in text
 
 
-@pytest.mark.parametrize("place", ["environment", "file", "credential"])
+@pytest.mark.parametrize("place", ["environment", "file", "credential", "credential of the installed service"])
 def test_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
     monkeypatch.setenv("NORTH", PASSWORD)
     monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path))
-    (tmp_path / "north").write_text(f"{PASSWORD}\n")
-    where = {"environment": "NORTH", "file": str(tmp_path / "north"), "credential": "north"}[place]
+    file = tmp_path / ("ltm_north" if place.endswith("service") else "north")
+    file.write_text(f"{PASSWORD}\n")
+    place = place.partition(" ")[0]
+    where = {"environment": "NORTH", "file": str(file), "credential": "north"}[place]
     config = settings(kind="snapshot", url="http://127.0.0.1/", user="viewer", password={place: where})
     secret = Login.of(config).password
     assert secret is not None
@@ -50,7 +52,7 @@ def test_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> 
     assert f"{secret} {secret!r} {[secret]}" == "*** *** [***]"
     monkeypatch.delenv("NORTH")
     monkeypatch.delenv("CREDENTIALS_DIRECTORY")
-    (tmp_path / "north").write_text("")
+    file.write_text("")
     with pytest.raises(UnauthorisedError, match=r"NORTH|north"):
         read_secret(config.password)
 

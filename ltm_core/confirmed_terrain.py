@@ -1,0 +1,87 @@
+"""The terrain of a site as its cameras have confirmed it: what later frames are traced to, and what maps export."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ltm_core.dem import Dem
+from ltm_core.errors import StoreError
+from ltm_core.grid import GridGeometry
+from ltm_core.raster.confirmed_surface import ConfirmedSurface
+from ltm_core.raster.shared_rasters import shared
+from ltm_core.raster.surface_versions_io import AS_GIVEN, FOLDER, SurfaceVersion, SurfaceVersions
+from ltm_core.site import Site
+
+
+@dataclass(frozen=True, eq=False)
+class ConfirmedTerrain:
+    """Two terrains in the map frame, of one version of the confirmed surface (None: as the site's rasters give them).
+
+    `ground`: bare earth. `top`: what cameras see, with trees and houses where the site knows them; the same object as
+    `ground` where nothing is known to stand. `surface`: the changed cells of the version.
+    """
+
+    version: SurfaceVersion | None
+    ground: Dem
+    top: Dem
+    surface: ConfirmedSurface | None = None
+
+    @property
+    def name(self) -> str:
+        """The version, as frames carry it; AS_GIVEN where there is none."""
+        return AS_GIVEN if self.version is None else self.version.version
+
+    @classmethod
+    def as_given(cls, site: Site) -> ConfirmedTerrain:
+        """Raises what `Site.open_dem` does."""
+        ground = site.open_dem()
+        return cls(None, ground, site.open_surface(ground))
+
+    @classmethod
+    def of(cls, site: Site, versions: SurfaceVersions, name: str) -> ConfirmedTerrain:
+        """The terrain of a version that the manifest lists, shared within the process; AS_GIVEN: as given.
+
+        Raises StoreError where the version is not listed or cannot be read, and what `Site.open_dem` does.
+        """
+        given = cls.as_given(site)
+        if name == AS_GIVEN:
+            return given
+        entry = versions.manifest().entry(name)
+        if entry is None:
+            raise StoreError(f"{versions.folder}: no confirmed surface {name!r} there; it may be too old to be kept")
+        rasters = [dem.path for dem in (site.dem, *site.coarser, *([site.surface] if site.surface else []))]
+        files = [versions.file(name), *rasters]
+        surface = versions.load(entry)
+        ground, top = (
+            shared(files, (what, site.frame), lambda make=make, under=under: make(under))  # type: ignore[misc]
+            for what, make, under in (
+                ("confirmed ground", surface.ground_over, given.ground),
+                ("confirmed surface", surface.surface_over, given.top),
+            )
+        )
+        return cls(entry, ground, top, surface)
+
+
+def surface_versions(site: Site, folder: Path) -> SurfaceVersions:
+    """Those that a site's terrain node keeps in `folder`. Raises what `Site.open_dem` does."""
+    resolution = None if site.terrain is None else site.terrain.resolution
+    return SurfaceVersions(folder, site.name, terrain_grid(site.open_dem().geometry, resolution))
+
+
+def exported_terrain(site: Site, state: Path | None, moment_ns: int | None = None) -> ConfirmedTerrain:
+    """The terrain that a map exports whose store lies in the folder `state`: as confirmed, now or at a moment, where
+    the site asks for that and its terrain keeps its surfaces there too; else as given. Raises StoreError.
+    """
+    if state is None or site.terrain is None or not site.terrain.trace_confirmed:
+        return ConfirmedTerrain.as_given(site)
+    versions = surface_versions(site, state / FOLDER)
+    entry = versions.manifest().at(moment_ns)
+    return ConfirmedTerrain.of(site, versions, AS_GIVEN if entry is None else entry.version)
+
+
+def terrain_grid(dem: GridGeometry, resolution: float | None) -> GridGeometry:
+    """The grid of a site's `terrain` node, in the map frame: the DEM's, or over it with cells of `resolution`."""
+    cell = resolution or dem.resolution
+    height, width = (max(2, round(n * dem.resolution / cell)) for n in dem.shape)
+    return GridGeometry(dem.x_min, dem.y_max, cell, width, height, dem.crs)

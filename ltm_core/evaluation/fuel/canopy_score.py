@@ -1,0 +1,99 @@
+"""Scores the canopy of fuel cells whose surface was confirmed to have changed, in exact hillside scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ltm_core.confirmed_terrain import ConfirmedTerrain
+from ltm_core.dem import Dem
+from ltm_core.evaluation.terrain.hillside_ground import GEOMETRY, TOWERS
+from ltm_core.evaluation.terrain.hillside_scenes import HillsideScene, SceneConditions, frames
+from ltm_core.fuel.codes import TreeCanopy
+from ltm_core.fuel.seen_canopy import TALL, seen_canopy
+from ltm_core.grid import GridGeometry
+from ltm_core.raster.confirmed_surface import ConfirmedSurface
+from ltm_core.site_sections import TerrainConfig
+from ltm_core.terrain import Reference, SurfaceMap
+from ltm_core.terrain.confirmation import confirmed_surface
+from ltm_core.types import Float32Array
+
+FUEL_CELL = 30
+"""Metres, and cells of the scenes' rasters."""
+_LEAST_COVER = 10.0
+"""% of true canopy that a cell needs for a height."""
+
+Source = Literal["seen", "as given", "constant"]
+
+
+@dataclass(frozen=True)
+class CanopyScore:
+    """Of `cells` whose change was confirmed: the median error of cover in points, and of height as a share of the true
+    one over the `wooded` of them.
+    """
+
+    source: Source
+    cells: int
+    wooded: int
+    cover: float
+    height: float
+
+
+def confirmed_of(scene: HillsideScene, conditions: SceneConditions) -> ConfirmedSurface:
+    """What the towers' measurements of a scene confirm."""
+    # Errors of these depths are new in most looks, and normal.
+    config = TerrainConfig(repeated_error_share=conditions.noise.repeats, alone=3.0)
+    surface = SurfaceMap(Reference.of(scene.bare, scene.given), config, tuple(TOWERS))
+    for frame in frames(scene, conditions):
+        surface.add(frame)
+    surface.decide()
+    return confirmed_surface(surface)[0]
+
+
+def score_canopy(scene: HillsideScene, confirmed: ConfirmedSurface, constant: TreeCanopy) -> list[CanopyScore]:
+    """Of what is seen, of the surface as it was given, and of a region's `constant` for new trees; empty where nothing
+    was confirmed.
+    """
+    rows, cols = (n // FUEL_CELL for n in GEOMETRY.shape)
+    grid = GridGeometry(GEOMETRY.x_min, GEOMETRY.y_max, float(FUEL_CELL), cols, rows)
+    top, ground = confirmed.surface_over(scene.given), confirmed.ground_over(scene.bare)
+    seen = seen_canopy(ConfirmedTerrain(None, ground, top, confirmed), grid)
+    if seen is None:
+        return []
+    cells = np.isfinite(seen.cover)
+    true_cover, true_height = _blocks(scene.true_now, scene.bare, grid)
+    given_cover, given_height = _blocks(scene.given, scene.bare, grid)
+    wooded = cells & (true_cover >= _LEAST_COVER)
+    flat = np.ones_like(seen.cover)
+    sources: Iterable[tuple[Source, Float32Array, Float32Array]] = (
+        ("seen", seen.cover, seen.height),
+        ("as given", given_cover, given_height),
+        ("constant", flat * np.float32(constant.cover), flat * np.float32(constant.height)),
+    )
+    scores = []
+    for source, cover, height in sources:
+        off = np.abs(height - true_height)[wooded] / true_height[wooded]
+        scores.append(
+            CanopyScore(
+                source,
+                int(cells.sum()),
+                int(wooded.sum()),
+                float(np.median(np.abs(cover - true_cover)[cells])) if cells.any() else float("nan"),
+                float(np.median(off)) if wooded.any() else float("nan"),
+            )
+        )
+    return scores
+
+
+def _blocks(top: Dem, ground: Dem, grid: GridGeometry) -> tuple[Float32Array, Float32Array]:
+    """True cover (%) and mean height (m) of the canopy in each fuel cell, from each metre of it."""
+    height, width = grid.height * FUEL_CELL, grid.width * FUEL_CELL
+    above = (top.elevation - ground.elevation)[:height, :width]
+    blocks = above.reshape(grid.height, FUEL_CELL, grid.width, FUEL_CELL)
+    canopy = blocks >= TALL
+    stands = canopy.sum(axis=(1, 3))
+    mean = np.where(canopy, blocks, 0).sum(axis=(1, 3)) / np.maximum(stands, 1)
+    return (100 * stands / FUEL_CELL**2).astype(np.float32), mean.astype(np.float32)

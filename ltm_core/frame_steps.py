@@ -1,0 +1,242 @@
+"""The steps from a posed picture to votes, each made once for a camera: trace, label, vote.
+
+The nodes `depth`, `segmentation` and `fuel_votes` are these steps with messages around them, and `FrameSteps` is the
+three in a row for whoever has a frame and no graph. So there is one place for each step's arguments, and a frame has
+the same votes, to the last bit, whoever works on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from ltm_core.camera import Camera
+from ltm_core.confirmed_terrain import ConfirmedTerrain
+from ltm_core.errors import PoseError
+from ltm_core.frame import PosedImage
+from ltm_core.fuel.vote_columns import fitting, turn_of, votes_to_columns
+from ltm_core.fuel.votes import CellVotes, VoteCaster
+from ltm_core.named_columns import Columns
+from ltm_core.pose import Pose
+from ltm_core.range_image import RangeImage
+from ltm_core.raster.surface_versions_io import AS_GIVEN
+from ltm_core.resources import config_path
+from ltm_core.site import Site
+from ltm_core.strict_model import StrictModel
+from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.caches import TracerStatistics
+from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.manifest import Manifest, Withdrawal
+from ltm_core.vision.scene_view import SceneFilter, SceneView
+from ltm_core.vision.segmenter import Segmentation, Segmenter
+
+
+class TracingConfig(StrictModel):
+    surface: bool = True
+    """Trace to the tops of trees and houses where the site has a surface raster; else, and where not, to bare earth.
+    Both hits are kept: the one on bare earth is then on `depth/ground`, while someone listens."""
+
+
+class LabellingConfig(StrictModel):
+    model: str = ""
+    """Manifest name or path; empty: the site's."""
+    threads: int = Field(1, ge=1)
+    """Cores that the network may use."""
+    zoom: float = Field(1.0, ge=1, le=4)
+    """Above 1: look a second time at the slopes along the skyline, so much larger; costs one to several more runs."""
+    confidence: float | None = Field(None, ge=0, lt=1)
+    """Labels of lower probability are withdrawn; None: as the network's manifest or the camera's head says."""
+    tree_contrast: float | None = Field(None, ge=0)
+    """*tree* is withdrawn where the photo's local contrast is lower (8-bit steps): hazy far slopes are called so."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Tracers:
+    """Over one terrain. `version`: of the confirmed surface. `bare`: the same where nothing stands on bare earth."""
+
+    version: str
+    tracer: TerrainTracer
+    bare: TerrainTracer
+
+
+@dataclass(frozen=True, eq=False)
+class TracedFrame:
+    """`ranges`: to what the camera sees of the terrain. `over`: what it was traced with."""
+
+    ranges: RangeImage
+    over: _Tracers
+
+    @property
+    def version(self) -> str:
+        """Of the confirmed surface; AS_GIVEN where it was the site's rasters."""
+        return self.over.version
+
+    def bare_earth(self) -> RangeImage:
+        """The ranges to bare earth of the same version: the same where nothing is known to stand on it."""
+        over, seen_from = self.over, self.ranges
+        return seen_from if over.bare is over.tracer else over.bare.trace(seen_from.camera, seen_from.pose)
+
+
+class TracingStep:
+    """Traces every pixel of a camera to the terrain. Raises ConfigError and RasterError as the site does."""
+
+    def __init__(self, site: Site, camera: str, config: TracingConfig) -> None:
+        self._scene = SceneFilter.of(site, camera)
+        self._site, self._surface = site, config.surface
+        self._given: _Tracers | None = None
+        self.trace_to(ConfirmedTerrain.as_given(site))
+
+    def trace_to(self, terrain: ConfirmedTerrain) -> None:
+        """From here on. All of it is made beside the former, whose place it takes at once. Raises RasterError."""
+        self._over = self._tracers(terrain)
+
+    def trace(self, camera: Camera, pose: Pose) -> TracedFrame:
+        """Raises PoseError as the tracer does; but what has grown about a mast shall not end its depth: a frame from
+        below a confirmed surface is traced to the terrain as given.
+        """
+        over = self._over
+        try:
+            return TracedFrame(over.tracer.trace(camera, pose), over)
+        except PoseError:
+            if over.version == AS_GIVEN:
+                raise
+        if self._given is None:
+            self._given = self._tracers(ConfirmedTerrain.as_given(self._site))
+        return TracedFrame(self._given.tracer.trace(camera, pose), self._given)
+
+    @property
+    def statistics(self) -> TracerStatistics:
+        """Of the tracer in use."""
+        return self._over.tracer.statistics
+
+    @property
+    def version(self) -> str:
+        """Of the confirmed surface in use."""
+        return self._over.version
+
+    def hidden(self, camera: Camera) -> BoolArray | None:
+        """(H, W) bool, where the camera's mask has it that something else is seen; None: nowhere."""
+        return self._scene.hidden(camera.width, camera.height)
+
+    def _tracers(self, terrain: ConfirmedTerrain) -> _Tracers:
+        site, top = self._site, terrain.top if self._surface else terrain.ground
+        rays = site.curvature, site.refraction, site.possible_ground
+        tracer = TerrainTracer(top, *rays)
+        bare = tracer if top is terrain.ground else TerrainTracer(terrain.ground, *rays)
+        return _Tracers(terrain.name, tracer, bare)
+
+
+def seen(values: Float32Array, hidden: BoolArray | None) -> Float32Array:
+    """Depths (H, W) or points (H, W, 3), NaN where `hidden` (H, W) has it that something else is seen."""
+    if hidden is None:
+        return values
+    result = values.copy()
+    result[hidden] = np.nan
+    return result
+
+
+class LabellingStep:
+    """Labels every pixel of a camera's pictures. Raises ConfigError, ModelError for a network that cannot be taken."""
+
+    def __init__(self, site: Site, camera: str, config: LabellingConfig) -> None:
+        self._scene = SceneFilter.of(site, camera)
+        self._zoom = config.zoom
+        self._segmenter = Segmenter.of(site, camera, config.model, config.threads)
+        chosen = {"confidence": config.confidence, "tree_contrast": config.tree_contrast}
+        given = {name: value for name, value in chosen.items() if value is not None}
+        self._segmenter.withdrawal = self._segmenter.withdrawal.model_copy(update=given)
+
+    @property
+    def described(self) -> str:
+        """What labels, with its checksum."""
+        return self._segmenter.described
+
+    @property
+    def manifest(self) -> Manifest:
+        """Of the network."""
+        return self._segmenter.manifest
+
+    @property
+    def withdrawal(self) -> Withdrawal:
+        """Which labels are withdrawn."""
+        return self._segmenter.withdrawal
+
+    def label(self, photo: UInt8Array) -> tuple[Segmentation, SceneView]:
+        """Of a picture (H, W, 3) RGB: its labels, and what of it was taken to show the landscape."""
+        view = self._scene.look(photo)
+        if view.reason is None:
+            found = self._segmenter.segment(photo, self._zoom)
+        else:
+            found = Segmentation(np.zeros(photo.shape[:2], np.uint8), np.zeros(photo.shape[:2], np.uint8))
+        view.unlabelled(found.labels, found.confidence)
+        return found, view
+
+
+class VotingStep:
+    """Turns a camera's depth and labels into votes for the fuel cells that it sees."""
+
+    def __init__(self, site: Site, camera: str) -> None:
+        self._camera = camera
+        site.camera(camera)
+        dem = site.open_dem()
+        self.labels = LabelSet.load(config_path(site.labels))
+        self.geometry = site.fuel_geometry(dem)
+        votes_for = self.labels.votes_table[: len(self.labels)]
+        self._caster = VoteCaster(self.geometry, dem, votes_for, site.fuel.max_range, site.bend)
+        self.assumed = site.assumed_pose_error.covariance()
+        """(6, 6): of poses of which nothing else is known."""
+
+    def cast(
+        self,
+        depth: Float32Array,
+        camera: Camera,
+        pose: Pose,
+        found: Segmentation,
+        stamp_ns: int,
+        covariance: Float64Array | None,
+    ) -> CellVotes:
+        """All votes of a frame. `depth`: (H, W) along the optical axis; `covariance`: (6, 6) of the pose, None: it
+        is exact. Raises ImageError, PoseError as `VoteCaster.cast` does."""
+        return self._caster.cast(
+            depth, camera, pose, found.labels, stamp_ns, self._camera, found.confidence, covariance
+        )
+
+    def carried(self, votes: CellVotes) -> CellVotes:
+        """Those of them that are counted: what fits into a message (`vote_columns.fitting`)."""
+        return fitting(votes, turn_of(votes.stamp_ns))
+
+
+@dataclass(frozen=True)
+class FrameVotes:
+    """What a frame says: `columns` as of `vote_columns`; `reason`: why nothing of its picture was used, or empty."""
+
+    columns: Columns
+    reason: str
+
+
+class FrameSteps:
+    """All steps for the frames of one camera; frames may come in any order."""
+
+    def __init__(self, site: Site, camera: str, tracing: TracingConfig, labelling: LabellingConfig) -> None:
+        self._tracing = TracingStep(site, camera, tracing)
+        self._labelling = LabellingStep(site, camera, labelling)
+        self._voting = VotingStep(site, camera)
+
+    @property
+    def described(self) -> str:
+        """What labels, with its checksum."""
+        return self._labelling.described
+
+    def votes(self, frame: PosedImage, covariance: NDArray[Any] | None) -> FrameVotes:
+        """`covariance`: (6, 6) of the frame's pose; None: it is exact. Raises LtmError as the steps do."""
+        traced = self._tracing.trace(frame.camera, frame.pose)
+        depth = seen(traced.ranges.depth(), self._tracing.hidden(frame.camera))
+        found, view = self._labelling.label(frame.image)
+        cast = self._voting.cast(depth, frame.camera, frame.pose, found, frame.stamp_ns, covariance)
+        columns = votes_to_columns(self._voting.carried(cast), self._voting.labels.names)
+        return FrameVotes(columns, view.unusable)

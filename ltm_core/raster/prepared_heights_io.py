@@ -1,0 +1,101 @@
+"""Heights of a large raster as they lie in memory, in a file beside it that all processes of a site map.
+
+A raster of 10,000 x 10,000 cells takes 400 MB in each process that opens it, and seconds to decode. Its prepared file
+`<raster>.ltm-heights` holds the decoded heights; who maps it shares their pages with all others, and reads none that it
+does not look at. It is made by `write_heights`, in one step, and belongs to exactly one state of the raster: the files
+of which that consists, each with its inode, size and times. `ctime`, which no program can set, is among these: a file
+that was written to, replaced or restored, whatever its date, has another. A prepared file that belongs to any other
+state, or was written by another version, counts as absent.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ltm_core.disk_io import free_bytes
+from ltm_core.types import Float32Array
+
+VERSION = 1
+"""To be raised when the same raster is read into other heights."""
+LEAST_CELLS = 16 << 20
+"""Of a raster that is worth a file (64 MB); a smaller one is decoded in half a second."""
+SPARE_BYTES = 1 << 30
+"""That must be left free on the disk."""
+_HEADER_BYTES = 1 << 16
+
+
+def heights_path(raster: Path | str) -> Path:
+    raster = Path(raster)
+    return raster.with_name(raster.name + ".ltm-heights")
+
+
+def map_heights(raster: Path | str, source: Any) -> Float32Array | None:
+    """The prepared heights (H, W) of `source`, the open dataset of `raster`; None where there are none of its state.
+
+    They are mapped copy-on-write: what is written to them stays in this process, and the arrays are of the type for
+    which the kernels are compiled.
+    """
+    try:
+        with heights_path(raster).open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            if file.read(_HEADER_BYTES) != _header(source):
+                return None
+            if size != _HEADER_BYTES + 4 * source.height * source.width:
+                return None
+            mapped = np.memmap(file, np.float32, "c", _HEADER_BYTES, (source.height, source.width))
+    except OSError:
+        return None
+    return mapped.view(np.ndarray)
+
+
+def write_heights(raster: Path | str, source: Any, read: Callable[[Float32Array], None]) -> Path | None:
+    """Prepare `source`, the open dataset of `raster`; the file, or None where it is there already or not worth it.
+
+    `read`: writes the heights, (H, W) float32 of any content before, into its argument. Raises OSError where the file
+    cannot be written; what was there before is left then.
+    """
+    cells = source.height * source.width
+    if cells < LEAST_CELLS or map_heights(raster, source) is not None:
+        return None
+    header, path = _header(source), heights_path(raster)
+    if header is None or free_bytes(path) < 4 * cells + SPARE_BYTES:
+        return None
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with partial.open("x+b") as file:
+            os.posix_fallocate(file.fileno(), 0, _HEADER_BYTES + 4 * cells)  # a full disk is an error, not a SIGBUS
+            heights = np.memmap(file, np.float32, "r+", _HEADER_BYTES, (source.height, source.width))
+            read(heights.view(np.ndarray))
+            heights.flush()
+            file.seek(0)
+            file.write(header)
+            file.flush()
+            os.fsync(file.fileno())
+        if _header(source) != header:  # the raster was written to meanwhile
+            return None
+        partial.replace(path)
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+    return path
+
+
+def _header(source: Any) -> bytes | None:
+    """What the prepared file of an open dataset begins with; None where its heights may lie in files that GDAL does not
+    name. Raises OSError.
+    """
+    if source.driver == "VRT" or not source.files:
+        return None
+    files = []
+    for name in sorted(source.files):
+        found = Path(name).stat()
+        files.append([Path(name).name, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns])
+    text = json.dumps({"ltm heights": VERSION, "shape": [source.height, source.width], "files": files}) + "\n"
+    return text.encode("ascii").ljust(_HEADER_BYTES, b" ") if len(text) <= _HEADER_BYTES else None

@@ -1,0 +1,220 @@
+"""Versions of a site's confirmed surface on disk: one file each, named by its content, and a manifest.
+
+A version's file is whole or not there, and is never written again; the manifest, which names the version that counts,
+is replaced in one step after the file is on the disk. Whoever reads finds the version before or the new one, whatever
+kills the writer. Only the node `terrain` writes; others read.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
+
+from ltm_core.errors import RasterError, StoreError
+from ltm_core.grid import GridGeometry
+from ltm_core.raster.confirmed_surface import ConfirmedSurface
+from ltm_core.strict_model import StrictModel
+
+FOLDER = "surfaces"
+"""Beside the store of the terrain."""
+MANIFEST = "surfaces.json"
+AS_GIVEN = ""
+"""In place of a version: nothing is confirmed, the terrain is as its rasters give it."""
+VERSION = r"[0-9a-f]{16}"
+KEPT = 100
+"""Versions whose files are kept: frames of months name the surface that they were traced to."""
+_MOST_MANIFEST = 1 << 20
+_MOST_FILE = 1 << 30
+_ARRAYS = ("rows", "cols", "surface", "ground")
+
+
+class SurfaceVersion(StrictModel):
+    """One version. `version`: the first 16 digits of `digest`, the SHA-256 of its file. `parent`: the version that it
+    follows. `as_of_ns`: stamp of the newest frame that had a say. `seen`: cells that independent views have judged, of
+    the `cells` of the grid; `changed` of them are confirmed as changed, `lowered` with their bare earth.
+    """
+
+    version: str = Field(pattern=f"^{VERSION}$")
+    digest: str = Field(pattern="^[0-9a-f]{64}$")
+    parent: str = Field(pattern=f"^({VERSION})?$")
+    as_of_ns: int = Field(ge=0)
+    cells: int = Field(ge=1)
+    seen: int = Field(ge=0)
+    changed: int = Field(ge=0)
+    lowered: int = Field(ge=0)
+
+    @model_validator(mode="after")
+    def _named_by_content(self) -> SurfaceVersion:
+        if not self.digest.startswith(self.version):
+            raise ValueError(f"version {self.version} does not begin its digest {self.digest}")
+        return self
+
+    @property
+    def changed_share(self) -> float:
+        """Of what independent views have seen."""
+        return self.changed / max(1, self.seen)
+
+
+class SurfaceManifest(StrictModel):
+    """`current`: the version that counts. `held`: it was taken back, and none follows by itself."""
+
+    site: str
+    current: str = Field(AS_GIVEN, pattern=f"^({VERSION})?$")
+    held: bool = False
+    versions: tuple[SurfaceVersion, ...] = ()
+
+    @model_validator(mode="after")
+    def _current_is_listed(self) -> SurfaceManifest:
+        if self.current and self.entry(self.current) is None:
+            raise ValueError(f"current version {self.current} is not among the versions")
+        return self
+
+    def entry(self, version: str) -> SurfaceVersion | None:
+        """What is known of a version; None where it is not listed."""
+        return next((one for one in self.versions if one.version == version), None)
+
+    def at(self, moment_ns: int | None) -> SurfaceVersion | None:
+        """The current version, or the one before it that counted at a moment; None: as given."""
+        found = self.entry(self.current)
+        while found is not None and moment_ns is not None and found.as_of_ns > moment_ns:
+            found = self.entry(found.parent)
+        return found
+
+
+@dataclass(frozen=True)
+class SurfaceVersions:
+    """The versions of a site in a folder, which need not be there before the first is written.
+
+    `geometry`: of the terrain's grid, in the map frame; a version of another grid is refused.
+    """
+
+    folder: Path
+    site: str
+    geometry: GridGeometry
+
+    def manifest(self) -> SurfaceManifest:
+        """Of no version where there is none yet. Raises StoreError where it cannot be read or is of another site."""
+        path = self.folder / MANIFEST
+        try:
+            found = SurfaceManifest.model_validate_json(_read(path, _MOST_MANIFEST))
+        except FileNotFoundError:
+            return SurfaceManifest(site=self.site)
+        except (OSError, ValidationError) as error:
+            raise StoreError(f"{path}: cannot be read as a list of surfaces ({error}); move the folder away") from error
+        if found.site != self.site:
+            raise StoreError(f"{path} is of site {found.site}, not {self.site}: give each site a folder of its own")
+        return found
+
+    def file(self, version: str) -> Path:
+        """Where the file of a version of the manifest stands."""
+        return self.folder / f"surface-{version}.npz"
+
+    def load(self, entry: SurfaceVersion) -> ConfirmedSurface:
+        """A version's cells. Raises StoreError where its file is missing, not what was written, or of another grid."""
+        path = self.file(entry.version)
+        try:
+            content = _read(path, _MOST_FILE)
+        except OSError as error:
+            raise StoreError(f"{path}: cannot be read ({error.strerror or error})") from error
+        if hashlib.sha256(content).hexdigest() != entry.digest:
+            raise StoreError(f"{path}: is not the file that was written as this version; take the version back")
+        try:
+            surface = _of_bytes(content)
+        except (ValueError, KeyError, EOFError, zipfile.BadZipFile, RasterError) as error:
+            raise StoreError(f"{path}: holds no confirmed surface ({error}); take the version back") from error
+        if surface.geometry != self.geometry:
+            raise StoreError(
+                f"{path}: of a grid of {surface.geometry.shape} cells of {surface.geometry.resolution} m, the terrain "
+                f"has {self.geometry.shape} of {self.geometry.resolution} m: the site's DEM or terrain.resolution has "
+                "changed; move the folder away"
+            )
+        return surface
+
+    def add(self, surface: ConfirmedSurface, as_of_ns: int, seen: int) -> SurfaceVersion:
+        """Write a version and make it the current one; it ends that one was taken back. Raises StoreError."""
+        before, content = self.manifest(), _to_bytes(surface)
+        digest = hashlib.sha256(content).hexdigest()
+        version, cells = digest[:16], self.geometry.width * self.geometry.height
+        entry = SurfaceVersion(
+            version=version,
+            digest=digest,
+            parent=before.current,
+            as_of_ns=as_of_ns,
+            cells=cells,
+            seen=seen,
+            changed=len(surface),
+            lowered=surface.lowered,
+        )
+        entry = before.entry(version) or entry
+        versions = (*(one for one in before.versions if one.version != version), entry)
+        self._write(self.file(version), content)
+        self._replace(before.model_copy(update={"current": version, "held": False, "versions": versions[-KEPT:]}))
+        for dropped in versions[:-KEPT]:
+            self.file(dropped.version).unlink(missing_ok=True)
+        return entry
+
+    def take_back(self) -> SurfaceManifest:
+        """Make the version before the current one count, and hold it. Raises StoreError where none is current."""
+        before = self.manifest()
+        entry = before.entry(before.current)
+        if entry is None:
+            raise StoreError(f"{self.folder}: no confirmed surface counts; there is nothing to take back")
+        parent = entry.parent if before.entry(entry.parent) is not None else AS_GIVEN
+        after = before.model_copy(update={"current": parent, "held": True})
+        self._replace(after)
+        return after
+
+    def _replace(self, manifest: SurfaceManifest) -> None:
+        self._write(self.folder / MANIFEST, manifest.model_dump_json(indent=1).encode())
+
+    def _write(self, path: Path, content: bytes) -> None:
+        """Whole or not at all, also where the power fails."""
+        partial = path.with_name(f".{path.name}.partial")
+        try:
+            self.folder.mkdir(exist_ok=True)
+            with partial.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            partial.replace(path)
+            folder = os.open(self.folder, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+        except OSError as error:
+            raise StoreError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def _read(path: Path, most: int) -> bytes:
+    with path.open("rb") as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise OSError(f"larger than {most} bytes")
+    return content
+
+
+def _to_bytes(surface: ConfirmedSurface) -> bytes:
+    """The same bytes for the same cells."""
+    g, sink = surface.geometry, io.BytesIO()
+    grid = np.array([g.x_min, g.y_max, g.resolution, g.width, g.height], np.float64)
+    np.savez_compressed(sink, grid=grid, **{name: getattr(surface, name) for name in _ARRAYS})
+    return sink.getvalue()
+
+
+def _of_bytes(content: bytes) -> ConfirmedSurface:
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        x_min, y_max, resolution, width, height = (float(v) for v in file["grid"])
+        arrays = {name: file[name] for name in _ARRAYS}
+    for name, array in arrays.items():
+        wanted = np.int32 if name in ("rows", "cols") else np.float32
+        if array.dtype != wanted:
+            raise ValueError(f"{name} is {array.dtype}, wanted {np.dtype(wanted)}")
+    return ConfirmedSurface(GridGeometry(x_min, y_max, resolution, int(width), int(height)), **arrays)

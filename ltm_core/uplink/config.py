@@ -1,0 +1,97 @@
+"""Typed configuration of the link between towers and their region's map: a site's section `region`, and region.yaml."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from ltm_core.strict_model import StrictModel
+from ltm_core.uplink.envelope import NAME
+
+Name = Annotated[str, Field(pattern=NAME)]
+
+AGGREGATOR = "aggregator"
+"""Common name of the certificate of a region's map; no tower can have it."""
+
+
+class BrokerConfig(StrictModel):
+    """An MQTT 5 broker, reached by TLS alone; each side shows a certificate that the same authority has signed."""
+
+    host: str = Field(min_length=1, max_length=253)
+    """Its name or address, as the broker's certificate states it."""
+    port: int = Field(8883, ge=1, le=65535)
+    ca: Path
+    """PEM of the authority; this and the next two relative to the file that names them."""
+    certificate: Path
+    """PEM, its key on an elliptic curve; the common name is who this is."""
+    key: Path
+    """PEM. A systemd credential of the file's name goes before the file."""
+    keepalive: int = Field(15, ge=5, le=600)
+    """Seconds; a connection that is silent for half as long again is given up."""
+
+
+class UplinkConfig(StrictModel):
+    """A site's section `region`: its cameras' votes go to the map of a region, by way of an outbox on this machine."""
+
+    name: Name
+    """Of the region."""
+    tower: Name
+    """Of this tower: the common name of its certificate."""
+    broker: BrokerConfig
+    outbox_bytes: int = Field(1 << 30, ge=1 << 20)
+    """What may wait for the link; of more, the oldest evidence is thinned."""
+    outbox_days: float = Field(7.0, gt=0)
+    """After which a frame is given up; a region takes none that is older."""
+
+    @model_validator(mode="after")
+    def _not_the_aggregator(self) -> Self:
+        if self.tower == AGGREGATOR:
+            raise ValueError(f"no tower is called {AGGREGATOR!r}: that is the name of the region's map")
+        return self
+
+
+class ExportConfig(StrictModel):
+    """The map as Cloud Optimized GeoTIFFs with a STAC item, written anew while it changes."""
+
+    folder: Path
+    """Relative to region.yaml; made where only it is missing."""
+    every: float = Field(600.0, ge=1.0)
+    """Seconds between two of them at least."""
+    copy_to: str = Field("", pattern=r"^(s3://[a-z0-9][a-z0-9.-]+(/[A-Za-z0-9._-]+)*)?$")
+    """Such as s3://bucket/folder: where the files go besides. Keys and endpoint come from the environment
+    (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_ENDPOINT_URL)."""
+
+
+class RegionConfig(StrictModel):
+    """region.yaml: the fuel map of many towers."""
+
+    name: Name
+    site: Path
+    """Site file of the region's own map: its CRS, terrain, prior map and labels. Its cameras are named TOWER_CAMERA."""
+    broker: BrokerConfig
+    towers: list[Name] = Field(min_length=1)
+    """Whose votes are taken: the common names of their certificates."""
+    folder: Path
+    """Where the map is kept, relative to region.yaml; made where only it is missing."""
+    tiles: float = Field(2.0, gt=0)
+    """Seconds between two looks for tiles that have changed, which then go to those who follow the map."""
+    export: ExportConfig | None = None
+    max_ahead: float = Field(10.0, gt=0)
+    """Seconds by which a tower's clock may be ahead."""
+    max_behind: float = Field(7 * 86400.0, gt=0)
+    """Seconds by which a frame may be late."""
+
+    @model_validator(mode="after")
+    def _towers_told_apart(self) -> Self:
+        for tower in self.towers:
+            if tower == AGGREGATOR:
+                raise ValueError(f"no tower is called {AGGREGATOR!r}: that is the name of the region's map")
+            clash = [other for other in self.towers if other.startswith(f"{tower}_")]
+            if clash or self.towers.count(tower) > 1:
+                raise ValueError(
+                    f"towers {tower!r} and {(clash or [tower])[0]!r}: TOWER_CAMERA would not say whose camera it is; "
+                    "rename one"
+                )
+        return self

@@ -1,0 +1,186 @@
+"""What goes over the wire between towers, their region's map and those who follow it: a header, a body, and who signed.
+
+    magic (4 bytes) | header, certificate: uint16 length; body: uint32 length | header | certificate | body | signature
+
+Integers are big-endian, the header is JSON, the certificate X.509 DER. The lengths are checked against the whole before
+anything is decoded. The signature is over all before it, so that neither a broker nor a file in between can change what
+a tower has said.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from typing import Final, TypeVar
+
+from pydantic import Field, ValidationError
+
+from ltm_core.errors import MessageError
+from ltm_core.grid import GridGeometry
+from ltm_core.strict_model import StrictModel
+
+VERSION: Final = 1
+"""Of the headers and bodies; another is refused in words."""
+MAGIC: Final = b"LTMR"
+LARGEST: Final = 96 << 10
+"""Bytes of an envelope: votes have 64 kB at most, a header 4 kB, a certificate 2 kB."""
+LARGEST_HEADER: Final = 4 << 10
+LARGEST_CERTIFICATE: Final = 4 << 10
+LARGEST_SIGNATURE: Final = 256
+_LENGTHS: Final = struct.Struct(">4sHHI")
+MOST_OUTCOMES: Final = 64
+"""Of an acknowledgement."""
+NAME: Final = r"^[a-z][a-z0-9_]{0,62}$"
+"""Of regions, towers and cameras: parts of topics, and a certificate's common name holds 64 characters."""
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """`signed`: the bytes that the signature is over. Nothing in it has been checked but the lengths."""
+
+    header: bytes
+    certificate: bytes = field(repr=False)
+    body: bytes = field(repr=False)
+    signature: bytes = field(repr=False)
+    signed: bytes = field(repr=False)
+
+
+def packed(header: bytes, certificate: bytes, body: bytes) -> bytes:
+    """What is to be signed; the signature follows it. Raises MessageError where it is larger than may be sent."""
+    size = _LENGTHS.size + len(header) + len(certificate) + len(body) + LARGEST_SIGNATURE
+    if len(header) > LARGEST_HEADER or len(certificate) > LARGEST_CERTIFICATE or size > LARGEST:
+        raise MessageError(
+            f"a header of {len(header)}, a certificate of {len(certificate)} and a body of {len(body)} bytes "
+            f"do not fit an envelope of {LARGEST}"
+        )
+    lengths = _LENGTHS.pack(MAGIC, len(header), len(certificate), len(body))
+    return lengths + header + certificate + body
+
+
+def unpacked(content: bytes) -> Envelope:
+    """The parts of an envelope. Raises MessageError on anything else."""
+    if not _LENGTHS.size <= len(content) <= LARGEST:
+        raise MessageError(f"an envelope has {_LENGTHS.size} to {LARGEST} bytes, this has {len(content)}")
+    magic, header, certificate, body = _LENGTHS.unpack_from(content)
+    end = _LENGTHS.size + header + certificate + body
+    if magic != MAGIC or header > LARGEST_HEADER or certificate > LARGEST_CERTIFICATE:
+        raise MessageError(f"no envelope: it begins with {content[: _LENGTHS.size]!r}")
+    if not 0 < len(content) - end <= LARGEST_SIGNATURE:
+        raise MessageError(f"an envelope states {end} bytes and a signature, it has {len(content)}")
+    first, second = _LENGTHS.size + header, _LENGTHS.size + header + certificate
+    return Envelope(
+        content[_LENGTHS.size : first], content[first:second], content[second:end], content[end:], content[:end]
+    )
+
+
+class VotesGrid(StrictModel):
+    """The fuel grid that votes are on. `origin`: (x, y) of the map frame in `crs`; the edges are those in `crs`."""
+
+    crs: str = Field(pattern=r"^[A-Z]{4,8}:[0-9]{3,6}$")
+    """By its authority's code, such as EPSG:32611: what comes from the network is not parsed as anything else."""
+    origin: tuple[float, float]
+    x_min: float
+    y_max: float
+    resolution: float = Field(gt=0)
+    width: int = Field(ge=1, le=1 << 20)
+    height: int = Field(ge=1, le=1 << 20)
+
+    @classmethod
+    def of(cls, geometry: GridGeometry, origin: tuple[float, float]) -> VotesGrid:
+        """`geometry`: in its CRS."""
+        return cls(crs=str(geometry.crs), origin=origin, **_edges(geometry))
+
+    @property
+    def geometry(self) -> GridGeometry:
+        """In its CRS."""
+        return GridGeometry(self.x_min, self.y_max, self.resolution, self.width, self.height, self.crs)
+
+    @property
+    def in_map(self) -> GridGeometry:
+        """In the map frame, where the votes' points are."""
+        return self.geometry.translated(-self.origin[0], -self.origin[1])
+
+
+class HeaderStart(StrictModel):
+    """What every version of a tower's header has, so that a newer one can be answered in words."""
+
+    model_config = StrictModel.model_config | {"extra": "ignore"}
+
+    version: int
+    region: str = Field(pattern=NAME)
+    tower: str = Field(pattern=NAME)
+    camera: str = Field(pattern=NAME)
+    stamp_ns: int = Field(ge=0, lt=1 << 63)
+
+
+class VotesHeader(StrictModel):
+    """Of a frame's votes; the body is the message, serialised as ROS has it (CDR of sensor_msgs/PointCloud2)."""
+
+    version: int = VERSION
+    region: str = Field(pattern=NAME)
+    tower: str = Field(pattern=NAME)
+    camera: str = Field(pattern=NAME)
+    stamp_ns: int = Field(ge=0, lt=1 << 63)
+    model: str = Field(max_length=200)
+    """What labelled the frame; empty: not known."""
+    grid: VotesGrid
+
+
+class Outcome(StrictModel):
+    """What became of a frame. `done`: it need not be sent again; else `why` says what is amiss."""
+
+    camera: str = Field(max_length=63)
+    stamp_ns: int
+    done: bool
+    why: str = Field("", max_length=300)
+
+
+class AckHeader(StrictModel):
+    """The aggregator's word on frames of one tower; the body is `Outcomes` as JSON."""
+
+    version: int = VERSION
+    region: str = Field(pattern=NAME)
+    tower: str = Field(pattern=NAME)
+
+
+class Outcomes(StrictModel):
+    outcomes: list[Outcome] = Field(max_length=MOST_OUTCOMES)
+
+
+class TileHeader(StrictModel):
+    """Of a tile of a region's map; the body is CDR of nav_msgs/OccupancyGrid, in the map frame of `grid`."""
+
+    version: int = VERSION
+    region: str = Field(pattern=NAME)
+    row: int
+    col: int
+    stamp_ns: int
+    grid: VotesGrid
+    """The whole map's."""
+    classes: list[str]
+    """Names of the class indices."""
+
+
+HeaderT = TypeVar("HeaderT", bound=StrictModel)
+
+
+def header_of(kind: type[HeaderT], envelope: Envelope) -> HeaderT:
+    """Raises MessageError on a header that is none of that kind."""
+    return _parsed(kind, envelope.header, "header")
+
+
+def outcomes_of(envelope: Envelope) -> list[Outcome]:
+    """What an acknowledgement says. Raises MessageError on a body that is none."""
+    return _parsed(Outcomes, envelope.body, "body").outcomes
+
+
+def _parsed(kind: type[HeaderT], content: bytes, what: str) -> HeaderT:
+    try:
+        return kind.model_validate_json(content)
+    except ValidationError as error:
+        found = "; ".join(f"{'.'.join(map(str, e['loc'])) or what}: {e['msg']}" for e in error.errors()[:3])
+        raise MessageError(f"the {what} of an envelope cannot be taken: {found}") from error
+
+
+def _edges(geometry: GridGeometry) -> dict[str, float]:
+    return {name: getattr(geometry, name) for name in ("x_min", "y_max", "resolution", "width", "height")}

@@ -1,0 +1,269 @@
+"""SQLite file of the votes that a tower has not yet been told are in its region's map.
+
+A frame that `put` has returned from is in the file, also after a power cut, and stays until `acknowledge` is told of
+it or until there is no room: then the oldest evidence is thinned (`thinning`), and what is older than `max_age_s` goes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sqlite3
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+import numpy as np
+
+from ltm_core.errors import ConfigError, StoreError
+from ltm_core.raster.tile_store_file import LARGEST_VALUE, check_tables, lock_store, named_errors
+from ltm_core.uplink.thinning import thinned
+
+APPLICATION_ID: Final = 0x4C544D42  # "LTMB"
+LAYOUT: Final = 1
+FREED_SHARE: Final = 0.1
+"""Of the bytes that an outbox may hold, freed at once when it is full: thinning looks at all that it holds."""
+LARGEST_FRAME: Final = 1 << 20
+"""Bytes of one frame; votes have 64 kB at most."""
+KEPT_DAMAGED: Final = 3
+"""Damaged files that are kept beside the outbox, for a person to look at."""
+
+_TABLE: Final = """
+CREATE TABLE frames (
+    camera TEXT NOT NULL, stamp_ns INTEGER NOT NULL, view INTEGER NOT NULL, model TEXT NOT NULL,
+    message BLOB NOT NULL, retry_s REAL NOT NULL DEFAULT 0, PRIMARY KEY (camera, stamp_ns)) STRICT;
+CREATE INDEX by_time ON frames (stamp_ns);
+"""
+FrameKey = tuple[str, int]
+"""(camera, stamp in nanoseconds)."""
+
+
+@dataclass(frozen=True)
+class OutboxFrame:
+    """The votes of one frame. `view`: a number for the direction in which the camera looked. `model`: what labelled it,
+    empty where that is not known. `message`: serialised votes.
+    """
+
+    camera: str
+    stamp_ns: int
+    view: int
+    model: str
+    message: bytes = field(repr=False)
+
+    @property
+    def key(self) -> FrameKey:
+        return self.camera, self.stamp_ns
+
+
+@dataclass(frozen=True)
+class Removed:
+    """Frames that went without an acknowledgement: `thinned` for want of room, `aged` for their age."""
+
+    thinned: int
+    aged: int
+
+
+class Outbox:
+    """One process at a time opens a file. Methods raise StoreError where the disk does not serve just now: then nothing
+    of that call is in the file, and the call may be made again; ConfigError where the file has become damaged, which
+    the next one that opens it puts aside.
+
+    Args:
+        path: of the file; made where there is none, its folder must exist.
+        max_bytes: of all frames' messages together.
+        max_age_s: seconds from a frame's stamp on.
+    """
+
+    def __init__(self, path: Path | str, max_bytes: int, max_age_s: float) -> None:
+        """Raises StoreError as above, ConfigError where the folder is missing or the file is another program's."""
+        self._path = Path(path)
+        self._max_bytes, self._max_age_ns = max_bytes, round(max_age_s * 1e9)
+        self.damage = ""
+        """Where a damaged file was put aside and a new one begun: what that means, in words."""
+        if not self._path.parent.is_dir():
+            raise ConfigError(f"{self._path}: the folder {self._path.parent} does not exist; make it first")
+        self._lock = lock_store(self._path)
+        try:
+            self._db = self._opened()
+            with named_errors(str(self._path)):
+                # Pauses are counted by the clock of a process that is gone.
+                self._db.execute("UPDATE frames SET retry_s = 0 WHERE retry_s > 0")
+                found = self._db.execute("SELECT count(*), coalesce(sum(length(message)), 0) FROM frames").fetchone()
+        except BaseException:
+            os.close(self._lock)
+            raise
+        self.frames, self.bytes = int(found[0]), int(found[1])
+        """What waits: number of frames, and the bytes of their messages."""
+
+    def close(self) -> None:
+        self._db.close()
+        os.close(self._lock)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def put(self, frames: Sequence[OutboxFrame]) -> int:
+        """Keep frames, all of them or none; how many were not there yet. The first of a key stays."""
+        new, size = 0, 0
+        with self._transaction() as db:
+            for frame in frames:
+                if len(frame.message) > LARGEST_FRAME:
+                    raise ValueError(f"a frame of {len(frame.message)} bytes; {LARGEST_FRAME} at most are kept")
+                row = (frame.camera, frame.stamp_ns, frame.view, frame.model, frame.message)
+                if db.execute("INSERT OR IGNORE INTO frames VALUES (?, ?, ?, ?, ?, 0)", row).rowcount:
+                    new, size = new + 1, size + len(frame.message)
+        self.frames, self.bytes = self.frames + new, self.bytes + size
+        return new
+
+    def waiting(self, limit: int, now_s: float, without: Iterable[FrameKey] = ()) -> list[OutboxFrame]:
+        """The newest frames but these, and but those that a `postpone` holds back until later than `now_s`: a map of
+        the present is worth more than one of an hour ago, and evidence may come in any order.
+        """
+        left_out = set(without)
+        with named_errors(str(self._path)):
+            rows = self._db.execute(
+                "SELECT camera, stamp_ns, view, model, message FROM frames WHERE retry_s <= ? "
+                "ORDER BY stamp_ns DESC LIMIT ?",
+                (now_s, limit + len(left_out)),
+            ).fetchall()
+        return [OutboxFrame(*row) for row in rows if row[:2] not in left_out][:limit]
+
+    def acknowledge(self, keys: Iterable[FrameKey]) -> int:
+        """Let go of frames that are in the region's map; how many of them were here."""
+        return self._remove(list(keys))
+
+    def postpone(self, keys: Iterable[FrameKey], until_s: float) -> None:
+        """Do not offer frames again before then, by the clock of `waiting`."""
+        with self._transaction() as db:
+            db.executemany(
+                "UPDATE frames SET retry_s = ? WHERE camera = ? AND stamp_ns = ?", [(until_s, *key) for key in keys]
+            )
+
+    def oldest_ns(self) -> int | None:
+        """Stamp of the oldest frame; None: nothing waits."""
+        with named_errors(str(self._path)):
+            (oldest,) = self._db.execute("SELECT min(stamp_ns) FROM frames").fetchone()
+        return None if oldest is None else int(oldest)
+
+    def bound(self, now_ns: int | None) -> Removed:
+        """Remove what is too old at `now_ns` (None: not known, so nothing is), and thin what is too much."""
+        aged = 0
+        if now_ns is not None:
+            with named_errors(str(self._path)):
+                old = self._db.execute(
+                    "SELECT camera, stamp_ns FROM frames WHERE stamp_ns < ?", (now_ns - self._max_age_ns,)
+                ).fetchall()
+            aged = self._remove(old)
+        if self.bytes <= self._max_bytes:
+            return Removed(0, aged)
+        with named_errors(str(self._path)):
+            rows = self._db.execute("SELECT camera, stamp_ns, view, length(message) FROM frames").fetchall()
+        views: dict[tuple[str, int], int] = {}
+        numbers = np.array([views.setdefault((row[0], row[2]), len(views)) for row in rows], np.int64)
+        stamps, sizes = (np.array([row[column] for row in rows], np.int64) for column in (1, 3))
+        spare = self.bytes - round((1 - FREED_SHARE) * self._max_bytes)
+        gone = np.flatnonzero(thinned(stamps, numbers, sizes, spare))
+        return Removed(self._remove([rows[k][:2] for k in gone]), aged)
+
+    def _remove(self, keys: Sequence[FrameKey]) -> int:
+        if not keys:
+            return 0
+        frames, size = 0, 0
+        with self._transaction() as db:
+            for key in keys:
+                found = db.execute(
+                    "DELETE FROM frames WHERE camera = ? AND stamp_ns = ? RETURNING length(message)", key
+                ).fetchall()
+                frames, size = frames + len(found), size + sum(int(row[0]) for row in found)
+        self.frames, self.bytes = self.frames - frames, self.bytes - size
+        return frames
+
+    def _opened(self) -> sqlite3.Connection:
+        """A sound database; a damaged one is put aside, for what it held cannot be sent."""
+        try:
+            return _connect(self._path)
+        except _DamagedError as error:
+            places = [self._path.with_name(f"{self._path.name}.damaged-{k}") for k in range(KEPT_DAMAGED)]
+            aside = next((place for place in places if not place.exists()), places[0])
+            try:
+                for end in ("-wal", "-shm"):
+                    self._path.with_name(self._path.name + end).unlink(missing_ok=True)
+                self._path.replace(aside)
+            except OSError as failed:
+                raise StoreError(f"{self._path}: cannot be moved aside ({failed.strerror}); check the disk") from failed
+            self.damage = f"{error}; it lies in {aside} now, what waited in it was not sent, and a new one has begun"
+            return _connect(self._path)
+
+    @contextlib.contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        with named_errors(str(self._path)):
+            self._db.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._db
+                self._db.execute("COMMIT")
+            except BaseException:
+                if self._db.in_transaction:
+                    self._db.execute("ROLLBACK")
+                raise
+
+
+class _DamagedError(ConfigError):
+    """A file of ours that cannot be read any more."""
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    """Raises _DamagedError, ConfigError for a file of another program, which stays as it is, StoreError."""
+    try:
+        if path.exists() and path.stat().st_size:
+            _check_header(path)
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read ({error.strerror})") from error
+    try:
+        with named_errors(str(path)):
+            db = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0)
+            try:
+                db.execute("PRAGMA journal_mode = WAL")
+                db.execute("PRAGMA synchronous = FULL")  # what `put` has returned from outlives a power cut
+                db.execute("PRAGMA secure_delete = OFF")  # else freeing pages takes as much room as writing them
+                db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_VALUE)
+                _make_table(db)
+                check_tables(db, path, _TABLE)
+                (verdict,) = db.execute("PRAGMA integrity_check(1)").fetchone()
+            except BaseException:
+                db.close()
+                raise
+    except ConfigError as error:
+        raise _DamagedError(str(error)) from error
+    if verdict != "ok":
+        db.close()
+        raise _DamagedError(f"{path}: the outbox is damaged ({verdict})")
+    return db
+
+
+def _make_table(db: sqlite3.Connection) -> None:
+    (layout,) = db.execute("PRAGMA user_version").fetchone()
+    if layout == 0:
+        db.execute("BEGIN IMMEDIATE")
+        for statement in _TABLE.split(";"):
+            db.execute(statement)
+        db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+        db.execute(f"PRAGMA user_version = {LAYOUT}")
+        db.execute("COMMIT")
+
+
+def _check_header(path: Path) -> None:
+    """Before SQLite touches it. Until the first transaction is whole in the file, its header names no program."""
+    with path.open("rb") as file:
+        header = file.read(100)
+    application, layout = (int.from_bytes(header[place : place + 4], "big") for place in (68, 60))
+    if not header.startswith(b"SQLite format 3\0") or application not in (0, APPLICATION_ID):
+        raise ConfigError(f"{path}: not an outbox; it stays as it is: move it away or name another folder")
+    if layout not in (0, LAYOUT):
+        raise ConfigError(f"{path}: an outbox of layout {layout}, this program has {LAYOUT}; use the one that wrote it")

@@ -1,0 +1,86 @@
+"""Takes votes from the fuel grid of a tower's site to that of its region, which may have another origin or CRS."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from ltm_core.errors import MessageError
+from ltm_core.fuel.export.export_grid import GridTransfer
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.geodesy import SiteFrame
+from ltm_core.grid import GridGeometry
+from ltm_core.types import Float64Array, Int64Array
+
+MOST_CELLS: Final = 4_000_000
+"""Of a tower's grid: 60 km square at 30 m."""
+
+
+class VoteTransfer:
+    """By nearest cell, as `GridTransfer`; where both grids have one CRS and their cells coincide, that is exact.
+
+    What a frame shows of a cell is told of each cell of the region whose centre lies in it, so between two CRSs a cell
+    may count twice or not at all: evidence moves by half a cell at most. Bearings are turned from one grid north to the
+    other.
+
+    Args:
+        source: the tower's fuel grid, in its CRS.
+        target: the region's, in its CRS.
+        in_map: the same grid in the map frame of the region, which the votes are on afterwards.
+
+    Raises MessageError where the cells are of another size or the tower's grid is too large, ConfigError for a
+    CRS that is not known or not in metres.
+    """
+
+    def __init__(self, source: GridGeometry, target: GridGeometry, in_map: GridGeometry) -> None:
+        if source.resolution != target.resolution:
+            raise MessageError(
+                f"the tower's fuel cells are {source.resolution:g} m wide, the region's {target.resolution:g} m: "
+                "evidence of other cells does not add up; set fuel.resolution of the tower's site"
+            )
+        if source.width * source.height > MOST_CELLS:
+            raise MessageError(f"the tower's fuel grid has {source.shape} cells; {MOST_CELLS} at most are taken")
+        self.source, self._in_map = source, in_map
+        self._source_frame, self._target_frame = SiteFrame(str(source.crs)), SiteFrame(str(target.crs))
+        number = np.arange(source.width * source.height, dtype=np.int64).reshape(source.shape)
+        from_cell = GridTransfer(source, target).layer(number, -1).ravel()
+        cells = np.flatnonzero(from_cell >= 0)
+        self._targets: Int64Array = cells[np.argsort(from_cell[cells], kind="stable")]
+        """Cells of the region by the tower's cells that they take from; `_first`: where those of each begin."""
+        self._first = np.searchsorted(from_cell[self._targets], np.arange(number.size + 1))
+        self._same_crs = source.crs == target.crs
+
+    def votes(self, votes: CellVotes) -> CellVotes:
+        """The votes on the region's grid, in row-major order; of cells that it does not have, nothing is left.
+
+        `votes`: on `source`.
+        """
+        if votes.geometry.shape != self.source.shape:
+            raise MessageError(f"votes of {votes.source} are on {votes.geometry}, not on {self.source}")
+        own = votes.rows.astype(np.int64) * self.source.width + votes.cols
+        counts = self._first[own + 1] - self._first[own]
+        taken = np.repeat(np.arange(len(own)), counts)
+        begins = np.repeat(self._first[own] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
+        cells = self._targets[begins + np.arange(len(taken))] if len(taken) else np.zeros(0, np.int64)
+        order = np.argsort(cells)
+        moved, cells = votes.only(taken[order]), cells[order]
+        rows, cols = (cells // self._in_map.width).astype(np.int32), (cells % self._in_map.width).astype(np.int32)
+        if moved.visibility is not None and not self._same_crs:
+            bearing = np.mod(moved.visibility.bearing + self._turn(moved), 2 * math.pi).astype(np.float32)
+            moved = replace(moved, visibility=replace(moved.visibility, bearing=bearing))
+        return replace(moved, geometry=self._in_map, rows=rows, cols=cols)
+
+    def _turn(self, votes: CellVotes) -> Float64Array:
+        """(N,) radians from a bearing of the tower's grid to that of the region's: the difference of convergences."""
+        if not len(votes):
+            return np.zeros(0)
+        # Over what a camera sees the difference changes by less than a hundredth of a degree.
+        x, y = self.source.to_map(votes.rows.mean(), votes.cols.mean())
+        lon, lat = self._source_frame.to_lonlat(float(x), float(y))
+        there = self._target_frame.from_lonlat(lon, lat)
+        own = self._source_frame.grid_convergence_deg(float(x), float(y))
+        other = self._target_frame.grid_convergence_deg(float(there[0]), float(there[1]))
+        return np.full(len(votes), math.radians(own - other))

@@ -1,0 +1,105 @@
+"""Takes pictures out of their serialised messages without the middleware, whose libraries a worker need not load.
+
+The layouts are those of sensor_msgs/CompressedImage and sensor_msgs/Image in plain CDR (OMG DDS-XTypes 1.3, 7.4.1):
+four bytes of encapsulation, then the fields in their order, numbers aligned to their size, strings and sequences after
+a uint32 of their length, a string's with its closing zero.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from ltm_core.errors import ImageError, RecordingError
+from ltm_core.types import UInt8Array
+from ltm_msgs_py.image import compressed_size, compressed_to_rgb, msg_to_rgb
+from ltm_msgs_py.stamp import NS_PER_S
+
+COMPRESSED_TYPE = "sensor_msgs/msg/CompressedImage"
+RAW_TYPE = "sensor_msgs/msg/Image"
+_HEAD = 4
+"""Bytes of encapsulation; alignment counts from behind them."""
+
+
+@dataclass(frozen=True)
+class CompressedPicture:
+    """A JPEG or PNG as it was sent: the fields of CompressedImage."""
+
+    stamp_ns: int
+    format: str
+    data: memoryview
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) that it states. Raises ImageError."""
+        return compressed_size(self)
+
+    def rgb(self) -> UInt8Array:
+        """(H, W, 3). Raises ImageError."""
+        return compressed_to_rgb(self)
+
+
+@dataclass(frozen=True)
+class RawPicture:
+    """Pixels as they were sent: the fields of Image."""
+
+    stamp_ns: int
+    height: int
+    width: int
+    encoding: str
+    is_bigendian: int
+    step: int
+    data: memoryview
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height)."""
+        return self.width, self.height
+
+    def rgb(self) -> UInt8Array:
+        """(H, W, 3). Raises ImageError."""
+        return msg_to_rgb(self)
+
+
+def picture_of(raw: bytes, type_name: str) -> CompressedPicture | RawPicture:
+    """The picture of a serialised message. Raises RecordingError on bytes that do not decode, ImageError on another
+    type."""
+    if type_name not in (COMPRESSED_TYPE, RAW_TYPE):
+        raise ImageError(f"{type_name} holds no picture; taken: {COMPRESSED_TYPE} and {RAW_TYPE}")
+    try:
+        fields = _Fields(raw)
+        stamp = fields.number("i") * NS_PER_S + fields.number("I")
+        fields.text()  # frame_id
+        if type_name == COMPRESSED_TYPE:
+            return CompressedPicture(stamp, fields.text(), fields.data())
+        height, width = fields.number("I"), fields.number("I")
+        encoding, bigendian = fields.text(), fields.number("B")
+        return RawPicture(stamp, height, width, encoding, bigendian, fields.number("I"), fields.data())
+    except (struct.error, ValueError) as error:
+        raise RecordingError(f"{len(raw)} bytes do not decode as {type_name} ({error})") from error
+
+
+class _Fields:
+    """Reads one field after the other. Raises ValueError and struct.error past the end."""
+
+    def __init__(self, raw: bytes) -> None:
+        if len(raw) < _HEAD or raw[0] != 0 or raw[1] not in (0, 1):
+            raise ValueError(f"they begin with {raw[:_HEAD].hex(' ') or 'nothing'}, plain CDR with 00 00 or 00 01")
+        self._order, self._bytes, self._at = "<" if raw[1] else ">", memoryview(raw)[_HEAD:], 0
+
+    def number(self, form: str) -> int:
+        size = struct.calcsize(form)
+        self._at += -self._at % size
+        (value,) = struct.unpack_from(f"{self._order}{form}", self._bytes, self._at)
+        self._at += size
+        return int(value)
+
+    def text(self) -> str:
+        return bytes(self.data()).rstrip(b"\0").decode()
+
+    def data(self) -> memoryview:
+        length = self.number("I")
+        if self._at + length > len(self._bytes):
+            raise ValueError(f"a field of {length} bytes at {self._at} leaves them")
+        self._at += length
+        return self._bytes[self._at - length : self._at]

@@ -1,0 +1,120 @@
+"""Digests of all that a result hangs on: files by their content, configuration by its values, the program by its code.
+
+Two runs that would make the same have the same digest; whatever changes what is made changes it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import pickle  # nosec B403 # only written, to be hashed
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import ltm_core
+import ltm_msgs_py
+from ltm_core.frame_steps import LabellingConfig, LabellingStep, TracingConfig
+from ltm_core.fuel.site_map import camera_label_errors, site_label_errors
+from ltm_core.resources import config_path
+from ltm_core.site import Site
+
+_STUDY = ("evaluation", "training", "simulator", "bench")
+_PACKAGES = ("numpy", "numba", "scipy", "onnxruntime", "opencv-python-headless", "rasterio", "pillow")
+"""Of others, whose versions may change a bit of a result."""
+_NOT_VOTES = {
+    "cameras",
+    "nodes",
+    "terrain",
+    "locating",
+    "depth_model",
+    "processes",
+    "workers",
+    "refine_poses",
+    "limits",
+}
+_NOT_VOTES |= {"watchdog", "health", "model", "heads", "labels", "name"}
+"""Of a site: what has no say in the votes of a frame of which image, pose and calibration are known, and what is given
+by its content beside it."""
+_NOT_VOTES_OF_FUEL = {"prior", "region", "fusion", "label_errors"}
+"""What evidence is made of votes with."""
+
+
+def digest(*parts: object) -> str:
+    """Of values that JSON can write."""
+    text = json.dumps(parts, sort_keys=True, separators=(",", ":"))
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def picture_digest(raw: bytes) -> str:
+    """Of a picture's message as it was recorded."""
+    return hashlib.blake2b(raw, digest_size=16).hexdigest()
+
+
+@cache
+def code_digest() -> str:
+    """Of the program: the sources of core and messages without the study wing, and what it computes with."""
+    found = hashlib.blake2b(digest_size=16)
+    for package in (ltm_core, ltm_msgs_py):
+        (place,) = package.__path__
+        for file in sorted(Path(place).rglob("*.py")):
+            if file.relative_to(place).parts[0] not in _STUDY:
+                found.update(file.relative_to(place).as_posix().encode())
+                found.update(file.read_bytes())
+    versions = {name: importlib.metadata.version(name) for name in _PACKAGES}
+    return digest(found.hexdigest(), versions)
+
+
+def votes_digest(site: Site, camera: str, tracing: TracingConfig, labelling: LabellingConfig) -> str:
+    """Of what makes votes of a camera's frames, besides the frames. Raises LtmError for files that are not there."""
+    settings = site.model_dump(exclude=_NOT_VOTES)
+    settings["fuel"] = site.fuel.model_dump(exclude=_NOT_VOTES_OF_FUEL)
+    config = site.camera(camera)
+    settings["camera"] = {"mask": config.model_dump(include={"mask"}), "judge_pictures": config.judge_pictures}
+    step = LabellingStep(site, camera, labelling)
+    settings["network"] = [step.described, step.manifest.model_dump(mode="json"), step.withdrawal.model_dump()]
+    settings["labels"] = file_digest(config_path(site.labels))
+    settings["steps"] = [tracing.model_dump(), labelling.zoom]
+    return digest(_by_content(settings))
+
+
+def look_digest(site: Site, camera: str) -> str:
+    """Of what decides whether a camera's picture is clear, besides the picture."""
+    config = site.camera(camera)
+    return digest(_by_content(config.model_dump(include={"mask", "judge_pictures"})), site.crs, list(site.origin))
+
+
+def evidence_digest(site: Site) -> str:
+    """Of what makes evidence of votes. Raises LtmError for files that are not there."""
+    errors = site_label_errors(site), sorted(camera_label_errors(site).items())
+    settings = site.fuel.model_dump(include=_NOT_VOTES_OF_FUEL - {"label_errors"})
+    frame = [site.crs, list(site.origin)]
+    return digest(_by_content(settings), frame, hashlib.blake2b(pickle.dumps(errors)).hexdigest())
+
+
+def file_digest(path: Path) -> str:
+    """Of a file's content, or of all files in a folder."""
+    found = path.stat()
+    return _content(path.resolve(), found.st_size, found.st_mtime_ns)
+
+
+@cache
+def _content(path: Path, size: int, changed_ns: int) -> str:
+    if path.is_dir():
+        files = sorted(file for file in path.rglob("*") if file.is_file())
+        return digest([[file.relative_to(path).as_posix(), file_digest(file)] for file in files])
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+
+
+def _by_content(value: Any) -> Any:
+    """Configuration in which each path stands for what is there."""
+    if isinstance(value, Path):
+        return file_digest(value)
+    if isinstance(value, Mapping):
+        return {str(key): _by_content(item) for key, item in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_by_content(item) for item in value]
+    return value if isinstance(value, str | int | float | bool | None) else str(value)

@@ -1,0 +1,152 @@
+"""Runs tasks: one after the other here, on processes of this machine, or on a cluster of Dask.
+
+All give the same files; who runs a task, when and how often decides nothing.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from ltm_core.errors import ArchiveError, LtmError
+from ltm_ros.archive.task import Task, TaskReport, TaskSettings, work
+
+_DEATHS = 3
+"""Workers beyond the first that may die while they have a task, before it is given up as their killer."""
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """`address`: of a Dask scheduler, `tls://host:port`. `ca`, `certificate`, `key`: PEM files; the scheduler's own
+    certificate and the workers' are checked against `ca`, as ours is by them."""
+
+    address: str
+    ca: Path | None = None
+    certificate: Path | None = None
+    key: Path | None = None
+
+    def __post_init__(self) -> None:
+        place = urlsplit(self.address)
+        if place.scheme == "tls":
+            if not (self.ca and self.certificate and self.key):
+                raise ArchiveError(f"{self.address}: give --tls-ca, --tls-cert and --tls-key, PEM files")
+        elif place.scheme != "tcp" or not _loopback(place.hostname or ""):
+            raise ArchiveError(
+                f"{self.address}: a scheduler runs whatever it is sent, so beyond this machine only tls:// is taken"
+            )
+
+
+@dataclass(frozen=True)
+class Done:
+    """A task that has ended; `error`: why it gave no result."""
+
+    task: Task
+    report: TaskReport | None
+    error: str = ""
+
+
+Engine = Callable[[Sequence[Task], TaskSettings], Iterator[Done]]
+
+
+def serial(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
+    """One task after the other in this process."""
+    for task in tasks:
+        try:
+            yield Done(task, work(task, settings))
+        except (LtmError, OSError) as error:
+            yield Done(task, None, str(error))
+
+
+def on_workers(count: int) -> Engine:
+    """An engine of so many processes of this machine, which end with it."""
+
+    def run(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
+        import dask
+        from distributed import Client, LocalCluster
+
+        place: dict[str, object] = {"host": "127.0.0.1", "dashboard_address": None}
+        with (
+            dask.config.set({"distributed.scheduler.allowed-failures": _DEATHS}),
+            LocalCluster(
+                n_workers=count, threads_per_worker=1, memory_limit=0, silence_logs=logging.ERROR, **place
+            ) as cluster,
+            Client(cluster) as client,
+        ):
+            yield from _windowed(client, tasks, settings)
+
+    return run
+
+
+def on_cluster(cluster: Cluster) -> Engine:
+    """An engine of a scheduler that runs already, and its workers."""
+
+    def run(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
+        from distributed import Client
+        from distributed.security import Security
+
+        security = None
+        if cluster.address.startswith("tls:"):
+            files = {"tls_ca_file": cluster.ca, "tls_client_cert": cluster.certificate, "tls_client_key": cluster.key}
+            security = Security(require_encryption=True, **{name: str(file) for name, file in files.items()})
+        try:
+            client = Client(cluster.address, security=security, timeout="20s")
+        except (OSError, TimeoutError) as error:
+            raise ArchiveError(
+                f"{cluster.address}: no scheduler answers there ({error}); start `dask scheduler` and `dask worker`, "
+                "with certificates of the same authority"
+            ) from error
+        with client:
+            yield from _windowed(client, tasks, settings)
+
+    return run
+
+
+def _windowed(client: Any, tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
+    """As many tasks are with the scheduler as workers have threads: the memory of a year's run is that of an hour's,
+    and a worker that dies is blamed on the one task that it had. A task takes minutes, so nobody waits for the next.
+    """
+    from distributed import as_completed
+
+    ahead, waiting = iter(tasks), dict[str, Task]()
+    running = as_completed()
+
+    def fill() -> None:
+        room = max(sum(client.nthreads().values()), 1) - len(waiting)
+        for task in islice(ahead, max(room, 0)):
+            future = client.submit(work, task, settings, key=f"{task.label} {task.evidence_key}", pure=False)
+            waiting[future.key] = task
+            running.add(future)
+
+    fill()
+    for future in running:
+        task = waiting.pop(future.key)
+        error = future.exception() if future.status == "error" else None
+        if future.status == "finished":
+            yield Done(task, future.result())
+        elif error is None or isinstance(error, LtmError | OSError) or type(error).__name__ == "KilledWorker":
+            yield Done(task, None, _said(error, future.status))
+        else:
+            raise error  # a bug
+        future.release()
+        fill()
+
+
+def _said(error: BaseException | None, status: str) -> str:
+    if error is None:
+        return f"the task is {status}"
+    if type(error).__name__ == "KilledWorker":
+        return "worker after worker died of it: out of memory, or a picture that ends the process"
+    return str(error)
+
+
+def _loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

@@ -1,0 +1,246 @@
+"""The frames of an archive: where each lies, what its content is, and which pose and calibration it has.
+
+Poses and calibrations are joined here, over the borders of files, by the same rules as live (`FrameJoin`), so that each
+frame can be worked alone, anywhere, in any order.
+"""
+
+from __future__ import annotations
+
+import heapq
+import io
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ltm_core.camera import Camera
+from ltm_core.errors import ArchiveError, LtmError, RecordingError
+from ltm_core.pose import Pose
+from ltm_core.site import Site
+from ltm_core.types import Float64Array
+from ltm_msgs_py.bag.schemas import message_class
+from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
+from ltm_ros.archive.scan import Scan, ScannedMessage
+from ltm_ros.runtime.frame_join import FrameJoin, FrameJoinConfig, JoinedFrame
+from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.stamp_check import StampCheck
+from ltm_ros.runtime.topics import camera_topic
+
+DAY_NS = 86_400 * 10**9
+
+
+@dataclass(frozen=True)
+class ArchiveFrame:
+    """A frame that can be worked: the file, topic and log time by which its picture is found; `content`: its digest.
+
+    `intrinsics`: width, height, fx, fy, cx, cy and the distortion. `position`, `quaternion` (x, y, z, w) and
+    `covariance` (36 numbers, row by row): of the pose.
+    """
+
+    camera: str
+    stamp_ns: int
+    file: str
+    topic: str
+    log_time_ns: int
+    size_bytes: int
+    content: str
+    intrinsics: tuple[float, ...]
+    position: tuple[float, ...]
+    quaternion: tuple[float, ...]
+    covariance: tuple[float, ...]
+
+    @property
+    def day(self) -> int:
+        """Whole days since 1970, UTC."""
+        return self.stamp_ns // DAY_NS
+
+    @property
+    def calibration(self) -> Camera:
+        width, height, fx, fy, cx, cy, *distortion = self.intrinsics
+        k1, k2, p1, p2, k3 = distortion
+        return Camera(int(width), int(height), fx, fy, cx, cy, (k1, k2, p1, p2, k3))
+
+    @property
+    def pose(self) -> Pose:
+        return Pose.from_quaternion(self.position, self.quaternion)
+
+    @property
+    def pose_covariance(self) -> Float64Array:
+        """(6, 6)"""
+        return np.array(self.covariance).reshape(6, 6)
+
+    def identity(self) -> list[object]:
+        """All that its votes hang on besides the site: not where it lies."""
+        return [self.stamp_ns, self.content, self.intrinsics, self.position, self.quaternion, self.covariance]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """What could not be worked, `count` of a kind: where, and why with the remedy."""
+
+    place: str
+    cause: str
+    why: str
+    count: int = 1
+
+
+@dataclass
+class Manifest:
+    """`frames` by camera and stamp. `failures`: frames that were lost on the way here. `repeated`: frames that archives
+    hold more than once. `damage`: of files, in words."""
+
+    frames: list[ArchiveFrame] = field(default_factory=list)
+    failures: list[Failure] = field(default_factory=list)
+    repeated: int = 0
+    damage: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class ManifestRules:
+    """How a site's nodes judge and join: `max_ahead`, `max_behind` seconds of a stamp against its log time."""
+
+    join: FrameJoinConfig
+    max_ahead: float
+    max_behind: float
+
+
+def make_manifest(scans: Sequence[Scan], site: Site, cameras: Sequence[str], rules: ManifestRules) -> Manifest:
+    """Of these cameras' frames. Raises ArchiveError for a site whose poses hang on the order of frames."""
+    if site.refine_poses is not None:
+        raise ArchiveError(
+            f"site {site.name} refines poses (refine_poses): a frame's pose then hangs on those before it; write what "
+            "was found into the site file (ltm pose) and take the section out of it for the archive"
+        )
+    manifest = Manifest(damage=[note for scan in scans for note in scan.damage])
+    for camera in cameras:
+        _join_camera(scans, site, camera, rules, manifest)
+    manifest.frames.sort(key=lambda frame: (frame.camera, frame.stamp_ns))
+    return manifest
+
+
+def _join_camera(scans: Sequence[Scan], site: Site, camera: str, rules: ManifestRules, manifest: Manifest) -> None:
+    health, frames = Health(), dict[int, ArchiveFrame]()
+    log_time = 0
+    stamps = StampCheck(lambda: log_time, health, rules.max_ahead, rules.max_behind)
+
+    def complete(joined: JoinedFrame) -> None:
+        image: _Picture = joined.image
+        join.check_size(image.size, joined.camera)
+        frames[image.message.stamp_ns] = _frame(camera, image, joined, join.assumed)
+
+    join = FrameJoin(site, camera, rules.join, complete, health, lambda image: (image.message.stamp_ns, image.size))
+    image_topic = camera_topic(site.name, camera, join.image_topic)
+    others = {camera_topic(site.name, camera, topic): take for topic, take in join.others.items()}
+    known: dict[int, str] = {}
+    for file, message in _by_log_time(scans, {image_topic, *others}):
+        log_time = message.log_time_ns
+        try:
+            if message.topic != image_topic:
+                others[message.topic](_decoded(message))
+                continue
+            if message.trouble:
+                raise RecordingError(message.trouble)
+            what = f"an image of {camera}"
+            if message.stamp_ns in known:
+                manifest.repeated += 1
+                if known[message.stamp_ns] != message.content:
+                    health.drop("two_pictures", f"{file} has another picture of stamp {message.stamp_ns} ns; the first "
+                                "is taken: leave out the archive that is wrong")  # fmt: skip
+            elif not stamps.refuses(what, message.stamp_ns) and _small_enough(message, site, health):
+                known[message.stamp_ns] = message.content
+                join.add_image(message.stamp_ns, _Picture(file, message))
+        except LtmError as error:
+            health.drop(cause_of(error), f"{error} ({file}, log time {message.log_time_ns} ns)")
+    join.finish()
+    manifest.frames += frames.values()
+    reasons = health.summary()
+    for cause, count in health.dropped.items():
+        manifest.failures.append(Failure(camera, cause, reasons.get(f"reason.{cause}", ""), count))
+
+
+@dataclass(frozen=True)
+class _Picture:
+    file: Path
+    message: ScannedMessage
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.message.width, self.message.height
+
+
+def _by_log_time(scans: Sequence[Scan], topics: set[str]) -> Iterator[tuple[Path, ScannedMessage]]:
+    """Of equal times in the order of the files."""
+    streams = (_of_topics(scan, topics) for scan in scans)
+    return heapq.merge(*streams, key=lambda found: found[1].log_time_ns)
+
+
+def _of_topics(scan: Scan, topics: set[str]) -> Iterator[tuple[Path, ScannedMessage]]:
+    return ((scan.file, message) for message in scan.messages if message.topic in topics)
+
+
+def _small_enough(message: ScannedMessage, site: Site, health: Health) -> bool:
+    limits = site.limits
+    if message.size_bytes <= limits.image_bytes and message.width * message.height <= limits.pixels:
+        return True
+    health.drop(
+        "too_large",
+        f"image of {message.width} x {message.height} pixels in {message.size_bytes} bytes; raise pixels or "
+        "image_bytes under `limits:` in the site file",
+    )
+    return False
+
+
+def _decoded(message: ScannedMessage) -> Any:
+    from rclpy.serialization import deserialize_message  # workers read manifests and decode nothing here
+
+    try:
+        return deserialize_message(message.raw, message_class(message.type_name))
+    except Exception as error:  # as BagReader.decode
+        raise RecordingError(f"{len(message.raw)} bytes do not decode as {message.type_name}") from error
+
+
+def _frame(camera: str, image: _Picture, joined: JoinedFrame, assumed: Float64Array) -> ArchiveFrame:
+    """With pose and covariance as nodes get them: through a message."""
+    given, message = joined.camera, image.message
+    sent = pose_to_msg(joined.pose, message.stamp_ns, "map", joined.covariance)
+    msg_to_pose(sent, "map")
+    covariance = msg_to_covariance(sent, assumed)
+    assert covariance is not None  # nosec B101 # some is assumed
+    position, quaternion = (
+        [float(getattr(part, axis)) for axis in axes]
+        for part, axes in ((sent.pose.pose.position, "xyz"), (sent.pose.pose.orientation, "xyzw"))
+    )
+    intrinsics = (given.width, given.height, given.fx, given.fy, given.cx, given.cy, *given.distortion)
+    return ArchiveFrame(
+        camera,
+        message.stamp_ns,
+        str(image.file),
+        message.topic,
+        message.log_time_ns,
+        message.size_bytes,
+        message.content,
+        tuple(float(value) for value in intrinsics),
+        tuple(position),
+        tuple(quaternion),
+        tuple(float(value) for value in covariance.ravel()),
+    )
+
+
+def packed(frames: Sequence[ArchiveFrame]) -> bytes:
+    """Frames as Parquet."""
+    kinds = {"str": pa.string(), "int": pa.int64(), "tuple[float, ...]": pa.list_(pa.float64())}
+    schema = pa.schema([(item.name, kinds[str(item.type)]) for item in fields(ArchiveFrame)])
+    file = io.BytesIO()
+    pq.write_table(pa.Table.from_pylist([asdict(frame) for frame in frames], schema), file, compression="zstd")
+    return file.getvalue()
+
+
+def days_of(frames: Sequence[ArchiveFrame]) -> Counter[tuple[str, int]]:
+    """Frames of each camera and day."""
+    return Counter(map(attrgetter("camera", "day"), frames))

@@ -1,0 +1,84 @@
+"""Makes a site's store of the evidence of all tasks: each merged once, by the list of the plan, day by day.
+
+The store is one that a node opens and goes on from: its tiles, whom they were touched by, the frames that are counted,
+and a journal of what the map said at the end of each day.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import reduce
+from itertools import groupby
+from pathlib import Path
+
+from ltm_core.fuel.evidence_merge import PartialEvidence
+from ltm_core.fuel.site_map import site_evidence_map
+from ltm_core.fuel.stored_map import fuel_schema
+from ltm_core.raster.tile_store import FrameRecord, Key, TileStore
+from ltm_core.resources import config_path
+from ltm_core.site import Site
+from ltm_core.vision.labels import LabelSet
+from ltm_ros.archive.task import LostFrame, Task, TaskEvidence, read_evidence
+from ltm_ros.fuel_map.layers import ShownLayers
+
+
+@dataclass
+class Reduction:
+    """`counted`: frames that say something of a cell, by camera; `lost`, `unused` as of the tasks."""
+
+    counted: Counter[str] = field(default_factory=Counter)
+    lost: list[LostFrame] = field(default_factory=list)
+    unused: Counter[str] = field(default_factory=Counter)
+    newest_ns: int = 0
+
+
+def reduce_to_store(tasks: Sequence[Task], read: Callable[[Task], bytes], site: Site, path: Path) -> Reduction:
+    """Write the store into `path`, where nothing must be yet. `read`: the content of a task's evidence file.
+
+    Raises LtmError for evidence that does not fit the site, StoreError where the store cannot be written.
+    """
+    geometry = site.fuel_geometry(site.open_dem())
+    evidence = site_evidence_map(site, geometry, LabelSet.load(config_path(site.labels)))
+    shown, found, touched = ShownLayers(evidence), Reduction(), set[Key]()
+    with TileStore.open(path, fuel_schema(site, geometry)) as store:
+        for _, of_day in groupby(tasks, key=lambda task: task.frames[0].day):
+            parts = [read_evidence(read(task), site, geometry) for task in of_day]
+            reduce(PartialEvidence.merged, (part.partial for part in parts)).merge_into(evidence)
+            records = [record for part in parts for record in _records(part)]
+            for part in parts:
+                found.lost += part.lost
+                found.unused.update(part.unused)
+                touched.update(part.touched)
+            found.counted.update(record.source for record in records)
+            store.commit({}, records, shown.refresh_all())
+        tiles = {key: evidence.tile_state(key) for key in sorted(touched)}
+        store.commit(tiles, last=True)
+    found.newest_ns = evidence.newest_ns
+    return found
+
+
+def store_digest(store: TileStore) -> str:
+    """Of what a map is made of: the state of all tiles, who touched them, and how many frames of whom are counted.
+
+    The journal is left out: a live node writes it frame by frame, an archive day by day.
+    """
+    found = hashlib.sha256(store.schema.described().encode())
+    for key, tile in store.tiles():
+        found.update(repr((key, store.touches(key))).encode())
+        for name in sorted(tile):
+            found.update(name.encode())
+            found.update(tile[name].tobytes())
+    found.update(repr(store.sources()).encode())
+    return found.hexdigest()
+
+
+def _records(one: TaskEvidence) -> Iterator[FrameRecord]:
+    tiles: dict[int, list[Key]] = {}
+    for key, stamps in one.touched.items():
+        for stamp in stamps:
+            tiles.setdefault(stamp, []).append(key)
+    for camera, counted in one.partial.stamps.items():
+        yield from (FrameRecord(camera, stamp, tiles[stamp], one.model) for stamp in counted.tolist())

@@ -1,0 +1,73 @@
+"""The folder that holds an archive's results, on disk or on S3: a file is there whole, or not at all."""
+
+from __future__ import annotations
+
+import posixpath
+import uuid
+from pathlib import Path
+from typing import Any
+
+import fsspec
+
+from ltm_core.errors import ArchiveError
+
+
+class ResultFolder:
+    """Files by their names below a folder: a path, or a URL such as `s3://bucket/prefix` of any store that fsspec has.
+
+    Raises ArchiveError where the place cannot be used, OSError where a file cannot be read or written just now.
+    """
+
+    def __init__(self, url: str) -> None:
+        self.url = url if "://" in url else str(Path(url).expanduser().resolve())
+        try:
+            self._files, self._root = fsspec.core.url_to_fs(self.url)
+        except (ImportError, ValueError) as error:
+            raise ArchiveError(f"{url}: no place for results ({error}); give a folder or s3://bucket/folder") from error
+
+    @property
+    def local(self) -> Path | None:
+        """Where it is on this machine's disk; None: elsewhere."""
+        return Path(self._root) if "file" in _names(self._files.protocol) else None
+
+    def names(self, folder: str) -> set[str]:
+        """Of the files in a folder below."""
+        self._files.invalidate_cache()  # others may have written since
+        place = self._path(folder)
+        if not self._files.exists(place):
+            return set()
+        return {posixpath.basename(str(path)) for path in self._files.ls(place, detail=False)}
+
+    def has(self, name: str) -> bool:
+        self._files.invalidate_cache()
+        return bool(self._files.exists(self._path(name)))
+
+    def read(self, name: str) -> bytes:
+        return bytes(self._files.cat_file(self._path(name)))
+
+    def write(self, name: str, content: bytes) -> None:
+        """In one step: an object of S3 appears when it is whole, a file is written beside and renamed. Two that write
+        the same name at once write the same content, for names of results tell what they hold."""
+        place = self._path(name)
+        if self.local is None:
+            self._files.pipe_file(place, content)
+            return
+        self._files.makedirs(posixpath.dirname(place), exist_ok=True)
+        partial = f"{place}.{uuid.uuid4().hex}.partial"
+        try:
+            self._files.pipe_file(partial, content)
+            Path(partial).replace(place)
+        except OSError:
+            Path(partial).unlink(missing_ok=True)
+            raise
+
+    def put(self, file: Path, name: str) -> None:
+        """Copy a file of this machine."""
+        self.write(name, file.read_bytes())
+
+    def _path(self, name: str) -> str:
+        return posixpath.join(self._root, name)
+
+
+def _names(protocol: Any) -> tuple[str, ...]:
+    return (protocol,) if isinstance(protocol, str) else tuple(protocol)

@@ -1,0 +1,284 @@
+"""Works an archive again: look through it, plan, map, and reduce to the site's store, layers and a record of the run.
+
+Nothing is kept but files named by what they hold, so a run that was stopped is resumed by running it again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ltm_core.config_io import checked
+from ltm_core.errors import ArchiveError, RasterError
+from ltm_core.frame_steps import LabellingConfig, TracingConfig
+from ltm_core.fuel.export.provenance import software
+from ltm_core.fuel.prior import system_of
+from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
+from ltm_core.raster.tile_store import TileStore
+from ltm_core.site import Site
+from ltm_core.site_io import load_site
+from ltm_ros.archive.content_digest import code_digest, digest, look_digest
+from ltm_ros.archive.engine import Engine
+from ltm_ros.archive.manifest import ArchiveFrame, Failure, Manifest, ManifestRules, make_manifest, packed
+from ltm_ros.archive.page import write_page
+from ltm_ros.archive.pictures import SmallLook
+from ltm_ros.archive.reduction import Reduction, reduce_to_store, store_digest
+from ltm_ros.archive.results import ResultFolder
+from ltm_ros.archive.sampling import Sample, in_daylight, place_of, sampled, spans
+from ltm_ros.archive.scan import recordings, scan
+from ltm_ros.archive.task import EVIDENCE, Task, TaskSettings, plan
+from ltm_ros.fuel_map.export import export_site
+from ltm_ros.fuel_map.source import FuelSource
+from ltm_ros.launching.graph import describe
+from ltm_ros.runtime.frame_join import FrameJoinConfig
+
+MANIFEST, RUN, LAYERS, MAPS = "manifest.parquet", "run.json", "layers", "maps"
+LANDSCAPE, LOOKS = "landscape.tif", "looks"
+_NAMED = 1000
+"""Failures that the record of a run names one by one; all are counted."""
+
+
+@dataclass(frozen=True)
+class ArchiveOptions:
+    """What to work. `since_ns`, `until_ns`: stamps, both inclusive. `shard`: (i, n), the i-th of n parts of the tasks,
+    from 1 on: these are worked, and no map is made. `max_failed`: share of the frames that may be lost."""
+
+    archives: tuple[Path, ...]
+    site: Path
+    out: str
+    cameras: tuple[str, ...] = ()
+    since_ns: int | None = None
+    until_ns: int | None = None
+    sample: Sample = field(default_factory=Sample)
+    frames_per_task: int = 1500
+    shard: tuple[int, int] = (1, 1)
+    max_failed: float = 0.001
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An archive that has been looked through."""
+
+    options: ArchiveOptions
+    site: Site
+    results: ResultFolder
+    settings: TaskSettings
+    manifest: Manifest
+    frames: tuple[ArchiveFrame, ...]
+    """To work, of those in the manifest."""
+    passed_over: Counter[str]
+    """Pictures that the sampling looked at and found not clear, by reason."""
+    tasks: tuple[Task, ...]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a run did. `worked`: frames from picture to votes in this run; `digest`: of the map's store, empty where
+    none was made."""
+
+    tasks: int
+    worked: int
+    merged: int
+    failures: tuple[Failure, ...]
+    unused: dict[str, int]
+    digest: str = ""
+
+    @property
+    def failed(self) -> int:
+        return sum(failure.count for failure in self.failures)
+
+
+def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) -> Plan:
+    """`progress`: files looked through, of how many. Raises LtmError for what cannot be worked at all."""
+    site = load_site(options.site)
+    cameras = options.cameras or tuple(site.cameras)
+    results = ResultFolder(options.out)
+    files = recordings(list(options.archives))
+    scans = []
+    for number, file in enumerate(files, start=1):
+        scans.append(scan(file, site, results))
+        progress(number, len(files))
+    rules, tracing, labelling = _node_rules(site, options.site, cameras[0])
+    manifest = make_manifest(scans, site, cameras, rules)
+    since, until = options.since_ns or 0, options.until_ns or 2**63 - 1
+    frames = [frame for frame in manifest.frames if since <= frame.stamp_ns <= until]
+    passed = Counter[str]()
+    if options.sample.count:
+        frames, passed = _sampled(frames, options.sample, site, results)
+    settings = TaskSettings(str(options.site.resolve()), results.url, code_digest(), tracing, labelling)
+    results.write(MANIFEST, packed(frames))
+    tasks = plan(frames, site, settings, options.frames_per_task)
+    return Plan(options, site, results, settings, manifest, tuple(frames), passed, tuple(tasks))
+
+
+def _sampled(
+    frames: list[ArchiveFrame], sample: Sample, site: Site, results: ResultFolder
+) -> tuple[list[ArchiveFrame], Counter[str]]:
+    """The choice of each span is kept, so that no picture is looked at twice."""
+    looks = {camera: SmallLook(site, camera) for camera in {frame.camera for frame in frames}}
+    chosen, passed = list[ArchiveFrame](), Counter[str]()
+    for span in spans(in_daylight(frames, site), sample, place_of(site)[0]):
+        camera = span[0].camera
+        view = look_digest(site, camera)
+        name = f"{LOOKS}/{digest(code_digest(), view, sample.described, [f.identity() for f in span])}.json"
+        if not results.has(name):
+            found = sampled(span, sample, looks[camera])
+            kept = {"stamps": [frame.stamp_ns for frame in found.frames], "passed_over": found.passed_over}
+            results.write(name, json.dumps(kept).encode())
+        known = json.loads(results.read(name))
+        stamps = set(known["stamps"])
+        chosen += [frame for frame in span if frame.stamp_ns in stamps]
+        passed.update(known["passed_over"])
+    return chosen, passed
+
+
+def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> Summary:
+    """Work what is not done and make the map. `progress`: tasks done, of how many.
+
+    Raises ArchiveError where more failed than may, before any map is written; the record of the run is.
+    """
+    options, results = planned.options, planned.results
+    part, parts = options.shard
+    tasks = planned.tasks[part - 1 :: parts]
+    done = results.names(EVIDENCE)
+    waiting = [task for task in tasks if f"{task.evidence_key}.parquet" not in done]
+    worked, broken = 0, dict[str, Failure]()
+    progress(len(tasks) - len(waiting), len(tasks))
+    for number, ended in enumerate(engine(waiting, planned.settings), start=1):
+        progress(len(tasks) - len(waiting) + number, len(tasks))
+        if ended.report is None:
+            broken[ended.task.evidence_key] = Failure(ended.task.label, "task", ended.error, len(ended.task.frames))
+        else:
+            worked += ended.report.worked
+    failures = (*planned.manifest.failures, *broken.values())
+    if parts > 1:
+        summary = Summary(len(tasks), worked, 0, failures, {})
+        results.write(f"run_{part}_of_{parts}.json", _record(planned, summary))
+        return summary
+    return _reduced(planned, Summary(len(tasks), worked, 0, failures, {}), set(broken))
+
+
+def _reduced(planned: Plan, mapped: Summary, broken: set[str]) -> Summary:
+    results = planned.results
+    whole = [task for task in planned.tasks if task.evidence_key not in broken]
+    with tempfile.TemporaryDirectory(prefix="ltm-archive-") as folder:
+        path = Path(folder) / STORE_FILE
+
+        def read(task: Task) -> bytes:
+            return results.read(f"{EVIDENCE}/{task.evidence_key}.parquet")
+
+        found = reduce_to_store(whole, read, planned.site, path)
+        failures = (*mapped.failures, *_lost(found))
+        summary = Summary(mapped.tasks, mapped.worked, found.counted.total(), failures, dict(found.unused))
+        total = len(planned.frames) + sum(failure.count for failure in planned.manifest.failures)
+        if summary.failed > planned.options.max_failed * total:
+            results.write(RUN, _record(planned, summary))
+            causes = Counter[str]()
+            for failure in failures:
+                causes[failure.cause] += failure.count
+            raise ArchiveError(
+                f"{summary.failed} of {total} frames failed "
+                f"({', '.join(f'{count} {cause}' for cause, count in causes.most_common())}), more than "
+                f"{planned.options.max_failed:.4%}: no map was written; {results.url}/{RUN} names them, "
+                "--max-failed lets more of them be"
+            )
+        with TileStore.open_read_only(path, STORE_KIND) as store:
+            summary = Summary(**asdict(summary) | {"failures": failures, "digest": store_digest(store)})
+        _publish(planned, path, summary)
+    return summary
+
+
+def _publish(planned: Plan, store: Path, summary: Summary) -> None:
+    """The map's files, and last the record of the run. Raises ArchiveError where a node has gone on from the store."""
+    results = planned.results
+    _require_own(results)
+    out = store.parent / "out"
+    (out / LAYERS).mkdir(parents=True)
+    with FuelSource.open(store, planned.site) as map_:
+        system = system_of(map_.prior).value
+        export_site(map_, out / LAYERS, None, "layers", system, None, None)
+        landscape = LANDSCAPE
+        try:
+            export_site(map_, out / LANDSCAPE, None, "landscape", system, None, None)
+        except RasterError as error:  # without a prior, most cells may have no fuel model
+            landscape = f"not written: {error}"
+        (out / MAPS).mkdir()
+        write_page(map_, out / MAPS)
+    for file in sorted(path for path in out.rglob("*") if path.is_file()):
+        results.put(file, file.relative_to(out).as_posix())
+    results.put(store, STORE_FILE)
+    about = {"store_sha256": hashlib.sha256(store.read_bytes()).hexdigest(), "landscape": landscape}
+    results.write(RUN, _record(planned, summary, about))
+
+
+def _require_own(results: ResultFolder) -> None:
+    if not results.has(STORE_FILE):
+        return
+    known = ""
+    with contextlib.suppress(FileNotFoundError, ValueError):
+        known = json.loads(results.read(RUN)).get("store_sha256", "")
+    if hashlib.sha256(results.read(STORE_FILE)).hexdigest() != known:
+        raise ArchiveError(
+            f"{results.url}/{STORE_FILE} is not what the last run wrote: a node may have gone on from it; move it away "
+            "or name another folder"
+        )
+
+
+def _lost(found: Reduction) -> list[Failure]:
+    return [Failure("frame", lost.cause, lost.why) for lost in found.lost]
+
+
+def _record(planned: Plan, summary: Summary, about: dict[str, str] | None = None) -> bytes:
+    options = planned.options
+    record: dict[str, Any] = {
+        "software": software(),
+        "code": planned.settings.code,
+        "site": planned.site.name,
+        "archives": [str(path) for path in options.archives],
+        "cameras": sorted({frame.camera for frame in planned.frames}),
+        "sample": options.sample.described,
+        "frames": {
+            "found": len(planned.manifest.frames),
+            "repeated": planned.manifest.repeated,
+            "chosen": len(planned.frames),
+            "passed_over": planned.passed_over,
+            "worked_now": summary.worked,
+            "merged": summary.merged,
+            "failed": summary.failed,
+            "unused": summary.unused,
+        },
+        "terrain": "not worked: what the terrain tells the fuel map is none of this",
+        "max_failed": options.max_failed,
+        "failures": [asdict(failure) for failure in summary.failures[:_NAMED]],
+        "damage": planned.manifest.damage,
+        "tasks": [{"of": t.label, "frames": len(t.frames), "evidence": t.evidence_key} for t in planned.tasks],
+        "digest": summary.digest,
+        **(about or {}),
+    }
+    return json.dumps(record, indent=1).encode()
+
+
+def _node_rules(site: Site, path: Path, camera: str) -> tuple[ManifestRules, TracingConfig, LabellingConfig]:
+    """What the site file sets for the nodes whose work this is; defaults are those of the nodes."""
+    from ltm_ros.nodes.fuel_map import FuelMapConfig
+
+    graph = describe(site, path)
+
+    def given(label: str) -> dict[str, Any]:
+        return {k: v for k, v in graph.node(label).parameters.items() if k != "use_sim_time"}
+
+    def only(model: type[Any], label: str) -> Any:
+        values = {name: value for name, value in given(label).items() if name in model.model_fields}
+        return checked(model, values, f"parameters of {label}")
+
+    fuel_map = checked(FuelMapConfig, given("fuel_map"), "parameters of fuel_map")
+    join = only(FrameJoinConfig, f"{camera}/capture")
+    rules = ManifestRules(join, fuel_map.max_ahead, fuel_map.max_behind)
+    return rules, only(TracingConfig, f"{camera}/depth"), only(LabellingConfig, f"{camera}/segmentation")

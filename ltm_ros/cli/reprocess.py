@@ -1,0 +1,111 @@
+"""`ltm reprocess`: works archives of recordings again, to the store of a site's fuel map."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from ltm_ros.archive.engine import Engine
+    from ltm_ros.archive.run import Summary
+
+
+def reprocess(
+    archives: Annotated[list[Path], typer.Argument(help="Bags, .mcap files, and folders that hold bags.")],
+    site: Annotated[Path, typer.Option("--site", help="Site file.")],
+    out: Annotated[str, typer.Option("--out", "-o", help="Folder for results, or s3://bucket/folder.")],
+    workers: Annotated[int, typer.Option(min=0, help="Processes on this machine; 0: this one alone.")] = 2,
+    cluster: Annotated[str, typer.Option(help="Dask scheduler in their place: tls://host:8786.")] = "",
+    tls_ca: Annotated[Path | None, typer.Option(help="PEM of the cluster's authority.")] = None,
+    tls_cert: Annotated[Path | None, typer.Option(help="PEM of our certificate.")] = None,
+    tls_key: Annotated[Path | None, typer.Option(help="PEM of its key.")] = None,
+    cameras: Annotated[str, typer.Option(help="Only these, separated by commas.")] = "",
+    since: Annotated[str, typer.Option(help="First moment, such as 2026-05-31, UTC.")] = "",
+    until: Annotated[str, typer.Option(help="Last date (its end) or moment, UTC.")] = "",
+    sample: Annotated[str, typer.Option(help="Frames of each camera: all, or 4/day, 1/hour.")] = "all",
+    shard: Annotated[str, typer.Option(help="i/n: work the i-th of n parts and make no map.")] = "1/1",
+    frames_per_task: Annotated[int, typer.Option(min=1, help="Of one camera's day, at most.")] = 1500,
+    max_failed: Annotated[str, typer.Option(help="Share of frames that may be lost.")] = "0.1%",
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only count, find gaps and estimate the cost.")] = False,
+) -> None:
+    """Work all frames of ARCHIVES again with SITE and write the fuel map, its layers and the record of the run to OUT.
+
+    What is done stays done: run it again to go on, or after a change to work only what hangs on it.
+    """
+    from rich.console import Console
+
+    from ltm_ros.archive.dry_run import dry_run_table
+    from ltm_ros.archive.run import ArchiveOptions, look_through, run
+    from ltm_ros.archive.sampling import Sample
+    from ltm_ros.cli.progress import counting_bar
+    from ltm_ros.fuel_map.pictures import when
+
+    console = Console()
+    engine = _engine(workers, cluster, tls_ca, tls_cert, tls_key)
+    options = ArchiveOptions(
+        archives=tuple(archives),
+        site=site,
+        out=out,
+        cameras=tuple(filter(None, cameras.split(","))),
+        since_ns=when(since if "T" in since else f"{since}T00:00:00") if since else None,
+        until_ns=when(until) if until else None,
+        sample=Sample.parsed(sample),
+        frames_per_task=frames_per_task,
+        shard=_shard(shard),
+        max_failed=_share(max_failed),
+    )
+    with counting_bar(console, "looking through") as progress:
+        planned = look_through(options, progress)
+    if dry_run:
+        for table in dry_run_table(planned):
+            console.print(table)
+        return
+    with counting_bar(console, "working") as progress:
+        summary = run(planned, engine, progress)
+    _print(console, summary, out)
+
+
+def _engine(workers: int, cluster: str, ca: Path | None, certificate: Path | None, key: Path | None) -> Engine:
+    from ltm_ros.archive.engine import Cluster, on_cluster, on_workers, serial
+
+    if cluster:
+        return on_cluster(Cluster(cluster, ca, certificate, key))
+    return on_workers(workers) if workers else serial
+
+
+def _print(console: Console, summary: Summary, out: str) -> None:
+    console.print(
+        f"{summary.worked} frames worked now, {summary.merged} in the map, {summary.failed} failed; "
+        f"{summary.tasks} tasks"
+    )
+    for reason, count in sorted(summary.unused.items()):
+        console.print(f"{count} not used: {reason}")
+    for failure in summary.failures[:20]:
+        console.print(f"{failure.place}: {failure.count} x {failure.cause}: {failure.why}")
+    if summary.digest:
+        console.print(f"fuel map: {out}/fuel_map.ltm, digest {summary.digest}")
+
+
+def _shard(text: str) -> tuple[int, int]:
+    from ltm_core.errors import ArchiveError
+
+    found = re.fullmatch(r"([0-9]+)/([0-9]+)", text)
+    part, parts = (int(found[1]), int(found[2])) if found else (0, 0)
+    if not 1 <= part <= parts:
+        raise ArchiveError(f"shard {text!r}: write i/n with i from 1 to n, such as 3/8")
+    return part, parts
+
+
+def _share(text: str) -> float:
+    from ltm_core.errors import ArchiveError
+
+    found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)(%?)", text)
+    share = float(found[1]) / (100 if found[2] else 1) if found else -1.0
+    if not 0 <= share <= 1:
+        raise ArchiveError(f"share {text!r}: write a number such as 0.001, or 0.1%")
+    return share

@@ -1,0 +1,1 @@
+"""The surface that `terrain` confirms, and the nodes that trace depth to it."""

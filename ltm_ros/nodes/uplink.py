@@ -1,0 +1,120 @@
+"""uplink: keeps the votes of a site's cameras in an outbox, and sends them to the map of their region."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from pydantic import ValidationError
+from rclpy.serialization import serialize_message
+
+from ltm_core.errors import ConfigError
+from ltm_core.site import Site
+from ltm_core.site_io import load_site
+from ltm_core.uplink.envelope import VotesGrid
+from ltm_core.uplink.outbox_io import OutboxFrame
+from ltm_msgs_py.label_info import msg_to_model
+from ltm_msgs_py.pointcloud import msg_to_columns
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.region.tower_link import TowerLink
+from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.kernel_clock import kernel_clock
+from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.topics import FUEL_VOTES, LABELS_INFO, camera_topic
+
+OUTBOX_FILE: Final = "outbox.sqlite"
+SECTORS: Final = 24
+"""Directions in which a camera looks, that thinning tells apart."""
+
+
+class UplinkNodeConfig(NodeConfig):
+    folder: str = ""
+    """Where the outbox is kept; relative to the site file."""
+
+
+class Uplink(Handler[UplinkNodeConfig]):
+    """Only takes what the votes' nodes publish: frames go into the outbox a moment after they come."""
+
+    def __init__(self, config: UplinkNodeConfig, outlet: Outlet, health: Health) -> None:
+        super().__init__(config, outlet, health)
+        site = load_site(config.site)
+        if site.region is None:
+            raise ConfigError(f"{config.site}: has no section `region`")
+        if not config.folder:
+            raise ConfigError(
+                "the outbox of the section `region` needs a disk: start with `ltm run --state FOLDER`, or set "
+                "`nodes: {uplink: {folder: ...}}` in the site file"
+            )
+        self._site = site
+        self._models: dict[str, str] = {}
+        folder = Path(config.site).parent / Path(config.folder).expanduser()
+        self._link = TowerLink(site.region, _grid(site), folder / OUTBOX_FILE, health, _age_clock)
+
+    @property
+    def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
+        found: dict[Topic, Callable[[Any], None]] = {}
+        for camera in self._site.cameras:
+            votes = camera_topic(self._site.name, camera, FUEL_VOTES)
+            labels = camera_topic(self._site.name, camera, LABELS_INFO)
+            found[Topic(votes, FUEL_VOTES.type)] = partial(self.on_votes, camera)
+            found[Topic(labels, LABELS_INFO.type, latched=True)] = partial(self.on_label_info, camera)
+        return found
+
+    def start(self) -> None:
+        self._link.start()
+
+    def on_votes(self, camera: str, message: Any) -> None:
+        model = self._models.get(camera, "")
+        self._link.offer(
+            OutboxFrame(camera, stamp_of(message), sector(message), model, bytes(serialize_message(message)))
+        )
+
+    def on_label_info(self, camera: str, message: Any) -> None:
+        self._models[camera] = msg_to_model(message)
+
+    def finish(self) -> None:
+        self._link.stop()
+
+
+def sector(message: Any) -> int:
+    """Which of `SECTORS` directions votes look in, by the mean of their bearings; -1 where they tell none.
+
+    Raises MessageError on a message that is no table of points.
+    """
+    bearings = msg_to_columns(message).get("bearing_deg")
+    if bearings is None or not len(bearings):
+        return -1
+    angles = np.radians(bearings.astype(np.float64))
+    mean = math.atan2(float(np.sin(angles).sum()), float(np.cos(angles).sum()))
+    return math.floor(mean % (2 * math.pi) * SECTORS / (2 * math.pi)) % SECTORS
+
+
+def _grid(site: Site) -> VotesGrid:
+    try:
+        return VotesGrid.of(site.in_crs(site.fuel_geometry(site.open_dem())), site.origin)
+    except ValidationError as error:
+        raise ConfigError(
+            f"crs {site.crs!r}: a site that belongs to a region needs a CRS by its code, such as EPSG:32611"
+        ) from error
+
+
+def _age_clock() -> int | None:
+    """A clock that nothing keeps right makes no frame too old."""
+    return None if kernel_clock().synchronised is False else time.time_ns()
+
+
+NODE = NodeType("uplink", UplinkNodeConfig, Uplink)
+
+
+def main() -> None:
+    run_node(NODE)
+
+
+if __name__ == "__main__":
+    main()

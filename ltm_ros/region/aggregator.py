@@ -1,0 +1,188 @@
+"""The fuel map of a region: takes sealed votes of many towers, counts each frame once, and answers for what is stored.
+
+The map, its store and the rules by which votes are taken are those of a site's node `fuel_map`.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable
+
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import PointCloud2
+
+from ltm_core.errors import LtmError, MessageError
+from ltm_core.fuel.evidence import Window
+from ltm_core.fuel.site_map import site_evidence_map
+from ltm_core.fuel.stored_map import STORE_FILE, fuel_schema
+from ltm_core.fuel.vote_columns import MAX_BYTES
+from ltm_core.raster.tile_store import TileStore
+from ltm_core.resources import config_path
+from ltm_core.site_io import load_site
+from ltm_core.uplink.config import AGGREGATOR, RegionConfig
+from ltm_core.uplink.envelope import (
+    MOST_OUTCOMES,
+    VERSION,
+    AckHeader,
+    Envelope,
+    HeaderStart,
+    Outcome,
+    Outcomes,
+    VotesGrid,
+    VotesHeader,
+    header_of,
+)
+from ltm_core.uplink.vote_transfer import VoteTransfer
+from ltm_core.vision.labels import LabelSet
+from ltm_msgs_py.stamp import stamp_of
+from ltm_msgs_py.votes import msg_to_votes
+from ltm_ros.fuel_map.persistence import Counted, Counting, FuelMapPersistence
+from ltm_ros.region.identity import Identity
+from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.stamp_check import StampCheck
+
+FrameId = tuple[str, str, int]
+"""(tower, camera, stamp in nanoseconds)."""
+
+
+class Aggregator:
+    """Knows no transport: `take` is given what came on a tower's topic, `settle` gives what is to be answered.
+
+    Args:
+        now_ns: the time.
+    """
+
+    def __init__(self, config: RegionConfig, health: Health, now_ns: Callable[[], int]) -> None:
+        """Raises LtmError for a site, a store or certificates that cannot be taken."""
+        self.site = load_site(config.site)
+        self.identity = Identity(config.broker, AGGREGATOR)
+        self._config, self._health = config, health
+        self.labels = LabelSet.load(config_path(self.site.labels))
+        self.geometry = self.site.fuel_geometry(self.site.open_dem())
+        """The fuel grid in the map frame."""
+        schema = fuel_schema(self.site, self.geometry)
+        self.persistence = FuelMapPersistence(
+            lambda: site_evidence_map(self.site, self.geometry, self.labels),
+            lambda: TileStore.open(config.folder / STORE_FILE, schema),
+            health,
+        )
+        self._stamps = StampCheck(now_ns, health, config.max_ahead, config.max_behind)
+        self._transfers: dict[str, tuple[VotesGrid, VoteTransfer]] = {}
+        self._cameras: dict[str, tuple[str, str]] = {}
+        """Tower and camera by the name that the map knows them by."""
+        self._outcomes: dict[str, list[Outcome]] = defaultdict(list)
+
+    def take(self, tower: str, content: bytes) -> None:
+        """What came on the topic of a tower. What cannot be taken is counted by its cause and, where it says of which
+        frame it is, answered in words."""
+        self._health.received(f"/{self._config.name}/{tower}/votes")
+        try:
+            if tower not in self._config.towers:
+                raise MessageError(f"{tower!r} is no tower of {self._config.name}: add it to towers in region.yaml")
+            envelope = self.identity.opened(content, tower)
+            start = header_of(HeaderStart, envelope)
+            if (start.region, start.tower) != (self._config.name, tower):
+                raise MessageError(
+                    f"votes on the topic of {tower} in {self._config.name} are of {start.tower} in {start.region}"
+                )
+        except LtmError as error:
+            # Nobody knows whose frame it is, or may be told.
+            self._health.drop(cause_of(error), str(error))
+            return
+        frame = tower, start.camera, start.stamp_ns
+        try:
+            refusal = self._count(frame, start, envelope)
+        except LtmError as error:
+            self._health.drop(cause_of(error), f"{tower}/{start.camera}: {error}")
+            refusal = str(error)
+        if refusal:
+            self._answer(frame, refusal)
+
+    def settle(self) -> tuple[list[Window], dict[str, list[bytes]]]:
+        """Store what was counted: the parts of the map that may have changed, and sealed acknowledgements by tower."""
+        windows = []
+        for counted in self.persistence.settle():
+            self._answer_for(counted)
+            if counted.window is not None:
+                windows.append(counted.window)
+        self._health.gauge("frames", self.persistence.saved_frames)
+        self._health.gauge("unsaved_frames", self.persistence.unsaved_frames)
+        return windows, self._sealed()
+
+    def close(self) -> dict[str, list[bytes]]:
+        """Store all that can be; acknowledgements by tower. What is not stored is sent again by its tower."""
+        for counted in self.persistence.close():
+            self._answer_for(counted)
+        return self._sealed()
+
+    def _count(self, frame: FrameId, start: HeaderStart, envelope: Envelope) -> str:
+        """Count a frame; why not, in words, or empty. Raises LtmError for votes that cannot be taken."""
+        tower, camera, stamp = frame
+        if start.version != VERSION:
+            raise MessageError(
+                f"votes of version {start.version}; {self._config.name} reads {VERSION}: update the older side"
+            )
+        source = f"{tower}_{camera}"
+        if source not in self.site.cameras:
+            raise MessageError(
+                f"{source} is no camera of {self.site.name}: add it to cameras in {self._config.site.name}"
+            )
+        header = header_of(VotesHeader, envelope)
+        counting = self.persistence.seen(source, stamp)
+        if counting is None:
+            if self._stamps.refuses(f"votes of {source}", stamp):
+                return self._health.last_error
+            transfer = self._transfer(tower, header.grid)
+            message = _message(envelope.body)
+            if stamp_of(message) != stamp:
+                raise MessageError(f"the header says stamp {stamp} ns, the votes {stamp_of(message)} ns")
+            votes = msg_to_votes(message, header.grid.in_map, self.labels.names, source)
+            counting = self.persistence.count(transfer.votes(votes), header.model)
+        if counting is Counting.COUNTED:
+            self._cameras[source] = tower, camera
+        elif counting is Counting.DUPLICATE:
+            self._health.note("duplicate")
+            if self.persistence.stored(source, stamp):
+                self._answer(frame)
+        elif counting is Counting.TOO_OLD:
+            self._health.drop("too_old", f"votes of {source} of stamp {stamp} ns are older than what is remembered")
+            self._answer(frame)
+        else:
+            self._health.note("empty_votes")
+            self._answer(frame)
+        return ""
+
+    def _transfer(self, tower: str, grid: VotesGrid) -> VoteTransfer:
+        """Of the grid that a tower counts on; one of each tower is kept."""
+        found = self._transfers.get(tower)
+        if found is None or found[0] != grid:
+            shared = next((known for known in self._transfers.values() if known[0] == grid), None)
+            found = shared or (grid, VoteTransfer(grid.geometry, self.site.in_crs(self.geometry), self.geometry))
+            self._transfers[tower] = found
+        return found[1]
+
+    def _answer_for(self, counted: Counted) -> None:
+        self._answer((*self._cameras[counted.record.source], counted.record.stamp_ns))
+
+    def _answer(self, frame: FrameId, refusal: str = "") -> None:
+        tower, camera, stamp = frame
+        self._outcomes[tower].append(Outcome(camera=camera, stamp_ns=stamp, done=not refusal, why=refusal[:300]))
+
+    def _sealed(self) -> dict[str, list[bytes]]:
+        answers: dict[str, list[bytes]] = {}
+        for tower, outcomes in self._outcomes.items():
+            header = AckHeader(region=self._config.name, tower=tower).model_dump_json().encode()
+            parts = [outcomes[first : first + MOST_OUTCOMES] for first in range(0, len(outcomes), MOST_OUTCOMES)]
+            bodies = [Outcomes(outcomes=part).model_dump_json().encode() for part in parts]
+            answers[tower] = [self.identity.sealed(header, body) for body in bodies]
+        self._outcomes.clear()
+        return answers
+
+
+def _message(content: bytes) -> PointCloud2:
+    if len(content) > MAX_BYTES:
+        raise MessageError(f"votes of {len(content)} bytes; {MAX_BYTES} at most are taken")
+    try:
+        return deserialize_message(content, PointCloud2)
+    except Exception as error:  # RMWError is the binding's own; std::bad_alloc comes as MemoryError
+        raise MessageError(f"{len(content)} bytes do not decode as votes ({str(error).splitlines()[0]})") from error

@@ -1,0 +1,189 @@
+"""Makes a small authority for trials: certificates of a region's broker, its map, towers and followers.
+
+With the broker's configuration, which says what each may read and write.
+"""
+
+from __future__ import annotations
+
+import getpass
+import ipaddress
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Final
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from ltm_core.errors import ConfigError
+from ltm_core.uplink.config import AGGREGATOR
+from ltm_core.uplink.envelope import NAME
+from ltm_ros.region.mqtt_link import LARGEST_PACKET, ROOT
+
+AUTHORITY: Final = "ca"
+BROKER: Final = "broker"
+_RESERVED: Final = (AUTHORITY, BROKER, AGGREGATOR)
+_BACKDATED: Final = timedelta(minutes=5)
+"""So that a clock a little behind takes a new certificate."""
+
+
+@dataclass(frozen=True)
+class TrialAuthority:
+    """The authority in `folder`, made where there is none. Its key is there too: whoever has it can be any tower.
+
+    `days`: for which certificates are valid from now on.
+    """
+
+    folder: Path
+    days: int
+
+    def make(self, region: str, clients: Sequence[str], hosts: Sequence[str], address: str, port: int) -> list[Path]:
+        """Write what is missing, leave what is there; the files that are new.
+
+        `clients`: towers, and those who follow the map. `hosts`: names and addresses of the broker, as clients call it.
+        `address`, `port`: where it listens. Raises ConfigError for a name that cannot be used and where it cannot be
+        written.
+        """
+        for name in (region, *clients):
+            if not re.fullmatch(NAME, name) or name in _RESERVED:
+                raise ConfigError(
+                    f"{name!r}: a name has a-z, 0-9 and _, begins with a letter, and is none of {', '.join(_RESERVED)}"
+                )
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            return self._made(region, clients, hosts, address, port)
+        except OSError as error:
+            raise ConfigError(f"{error.filename or self.folder}: cannot be written ({error.strerror})") from error
+
+    def _made(self, region: str, clients: Sequence[str], hosts: Sequence[str], address: str, port: int) -> list[Path]:
+        new: list[Path] = []
+        authority_key, authority = self._authority(new)
+        for name in (BROKER, AGGREGATOR, *clients):
+            if (self.folder / f"{name}.crt").exists():
+                continue
+            key = ec.generate_private_key(ec.SECP256R1())
+            usage = ExtendedKeyUsageOID.SERVER_AUTH if name == BROKER else ExtendedKeyUsageOID.CLIENT_AUTH
+            builder = (
+                self._builder(name)
+                .issuer_name(authority.subject)
+                .public_key(key.public_key())
+                .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+                .add_extension(x509.ExtendedKeyUsage([usage]), critical=False)
+                .add_extension(
+                    x509.AuthorityKeyIdentifier.from_issuer_public_key(authority_key.public_key()), critical=False
+                )
+            )
+            if name == BROKER:
+                builder = builder.add_extension(
+                    x509.SubjectAlternativeName([_host(host) for host in hosts]), critical=False
+                )
+            self._write(name, key, builder.sign(authority_key, hashes.SHA256()), new)
+        for name, text in (("acl", acl(region)), ("mosquitto.conf", self.configuration(address, port))):
+            path = self.folder / name
+            if not path.exists():
+                path.write_text(text, encoding="utf-8")
+                new.append(path)
+        return new
+
+    def _authority(self, new: list[Path]) -> tuple[ec.EllipticCurvePrivateKey, x509.Certificate]:
+        key_file, certificate_file = self.folder / f"{AUTHORITY}.key", self.folder / f"{AUTHORITY}.crt"
+        if certificate_file.exists():
+            try:
+                key = serialization.load_pem_private_key(key_file.read_bytes(), password=None)
+                certificate = x509.load_pem_x509_certificate(certificate_file.read_bytes())
+            except ValueError as error:
+                raise ConfigError(f"{self.folder}: holds no authority that `ltm certs` made") from error
+            if not isinstance(key, ec.EllipticCurvePrivateKey):
+                raise ConfigError(f"{key_file}: not made by `ltm certs`; name another folder")
+            return key, certificate
+        made = ec.generate_private_key(ec.SECP256R1())
+        certificate = (
+            self._builder("ltm trial authority")
+            .issuer_name(_subject("ltm trial authority"))
+            .public_key(made.public_key())
+            .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+            .add_extension(x509.SubjectKeyIdentifier.from_public_key(made.public_key()), critical=False)
+            .sign(made, hashes.SHA256())
+        )
+        self._write(AUTHORITY, made, certificate, new)
+        return made, certificate
+
+    def _builder(self, name: str) -> x509.CertificateBuilder:
+        now = datetime.now(UTC)
+        return (
+            x509.CertificateBuilder()
+            .subject_name(_subject(name))
+            .serial_number(x509.random_serial_number())
+            .not_valid_before(now - _BACKDATED)
+            .not_valid_after(now + timedelta(days=self.days))
+        )
+
+    def _write(
+        self, name: str, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate, new: list[Path]
+    ) -> None:
+        """The key first, for its owner's eyes alone: a certificate without its key would be taken for made."""
+        path = self.folder / f"{name}.key"
+        content = key.private_bytes(
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+        )
+        descriptor = os.open(path, os.O_CREAT | os.O_WRONLY | os.O_TRUNC | os.O_NOFOLLOW, 0o600)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
+        crt = self.folder / f"{name}.crt"
+        crt.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
+        new += [path, crt]
+
+    def configuration(self, address: str, port: int) -> str:
+        """mosquitto's; the certificate says who a client is, and nobody comes without one."""
+        folder = self.folder.resolve()
+        return f"""# Written by `ltm certs`: a broker for the link between towers and their region's map.
+listener {port} {address}
+cafile {folder}/{AUTHORITY}.crt
+certfile {folder}/{BROKER}.crt
+keyfile {folder}/{BROKER}.key
+tls_version tlsv1.2
+require_certificate true
+use_identity_as_username true
+allow_anonymous false
+acl_file {folder}/acl
+user {getpass.getuser()}
+# Towers and the map remember what matters: the broker may forget everything at any time.
+persistence false
+max_packet_size {LARGEST_PACKET}
+max_queued_messages 10000
+max_queued_bytes {64 << 20}
+max_keepalive 600
+"""
+
+
+def acl(region: str) -> str:
+    """What a certificate's name may do: a tower writes its own votes alone and reads what it is answered; all read the
+    map."""
+    return f"""# Written by `ltm certs`. %u is the common name of the client's certificate.
+user {AGGREGATOR}
+topic read {ROOT}/{region}/votes/+
+topic write {ROOT}/{region}/ack/+
+topic write {ROOT}/{region}/aggregator
+topic write {ROOT}/{region}/tile/#
+
+pattern write {ROOT}/{region}/votes/%u
+pattern read {ROOT}/{region}/ack/%u
+pattern read {ROOT}/{region}/aggregator
+pattern read {ROOT}/{region}/tile/#
+"""
+
+
+def _subject(name: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+
+
+def _host(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host))
+    except ValueError:
+        return x509.DNSName(host)

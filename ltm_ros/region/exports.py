@@ -1,0 +1,90 @@
+"""Writes a region's map as Cloud Optimized GeoTIFFs with a STAC item while it changes, beside the work on frames."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+from ltm_core.errors import LtmError, StoreError
+from ltm_core.fuel.export.stac_item_io import item_path
+from ltm_core.fuel.prior import system_of
+from ltm_core.fuel.site_map import site_evidence_map
+from ltm_core.uplink.config import ExportConfig
+from ltm_ros.fuel_map.export import export_site
+from ltm_ros.fuel_map.source import FuelSource
+from ltm_ros.region.aggregator import Aggregator
+from ltm_ros.runtime.health import Health, cause_of
+
+
+class RegionExports:
+    """One export at a time, on a thread of its own, of the map as it is when it begins."""
+
+    def __init__(self, config: ExportConfig, aggregator: Aggregator, health: Health) -> None:
+        self._config, self._aggregator, self._health = config, aggregator, health
+        self._empty = site_evidence_map(aggregator.site, aggregator.geometry, aggregator.labels).layers()
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="export")
+        self._work: Future[None] | None = None
+        self._due, self._next_s = True, 0.0
+
+    def look(self, now_s: float, changed: bool) -> None:
+        """Begin one where the map has changed and the last is long enough ago."""
+        self._due |= changed
+        if self._work is not None and not self._work.done():
+            return
+        self._judge()
+        if self._due and now_s >= self._next_s:
+            self._due, self._next_s = False, now_s + self._config.every
+            self._work = self._pool.submit(self._write, self._source())
+
+    def close(self) -> None:
+        """Write the last state."""
+        self._pool.shutdown()
+        self._judge()
+        if self._due:
+            try:
+                self._write(self._source())
+            except LtmError as error:
+                self._tell(error)
+
+    def _judge(self) -> None:
+        """What has become of the last one; of one that failed, the map is due again."""
+        work, self._work = self._work, None
+        error = None if work is None else work.exception()
+        if isinstance(error, LtmError):
+            self._due = True
+            self._tell(error)
+        elif error is not None:
+            raise error
+
+    def _tell(self, error: LtmError) -> None:
+        self._health.trouble(cause_of(error), f"the map was not exported: {error}")
+
+    def _source(self) -> FuelSource:
+        """The map of this moment: its layers are arrays of their own."""
+        aggregator = self._aggregator
+        evidence = aggregator.persistence.map
+        geometry = aggregator.site.in_crs(aggregator.geometry)
+        layers = evidence.layers()
+        return FuelSource(aggregator.site, aggregator.labels, geometry, evidence.prior, layers, self._empty)
+
+    def _write(self, source: FuelSource) -> None:
+        export_site(source, self._config.folder, None, "layers", system_of(source.prior).value, None, None)
+        if self._config.copy_to:
+            _copy(self._config.folder, self._config.copy_to)
+        self._health.note("exported")
+
+
+def _copy(folder: Path, url: str) -> None:
+    """The files of a folder to a store that fsspec has; the STAC item last, so that all it names is there.
+
+    Raises StoreError.
+    """
+    import fsspec
+
+    files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
+    try:
+        store, root = fsspec.core.url_to_fs(url)
+        for path in sorted(files, key=lambda path: path == item_path(folder)):
+            store.pipe_file(f"{root}/{path.name}", path.read_bytes())
+    except Exception as error:  # of botocore, which has hundreds
+        raise StoreError(f"{url}: the export cannot be copied there ({type(error).__name__}: {error})") from error

@@ -1,0 +1,134 @@
+"""Who a side of the link is: its certificate, by which it speaks TLS and signs what it sends; whom it believes."""
+
+from __future__ import annotations
+
+import ssl
+from collections import OrderedDict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import NameOID
+
+from ltm_core.errors import ConfigError, MessageError
+from ltm_core.uplink.config import BrokerConfig
+from ltm_core.uplink.envelope import Envelope, packed, unpacked
+from ltm_ros.health.web_server import secret
+
+_REMEMBERED: Final = 256
+"""Certificates whose chain has been checked."""
+_HASH: Final = ec.ECDSA(hashes.SHA256())
+
+
+class Identity:
+    """Signs envelopes, and checks those of others. Raises ConfigError for files that cannot be taken.
+
+    `name`: the common name that the certificate must have.
+    """
+
+    def __init__(self, config: BrokerConfig, name: str) -> None:
+        self._config = config
+        self._key_file = secret(config.key)
+        certificates = _certificates(config.certificate)
+        self._own = certificates[0].public_bytes(serialization.Encoding.DER)
+        self._authorities = _certificates(config.ca)
+        self._key = _key(self._key_file)
+        if self._key.public_key() != certificates[0].public_key():
+            raise ConfigError(f"{config.key} is not the key of {config.certificate}: name the one that belongs to it")
+        if (found := common_name(certificates[0])) != name:
+            raise ConfigError(f"{config.certificate} is of {found!r}, not of {name!r}: name that of {name!r}")
+        self._believed: OrderedDict[bytes, x509.Certificate] = OrderedDict()
+
+    def tls(self) -> ssl.SSLContext:
+        """For a connection to the broker: TLS 1.2 or newer, its certificate checked, ours shown."""
+        context = ssl.create_default_context(cafile=str(self._config.ca))
+        context.minimum_version = ssl.TLSVersion.TLSv1_2
+        try:
+            context.load_cert_chain(self._config.certificate, self._key_file)
+        except (ssl.SSLError, OSError) as error:
+            raise ConfigError(f"{self._config.certificate}: cannot be used for TLS ({error})") from error
+        return context
+
+    def sealed(self, header: bytes, body: bytes = b"") -> bytes:
+        """An envelope with our certificate and signature. Raises MessageError where it would be too large."""
+        signed = packed(header, self._own, body)
+        return signed + self._key.sign(signed, _HASH)
+
+    def opened(self, content: bytes, name: str) -> Envelope:
+        """An envelope that `name` has signed, unchanged. Raises MessageError on any other."""
+        envelope = unpacked(content)
+        certificate = self._believable(envelope.certificate)
+        if (found := common_name(certificate)) != name:
+            raise MessageError(f"an envelope of {name!r} is signed by {found!r}")
+        key = certificate.public_key()
+        if not isinstance(key, ec.EllipticCurvePublicKey):
+            raise MessageError(
+                f"the certificate of {name!r} has no key on an elliptic curve: make one with `ltm certs`"
+            )
+        try:
+            key.verify(envelope.signature, envelope.signed, _HASH)
+        except InvalidSignature as error:
+            raise MessageError(f"an envelope of {name!r} was altered after it was signed") from error
+        return envelope
+
+    def _believable(self, content: bytes) -> x509.Certificate:
+        """A certificate that one of our authorities has signed and that is valid now."""
+        certificate = self._believed.get(content)
+        if certificate is None:
+            try:
+                certificate = x509.load_der_x509_certificate(content)
+                self._check_issuer(certificate)
+            except (ValueError, TypeError, x509.InvalidVersion) as error:
+                raise MessageError(f"an envelope's certificate cannot be read ({error})") from error
+            self._believed[content] = certificate
+            if len(self._believed) > _REMEMBERED:
+                self._believed.popitem(last=False)
+        if not certificate.not_valid_before_utc <= datetime.now(UTC) <= certificate.not_valid_after_utc:
+            raise MessageError(
+                f"the certificate of {common_name(certificate)!r} is valid from {certificate.not_valid_before_utc} to "
+                f"{certificate.not_valid_after_utc}: renew it, or set the clock"
+            )
+        return certificate
+
+    def _check_issuer(self, certificate: x509.Certificate) -> None:
+        for authority in self._authorities:
+            try:
+                certificate.verify_directly_issued_by(authority)
+            except (ValueError, TypeError, InvalidSignature):
+                continue
+            return
+        raise MessageError(
+            f"an envelope's certificate, of {common_name(certificate)!r}, is of no authority in {self._config.ca}"
+        )
+
+
+def common_name(certificate: x509.Certificate) -> str:
+    """Empty where there is none."""
+    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(names[0].value) if names else ""
+
+
+def _certificates(path: Path) -> list[x509.Certificate]:
+    try:
+        found = x509.load_pem_x509_certificates(path.read_bytes())
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else "no certificate in PEM"
+        raise ConfigError(f"{path}: cannot be read ({why}); `ltm certs` makes one for trials") from error
+    return found
+
+
+def _key(path: Path) -> ec.EllipticCurvePrivateKey:
+    """No message holds what is in the file."""
+    try:
+        key = serialization.load_pem_private_key(path.read_bytes(), password=None)
+    except OSError as error:
+        raise ConfigError(f"{path}: the key cannot be read ({error.strerror})") from error
+    except (ValueError, TypeError):
+        raise ConfigError(f"{path}: no private key in PEM without a password") from None
+    if not isinstance(key, ec.EllipticCurvePrivateKey):
+        raise ConfigError(f"{path}: the key must be on an elliptic curve, such as P-256; `ltm certs` makes such")
+    return key

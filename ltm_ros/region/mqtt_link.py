@@ -1,0 +1,135 @@
+"""A connection to an MQTT 5 broker that comes back by itself: topics, bounds and reconnects in one place."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import paho.mqtt.client as mqtt
+from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+
+from ltm_core.uplink.config import BrokerConfig
+from ltm_core.uplink.envelope import LARGEST
+from ltm_ros.region.identity import Identity
+from ltm_ros.runtime.health import Health
+
+ROOT: Final = "ltm"
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 1, 30
+"""Between attempts to connect."""
+LARGEST_PACKET: Final = LARGEST + 1024
+"""Bytes of a packet with its topic; the broker is told that no larger one is taken."""
+
+Taker = Callable[[str, bytes], None]
+"""Topic and payload; called from the connection's thread, so that it must be quick and raise nothing."""
+
+
+def votes_topic(region: str, tower: str) -> str:
+    return f"{ROOT}/{region}/votes/{tower}"
+
+
+def ack_topic(region: str, tower: str) -> str:
+    return f"{ROOT}/{region}/ack/{tower}"
+
+
+def presence_topic(region: str) -> str:
+    """Retained: a number that says which life of the aggregator answers; empty while none does."""
+    return f"{ROOT}/{region}/aggregator"
+
+
+def tile_topic(region: str, row: int, col: int) -> str:
+    """Retained: a tile of the map, by its place in tiles from the north-west corner."""
+    return f"{ROOT}/{region}/tile/{row}/{col}"
+
+
+class MqttLink:
+    """Connects in the background from `start` on, and again after each loss.
+
+    Votes and acknowledgements need no word of the broker (QoS 0): who sends them sends them again until the other side
+    has answered. What is kept by the broker for those who come later (`retain`) goes with QoS 1.
+
+    Args:
+        client_id: unique among the broker's clients.
+        topics: to listen to.
+        take: what comes on them.
+        will: topic and payload that the broker publishes, retained, when this connection is lost.
+    """
+
+    def __init__(
+        self,
+        config: BrokerConfig,
+        identity: Identity,
+        client_id: str,
+        topics: Sequence[str],
+        take: Taker,
+        health: Health,
+        will: tuple[str, bytes] | None = None,
+    ) -> None:
+        self._config, self._topics, self._take, self._health = config, topics, take, health
+        self.connected = threading.Event()
+        """Set while the broker answers and has taken our subscriptions."""
+        self.connections = 0
+        """How often it has been."""
+        self._client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=mqtt.MQTTv5)
+        self._client.tls_set_context(identity.tls())
+        self._client.reconnect_delay_set(FIRST_PAUSE_S, LONGEST_PAUSE_S)
+        self._client.max_queued_messages_set(10_000)
+        if will is not None:
+            self._client.will_set(will[0], will[1], qos=1, retain=True)
+        self._client.on_connect = self._on_connect
+        self._client.on_connect_fail = self._on_connect_fail
+        self._client.on_disconnect = self._on_disconnect
+        self._client.on_subscribe = self._on_subscribe
+        self._client.on_message = lambda _client, _data, message: take(message.topic, bytes(message.payload))
+
+    def start(self) -> None:
+        properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        properties.MaximumPacketSize = LARGEST_PACKET
+        self._client.connect_async(
+            self._config.host, self._config.port, self._config.keepalive, clean_start=True, properties=properties
+        )
+        self._client.loop_start()
+
+    def stop(self) -> None:
+        """Say good-bye, so that the will is not carried out."""
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def send(self, topic: str, payload: bytes, retain: bool = False) -> bool:
+        """Whether it is on its way; it may still get lost."""
+        if not self.connected.is_set():
+            return False
+        return self._client.publish(topic, payload, qos=int(retain), retain=retain).rc == mqtt.MQTT_ERR_SUCCESS
+
+    def _on_connect(self, client: mqtt.Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        if reason.is_failure:
+            self._tell(f"the broker refuses us: {reason}")
+        elif self._topics:
+            client.subscribe([(topic, 0) for topic in self._topics])
+        else:
+            self._ready()
+
+    def _on_subscribe(self, _client: Any, _data: Any, _number: Any, reasons: Any, _properties: Any) -> None:
+        if refused := [str(reason) for reason in reasons if reason.is_failure]:
+            self._tell(f"the broker does not let us listen to {', '.join(self._topics)}: {', '.join(refused)}")
+        else:
+            self._ready()
+
+    def _ready(self) -> None:
+        self.connections += 1
+        self.connected.set()
+
+    def _on_connect_fail(self, _client: Any, _data: Any) -> None:
+        self._tell("no connection")
+
+    def _on_disconnect(self, _client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        if self.connected.is_set():
+            self._health.note("link_lost")
+        self.connected.clear()
+        if reason.is_failure:
+            self._tell(f"the connection is lost: {reason}")
+
+    def _tell(self, what: str) -> None:
+        self._health.trouble("link", f"broker {self._config.host}:{self._config.port}: {what}")

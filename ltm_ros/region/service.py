@@ -1,0 +1,113 @@
+"""The process behind `ltm region`: the link to the towers, the map, those who follow it, and its files."""
+
+from __future__ import annotations
+
+import queue
+import secrets
+import threading
+import time
+from typing import Final
+
+from ltm_core.fuel.evidence import Window
+from ltm_core.uplink.config import AGGREGATOR, RegionConfig
+from ltm_ros.region.aggregator import Aggregator
+from ltm_ros.region.exports import RegionExports
+from ltm_ros.region.mqtt_link import MqttLink, ack_topic, presence_topic, votes_topic
+from ltm_ros.region.tiles import TilePublisher
+from ltm_ros.runtime.health import Health
+
+SETTLE_S: Final = 0.25
+"""For which frames are counted before they are stored together and answered for."""
+WAITING_BYTES: Final = 64 << 20
+"""Of what came and waits to be counted; what comes above it is dropped, and sent again by its tower."""
+
+
+class RegionService:
+    """Raises LtmError for a site, a store or certificates that cannot be taken.
+
+    `run` works until it is told to stop.
+    """
+
+    def __init__(self, config: RegionConfig, health: Health) -> None:
+        self._config, self._health = config, health
+        self.aggregator = Aggregator(config, health, time.time_ns)
+        self._inbox: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
+        self._bytes_in = self._bytes_out = 0  # each written by one thread only
+        self._life = secrets.token_hex(8).encode()
+        self._presence = presence_topic(config.name)
+        self._link = MqttLink(
+            config.broker,
+            self.aggregator.identity,
+            f"{config.name}-{AGGREGATOR}",
+            [votes_topic(config.name, "+")],
+            self._offer,
+            health,
+            will=(self._presence, b""),
+        )
+        self._tiles = TilePublisher(config.name, self.aggregator, self._link)
+        self._exports = None if config.export is None else RegionExports(config.export, self.aggregator, health)
+        self._connections = 0
+
+    def run(self, stopping: threading.Event) -> None:
+        """Count, store, answer and send, until told to stop; then store the rest."""
+        self._link.start()
+        last = tiles_at = time.monotonic()
+        windows: list[Window] = []
+        try:
+            while not stopping.is_set():
+                self._count_for(SETTLE_S)
+                now = time.monotonic()
+                self.aggregator.persistence.wait(now - last)
+                last = now
+                changed, answers = self.aggregator.settle()
+                windows += changed
+                self._greet()
+                self._answer(answers)
+                self._tiles.note(changed)
+                if now - tiles_at >= self._config.tiles:
+                    tiles_at = now
+                    self._tiles.send()
+                if self._exports is not None:
+                    self._exports.look(now, bool(changed))
+        finally:
+            self._link.send(self._presence, b"", retain=True)
+            self._answer(self.aggregator.close())
+            if self._exports is not None:
+                self._exports.close()
+            self._link.stop()
+
+    def _count_for(self, seconds: float) -> None:
+        """Take what comes; shorter where nothing does."""
+        until = time.monotonic() + seconds
+        wait = seconds
+        while wait > 0:
+            try:
+                tower, content = self._inbox.get(timeout=wait)
+            except queue.Empty:
+                return
+            self.aggregator.take(tower, content)
+            self._bytes_out += len(content)
+            wait = until - time.monotonic()
+            self._health.gauge("waiting_bytes", self._bytes_in - self._bytes_out)
+
+    def _greet(self) -> None:
+        """Tell towers who is there, whenever the connection is a new one; the broker may have forgotten all."""
+        if self._link.connected.is_set() and self._connections != self._link.connections:
+            connections = self._link.connections
+            if self._link.send(self._presence, self._life, retain=True):
+                self._connections = connections
+                self._tiles.note_all()
+
+    def _answer(self, answers: dict[str, list[bytes]]) -> None:
+        for tower, sealed in answers.items():
+            for content in sealed:
+                # One that is lost is asked for again, by a frame that is sent again.
+                self._link.send(ack_topic(self._config.name, tower), content)
+
+    def _offer(self, topic: str, payload: bytes) -> None:
+        """From the connection's thread."""
+        if self._bytes_in - self._bytes_out > WAITING_BYTES:
+            self._health.drop("overload", f"{WAITING_BYTES >> 20} MB wait to be counted; their towers send them again")
+            return
+        self._bytes_in += len(payload)
+        self._inbox.put((topic.rpartition("/")[2], payload))

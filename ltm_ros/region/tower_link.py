@@ -1,0 +1,276 @@
+"""A tower's side of the link: what its cameras vote goes into the outbox, and from there to the region's map.
+
+A frame leaves the outbox on the aggregator's own signed word alone. So neither the broker nor this process needs to
+remember what is on its way: after any end, what was not answered is sent again, and the aggregator counts it once.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from pydantic import ValidationError
+
+from ltm_core.errors import MessageError, StoreError
+from ltm_core.uplink.config import AGGREGATOR, UplinkConfig
+from ltm_core.uplink.envelope import VERSION, AckHeader, Outcome, VotesGrid, VotesHeader, header_of, outcomes_of
+from ltm_core.uplink.outbox_io import FrameKey, Outbox, OutboxFrame
+from ltm_ros.region.identity import Identity
+from ltm_ros.region.mqtt_link import MqttLink, ack_topic, presence_topic, votes_topic
+from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.heartbeat import HEARTBEAT
+from ltm_ros.runtime.retry import LAST_TRIES_S
+
+WINDOW: Final = 64
+"""Frames on their way at a time, and"""
+WINDOW_BYTES: Final = 1 << 20
+"""bytes of them."""
+RESEND_S: Final = 30.0
+"""After which a frame without an answer is sent again, though the aggregator seems to be there; doubled each time, up
+to"""
+LONGEST_RESEND_S: Final = 480.0
+REFUSED_PAUSE_S: Final = 600.0
+"""Until a frame that the aggregator refused is offered again: a version, a clock or a list of towers may be mended."""
+HELD_BYTES: Final = 32 << 20
+"""Of frames that wait for a disk that does not serve; further ones are lost, and counted."""
+BOUND_S: Final = 10.0
+"""Between two looks at what is too old or too much."""
+STEP_S: Final = 0.2
+
+Clock = Callable[[], int | None]
+"""The time, ns; None: nobody keeps this machine's clock right, so it tells no frame's age."""
+
+
+class TowerLink:
+    """`offer` takes frames from any thread; a thread of its own keeps and sends them.
+
+    Args:
+        grid: the fuel grid that the votes are on.
+        outbox: its file.
+        clock: for the age of frames.
+    """
+
+    def __init__(self, config: UplinkConfig, grid: VotesGrid, outbox: Path, health: Health, clock: Clock) -> None:
+        """Raises ConfigError for a certificate, a key or an outbox that cannot be taken, StoreError where the disk does
+        not serve."""
+        self._config, self._grid, self._health, self._clock = config, grid, health, clock
+        self._identity = Identity(config.broker, config.tower)
+        self._outbox = Outbox(outbox, config.outbox_bytes, config.outbox_days * 86_400)
+        if self._outbox.damage:
+            health.drop("outbox_damaged", self._outbox.damage)
+        self.kept = 0
+        """Frames of `offer` that are in the outbox, the first ones."""
+        self._offered: deque[OutboxFrame] = deque()
+        self._held = 0
+        self._lock = threading.Lock()
+        self._acks: queue.Queue[bytes] = queue.Queue(1000)
+        self._presence = ""
+        """Which life of the aggregator answers; empty: none."""
+        self._answered_by: tuple[str, int] = ("", 0)
+        """The life that has been sent what is on its way, and the connection by which."""
+        self._on_their_way: dict[FrameKey, tuple[float, int]] = {}
+        """When each is sent again, and its bytes."""
+        self._resend_s = RESEND_S
+        self._bound_due = 0.0
+        self._wake, self._stopping = threading.Event(), threading.Event()
+        topics = [ack_topic(config.name, config.tower), presence_topic(config.name)]
+        self._link = MqttLink(
+            config.broker, self._identity, f"{config.name}-{config.tower}", topics, self._take, health
+        )
+        self._activity = HEARTBEAT.activity("uplink")
+        self._thread = threading.Thread(target=self._run, name="uplink", daemon=True)
+
+    def start(self) -> None:
+        self._link.start()
+        self._thread.start()
+
+    def offer(self, frame: OutboxFrame) -> None:
+        """Keep a frame for the region; it is in the outbox a moment later."""
+        with self._lock:
+            if self._held + len(frame.message) > HELD_BYTES:
+                self._health.drop(
+                    "outbox_full", f"the outbox's disk has not served for {HELD_BYTES >> 20} MB of frames; see to it"
+                )
+                return
+            self._held += len(frame.message)
+            self._offered.append(frame)
+        self._wake.set()
+
+    def stop(self) -> bool:
+        """Write what was offered, and let go of the outbox; False: some frames could not be written, and are lost."""
+        self._stopping.set()
+        self._wake.set()
+        self._thread.join(LAST_TRIES_S + 2.0)
+        self._link.stop()
+        lost = len(self._offered)
+        if lost:
+            self._health.drop("outbox_full", f"{lost} frames could not be written before the end", lost)
+        self._outbox.close()
+        return not lost
+
+    def step(self, now_s: float) -> None:
+        """One turn of the thread's work. Raises StoreError where the disk does not serve."""
+        self._keep()
+        self._hear_acks(now_s)
+        if now_s >= self._bound_due or self._outbox.bytes > self._config.outbox_bytes:
+            self._bound_due = now_s + BOUND_S
+            self._bound()
+        self._send(now_s)
+        self._state()
+
+    def _run(self) -> None:
+        stop_at = 0.0
+        while True:
+            self._wake.wait(STEP_S)
+            self._wake.clear()
+            try:
+                with self._activity.turn("outbox", slow=True):
+                    self.step(time.monotonic())
+            except StoreError as error:
+                self._health.trouble(cause_of(error), str(error))
+                time.sleep(STEP_S)
+            except BaseException:
+                # A bug, or a damaged outbox: an uplink that sends nothing shall not seem to; the graph starts another.
+                sys.excepthook(*sys.exc_info())
+                os._exit(1)
+            if self._stopping.is_set():
+                stop_at = stop_at or time.monotonic() + LAST_TRIES_S
+                if not self._offered or time.monotonic() > stop_at:
+                    return
+
+    def _keep(self) -> None:
+        with self._lock:
+            frames = list(self._offered)
+        if not frames:
+            return
+        self._outbox.put(frames)
+        self.kept += len(frames)
+        with self._lock:
+            for frame in frames:
+                self._offered.popleft()
+                self._held -= len(frame.message)
+
+    def _hear_acks(self, now_s: float) -> None:
+        done: list[FrameKey] = []
+        refused: list[FrameKey] = []
+        while True:
+            try:
+                content = self._acks.get_nowait()
+            except queue.Empty:
+                break
+            for outcome in self._outcomes(content):
+                key = outcome.camera, outcome.stamp_ns
+                self._on_their_way.pop(key, None)
+                if outcome.done:
+                    done.append(key)
+                else:
+                    refused.append(key)
+                    self._health.note("refused")
+                    self._health.trouble(
+                        "refused", f"the region's map refuses the frame {key[1]} of {key[0]}: {outcome.why}"
+                    )
+        if done:
+            self._resend_s = RESEND_S
+            for _ in range(self._outbox.acknowledge(done)):
+                self._health.note("acknowledged")
+        if refused:
+            self._outbox.postpone(refused, now_s + REFUSED_PAUSE_S)
+
+    def _outcomes(self, content: bytes) -> list[Outcome]:
+        """Of nobody but the aggregator, for this tower; what cannot be believed says nothing, and is counted."""
+        try:
+            envelope = self._identity.opened(content, AGGREGATOR)
+            header = header_of(AckHeader, envelope)
+            if (header.region, header.tower, header.version) != (self._config.name, self._config.tower, VERSION):
+                raise MessageError(
+                    f"an acknowledgement is of version {header.version} for {header.tower} in {header.region}; this is "
+                    f"{self._config.tower} in {self._config.name}, version {VERSION}"
+                )
+            return outcomes_of(envelope)
+        except MessageError as error:
+            self._health.drop(cause_of(error), str(error))
+            return []
+
+    def _bound(self) -> None:
+        removed = self._outbox.bound(self._clock())
+        if removed.aged:
+            self._health.drop(
+                "outbox_aged",
+                f"frames older than {self._config.outbox_days:g} days were not sent; is the link up?",
+                removed.aged,
+            )
+        if removed.thinned:
+            self._health.drop(
+                "outbox_thinned",
+                f"more than {self._config.outbox_bytes >> 20} MB waited for the link: of the oldest, every other frame "
+                "of each view went",
+                removed.thinned,
+            )
+
+    def _send(self, now_s: float) -> None:
+        life = self._presence, self._link.connections
+        if not (life[0] and self._link.connected.is_set()):
+            return
+        if life != self._answered_by:
+            # What another life of the aggregator had in memory is gone with it, or the connection with what was in it.
+            self._answered_by = life
+            self._on_their_way.clear()
+        late = [key for key, (again, _) in self._on_their_way.items() if now_s >= again]
+        if late:
+            self._health.note("sent_again")
+            self._resend_s = min(2 * self._resend_s, LONGEST_RESEND_S)
+            for key in late:
+                del self._on_their_way[key]
+        room = WINDOW_BYTES - sum(size for _, size in self._on_their_way.values())
+        for frame in self._outbox.waiting(WINDOW - len(self._on_their_way), now_s, self._on_their_way):
+            if len(frame.message) > room and self._on_their_way:
+                return
+            try:
+                content = self._sealed(frame)
+            except (MessageError, ValidationError) as error:
+                self._outbox.acknowledge([frame.key])
+                self._health.drop("message", f"the frame {frame.stamp_ns} of {frame.camera} cannot be sent: {error}")
+                continue
+            if not self._link.send(votes_topic(self._config.name, self._config.tower), content):
+                return
+            self._on_their_way[frame.key] = now_s + self._resend_s, len(frame.message)
+            room -= len(frame.message)
+
+    def _sealed(self, frame: OutboxFrame) -> bytes:
+        header = VotesHeader(
+            region=self._config.name,
+            tower=self._config.tower,
+            camera=frame.camera,
+            stamp_ns=frame.stamp_ns,
+            model=frame.model,
+            grid=self._grid,
+        )
+        return self._identity.sealed(header.model_dump_json().encode(), frame.message)
+
+    def _state(self) -> None:
+        oldest, now = self._outbox.oldest_ns(), self._clock()
+        self._health.gauge("outbox_frames", self._outbox.frames)
+        self._health.gauge("outbox_bytes", self._outbox.bytes)
+        age_s = 0.0 if oldest is None else max(0.0, ((now or time.time_ns()) - oldest) / 1e9)
+        self._health.gauge("outbox_age_s", f"{age_s:.1f}")
+        self._health.gauge("link_up", int(bool(self._presence and self._link.connected.is_set())))
+
+    def _take(self, topic: str, payload: bytes) -> None:
+        """From the connection's thread."""
+        if topic == presence_topic(self._config.name):
+            self._presence = payload[:64].decode("ascii", "replace")
+        else:
+            try:
+                self._acks.put_nowait(payload)
+            except queue.Full:
+                self._health.drop(
+                    "overload", "more acknowledgements came than there were frames; they are asked for again"
+                )
+        self._wake.set()

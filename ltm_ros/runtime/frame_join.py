@@ -1,0 +1,176 @@
+"""Joins a camera's images with their calibrations and poses: the one place that decides which of them a frame has.
+
+The node `capture` joins live messages, the archive joins what bags hold of them: the same frame has the same pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from ltm_core.camera import Camera
+from ltm_core.errors import ImageError
+from ltm_core.pose import Pose
+from ltm_core.sensor_pose import Attitude, Fix, sensed_pose
+from ltm_core.site import Site
+from ltm_core.strict_model import StrictModel
+from ltm_core.types import Float64Array
+from ltm_msgs_py.camera_info import msg_to_camera
+from ltm_msgs_py.imu import msg_to_attitude
+from ltm_msgs_py.navsat import msg_to_fix
+from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.runtime.handler import Topic
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.stamp_join import Match, Part, StampJoin
+from ltm_ros.runtime.topics import CAMERA_INFO, FIX, IMAGE_COMPRESSED, IMAGE_RAW, IMU, POSE
+
+
+class FrameJoinConfig(StrictModel):
+    pose_tolerance: float = Field(0.0, ge=0)
+    """Seconds by which a pose's stamp may miss its image's. 0: stamps must be equal."""
+    max_wait: float = Field(3.0, gt=0)
+    """Seconds that an image waits for its pose and calibration."""
+    max_waiting: int = Field(20, ge=1)
+    """Images that wait for their pose and calibration at most; beyond it the oldest is dropped."""
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedFrame:
+    """An image, as it was given, with its pose, the pose's covariance (6, 6) (None: not known) and its calibration."""
+
+    image: Any
+    pose: Pose
+    covariance: Float64Array | None
+    camera: Camera
+
+
+class FrameJoin:
+    """An image is complete when its pose and a calibration are there; of calibrations, the newest up to its stamp.
+
+    Args:
+        complete: takes each joined frame.
+        health: counts duplicates, covariances that say nothing, and frames that never got a part (`no_pose`,
+            `no_calibration`).
+        stamp_and_size: of an image as it is given, nanoseconds and (width, height).
+    """
+
+    def __init__(
+        self,
+        site: Site,
+        name: str,
+        config: FrameJoinConfig,
+        complete: Callable[[JoinedFrame], None],
+        health: Health,
+        stamp_and_size: Callable[[Any], tuple[int, tuple[int, int]]],
+    ) -> None:
+        camera = site.camera(name)
+        self._name, self._complete, self._health = name, complete, health
+        self._stamp_and_size = stamp_and_size
+        self.image_topic = IMAGE_RAW if camera.image == "raw" else IMAGE_COMPRESSED
+        self._fixed_pose: Pose | None = None
+        self._fixed_covariance: Float64Array | None = None
+        if camera.pose is not None:
+            self._fixed_pose = camera.pose.pose(site.open_dem(), site.frame)
+            assumed = site.assumed_pose_error
+            self._fixed_covariance = camera.pose.covariance(self._fixed_pose, assumed.position, assumed.angle_deg)
+        self._fixed_calibration = camera.calibration.camera() if camera.calibration else None
+        self._sensors, self._frame = camera.sensors, site.frame
+        self._dem = site.open_dem() if camera.sensors is not None else None
+        self.assumed = site.assumed_pose_error.covariance()
+        """(6, 6): of poses of which nothing else is known."""
+        parts = [Part("image")]
+        if camera.sensors is not None:
+            parts.append(Part("fix", Match.LATEST))
+            parts.append(Part("attitude", Match.NEAREST, round(camera.sensors.attitude_age * 1e9)))
+        elif self._fixed_pose is None:
+            parts.append(Part("pose", Match.NEAREST, round(config.pose_tolerance * 1e9)))
+        if self._fixed_calibration is None:
+            parts.append(Part("calibration", Match.LATEST))
+        self._join = StampJoin(
+            parts,
+            self._joined,
+            health,
+            config.max_waiting,
+            max_wait=config.max_wait,
+            give_up=self._give_up,
+            capacity_bytes=site.limits.waiting_bytes,
+        )
+
+    @property
+    def others(self) -> Mapping[Topic, Callable[[Any], None]]:
+        """What is joined to images, as the site file has it come, and who takes each message of it."""
+        topics: dict[Topic, Callable[[Any], None]] = {}
+        if self._fixed_calibration is None:
+            topics[CAMERA_INFO] = self.on_camera_info
+        if self._sensors is not None:
+            topics |= {FIX: self.on_fix, IMU: self.on_imu}
+        elif self._fixed_pose is None:
+            topics[POSE] = self.on_pose
+        return topics
+
+    def add_image(self, stamp_ns: int, image: Any) -> None:
+        """Raises LtmError of what it completes."""
+        self._join.add("image", stamp_ns, image)
+
+    def known(self, stamp_ns: int) -> bool:
+        """Whether an image of this stamp would be a duplicate."""
+        return self._join.known("image", stamp_ns)
+
+    def tick(self, waited: float) -> None:
+        self._join.tick(waited)
+
+    def finish(self) -> None:
+        self._join.finish()
+
+    def check_size(self, size: tuple[int, int], camera: Camera) -> None:
+        """Raises ImageError where a calibration is for images of another size, (width, height)."""
+        if size != (camera.width, camera.height):
+            raise ImageError(
+                f"image of {self._name} is {size[0]} x {size[1]} pixels, its calibration is for {camera.width} x "
+                f"{camera.height}; publish a camera_info for the image as it is sent, or mend it in the site file"
+            )
+
+    def on_camera_info(self, message: Any) -> None:
+        self._join.add("calibration", stamp_of(message), msg_to_camera(message))
+
+    def on_pose(self, message: Any) -> None:
+        pose = msg_to_pose(message, "map")
+        covariance = msg_to_covariance(message)
+        if covariance is None and np.any(message.pose.covariance):
+            self._health.note("unknown_covariance")
+            covariance = msg_to_covariance(message, self.assumed)
+        self._join.add("pose", stamp_of(message), (pose, covariance))
+
+    def on_fix(self, message: Any) -> None:
+        self._join.add("fix", stamp_of(message), msg_to_fix(message))
+
+    def on_imu(self, message: Any) -> None:
+        self._join.add("attitude", stamp_of(message), msg_to_attitude(message))
+
+    def _joined(
+        self,
+        image: Any,
+        pose: tuple[Pose, Any] | None = None,
+        calibration: Camera | None = None,
+        fix: Fix | None = None,
+        attitude: Attitude | None = None,
+    ) -> None:
+        where, covariance = (self._fixed_pose, self._fixed_covariance) if pose is None else pose
+        if fix is not None and attitude is not None and self._sensors is not None and self._dem is not None:
+            stamp, size = self._stamp_and_size(image)
+            where, covariance = sensed_pose(fix, attitude, stamp, size, self._frame, self._dem, self._sensors)
+        camera = self._fixed_calibration if calibration is None else calibration
+        assert where is not None  # nosec B101 # tells the type checker what holds
+        assert camera is not None  # nosec B101 # tells the type checker what holds
+        self._complete(JoinedFrame(image, where, covariance, camera))
+
+    def _give_up(self, stamp: int, lacking: list[str], why: str) -> None:
+        name = next((part for part in ("pose", "fix", "attitude") if part in lacking), "calibration")
+        cause = "no_calibration" if name == "calibration" else "no_pose"
+        missing = {"calibration": "camera_info", "attitude": "imu"}.get(name, name)
+        self._health.drop(cause, f"image of stamp {stamp} ns has no {missing} ({why}); publish one with its stamp")

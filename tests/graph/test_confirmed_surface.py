@@ -1,0 +1,106 @@
+"""Depth follows the confirmed surface in the living graph, in both layouts, also while its processes are killed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from bystander import Bystander
+from scenes.small_site import BEGIN_NS, NAME
+from scenes.terrain_frames import HOUR, measured_messages, sunk, write_terrain_site
+from scenes.waiting import wait_for
+
+from ltm_core.evaluation.terrain.hillside_scenes import trial
+from ltm_msgs_py.confirmed_surface import msg_to_traced, msg_to_version
+from ltm_ros.evaluation.update_score import score_update
+from ltm_ros.evaluation.update_site import write_update_site
+from ltm_ros.evaluation.update_trial import live_depths
+from ltm_ros.launching.graph import Graph, describe
+from ltm_ros.launching.runner import Runner
+from ltm_ros.launching.supervisor import RestartPolicy
+from ltm_ros.runtime.topics import (
+    DEPTH_INFO,
+    MEASURED_DEPTH,
+    MEASURED_SIGMA,
+    POSED_CAMERA_INFO,
+    POSED_POSE,
+    TERRAIN_SURFACE,
+    camera_topic,
+    site_topic,
+)
+
+pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("kernels")]
+
+SURFACE, INFO = site_topic(NAME, TERRAIN_SURFACE), camera_topic(NAME, "mast", DEPTH_INFO)
+PARTS = (POSED_CAMERA_INFO, POSED_POSE, MEASURED_SIGMA, MEASURED_DEPTH)
+
+
+def test_a_killed_depth_node_comes_back_to_the_version_that_counts_until_it_is_taken_back(
+    ros_domain: int, tmp_path: Path
+) -> None:
+    terrain = {"threshold": 2.0, "register_frames": False, "trace_confirmed": True}
+    nodes = {"terrain": {"max_behind": 1e9, "folder": "kept", "depth_from_elsewhere": True}}
+    small = write_terrain_site(tmp_path, False, terrain=terrain, nodes=nodes)
+    whole = describe(small.site, small.path)
+    label = "cameras"
+    runner = Runner(
+        Graph(NAME, (whole.node("terrain"), whole.node("mast/depth"))),
+        domain_id=ros_domain,
+        log_folder=tmp_path / "log",
+        console=lambda line: None,
+        policy=RestartPolicy(initial_s=0.1, maximum_s=1.0),
+    )
+    with runner, Bystander() as bystander:
+        runner.wait_until_ready(300.0)
+        bystander.listen(SURFACE, TERRAIN_SURFACE.type, latched=True)
+        bystander.listen(INFO, DEPTH_INFO.type)
+        for topic in PARTS:
+            both = topic in (POSED_CAMERA_INFO, POSED_POSE)
+            bystander.open(camera_topic(NAME, "mast", topic), topic.type, listeners=1 + both)
+        bystander.wait_for_wiring(2)
+
+        def versions() -> dict[int, str]:
+            return dict(msg_to_traced(message) for message in list(bystander.heard[INFO]))
+
+        def look(hours: int) -> str:
+            stamp = BEGIN_NS + hours * HOUR
+            for topic, message in measured_messages(small, sunk(small), stamp).items():
+                if topic in PARTS:
+                    bystander.send(camera_topic(NAME, "mast", topic), message)
+            wait_for(lambda: stamp in versions(), f"depth of {stamp}", lambda: bystander.summaries)
+            return versions()[stamp]
+
+        def told() -> str:
+            return msg_to_version(bystander.heard[SURFACE][-1])
+
+        assert look(0) == ""
+        assert look(2) == ""
+        wait_for(lambda: bystander.heard[SURFACE] and told(), "a confirmed surface", lambda: bystander.summaries)
+        process = runner.processes[label]
+        starts = process.starts
+        runner.kill(label)
+        wait_for(lambda: process.starts > starts and process.running, "the process again")
+        bystander.summaries.clear()
+        bystander.wait_for_wiring(2)
+        assert look(4) == told()
+        done, answer = bystander.call(f"/{NAME}/terrain/take_back")
+        assert done, answer
+        while msg_to_version(bystander.heard[SURFACE][-1]):
+            bystander.call(f"/{NAME}/terrain/take_back")
+        depth = f"/{NAME}/mast/depth"
+        wait_for(lambda: bystander.summaries[depth].get("surface") == "as given", "depth to follow")
+        assert look(6) == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("layout", ["site", "node"])
+@pytest.mark.parametrize("scene", ["felled", "burn"])
+def test_every_process_may_be_killed_while_the_surface_changes(
+    ros_domain: int, tmp_path: Path, scene: str, layout: str
+) -> None:
+    (tmp_path / "site").mkdir()
+    site = write_update_site(tmp_path / "site", trial(scene, 23), 4, 23, layout)
+    score = score_update(site.scene, site.frames, live_depths(site, tmp_path / "log", True, ros_domain))
+    assert score.frames_before >= 2
+    assert score.followed == score.frames_after == 4
+    assert score.ratio <= 0.5

@@ -1,0 +1,320 @@
+"""`ltm reprocess`: whatever works an archive, in whatever parts, its map is that of the serial offline replay."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+import yaml
+from rclpy.serialization import serialize_message
+from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite
+from typer.testing import CliRunner
+
+from ltm_core.errors import ArchiveError, LtmError
+from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
+from ltm_core.raster.tile_store import TileStore
+from ltm_msgs_py.bag.reader import BagReader
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.image import compressed_to_msg, encode_rgb
+from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.archive.engine import Engine, on_workers, serial
+from ltm_ros.archive.reduction import store_digest
+from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
+from ltm_ros.archive.sampling import Sample
+from ltm_ros.archive.task import work
+from ltm_ros.cli.main import cli
+from ltm_ros.replay.run import ReplayOptions, run_offline
+from ltm_ros.runtime.topics import IMAGE_COMPRESSED, camera_topic
+
+
+def digest_of(store: Path) -> str:
+    with TileStore.open_read_only(store, STORE_KIND) as opened:
+        return store_digest(opened)
+
+
+def replayed(bag: Path, site: Path, folder: Path) -> str:
+    folder.mkdir()
+    run_offline(bag, site, ReplayOptions(state=folder), lambda done, total: None)
+    return digest_of(folder / STORE_FILE)
+
+
+def reprocessed(options: ArchiveOptions, engine: Engine = serial) -> Summary:
+    return run(look_through(options, lambda done, total: None), engine, lambda done, total: None)
+
+
+@pytest.fixture(scope="module")
+def expected(small_site: SmallSite, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The digest of the offline replay's store."""
+    return replayed(small_site.bag, small_site.path, tmp_path_factory.mktemp("replay") / "state")
+
+
+@pytest.fixture
+def options(small_site: SmallSite, tmp_path: Path) -> ArchiveOptions:
+    return ArchiveOptions((small_site.bag,), small_site.path, str(tmp_path / "out"))
+
+
+@pytest.mark.parametrize("frames_per_task", [1, 4, 1500])
+def test_any_chunks_give_the_map_of_the_offline_replay(
+    options: ArchiveOptions, expected: str, frames_per_task: int
+) -> None:
+    summary = reprocessed(replace(options, frames_per_task=frames_per_task))
+    assert summary.digest == expected
+    assert (summary.worked, summary.merged, summary.failed) == (2 * FRAMES, 2 * FRAMES, 0)
+    assert digest_of(Path(options.out) / STORE_FILE) == expected
+    assert summary.tasks == 2 * -(-FRAMES // frames_per_task)
+
+
+def test_workers_give_it_too_and_nothing_is_worked_twice(options: ArchiveOptions, expected: str) -> None:
+    options = replace(options, frames_per_task=3)
+    summary = reprocessed(options, on_workers(2))
+    assert (summary.digest, summary.worked) == (expected, 2 * FRAMES)
+    again = reprocessed(options)
+    assert (again.digest, again.worked) == (expected, 0)
+
+
+@pytest.mark.slow
+def test_workers_that_are_killed_are_replaced(options: ArchiveOptions, expected: str) -> None:
+    """With SIGKILL, as the kernel does it to those that take all memory; twice, at whatever they do then."""
+    killed = list[int]()
+
+    def kill_a_worker(done: int, total: int) -> None:
+        children = [
+            child for child in psutil.Process().children(recursive=True) if "spawn_main" in str(child.cmdline())
+        ]
+        if children and len(killed) < 2:
+            children[0].kill()
+            killed.append(children[0].pid)
+
+    planned = look_through(replace(options, frames_per_task=1), lambda done, total: None)
+    assert run(planned, on_workers(2), kill_a_worker).digest == expected
+    assert len(killed) == 2
+
+
+def test_a_run_that_was_stopped_goes_on(options: ArchiveOptions, expected: str) -> None:
+    options = replace(options, frames_per_task=2)
+
+    def stop(done: int, total: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(look_through(options, lambda done, total: None), serial, stop)
+    assert not (Path(options.out) / STORE_FILE).exists()
+    summary = reprocessed(options)
+    assert (summary.digest, summary.worked) == (expected, 2 * FRAMES - 4)
+
+
+def test_shards_together_are_the_whole(options: ArchiveOptions, expected: str) -> None:
+    options = replace(options, frames_per_task=2)
+    parts = [reprocessed(replace(options, shard=(part, 3))) for part in (3, 1, 2)]
+    assert [part.digest for part in parts] == ["", "", ""]
+    assert sum(part.worked for part in parts) == 2 * FRAMES
+    whole = reprocessed(options)
+    assert (whole.digest, whole.worked) == (expected, 0)
+
+
+@pytest.fixture
+def own_site(small_site: SmallSite, tmp_path: Path) -> SmallSite:
+    """To be changed."""
+    shutil.copytree(small_site.folder, tmp_path / "site")
+    return SmallSite(tmp_path / "site")
+
+
+def edited(site: SmallSite, change: Callable[[dict[str, Any]], None]) -> None:
+    content = yaml.safe_load(site.path.read_text())
+    change(content)
+    site.path.write_text(yaml.safe_dump(content))
+
+
+def test_a_corrected_pose_works_that_camera_alone(own_site: SmallSite, tmp_path: Path) -> None:
+    options = ArchiveOptions((own_site.bag,), own_site.path, str(tmp_path / "out"))
+    before = reprocessed(options)
+    edited(own_site, lambda site: site["cameras"]["mast"]["pose"].update(azimuth_deg=49.0))
+    after = reprocessed(options)
+    assert (before.worked, after.worked) == (2 * FRAMES, FRAMES)
+    assert after.digest == replayed(own_site.bag, own_site.path, tmp_path / "state") != before.digest
+    edited(own_site, lambda site: site["cameras"]["mast"]["pose"].update(azimuth_deg=48.0))
+    back = reprocessed(options)
+    assert (back.worked, back.digest) == (0, before.digest)
+
+
+def test_other_rules_of_fusion_work_no_frame_again(own_site: SmallSite, tmp_path: Path) -> None:
+    options = ArchiveOptions((own_site.bag,), own_site.path, str(tmp_path / "out"))
+    before = reprocessed(options)
+    edited(own_site, lambda site: site.update(fuel={"fusion": {"frame_cap": 3.0}}))
+    after = reprocessed(options)
+    assert after.worked == 0
+    assert after.digest == replayed(own_site.bag, own_site.path, tmp_path / "state") != before.digest
+
+
+def test_archives_that_hold_the_same_frames_count_them_once(
+    options: ArchiveOptions, expected: str, small_site: SmallSite, tmp_path: Path
+) -> None:
+    shutil.copytree(small_site.bag, tmp_path / "copy")
+    planned = look_through(replace(options, archives=(small_site.bag, tmp_path / "copy")), lambda done, total: None)
+    assert planned.manifest.repeated == 2 * FRAMES
+    assert run(planned, serial, lambda done, total: None).digest == expected
+
+
+def rewritten(source: Path, target: Path, change: Callable[[int, bytes], bytes]) -> Path:
+    """A bag whose tower's pictures are changed: their number from 0 on and bytes, to bytes."""
+    topic, number = camera_topic(NAME, "tower", IMAGE_COMPRESSED), 0
+    with BagWriter(target) as bag:
+        for message in BagReader(source).messages():
+            raw = message.raw
+            if message.topic == topic:
+                raw = change(number, raw)
+                number += 1
+            bag.write_raw(message.topic, message.type_name, raw, message.log_time_ns)
+    return target
+
+
+def test_a_damaged_picture_is_named_and_no_map_written_above_the_share(
+    options: ArchiveOptions, small_site: SmallSite, tmp_path: Path
+) -> None:
+    def spoiled(number: int, raw: bytes) -> bytes:
+        return raw if number != 2 else raw[: len(raw) // 2] + b"\0" * (len(raw) - len(raw) // 2)
+
+    bag = rewritten(small_site.bag, tmp_path / "spoiled", spoiled)
+    options = replace(options, archives=(bag,))
+    with pytest.raises(ArchiveError, match=r"1 of 12 frames failed \(1 recording\)"):
+        reprocessed(options)
+    assert not (Path(options.out) / STORE_FILE).exists()
+    record = json.loads((Path(options.out) / "run.json").read_text())
+    assert record["frames"]["failed"] == 1
+    assert "cut short" in record["failures"][0]["why"]
+    summary = reprocessed(replace(options, max_failed=0.1))
+    assert summary.digest == replayed(bag, small_site.path, tmp_path / "state")
+    assert (summary.merged, summary.failed) == (2 * FRAMES - 1, 1)
+
+
+def test_a_cut_recording_gives_what_it_has(options: ArchiveOptions, small_site: SmallSite, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "small_chunks", chunk_size=20_000) as bag:
+        for message in BagReader(small_site.bag).messages():
+            bag.write_raw(message.topic, message.type_name, message.raw, message.log_time_ns)
+    whole = next((tmp_path / "small_chunks").glob("*.mcap"))
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    summary = reprocessed(replace(options, archives=(cut,), max_failed=0.5))
+    assert 2 <= summary.merged < 2 * FRAMES
+    assert summary.digest == replayed(cut, small_site.path, tmp_path / "state")
+    record = json.loads((Path(options.out) / "run.json").read_text())
+    assert "cut.mcap is cut short" in record["damage"][0] or "without a footer" in record["damage"][0]
+
+
+def test_a_store_that_a_node_went_on_from_is_not_written_over(options: ArchiveOptions) -> None:
+    reprocessed(options)
+    with (Path(options.out) / STORE_FILE).open("ab") as store:
+        store.write(b"more")
+    with pytest.raises(ArchiveError, match="a node may have gone on from it"):
+        reprocessed(options)
+
+
+def test_a_live_node_goes_on_from_the_store(options: ArchiveOptions, small_site: SmallSite) -> None:
+    """It opens it, shows what it holds, and takes none of its frames again."""
+    digest = reprocessed(options).digest
+    out = Path(options.out)
+    summaries = run_offline(small_site.bag, small_site.path, ReplayOptions(state=out), lambda done, total: None)
+    assert summaries[f"/{NAME}/fuel_map"]["dropped.duplicate"] == str(2 * FRAMES)
+    assert digest_of(out / STORE_FILE) == digest
+
+
+def test_the_journal_tells_the_end_of_each_day(small_site: SmallSite, tmp_path: Path) -> None:
+    day = 86_400 * 10**9
+    bags = tuple(small_site.write_bag(tmp_path / f"day_{number}", 2, BEGIN_NS + number * day) for number in range(2))
+    options = ArchiveOptions(bags, small_site.path, str(tmp_path / "out"))
+    summary = reprocessed(options)
+    assert (summary.tasks, summary.merged) == (4, 8)
+    with TileStore.open_read_only(tmp_path / "out" / STORE_FILE, STORE_KIND) as store:
+        days = {change.stamp_ns // day for change in store.changes("life_form")}
+    assert days <= {BEGIN_NS // day, BEGIN_NS // day + 1}
+    assert BEGIN_NS // day in days
+    page = (tmp_path / "out/maps/index.html").read_text()
+    shown = sorted(path.stem for path in (tmp_path / "out/maps").glob("20*.png"))
+    assert shown == [str(np.datetime64(number, "D")) for number in sorted(days)]
+    assert json.dumps(shown) in page
+    assert (tmp_path / "out/maps/change.png").stat().st_size > 1000
+    only = reprocessed(replace(options, since_ns=BEGIN_NS + day, out=str(tmp_path / "later")))
+    assert only.merged == 4
+
+
+def test_a_sample_is_worked_alone_and_looked_at_once(options: ArchiveOptions, small_site: SmallSite) -> None:
+    options = replace(options, sample=Sample.parsed("2/day"))
+    planned = look_through(options, lambda done, total: None)
+    assert len(planned.frames) == 4
+    assert run(planned, serial, lambda done, total: None).merged == 4
+    looks = sorted((Path(options.out) / "looks").iterdir())
+    changed = [file.stat().st_mtime_ns for file in looks]
+    again = look_through(options, lambda done, total: None)
+    assert again.frames == planned.frames
+    assert [file.stat().st_mtime_ns for file in looks] == changed
+
+
+def test_pictures_that_show_nothing_are_passed_over(
+    options: ArchiveOptions, small_site: SmallSite, tmp_path: Path
+) -> None:
+    topic, black = camera_topic(NAME, "tower", IMAGE_COMPRESSED), np.zeros((180, 320, 3), np.uint8)
+    with BagWriter(tmp_path / "night") as bag:
+        for message in BagReader(small_site.bag).messages():
+            raw = message.raw
+            if message.topic == topic:
+                stamp = stamp_of(BagReader(small_site.bag).decode(message))
+                raw = serialize_message(compressed_to_msg(encode_rgb(black), "jpeg", stamp, "tower_optical"))
+            bag.write_raw(message.topic, message.type_name, raw, message.log_time_ns)
+    sample = Sample.parsed("2/day")
+    planned = look_through(replace(options, archives=(tmp_path / "night",), sample=sample), lambda done, total: None)
+    assert {frame.camera for frame in planned.frames} == {"mast"}
+    assert planned.passed_over == {"blank: the picture is of one colour": FRAMES}
+
+
+def test_layers_and_their_catalogue_entry_are_written(options: ArchiveOptions) -> None:
+    reprocessed(options)
+    layers = Path(options.out) / "layers"
+    item = json.loads((layers / "item.stac.json").read_text())
+    assert item["properties"]["datetime"] == "2023-11-14T22:13:21Z"
+    assert {(layers / asset["href"]).is_file() for asset in item["assets"].values()} == {True}
+
+
+def test_other_programs_and_other_files_on_a_worker_are_refused(options: ArchiveOptions) -> None:
+    planned = look_through(options, lambda done, total: None)
+    with pytest.raises(ArchiveError, match="install the same version"):
+        work(planned.tasks[0], replace(planned.settings, code="another"))
+    with pytest.raises(ArchiveError, match="give all workers the same files"):
+        work(replace(planned.tasks[0], steps_key="another"), planned.settings)
+
+
+def test_a_site_whose_poses_hang_on_the_order_of_frames_is_refused(own_site: SmallSite, tmp_path: Path) -> None:
+    edited(own_site, lambda site: site.update(refine_poses={}))
+    with pytest.raises(ArchiveError, match="refines poses"):
+        look_through(ArchiveOptions((own_site.bag,), own_site.path, str(tmp_path / "out")), lambda done, total: None)
+
+
+def test_command_line(small_site: SmallSite, tmp_path: Path, expected: str) -> None:
+    command = ["reprocess", str(small_site.bag), "--site", str(small_site.path), "--out", str(tmp_path / "out")]
+    tried = CliRunner().invoke(cli, [*command, "--dry-run"], env={"COLUMNS": "160"})
+    assert tried.exit_code == 0, tried.output
+    assert "12 frames in 2 tasks" in tried.output
+    assert not (tmp_path / "out" / STORE_FILE).exists()
+    done = CliRunner().invoke(cli, [*command, "--workers", "0"], env={"COLUMNS": "160"})
+    assert done.exit_code == 0, done.output
+    assert "12 frames worked now, 12 in the map, 0 failed" in done.output
+    assert expected in done.output.replace("\n", "")
+
+
+@pytest.mark.parametrize(
+    ("option", "wrong"),
+    [("--sample", "4"), ("--shard", "4/3"), ("--max-failed", "many"), ("--cluster", "tcp://10.0.0.1:8786"),
+     ("--cluster", "tls://10.0.0.1:8786"), ("--cameras", "tower,nobody")],
+)  # fmt: skip
+def test_what_cannot_be_asked_is_refused(small_site: SmallSite, tmp_path: Path, option: str, wrong: str) -> None:
+    command = ["reprocess", str(small_site.bag), "--site", str(small_site.path), "--out", str(tmp_path / "out")]
+    refused = CliRunner().invoke(cli, [*command, option, wrong])
+    assert isinstance(refused.exception, LtmError)
+    assert not (tmp_path / "out" / STORE_FILE).exists()

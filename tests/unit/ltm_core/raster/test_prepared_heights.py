@@ -1,0 +1,152 @@
+"""Prepared heights: the same as the raster's, shared, and of exactly its present state."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltm_core.dem import Dem
+from ltm_core.errors import RasterError
+from ltm_core.grid import GridGeometry
+from ltm_core.raster import prepared_heights_io as module
+from ltm_core.raster.dem_io import prepare_heights
+from ltm_core.raster.dem_stack import DemStack
+from ltm_core.raster.prepared_heights_io import heights_path
+
+GRID = GridGeometry(480_000.0, 4_151_000.0, 10.0, 70, 45, "EPSG:26911")
+
+
+@pytest.fixture(autouse=True)
+def small_rasters_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "LEAST_CELLS", 100)
+
+
+def heights(base: float = 300.0) -> Dem:
+    rows, cols = np.mgrid[: GRID.height, : GRID.width]
+    elevation = (base + 0.7 * rows + 0.03 * cols * cols).astype(np.float32)
+    elevation[4:6, 9:12] = np.nan
+    return Dem(elevation, GRID)
+
+
+@pytest.fixture
+def raster(tmp_path: Path) -> Path:
+    heights().save(tmp_path / "dem.tif")
+    return tmp_path / "dem.tif"
+
+
+def is_mapped(dem: Dem) -> bool:
+    """Whether the elevations lie in a file's pages."""
+    address = dem.elevation.ctypes.data
+    for line in Path("/proc/self/maps").read_text().splitlines():
+        found = re.match(r"([0-9a-f]+)-([0-9a-f]+) ", line)
+        assert found is not None
+        if int(found[1], 16) <= address < int(found[2], 16):
+            return line.endswith(".ltm-heights")
+    raise AssertionError(f"no mapping holds {address:x}")
+
+
+def test_prepared_heights_are_those_of_the_raster(raster: Path) -> None:
+    decoded = Dem.open(raster)
+    assert prepare_heights(raster) == heights_path(raster)
+    mapped = Dem.open(raster)
+    assert (is_mapped(decoded), is_mapped(mapped)) == (False, True)
+    np.testing.assert_array_equal(mapped.elevation, decoded.elevation)
+    assert mapped.geometry == decoded.geometry
+    assert (mapped.elevation.dtype, mapped.elevation.flags.c_contiguous) == (np.dtype(np.float32), True)
+    assert [path.name for path in raster.parent.iterdir() if path.name.startswith(".")] == []
+    assert prepare_heights(raster) is None, "it is there already"
+
+
+def test_what_is_written_to_mapped_heights_stays_in_the_process(raster: Path) -> None:
+    """As a stack does where it leads the finest raster over to a coarser one."""
+    wider = GridGeometry(GRID.x_min - 300, GRID.y_max + 300, 30.0, 44, 35, GRID.crs)
+    Dem(np.full(wider.shape, 250.0, np.float32), wider).save(raster.with_name("coarse.tif"))
+    decoded = DemStack.open(raster, None, (raster.with_name("coarse.tif"), None))
+    prepare_heights(raster)
+    mapped = DemStack.open(raster, None, (raster.with_name("coarse.tif"), None))
+    assert is_mapped(mapped)
+    np.testing.assert_array_equal(mapped.elevation, decoded.elevation)
+    assert np.isfinite(mapped.elevation[4:6, 9:12]).all()
+    np.testing.assert_array_equal(Dem.open(raster).elevation, heights().elevation)
+
+
+@pytest.mark.parametrize("what", ["content", "date kept", "replaced", "sidecar", "version", "cut", "header"])
+def test_any_other_state_of_the_raster_has_none(raster: Path, what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    prepare_heights(raster)
+    prepared, before = heights_path(raster), raster.stat()
+    expected = heights()
+    if what in ("content", "date kept"):
+        expected = heights(900.0)
+        expected.save(raster.with_name("other.tif"))
+        raster.write_bytes(raster.with_name("other.tif").read_bytes())
+        if what == "date kept":
+            os.utime(raster, ns=(before.st_atime_ns, before.st_mtime_ns))
+    if what == "replaced":
+        shutil.copy2(raster, raster.with_name("same.tif"))
+        raster.with_name("same.tif").replace(raster)
+    if what == "sidecar":
+        statistics = '<PAMDataset><PAMRasterBand band="1"><Description>z</Description></PAMRasterBand></PAMDataset>'
+        raster.with_name("dem.tif.aux.xml").write_text(statistics)
+    if what == "version":
+        monkeypatch.setattr(module, "VERSION", module.VERSION + 1)
+    if what == "cut":
+        os.truncate(prepared, prepared.stat().st_size - 1)
+    if what == "header":
+        content = prepared.read_bytes()
+        prepared.write_bytes(b"x" + content[1:])
+    found = Dem.open(raster)
+    assert not is_mapped(found)
+    np.testing.assert_array_equal(found.elevation, expected.elevation)
+    assert prepare_heights(raster) == prepared
+    assert is_mapped(Dem.open(raster))
+    np.testing.assert_array_equal(Dem.open(raster).elevation, expected.elevation)
+
+
+def test_heights_in_other_files_than_the_rasters_own_are_not_prepared(raster: Path) -> None:
+    """A VRT stays as it is while the raster that it names changes."""
+    source = f'<SourceFilename relativeToVRT="1">{raster.name}</SourceFilename><SourceBand>1</SourceBand>'
+    transform = "<GeoTransform>480000, 10, 0, 4151000, 0, -10</GeoTransform>"
+    raster.with_name("dem.vrt").write_text(
+        f'<VRTDataset rasterXSize="70" rasterYSize="45"><SRS>EPSG:26911</SRS>{transform}'
+        f'<VRTRasterBand dataType="Float32" band="1"><SimpleSource>{source}</SimpleSource></VRTRasterBand></VRTDataset>'
+    )
+    assert Dem.open(raster.with_name("dem.vrt")).elevation.shape == GRID.shape
+    assert prepare_heights(raster.with_name("dem.vrt")) is None
+
+
+def test_a_raster_that_is_written_to_meanwhile_is_not_prepared(raster: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    flush = np.memmap.flush
+
+    def disturbed(heights: np.memmap[tuple[int, ...], np.dtype[np.float32]]) -> None:
+        flush(heights)
+        os.utime(raster)
+
+    monkeypatch.setattr(np.memmap, "flush", disturbed)
+    assert prepare_heights(raster) is None
+    assert sorted(path.name for path in raster.parent.iterdir()) == ["dem.tif"]
+
+
+def test_small_rasters_and_full_disks_have_none(raster: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "free_bytes", lambda path: module.SPARE_BYTES + 1000)
+    assert prepare_heights(raster) is None
+    monkeypatch.undo()
+    assert prepare_heights(raster) is None
+    assert not heights_path(raster).exists()
+
+
+def test_errors_leave_nothing(raster: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RasterError):
+        prepare_heights(raster.with_name("absent.tif"))
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(OSError, match="No space"):
+        prepare_heights(raster)
+    assert sorted(path.name for path in raster.parent.iterdir()) == ["dem.tif"]

@@ -1,0 +1,63 @@
+"""Outlines of regions as polygons: what they enclose, holes too, and how many corners they have."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from ltm_core.types import BoolArray
+from ltm_core.vision.camera_mask import fill
+from ltm_core.vision.mask_config import MOST_POINTS
+from ltm_core.vision.outlines import MOST_HOLES, polygons_of
+
+
+def enclosed(region: BoolArray, tolerance: float, filled: bool = False) -> BoolArray:
+    drawn = np.zeros(region.shape, np.uint8)
+    for outline in polygons_of(region, tolerance, filled):
+        assert 3 <= len(outline) <= MOST_POINTS
+        fill(drawn, outline)
+    return drawn > 0
+
+
+def test_a_ring_stays_a_ring_with_what_lies_in_it() -> None:
+    region = np.zeros((50, 80), np.bool_)
+    region[5:45, 10:70] = True
+    region[10:40, 20:40] = False
+    region[20:30, 25:35] = True
+    region[10:40, 50:60] = False
+    np.testing.assert_array_equal(enclosed(region, 0.5), region)
+    assert len(polygons_of(region)) == 2
+    full = np.zeros((50, 80), np.bool_)
+    full[5:45, 10:70] = True
+    np.testing.assert_array_equal(enclosed(region, 1.0, filled=True), full)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_outlines_give_back_regions_with_many_holes(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    height, width = (int(n) for n in rng.integers(20, 90, 2))
+    smooth = cv2.GaussianBlur(rng.standard_normal((height, width)).astype(np.float32), (0, 0), 1.0 + seed / 6)
+    region = np.asarray(smooth > rng.uniform(-0.8, 0.3) * smooth.std())
+    np.testing.assert_array_equal(enclosed(region, 0.01), region)
+    assert (enclosed(region, 0.5) != region).mean() < 0.02
+
+
+def test_lines_and_dots_are_kept() -> None:
+    region = np.zeros((30, 40), np.bool_)
+    region[4, 3:30] = region[20, 35] = True
+    np.testing.assert_array_equal(enclosed(region, 0.5), region)
+
+
+def test_no_outline_has_more_corners_than_a_polygon_may() -> None:
+    """A comb of 1200 teeth, and a sheet with more holes than are cut out."""
+    comb = np.zeros((60, 2400), np.bool_)
+    comb[30:], comb[:30, ::2] = True, True
+    assert enclosed(comb, 1.0)[30:].mean() > 0.99
+    sheet = np.ones((120, 200), np.bool_)
+    sheet[5:-5:6, 5:-5:6] = False
+    sheet[60:90, 60:90] = False
+    assert (~sheet).sum() - 900 > MOST_HOLES
+    kept = enclosed(sheet, 0.5)
+    assert not kept[62:88, 62:88].any()
+    assert kept[~np.pad(np.zeros((30, 30), np.bool_), ((60, 30), (60, 110)), constant_values=True)].mean() < 0.05

@@ -1,0 +1,259 @@
+"""The confirmed surface from `terrain` to `depth` and `topodepth`: followed, taken back, and never read by the wire."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scenes.outlets import Kept
+from scenes.small_site import BEGIN_NS, NAME, SmallSite
+from scenes.terrain_frames import HOUR, measured_messages, sunk, write_terrain_site
+from std_msgs.msg import String
+
+from ltm_core.dem import Dem
+from ltm_core.errors import ConfigError, MessageError, StoreError
+from ltm_core.raster.surface_versions_io import FOLDER, MANIFEST
+from ltm_core.tracing import TerrainTracer
+from ltm_msgs_py.camera_info import msg_to_camera
+from ltm_msgs_py.confirmed_surface import msg_to_traced, msg_to_version
+from ltm_msgs_py.image import msg_to_depth
+from ltm_msgs_py.pose import msg_to_pose
+from ltm_ros.launching.graph import describe
+from ltm_ros.nodes.depth import Depth, DepthConfig
+from ltm_ros.nodes.terrain import Terrain, TerrainNodeConfig
+from ltm_ros.runtime.health import Health
+from ltm_ros.runtime.topics import (
+    DEPTH_IMAGE,
+    DEPTH_INFO,
+    POSED_CAMERA_INFO,
+    POSED_POSE,
+    TERRAIN_SURFACE,
+    camera_topic,
+    site_topic,
+)
+
+SURFACE = site_topic(NAME, TERRAIN_SURFACE)
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> SmallSite:
+    terrain = {"threshold": 2.0, "register_frames": False, "trace_confirmed": True}
+    nodes = {"terrain": {"max_behind": 1e9, "folder": "kept", "depth_from_elsewhere": True}}
+    return write_terrain_site(tmp_path_factory.mktemp("site"), False, terrain=terrain, nodes=nodes)
+
+
+class Chain:
+    """A terrain node and a depth node of the mast, as the graph configures them, with a state of their own."""
+
+    def __init__(self, small: SmallSite, state: Path) -> None:
+        self.small, self.state = small, state
+        self.start()
+
+    def restart(self) -> None:
+        """Both nodes on what was on the disk, as after a kill of both."""
+        killed = self.state
+        self.state = killed.with_name(f"{killed.name}_again")
+        shutil.copytree(killed, self.state)
+        self.start()
+
+    def start(self) -> None:
+        self.folder = self.state / FOLDER
+        parameters = {"terrain": {"folder": str(self.state)}}
+        self.graph = describe(self.small.site, self.small.path, parameters=parameters)
+        self.told, self.traced = Kept(), Kept()
+        self.health, self.depth_health = Health(), Health()
+        self.terrain = Terrain(TerrainNodeConfig.model_validate(self._given("terrain")), self.told, self.health)
+        self.terrain.start()
+        self.depth = Depth(DepthConfig.model_validate(self._given("mast/depth")), self.traced, self.depth_health)
+        self.hand_over()
+
+    def look(self, surface: Dem, hours: float) -> None:
+        parts = measured_messages(self.small, surface, BEGIN_NS + round(hours * HOUR))
+        listens = {topic.name: take for topic, take in self.terrain.subscriptions.items()}
+        for topic, message in parts.items():
+            if topic in (POSED_CAMERA_INFO, POSED_POSE):
+                self.depth.subscriptions[topic](message)
+            listens[camera_topic(NAME, "mast", topic)](message)
+        self.terrain.idle()
+        self.hand_over()
+
+    def hand_over(self) -> None:
+        """What the terrain has said last of its surface goes to the depth node."""
+        listens = {topic.name: take for topic, take in self.depth.subscriptions.items()}
+        listens[SURFACE](self.told.on(TERRAIN_SURFACE)[-1])
+
+    @property
+    def versions(self) -> list[str]:
+        """To which each frame was traced."""
+        return [msg_to_traced(message)[1] for message in self.traced.on(DEPTH_INFO)]
+
+    def error(self, truth: Dem) -> float:
+        """Median, metres, of the last frame over what has changed."""
+        message = measured_messages(self.small, truth, 0)
+        camera, pose = msg_to_camera(message[POSED_CAMERA_INFO]), msg_to_pose(message[POSED_POSE], "map")
+        was, now = (TerrainTracer(dem).trace(camera, pose).depth() for dem in (self.small.dem, truth))
+        found = msg_to_depth(self.traced.on(DEPTH_IMAGE)[-1])
+        known = np.isfinite(was) & np.isfinite(now) & np.isfinite(found)
+        was, now, found = was[known], now[known], found[known]
+        return float(np.median(np.abs(found - now)[np.abs(was - now) > 1.0]))
+
+    def _given(self, label: str) -> dict[str, Any]:
+        return {k: v for k, v in self.graph.node(label).parameters.items() if k != "use_sim_time"}
+
+
+@pytest.fixture
+def chain(small: SmallSite, tmp_path: Path) -> Chain:
+    return Chain(small, tmp_path / "state")
+
+
+def test_later_frames_are_traced_to_what_was_confirmed(chain: Chain) -> None:
+    truth = sunk(chain.small)
+    for hours in (0, 2):
+        chain.look(truth, hours)
+    before = chain.error(truth)
+    assert chain.versions == ["", ""], "old frames keep the version they were traced with"
+    told = json.loads(chain.told.on(TERRAIN_SURFACE)[-1].data)
+    chain.look(truth, 4)
+    assert chain.versions[-1] == told["version"] != ""
+    assert chain.error(truth) < 0.5 * before
+    assert told["digest"].startswith(told["version"])
+    assert 0 < told["changed_share"] < 1
+    assert told["lowered"] == told["changed"] > 50
+    assert chain.health.dropped == chain.depth_health.dropped == {}
+
+
+def test_what_is_confirmed_is_not_confirmed_again_and_does_not_undo_itself(chain: Chain) -> None:
+    truth = sunk(chain.small)
+    for look in range(8):
+        chain.look(truth, 2 * look)
+    names = [msg_to_version(message) for message in chain.told.on(TERRAIN_SURFACE)]
+    assert len(names) == len(set(names)) <= 4, names
+    assert chain.versions[-1] == names[-1]
+    manifest = json.loads((chain.folder / MANIFEST).read_text())
+    first, last = manifest["versions"][0], manifest["versions"][-1]
+    assert last["changed"] >= first["changed"] > 50
+
+
+def test_a_version_is_taken_back_held_and_confirmed_again(chain: Chain) -> None:
+    truth = sunk(chain.small)
+    for hours in (0, 2, 4):
+        chain.look(truth, hours)
+    confirmed = chain.versions[-1]
+    services = chain.terrain.services
+    while json.loads((chain.folder / MANIFEST).read_text())["current"]:
+        assert "held until terrain/confirm is called" in services["terrain/take_back"]()
+    chain.hand_over()
+    for hours in (6, 8):
+        chain.look(truth, hours)
+    assert chain.versions[-2:] == ["", ""]
+    with pytest.raises(StoreError, match="nothing to take back"):
+        services["terrain/take_back"]()
+    chain.restart()
+    chain.look(truth, 10)
+    assert chain.versions == [""], "it is held over a restart"
+    assert "cells seen have changed" in chain.terrain.services["terrain/confirm"]()
+    chain.hand_over()
+    chain.look(truth, 12)
+    assert chain.versions[-1] != ""
+    assert confirmed != ""
+
+
+def test_whoever_starts_again_has_the_version_that_counts(chain: Chain) -> None:
+    truth = sunk(chain.small)
+    for hours in (0, 2, 4):
+        chain.look(truth, hours)
+    counts = chain.versions[-1]
+    chain.restart()
+    chain.look(truth, 6)
+    assert chain.versions == [counts]
+
+
+def test_a_kill_before_the_version_was_written_is_made_good_without_a_frame(chain: Chain) -> None:
+    for hours in (0, 2):
+        chain.look(sunk(chain.small), hours)
+    shutil.rmtree(chain.folder)
+    chain.restart()
+    assert msg_to_version(chain.told.on(TERRAIN_SURFACE)[-1]) == ""
+    chain.terrain.tick(0.5)
+    assert msg_to_version(chain.told.on(TERRAIN_SURFACE)[-1]) != ""
+
+
+def test_a_lost_file_leaves_the_terrain_before_and_is_written_anew(chain: Chain) -> None:
+    truth = sunk(chain.small)
+    for hours in (0, 2):
+        chain.look(truth, hours)
+    for path in chain.folder.glob("*.npz"):
+        path.write_bytes(b"PK\x05\x06" + bytes(18))
+    chain.restart()
+    assert chain.depth_health.troubled
+    assert "frames are traced to the terrain as given" in chain.depth_health.last_error
+    chain.look(truth, 4)
+    chain.look(truth, 6)
+    assert chain.versions[0] == ""
+    assert chain.versions[-1] != ""
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{" * 3000,
+        '{"version": "../../../../etc/x"}',
+        '{"version": "0123456789abcdeF"}',
+        '{"version": "0123456789abcdef\\n"}',
+        '{"version": null}',
+        '{"version": "' + "0" * 5000 + '"}',
+    ],
+)
+def test_no_name_from_the_wire_reaches_the_file_system(chain: Chain, text: str) -> None:
+    listens = {topic.name: take for topic, take in chain.depth.subscriptions.items()}
+    with pytest.raises(MessageError):
+        listens[SURFACE](String(data=text))
+
+
+def test_a_version_that_the_manifest_does_not_name_is_not_followed(chain: Chain) -> None:
+    listens = {topic.name: take for topic, take in chain.depth.subscriptions.items()}
+    listens[SURFACE](String(data='{"version": "0123456789abcdef"}'))
+    chain.look(chain.small.dem, 0)
+    assert chain.versions == [""]
+
+
+def test_a_mast_under_what_has_grown_is_traced_to_the_terrain_as_given(chain: Chain) -> None:
+    """Two hundred metres of something where the mast stands, as two cameras may have it."""
+    from ltm_core.confirmed_terrain import surface_versions
+    from ltm_core.raster.confirmed_surface import ConfirmedSurface
+
+    pose = msg_to_pose(measured_messages(chain.small, chain.small.dem, 0)[POSED_POSE], "map")
+    row, col = chain.small.dem.geometry.cell_of(*pose.position[:2])
+    rows, cols = (index.ravel().astype(np.int32) for index in np.mgrid[row - 1 : row + 2, col - 1 : col + 2])
+    tall = ConfirmedSurface(
+        chain.small.dem.geometry,
+        rows,
+        cols,
+        chain.small.dem.elevation[rows, cols] + np.float32(200.0),
+        np.full(9, np.nan, np.float32),
+    )
+    surface_versions(chain.small.site, chain.folder).add(tall, BEGIN_NS, 9)
+    chain.restart()
+    chain.look(chain.small.dem, 0)
+    assert chain.versions == [""]
+    assert chain.depth_health.summary()["noted.below_confirmed_surface"] == "1"
+
+
+def test_a_site_that_asks_for_it_needs_a_place(small: SmallSite) -> None:
+    without = small.site.model_copy(update={"nodes": {}})
+    with pytest.raises(ConfigError, match="trace_confirmed needs a place for the confirmed surfaces"):
+        describe(without, small.path)
+    given = describe(small.site, small.path)
+    wanted = str(small.folder / "kept" / FOLDER)
+    assert {node.label: node.parameters.get("surfaces") for node in given if node.name != "capture"} == {
+        "fuel_map": None,
+        "terrain": wanted,
+        **{f"{camera}/depth": wanted for camera in ("tower", "mast")},
+        **{f"{camera}/{kind}": None for camera in ("tower", "mast") for kind in ("segmentation", "fuel_votes")},
+    }

@@ -1,0 +1,83 @@
+"""The node `uplink`: what cameras vote is in the outbox, with the direction in which they looked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes.fuel_frames import LABELS, stamp_of_frame, votes
+from scenes.outlets import Kept
+from scenes.region_scene import REGION, RegionScene, write_region_scene
+
+from ltm_core.errors import ConfigError
+from ltm_core.uplink.outbox_io import Outbox
+from ltm_msgs_py.label_info import label_set_to_msg
+from ltm_msgs_py.votes import votes_to_msg
+from ltm_ros.nodes.uplink import OUTBOX_FILE, SECTORS, Uplink, UplinkNodeConfig, sector
+from ltm_ros.runtime.health import Health
+
+SECTION = {
+    "name": REGION,
+    "tower": "alta",
+    "broker": {
+        "host": "127.0.0.1",
+        "port": 1,  # where nobody listens
+        "ca": "certs/ca.crt",
+        "certificate": "certs/alta.crt",
+        "key": "certs/alta.key",
+    },
+}
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> RegionScene:
+    scene = write_region_scene(tmp_path)
+    site = (tmp_path / "site.yaml").read_text()
+    (tmp_path / "site.yaml").write_text(site + f"region: {SECTION}\n")
+    return scene
+
+
+def test_votes_are_in_the_outbox_at_the_end_of_the_node(scene: RegionScene) -> None:
+    node = Uplink(UplinkNodeConfig(site=str(scene.config.site), folder="map"), Kept(), Health())
+    topics = {topic.name for topic in node.subscriptions}
+    assert topics == {
+        f"/kern_map/{camera}/{what}" for camera in scene.site.cameras for what in ("fuel/votes", "labels/info")
+    }
+    node.start()
+    node.on_label_info("alta_mast", label_set_to_msg(LABELS, "landscape_lite0"))
+    sent = [votes_to_msg(votes(number, scene.geometry), LABELS.names) for number in range(4)]
+    for number, message in enumerate(sent):
+        node.on_votes("alta_mast" if number < 3 else "bear_mast", message)
+    node.finish()
+    with Outbox(scene.folder / "map" / OUTBOX_FILE, 10**9, 1e9) as outbox:
+        found = outbox.waiting(10, 0.0)
+        assert [frame.key for frame in found] == [
+            ("bear_mast", stamp_of_frame(3)),
+            *(("alta_mast", stamp_of_frame(number)) for number in (2, 1, 0)),
+        ]
+        assert [frame.model for frame in found] == ["", *(3 * ["landscape_lite0"])]
+        assert [frame.view for frame in found] == [sector(message) for message in reversed(sent)]
+
+
+@pytest.mark.parametrize(("bearings_deg", "expected"), [((350, 8), 23), ((10, 20), 1), ((175, 179), 11), ((), -1)])
+def test_the_sector_is_that_of_the_mean_bearing(
+    scene: RegionScene, bearings_deg: tuple[float, ...], expected: int
+) -> None:
+    some = votes(1, scene.geometry)
+    assert some.visibility is not None
+    some = some.only(np.arange(len(bearings_deg)))
+    assert some.visibility is not None
+    seen = replace(some.visibility, bearing=np.radians(np.array(bearings_deg, np.float32)))
+    assert sector(votes_to_msg(replace(some, visibility=seen), LABELS.names)) == expected
+    assert sector(votes_to_msg(replace(some, visibility=None), LABELS.names)) == -1
+    assert -1 <= expected < SECTORS
+
+
+def test_what_it_lacks_is_said(scene: RegionScene) -> None:
+    with pytest.raises(ConfigError, match="--state FOLDER"):
+        Uplink(UplinkNodeConfig(site=str(scene.config.site)), Kept(), Health())
+    (scene.certs / "alta.key").unlink()
+    with pytest.raises(ConfigError, match=r"alta\.key: the key cannot be read"):
+        Uplink(UplinkNodeConfig(site=str(scene.config.site), folder="map"), Kept(), Health())

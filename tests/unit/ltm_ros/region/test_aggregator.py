@@ -1,0 +1,181 @@
+"""The region's map: each frame once, answered for when it is stored; what cannot be believed or taken is counted."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rclpy.serialization import serialize_message
+from scenes.fuel_frames import BEGIN_NS, message
+from scenes.region_scene import CAMERA, REGION, RegionScene, stamp_of, write_region_scene
+
+from ltm_core.errors import ConfigError, MessageError
+from ltm_core.uplink.envelope import LARGEST, AckHeader, Outcome, header_of, outcomes_of
+from ltm_ros.region.aggregator import Aggregator
+from ltm_ros.region.certs import TrialAuthority
+from ltm_ros.region.identity import Identity
+from ltm_ros.runtime.health import Health
+
+
+class Region:
+    def __init__(self, scene: RegionScene) -> None:
+        self.scene, self.health = scene, Health()
+        self.aggregator = Aggregator(scene.config, self.health, lambda: BEGIN_NS + 10**13)
+
+    def send(self, tower: str, number: int, **changes: object) -> None:
+        self.aggregator.take(tower, self.scene.sealed(tower, number, **changes))
+
+    def answers(self) -> dict[str, list[Outcome]]:
+        """What each tower is told, after the signatures have been checked."""
+        told: dict[str, list[Outcome]] = {}
+        for tower, sealed in self.aggregator.settle()[1].items():
+            for content in sealed:
+                envelope = self.scene.identity(tower).opened(content, "aggregator")
+                header = header_of(AckHeader, envelope)
+                assert (header.region, header.tower) == (REGION, tower)
+                told.setdefault(tower, []).extend(outcomes_of(envelope))
+        return told
+
+    @property
+    def frames(self) -> int:
+        return self.aggregator.persistence.saved_frames
+
+
+def done(number: int) -> Outcome:
+    return Outcome(camera=CAMERA, stamp_ns=stamp_of(number), done=True)
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> RegionScene:
+    return write_region_scene(tmp_path)
+
+
+@contextmanager
+def living(scene: RegionScene) -> Iterator[Region]:
+    region = Region(scene)
+    yield region
+    region.aggregator.close()
+
+
+def test_a_frame_is_answered_for_once_it_is_stored_and_counted_once(scene: RegionScene) -> None:
+    with living(scene) as region:
+        region.send("alta", 1)
+        region.send("alta", 1)
+        region.send("bear", 1)
+        assert (region.frames, region.health.summary()["noted.duplicate"]) == (0, "1")
+        assert region.answers() == {"alta": [done(1)], "bear": [done(1)]}
+        region.send("alta", 1)
+        assert region.answers() == {"alta": [done(1)]}
+        assert (region.frames, region.health.dropped) == (2, {})
+    with living(scene) as region:
+        region.send("bear", 1)
+        region.send("bear", 2)
+        assert region.answers() == {"bear": [done(1), done(2)]}
+        assert region.aggregator.persistence.store is not None
+        assert region.aggregator.persistence.store.sources() == {"alta_mast": 1, "bear_mast": 2}
+
+
+def test_the_order_and_repetition_of_frames_do_not_matter(tmp_path: Path) -> None:
+    states = []
+    for name, order in (("a", [1, 2, 3, 4, 5]), ("b", [4, 4, 2, 5, 1, 3, 1])):
+        (tmp_path / name).mkdir()
+        with living(write_region_scene(tmp_path / name)) as region:
+            for number in order:
+                region.send("alta", number)
+                region.answers()
+            evidence = region.aggregator.persistence.map
+            rows, cols = evidence.tiles
+            states.append([evidence.tile_state((row, col)) for row in range(rows) for col in range(cols)])
+    for one, other in zip(*states, strict=True):
+        for field, array in one.items():
+            np.testing.assert_array_equal(array, other[field])
+
+
+def altered(content: bytes, place: int) -> bytes:
+    changed = bytearray(content)
+    changed[place] ^= 1
+    return bytes(changed)
+
+
+def test_what_cannot_be_believed_is_counted_and_not_answered(scene: RegionScene, tmp_path: Path) -> None:
+    TrialAuthority(tmp_path / "others", days=2).make(REGION, ["alta"], ["localhost"], "127.0.0.1", 8883)
+    broker = scene.broker("alta")
+    strange = {name: tmp_path / "others" / getattr(broker, name).name for name in ("ca", "certificate", "key")}
+    stranger = Identity(broker.model_copy(update=strange), "alta")
+    good = scene.sealed("alta", 1)
+    header = scene.header("alta", 1).model_dump_json().encode()
+    cases = {
+        "is signed by 'bear'": scene.identity("bear").sealed(header, scene.votes(1)),
+        "are of bear": scene.identity("alta").sealed(scene.header("bear", 1).model_dump_json().encode(), b"x"),
+        "of no authority": stranger.sealed(header, scene.votes(1)),
+        "altered": altered(good, good.index(b"stamp_ns") + 15),
+        "was altered after": altered(good, len(good) - 300),
+        "no envelope": b"GET / HTTP/1.1" + bytes(200),
+        "in kern are of alta in another": scene.sealed("alta", 1, region="another"),
+        "this has": bytes(LARGEST + 1),
+        "cannot be taken": scene.identity("alta").sealed(b"{}", scene.votes(1)),
+    }
+    with living(scene) as region:
+        for number, (words, content) in enumerate(cases.items(), start=1):
+            region.aggregator.take("alta", content)
+            assert words in region.health.last_error
+            assert region.health.dropped == {"message": number}
+        region.aggregator.take("crow", good)
+        assert "no tower of kern" in region.health.last_error
+        assert region.answers() == {}
+        assert region.frames == 0
+
+
+def test_what_cannot_be_taken_is_answered_in_words(scene: RegionScene) -> None:
+    votes, alta = scene.votes(1), scene.identity("alta")
+    whole = scene.header("alta", 1)
+    newer = json.dumps(whole.model_dump() | {"version": 2, "unheard_of": 1})
+    coarse = whole.grid.model_copy(update={"resolution": 10.0})
+    unknown = whole.grid.model_copy(update={"crs": "EPSG:99999"})
+    late = stamp_of(20_000)
+    cases = {
+        "votes of version 2; kern reads 1": (newer, votes),
+        "alta_roof is no camera of kern_map": (whole.model_copy(update={"camera": "roof"}), votes),
+        "the header says stamp": (whole.model_copy(update={"stamp_ns": stamp_of(2)}), votes),
+        "fuel cells are 10 m wide": (whole.model_copy(update={"grid": coarse}), votes),
+        "unknown CRS": (whole.model_copy(update={"grid": unknown}), votes),
+        "ahead of this node's clock": (
+            whole.model_copy(update={"stamp_ns": late}),
+            bytes(serialize_message(message(1, scene.geometry, late))),
+        ),
+        "60 bytes do not decode as votes": (whole, votes[:60]),
+        "64000 at most": (whole, bytes(64_001)),
+    }
+    with living(scene) as region:
+        for words, (header, body) in cases.items():
+            text = header if isinstance(header, str) else header.model_dump_json()
+            region.aggregator.take("alta", alta.sealed(text.encode(), body))
+            ((outcome,),) = region.answers().values()
+            assert not outcome.done
+            assert words in outcome.why
+        assert region.frames == 0
+
+
+def test_an_identity_says_what_is_wrong_with_its_files(scene: RegionScene) -> None:
+    broker = scene.broker("alta")
+    wrong = {
+        "not of 'bear'": (broker, "bear"),
+        "is not the key of": (broker.model_copy(update={"key": scene.certs / "bear.key"}), "alta"),
+        "no certificate in PEM": (broker.model_copy(update={"certificate": scene.certs / "acl"}), "alta"),
+        "No such file": (broker.model_copy(update={"key": scene.certs / "none.key"}), "alta"),
+    }
+    for words, (config, name) in wrong.items():
+        with pytest.raises(ConfigError, match=words):
+            Identity(config, name)
+
+
+def test_a_certificate_that_has_run_out_is_not_believed(scene: RegionScene, tmp_path: Path) -> None:
+    (scene.certs / "alta.crt").unlink()
+    TrialAuthority(scene.certs, days=0).make(REGION, ["alta"], [], "127.0.0.1", 8883)
+    old = scene.identity("alta").sealed(b"{}")
+    with pytest.raises(MessageError, match="renew it, or set the clock"):
+        scene.identity("bear").opened(old, "alta")

@@ -1,0 +1,90 @@
+"""The region's map as GeoTIFFs with a STAC item, on disk and on S3, anew when it has changed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from scenes.region_scene import write_region_scene
+from scenes.waiting import wait_for
+
+from ltm_core.uplink.config import ExportConfig
+from ltm_ros.region.aggregator import Aggregator
+from ltm_ros.region.exports import RegionExports
+from ltm_ros.runtime.health import Health
+
+s3fs = pytest.importorskip("s3fs")
+moto_server = pytest.importorskip("moto.server")
+
+
+@pytest.fixture
+def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """A bucket on a server of our own."""
+    server = moto_server.ThreadedMotoServer("127.0.0.1", 0, verbose=False)
+    server.start()
+    host, port = server.get_host_and_port()
+    given = {"ENDPOINT_URL": f"http://{host}:{port}", "ACCESS_KEY_ID": "test", "SECRET_ACCESS_KEY": "test"}
+    for name, value in (given | {"DEFAULT_REGION": "us-east-1"}).items():
+        monkeypatch.setenv(f"AWS_{name}", value)
+    s3fs.S3FileSystem.clear_instance_cache()
+    s3fs.S3FileSystem().makedirs("maps", exist_ok=True)
+    yield "s3://maps/kern"
+    s3fs.S3FileSystem.clear_instance_cache()
+    server.stop()
+
+
+def test_the_map_is_exported_when_it_has_changed(tmp_path: Path, bucket: str) -> None:
+    scene, health = write_region_scene(tmp_path), Health()
+    (tmp_path / "out").mkdir()
+    aggregator = Aggregator(scene.config, health, lambda: 0)
+    exports = RegionExports(ExportConfig(folder=tmp_path / "out", every=5.0, copy_to=bucket), aggregator, health)
+
+    def exported(times: int) -> bool:
+        return health.summary().get("noted.exported") == str(times)
+
+    exports.look(0.0, changed=False)
+    wait_for(lambda: exported(1), "the first", lambda: health.last_error)
+    exports.look(60.0, changed=False)
+    for number in range(4):
+        aggregator.take("alta", scene.sealed("alta", number))
+    windows, _ = aggregator.settle()
+    exports.look(60.0, changed=bool(windows))
+    wait_for(lambda: exported(2), "the second", lambda: health.last_error)
+    exports.look(64.0, changed=True)
+    exports.close()
+    assert exported(3)
+    shown = aggregator.persistence.shown
+    with rasterio.open(tmp_path / "out/life_form.tif") as raster:
+        np.testing.assert_array_equal(raster.read(1), shown.life_form)
+        assert raster.crs.to_string() == scene.site.crs
+        assert raster.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+    item = json.loads((tmp_path / "out/item.stac.json").read_text())
+    store = s3fs.S3FileSystem()
+    store.invalidate_cache()
+    there = {Path(path).name for path in store.ls("maps/kern")}
+    assert there >= {"item.stac.json", *item["assets"]}
+    assert store.cat_file("maps/kern/life_form.tif") == (tmp_path / "out/life_form.tif").read_bytes()
+    aggregator.close()
+
+
+def test_a_copy_that_fails_is_told_and_tried_again(tmp_path: Path, bucket: str) -> None:
+    scene, health = write_region_scene(tmp_path), Health()
+    (tmp_path / "out").mkdir()
+    aggregator = Aggregator(scene.config, health, lambda: 0)
+    elsewhere = ExportConfig(folder=tmp_path / "out", every=1.0, copy_to="s3://nobodys/kern")
+    exports = RegionExports(elsewhere, aggregator, health)
+    wait_for(
+        lambda: exports.look(0.0, changed=False) or "cannot be copied there" in health.last_error,
+        "words",
+        health.summary,
+    )
+    assert (tmp_path / "out/item.stac.json").is_file()
+    (tmp_path / "out/item.stac.json").unlink()
+    exports.close()
+    assert (tmp_path / "out/item.stac.json").is_file()
+    assert "noted.exported" not in health.summary()
+    aggregator.close()
