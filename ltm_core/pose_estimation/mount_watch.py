@@ -25,7 +25,7 @@ from ltm_core.pose_estimation.pose_correction import PoseCorrection
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch, Terrain, find_pose
 from ltm_core.pose_estimation.pose_hypothesis import search_reach
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, turned
-from ltm_core.pose_estimation.pose_refinement import PictureEvidence, refine, skyline_cost
+from ltm_core.pose_estimation.pose_refinement import ROUNDS, PictureEvidence, refine, skyline_cost
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
 from ltm_core.site_sections import PoseRefinementConfig
 from ltm_core.types import Float64Array
@@ -34,6 +34,8 @@ _KEPT = 16
 """Horizons: as many as a head has presets."""
 _STEP_DEG = 2.0
 """Directions that differ by less share a horizon."""
+_TRACKING = (*ROUNDS[::2], ROUNDS[-1])
+"""Rounds of the fit in a picture of a mount that is known: it begins close by."""
 _TRACKED_SIGMA_DEG = 1.0
 """Of each angle, within which a picture of a mount that is known may say otherwise."""
 
@@ -169,7 +171,7 @@ class MountWatch:
         prior = PosePrior(pose, *(_TRACKED_SIGMA_DEG,) * 3)
         horizon, ridges = self._horizon(evidence, prior)
         around = ridges.in_view(pose, evidence.camera, self._search.contours.most_points)
-        found = refine(pose, evidence.camera, evidence, horizon, around, prior, 0.0, self._search)
+        found = refine(pose, evidence.camera, evidence, horizon, around, prior, 0.0, self._search, _TRACKING)
         here = skyline_cost(pose, evidence.camera, evidence, horizon, self._search)[1]
         refined, covariance, support = found.pose, found.covariance[3:6, 3:6], found.support
         least = self._search.verdict.clear_support

@@ -9,7 +9,7 @@ import numpy as np
 
 from ltm_core.camera import Camera
 from ltm_core.errors import ImageError
-from ltm_core.pose_estimation.image_contours import image_contours
+from ltm_core.pose_estimation.image_contours import ImageContours, image_contours
 from ltm_core.pose_estimation.image_skyline import ImageSkyline, image_skyline
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_refinement import PictureEvidence
@@ -63,9 +63,11 @@ def picture_evidence(
     else:
         skyline = _beside(skyline, shut)
     found = len(skyline.u) * skyline.spacing >= _LEAST_SKY * work.width
-    edges = image_contours(small, config.contours.width, shut | sky)
-    coarse = image_contours(small, config.contours.coarse_width, shut | sky)
-    return PictureEvidence(work, ids, skyline if found else None, edges, coarse)
+
+    def edges(pixels: int) -> ImageContours:
+        return image_contours(small, pixels, shut | sky)
+
+    return PictureEvidence(work, ids, skyline if found else None, edges, config.contours)
 
 
 def _seen_through(ids: UInt8Array, shut: BoolArray) -> UInt8Array:

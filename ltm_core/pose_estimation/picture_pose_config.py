@@ -113,7 +113,12 @@ class VerdictConfig(StrictModel):
     veil_factor: float = Field(10.0, ge=0)
     """times one more than this times the share of the skyline where plants on a near crest may hide the horizon."""
     most_sigma_deg: float = Field(0.6, gt=0)
-    """Of azimuth, pitch and roll."""
+    """Of azimuth, pitch and roll,"""
+    most_azimuth_sigma_deg: float = Field(0.35, gt=0)
+    """and of an azimuth by a skyline."""
+    agreement: float = Field(2.0, gt=0)
+    """By how much more the cost of a pose must be for its weight among those about the best to fall to 1/e: columns and
+    edges agree with each other more than they know."""
     least_support: float = Field(0.75, ge=0, le=1)
     """Share of the skyline that fits."""
     clear_support: float = Field(0.35, ge=0, le=1)

@@ -18,7 +18,7 @@ from ltm_core.dem import Dem
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation.contour_scores import ContourDirections, contour_scores
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, search_reach
+from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, search_reach, widened_by_others
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, rotations_of
 from ltm_core.pose_estimation.pose_refinement import PictureEvidence, refine
 from ltm_core.pose_estimation.pose_verdict import Verdict, judge
@@ -151,7 +151,8 @@ def _search_skyline(
         score = float(contour_scores(refined.pose.rotation[None], coarse, refined.camera, evidence.coarse_edges)[0])
         ridge = float(_ridge_cost(np.array([score]), usual, spread, config)[0])
         found.append(Hypothesis(refined, refined.cost + ridge, (score - usual) / spread))
-    return sorted(found, key=lambda hypothesis: hypothesis.cost)
+    found.sort(key=lambda hypothesis: hypothesis.cost)
+    return widened_by_others(found, config.verdict)
 
 
 def _best_over_pitch(

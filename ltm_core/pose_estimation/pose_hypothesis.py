@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.pose_prior import PosePrior
+from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
+from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between
 from ltm_core.pose_estimation.pose_refinement import RefinedPose
 from ltm_core.types import Float64Array
 
@@ -22,6 +23,25 @@ class Hypothesis:
     refined: RefinedPose
     cost: float
     ridge_score: float
+
+
+def widened_by_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> list[Hypothesis]:
+    """The same, from the best down, the first one's angles as uncertain as the others about it say that cost hardly
+    more: a smooth slope fits in many places. Those that are further away are alternatives (`pose_verdict`)."""
+    if len(hypotheses) < 2:
+        return hypotheses
+    best = hypotheses[0]
+    near = [
+        other
+        for other in hypotheses
+        if abs(angles_between(best.refined.pose, other.refined.pose)[0]) <= math.radians(config.alternative_deg)
+    ]
+    weights = np.exp([(best.cost - other.cost) / config.agreement for other in near])
+    turns = np.array([other.refined.pose.rotation @ best.refined.pose.rotation.T for other in near])
+    away = Rotation.from_matrix(turns).as_rotvec()
+    covariance = best.refined.covariance.copy()
+    covariance[3:6, 3:6] += (away.T * weights) @ away / weights.sum()
+    return [replace(best, refined=replace(best.refined, covariance=covariance)), *hypotheses[1:]]
 
 
 def search_reach(prior: PosePrior, config: PicturePoseConfig) -> float:

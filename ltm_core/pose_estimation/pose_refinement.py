@@ -7,7 +7,9 @@ the logarithm of the focal length. The prior pose takes part with its sigmas. We
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -18,7 +20,7 @@ from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.contour_scores import ContourDirections
 from ltm_core.pose_estimation.image_contours import ORIENTATIONS, ImageContours
 from ltm_core.pose_estimation.image_skyline import ImageSkyline
-from ltm_core.pose_estimation.picture_pose_config import FLOOR_DEG, PicturePoseConfig
+from ltm_core.pose_estimation.picture_pose_config import FLOOR_DEG, ContourConfig, PicturePoseConfig
 from ltm_core.pose_estimation.pose_prior import PosePrior, angle_slopes, turned
 from ltm_core.pose_estimation.skyline_search import column_weight
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
@@ -34,13 +36,23 @@ _TELLING = 0.02
 @dataclass(frozen=True, eq=False)
 class PictureEvidence:
     """What a photo, undistorted and in its working size, shows: `skyline` (None: no sky in it), `edges`, and the
-    labels (H, W) that tell what grows on a ridge."""
+    labels (H, W) that tell what grows on a ridge. `find_edges`: gives edges in a picture so many pixels wide."""
 
     camera: Camera
     labels: UInt8Array
     skyline: ImageSkyline | None
-    edges: ImageContours
-    coarse_edges: ImageContours
+    find_edges: Callable[[int], ImageContours]
+    config: ContourConfig
+
+    @cached_property
+    def edges(self) -> ImageContours:
+        """To which ridges are laid."""
+        return self.find_edges(self.config.width)
+
+    @cached_property
+    def coarse_edges(self) -> ImageContours:
+        """By which poses are compared: who only tracks a pose never needs them."""
+        return self.find_edges(self.config.coarse_width)
 
     @property
     def plants(self) -> float:

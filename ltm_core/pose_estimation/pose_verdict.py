@@ -64,7 +64,7 @@ def judge(
     def verdict(word: Word, reason: str) -> Verdict:
         return Verdict(word, reason, gap, other, sigma, support)
 
-    if max(sigma) > v.most_sigma_deg:
+    if max(sigma) > v.most_sigma_deg or (azimuth > v.most_azimuth_sigma_deg and not by_ridges):
         known = "what ridges are in the picture" if by_ridges else "the skyline"
         word: Word = "no_skyline" if by_ridges else "ambiguous"
         return verdict(word, f"{known} leaves azimuth, pitch, roll open by {azimuth:.2f}, {pitch:.2f}, {roll:.2f} deg")

@@ -24,8 +24,9 @@ NodeParameters = dict[str, ParameterValue]
 class ReplayOptions:
     """`start`, `duration`: seconds of the recording. `export`: GeoTIFF of the fuel map. `record`: bag of the results.
 
-    `state`: an existing folder in which the fuel map and the terrain keep what they know; None: it ends with the
-    replay. `rrd`: Rerun recording. `rate`, `loop`, `longest_pause` (`LivePlayer`), `domain_id`: of live replay only.
+    `state`: an existing folder in which the fuel map, the terrain and the nodes `pose` keep what they know; None: it
+    ends with the replay. `rrd`: Rerun recording. `rate`, `loop`, `longest_pause` (`LivePlayer`), `domain_id`: of live
+    replay only.
     """
 
     start: float = 0.0
@@ -45,16 +46,16 @@ def graph_of(site_path: Path, options: ReplayOptions, sim_time: bool) -> Graph:
     fuel_map: NodeParameters = {}
     if options.export is not None:
         fuel_map["export_path"] = str(options.export.resolve())
-    terrain: NodeParameters = {}
+    kept: NodeParameters = {}
     if options.state is not None:
-        fuel_map["folder"] = terrain["folder"] = str(options.state.resolve())
+        kept["folder"] = str(options.state.resolve())
     return describe(
         load_site(site_path),
         site_path,
         sim_time=sim_time,
         view=None if options.rrd is None else {"save": str(options.rrd.resolve())},
         record=None if options.record is None or not sim_time else {"bag": str(options.record.resolve())},
-        parameters={"fuel_map": fuel_map, "terrain": terrain},
+        parameters={"fuel_map": fuel_map | kept, "terrain": kept, "pose": kept},
         sources=False,
     )
 

@@ -23,7 +23,7 @@ from ltm_core.pose_estimation.pose_from_picture import Terrain, find_pose
 from ltm_core.pose_estimation.pose_prior import PosePrior
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND
-from ltm_core.types import Float32Array, Float64Array, UInt8Array
+from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
 from ltm_core.vision.labels import Label
 
 _PLANTS = {LifeForm.GRASS: (0.4, 0.2), LifeForm.SHRUB: (1.5, 0.7), LifeForm.TREE: (7.0, 3.0), LifeForm.BARE: (0.0, 0.1)}
@@ -85,7 +85,7 @@ class TrialPictures:
         raised = dem.elevation + _DEM_ERROR * error / error.std() + height
         return Dem(raised.astype(np.float32), dem.geometry)
 
-    def _photo(self, pose: Pose) -> tuple[UInt8Array, np.ndarray[tuple[int, ...], np.dtype[np.bool_]]]:
+    def _photo(self, pose: Pose) -> tuple[UInt8Array, BoolArray]:
         """(H, W, 3) RGB, and (H, W) where it shows sky."""
         shown = self._tracer.trace(CAMERA, pose)
         sky = ~np.isfinite(shown.range)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -98,7 +98,7 @@ def run_trial(
     if focal_factor != 1.0:
         c = evidence.camera
         lens = Camera(c.width, c.height, c.fx * focal_factor, c.fy * focal_factor, c.cx, c.cy)
-        evidence = PictureEvidence(lens, evidence.labels, evidence.skyline, evidence.edges, evidence.coarse_edges)
+        evidence = replace(evidence, camera=lens)
     begin = time.process_time()
     search = find_pose(evidence, terrain, prior, config, focal_sigma)
     spent = time.process_time() - begin + prepared_frame.seconds

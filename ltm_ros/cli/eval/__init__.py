@@ -20,6 +20,7 @@ from ltm_ros.cli.eval.locate import locate
 from ltm_ros.cli.eval.mask import mask
 from ltm_ros.cli.eval.mount import mount
 from ltm_ros.cli.eval.pose import pose
+from ltm_ros.cli.eval.pose_watch import pose_watch
 from ltm_ros.cli.eval.recorded_poses import recorded_poses
 from ltm_ros.cli.eval.relative_depth import relative_depth
 from ltm_ros.cli.eval.segmentation import segmentation
@@ -51,6 +52,7 @@ evaluate.command()(fuel)
 evaluate.command()(gallery)
 evaluate.command()(mask)
 evaluate.command()(pose)
+evaluate.command()(pose_watch)
 evaluate.command()(mount)
 evaluate.command()(recorded_poses)
 evaluate.command()(locate)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scenes.rasters import rough_terrain
 from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -25,7 +26,7 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.trace_io import load_picture_config
 from ltm_core.types import Float64Array
 from ltm_core.visibility.line_of_sight import line_of_sight_vectors, pixel_rays
-from ltm_ros.cli.pose import pose as pose_command
+from ltm_ros.cli.main import cli
 from ltm_ros.cli.trace import trace as trace_command
 
 CAMERA = Camera(1600, 1100, 1850.0, 1850.0, 801.0, 547.0, (-0.12, 0.0, 0.0, 0.0, 0.0))
@@ -397,6 +398,17 @@ camera: {width: 320, height: 200, fx: 260}
 """
 
 
+def pose_command(**options: object) -> None:
+    """`ltm pose` with these options."""
+    given: list[str] = []
+    for name, value in options.items():
+        given += [f"--{name.replace('_', '-')}"] + ([] if value is True else [str(value)])
+    result = CliRunner().invoke(cli, ["pose", *given])
+    print(result.output)
+    if result.exception is not None:
+        raise result.exception
+
+
 def test_the_command_writes_a_pose_that_trace_reads(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -419,7 +431,7 @@ def test_the_command_writes_a_pose_that_trace_reads(
         gcps=tmp_path / "points.csv",
         pose_guess=tmp_path / "guess.yaml",
         out=fitted,
-        dem=[dem],
+        dem=dem,
         first_pixel=1.0,
         report=tmp_path / "report.json",
     )
