@@ -5,7 +5,9 @@ A raster of 10,000 x 10,000 cells takes 400 MB in each process that opens it, an
 does not look at. It is made by `write_heights`, in one step, and belongs to exactly one state of the raster: the files
 of which that consists, each with its inode, size and times. `ctime`, which no program can set, is among these: a file
 that was written to, replaced or restored, whatever its date, has another. A prepared file that belongs to any other
-state, or was written by another version, counts as absent.
+state, or was written by another version, counts as absent; and so does one of an owner who is neither this process's,
+nor the raster's, nor root: whoever may write into the folder could else put heights under a raster that he may not
+write. Nobody may read it who may not read the raster.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import contextlib
 import glob
 import json
 import os
+import stat
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -45,10 +48,12 @@ def map_heights(raster: Path | str, source: Any) -> Float32Array | None:
     """
     try:
         with heights_path(raster).open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
+            found = os.fstat(file.fileno())
+            if found.st_uid not in (0, os.geteuid(), Path(raster).stat().st_uid):
+                return None
             if file.read(_HEADER_BYTES) != _header(source):
                 return None
-            if size != _HEADER_BYTES + 4 * source.height * source.width:
+            if found.st_size != _HEADER_BYTES + 4 * source.height * source.width:
                 return None
             mapped = np.memmap(file, np.float32, "c", _HEADER_BYTES, (source.height, source.width))
     except OSError:
@@ -74,6 +79,8 @@ def write_heights(raster: Path | str, source: Any, read: Callable[[Float32Array]
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with partial.open("x+b") as file:
+            with contextlib.suppress(PermissionError):  # of a file system without modes
+                os.fchmod(file.fileno(), stat.S_IMODE(Path(raster).stat().st_mode) & 0o644)
             os.posix_fallocate(file.fileno(), 0, _HEADER_BYTES + 4 * cells)  # a full disk is an error, not a SIGBUS
             heights = np.memmap(file, np.float32, "r+", _HEADER_BYTES, (source.height, source.width))
             read(heights.view(np.ndarray))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import stat
 from pathlib import Path
 
 import numpy as np
@@ -105,6 +106,28 @@ def test_any_other_state_of_the_raster_has_none(raster: Path, what: str, monkeyp
     assert prepare_heights(raster) == prepared
     assert is_mapped(Dem.open(raster))
     np.testing.assert_array_equal(Dem.open(raster).elevation, expected.elevation)
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o644, 0o666])
+def test_who_may_not_read_the_raster_may_not_read_its_heights(raster: Path, mode: int) -> None:
+    raster.chmod(mode)
+    prepare_heights(raster)
+    assert stat.S_IMODE(heights_path(raster).stat().st_mode) == mode & 0o644
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="gives files away, which takes root")
+def test_heights_of_a_stranger_are_not_believed(raster: Path) -> None:
+    """Who may write into the folder, and not the raster."""
+    prepare_heights(raster)
+    os.chown(heights_path(raster), 4711, -1)
+    assert not is_mapped(Dem.open(raster))
+    assert prepare_heights(raster) == heights_path(raster)
+    assert is_mapped(Dem.open(raster))
+    for path in (raster, heights_path(raster)):
+        os.chown(path, 4711, -1)
+    prepare_heights(raster)
+    os.chown(heights_path(raster), 4711, -1)
+    assert is_mapped(Dem.open(raster)), "the raster's owner may"
 
 
 def test_what_a_killed_process_has_left_is_removed(raster: Path) -> None:
