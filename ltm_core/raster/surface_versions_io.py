@@ -7,6 +7,7 @@ kills the writer. Only the node `terrain` writes; others read.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import os
@@ -152,13 +153,25 @@ class SurfaceVersions:
             changed=len(surface),
             lowered=surface.lowered,
         )
-        entry = before.entry(version) or entry
-        versions = (*(one for one in before.versions if one.version != version), entry)
+        others = tuple(one for one in before.versions if one.version != version)
+        if (known := before.entry(version)) is not None:
+            entry = known
+        else:  # One that was dropped comes again: what had followed it would else lie before it and after it.
+            others = tuple(
+                one.model_copy(update={"parent": AS_GIVEN}) if one.parent == version else one for one in others
+            )
+        versions = (*others, entry)[-KEPT:]
         self._write(self.file(version), content)
-        self._replace(before.model_copy(update={"current": version, "held": False, "versions": versions[-KEPT:]}))
-        for dropped in versions[:-KEPT]:
-            self.file(dropped.version).unlink(missing_ok=True)
+        self._replace(before.model_copy(update={"current": version, "held": False, "versions": versions}))
+        self._remove_all_but({self.file(one.version) for one in versions})
         return entry
+
+    def _remove_all_but(self, kept: set[Path]) -> None:
+        """Of the versions' files; a writer that was killed may have left some that no manifest names."""
+        for path in self.folder.glob(f"surface-{'[0-9a-f]' * 16}.npz"):
+            if path not in kept:
+                with contextlib.suppress(OSError):
+                    path.unlink()
 
     def take_back(self) -> SurfaceManifest:
         """Make the version before the current one count, and hold it. Raises StoreError where none is current."""

@@ -112,3 +112,28 @@ def test_old_versions_make_room_but_not_the_one_that_counts(
     assert len(found.versions) == KEPT == len(list(versions.folder.glob("*.npz")))
     assert found.entry(first.version) is None
     assert found.entry(found.current) == found.versions[-1]
+
+
+def test_a_surface_that_comes_again_after_it_was_dropped_goes_round_in_no_circle(
+    versions: SurfaceVersions, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the one without any change may: it follows what had once followed it."""
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+    for number in [*range(KEPT + 1), 0]:
+        versions.add(felled(50.0 + number), 1_000 + number, 9)
+    assert versions.manifest().at(500) is None
+    for _ in range(KEPT):
+        after = versions.take_back()
+    assert after.current == ""
+
+
+def test_files_that_no_manifest_names_are_removed(versions: SurfaceVersions) -> None:
+    """A writer was killed after the file and before the manifest."""
+    versions.add(felled(101.0), 1_000, 9)
+    left, of_others = (versions.folder / name for name in (f"surface-{'0a' * 8}.npz", "surface-of-mine.npz"))
+    for path in (left, of_others):
+        path.write_bytes(b"")
+    entry = versions.add(felled(99.0), 2_000, 9)
+    assert (left.exists(), of_others.exists()) == (False, True)
+    assert not versions.load(entry).differs_from(felled(99.0), 0.0)
+    assert len(list(versions.folder.glob("*.npz"))) == 3
