@@ -19,13 +19,15 @@ class ConfirmedTerrain:
     """Two terrains in the map frame, of one version of the confirmed surface (None: as the site's rasters give them).
 
     `ground`: bare earth. `top`: what cameras see, with trees and houses where the site knows them; the same object as
-    `ground` where nothing is known to stand. `surface`: the changed cells of the version.
+    `ground` where nothing is known to stand. `surface`: the changed cells of the version. `canopy_known`: whether `top`
+    has what stood before; False: only what has changed differs from `ground`.
     """
 
     version: SurfaceVersion | None
     ground: Dem
     top: Dem
     surface: ConfirmedSurface | None = None
+    canopy_known: bool = True
 
     @property
     def name(self) -> str:
@@ -36,7 +38,7 @@ class ConfirmedTerrain:
     def as_given(cls, site: Site) -> ConfirmedTerrain:
         """Raises what `Site.open_dem` does."""
         ground = site.open_dem()
-        return cls(None, ground, site.open_surface(ground))
+        return cls(None, ground, site.open_surface(ground), canopy_known=site.surface is not None)
 
     @classmethod
     def of(cls, site: Site, versions: SurfaceVersions, name: str) -> ConfirmedTerrain:
@@ -44,15 +46,16 @@ class ConfirmedTerrain:
 
         Raises StoreError where the version is not listed or cannot be read, and what `Site.open_dem` does.
         """
-        given = cls.as_given(site)
         if name == AS_GIVEN:
-            return given
+            return cls.as_given(site)
         entry = versions.manifest().entry(name)
         if entry is None:
             raise StoreError(f"{versions.folder}: no confirmed surface {name!r} there; it may be too old to be kept")
+        # Before the rasters: who follows tries a file that is damaged again and again.
+        surface = versions.load(entry)
+        given = cls.as_given(site)
         rasters = [dem.path for dem in (site.dem, *site.coarser, *([site.surface] if site.surface else []))]
         files = [versions.file(name), *rasters]
-        surface = versions.load(entry)
         ground, top = (
             shared(files, (what, site.frame), lambda make=make, under=under: make(under))  # type: ignore[misc]
             for what, make, under in (
@@ -60,7 +63,7 @@ class ConfirmedTerrain:
                 ("confirmed surface", surface.surface_over, given.top),
             )
         )
-        return cls(entry, ground, top, surface)
+        return cls(entry, ground, top, surface, given.canopy_known)
 
 
 def surface_versions(site: Site, folder: Path) -> SurfaceVersions:
@@ -71,13 +74,16 @@ def surface_versions(site: Site, folder: Path) -> SurfaceVersions:
 
 def exported_terrain(site: Site, state: Path | None, moment_ns: int | None = None) -> ConfirmedTerrain:
     """The terrain that a map exports whose store lies in the folder `state`: as confirmed, now or at a moment, where
-    the site asks for that and its terrain keeps its surfaces there too; else as given. Raises StoreError.
+    the site asks for that and its terrain keeps its surfaces there too; else bare earth as given, and nothing that
+    stands on it: no export asks for that then, and the surface raster stays closed. Raises StoreError.
     """
-    if state is None or site.terrain is None or not site.terrain.trace_confirmed:
-        return ConfirmedTerrain.as_given(site)
-    versions = surface_versions(site, state / FOLDER)
-    entry = versions.manifest().at(moment_ns)
-    return ConfirmedTerrain.of(site, versions, AS_GIVEN if entry is None else entry.version)
+    if state is not None and site.terrain is not None and site.terrain.trace_confirmed:
+        versions = surface_versions(site, state / FOLDER)
+        entry = versions.manifest().at(moment_ns)
+        if entry is not None:
+            return ConfirmedTerrain.of(site, versions, entry.version)
+    ground = site.open_dem()
+    return ConfirmedTerrain(None, ground, ground, canopy_known=False)
 
 
 def terrain_grid(dem: GridGeometry, resolution: float | None) -> GridGeometry:

@@ -40,9 +40,9 @@ class SeenCanopy:
 
 def seen_canopy(terrain: ConfirmedTerrain, grid: GridGeometry) -> SeenCanopy | None:
     """Of the cells of a fuel grid (in the map frame) a quarter of which has changed; None where nothing is confirmed,
-    or nothing is known to stand on the ground.
+    or it is not known what stood on the ground before.
     """
-    if terrain.surface is None or terrain.top is terrain.ground:
+    if terrain.surface is None or not terrain.canopy_known:
         return None
     cells = terrain.surface
     row, col = grid.cell_of(*cells.geometry.to_map(cells.rows, cells.cols))

@@ -163,7 +163,7 @@ def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None,
             with FuelSource.open(source, loaded) as map_:
                 layers = map_.at(as_of)
                 classes, geometry, labels = layers.life_form, map_.geometry, map_.labels
-                tags = map_.provenance(layers, as_of).tags()
+                tags = map_.provenance(layers, None, as_of).tags()
         else:
             from ltm_ros.recordings.recorded_map import last_fuel_map
 

@@ -85,7 +85,7 @@ def _of_store(store: Path, site_path: Path, since: str | None) -> MapPair:
             layers, prior, terrain.ground, site.frame, map_.geometry, region, system, spare=spare, seen=seen
         )  # fmt: skip
         was = with_fuel(now, empty, prior, region)
-        made = map_.provenance(layers, None, system, now)
+        made = map_.provenance(layers, terrain.version, None, system, now)
     assert evidence is not None
 
     @cache  # for the first draw: without an ensemble nobody asks

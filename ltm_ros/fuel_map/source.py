@@ -24,6 +24,7 @@ from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import open_stored_map
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.grid import GridGeometry
+from ltm_core.raster.surface_versions_io import SurfaceVersion
 from ltm_core.raster.tile_store import TileStore
 from ltm_core.resources import config_path
 from ltm_core.site import Site
@@ -100,16 +101,19 @@ class FuelSource:
     def provenance(
         self,
         layers: FuelLayers,
+        surface: SurfaceVersion | None,
         moment: str | None = None,
         system: FuelSystem | None = None,
         landscape: Landscape | None = None,
     ) -> Provenance:
-        """What an export of the map says of itself; `layers`: of it now or as of a moment, as `at` gives them."""
+        """What an export of the map says of itself; `layers`: of it now or as of a moment, as `at` gives them;
+        `surface`: the version that its heights were taken from, where it has any.
+        """
         from ltm_ros.fuel_map.pictures import when
 
         as_of = None if moment is None else when(moment)
         system = system or system_of(self.prior)
-        return provenance_of(self.site, layers, system, as_of, landscape, self.terrain(moment).version)
+        return provenance_of(self.site, layers, system, as_of, landscape, surface)
 
     def seen_by(self) -> dict[str, BoolArray]:
         """The cells that each camera has seen, as far as the store's cells remember."""

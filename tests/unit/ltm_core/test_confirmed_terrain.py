@@ -11,9 +11,11 @@ from scenes.small_site import SmallSite, write_small_site
 
 from ltm_core.confirmed_terrain import ConfirmedTerrain, exported_terrain, surface_versions
 from ltm_core.errors import StoreError
+from ltm_core.fuel.seen_canopy import seen_canopy
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.raster.confirmed_surface import ConfirmedSurface
 from ltm_core.raster.surface_versions_io import FOLDER
+from ltm_core.site_sections import DemConfig
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.fuel_map.services import write_landscapes
 
@@ -61,6 +63,31 @@ def test_one_process_holds_a_version_once(small: SmallSite, tmp_path: Path) -> N
     assert one.top is other.top
     with pytest.raises(StoreError, match="no confirmed surface 'ffffffffffffffff' there"):
         ConfirmedTerrain.of(small.site, versions, "f" * 16)
+
+
+def test_a_damaged_version_is_told_before_any_raster_is_opened(small: SmallSite, tmp_path: Path) -> None:
+    """Nodes that follow try it again twice a second."""
+    versions = surface_versions(small.site, tmp_path / FOLDER)
+    entry = versions.add(sunk(small, 4.0), BEGIN, 500)
+    versions.file(entry.version).write_bytes(b"cut")
+    without = small.site.model_copy(update={"dem": DemConfig(path=tmp_path / "gone.tif")})
+    with pytest.raises(StoreError, match="is not the file that was written"):
+        ConfirmedTerrain.of(without, versions, entry.version)
+
+
+def test_a_site_that_follows_nothing_exports_without_its_surface_raster(small: SmallSite, tmp_path: Path) -> None:
+    gone = DemConfig(path=tmp_path / "gone.tif")
+    plain = small.site.model_copy(update={"terrain": None, "surface": gone})
+    assert exported_terrain(plain, tmp_path).ground is small.site.open_dem()
+
+
+def test_without_a_raster_of_tree_tops_no_canopy_is_measured(small: SmallSite, tmp_path: Path) -> None:
+    """Ground that sank below a wood says nothing of the trees on it, or beside it."""
+    versions = surface_versions(small.site, tmp_path / FOLDER)
+    entry = versions.add(sunk(small, 4.0), BEGIN, 500)
+    confirmed = ConfirmedTerrain.of(small.site, versions, entry.version)
+    assert confirmed.surface is not None
+    assert seen_canopy(confirmed, small.site.fuel_geometry(small.dem)) is None
 
 
 def test_landscapes_have_the_confirmed_ground_and_say_so(small: SmallSite, tmp_path: Path) -> None:

@@ -51,7 +51,7 @@ def test_a_cell_of_which_little_has_changed_keeps_its_prior() -> None:
 def test_nothing_is_measured_without_trees_on_record_or_without_a_version() -> None:
     whole = terrain(15)
     assert seen_canopy(ConfirmedTerrain(None, whole.ground, whole.top), FUEL) is None
-    assert seen_canopy(ConfirmedTerrain(None, whole.ground, whole.ground, whole.surface), FUEL) is None
+    assert seen_canopy(ConfirmedTerrain(None, whole.ground, whole.top, whole.surface, False), FUEL) is None
 
 
 def test_base_follows_the_height_and_density_the_cover() -> None:
