@@ -13,14 +13,15 @@ from ltm_core.terrain.surface_map import SurfaceMap
 from ltm_msgs_py.confirmed_surface import manifest_to_msg
 from ltm_ros.runtime.handler import Outlet
 from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.retry import RetryPace
 from ltm_ros.runtime.topics import TERRAIN_SURFACE
 
 
 class Confirmation:
     """Makes versions of what a surface map has confirmed, in the folder `folder` of a site that asks for them.
 
-    When one is due is told by the frames' stamps alone, so that a replay makes the same versions. After a StoreError
-    the version before still counts. What a version holds must be in the map's store: call it after a commit.
+    When one is due is told by the frames' stamps alone, so that a replay makes the same versions. What a version holds
+    is in the map's store before. Where one cannot be written, the version before still counts, and it is tried again.
     """
 
     def __init__(self, site: Site, folder: str, surface: SurfaceMap, outlet: Outlet, health: Health) -> None:
@@ -33,25 +34,26 @@ class Confirmation:
         self._looked_ns = 0
         self._current: ConfirmedSurface | None = None
         self._manifest = self._versions.manifest()
+        self._pace = RetryPace()
 
     def start(self) -> None:
         """Tell of the version that counts."""
         self._tell()
 
     def follow(self) -> None:
-        """Make a version where one is due: the first as soon as there is change, and others not too often. Raises
-        StoreError.
-        """
+        """Make a version where one is due: the first as soon as there is change, and others not too often."""
         since = self._map.newest_ns - self._looked_ns
-        if (since > 0 and since >= self._every_ns) or (self.news and not self._manifest.current):
-            self._renew()
+        due = (since > 0 and since >= self._every_ns) or (self.news and not self._manifest.current)
+        if due and self._pace.due:
+            self._try()
+
+    def passed(self, seconds: float) -> None:
+        """So much time has gone by."""
+        self._pace.passed(seconds)
 
     def finish(self) -> None:
-        """Have the last of what is known count for those that come later; where it cannot be written, say so."""
-        try:
-            self._renew()
-        except StoreError as error:
-            self._health.trouble(cause_of(error), str(error))
+        """Have the last of what is known count for those that come later."""
+        self._try()
 
     def confirm(self) -> str:
         """Make what the map knows now count, also where a version was taken back. Raises StoreError."""
@@ -65,6 +67,14 @@ class Confirmation:
         self._tell()
         now = f"surface {self._manifest.current}" if self._manifest.current else "the terrain as it was given"
         return f"{now} counts again, and is held until terrain/confirm is called"
+
+    def _try(self) -> None:
+        try:
+            self._renew()
+            self._pace.succeeded()
+        except StoreError as error:
+            self._pace.failed()
+            self._health.trouble(cause_of(error), f"{error}; the surface before still counts")
 
     def _renew(self) -> None:
         """Make a version where there is anything new; none while one is held."""
@@ -87,6 +97,7 @@ class Confirmation:
         return self._current
 
     def _add(self, found: ConfirmedSurface, seen: int) -> None:
+        self._map.commit()
         self._versions.add(found, self._map.newest_ns, seen)
         self._manifest, self._current = self._versions.manifest(), found
         self._tell()

@@ -192,6 +192,8 @@ class Terrain(Handler[TerrainNodeConfig]):
         self._since_grid += waited
         self._since_commit += waited
         self._pace.passed(waited)
+        if self._confirmation is not None:
+            self._confirmation.passed(waited)
         if self._pace.due:
             self._store_what_is_due()
         window = self._map.seen_window()
@@ -228,7 +230,6 @@ class Terrain(Handler[TerrainNodeConfig]):
     def _confirm(self) -> str:
         assert self._confirmation is not None  # nosec B101 # tells the type checker what holds
         self._settle()
-        self._map.commit()
         return self._confirmation.confirm()
 
     def _of(self, camera: str, topic: Topic) -> Topic:

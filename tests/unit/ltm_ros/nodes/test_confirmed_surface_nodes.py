@@ -16,7 +16,7 @@ from std_msgs.msg import String
 
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, MessageError, StoreError
-from ltm_core.raster.surface_versions_io import FOLDER, MANIFEST
+from ltm_core.raster.surface_versions_io import FOLDER, MANIFEST, SurfaceVersions
 from ltm_core.tracing import TerrainTracer
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.confirmed_surface import msg_to_traced, msg_to_version
@@ -32,6 +32,7 @@ from ltm_ros.runtime.topics import (
     POSED_CAMERA_INFO,
     POSED_POSE,
     TERRAIN_SURFACE,
+    TERRAIN_UPDATE,
     camera_topic,
     site_topic,
 )
@@ -180,6 +181,31 @@ def test_a_kill_before_the_version_was_written_is_made_good_without_a_frame(chai
     assert msg_to_version(chain.told.on(TERRAIN_SURFACE)[-1]) == ""
     chain.terrain.tick(0.5)
     assert msg_to_version(chain.told.on(TERRAIN_SURFACE)[-1]) != ""
+
+
+def test_where_no_version_can_be_written_the_terrain_goes_on_and_tries_again(
+    chain: Chain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(versions: SurfaceVersions, *_: Any) -> None:
+        raise StoreError(f"{versions.folder}: cannot be written (No space left on device)")
+
+    truth = sunk(chain.small)
+    chain.terrain.tick(0.5)
+    with monkeypatch.context() as broken:
+        broken.setattr(SurfaceVersions, "add", full)
+        for hours in (0, 2):
+            chain.look(truth, hours)
+            chain.terrain.tick(0.5)
+        assert "No space left on device); the surface before still counts" in chain.health.last_error
+        assert len(chain.told.on(TERRAIN_UPDATE)) == 1
+        chain.look(chain.small.dem, 4)
+        chain.look(chain.small.dem, 6)
+        chain.terrain.tick(0.5)
+        assert len(chain.told.on(TERRAIN_UPDATE)) == 2, "what is decided does not wait for the version"
+    assert msg_to_version(chain.told.on(TERRAIN_SURFACE)[-1]) == ""
+    chain.look(truth, 8)
+    chain.terrain.tick(30.0)
+    assert "cells seen have changed" in chain.terrain.services["terrain/confirm"]()
 
 
 def test_a_lost_file_leaves_the_terrain_before_and_is_written_anew(chain: Chain) -> None:
