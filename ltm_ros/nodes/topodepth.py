@@ -14,6 +14,7 @@ from std_msgs.msg import String
 
 from ltm_core.camera import Camera
 from ltm_core.confirmed_terrain import ConfirmedTerrain, surface_versions
+from ltm_core.dem import Dem
 from ltm_core.depth.class_priors import ClassPriors
 from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
 from ltm_core.depth.topodepth import FusedDepth, FusionSettings, Verdict, fuse
@@ -97,7 +98,8 @@ class TopoDepth(Handler[TopoDepthConfig]):
         self._classes = ClassPriors.of(LabelSet.load(config_path(site.labels)), self._config)
         self._site = site
         self._versions = surface_versions(site, Path(config.surfaces)) if config.surfaces else None
-        self._trace_to(ConfirmedTerrain.as_given(site))
+        # Bare earth is asked for only where depth is traced to something else.
+        self._trace_to(AS_GIVEN, None if site.surface is None else site.open_dem())
         labels = Part("labels", wait_s=config.label_wait, remembered=2 * config.max_waiting)
         parts: list[Part | str] = ["image", "info", "pose", "depth", *(["traced"] if config.surfaces else []), labels]
         self._join = StampJoin(parts, self._fuse, health, whole_capacity=config.max_waiting, max_wait=config.max_wait)
@@ -117,11 +119,10 @@ class TopoDepth(Handler[TopoDepthConfig]):
             found[DEPTH_INFO] = lambda m: self._join.add("traced", *msg_to_traced(m))
         return found
 
-    def _trace_to(self, terrain: ConfirmedTerrain) -> None:
-        """Depth is traced to what stands on bare earth where that is known; bare earth is then traced here besides."""
-        site, bare = self._site, terrain.top is terrain.ground
-        rays = site.curvature, site.refraction, site.possible_ground
-        self._version, self._ground = terrain.name, None if bare else TerrainTracer(terrain.ground, *rays)
+    def _trace_to(self, version: str, ground: Dem | None) -> None:
+        """`ground`: bare earth where depth is traced to what stands on it, which is then traced here besides."""
+        rays = self._site.curvature, self._site.refraction, self._site.possible_ground
+        self._version, self._ground = version, None if ground is None else TerrainTracer(ground, *rays)
 
     def discard(self, stamp_ns: int) -> None:
         self._join.discard(stamp_ns)
@@ -135,7 +136,8 @@ class TopoDepth(Handler[TopoDepthConfig]):
     def _fuse(self, image: Any, info: Any, pose: Any, depth: Any, labels: Any, traced: str = AS_GIVEN) -> None:
         """`traced`: the version of the surface to which the frame was traced."""
         if self._versions is not None and traced != self._version:
-            self._trace_to(ConfirmedTerrain.of(self._site, self._versions, traced))
+            over = ConfirmedTerrain.of(self._site, self._versions, traced)
+            self._trace_to(traced, None if over.top is over.ground else over.ground)
         if labels is None:
             self.health.note("unlabelled")
         camera, where = msg_to_camera(info), msg_to_pose(pose, "map")
