@@ -74,9 +74,9 @@ def update_sheet(
     version, traced = depths[frame.source, frame.stamp_ns]
     return panel(
         [
-            (f"{scene.name}: true depth", depth_colors(true, RangeScale.of(true))),
+            (f"{scene.name}, a made scene: true depth", depth_colors(true, RangeScale.of(true))),
             ("as given: error / true depth, red too far, blue too near", residual(given, true)),
-            (f"traced to surface {version or 'as given'}", residual(traced, true)),
+            (f"traced to surface {version or 'as given'}: error / true depth", residual(traced, true)),
         ],
         columns=3,
         width=640,
