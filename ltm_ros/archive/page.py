@@ -74,7 +74,7 @@ def write_page(map_: FuelSource, folder: Path) -> None:
     export_site(map_, folder / "change.png", None, "change", system, None, None)
     text = _HTML.format(
         title=html.escape(f"Fuel map of {map_.site.name}"),
-        about=html.escape(map_.provenance(map_.layers).line()),
+        about=html.escape(map_.provenance(map_.layers, None).line()),
         last=days[-1],
         most=len(days) - 1,
         picture=f"{days[-1]}.png",
