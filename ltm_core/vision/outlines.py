@@ -26,18 +26,22 @@ def polygons_of(region: BoolArray, tolerance: float = 1.0, filled: bool = False)
     """
     mode = cv2.RETR_EXTERNAL if filled else cv2.RETR_CCOMP
     # All pixels of the edges: a cut to a hole ends at one of them.
-    solid = region.astype(np.uint8)
-    contours, tree = cv2.findContours(solid, mode, cv2.CHAIN_APPROX_NONE)
+    contours, tree = cv2.findContours(region.astype(np.uint8), mode, cv2.CHAIN_APPROX_NONE)
     parents = [] if tree is None else tree[0, :, 3].tolist()
-    found = []
-    for number, parent in enumerate(parents):
+    holes_of: dict[int, list[_Points]] = {number: [] for number, parent in enumerate(parents) if parent < 0}
+    for contour, parent in zip(contours, parents, strict=True):
         if parent >= 0:
-            continue  # the edge of a hole
-        holes = sorted((c for c, p in zip(contours, parents, strict=True) if p == number), key=cv2.contourArea)
+            holes_of[parent].append(np.asarray(contour, np.int32))
+    found = []
+    for number, holes in holes_of.items():
+        holes.sort(key=cv2.contourArea)
         small = max(0, len(holes) - MOST_HOLES)
-        cv2.drawContours(solid, holes[:small], -1, [1], cv2.FILLED)
+        solid = region
+        if small:  # of this part alone: another one that lies in such a hole keeps its own
+            drawn = cv2.drawContours(region.astype(np.uint8), holes[:small], -1, [1], cv2.FILLED)
+            solid = np.asarray(drawn, np.uint8) > 0
         edges = [np.asarray(edge[:, 0], np.int32) for edge in (contours[number], *holes[small:])]
-        points, fixed = _with_cuts(solid > 0, edges[0], edges[1:])
+        points, fixed = _with_cuts(solid, edges[0], edges[1:])
         found.append(_few_corners(points, fixed, tolerance))
     return sorted(found)
 

@@ -114,8 +114,9 @@ def frames(world: World, trial: Trial, errors: LabelErrors, labels: LabelSet, se
             pose, known = believed, covariance
             if pictures is not None:
                 pose, known = pictures.refined(believed, true, each, label)
+            ranges = shown if pose is true else tracer.trace(CAMERA, pose)
             yield caster.cast(
-                tracer.trace(CAMERA, pose).range,
+                ranges.range,
                 CAMERA,
                 pose,
                 label,

@@ -93,7 +93,8 @@ def run_trial(
     focal_sigma: float = 0.0,
 ) -> tuple[PoseTrial, PictureSearch, PosePrior]:
     """Disturb the pose of a frame, and its focal length by a factor, and search it."""
-    frame, evidence = prepared_frame.frame, prepared_frame.evidence
+    frame = prepared_frame.frame
+    evidence = replace(prepared_frame.evidence)  # without the edges that a former trial has found: they take time, too
     prior = disturbed(frame.pose, sensor, terrain.dem, rng)
     if focal_factor != 1.0:
         c = evidence.camera

@@ -24,14 +24,19 @@ def canopy(
     """
     from dataclasses import asdict
 
+    from ltm_core.errors import ConfigError
     from ltm_core.evaluation.fuel.canopy_score import confirmed_of, score_canopy
     from ltm_core.evaluation.terrain.hillside_scenes import SceneConditions, trial
     from ltm_core.fuel.codes import FuelRegion
     from ltm_ros.evaluation.figures_io import write_figures
 
+    try:
+        numbers = [int(part) for part in seeds.split(",")]
+    except ValueError as error:
+        raise ConfigError(f"--seeds must be whole numbers with commas, got {seeds!r}") from error
     constant, figures = FuelRegion.named(region).canopy, []
     for name in scenes.split(","):
-        for seed in (int(text) for text in seeds.split(",")):
+        for seed in numbers:
             scene = trial(name, seed)
             confirmed = confirmed_of(scene, SceneConditions(looks=looks, seed=seed))
             scores = score_canopy(scene, confirmed, constant)
