@@ -55,7 +55,9 @@ def run(
     from ltm_ros.launching.runner import Runner, new_log_folder, print_line
     from ltm_ros.launching.service_manager import ServiceManager
     from ltm_ros.launching.site_check import NotReadyError, Wanted, require_ready
+    from ltm_ros.runtime.process_memory import steady_allocation
 
+    steady_allocation()
     named = ServiceManager.of_environment(os.environ, required=bool(notify))
     manager = ServiceManager() if notify is False else named
     folders: dict[str, Path] = {}

@@ -56,6 +56,8 @@ def test_the_manager_hears_all_of_a_life_and_no_camera_matters(
         assert "nodes are up" in (tmp_path / "console").read_text()
         # No camera sends anything, ever: the service lives.
         wait_for(lambda: signs_of_life() >= 5, "signs of life", told)
+        status = Path(f"/proc/{graph.pid}/status").read_text()
+        assert "THP_enabled:\t0" in status, "no huge page is made of what the site's check has left in the heap"
 
         os.kill(process_of(logs / "fuel_map.log"), signal.SIGKILL)
         wait_for(lambda: any("down: fuel_map (killed by SIGKILL)" in s for s in manager.of("STATUS")), "word", told)
