@@ -117,9 +117,9 @@ def test_old_versions_make_room_but_not_the_one_that_counts(
 def test_a_surface_that_comes_again_after_it_was_dropped_goes_round_in_no_circle(
     versions: SurfaceVersions, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As the one without any change may: it follows what had once followed it."""
+    """The first, whose follower had come again too and so outlived it: it follows what had followed that."""
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
-    for number in [*range(KEPT + 1), 0]:
+    for number in [0, 1, 2, 1, *range(3, KEPT + 1), 0]:
         versions.add(felled(50.0 + number), 1_000 + number, 9)
     assert versions.manifest().at(500) is None
     for _ in range(KEPT):
