@@ -8,14 +8,18 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import json
-import pickle  # nosec B403 # only written, to be hashed
 from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from pydantic import BaseModel
+
 import ltm_core
 import ltm_msgs_py
+import ltm_ros.archive
 from ltm_core.frame_steps import LabellingConfig, LabellingStep, TracingConfig
 from ltm_core.fuel.site_map import camera_label_errors, site_label_errors
 from ltm_core.resources import config_path
@@ -55,9 +59,10 @@ def picture_digest(raw: bytes) -> str:
 
 @cache
 def code_digest() -> str:
-    """Of the program: the sources of core and messages without the study wing, and what it computes with."""
+    """Of the program: the sources of core and messages without the study wing, those of this package, and what they
+    compute with."""
     found = hashlib.blake2b(digest_size=16)
-    for package in (ltm_core, ltm_msgs_py):
+    for package in (ltm_core, ltm_msgs_py, ltm_ros.archive):
         (place,) = package.__path__
         for file in sorted(Path(place).rglob("*.py")):
             if file.relative_to(place).parts[0] not in _STUDY:
@@ -91,28 +96,35 @@ def evidence_digest(site: Site) -> str:
     errors = site_label_errors(site), sorted(camera_label_errors(site).items())
     settings = site.fuel.model_dump(include=_NOT_VOTES_OF_FUEL - {"label_errors"})
     frame = [site.crs, list(site.origin)]
-    return digest(_by_content(settings), frame, hashlib.blake2b(pickle.dumps(errors)).hexdigest())
+    return digest(_by_content(settings), frame, _by_content(errors))
 
 
 def file_digest(path: Path) -> str:
     """Of a file's content, or of all files in a folder."""
+    if path.is_dir():
+        files = sorted(file for file in path.rglob("*") if file.is_file())
+        return digest([[file.relative_to(path).as_posix(), file_digest(file)] for file in files])
     found = path.stat()
     return _content(path.resolve(), found.st_size, found.st_mtime_ns)
 
 
 @cache
 def _content(path: Path, size: int, changed_ns: int) -> str:
-    if path.is_dir():
-        files = sorted(file for file in path.rglob("*") if file.is_file())
-        return digest([[file.relative_to(path).as_posix(), file_digest(file)] for file in files])
     with path.open("rb") as file:
         return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
 def _by_content(value: Any) -> Any:
-    """Configuration in which each path stands for what is there."""
+    """Configuration in which each path stands for what is there, and each array for its numbers."""
     if isinstance(value, Path):
         return file_digest(value)
+    if isinstance(value, np.ndarray):
+        numbers = hashlib.blake2b(value.tobytes(), digest_size=16).hexdigest()
+        return [str(value.dtype), list(value.shape), numbers]
+    if isinstance(value, BaseModel):
+        return _by_content(value.model_dump())
+    if is_dataclass(value):
+        return {one.name: _by_content(getattr(value, one.name)) for one in fields(value)}
     if isinstance(value, Mapping):
         return {str(key): _by_content(item) for key, item in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, str):

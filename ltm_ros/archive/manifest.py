@@ -24,6 +24,7 @@ from ltm_core.errors import ArchiveError, LtmError, RecordingError
 from ltm_core.pose import Pose
 from ltm_core.site import Site
 from ltm_core.types import Float64Array
+from ltm_msgs_py.bag.picture_cdr import RAW_TYPE
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_ros.archive.scan import Scan, ScannedMessage
@@ -186,7 +187,9 @@ def _of_topics(scan: Scan, topics: set[str]) -> Iterator[tuple[Path, ScannedMess
 
 def _small_enough(message: ScannedMessage, site: Site, health: Health) -> bool:
     limits = site.limits
-    if message.size_bytes <= limits.image_bytes and message.width * message.height <= limits.pixels:
+    # As in `capture`: raw, the widest of the encodings that are taken has four bytes a pixel.
+    most = 4 * limits.pixels if message.type_name == RAW_TYPE else limits.image_bytes
+    if message.size_bytes <= most and message.width * message.height <= limits.pixels:
         return True
     health.drop(
         "too_large",

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ltm_core.errors import ArchiveError, ImageError, LtmError
+from ltm_core.errors import ArchiveError, ImageError, LtmError, RecordingError
 from ltm_core.site import Site
 from ltm_core.types import UInt8Array
 from ltm_core.vision.scene_view import SceneFilter
@@ -28,9 +28,12 @@ class PictureReader:
         self._readers: dict[str, BagReader] = {}
 
     def read(self, frame: ArchiveFrame) -> CompressedPicture | RawPicture:
-        """Raises ArchiveError where the file has the picture no longer, RecordingError for a file that is gone."""
+        """Raises ArchiveError where the file is gone or has the picture no longer, OSError where it cannot be read."""
         if frame.file not in self._readers:
-            self._readers[frame.file] = BagReader(Path(frame.file))
+            try:
+                self._readers[frame.file] = BagReader(Path(frame.file))
+            except RecordingError as error:
+                raise ArchiveError(f"{error}; it was there when the archive was looked through") from error
         at = frame.log_time_ns
         for message in self._readers[frame.file].messages([frame.topic], at, at + 1):
             if picture_digest(message.raw) == frame.content:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import posixpath
 import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +18,8 @@ from ltm_core.errors import ArchiveError
 class ResultFolder:
     """Files by their names below a folder: a path, or a URL such as `s3://bucket/prefix` of any store that fsspec has.
 
-    Raises ArchiveError where the place cannot be used, OSError where a file cannot be read or written just now.
+    Raises ArchiveError where the place, or a store that is not on this machine's disk, cannot be used; OSError where a
+    file of this machine cannot be read or written just now.
     """
 
     def __init__(self, url: str) -> None:
@@ -32,38 +36,57 @@ class ResultFolder:
 
     def names(self, folder: str) -> set[str]:
         """Of the files in a folder below."""
-        self._files.invalidate_cache()  # others may have written since
         place = self._path(folder)
-        if not self._files.exists(place):
-            return set()
-        return {posixpath.basename(str(path)) for path in self._files.ls(place, detail=False)}
+        with self._reached():
+            self._files.invalidate_cache()  # others may have written since
+            if not self._files.exists(place):
+                return set()
+            return {posixpath.basename(str(path)) for path in self._files.ls(place, detail=False)}
 
     def has(self, name: str) -> bool:
-        self._files.invalidate_cache()
-        return bool(self._files.exists(self._path(name)))
+        with self._reached():
+            self._files.invalidate_cache()
+            return bool(self._files.exists(self._path(name)))
 
     def read(self, name: str) -> bytes:
-        return bytes(self._files.cat_file(self._path(name)))
+        with self._reached():
+            return bytes(self._files.cat_file(self._path(name)))
 
     def write(self, name: str, content: bytes) -> None:
         """In one step: an object of S3 appears when it is whole, a file is written beside and renamed. Two that write
         the same name at once write the same content, for names of results tell what they hold."""
-        place = self._path(name)
         if self.local is None:
-            self._files.pipe_file(place, content)
+            with self._reached():
+                self._files.pipe_file(self._path(name), content)
             return
-        self._files.makedirs(posixpath.dirname(place), exist_ok=True)
-        partial = f"{place}.{uuid.uuid4().hex}.partial"
+        place = self.local / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        partial = place.with_name(f"{place.name}.{uuid.uuid4().hex}.partial")
         try:
-            self._files.pipe_file(partial, content)
-            Path(partial).replace(place)
+            with partial.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())  # after a power cut, too, a name stands for all of its content
+            partial.replace(place)
         except OSError:
-            Path(partial).unlink(missing_ok=True)
+            partial.unlink(missing_ok=True)
             raise
 
     def put(self, file: Path, name: str) -> None:
         """Copy a file of this machine."""
         self.write(name, file.read_bytes())
+
+    @contextmanager
+    def _reached(self) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:  # of botocore, which has hundreds
+            if self.local is not None:
+                raise
+            raise ArchiveError(
+                f"{self.url} cannot be used just now ({type(error).__name__}: {error}); check the address, the "
+                "credentials and the network, then run again"
+            ) from error
 
     def _path(self, name: str) -> str:
         return posixpath.join(self._root, name)

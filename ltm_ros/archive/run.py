@@ -5,13 +5,12 @@ Nothing is kept but files named by what they hold, so a run that was stopped is 
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import tempfile
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +40,9 @@ from ltm_ros.runtime.frame_join import FrameJoinConfig
 
 MANIFEST, RUN, LAYERS, MAPS = "manifest.parquet", "run.json", "layers", "maps"
 LANDSCAPE, LOOKS = "landscape.tif", "looks"
+STORES = "stores.json"
+"""SHA-256 of the store that is there and of the one that takes its place: those that runs have written. A node goes on
+from a store of another."""
 _NAMED = 1000
 """Failures that the record of a run names one by one; all are counted."""
 
@@ -48,7 +50,8 @@ _NAMED = 1000
 @dataclass(frozen=True)
 class ArchiveOptions:
     """What to work. `since_ns`, `until_ns`: stamps, both inclusive. `shard`: (i, n), the i-th of n parts of the tasks,
-    from 1 on: these are worked, and no map is made. `max_failed`: share of the frames that may be lost."""
+    from 1 on: these are worked, and no map is made. `max_failed`: share of all frames that may be lost before they are
+    chosen, and of the chosen ones after."""
 
     archives: tuple[Path, ...]
     site: Path
@@ -177,28 +180,38 @@ def _reduced(planned: Plan, mapped: Summary, broken: set[str]) -> Summary:
         found = reduce_to_store(whole, read, planned.site, path)
         failures = (*mapped.failures, *_lost(found))
         summary = Summary(mapped.tasks, mapped.worked, found.counted.total(), failures, dict(found.unused))
-        total = len(planned.frames) + sum(failure.count for failure in planned.manifest.failures)
-        if summary.failed > planned.options.max_failed * total:
+        if refused := _too_many_failed(planned, failures):
             results.write(RUN, _record(planned, summary))
-            causes = Counter[str]()
-            for failure in failures:
-                causes[failure.cause] += failure.count
-            raise ArchiveError(
-                f"{summary.failed} of {total} frames failed "
-                f"({', '.join(f'{count} {cause}' for cause, count in causes.most_common())}), more than "
-                f"{planned.options.max_failed:.4%}: no map was written; {results.url}/{RUN} names them, "
-                "--max-failed lets more of them be"
-            )
+            raise ArchiveError(refused)
         with TileStore.open_read_only(path, STORE_KIND) as store:
-            summary = Summary(**asdict(summary) | {"failures": failures, "digest": store_digest(store)})
+            summary = replace(summary, digest=store_digest(store))
         _publish(planned, path, summary)
     return summary
+
+
+def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
+    """Why no map may be written, or nothing. What was lost on the way to the manifest is a share of all that archives
+    hold, for a sample is chosen of what is left."""
+    manifest, most = planned.manifest, planned.options.max_failed
+    joining, working = manifest.failures, failures[len(manifest.failures) :]
+    found = len(manifest.frames) + sum(failure.count for failure in joining)
+    for lost, total in ((joining, found), (working, len(planned.frames))):
+        causes = Counter[str]()
+        for failure in lost:
+            causes[failure.cause] += failure.count
+        if causes.total() > most * total:
+            named = ", ".join(f"{count} {cause}" for cause, count in causes.most_common())
+            return (
+                f"{causes.total()} of {total} frames failed ({named}), more than {most:.4%}: no map was written; "
+                f"{planned.results.url}/{RUN} names them, --max-failed lets more of them be"
+            )
+    return ""
 
 
 def _publish(planned: Plan, store: Path, summary: Summary) -> None:
     """The map's files, and last the record of the run. Raises ArchiveError where a node has gone on from the store."""
     results = planned.results
-    _require_own(results)
+    former = _own_store(results)
     out = store.parent / "out"
     (out / LAYERS).mkdir(parents=True)
     with FuelSource.open(store, planned.site) as map_:
@@ -213,22 +226,24 @@ def _publish(planned: Plan, store: Path, summary: Summary) -> None:
         write_page(map_, out / MAPS)
     for file in sorted(path for path in out.rglob("*") if path.is_file()):
         results.put(file, file.relative_to(out).as_posix())
+    written = hashlib.sha256(store.read_bytes()).hexdigest()
+    # Before the store: a run that is killed in between shall know its own.
+    results.write(STORES, json.dumps([former, written]).encode())
     results.put(store, STORE_FILE)
-    about = {"store_sha256": hashlib.sha256(store.read_bytes()).hexdigest(), "landscape": landscape}
-    results.write(RUN, _record(planned, summary, about))
+    results.write(RUN, _record(planned, summary, {"store_sha256": written, "landscape": landscape}))
 
 
-def _require_own(results: ResultFolder) -> None:
+def _own_store(results: ResultFolder) -> str:
+    """SHA-256 of the store that is there; empty: none. Raises ArchiveError where no run has written it."""
     if not results.has(STORE_FILE):
-        return
-    known = ""
-    with contextlib.suppress(FileNotFoundError, ValueError):
-        known = json.loads(results.read(RUN)).get("store_sha256", "")
-    if hashlib.sha256(results.read(STORE_FILE)).hexdigest() != known:
+        return ""
+    found = hashlib.sha256(results.read(STORE_FILE)).hexdigest()
+    if not results.has(STORES) or found not in json.loads(results.read(STORES)):
         raise ArchiveError(
             f"{results.url}/{STORE_FILE} is not what the last run wrote: a node may have gone on from it; move it away "
             "or name another folder"
         )
+    return found
 
 
 def _lost(found: Reduction) -> list[Failure]:

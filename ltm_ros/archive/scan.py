@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import pyarrow as pa
@@ -104,14 +104,14 @@ def _inputs(reader: BagReader, topics: set[str]) -> Iterator[BagMessage]:
 def _scanned(message: BagMessage, topic: str) -> ScannedMessage:
     found = ScannedMessage(message.topic, message.type_name, message.log_time_ns, len(message.raw))
     if topic not in _PICTURES:
-        return ScannedMessage(**asdict(found) | {"raw": message.raw})
+        return replace(found, raw=message.raw)
     try:
         picture = picture_of(message.raw, message.type_name)
         width, height = picture.size
     except LtmError as error:
-        return ScannedMessage(**asdict(found) | {"trouble": str(error)})
-    sizes = {"stamp_ns": picture.stamp_ns, "width": width, "height": height}
-    return ScannedMessage(**asdict(found) | sizes | {"content": picture_digest(message.raw)})
+        return replace(found, trouble=str(error))
+    content = picture_digest(message.raw)
+    return replace(found, stamp_ns=picture.stamp_ns, width=width, height=height, content=content)
 
 
 def _packed(found: Scan) -> bytes:

@@ -86,11 +86,9 @@ class LostFrame:
 
 @dataclass(frozen=True)
 class TaskReport:
-    """What was worked: frames from picture to votes, and whether evidence was made; 0 and False where both were
-    there."""
+    """What was worked: frames from picture to votes, 0 where they were there."""
 
     worked: int
-    made_evidence: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,13 +117,17 @@ def plan(frames: Sequence[ArchiveFrame], site: Site, settings: TaskSettings, fra
         for begin in range(0, len(found), frames_per_task):
             chunk = tuple(found[begin : begin + frames_per_task])
             votes = digest(settings.code, of_votes[camera], camera, [frame.identity() for frame in chunk])
-            tasks.append(Task(chunk, of_votes[camera], votes, digest(settings.code, votes, of_evidence)))
+            tasks.append(Task(chunk, of_votes[camera], votes, _evidence_key(settings, votes, of_evidence)))
     return tasks
 
 
+def _evidence_key(settings: TaskSettings, votes_key: str, of_evidence: str) -> str:
+    return digest(settings.code, votes_key, of_evidence)
+
+
 def work(task: Task, settings: TaskSettings) -> TaskReport:
-    """Do what is not done yet. Raises ArchiveError where this worker's program is another one; OSError where results
-    cannot be read or written just now."""
+    """Do what is not done yet. Raises ArchiveError where this worker's program or files of the site are others than
+    those of the run, OSError where results cannot be read or written just now."""
     if (own := code_digest()) != settings.code:
         raise ArchiveError(
             f"this worker's program has the digest {own}, that of the run is {settings.code}: install the same version "
@@ -134,29 +136,30 @@ def work(task: Task, settings: TaskSettings) -> TaskReport:
     results = ResultFolder(settings.results)
     votes, evidence = f"{VOTES}/{task.votes_key}.parquet", f"{EVIDENCE}/{task.evidence_key}.parquet"
     if results.has(evidence):
-        return TaskReport(0, False)
+        return TaskReport(0)
     worked = 0
     if not results.has(votes):
         results.write(votes, votes_file(task, settings))
         worked = len(task.frames)
-    results.write(evidence, _evidence_file(results.read(votes), load_site(settings.site)))
-    return TaskReport(worked, True)
+    site = load_site(settings.site)
+    if _evidence_key(settings, task.votes_key, evidence_digest(site)) != task.evidence_key:
+        raise _other_files(settings.site)
+    results.write(evidence, _evidence_file(results.read(votes), site))
+    return TaskReport(worked)
 
 
 def votes_file(task: Task, settings: TaskSettings) -> bytes:
     """The file of a task's votes: one row a cell that a frame sees, `frame` its number among those that the file's
-    metadata lists."""
+    metadata lists. Raises ArchiveError where a picture cannot be read any more: no result may say that it is lost."""
     camera = task.frames[0].camera
     steps = _steps(settings.site, camera, settings.tracing, settings.labelling, task.steps_key)
     parts, listed, lost = list[Columns](), list[dict[str, object]](), list[LostFrame]()
     reader = PictureReader()
     for frame in task.frames:
+        picture = reader.read(frame)
         try:
-            picture = reader.read(frame)
             posed = PosedImage(picture.rgb(), frame.calibration, frame.pose, frame.stamp_ns, camera)
             found = steps.votes(posed, frame.pose_covariance)
-        except ArchiveError:
-            raise
         except LtmError as error:
             why = f"{error} ({frame.file}, stamp {frame.stamp_ns} ns)"
             lost.append(LostFrame(frame.stamp_ns, cause_of(error), why))
@@ -236,8 +239,12 @@ def _steps(site: str, camera: str, tracing: TracingConfig, labelling: LabellingC
     """Raises ArchiveError where this worker's files are others than those of the run."""
     found = load_site(site)
     if votes_digest(found, camera, tracing, labelling) != key:
-        raise ArchiveError(
-            f"{site}, or a file that it names, is another one here than where the run was started; give all workers "
-            "the same files"
-        )
+        raise _other_files(site)
     return FrameSteps(found, camera, tracing, labelling)
+
+
+def _other_files(site: str) -> ArchiveError:
+    return ArchiveError(
+        f"{site}, or a file that it names, is another one here than where the run was started; give all workers the "
+        "same files"
+    )

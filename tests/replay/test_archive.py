@@ -26,7 +26,8 @@ from ltm_msgs_py.image import compressed_to_msg, encode_rgb
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.archive.engine import Engine, on_workers, serial
 from ltm_ros.archive.reduction import store_digest
-from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
+from ltm_ros.archive.results import ResultFolder
+from ltm_ros.archive.run import RUN, ArchiveOptions, Summary, look_through, run
 from ltm_ros.archive.sampling import Sample
 from ltm_ros.archive.task import work
 from ltm_ros.cli.main import cli
@@ -216,6 +217,69 @@ def test_a_store_that_a_node_went_on_from_is_not_written_over(options: ArchiveOp
         store.write(b"more")
     with pytest.raises(ArchiveError, match="a node may have gone on from it"):
         reprocessed(options)
+
+
+def test_a_store_of_our_own_is_written_over_after_runs_that_failed_or_were_killed(
+    options: ArchiveOptions, small_site: SmallSite, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, expected: str
+) -> None:
+    reprocessed(replace(options, cameras=("mast",)))
+    bag = rewritten(small_site.bag, tmp_path / "cut", lambda number, raw: raw if number != 2 else raw[: len(raw) // 2])
+    with pytest.raises(ArchiveError, match="no map was written"):
+        reprocessed(replace(options, archives=(bag,)))
+    written = ResultFolder.write
+
+    def killed(results: ResultFolder, name: str, content: bytes) -> None:
+        if name == RUN:
+            raise KeyboardInterrupt
+        written(results, name, content)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(ResultFolder, "write", killed)
+        with pytest.raises(KeyboardInterrupt):
+            reprocessed(replace(options, cameras=("tower",)))
+    assert reprocessed(options).digest == expected
+
+
+def test_what_is_lost_before_frames_are_chosen_is_a_share_of_all(
+    options: ArchiveOptions, small_site: SmallSite, tmp_path: Path
+) -> None:
+    """One of 12 here, and a sample of 4."""
+    bag = rewritten(small_site.bag, tmp_path / "cut", lambda number, raw: raw if number != 2 else raw[: len(raw) // 2])
+    options = replace(options, archives=(bag,), sample=Sample.parsed("2/day"))
+    with pytest.raises(ArchiveError, match="1 of 12 frames failed"):
+        reprocessed(replace(options, max_failed=0.08))
+    summary = reprocessed(replace(options, max_failed=0.09))
+    assert (summary.merged, summary.failed) == (4, 1)
+
+
+def test_an_archive_that_is_away_loses_no_frame_for_good(
+    options: ArchiveOptions, small_site: SmallSite, tmp_path: Path, expected: str
+) -> None:
+    """As a network's file system that is not mounted for a while."""
+    shutil.copytree(small_site.bag, tmp_path / "bag")
+    options = replace(options, archives=(tmp_path / "bag",))
+    planned = look_through(options, lambda done, total: None)
+    (tmp_path / "bag").rename(tmp_path / "away")
+    with pytest.raises(ArchiveError, match=r"12 of 12 frames failed \(12 task\)"):
+        run(planned, serial, lambda done, total: None)
+    (tmp_path / "away").rename(tmp_path / "bag")
+    assert reprocessed(options).digest == expected
+
+
+def test_rules_that_change_while_a_run_works_spoil_no_result(own_site: SmallSite, tmp_path: Path) -> None:
+    options = ArchiveOptions((own_site.bag,), own_site.path, str(tmp_path / "out"))
+    planned = look_through(options, lambda done, total: None)
+    edited(own_site, lambda site: site.update(fuel={"fusion": {"frame_cap": 3.0}}))
+    with pytest.raises(ArchiveError, match="give all workers the same files"):
+        work(planned.tasks[0], planned.settings)
+    assert not (tmp_path / "out/evidence").exists()
+
+
+def test_raw_pictures_are_as_large_as_live(own_site: SmallSite, tmp_path: Path) -> None:
+    """The mast's have 110,592 bytes; the limit is of compressed ones."""
+    edited(own_site, lambda site: site.update(limits={"image_bytes": 100_000}))
+    summary = reprocessed(ArchiveOptions((own_site.bag,), own_site.path, str(tmp_path / "out")))
+    assert (summary.merged, summary.failed) == (2 * FRAMES, 0)
 
 
 def test_a_live_node_goes_on_from_the_store(options: ArchiveOptions, small_site: SmallSite) -> None:

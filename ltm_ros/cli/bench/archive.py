@@ -17,7 +17,10 @@ def archive(
     seed: Annotated[int, typer.Option(help="Of these moments.")] = 1,
     json_path: JsonFile = None,
 ) -> None:
-    """Work a recording again in several ways, and replay it: the digests of their maps, and the time they took."""
+    """Work a recording again in several ways, and replay it: the digests of their maps, and the time they took.
+
+    Ends with status 1 where the digests differ.
+    """
     import tempfile
     from dataclasses import asdict
 
@@ -53,3 +56,4 @@ def archive(
     print_conditions(console, state)
     if json_path is not None:
         write_figures(json_path, {"conditions": state.as_dict(), **asdict(found)})
+    raise typer.Exit(0 if len(found.digests) == 1 else 1)

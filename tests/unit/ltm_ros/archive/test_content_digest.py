@@ -1,0 +1,73 @@
+"""What names results: the same in every process, and another one whenever what goes into them is."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from scenes.small_site import write_small_site
+
+import ltm_ros.archive
+from ltm_core.site_io import load_site
+from ltm_ros.archive.content_digest import code_digest, evidence_digest, file_digest
+
+_SAYS = """
+import sys
+from ltm_core.frame_steps import LabellingConfig, TracingConfig
+from ltm_core.site_io import load_site
+from ltm_ros.archive.content_digest import evidence_digest, look_digest, votes_digest
+site = load_site(sys.argv[1])
+print(evidence_digest(site), votes_digest(site, "mast", TracingConfig(), LabellingConfig()), look_digest(site, "mast"))
+"""
+
+
+def test_digests_are_the_same_in_every_process(tmp_path: Path) -> None:
+    """Else a run that is resumed makes the evidence of all its tasks again: sets have another order in each."""
+    site = write_small_site(tmp_path, recording=False)
+    said = set()
+    for seed in ("1", "2"):
+        command = [sys.executable, "-c", _SAYS, str(site.path)]
+        ended = subprocess.run(command, env=os.environ | {"PYTHONHASHSEED": seed}, capture_output=True, text=True)
+        assert ended.returncode == 0, ended.stderr
+        said.add(ended.stdout)
+    assert len(said) == 1
+
+
+def test_other_errors_of_the_network_give_other_evidence(tmp_path: Path) -> None:
+    site = write_small_site(tmp_path, recording=False)
+    content = yaml.safe_load(site.path.read_text())
+    found = []
+    for wrong in (0.1, 0.2):
+        errors = {"source": "made up", "shares": {"grass": {"grass": 1 - wrong, "built": wrong}}}
+        (tmp_path / "errors.yaml").write_text(yaml.safe_dump(errors))
+        content["fuel"] = content.get("fuel", {}) | {"label_errors": str(tmp_path / "errors.yaml")}
+        site.path.write_text(yaml.safe_dump(content))
+        found.append(evidence_digest(load_site(site.path)))
+    assert found[0] != found[1]
+
+
+def test_the_program_is_its_own_sources_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = code_digest.__wrapped__()
+    (own,) = ltm_ros.archive.__path__
+    shutil.copytree(own, tmp_path / "archive")
+    monkeypatch.setattr(ltm_ros.archive, "__path__", [str(tmp_path / "archive")])
+    assert code_digest.__wrapped__() == before
+    with (tmp_path / "archive/task.py").open("a") as file:
+        file.write("# another\n")
+    assert code_digest.__wrapped__() != before
+
+
+def test_a_folder_is_what_its_files_hold(tmp_path: Path) -> None:
+    (tmp_path / "map").mkdir()
+    file = tmp_path / "map" / "band.tif"
+    file.write_bytes(b"before")
+    before = file_digest(tmp_path / "map")
+    state = (tmp_path / "map").stat()
+    file.write_bytes(b"and after")
+    os.utime(tmp_path / "map", ns=(state.st_atime_ns, state.st_mtime_ns))
+    assert file_digest(tmp_path / "map") != before
