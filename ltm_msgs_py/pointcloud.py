@@ -26,6 +26,8 @@ _DTYPES: dict[int, np.dtype[Any]] = {
     PointField.FLOAT64: np.dtype(np.float64),
 }
 _DATATYPES = {dtype: datatype for datatype, dtype in _DTYPES.items()}
+_LARGEST_POINT = 2**31 - 1
+"""Bytes; NumPy has no larger records."""
 
 
 def columns_to_msg(
@@ -68,7 +70,8 @@ def msg_to_columns(msg: Any) -> Columns:
     """
     height, width = int(msg.height), int(msg.width)
     point_step, row_step, size = int(msg.point_step), int(msg.row_step), len(msg.data)
-    if min(height, width) < 0 or point_step < 1 or row_step < width * point_step or size != height * row_step:
+    fits = 1 <= point_step <= _LARGEST_POINT and row_step >= width * point_step
+    if min(height, width) < 0 or not fits or size != height * row_step:
         raise MessageError(
             f"PointCloud2 of height {height}, width {width}, point_step {point_step}, row_step {row_step} holds {size} "
             f"bytes; row_step must be at least width * point_step = {width * point_step}, data height * row_step"

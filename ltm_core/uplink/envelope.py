@@ -30,6 +30,8 @@ LARGEST_SIGNATURE: Final = 256
 _LENGTHS: Final = struct.Struct(">4sHHI")
 MOST_OUTCOMES: Final = 64
 """Of an acknowledgement."""
+LONGEST_REASON: Final = 300
+"""Characters of why a frame is refused. They must be printable, so that `MOST_OUTCOMES` of them fit an envelope."""
 NAME: Final = r"^[a-z][a-z0-9_]{0,62}$"
 """Of regions, towers and cameras: parts of topics, and a certificate's common name holds 64 characters."""
 
@@ -132,7 +134,7 @@ class Outcome(StrictModel):
     camera: str = Field(max_length=63)
     stamp_ns: int
     done: bool
-    why: str = Field("", max_length=300)
+    why: str = Field("", max_length=LONGEST_REASON)
 
 
 class AckHeader(StrictModel):

@@ -34,7 +34,7 @@ _TABLE: Final = """
 CREATE TABLE frames (
     camera TEXT NOT NULL, stamp_ns INTEGER NOT NULL, view INTEGER NOT NULL, model TEXT NOT NULL,
     message BLOB NOT NULL, retry_s REAL NOT NULL DEFAULT 0, PRIMARY KEY (camera, stamp_ns)) STRICT;
-CREATE INDEX by_time ON frames (stamp_ns);
+CREATE INDEX by_time ON frames (stamp_ns, retry_s);
 """
 FrameKey = tuple[str, int]
 """(camera, stamp in nanoseconds)."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from pyproj.exceptions import ProjError
 
 from ltm_core.errors import MessageError
 from ltm_core.fuel.export.export_grid import GridTransfer
@@ -31,8 +32,8 @@ class VoteTransfer:
         target: the region's, in its CRS.
         in_map: the same grid in the map frame of the region, which the votes are on afterwards.
 
-    Raises MessageError where the cells are of another size or the tower's grid is too large, ConfigError for a
-    CRS that is not known or not in metres.
+    Raises MessageError where the cells are of another size, the tower's grid is too large, or PROJ knows no way between
+    the two CRSs; ConfigError for a CRS that is not known or not in metres.
     """
 
     def __init__(self, source: GridGeometry, target: GridGeometry, in_map: GridGeometry) -> None:
@@ -46,7 +47,10 @@ class VoteTransfer:
         self.source, self._in_map = source, in_map
         self._source_frame, self._target_frame = SiteFrame(str(source.crs)), SiteFrame(str(target.crs))
         number = np.arange(source.width * source.height, dtype=np.int64).reshape(source.shape)
-        from_cell = GridTransfer(source, target).layer(number, -1).ravel()
+        try:
+            from_cell = GridTransfer(source, target).layer(number, -1).ravel()
+        except ProjError as error:
+            raise MessageError(f"nothing leads from {target.crs} to the tower's {source.crs} ({error})") from error
         cells = np.flatnonzero(from_cell >= 0)
         self._targets: Int64Array = cells[np.argsort(from_cell[cells], kind="stable")]
         """Cells of the region by the tower's cells that they take from; `_first`: where those of each begin."""
@@ -74,7 +78,10 @@ class VoteTransfer:
         return replace(moved, geometry=self._in_map, rows=rows, cols=cols)
 
     def _turn(self, votes: CellVotes) -> Float64Array:
-        """(N,) radians from a bearing of the tower's grid to that of the region's: the difference of convergences."""
+        """(N,) radians from a bearing of the tower's grid to that of the region's: the difference of convergences.
+
+        Raises MessageError where the tower's CRS has none there.
+        """
         if not len(votes):
             return np.zeros(0)
         # Over what a camera sees the difference changes by less than a hundredth of a degree.
@@ -83,4 +90,8 @@ class VoteTransfer:
         there = self._target_frame.from_lonlat(lon, lat)
         own = self._source_frame.grid_convergence_deg(float(x), float(y))
         other = self._target_frame.grid_convergence_deg(float(there[0]), float(there[1]))
+        if not math.isfinite(own - other):
+            raise MessageError(
+                f"{self.source.crs} is not defined where the region is: name the CRS of the tower's site"
+            )
         return np.full(len(votes), math.radians(own - other))

@@ -13,7 +13,8 @@ import numpy as np
 from pydantic import ValidationError
 from rclpy.serialization import serialize_message
 
-from ltm_core.errors import ConfigError
+from ltm_core.errors import ConfigError, MessageError
+from ltm_core.fuel.vote_columns import MAX_BYTES
 from ltm_core.site import Site
 from ltm_core.site_io import load_site
 from ltm_core.uplink.envelope import VotesGrid
@@ -70,10 +71,11 @@ class Uplink(Handler[UplinkNodeConfig]):
         self._link.start()
 
     def on_votes(self, camera: str, message: Any) -> None:
+        content = bytes(serialize_message(message))
+        if len(content) > MAX_BYTES:
+            raise MessageError(f"votes of {camera} of {len(content)} bytes; a region takes {MAX_BYTES} at most")
         model = self._models.get(camera, "")
-        self._link.offer(
-            OutboxFrame(camera, stamp_of(message), sector(message), model, bytes(serialize_message(message)))
-        )
+        self._link.offer(OutboxFrame(camera, stamp_of(message), sector(message), model, content))
 
     def on_label_info(self, camera: str, message: Any) -> None:
         self._models[camera] = msg_to_model(message)

@@ -21,6 +21,7 @@ from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.uplink.config import AGGREGATOR, RegionConfig
 from ltm_core.uplink.envelope import (
+    LONGEST_REASON,
     MOST_OUTCOMES,
     VERSION,
     AckHeader,
@@ -40,6 +41,7 @@ from ltm_ros.fuel_map.persistence import Counted, Counting, FuelMapPersistence
 from ltm_ros.region.identity import Identity
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.stamp_check import StampCheck
+from ltm_ros.sources.strangers_text import plain
 
 FrameId = tuple[str, str, int]
 """(tower, camera, stamp in nanoseconds)."""
@@ -75,10 +77,10 @@ class Aggregator:
     def take(self, tower: str, content: bytes) -> None:
         """What came on the topic of a tower. What cannot be taken is counted by its cause and, where it says of which
         frame it is, answered in words."""
-        self._health.received(f"/{self._config.name}/{tower}/votes")
         try:
             if tower not in self._config.towers:
                 raise MessageError(f"{tower!r} is no tower of {self._config.name}: add it to towers in region.yaml")
+            self._health.received(f"/{self._config.name}/{tower}/votes")
             envelope = self.identity.opened(content, tower)
             start = header_of(HeaderStart, envelope)
             if (start.region, start.tower) != (self._config.name, tower):
@@ -87,14 +89,14 @@ class Aggregator:
                 )
         except LtmError as error:
             # Nobody knows whose frame it is, or may be told.
-            self._health.drop(cause_of(error), str(error))
+            self._health.drop(cause_of(error), plain(str(error)))
             return
         frame = tower, start.camera, start.stamp_ns
         try:
             refusal = self._count(frame, start, envelope)
         except LtmError as error:
-            self._health.drop(cause_of(error), f"{tower}/{start.camera}: {error}")
-            refusal = str(error)
+            refusal = plain(str(error))
+            self._health.drop(cause_of(error), f"{tower}/{start.camera}: {refusal}")
         if refusal:
             self._answer(frame, refusal)
 
@@ -166,7 +168,9 @@ class Aggregator:
 
     def _answer(self, frame: FrameId, refusal: str = "") -> None:
         tower, camera, stamp = frame
-        self._outcomes[tower].append(Outcome(camera=camera, stamp_ns=stamp, done=not refusal, why=refusal[:300]))
+        self._outcomes[tower].append(
+            Outcome(camera=camera, stamp_ns=stamp, done=not refusal, why=refusal[:LONGEST_REASON])
+        )
 
     def _sealed(self) -> dict[str, list[bytes]]:
         answers: dict[str, list[bytes]] = {}

@@ -133,6 +133,7 @@ class TrialAuthority:
         )
         descriptor = os.open(path, os.O_CREAT | os.O_WRONLY | os.O_TRUNC | os.O_NOFOLLOW, 0o600)
         with os.fdopen(descriptor, "wb") as file:
+            os.fchmod(descriptor, 0o600)  # a file that was there may have been others' to read
             file.write(content)
         crt = self.folder / f"{name}.crt"
         crt.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
@@ -149,6 +150,8 @@ keyfile {folder}/{BROKER}.key
 tls_version tlsv1.2
 require_certificate true
 use_identity_as_username true
+# Else whoever comes as another client would end that one's connection.
+use_username_as_clientid true
 allow_anonymous false
 acl_file {folder}/acl
 user {getpass.getuser()}

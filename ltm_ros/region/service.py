@@ -20,6 +20,8 @@ SETTLE_S: Final = 0.25
 """For which frames are counted before they are stored together and answered for."""
 WAITING_BYTES: Final = 64 << 20
 """Of what came and waits to be counted; what comes above it is dropped, and sent again by its tower."""
+KEPT_BYTES: Final = 500
+"""What a message takes that waits, beside its payload: any number of empty ones shall not fill the memory."""
 
 
 class RegionService:
@@ -86,7 +88,7 @@ class RegionService:
             except queue.Empty:
                 return
             self.aggregator.take(tower, content)
-            self._bytes_out += len(content)
+            self._bytes_out += KEPT_BYTES + len(content)
             wait = until - time.monotonic()
             self._health.gauge("waiting_bytes", self._bytes_in - self._bytes_out)
 
@@ -109,5 +111,5 @@ class RegionService:
         if self._bytes_in - self._bytes_out > WAITING_BYTES:
             self._health.drop("overload", f"{WAITING_BYTES >> 20} MB wait to be counted; their towers send them again")
             return
-        self._bytes_in += len(payload)
+        self._bytes_in += KEPT_BYTES + len(payload)
         self._inbox.put((topic.rpartition("/")[2], payload))

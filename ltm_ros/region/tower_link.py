@@ -77,6 +77,8 @@ class TowerLink:
         """The life that has been sent what is on its way, and the connection by which."""
         self._on_their_way: dict[FrameKey, tuple[float, int]] = {}
         """When each is sent again, and its bytes."""
+        self._answered: set[FrameKey] = set()
+        """Frames that the region's map has, and the disk has not yet let go of: they are not sent again."""
         self._resend_s = RESEND_S
         self._bound_due = 0.0
         self._wake, self._stopping = threading.Event(), threading.Event()
@@ -116,8 +118,15 @@ class TowerLink:
         return not lost
 
     def step(self, now_s: float) -> None:
-        """One turn of the thread's work. Raises StoreError where the disk does not serve."""
-        self._keep()
+        """One turn of the thread's work. Raises StoreError where the disk does not serve; what lies in the outbox is
+        sent all the same, for what leaves it makes room on a disk that is full.
+        """
+        try:
+            self._keep()
+        finally:
+            self._pass_on(now_s)
+
+    def _pass_on(self, now_s: float) -> None:
         self._hear_acks(now_s)
         if now_s >= self._bound_due or self._outbox.bytes > self._config.outbox_bytes:
             self._bound_due = now_s + BOUND_S
@@ -158,30 +167,26 @@ class TowerLink:
                 self._held -= len(frame.message)
 
     def _hear_acks(self, now_s: float) -> None:
-        done: list[FrameKey] = []
         refused: list[FrameKey] = []
-        while True:
-            try:
-                content = self._acks.get_nowait()
-            except queue.Empty:
-                break
-            for outcome in self._outcomes(content):
+        for _ in range(self._acks.qsize()):  # not until it is empty: somebody may fill it as quickly
+            for outcome in self._outcomes(self._acks.get_nowait()):
                 key = outcome.camera, outcome.stamp_ns
                 self._on_their_way.pop(key, None)
                 if outcome.done:
-                    done.append(key)
+                    self._answered.add(key)
                 else:
                     refused.append(key)
                     self._health.note("refused")
                     self._health.trouble(
                         "refused", f"the region's map refuses the frame {key[1]} of {key[0]}: {outcome.why}"
                     )
-        if done:
-            self._resend_s = RESEND_S
-            for _ in range(self._outbox.acknowledge(done)):
-                self._health.note("acknowledged")
         if refused:
             self._outbox.postpone(refused, now_s + REFUSED_PAUSE_S)
+        if self._answered:
+            self._resend_s = RESEND_S
+            for _ in range(self._outbox.acknowledge(self._answered)):
+                self._health.note("acknowledged")
+            self._answered.clear()
 
     def _outcomes(self, content: bytes) -> list[Outcome]:
         """Of nobody but the aggregator, for this tower; what cannot be believed says nothing, and is counted."""

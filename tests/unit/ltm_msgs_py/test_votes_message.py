@@ -190,6 +190,10 @@ def _field(index: int, name: str, value: int | str) -> Callable[[PointCloud2], N
     return lambda msg: setattr(msg.fields[index], name, value)
 
 
+def _no_points_of(msg: PointCloud2, step: int) -> None:
+    msg.width, msg.row_step, msg.point_step, msg.data = 0, 0, step, array("B")
+
+
 def _swap_first_two(msg: PointCloud2) -> None:
     step = msg.point_step
     msg.data = msg.data[step : 2 * step] + msg.data[:step] + msg.data[2 * step :]
@@ -202,6 +206,7 @@ def _swap_first_two(msg: PointCloud2) -> None:
         (_set("point_step", 0), "point_step 0"),
         (_set("point_step", 29), "row_step must be at least width"),
         (_set("point_step", 2**32 - 1), "holds 112 bytes"),
+        (lambda m: _no_points_of(m, 2**31), "point_step 2147483648"),
         (_set("row_step", 111), "holds 112 bytes"),
         (_set("width", 5), "holds 112 bytes"),
         (_set("width", -4), "width -4"),

@@ -11,7 +11,7 @@ from scenes.fuel_frames import LABELS, stamp_of_frame, votes
 from scenes.outlets import Kept
 from scenes.region_scene import REGION, RegionScene, write_region_scene
 
-from ltm_core.errors import ConfigError
+from ltm_core.errors import ConfigError, MessageError
 from ltm_core.uplink.outbox_io import Outbox
 from ltm_msgs_py.label_info import label_set_to_msg
 from ltm_msgs_py.votes import votes_to_msg
@@ -59,6 +59,16 @@ def test_votes_are_in_the_outbox_at_the_end_of_the_node(scene: RegionScene) -> N
         ]
         assert [frame.model for frame in found] == ["", *(3 * ["landscape_lite0"])]
         assert [frame.view for frame in found] == [sector(message) for message in reversed(sent)]
+
+
+def test_votes_that_no_region_takes_are_refused_at_once(scene: RegionScene) -> None:
+    node = Uplink(UplinkNodeConfig(site=str(scene.config.site), folder="map"), Kept(), Health())
+    message = votes_to_msg(votes(1, scene.geometry), LABELS.names)
+    message.header.frame_id = "x" * (2 << 20)
+    with pytest.raises(MessageError, match="64000 at most"):
+        node.on_votes("alta_mast", message)
+    node.start()
+    node.finish()
 
 
 @pytest.mark.parametrize(("bearings_deg", "expected"), [((350, 8), 23), ((10, 20), 1), ((175, 179), 11), ((), -1)])

@@ -14,7 +14,7 @@ from scenes.fuel_frames import BEGIN_NS, message
 from scenes.region_scene import CAMERA, REGION, RegionScene, stamp_of, write_region_scene
 
 from ltm_core.errors import ConfigError, MessageError
-from ltm_core.uplink.envelope import LARGEST, AckHeader, Outcome, header_of, outcomes_of
+from ltm_core.uplink.envelope import LARGEST, MOST_OUTCOMES, AckHeader, Outcome, header_of, outcomes_of
 from ltm_ros.region.aggregator import Aggregator
 from ltm_ros.region.certs import TrialAuthority
 from ltm_ros.region.identity import Identity
@@ -179,3 +179,31 @@ def test_a_certificate_that_has_run_out_is_not_believed(scene: RegionScene, tmp_
     old = scene.identity("alta").sealed(b"{}")
     with pytest.raises(MessageError, match="renew it, or set the clock"):
         scene.identity("bear").opened(old, "alta")
+
+
+def test_a_tower_that_means_harm_does_not_end_the_map(scene: RegionScene) -> None:
+    """As many frames as an answer holds, each refused for a name of letters that JSON writes six times as long."""
+    alta, evil = scene.identity("alta"), "\x1b" * 290
+    with living(scene) as region:
+        for number in range(MOST_OUTCOMES):
+            header = json.dumps(scene.header("alta", number).model_dump() | {evil: 1}).encode()
+            region.aggregator.take("alta", alta.sealed(header, scene.votes(number)))
+        (outcomes,) = region.answers().values()
+        assert {(outcome.done, outcome.why.isprintable()) for outcome in outcomes} == {(False, True)}
+        assert len(outcomes) == MOST_OUTCOMES
+        cloud = message(1, scene.geometry, stamp_of(1))
+        cloud.fields[3].name = evil
+        region.aggregator.take("alta", alta.sealed(scene.header("alta", 1).model_dump_json().encode(), _cdr(cloud)))
+        assert "have the fields ???" in region.health.last_error
+        cloud.width, cloud.row_step, cloud.data, cloud.point_step = 0, 0, [], 2**32 - 1
+        region.aggregator.take("alta", alta.sealed(scene.header("alta", 1).model_dump_json().encode(), _cdr(cloud)))
+        assert "point_step 4294967295" in region.health.last_error
+        for number in range(20):
+            region.aggregator.take(f"nobody{number}", b"")
+        assert region.health.summary()["received"] == str(MOST_OUTCOMES + 2)
+        region.send("alta", 1)
+        assert region.answers()["alta"][-1] == done(1)
+
+
+def _cdr(cloud: object) -> bytes:
+    return bytes(serialize_message(cloud))

@@ -26,9 +26,13 @@ def test_keys_are_for_their_owner_alone_and_what_is_there_stays(tmp_path: Path) 
     assert made(folder, "--tower", "alta", "--follower", "desk") == pairs | {"mosquitto.conf", "acl"}
     assert {path.stat().st_mode & 0o077 for path in folder.glob("*.key")} == {0}
     assert "listener 8883 127.0.0.1\n" in (folder / "mosquitto.conf").read_text()
+    (folder / "bear.key").write_text("left by a stop in the midst")  # as the umask has it
+    (folder / "bear.key").chmod(0o644)
+    assert made(folder, "--tower", "bear") == {"bear.crt", "bear.key"}
+    assert (folder / "bear.key").stat().st_mode & 0o777 == 0o600
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     assert made(folder, "--tower", "alta") == set()
-    assert made(folder, "--tower", "bear") == {"bear.crt", "bear.key"}
+    assert made(folder, "--tower", "crow") == {"crow.crt", "crow.key"}
     assert {name: (folder / name).read_bytes() for name in before} == before
 
 

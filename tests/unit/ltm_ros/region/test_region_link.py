@@ -19,6 +19,7 @@ from scenes.mqtt_broker import Broker, free_port
 from scenes.region_scene import CAMERA, REGION, RegionScene, stamp_of, write_region_scene
 from scenes.waiting import PATIENCE_S, wait_for
 
+from ltm_core.errors import StoreError
 from ltm_core.uplink.config import UplinkConfig
 from ltm_core.uplink.envelope import VotesGrid
 from ltm_core.uplink.outbox_io import OutboxFrame
@@ -120,14 +121,49 @@ def test_a_frame_that_is_refused_stays_and_is_told_in_words(scene: RegionScene, 
         assert service.frames == 0
 
 
+def test_a_disk_that_does_not_serve_holds_up_no_frame_that_lies_on_it(
+    scene: RegionScene, broker: Broker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Full: nothing can be put, nor let go of. What is stored there is sent all the same, and but once."""
+    with sending(scene, "alta") as (alta, said):
+        offer(alta, scene, range(5))
+        wait_for(lambda: waiting(said) == "5", "the outbox")
+        outbox = alta._outbox
+
+        def full(*_: object) -> int:
+            raise StoreError("the disk is full")
+
+        with monkeypatch.context() as patched:
+            patched.setattr(outbox, "put", full)
+            patched.setattr(outbox, "acknowledge", full)
+            offer(alta, scene, range(5, 8))
+            with mapped(scene) as service:
+                wait_for(lambda: service.frames == 5, "the frames on the disk")
+                time.sleep(1.5)
+                assert "noted.duplicate" not in service.health.summary()
+        with mapped(scene) as service:
+            wait_for(lambda: service.frames == 8 and waiting(said) == "0", "the others")
+            assert said.summary()["noted.acknowledged"] == "8"
+
+
+def test_empty_messages_do_not_fill_the_memory(scene: RegionScene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ltm_ros.region.service.WAITING_BYTES", 10_000)
+    with Broker(scene.certs / "mosquitto.conf", scene.port), mapped(scene) as service:
+        monkeypatch.setattr(service.service, "_count_for", lambda seconds: time.sleep(seconds))
+        time.sleep(0.6)
+        for _ in range(100):
+            service.service._offer(votes_topic(REGION, "alta"), b"")
+        assert service.health.dropped["overload"] > 50
+
+
 class Client:
     """A client of the broker that keeps to no rule of ours. `name`: of its certificate; empty: it has none."""
 
-    def __init__(self, scene: RegionScene, name: str, folder: Path | None = None) -> None:
+    def __init__(self, scene: RegionScene, name: str, folder: Path | None = None, client_id: str = "") -> None:
         self.reasons: list[str] = []
         self.got: list[tuple[str, bytes]] = []
         self.connected = threading.Event()
-        self._mqtt = mqtt.Client(CallbackAPIVersion.VERSION2, protocol=mqtt.MQTTv5)
+        self._mqtt = mqtt.Client(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=mqtt.MQTTv5)
         context = ssl.create_default_context(cafile=str(scene.certs / "ca.crt"))
         if name:
             place = folder or scene.certs
@@ -186,6 +222,15 @@ def test_a_tower_writes_its_own_topic_alone_and_hears_what_is_its_own(scene: Reg
         assert alta.got == []
 
 
+def test_nobody_ends_the_connection_of_another_by_its_name(scene: RegionScene, broker: Broker) -> None:
+    with sending(scene, "alta") as (_, said), mapped(scene):
+        wait_for(lambda: said.summary().get("link_up") == "1", "the link")
+        with Client(scene, "bear", client_id=f"{REGION}-alta") as bear:
+            assert bear.connected.wait(PATIENCE_S)
+            time.sleep(0.5)
+        assert "noted.link_lost" not in said.summary()
+
+
 def test_an_acknowledgement_that_is_forged_or_replayed_lets_nothing_go(scene: RegionScene, broker: Broker) -> None:
     """As if the broker itself were the enemy: it can say what it likes on any topic, but sign nothing."""
     body = f'{{"outcomes": [{{"camera": "{CAMERA}", "stamp_ns": {stamp_of(0)}, "done": true}}]}}'.encode()
@@ -223,9 +268,9 @@ def test_junk_is_refused_and_counted_in_bounded_memory(scene: RegionScene, broke
         assert 0 < refused["message"] <= megabytes * 10**6 // len(junk)
         assert resident_mb() - before < 250
         # A packet that is larger than any of ours ends its sender's connection, and nobody else hears of it.
-        with Client(scene, "alta") as other:
+        with Client(scene, "desk") as other:
             assert other.connected.wait(PATIENCE_S)
-            other.publish(votes_topic(REGION, "alta"), bytes(LARGEST_PACKET + 1000), qos=0)
+            other.publish(votes_topic(REGION, "desk"), bytes(LARGEST_PACKET + 1000), qos=0)
             wait_for(lambda: "oversize packet" in broker.log or "Packet too large" in broker.log, "the broker's word")
 
 
