@@ -21,7 +21,15 @@ from numpy.typing import NDArray
 
 from ltm_core.disk_io import DiskReserve
 from ltm_core.errors import ConfigError, StoreError
-from ltm_core.raster.tile_store_file import TABLES, create_store, lock_store, named_errors, open_store, wants_room
+from ltm_core.raster.tile_store_file import (
+    TABLES,
+    create_store,
+    lock_store,
+    named_errors,
+    open_store,
+    transaction,
+    wants_room,
+)
 from ltm_core.raster.tile_store_schema import (
     CellChanges,
     Field,
@@ -281,7 +289,7 @@ class TileStore:
     def _write(
         self, packed: Sequence[tuple[int, int, bytes]], frames: Sequence[FrameRecord], changes: Sequence[CellChanges]
     ) -> None:
-        with self._transaction() as db:
+        with transaction(self._db, self._name) as db:
             for frame in frames:
                 self._count(db, frame, keep=not packed)
             for source in {frame.source for frame in frames}:
@@ -348,18 +356,6 @@ class TileStore:
             (number, limit_ns, min(spare, self._kept_frames)),
         ).fetchone()
         return int(old)
-
-    @contextlib.contextmanager
-    def _transaction(self) -> Iterator[sqlite3.Connection]:
-        with named_errors(self._name):
-            self._db.execute("BEGIN IMMEDIATE")
-            try:
-                yield self._db
-                self._db.execute("COMMIT")
-            except BaseException:
-                if self._db.in_transaction:
-                    self._db.execute("ROLLBACK")
-                raise
 
     def _rows(self, query: str, values: Sequence[object], *types: type) -> list[tuple[Any, ...]]:
         """Raises ConfigError where a column is of another type: SQLite keeps to the types of its tables only where

@@ -168,3 +168,17 @@ _REMEDIES = {
     "SQLITE_BUSY": "another process holds it",
     "SQLITE_IOERR": "check the disk",
 }
+
+
+@contextlib.contextmanager
+def transaction(db: sqlite3.Connection, name: str) -> Iterator[sqlite3.Connection]:
+    """Gives `db`; what is written within is there whole, or not at all. Raises as `named_errors`."""
+    with named_errors(name):
+        db.execute("BEGIN IMMEDIATE")
+        try:
+            yield db
+            db.execute("COMMIT")
+        except BaseException:
+            if db.in_transaction:
+                db.execute("ROLLBACK")
+            raise

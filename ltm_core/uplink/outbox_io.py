@@ -6,10 +6,9 @@ it or until there is no room: then the oldest evidence is thinned (`thinning`), 
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -18,7 +17,7 @@ from typing import Final, Self
 import numpy as np
 
 from ltm_core.errors import ConfigError, StoreError
-from ltm_core.raster.tile_store_file import LARGEST_VALUE, check_tables, lock_store, named_errors
+from ltm_core.raster.tile_store_file import LARGEST_VALUE, check_tables, lock_store, named_errors, transaction
 from ltm_core.uplink.thinning import thinned
 
 APPLICATION_ID: Final = 0x4C544D42  # "LTMB"
@@ -112,7 +111,7 @@ class Outbox:
     def put(self, frames: Sequence[OutboxFrame]) -> int:
         """Keep frames, all of them or none; how many were not there yet. The first of a key stays."""
         new, size = 0, 0
-        with self._transaction() as db:
+        with transaction(self._db, str(self._path)) as db:
             for frame in frames:
                 if len(frame.message) > LARGEST_FRAME:
                     raise ValueError(f"a frame of {len(frame.message)} bytes; {LARGEST_FRAME} at most are kept")
@@ -141,7 +140,7 @@ class Outbox:
 
     def postpone(self, keys: Iterable[FrameKey], until_s: float) -> None:
         """Do not offer frames again before then, by the clock of `waiting`."""
-        with self._transaction() as db:
+        with transaction(self._db, str(self._path)) as db:
             db.executemany(
                 "UPDATE frames SET retry_s = ? WHERE camera = ? AND stamp_ns = ?", [(until_s, *key) for key in keys]
             )
@@ -176,7 +175,7 @@ class Outbox:
         if not keys:
             return 0
         frames, size = 0, 0
-        with self._transaction() as db:
+        with transaction(self._db, str(self._path)) as db:
             for key in keys:
                 found = db.execute(
                     "DELETE FROM frames WHERE camera = ? AND stamp_ns = ? RETURNING length(message)", key
@@ -200,18 +199,6 @@ class Outbox:
                 raise StoreError(f"{self._path}: cannot be moved aside ({failed.strerror}); check the disk") from failed
             self.damage = f"{error}; it lies in {aside} now, what waited in it was not sent, and a new one has begun"
             return _connect(self._path)
-
-    @contextlib.contextmanager
-    def _transaction(self) -> Iterator[sqlite3.Connection]:
-        with named_errors(str(self._path)):
-            self._db.execute("BEGIN IMMEDIATE")
-            try:
-                yield self._db
-                self._db.execute("COMMIT")
-            except BaseException:
-                if self._db.in_transaction:
-                    self._db.execute("ROLLBACK")
-                raise
 
 
 class _DamagedError(ConfigError):

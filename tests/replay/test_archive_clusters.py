@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from scenes.s3_bucket import empty_bucket
 from scenes.small_site import FRAMES, SmallSite
 from scenes.waiting import wait_for
 
@@ -23,8 +24,6 @@ from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.results import ResultFolder
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
 from ltm_ros.archive.task import Task, TaskReport, TaskSettings
-
-moto_server = pytest.importorskip("moto.server")
 
 
 def reprocessed(options: ArchiveOptions, engine: Engine = serial) -> Summary:
@@ -38,21 +37,9 @@ def expected(small_site: SmallSite, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 @pytest.fixture
-def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """The address of an empty bucket on a server of our own."""
-    server = moto_server.ThreadedMotoServer("127.0.0.1", 0, verbose=False)
-    server.start()
-    host, port = server.get_host_and_port()
-    given = {"ENDPOINT_URL": f"http://{host}:{port}", "ACCESS_KEY_ID": "test", "SECRET_ACCESS_KEY": "test"}
-    for name, value in (given | {"DEFAULT_REGION": "us-east-1"}).items():
-        monkeypatch.setenv(f"AWS_{name}", value)
-    import s3fs
-
-    s3fs.S3FileSystem.clear_instance_cache()
-    s3fs.S3FileSystem().mkdir("archive")
-    yield "s3://archive/year"
-    s3fs.S3FileSystem.clear_instance_cache()
-    server.stop()
+def bucket() -> Iterator[str]:
+    with empty_bucket("archive") as address:
+        yield f"{address}/year"
 
 
 def test_results_on_s3_are_those_on_disk(small_site: SmallSite, bucket: str, expected: str, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import rasterio
 from scenes.region_scene import write_region_scene
+from scenes.s3_bucket import empty_bucket
 from scenes.waiting import wait_for
 
 from ltm_core.uplink.config import ExportConfig
@@ -18,23 +19,12 @@ from ltm_ros.region.exports import RegionExports
 from ltm_ros.runtime.health import Health
 
 s3fs = pytest.importorskip("s3fs")
-moto_server = pytest.importorskip("moto.server")
 
 
 @pytest.fixture
-def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """A bucket on a server of our own."""
-    server = moto_server.ThreadedMotoServer("127.0.0.1", 0, verbose=False)
-    server.start()
-    host, port = server.get_host_and_port()
-    given = {"ENDPOINT_URL": f"http://{host}:{port}", "ACCESS_KEY_ID": "test", "SECRET_ACCESS_KEY": "test"}
-    for name, value in (given | {"DEFAULT_REGION": "us-east-1"}).items():
-        monkeypatch.setenv(f"AWS_{name}", value)
-    s3fs.S3FileSystem.clear_instance_cache()
-    s3fs.S3FileSystem().makedirs("maps", exist_ok=True)
-    yield "s3://maps/kern"
-    s3fs.S3FileSystem.clear_instance_cache()
-    server.stop()
+def bucket() -> Iterator[str]:
+    with empty_bucket("maps") as address:
+        yield f"{address}/kern"
 
 
 def test_the_map_is_exported_when_it_has_changed(tmp_path: Path, bucket: str) -> None:
