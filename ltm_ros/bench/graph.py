@@ -6,15 +6,11 @@ process, and what the graph costs while nothing comes.
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess  # nosec B404 # argument lists, no shell
-import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -25,21 +21,19 @@ from ltm_core.errors import LtmError
 from ltm_core.raster.dem_io import prepare_heights
 from ltm_core.resources import project_path
 from ltm_core.site_io import load_site
+from ltm_ros.bench.graph_sender import CameraSender, settle
 from ltm_ros.bench.graph_site import NAME, Load, write_site
 from ltm_ros.bench.growth import GrowthWatch, HeldMore
 from ltm_ros.bench.listener import Listener
 from ltm_ros.bench.process_usage import Usage, usage_of
 from ltm_ros.launching.graph import Graph, describe
-from ltm_ros.launching.ros_environment import apply_to_process, ros_environment
+from ltm_ros.launching.ros_environment import apply_to_process
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.watchdog import process_use
 
 READY_S = 300.0
 WARM_UP = 2
 """Frames of each camera before any is counted: networks take longer for their first."""
-QUIET_S = 6.0
-"""Without any update of the map, after which no more will come."""
-LONGEST_SETTLE_S = 60.0
 SAMPLES = 60
 """Of memory, descriptors and files in a run."""
 IDLE_S = 5.0
@@ -132,16 +126,14 @@ def run_graph(load: Load, rate: float, seconds: float, domain_id: int | None = N
             started = time.monotonic()
             runner.wait_until_ready(READY_S)
             ready_s = time.monotonic() - started
-            with _cameras(folder, traffic.cameras, domain_id) as sender:
-                warmed = _stream(sender, WARM_UP, 2.0 * load.cameras)
-                _settle(listener, {stamp for stamps in warmed["sent"].values() for stamp in stamps})
+            with CameraSender(folder, traffic.cameras, domain_id) as sender:
+                settle(listener, sender.stream(WARM_UP, 2.0 * load.cameras).stamps)
                 idle_ms_s, at_first = _idle_cpu_ms_s(runner), _usage(runner)
                 busy = os.getloadavg()[0]
                 before, cpu = dict(listener.summaries), _cpu_by_process(runner)
                 with GrowthWatch(lambda: _running(runner), folder / "kept", seconds / SAMPLES) as watch:
-                    report = _stream(sender, max(1, round(seconds * rate)), 1.0 / rate)
-                sent: dict[str, list[int]] = report["sent"]
-                _settle(listener, {stamp for stamps in sent.values() for stamp in stamps})
+                    report = sender.stream(max(1, round(seconds * rate)), 1.0 / rate)
+                settle(listener, report.stamps)
                 after, cpu_after = dict(listener.summaries), _cpu_by_process(runner)
                 at_last = _usage(runner)
             restarted = [label for label, process in runner.processes.items() if process.starts > 1]
@@ -163,10 +155,10 @@ def run_graph(load: Load, rate: float, seconds: float, domain_id: int | None = N
                 "held_more": HeldMore.of(watch.samples),
                 "ready_s": ready_s,
                 "load_average": busy,
-                "cameras_late_s": report["late"],
+                "cameras_late_s": report.late_s,
             }
             jobs = _cpu_by_job(graph, spent, before, after)
-            return _result(load.fusion, sent, listener.arrived, before, after, jobs, measured)
+            return _result(load.fusion, report.sent, listener.arrived, before, after, jobs, measured)
 
 
 def _result(
@@ -220,47 +212,6 @@ def _result(
         cpu_ms_a_frame=per_frame | {"all": sum(per_frame.values())},
         **dict(measured) | total,
     )
-
-
-def _settle(listener: Listener, stamps: set[int]) -> None:
-    """Until the map has told of all these frames, or of none for a while; then until diagnostics say so too."""
-    deadline, last, since = time.monotonic() + LONGEST_SETTLE_S, -1, time.monotonic()
-    while (told := len(stamps & listener.arrived.keys())) < len(stamps) and time.monotonic() < deadline:
-        if told != last:
-            last, since = told, time.monotonic()
-        if time.monotonic() - since > QUIET_S:
-            break
-        time.sleep(0.1)
-    time.sleep(2.2)  # diagnostics come once a second
-
-
-@contextmanager
-def _cameras(folder: Path, names: tuple[str, ...], domain_id: int | None) -> Iterator[subprocess.Popen[str]]:
-    """The process that sends for all cameras, once they are listened to; it ends when this does."""
-    process = subprocess.Popen(  # nosec B603 # no shell, no argument from the wire
-        [sys.executable, "-m", "ltm_ros.bench.graph_cameras", str(folder), *names],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        env=ros_environment(domain_id=domain_id, busy=False),
-    )
-    try:
-        assert process.stdout is not None  # nosec B101 # tells the type checker what holds
-        if process.stdout.readline().strip() != "ready":
-            raise LtmError("the cameras of the benchmark found no graph that listens")
-        yield process
-    finally:
-        process.communicate(timeout=30)
-
-
-def _stream(sender: subprocess.Popen[str], frames: int, period: float) -> dict[str, Any]:
-    """Have every camera send so many frames, `period` seconds apart: the report."""
-    assert sender.stdin is not None  # nosec B101 # tells the type checker what holds
-    assert sender.stdout is not None  # nosec B101 # tells the type checker what holds
-    sender.stdin.write(json.dumps({"frames": frames, "period": period, "begin": time.time() + 0.5}) + "\n")
-    sender.stdin.flush()
-    report: dict[str, Any] = json.loads(sender.stdout.readline())
-    return report
 
 
 def _cpu_by_process(runner: Runner) -> dict[str, float]:

@@ -14,7 +14,7 @@ from pathlib import Path
 import rclpy
 from rclpy.node import Node
 
-from ltm_ros.bench.graph_site import NAME, SENT
+from ltm_ros.bench.graph_site import NAME, SENT, stamp_of_frame
 from ltm_ros.bench.network_towers import stamped
 from ltm_ros.launching.dds_shutdown import limit_shutdown
 from ltm_ros.runtime.outlet_node import stream_qos
@@ -55,8 +55,7 @@ def main() -> None:
                 while (wait := due - time.time()) > 0:
                     time.sleep(wait)
                 late = max(late, -wait)
-                # Unique over all cameras, so that an update of the map names its frame.
-                stamp = time.time_ns() // 1000 * 1000 + index
+                stamp = stamp_of_frame(time.time_ns(), index)
                 for part, cdr in frames[camera][number % len(frames[camera])].items():
                     publishers[camera, part].publish(stamped(cdr, stamp))
                 sent[camera].append(stamp)

@@ -26,13 +26,27 @@ SENT = {"info": CAMERA_INFO, "pose": POSE, "image": IMAGE_COMPRESSED}
 """What a camera sends of each frame, in this order; the names are the suffixes of its files."""
 
 
+CAMERAS_MOST = 1000
+
+
+def stamp_of_frame(now_ns: int, camera: int) -> int:
+    """Unique over all cameras, so that an update of the map names its frame and its camera (`camera_of`)."""
+    return now_ns // CAMERAS_MOST * CAMERAS_MOST + camera
+
+
+def camera_of(stamp: int) -> int:
+    """Number of the camera that sent the frame of this stamp."""
+    return stamp % CAMERAS_MOST
+
+
 @dataclass(frozen=True)
 class Load:
     """What a site of the load test consists of.
 
     `fusion`: whether it has a depth network. `processes`: as in a site file; None: the default there. `patrol`: whether
     cameras turn as the demo's towers do; else each sends one view again and again. `width`: of the photos, pixels; the
-    demo's are enlarged. `dem_size`: cells a side of the DEM; None: the demo's as it is, else resampled.
+    demo's are enlarged. `dem_size`: cells a side of the DEM; None: the demo's as it is, else resampled. `terrain`:
+    whether the surface is kept up to date, too.
     """
 
     cameras: int
@@ -41,6 +55,7 @@ class Load:
     patrol: bool = True
     width: int = 1920
     dem_size: int | None = None
+    terrain: bool = False
 
 
 @dataclass(frozen=True)
@@ -65,7 +80,9 @@ def write_site(folder: Path, demo: Path, load: Load) -> Traffic:
         "fuel": {"prior": str((demo / "prior.tif").resolve())},
         "depth_model": original.depth_model if load.fusion else "",
         "cameras": {name: {} for name in names},
-    } | ({} if load.processes is None else {"processes": load.processes})
+    }
+    content |= {} if load.processes is None else {"processes": load.processes}
+    content |= {"terrain": {}} if load.terrain else {}
     path = folder / "site.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     towers = [_enlarged(frames, load.width) for frames in _frames_of(original, BagReader(demo / "recording"))]

@@ -11,6 +11,7 @@ from ltm_ros.cli.bench.archive import archive
 from ltm_ros.cli.bench.bounds import bounds
 from ltm_ros.cli.bench.fusion import fusion
 from ltm_ros.cli.bench.graph import graph
+from ltm_ros.cli.bench.kills import kills
 from ltm_ros.cli.bench.memory import memory
 from ltm_ros.cli.bench.network import network
 from ltm_ros.cli.bench.region import region
@@ -29,6 +30,7 @@ bench = typer.Typer(
 bench.command()(graph)
 bench.command()(archive)
 bench.command()(bounds)
+bench.command()(kills)
 bench.command()(memory)
 bench.command()(network)
 bench.command()(fusion)
