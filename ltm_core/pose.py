@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from ltm_core.errors import PoseError
+from ltm_core.rotations import matrix_of_quaternion, quaternion_of_matrix
 from ltm_core.types import Float64Array
 
 
@@ -94,12 +94,12 @@ class Pose:
         norm = float(np.linalg.norm(q))
         if q.shape != (4,) or not np.isfinite(q).all() or abs(norm - 1.0) > 1e-3:
             raise PoseError(f"orientation must be a unit quaternion (x, y, z, w), got {q.tolist()} (norm {norm:.6g})")
-        return cls(np.asarray(position, np.float64), Rotation.from_quat(q).as_matrix())
+        return cls(np.asarray(position, np.float64), matrix_of_quaternion(q))
 
     @property
     def quaternion(self) -> tuple[float, float, float, float]:
         """(x, y, z, w), optical to map, with w >= 0."""
-        x, y, z, w = Rotation.from_matrix(self.rotation).as_quat(canonical=True)
+        x, y, z, w = quaternion_of_matrix(self.rotation)
         return float(x), float(y), float(z), float(w)
 
     def to_map(self, points_optical: Float64Array) -> Float64Array:

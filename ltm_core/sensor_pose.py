@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 from pydantic import Field
-from scipy.spatial.transform import Rotation
 
 from ltm_core.dem import Dem
 from ltm_core.device_attitude import held_phone, optical_angles_deg, phone_camera
@@ -17,6 +16,7 @@ from ltm_core.errors import PoseError
 from ltm_core.geodesy import SiteFrame
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_covariance
+from ltm_core.rotations import matrix_of_quaternion
 from ltm_core.strict_model import StrictModel
 from ltm_core.types import Float64Array
 
@@ -103,7 +103,7 @@ def sensed_pose(
     elif config.mount == "phone_sensor":
         mount = phone_camera(90.0)
     else:
-        mount = Rotation.from_quat(config.mount).as_matrix()
+        mount = matrix_of_quaternion(config.mount)
     seen = attitude.rotation @ mount
     azimuth, pitch, roll = optical_angles_deg(seen)
     on = (datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=stamp_ns // 1_000_000_000)).date()

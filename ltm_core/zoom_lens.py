@@ -10,7 +10,6 @@ from typing import Self
 
 import numpy as np
 from pydantic import Field, model_validator
-from scipy.interpolate import PchipInterpolator
 
 from ltm_core.camera import Camera
 from ltm_core.errors import CameraError
@@ -147,6 +146,9 @@ class ZoomLens:
         if len(rows) == 1:
             log_tangent, distortion = float(self._log_tangents[0]), rows[0, 2:]
         else:
+            # Loaded where a lens zooms: 0.1 s of each process that reads a site.
+            from scipy.interpolate import PchipInterpolator
+
             at = self._measure(rows[:, 0])
             both = PchipInterpolator(at, np.column_stack([self._log_tangents, rows[:, 2:]]))
             found = both(self._measure(np.array([zoom])))[0]

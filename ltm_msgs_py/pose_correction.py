@@ -5,16 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation.pose_correction import PoseCorrection
+from ltm_core.rotations import matrix_of_vector, vector_of_matrix
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 
 
 def correction_to_msg(correction: PoseCorrection, stamp_ns: int) -> Any:
     """`stamp_ns`: of the last picture that it comes from."""
-    turn = Pose(np.zeros(3), Rotation.from_rotvec(correction.rotation).as_matrix())
+    turn = Pose(np.zeros(3), matrix_of_vector(correction.rotation))
     covariance = np.zeros((6, 6))
     if correction.angles is not None:
         covariance[3:, 3:] = correction.angles
@@ -24,5 +24,5 @@ def correction_to_msg(correction: PoseCorrection, stamp_ns: int) -> Any:
 def msg_to_correction(msg: Any) -> PoseCorrection:
     """Raises PoseError as `msg_to_pose` and `msg_to_covariance` do."""
     covariance = msg_to_covariance(msg)
-    rotation = Rotation.from_matrix(msg_to_pose(msg, "map").rotation).as_rotvec()
-    return PoseCorrection(np.asarray(rotation, np.float64), None if covariance is None else covariance[3:, 3:])
+    rotation = vector_of_matrix(msg_to_pose(msg, "map").rotation)
+    return PoseCorrection(rotation, None if covariance is None else covariance[3:, 3:])

@@ -7,7 +7,6 @@ from typing import Any, Final
 
 import numpy as np
 from pyproj import Transformer
-from rasterio.transform import from_origin
 
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior_config import BarrierConfig
@@ -38,6 +37,7 @@ def with_barriers(codes: Int16Array, barriers: Int16Array) -> Int16Array:
 def _cells(barrier: BarrierConfig, geometry: GridGeometry) -> BoolArray:
     """(H, W): what the barrier takes."""
     from rasterio.features import rasterize
+    from rasterio.transform import from_origin
 
     lines, areas = _shapes(barrier, geometry)
     taken = np.zeros(geometry.shape, np.bool_)

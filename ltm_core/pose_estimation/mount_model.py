@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation.pose_prior import angle_slopes, turned
+from ltm_core.rotations import matrix_of_pan_tilt
 from ltm_core.types import Float64Array
 
 Sign = Literal[1, -1]
@@ -105,4 +105,4 @@ def head_angles(pan_deg: float, tilt_deg: float, pan_sign: Sign, tilt_sign: Sign
 
 def head_rotation(pan: float, tilt: float) -> Float64Array:
     """(3, 3) from the camera to the head at pan 0, tilt 0, both in optical axes: pan about down, tilt about right."""
-    return np.asarray(Rotation.from_euler("YX", [pan, tilt]).as_matrix(), np.float64)
+    return matrix_of_pan_tilt(pan, tilt)

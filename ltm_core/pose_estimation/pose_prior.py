@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ltm_core.errors import PoseError
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, pose_covariance
+from ltm_core.rotations import matrix_of_vector
 from ltm_core.types import Float64Array
 
 UNKNOWN_DEG = UNKNOWN_AZIMUTH_SIGMA_DEG
@@ -98,6 +98,6 @@ def rotations_of(angles_deg: Float64Array) -> Float64Array:
 
 def turned(pose: Pose, rotation: Float64Array, shift: Float64Array | None = None) -> Pose:
     """A pose turned by a rotation vector (3,) about the map's axes, and shifted."""
-    matrix = Rotation.from_rotvec(rotation).as_matrix() @ pose.rotation
+    matrix = matrix_of_vector(rotation) @ pose.rotation
     u, _, vt = np.linalg.svd(matrix)  # many small turns stay a rotation
     return Pose(pose.position if shift is None else pose.position + shift, u @ vt)

@@ -13,10 +13,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ltm_core.errors import PoseError
 from ltm_core.pose import Pose
+from ltm_core.rotations import matrix_of_vector
 from ltm_core.terrain.observation import DepthFrame
 from ltm_core.terrain.observation_kernel import Limits
 from ltm_core.terrain.reference_kernels import LEAST_INCIDENCE
@@ -93,7 +93,7 @@ def register(
             break
         small = -np.linalg.solve(normal, (lever * weight[:, None]).T @ off + information @ total)
         total = total + small
-        rotation = Rotation.from_rotvec(total).as_matrix() @ frame.pose.rotation
+        rotation = matrix_of_vector(total) @ frame.pose.rotation
         pose = Pose(frame.pose.position, rotation)
         if float(np.linalg.norm(small)) < math.radians(_FLOOR_DEG) / 5:
             break

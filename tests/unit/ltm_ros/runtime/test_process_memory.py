@@ -40,6 +40,14 @@ import re
 print(re.search(r"^THP_enabled:\\s+(\\d)$", open("/proc/self/status").read(), re.MULTILINE)[1])
 """
 
+_AS_A_SHELL_WOULD = """
+import ctypes, os, sys
+ctypes.CDLL(None).prctl(41, *(ctypes.c_ulong(0) for _ in range(4)))  # PR_SET_THP_DISABLE
+os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
+"""
+"""Starts Python with the arguments. A test of `ltm run` may have been in this process before, which then has given up
+huge pages for itself and all that it starts."""
+
 _CYCLES = """
 import gc
 gc.disable()
@@ -119,11 +127,12 @@ for one in (both, without):
 
 def _run(program: str, folder: Path | None = None, *arguments: str, **environment: str) -> str:
     given = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "GLIBC_", "NUMPY_"))}
-    command = [sys.executable, "-c", program, *arguments]
+    python = [sys.executable, "-S", "-c", _AS_A_SHELL_WOULD]
+    command = [*python, "-c", program, *arguments]
     if folder is not None:
         (folder / "says_how_it_is.py").write_text(program)
         told = os.open(os.devnull, os.O_WRONLY)
-        command = [sys.executable, "-m", "ltm_ros.launching.supervised", "says_how_it_is"]
+        command = [*python, "-m", "ltm_ros.launching.supervised", "says_how_it_is"]
         environment |= {"LTM_HEARTBEAT": str(told), "PYTHONPATH": f"{folder}:{_ROOT}"}
         done = subprocess.run(
             command, env=given | environment, capture_output=True, text=True, timeout=60, check=True, pass_fds=(told,)
