@@ -12,6 +12,7 @@ from ltm_core.config_io import load_yaml
 from ltm_core.errors import ConfigError
 from ltm_core.fuel.crosswalk import Crosswalk, partners
 from ltm_core.fuel.life_form import NODATA, LifeForm
+from ltm_core.fuel.stand_allometry import ForestType
 from ltm_core.resources import config_path
 from ltm_core.strict_model import StrictModel
 from ltm_core.types import BoolArray, Int16Array, Int64Array
@@ -127,6 +128,8 @@ class FuelRegion(StrictModel):
     description: str
     changed: ChangedBySystem
     canopy: TreeCanopy
+    forest: ForestType = ForestType.MIXED_CONIFER
+    """By whose allometry crown base and bulk density follow cover and height."""
     crosswalk: dict[int, int]
     """FBFM40 -> FBFM13, of every burnable code, within its fuel type."""
     under_trees: dict[int, tuple[int, int]] = Field(default_factory=dict)

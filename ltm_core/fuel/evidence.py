@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,49 +20,21 @@ from ltm_core.errors import ImageError, RasterError
 from ltm_core.fuel.codes import FuelRegion
 from ltm_core.fuel.decision import CellEvidence, ChangeDecision, FuelLayers
 from ltm_core.fuel.evidence_kernel import accumulate, pooled
+from ltm_core.fuel.evidence_state import ACCUMULATED, EPOCH_S, EVIDENCE_FIELDS, TILE, UNIT, VIEWS
 from ltm_core.fuel.frame_evidence import FrameEvidence, frame_evidence
+from ltm_core.fuel.label_cover import add_looks, label_cover, woody_looks
 from ltm_core.fuel.label_errors import LabelErrors
-from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, label_forms
+from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of, label_forms
 from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
-from ltm_core.raster.tile_store_schema import Field
 from ltm_core.types import BoolArray, Float64Array, Int16Array, Int64Array, UInt8Array
 from ltm_core.vision.labels import LabelSet
 
 Window = tuple[int, int, int, int]
 """(row, col, height, width) of a part of the grid."""
 Key = tuple[int, int]
-
-CAMERAS_KEPT: Final = 8
-"""Cameras that a cell remembers; of more, those with the least hashes of their names."""
-VIEWS: Final = 6
-"""Directions from which a cell is seen. Frames of one direction are one view, whatever cameras took them: they see the
-same side of the same plants, and the network errs alike on them."""
-EPOCHS: Final = 2
-"""Of each view, the newest ones in which it saw the cell: newer looks of a view stand in place of its older ones."""
-EPOCH_S: Final = 10 * 86400
-"""Length of an epoch: long enough for several weathers."""
-UNIT: Final = 256
-"""Evidence is kept in whole numbers of 1 / UNIT, whose sums do not depend on their order."""
-TILE: Final = 32
-"""Cells a side of the tiles in which the state is kept."""
-EVIDENCE_VERSION: Final = 2
-
-EVIDENCE_FIELDS: Final[Mapping[str, Field]] = {
-    "shown": Field(np.uint32, (VIEWS, EPOCHS, FORMS)),  # sum of what the frames say for each form
-    "best": Field(np.uint16, (VIEWS, EPOCHS)),  # the most that a frame says
-    "span": Field(np.uint32, (VIEWS, EPOCHS, 2)),  # seconds of the earliest and the latest frame; 0 none
-    "epochs": Field(np.uint16, (VIEWS, EPOCHS)),  # their numbers from 1970 on, newest first; 0 none
-    "first": Field(np.uint32, (FORMS,)),  # second of the earliest frame that shows the form; 0 none
-    "last": Field(np.uint32, (FORMS,)),  # of the latest
-    "camera_hashes": Field(np.uint32, (FORMS, 2)),  # hashes of two cameras that show the form; 0 none
-    "seen_by": Field(np.uint32, (CAMERAS_KEPT,)),  # hashes of cameras that see the cell, rising; 0 none
-    "last_seen": Field(np.uint32),  # second of the latest frame
-    "burned_at": Field(np.uint32),  # second of the latest burn that the map was told of; 0 none
-}
-"""The state of a cell. Seconds count from 1970; an array of each field, (tile, tile, *shape), is a tile."""
 
 _LATEST_NS = (2**32 - 1) * 10**9
 
@@ -76,7 +48,12 @@ def _views(source: str, frame: FrameEvidence) -> Int64Array:
     """(N,) which view of each cell a frame belongs to; that of a camera which tells no bearing is always the same."""
     if frame.bearing is None:
         return np.full(len(frame), camera_hash(source) % VIEWS)
-    return np.floor(frame.bearing * (VIEWS / (2 * np.pi))).astype(np.int64) % VIEWS
+    return _directions(frame.bearing)
+
+
+def _directions(bearing: Float64Array) -> Int64Array:
+    """Of bearings, radians, which of the views they are."""
+    return np.floor(bearing * (VIEWS / (2 * np.pi))).astype(np.int64) % VIEWS
 
 
 class EvidenceMap:
@@ -157,8 +134,10 @@ class EvidenceMap:
             np.uint32(second),
             np.uint16(1 + second // EPOCH_S),
             np.uint32(camera_hash(votes.source)),
-            *(state[name] for name in EVIDENCE_FIELDS),
+            *(state[name] for name in ACCUMULATED),
         )
+        if (looks := woody_looks(votes, self._forms)) is not None:
+            add_looks(state, looks, _directions(looks.bearing), second, 1 + second // EPOCH_S)
         self.newest_ns = max(self.newest_ns, second * 10**9)
         row, col = int(frame.rows.min()), int(frame.cols.min())
         return row, col, int(frame.rows.max()) - row + 1, int(frame.cols.max()) - col + 1
@@ -241,6 +220,12 @@ class EvidenceMap:
         layers.last_seen[...] = state["last_seen"].astype(np.int64) * 10**9
         layers.seen_by[...] = (state["seen_by"] > 0).sum(axis=-1)
         return layers
+
+    def label_cover(self, before: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """(H, W) each, %: tree cover by the labels of what has been seen, and its standard error; NaN where nobody has
+        looked. `before` (H, W): what is known of it otherwise.
+        """
+        return label_cover(self._state["woody"], before)
 
     @property
     def stand_correlation(self) -> float:

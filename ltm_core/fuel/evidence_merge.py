@@ -11,6 +11,7 @@ that two parts hold is refused: it would count twice. Of each field of a cell's 
 | `best`, `last`, `last_seen`, second of `span` | the largest |
 | `first`, first of `span` | the least that is not 0 |
 | `camera_hashes`, `seen_by` | the least of the union, as many as are kept, rising |
+| `woody`, `woody_epoch` | of each view the newest epoch, and the sum of what is of it, as far as it has room |
 | `burned_at` | must be the same: a burn is told to every part before its frames are counted |
 """
 
@@ -25,7 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.errors import ArchiveError
-from ltm_core.fuel.evidence import EPOCHS, EvidenceMap
+from ltm_core.fuel.evidence import EvidenceMap
+from ltm_core.fuel.evidence_state import EPOCHS
 from ltm_core.raster.tile_store_schema import Key, Tile
 from ltm_core.types import Int64Array
 
@@ -75,7 +77,16 @@ def merged_tile(one: Tile, other: Tile) -> Tile:
         "seen_by": _least_distinct(one["seen_by"], other["seen_by"]),
         "last_seen": np.maximum(one["last_seen"], other["last_seen"]),
         "burned_at": one["burned_at"].copy(),
+        **_merged_cover(one, other),
     }
+
+
+def _merged_cover(one: Tile, other: Tile) -> Tile:
+    newest = np.maximum(one["woody_epoch"], other["woody_epoch"])
+    parts = [np.where((t["woody_epoch"] == newest)[..., None], t["woody"], 0).astype(np.uint64) for t in (one, other)]
+    whole = parts[0] + parts[1]
+    full = (whole > np.iinfo(np.uint32).max).any(axis=-1, keepdims=True)
+    return {"woody": np.where(full, parts[0], whole).astype(np.uint32), "woody_epoch": newest}
 
 
 def _merged_epochs(one: Tile, other: Tile) -> Tile:

@@ -1,7 +1,9 @@
-"""Canopy of fuel cells whose surface has changed: its cover and height, from the confirmed surface over bare earth.
+"""Canopy of fuel cells by what cameras have seen: its cover and height, and what follows for crown base and density.
 
-Where nothing was confirmed the prior's canopy stands. A site without a raster of tree tops has no heights of trees, and
-so none of this.
+Where the surface was confirmed to have changed, from that over bare earth (only where a raster of tree tops says what
+stood there before), and from labels (`label_cover`); where trees are new or the prior has no canopy, cover from
+labels, and height from depth against bare earth (`stand_heights`). Elsewhere, and where nobody has looked, the canopy
+stays what the prior or the region says.
 """
 
 from __future__ import annotations
@@ -12,23 +14,26 @@ import numpy as np
 
 from ltm_core.confirmed_terrain import ConfirmedTerrain
 from ltm_core.dem import Dem
+from ltm_core.fuel.stand_allometry import ForestType, broadleaved, crown_fuel
 from ltm_core.grid import GridGeometry
 from ltm_core.terrain.fuel_change import LEAST_SHARE
-from ltm_core.types import Float32Array, IndexArray, Int16Array
+from ltm_core.types import BoolArray, Float32Array, Float64Array, IndexArray, Int16Array
 
 TALL = 2.0
 """Metres above ground from which on plants are canopy: the height break of airborne surveys of tree cover."""
-_ALIKE = 5.0
+ALIKE = 5.0
 """Metres within which heights of a stand err and vary together, as the surface map smooths them."""
 _MOST_SAMPLES = 30
 """Of the surface, a side of a fuel cell."""
+_STANDING = 0.5
+"""Standard error of the share of a changed cell that still stands, by that share."""
 _CELLS = 1000
 """Fuel cells that are worked on at a time."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeenCanopy:
-    """(H, W) each, NaN where no change was confirmed. `cover`: %; `height`: mean of the canopy's top over bare earth,
+    """(H, W) each, NaN where it was not measured. `cover`: %; `height`: mean of the canopy's top over bare earth,
     metres, 0 where no canopy is left; and the standard errors of both.
     """
 
@@ -58,18 +63,62 @@ def seen_canopy(terrain: ConfirmedTerrain, grid: GridGeometry) -> SeenCanopy | N
     return SeenCanopy(*found.reshape(4, *grid.shape))
 
 
-def with_seen_canopy(bands: Int16Array, seen: SeenCanopy) -> Int16Array:
-    """Canopy bands (4, H, W) of cells with trees as they are seen now: cover and height as measured; the base of the
-    crowns keeps its share of the height, and bulk density, the mass of the stand by its volume, its share of the cover.
+def measured_canopy(
+    trees: BoolArray,
+    new: BoolArray,
+    changed: SeenCanopy | None,
+    labels: tuple[Float64Array, Float64Array] | None,
+    heights: tuple[Float32Array, Float32Array] | None,
+) -> SeenCanopy:
+    """What was measured of the cells with `trees` (H, W), of all sources.
 
-    The shares are the prior's, or the region's where that has none. Cells without trees stay.
+    Args:
+        new: (H, W) trees that were none, or of which the prior has no canopy: there labels and heights alone are taken.
+        changed: from the confirmed surface.
+        labels: cover by labels and its standard error, % (`EvidenceMap.label_cover`).
+        heights: of stands and their standard errors, metres (`stand_heights`).
+    """
+    unknown = np.full(trees.shape, np.nan)
+    found = SeenCanopy(*(unknown.astype(np.float32) for _ in range(4))) if changed is None else changed
+    moved, use = np.isfinite(found.cover), trees & new
+    cover, cover_sigma = (a.astype(np.float64) for a in (found.cover, found.cover_sigma))
+    if labels is not None:
+        value, sigma = labels
+        with np.errstate(invalid="ignore"):
+            weights = 1 / cover_sigma**2, 1 / sigma**2
+            # Where no canopy is left there is none to be found by labels: shrubs are woody too.
+            both = moved & trees & np.isfinite(value) & (found.cover > 0)
+            mean = (weights[0] * cover + weights[1] * value) / (weights[0] + weights[1])
+            cover = np.where(both, mean, np.where(use & ~moved, value, cover))
+            cover_sigma = np.where(
+                both, 1 / np.sqrt(weights[0] + weights[1]), np.where(use & ~moved, sigma, cover_sigma)
+            )
+    tops, top_sigma = found.height, found.height_sigma
+    if heights is not None:
+        alone = use & ~moved
+        tops, top_sigma = (np.where(alone, h, t) for h, t in zip(heights, (tops, top_sigma), strict=True))
+    return SeenCanopy(*(np.asarray(a, np.float32) for a in (cover, tops, cover_sigma, top_sigma)))
+
+
+def with_seen_canopy(
+    bands: Int16Array, seen: SeenCanopy, codes: Int16Array, forest: ForestType = ForestType.MIXED_CONIFER
+) -> Int16Array:
+    """Canopy bands (4, H, W) of cells with trees as they are seen now: cover and height as measured, each where it is;
+    crown base and bulk density change from what they were as those of such stands do (`stand_allometry`). Those of
+    broadleaved `codes` (H, W) stay. Cells without trees stay.
     """
     cover, height, base, density = (band.astype(np.float64) for band in bands)
-    now = np.isfinite(seen.cover) & (cover > 0) & (height > 0)
-    tops, share = 10.0 * np.nan_to_num(seen.height), np.nan_to_num(seen.cover)
+    now = (np.isfinite(seen.cover) | np.isfinite(seen.height)) & (cover > 0) & (height > 0)
+    share = np.where(np.isfinite(seen.cover), seen.cover, cover).astype(np.float64)
+    tops = np.where(np.isfinite(seen.height), 10.0 * seen.height, height).astype(np.float64)
+    was, is_ = (crown_fuel(c, h / 10, forest) for c, h in ((cover, height), (share, tops)))
     with np.errstate(divide="ignore", invalid="ignore"):
-        moved = np.stack([share, tops, base * tops / height, density * share / cover])
-    return np.where(now, np.round(moved), bands).astype(np.int16)
+        moved = np.stack([share, tops, base * is_.base / was.base, density * is_.density / was.density])
+    stays = broadleaved(codes)
+    left = (share > 0) & (tops > 0)
+    moved[2:] = np.where(stays, np.where(left, bands[2:], 0), moved[2:])
+    moved[2] = np.minimum(moved[2], tops)
+    return np.where(now & np.isfinite(moved).all(axis=0), np.round(moved), bands).astype(np.int16)
 
 
 def _measured(top: Dem, ground: Dem, grid: GridGeometry, cells: IndexArray, side: int) -> Float32Array:
@@ -85,7 +134,13 @@ def _measured(top: Dem, ground: Dem, grid: GridGeometry, cells: IndexArray, side
     share = stands / points
     height = np.where(canopy, above, 0.0).sum(axis=1) / np.maximum(stands, 1)
     spread = np.sqrt((np.where(canopy, above - height[:, None], 0.0) ** 2).sum(axis=1) / np.maximum(stands, 1))
-    independent = (grid.resolution / _ALIKE) ** 2
-    errors = 100 * np.sqrt(share * (1 - share) / independent), spread / np.sqrt(np.maximum(independent * share, 1))
+    independent = (grid.resolution / ALIKE) ** 2
+    # What still stands beside what is gone may only not have been confirmed yet; and no sample is without error.
+    some = np.clip(share, 1 / independent, 1 - 1 / independent)
+    standing = share * _STANDING
+    errors = (
+        100 * np.sqrt(some * (1 - some) / independent + standing**2),
+        spread / np.sqrt(np.maximum(independent * share, 1)),
+    )
     found = np.stack([100 * share, height, *errors])
     return np.where(known.any(axis=1), found, np.nan).astype(np.float32)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ltm_core.errors import ConfigError
 from ltm_core.fuel.cell_visibility import CellVisibility
-from ltm_core.fuel.evidence import EVIDENCE_FIELDS, EVIDENCE_VERSION, TILE
+from ltm_core.fuel.evidence_state import EVIDENCE_FIELDS, EVIDENCE_VERSION, EXTENDED_VERSION, TILE
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
@@ -36,7 +36,9 @@ def fuel_schema(site: Site, geometry: GridGeometry) -> StoreSchema:
 
     The rules of fusion are no part of it: what frames show is kept, what it is worth is decided when the map is asked.
     """
-    return StoreSchema(STORE_KIND, EVIDENCE_VERSION, site.in_crs(geometry), TILE, dict(EVIDENCE_FIELDS))
+    return StoreSchema(
+        STORE_KIND, EVIDENCE_VERSION, site.in_crs(geometry), TILE, dict(EVIDENCE_FIELDS), extends=EXTENDED_VERSION
+    )
 
 
 def restore(store: TileStore, evidence: LivingFuelMap) -> set[Key]:
@@ -45,7 +47,10 @@ def restore(store: TileStore, evidence: LivingFuelMap) -> set[Key]:
     Raises ConfigError where the store is damaged, StoreError where it cannot be read just now.
     """
     for key, tile in store.tiles():
-        evidence.load_tile(key, tile)
+        # One of an earlier version, opened for reading, lacks fields.
+        missing = EVIDENCE_FIELDS.keys() - tile.keys()
+        fields = ((name, EVIDENCE_FIELDS[name]) for name in missing)
+        evidence.load_tile(key, tile | {n: np.zeros((TILE, TILE, *f.shape), np.dtype(f.dtype)) for n, f in fields})
     evidence.recall(store.as_of(SURFACE_LAYER, np.zeros_like(evidence.surface_changes), _ALWAYS))
     newer: set[Key] = set()
     for frame in store.waiting():
@@ -63,7 +68,8 @@ def open_stored_map(path: Path | str, site: Site, empty: LivingFuelMap) -> TileS
     """
     store = TileStore.open_read_only(path, STORE_KIND)
     try:
-        if differences := fuel_schema(site, empty.geometry).differences(store.schema):
+        schema = fuel_schema(site, empty.geometry)
+        if not schema.grown_from(store.schema) and (differences := schema.differences(store.schema)):
             raise ConfigError(f"{path}: not the store of this site's fuel map: {differences}")
         restore(store, empty)
     except BaseException:

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.fuel.decision import FuelLayers
-from ltm_core.fuel.evidence import TILE, EvidenceMap, Window
+from ltm_core.fuel.evidence import EvidenceMap, Window
+from ltm_core.fuel.evidence_state import TILE
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of, held
 from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.grid import GridGeometry

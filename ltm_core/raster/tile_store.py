@@ -24,6 +24,7 @@ from ltm_core.errors import ConfigError, StoreError
 from ltm_core.raster.tile_store_file import (
     TABLES,
     create_store,
+    grow,
     lock_store,
     named_errors,
     open_store,
@@ -93,9 +94,9 @@ class TileStore:
     ) -> TileStore:
         """The store in `path`, made where there is none, for this process alone to write.
 
-        Raises ConfigError for a file that is no store, is damaged, or was made for other content or another grid:
-        such a file stays as it is. Raises StoreError where another process writes it, the folder cannot be written or
-        the disk is full.
+        One of an earlier version that lacks fields gets them, all 0, in one transaction. Raises ConfigError for a file
+        that is no store, is damaged, or was made for other content or another grid: such a file stays as it is.
+        Raises StoreError where another process writes it, the folder cannot be written or the disk is full.
         """
         path = Path(path)
         if not path.parent.is_dir():
@@ -105,7 +106,9 @@ class TileStore:
             if not path.exists():
                 create_store(path, schema)
             database, stored = open_store(path, read_only=False)
-            if differences := schema.differences(stored):
+            if schema.grown_from(stored):
+                grow(database, stored, schema, str(path))
+            elif differences := schema.differences(stored):
                 database.close()
                 raise ConfigError(f"{path}: not a store of this map: {differences}; move it away or name another file")
             reserve = DiskReserve(path.with_name(f".{path.name}.reserve"))

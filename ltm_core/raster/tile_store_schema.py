@@ -76,6 +76,8 @@ class StoreSchema:
     tile: int
     fields: Mapping[str, Field]
     terms: str = ""
+    extends: int | None = None
+    """The earliest version to which this one has only added fields, so that what is not in its stores is 0."""
 
     def __post_init__(self) -> None:
         if self.tile < 1 or not self.fields:
@@ -127,6 +129,20 @@ class StoreSchema:
         """What `other` has otherwise; empty where both are the same."""
         mine, theirs = (json.loads(schema.described()) for schema in (self, other))
         return "; ".join(f"{key} is {theirs[key]}, here {mine[key]}" for key in mine if theirs[key] != mine[key])
+
+    def grown_from(self, older: StoreSchema) -> bool:
+        """Whether `older` is an earlier version that lacks fields and is otherwise the same (`extends`)."""
+        same = all(getattr(self, n) == getattr(older, n) for n in ("kind", "geometry", "tile", "terms"))
+        known = all(name in self.fields and self.fields[name] == field for name, field in older.fields.items())
+        return same and known and self.extends is not None and self.extends <= older.version < self.version
+
+    def with_all_fields(self, tile: Tile) -> Tile:
+        """A tile of a schema that this one has grown from: what that did not know is 0."""
+        shapes = {name: (self.tile, self.tile, *spec.shape) for name, spec in self.fields.items()}
+        return {
+            name: tile[name] if name in tile else np.zeros(shapes[name], np.dtype(spec.dtype))
+            for name, spec in self.fields.items()
+        }
 
     def pack(self, key: Key, arrays: Mapping[str, NDArray[Any]]) -> bytes:
         """A tile as compressed bytes with a checksum. Raises ValueError on arrays that are not this schema's."""

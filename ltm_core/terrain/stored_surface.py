@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
 from ltm_core.errors import ConfigError
 from ltm_core.raster.tile_store import TileStore
@@ -10,6 +11,9 @@ from ltm_core.site import Site
 from ltm_core.terrain.reference_surface import Reference
 from ltm_core.terrain.surface_map import SurfaceMap
 from ltm_core.terrain.tile_pool import KIND, schema_of
+
+TERRAIN_STORE: Final = "terrain.sqlite"
+"""Name of a site's store in the folder in which its terrain node keeps it."""
 
 
 def open_stored_surface(path: Path, site: Site) -> SurfaceMap:

@@ -190,6 +190,10 @@ class SurfaceMap:
         parts = mosaic(self._pool.peek, window, ("shift",))
         return np.asarray(parts["shift"], np.float32) if parts else np.zeros(window[2:], np.float32)
 
+    def close(self) -> None:
+        """Its store; the map is of no use then. Idempotent."""
+        self._pool.store.close()
+
     def seen_window(self) -> tuple[int, int, int, int] | None:
         """The smallest window (row, col, height, width) of whole tiles that any frame has touched."""
         keys = self._pool.known_keys

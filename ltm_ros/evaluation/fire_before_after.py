@@ -20,7 +20,6 @@ from ltm_core.fuel.export.export_grid import make_landscape, with_fuel
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.provenance import Provenance
 from ltm_core.fuel.prior import system_of
-from ltm_core.fuel.seen_canopy import seen_canopy
 from ltm_core.fuel.site_map import spare_heights
 from ltm_core.site_io import load_site
 from ltm_ros.fuel_map.source import FuelSource
@@ -80,7 +79,7 @@ def _of_store(store: Path, site_path: Path, since: str | None) -> MapPair:
         evidence, prior, region = map_.evidence, map_.prior, map_.region
         system = system_of(prior)
         grid, terrain = site.in_map(map_.geometry), map_.terrain()
-        spare, seen = spare_heights(site, grid), seen_canopy(terrain, grid)
+        spare, seen = spare_heights(site, grid), map_.canopy(None, terrain).seen
         now = make_landscape(
             layers, prior, terrain.ground, site.frame, map_.geometry, region, system, spare=spare, seen=seen
         )  # fmt: skip

@@ -14,7 +14,6 @@ from ltm_core.fuel.export.points_io import fuel_points, write_las, write_ply
 from ltm_core.fuel.export.provenance import Provenance, landscape_units
 from ltm_core.fuel.export.stac_item_io import item_path, write_item
 from ltm_core.fuel.life_form import life_form_labels
-from ltm_core.fuel.seen_canopy import seen_canopy
 from ltm_core.fuel.site_map import spare_heights
 from ltm_core.grid import GridGeometry
 from ltm_core.pictures import to_png
@@ -71,7 +70,7 @@ def _write_landscape(
     map_: FuelSource, out: Path, kind: str, system: FuelSystem, target: GridGeometry, as_of: str | None
 ) -> list[str]:
     site, layers, terrain = map_.site, map_.at(as_of), map_.terrain(as_of)
-    grid = site.in_map(map_.geometry)
+    grid, canopy = site.in_map(map_.geometry), map_.canopy(as_of, terrain)
     landscape = make_landscape(
         layers,
         map_.prior,
@@ -82,7 +81,7 @@ def _write_landscape(
         system,
         target,
         spare_heights(site, grid),
-        seen_canopy(terrain, grid),
+        canopy.seen,
     )
     made = map_.provenance(layers, terrain.version, as_of, system, landscape)
     tags = made.tags() | landscape_units()
@@ -96,7 +95,7 @@ def _write_landscape(
         write_elmfire(out, landscape, tags)
         files = sorted(out.glob("*.tif"))
     write_item(out, files, target, made)
-    return [_about(made, landscape)]
+    return [_about(made, landscape), *([canopy.note] if canopy.note else [])]
 
 
 def _about(made: Provenance, landscape: Landscape) -> str:

@@ -13,7 +13,8 @@ import numpy as np
 from ltm_core.confirmed_terrain import exported_terrain
 from ltm_core.errors import ImageError, MessageError
 from ltm_core.fuel.codes import fuel_models
-from ltm_core.fuel.evidence import TILE, EvidenceMap, Window
+from ltm_core.fuel.evidence import EvidenceMap, Window
+from ltm_core.fuel.evidence_state import TILE
 from ltm_core.fuel.export.export_grid import make_landscape
 from ltm_core.fuel.export.landscape_io import write_landscape
 from ltm_core.fuel.export.lcp_io import write_lcp
@@ -21,7 +22,7 @@ from ltm_core.fuel.export.provenance import landscape_units, provenance_of
 from ltm_core.fuel.export.stac_item_io import write_item
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import system_of
-from ltm_core.fuel.seen_canopy import seen_canopy
+from ltm_core.fuel.site_canopy import site_canopy
 from ltm_core.fuel.site_map import spare_heights
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import Key, Tile, TileStore
@@ -147,6 +148,7 @@ def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path, state: Pat
     """
     system = system_of(evidence.prior)
     layers, terrain = evidence.layers(), exported_terrain(site, state)
+    canopy = site_canopy(site, evidence.geometry, layers, evidence.prior, evidence.region, terrain, evidence, state)
     landscape = make_landscape(
         layers,
         evidence.prior,
@@ -156,7 +158,7 @@ def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path, state: Pat
         evidence.region,
         system,
         spare=spare_heights(site, evidence.geometry),
-        seen=seen_canopy(terrain, evidence.geometry),
+        seen=canopy.seen,
     )
     made = provenance_of(site, layers, system, landscape=landscape, surface=terrain.version)
     lcp = write_lcp(folder / "landscape.lcp", landscape, made.line())

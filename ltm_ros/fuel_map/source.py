@@ -20,6 +20,7 @@ from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.majority import UNSEEN
 from ltm_core.fuel.prior import FuelPrior, system_of
 from ltm_core.fuel.prior_io import load_prior
+from ltm_core.fuel.site_canopy import SiteCanopy, site_canopy
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import open_stored_map
 from ltm_core.fuel.surface_change import LivingFuelMap
@@ -97,6 +98,20 @@ class FuelSource:
         from ltm_ros.fuel_map.pictures import when
 
         return exported_terrain(self.site, self.folder, None if moment is None else when(moment))
+
+    def canopy(self, moment: str | None, terrain: ConfirmedTerrain) -> SiteCanopy:
+        """What is measured of the canopy; of an earlier moment, by the confirmed surface alone. Raises as `at`."""
+        now = moment is None
+        return site_canopy(
+            self.site,
+            self.site.in_map(self.geometry),
+            self.at(moment),
+            self.prior,
+            self.region,
+            terrain,
+            self.evidence if now else None,
+            self.folder if now else None,
+        )
 
     def provenance(
         self,

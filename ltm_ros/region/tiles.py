@@ -8,7 +8,8 @@ from nav_msgs.msg import OccupancyGrid
 from rclpy.serialization import deserialize_message, serialize_message
 
 from ltm_core.errors import MessageError
-from ltm_core.fuel.evidence import TILE, Window
+from ltm_core.fuel.evidence import Window
+from ltm_core.fuel.evidence_state import TILE
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import Key

@@ -14,7 +14,7 @@ from scenes.outlets import Kept
 from scenes.small_site import NAME, SmallSite
 
 from chaos.cameras import CAMERAS, PHASES, Photos, Sent
-from ltm_core.fuel.evidence import EVIDENCE_FIELDS
+from ltm_core.fuel.evidence_state import EVIDENCE_FIELDS
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import JOURNALED, STORE_FILE, open_stored_map
 from ltm_core.resources import config_path

@@ -121,7 +121,7 @@ def make_landscape(
         dem: in the map frame of `frame`.
         spare: (H, W) elevations that came with the prior, for cells that the DEM does not reach; moved by the median
             difference to the DEM, and left aside where that is more than 50 m.
-        seen: the canopy of cells whose surface has changed, on the grid of the layers; None: none has.
+        seen: the canopy that was measured, on the grid of the layers; None: nowhere.
     """
     transfer = GridTransfer(source, source if target is None else target)
     canopy = transfer.layer(_canopy(layers, prior, region, seen), NODATA)
@@ -150,7 +150,7 @@ def _filled(heights: Float64Array, spare: NDArray[np.floating]) -> tuple[Float64
 
 def _canopy(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegion, seen: SeenCanopy | None) -> Int16Array:
     bands = canopy_bands(layers, prior, region)
-    return bands if seen is None else with_seen_canopy(bands, seen)
+    return bands if seen is None else with_seen_canopy(bands, seen, layers.code, region.forest)
 
 
 def with_fuel(

@@ -10,7 +10,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scenes.any_votes import ASSUMED, BEGIN, CELLS, GRID, LABELS, counted, frames
 
-from ltm_core.fuel.evidence import EPOCH_S, EVIDENCE_FIELDS, EvidenceMap
+from ltm_core.fuel.evidence import EvidenceMap
+from ltm_core.fuel.evidence_state import EPOCH_S, EVIDENCE_FIELDS
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import NODATA, forms_of
 from ltm_core.fuel.rules import FusionRules

@@ -24,7 +24,8 @@ from scenes.evidence_scene import (
 )
 
 from ltm_core.errors import ImageError, RasterError
-from ltm_core.fuel.evidence import EPOCH_S, EVIDENCE_FIELDS, TILE, EvidenceMap, camera_hash
+from ltm_core.fuel.evidence import EvidenceMap, camera_hash
+from ltm_core.fuel.evidence_state import EPOCH_S, EVIDENCE_FIELDS, TILE
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import NODATA, LifeForm
 from ltm_core.fuel.prior import FuelPrior

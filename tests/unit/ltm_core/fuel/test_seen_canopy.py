@@ -8,9 +8,11 @@ import pytest
 from ltm_core.confirmed_terrain import ConfirmedTerrain
 from ltm_core.dem import Dem
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.seen_canopy import SeenCanopy, seen_canopy, with_seen_canopy
+from ltm_core.fuel.seen_canopy import SeenCanopy, measured_canopy, seen_canopy, with_seen_canopy
+from ltm_core.fuel.stand_allometry import ForestType, crown_fuel
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.confirmed_surface import ConfirmedSurface
+from ltm_core.types import Int16Array
 
 FINE = GridGeometry(0.0, 120.0, 2.0, 90, 60)
 FUEL = GridGeometry(0.0, 120.0, 30.0, 6, 4)
@@ -38,7 +40,8 @@ def test_cover_and_height_are_those_of_what_is_left() -> None:
     assert np.argwhere(np.isfinite(seen.cover)).tolist() == [[1, 2]]
     assert seen.cover[1, 2] == pytest.approx(100 / 3, abs=0.5)
     assert seen.height[1, 2] == pytest.approx(20.0, abs=0.5)
-    assert 0 < seen.cover_sigma[1, 2] < 15
+    # A third of the cell stands, beside what is gone: half of that may be gone too.
+    assert 15 < seen.cover_sigma[1, 2] < 20
     assert 0 <= seen.height_sigma[1, 2] < 2
 
 
@@ -54,18 +57,47 @@ def test_nothing_is_measured_without_trees_on_record_or_without_a_version() -> N
     assert seen_canopy(ConfirmedTerrain(None, whole.ground, whole.top, whole.surface, False), FUEL) is None
 
 
-def test_base_follows_the_height_and_density_the_cover() -> None:
-    shape = (1, 4)
-    cover, height = np.array([[20.0, np.nan, 0.0, 30.0]]), np.array([[10.0, np.nan, 0.0, 25.0]])
-    seen = SeenCanopy(*(a.astype(np.float32) for a in (cover, height, 0 * cover, 0 * height)))
-    bands = np.empty((4, *shape), np.int16)
-    for band, value in zip(bands, (60, 150, 30, 12), strict=True):
-        band[:] = value
+def canopy(cover: list[float], height: list[float], sigma: float = 5.0) -> SeenCanopy:
+    values = (np.array([v], np.float32) for v in (cover, height, [sigma] * len(cover), [1.0] * len(cover)))
+    return SeenCanopy(*values)
+
+
+def bands_of(cells: int) -> Int16Array:
+    """Cover 60 %, height 15 m, base 3 m, 0.12 kg/m3."""
+    return np.repeat(np.array([60, 150, 30, 12], np.int16)[:, None, None], cells, axis=2)
+
+
+def test_base_and_density_follow_what_was_measured() -> None:
+    nan = np.nan
+    seen = canopy([20.0, nan, 0.0, 30.0, 20.0, nan], [10.0, nan, 0.0, 25.0, 10.0, 10.0])
+    bands = bands_of(6)
     bands[:, 0, 3] = 0, 0, 0, 0
-    found = with_seen_canopy(bands, seen)
-    assert found[:, 0, 0].tolist() == [20, 100, 20, 4]
-    assert found[:, 0, 1].tolist() == [60, 150, 30, 12], "nothing was confirmed: the prior's"
+    codes = np.array([[165, 165, 165, 165, 186, 165]], np.int16)
+    found = with_seen_canopy(bands, seen, codes)
+    was, now = (crown_fuel(np.array(c), np.array(h), ForestType.MIXED_CONIFER) for c, h in ((60.0, 15.0), (20.0, 10.0)))
+    assert found[:2, 0, 0].tolist() == [20, 100]
+    assert found[2, 0, 0] == round(30 * float(now.base / was.base))
+    assert found[3, 0, 0] == round(12 * float(now.density / was.density))
+    assert found[:, 0, 1].tolist() == [60, 150, 30, 12], "nothing was measured: the prior's"
     assert found[:, 0, 2].tolist() == [0, 0, 0, 0], "no canopy is left"
     assert found[:, 0, 3].tolist() == [0, 0, 0, 0], "no trees: the code decides"
+    assert found[:, 0, 4].tolist() == [20, 100, 30, 12], "no allometry of broadleaved stands"
+    assert found[:2, 0, 5].tolist() == [60, 100], "the height alone was measured"
     bands[:] = NODATA
-    assert (with_seen_canopy(bands, seen) == NODATA).all()
+    assert (with_seen_canopy(bands, seen, codes) == NODATA).all()
+
+
+def test_labels_count_where_trees_are_new_and_beside_a_confirmed_change() -> None:
+    nan = np.nan
+    changed = canopy([40.0, nan, nan, nan, 0.0], [12.0, nan, nan, nan, 0.0], sigma=10.0)
+    trees = np.array([[True, True, True, False, True]])
+    new = np.array([[False, True, False, True, True]])
+    labels = np.array([[20.0, 30.0, 30.0, 30.0, 50.0]]), np.full((1, 5), 10.0)
+    heights = tuple(np.full((1, 5), v, np.float32) for v in (9.0, 2.0))
+    found = measured_canopy(trees, new, changed, labels, heights)
+    np.testing.assert_allclose(found.cover, [[30.0, 30.0, nan, nan, 0.0]], rtol=1e-6)
+    np.testing.assert_allclose(found.cover_sigma[0, :2], [10 / np.sqrt(2), 10.0], rtol=1e-6)
+    np.testing.assert_allclose(found.height, [[12.0, 9.0, nan, nan, 0.0]])
+    nothing = measured_canopy(trees, new, None, None, None)
+    assert np.isnan(nothing.cover).all()
+    assert np.isnan(nothing.height).all()

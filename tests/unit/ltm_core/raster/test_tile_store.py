@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -223,3 +224,25 @@ def test_a_store_that_knows_its_fields_by_their_former_names_is_read(tmp_path: P
     db.close()
     with TileStore.open(tmp_path / "map.ltm", schema) as store:
         assert_same(store.read((0, 1)), arrays)
+
+
+def test_a_store_of_an_earlier_version_gets_the_fields_that_it_lacks(tmp_path: Path) -> None:
+    path = tmp_path / "map.ltm"
+    with TileStore.open(path, SCHEMA) as store:
+        frames, journal = [FrameRecord("north", 5)], [changes("class", 5, [(1, 1, 0, 2)])]
+        store.commit({(1, 2): tile(1), (0, 1): tile(2)}, frames, journal)
+    more = dict(SCHEMA.fields) | {"snow": Field(np.uint16, (3,))}
+    later = replace(SCHEMA, version=SCHEMA.version + 1, fields=more)
+    with pytest.raises(ConfigError, match="version is 3, here 5"):
+        TileStore.open(path, replace(later, version=5))
+    grown = replace(later, extends=SCHEMA.version)
+    with TileStore.open(path, grown) as store:
+        assert store.schema == grown
+        for key, number in (((1, 2), 1), ((0, 1), 2)):
+            assert_same(store.read(key), tile(number) | {"snow": np.zeros((8, 8, 3), np.uint16)})
+        assert store.counted("north", 5)
+        assert len(list(store.changes("class"))) == 1
+    with TileStore.open_read_only(path, SCHEMA.kind) as store:
+        assert store.schema == later, "once and for all"
+    with pytest.raises(ConfigError, match="version is 4, here 3"):
+        TileStore.open(path, SCHEMA)

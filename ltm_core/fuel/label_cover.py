@@ -1,0 +1,121 @@
+"""Tree cover of fuel cells from the labels of their pixels, corrected for sight that is oblique.
+
+A pixel is counted in the cell where its ray meets the ground. It shows a plant where a crown stands before that ground,
+so the share of pixels without trees and shrubs is the *gap fraction* P of the stand in that direction, and crowns hide
+more ground the flatter the sight. For crowns that stand at random, ellipsoids of half the length b and the radius r,
+
+    ln P = k ln(1 - cover),    k = sqrt(1 + (b / (r t))^2),    t = tangent of the angle between sight and ground
+
+since a crown's shadow along the sight is k times that from above (Beer and Lambert's law for crowns in place of leaves:
+Nilson 1999, Inversion of gap frequency data in forest stands, Agric. For. Meteorol. 98-99; Li and Strahler 1992,
+IEEE Trans. Geosci. Remote Sens. 30(2)). Shrubs count with the trees: the networks here call close stands shrub.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltm_core.fuel.life_form import LifeForm, form_counts
+from ltm_core.fuel.votes import CellVotes
+from ltm_core.raster.tile_store_schema import Field
+from ltm_core.types import Float64Array, Int64Array, UInt32Array
+
+CROWN_ASPECT: Final = 2.5
+"""b / r of the crowns; this and what follows was chosen on rendered sites (docs/exports.md)."""
+_SURE: Final = 0.95
+"""Of the share of pixels: beyond it, and below 1 - it, the network's own errors are all that is seen."""
+_BLIND: Final = 0.5
+"""What a view weighs that sees no gap: so much of it is only that the sight is flat."""
+_SIGMA: Final = 0.8
+"""Of one view's ln(-ln(1 - cover)), and as much of what a map said before."""
+_ALIKE: Final = 0.4
+"""Correlation of the errors of two views of a cell: the `network` correlation of its labels."""
+_LEAST_PIXELS: Final = 10
+_SCALE: Final = 255
+
+
+def cover_fields(views: int) -> Mapping[str, Field]:
+    """The state of a cell: of each view the newest epoch with its frames, and over these the sums of shares of woody
+    pixels and of cosines of incidence, both x 255. Sums of whole numbers do not depend on their order.
+    """
+    return {"woody": Field(np.uint32, (views, 3)), "woody_epoch": Field(np.uint16, (views,))}
+
+
+@dataclass(frozen=True, eq=False)
+class WoodyLooks:
+    """What a frame says of cells: `rows`, `cols` (N,); `sums`: (N, 3) 1, share of woody pixels, cosine of incidence.
+    `bearing`: (N,) radians.
+    """
+
+    rows: Int64Array
+    cols: Int64Array
+    sums: UInt32Array
+    bearing: Float64Array
+
+
+def woody_looks(votes: CellVotes, forms: Int64Array) -> WoodyLooks | None:
+    """Of the cells that a frame sees with ten pixels or more and places to within a cell; None where it does not say
+    how it sees them. `forms`: (K,) index of each label's life form, -1 for none.
+    """
+    seen = votes.visibility
+    if seen is None:
+        return None
+    counts = form_counts(votes.counts, forms)
+    pixels = counts.sum(axis=1)
+    placed = np.maximum(seen.sigma_along, seen.sigma_across) <= votes.geometry.resolution
+    good = (pixels >= _LEAST_PIXELS) & placed & (seen.cos_incidence > 0)
+    woody = counts[good][:, [LifeForm.SHRUB - 1, LifeForm.TREE - 1]].sum(axis=1) / pixels[good]
+    parts = np.ones(len(woody)), _SCALE * woody, _SCALE * seen.cos_incidence[good].astype(np.float64)
+    sums = np.rint(np.stack(parts, axis=-1)).astype(np.uint32)
+    rows, cols = votes.rows[good].astype(np.int64), votes.cols[good].astype(np.int64)
+    return WoodyLooks(rows, cols, sums, seen.bearing[good].astype(np.float64))
+
+
+def add_looks(state: Mapping[str, NDArray[Any]], looks: WoodyLooks, views: Int64Array, second: int, epoch: int) -> None:
+    """Add them to the state (H, W, ...) of a grid, where the cell has not burned since and the view (N,) has no newer
+    epoch. Frames may come in any order.
+    """
+    at = looks.rows, looks.cols, views
+    fresh = (state["burned_at"][at[:2]] <= second) & (state["woody_epoch"][at] <= epoch)
+    at = looks.rows[fresh], looks.cols[fresh], views[fresh]
+    before = np.where((state["woody_epoch"][at] == epoch)[:, None], state["woody"][at], 0)
+    total = before.astype(np.uint64) + looks.sums[fresh]
+    # At the ceiling all three would no longer be of the same frames: 16 million in ten days, more than a camera takes.
+    full = (total > np.iinfo(np.uint32).max).any(axis=1)
+    state["woody"][at] = np.where(full[:, None], before, total).astype(np.uint32)
+    state["woody_epoch"][at] = epoch
+
+
+def label_cover(woody: UInt32Array, before: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Cover and its standard error (...), %, from the sums (..., V, 3) of views and what a map said `before` (...), %;
+    NaN where nobody has looked, or nothing was said. Worked on ln(-ln(1 - cover)), in which k is a shift.
+    """
+    frames = woody[..., 0].astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share, cosine = woody[..., 1] / (_SCALE * frames), woody[..., 2] / (_SCALE * frames)
+    # Cosine of incidence: the sine of the angle between sight and ground.
+    sine = np.clip(cosine, 0.02, 0.999)
+    shadow = np.sqrt(1 + CROWN_ASPECT**2 * (1 - sine**2) / sine**2)
+    each = _log_density(share) - 0.5 * np.log(shadow**2)
+    weight = np.where(frames > 0, np.where(share > _SURE, _BLIND, 1.0), 0.0)
+    whole = weight.sum(axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = (weight * np.nan_to_num(each)).sum(axis=-1) / whole
+        # The mean of n views whose errors are partly alike; of less than one view, all the less.
+        variance = _SIGMA**2 * np.where(whole < 1, 1 / whole, _ALIKE + (1 - _ALIKE) / whole)
+        trust = 1 / variance, 1 / _SIGMA**2
+        found = (trust[0] * mean + trust[1] * _log_density(before / 100)) / sum(trust)
+    density = np.exp(found)
+    cover, sigma = 1 - np.exp(-density), density * np.exp(-density) / np.sqrt(sum(trust))
+    known = (whole > 0) & np.isfinite(before)
+    return np.where(known, 100 * cover, np.nan), np.where(known, 100 * sigma, np.nan)
+
+
+def _log_density(share: Float64Array) -> Float64Array:
+    """ln(-ln(1 - share)): of crowns that stand at random, the logarithm of their area by that of the ground."""
+    return np.asarray(np.log(-np.log(1 - np.clip(share, 1 - _SURE, _SURE))))

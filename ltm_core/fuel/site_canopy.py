@@ -1,0 +1,75 @@
+"""The canopy that a site's cameras have measured, from all that its state holds: for landscapes and fires."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ltm_core.confirmed_terrain import ConfirmedTerrain
+from ltm_core.errors import ConfigError, RasterError, StoreError
+from ltm_core.fuel.codes import FuelRegion
+from ltm_core.fuel.decision import FuelLayers
+from ltm_core.fuel.evidence import EvidenceMap
+from ltm_core.fuel.export.landscape import canopy_bands
+from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
+from ltm_core.fuel.prior import FuelPrior
+from ltm_core.fuel.seen_canopy import SeenCanopy, measured_canopy, seen_canopy
+from ltm_core.fuel.stand_heights import stand_heights
+from ltm_core.grid import GridGeometry
+from ltm_core.site import Site
+from ltm_core.terrain.stored_surface import TERRAIN_STORE, open_stored_surface
+from ltm_core.types import Float32Array
+
+
+@dataclass(frozen=True, eq=False)
+class SiteCanopy:
+    """`note`: what is to be told of it; empty: nothing."""
+
+    seen: SeenCanopy
+    note: str = ""
+
+
+def site_canopy(
+    site: Site,
+    grid: GridGeometry,
+    layers: FuelLayers,
+    prior: FuelPrior | None,
+    region: FuelRegion,
+    terrain: ConfirmedTerrain,
+    evidence: EvidenceMap | None = None,
+    state: Path | None = None,
+) -> SiteCanopy:
+    """Of the cells of the fuel grid `grid` (in the map frame).
+
+    Args:
+        terrain: that of the same moment as the layers.
+        evidence: what cameras have seen until now; None: not known, or the layers are of an earlier date.
+        state: folder of the map's store, beside which that of the terrain may lie; None: not known, likewise.
+    """
+    bands = canopy_bands(layers, prior, region)
+    trees = forms_of(layers.code)[..., LifeForm.TREE - 1] & (bands[0] > 0)
+    given = None if prior is None else prior.canopy
+    new = layers.changed | (np.ones(trees.shape, np.bool_) if given is None else given[0] == NODATA)
+    before = np.where(bands[0] > 0, bands[0], np.nan).astype(np.float64)
+    heights, note = _heights(site, grid, state)
+    labels = None if evidence is None else evidence.label_cover(before)
+    return SiteCanopy(measured_canopy(trees, new, seen_canopy(terrain, grid), labels, heights), note)
+
+
+def _heights(
+    site: Site, grid: GridGeometry, state: Path | None
+) -> tuple[tuple[Float32Array, Float32Array] | None, str]:
+    """Of stands against bare earth, where no raster of tree tops says what was there; and what kept it from that."""
+    path = None if state is None else state / TERRAIN_STORE
+    if path is None or site.terrain is None or site.surface is not None or not path.is_file():
+        return None, ""
+    try:
+        surface = open_stored_surface(path, site)
+        try:
+            return stand_heights(surface, grid), ""
+        finally:
+            surface.close()
+    except (ConfigError, StoreError, RasterError) as error:
+        return None, f"heights of trees are not from the terrain map ({error})"
