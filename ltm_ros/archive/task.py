@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -32,6 +32,7 @@ from ltm_core.site import Site
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.archive.content_digest import code_digest, digest, evidence_digest, votes_digest
+from ltm_ros.archive.files import ArchiveFiles, CacheConfig
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.pictures import PictureReader
 from ltm_ros.archive.results import ResultFolder
@@ -47,13 +48,15 @@ _TILES = pa.schema(
 
 @dataclass(frozen=True)
 class TaskSettings:
-    """What all tasks of a run share. `site`: path of the site file, the same for all workers; `results`: URL."""
+    """What all tasks of a run share. `site`: path of the site file, the same for all workers; `results`: URL; `cache`:
+    where a worker puts files of archives on stores."""
 
     site: str
     results: str
     code: str
     tracing: TracingConfig
     labelling: LabellingConfig
+    cache: CacheConfig = field(default_factory=CacheConfig)
 
 
 @dataclass(frozen=True)
@@ -154,19 +157,19 @@ def votes_file(task: Task, settings: TaskSettings) -> bytes:
     camera = task.frames[0].camera
     steps = _steps(settings.site, camera, settings.tracing, settings.labelling, task.steps_key)
     parts, listed, lost = list[Columns](), list[dict[str, object]](), list[LostFrame]()
-    reader = PictureReader()
-    for frame in task.frames:
-        picture = reader.read(frame)
-        try:
-            posed = PosedImage(picture.rgb(), frame.calibration, frame.pose, frame.stamp_ns, camera)
-            found = steps.votes(posed, frame.pose_covariance)
-        except LtmError as error:
-            why = f"{error} ({frame.file}, stamp {frame.stamp_ns} ns)"
-            lost.append(LostFrame(frame.stamp_ns, cause_of(error), why))
-            continue
-        number = np.full(len(found.columns["x"]), len(listed), np.uint32)
-        parts.append({"frame": number, **found.columns})
-        listed.append({"stamp_ns": frame.stamp_ns, "reason": found.reason})
+    with PictureReader(ArchiveFiles(settings.cache)) as reader:
+        for frame in task.frames:
+            picture = reader.read(frame)
+            try:
+                posed = PosedImage(picture.rgb(), frame.calibration, frame.pose, frame.stamp_ns, camera)
+                found = steps.votes(posed, frame.pose_covariance)
+            except LtmError as error:
+                why = f"{error} ({frame.file}, stamp {frame.stamp_ns} ns)"
+                lost.append(LostFrame(frame.stamp_ns, cause_of(error), why))
+                continue
+            number = np.full(len(found.columns["x"]), len(listed), np.uint32)
+            parts.append({"frame": number, **found.columns})
+            listed.append({"stamp_ns": frame.stamp_ns, "reason": found.reason})
     about = {"camera": camera, "model": steps.described, "frames": listed, "lost": [asdict(one) for one in lost]}
     return _parquet(pa.table(_stacked(parts)), about)
 
