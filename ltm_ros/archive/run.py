@@ -17,6 +17,7 @@ from typing import Any
 from ltm_core.config_io import checked
 from ltm_core.errors import ArchiveError, LtmError, RasterError
 from ltm_core.frame_steps import LabellingConfig, TracingConfig
+from ltm_core.fuel.burns_io import Burn, read_burns
 from ltm_core.fuel.export.provenance import software
 from ltm_core.fuel.prior import system_of
 from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
@@ -52,7 +53,7 @@ _NAMED = 1000
 class ArchiveOptions:
     """What to work. `since_ns`, `until_ns`: stamps, both inclusive. `shard`: (i, n), the i-th of n parts of the tasks,
     from 1 on: these are worked, and no map is made. `max_failed`: share of all frames that may be lost before they are
-    chosen, and of the chosen ones after."""
+    chosen, and of the chosen ones after. `burns`: GeoJSON of what burned when (`burns_io`)."""
 
     archives: tuple[str | Path, ...]
     site: Path
@@ -65,6 +66,7 @@ class ArchiveOptions:
     shard: tuple[int, int] = (1, 1)
     max_failed: float = 0.001
     cache: CacheConfig = field(default_factory=CacheConfig)
+    burns: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,7 @@ class Plan:
     passed_over: Counter[str]
     """Pictures that the sampling looked at and found not clear, by reason."""
     tasks: tuple[Task, ...]
+    burns: tuple[Burn, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -123,8 +126,10 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
         frames, passed = chosen(manifest.frames, (since, until), options.sample, site, results, files)
     settings = TaskSettings(str(options.site.resolve()), results.url, code_digest(), tracing, labelling, options.cache)
     results.write(MANIFEST, packed(frames))
-    tasks = plan(frames, site, settings, options.frames_per_task)
-    return Plan(options, site, results, settings, manifest, tuple(frames), passed, tuple(tasks))
+    grid = site.in_crs(site.fuel_geometry(site.open_dem()))
+    burns = () if options.burns is None else tuple(read_burns(options.burns, grid))
+    tasks = plan(frames, site, settings, options.frames_per_task, burns)
+    return Plan(options, site, results, settings, manifest, tuple(frames), passed, tuple(tasks), burns)
 
 
 def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> Summary:
@@ -162,7 +167,7 @@ def _reduced(planned: Plan, mapped: Summary, broken: set[str]) -> Summary:
         def read(task: Task) -> bytes:
             return results.read(f"{EVIDENCE}/{task.evidence_key}.parquet")
 
-        found = reduce_to_store(whole, read, planned.site, path)
+        found = reduce_to_store(whole, read, planned.site, path, planned.burns)
         failures = (*mapped.failures, *_lost(found))
         summary = Summary(mapped.tasks, mapped.worked, found.counted.total(), failures, dict(found.unused))
         if refused := _too_many_failed(planned, failures):
@@ -261,6 +266,7 @@ def _record(planned: Plan, summary: Summary, about: dict[str, str] | None = None
             "failed": summary.failed,
             "unused": summary.unused,
         },
+        "burns": [{"stamp_ns": burn.stamp_ns, "cells": len(burn.cells)} for burn in planned.burns],
         "terrain": "not worked: what the terrain tells the fuel map is none of this",
         "max_failed": options.max_failed,
         "failures": [asdict(failure) for failure in summary.failures[:_NAMED]],

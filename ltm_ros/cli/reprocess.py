@@ -34,6 +34,7 @@ def reprocess(
     shard: Annotated[str, typer.Option(help="i/n: work the i-th of n parts and make no map.")] = "1/1",
     frames_per_task: Annotated[int, typer.Option(min=1, help="Of one camera's day, at most.")] = 1500,
     max_failed: Annotated[str, typer.Option(help="Share of frames that may be lost.")] = "0.1%",
+    burns: Annotated[Path | None, typer.Option(help="GeoJSON of what burned, with `burned_at`.")] = None,
     cache: Annotated[str, typer.Option(help="Where files of stores lie while they are read.")] = "",
     cache_gb: Annotated[float, typer.Option(min=0.001, help="Of them at most, a machine.")] = 20.0,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only count, find gaps and estimate the cost.")] = False,
@@ -64,6 +65,7 @@ def reprocess(
         frames_per_task=frames_per_task,
         shard=_shard(shard),
         max_failed=_share(max_failed),
+        burns=burns,
         cache=CacheConfig(cache or CacheConfig().folder, round(cache_gb * 1e9)),
     )
     with counting_bar(console, "looking through") as progress:

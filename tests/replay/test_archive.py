@@ -18,8 +18,13 @@ from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite
 from typer.testing import CliRunner
 
 from ltm_core.errors import ArchiveError, LtmError
+from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
 from ltm_core.raster.tile_store import TileStore
+from ltm_core.resources import config_path
+from ltm_core.site import Site
+from ltm_core.types import Int16Array
+from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb
@@ -30,7 +35,7 @@ from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.results import ResultFolder
 from ltm_ros.archive.run import RUN, ArchiveOptions, Summary, look_through, run
 from ltm_ros.archive.sampling import Sample
-from ltm_ros.archive.task import work
+from ltm_ros.archive.task import read_votes, work
 from ltm_ros.cli.main import cli
 from ltm_ros.replay.run import ReplayOptions, run_offline
 from ltm_ros.runtime.topics import IMAGE_COMPRESSED, camera_topic
@@ -309,6 +314,67 @@ def test_the_journal_tells_the_end_of_each_day(small_site: SmallSite, tmp_path: 
     assert (tmp_path / "out/maps/change.png").stat().st_size > 1000
     only = reprocessed(replace(options, since_ns=BEGIN_NS + day, out=str(tmp_path / "later")))
     assert only.merged == 4
+
+
+def test_burns_are_told_when_they_come(small_site: SmallSite, tmp_path: Path) -> None:
+    """Of three days, the second burns between two of its frames, and the day after the last without any frames. The map
+    is that of one that counts all frames in their order and is told at these moments."""
+    day, site = 86_400 * 10**9, small_site.site
+    bags = tuple(small_site.write_bag(tmp_path / f"day_{n}", 3, BEGIN_NS + n * day) for n in range(3))
+    # Frames of a day are in its seconds 0 and, of the mast, 0.1 to 0.6: later ones are in the next second.
+    later = small_site.write_bag(tmp_path / "later", 2, BEGIN_NS + day + 5 * 10**9)
+    geometry = site.fuel_geometry(site.open_dem())
+    areas = {BEGIN_NS + day + 3 * 10**9: (2, 30), BEGIN_NS + 3 * day: (20, 26)}
+    features = []
+    for stamp, (first, last) in areas.items():
+        edge = site.in_crs(geometry)
+        corners = [(c, r) for c, r in ((first, 0), (last, 0), (last, 20), (first, 20), (first, 0))]
+        x = [edge.x_min + c * edge.resolution - site.frame.x_origin for c, _ in corners]
+        y = [edge.y_max - r * edge.resolution - site.frame.y_origin for _, r in corners]
+        ring = [list(map(float, site.frame.to_lonlat(*point))) for point in zip(x, y, strict=True)]
+        moment = str(np.datetime64(stamp, "ns").astype("datetime64[s]"))
+        geometry_of = {"type": "Polygon", "coordinates": [ring]}
+        features.append({"type": "Feature", "properties": {"burned_at": moment}, "geometry": geometry_of})
+    (tmp_path / "burns.json").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    options = ArchiveOptions((*bags, later), small_site.path, str(tmp_path / "out"), frames_per_task=2)
+    unburned = reprocessed(options)
+    shutil.copy(tmp_path / "out" / STORE_FILE, tmp_path / "unburned.ltm")
+    planned = look_through(replace(options, burns=tmp_path / "burns.json"), lambda done, total: None)
+    summary = run(planned, serial, lambda done, total: None)
+    assert (summary.worked, summary.merged) == (0, unburned.merged)
+    labels = LabelSet.load(config_path(site.labels))
+    live, votes = site_evidence_map(site, geometry, labels), []
+    for task in planned.tasks:
+        votes += read_votes((tmp_path / "out/votes" / f"{task.votes_key}.parquet").read_bytes(), geometry, labels)
+    waiting = list(planned.burns)
+    assert [burn.stamp_ns for burn in waiting] == list(areas)
+    for frame in sorted(votes, key=lambda frame: frame.stamp_ns):
+        while waiting and waiting[0].stamp_ns <= frame.stamp_ns:
+            burn = waiting.pop(0)
+            live.burn(burn.mask(geometry.shape), burn.stamp_ns)
+        live.add(frame)
+    live.burn(waiting[0].mask(geometry.shape), waiting[0].stamp_ns)
+    with TileStore.open_read_only(tmp_path / "out" / STORE_FILE, STORE_KIND) as store:
+        stored = dict(store.tiles())
+        assert set(stored) >= {(0, 0)}
+        for key, tile in stored.items():
+            for name, values in live.tile_state(key).items():
+                np.testing.assert_array_equal(tile[name], values, err_msg=f"{key} {name}")
+        burned = journal_of(store, site)
+    with TileStore.open_read_only(tmp_path / "unburned.ltm", STORE_KIND) as store:
+        never = journal_of(store, site)
+    np.testing.assert_array_equal(burned[0], never[0])
+    last = planned.burns[1].mask(geometry.shape)
+    assert (burned[4][last] != burned[2][last]).any()
+    np.testing.assert_array_equal(burned[4], live.layers().code)
+
+
+def journal_of(store: TileStore, site: Site) -> list[Int16Array]:
+    """Codes at the end of a day from the first on."""
+    geometry = site.fuel_geometry(site.open_dem())
+    initial = site_evidence_map(site, geometry, LabelSet.load(config_path(site.labels))).layers().code
+    day = 86_400 * 10**9
+    return [store.as_of("code", initial, (BEGIN_NS // day + number + 1) * day - 1) for number in range(5)]
 
 
 def test_a_sample_is_worked_alone_and_looked_at_once(options: ArchiveOptions, small_site: SmallSite) -> None:
