@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +12,7 @@ from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior_config import BarrierConfig
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.geopackage_io import read_geopackage
-from ltm_core.types import BoolArray, Float64Array, Int16Array
+from ltm_core.types import BoolArray, Float32Array, Float64Array, Int16Array
 
 _STRIP: Final = 256
 _FINE: Final = 8
@@ -43,14 +43,23 @@ def _cells(barrier: BarrierConfig, geometry: GridGeometry) -> BoolArray:
     taken = np.zeros(geometry.shape, np.bool_)
     if lines:
         taken |= rasterize(lines, geometry.shape, transform=geometry.transform(), all_touched=True).astype(bool)
+    if areas:
+        taken |= covered_share(areas, geometry) >= barrier.least_share
+    return taken
+
+
+def covered_share(areas: Sequence[Any], geometry: GridGeometry) -> Float32Array:
+    """(H, W): how much of each cell areas cover, 0 to 1; GeoJSON geometries in the grid's CRS."""
+    from rasterio.features import rasterize
+
+    share = np.zeros(geometry.shape, np.float32)
     # In strips of rows: of a large site the fine grid would take gigabytes.
     for top in range(0, geometry.height, _STRIP) if areas else ():
         strip = geometry.window(top, 0, min(_STRIP, geometry.height - top), geometry.width)
         fine = from_origin(strip.x_min, strip.y_max, strip.resolution / _FINE, strip.resolution / _FINE)
         covered = rasterize(areas, (strip.height * _FINE, strip.width * _FINE), transform=fine)
-        share = covered.reshape(strip.height, _FINE, strip.width, _FINE).mean(axis=(1, 3))
-        taken[top : top + strip.height] |= share >= barrier.least_share
-    return taken
+        share[top : top + strip.height] = covered.reshape(strip.height, _FINE, strip.width, _FINE).mean(axis=(1, 3))
+    return share
 
 
 def _shapes(barrier: BarrierConfig, geometry: GridGeometry) -> tuple[list[Any], list[Any]]:
@@ -68,12 +77,12 @@ def _shapes(barrier: BarrierConfig, geometry: GridGeometry) -> tuple[list[Any], 
         for rings in layer.areas
         if len(rings[0]) > 3
     ]
-    return [s for s in lines if _near([s["coordinates"]], geometry)], [
-        a for a in areas if _near(a["coordinates"], geometry)
+    return [s for s in lines if near([s["coordinates"]], geometry)], [
+        a for a in areas if near(a["coordinates"], geometry)
     ]
 
 
-def _near(rings: Any, geometry: GridGeometry) -> bool:
+def near(rings: Any, geometry: GridGeometry) -> bool:
     """Whether a shape's box meets the grid, and all of it could be turned into the grid's CRS."""
     points = np.concatenate([np.asarray(ring, np.float64) for ring in rings])
     if not np.isfinite(points).all():

@@ -13,6 +13,9 @@ that two parts hold is refused: it would count twice. Of each field of a cell's 
 | `camera_hashes`, `seen_by` | the least of the union, as many as are kept, rising |
 | `woody`, `woody_epoch` | of each view the newest epoch, and the sum of what is of it, as far as it has room |
 | `burned_at` | must be the same: a burn is told to every part before its frames are counted |
+
+Days of frames need not be told of the burns of other days: a burn voids what came before it, so the days before it are
+merged, the map is told (`EvidenceMap.burn`), and parts of frames that all come after it know of it then (`after`).
 """
 
 from __future__ import annotations
@@ -57,6 +60,15 @@ class PartialEvidence:
         for key, tile in other.tiles.items():
             tiles[key] = merged_tile(tiles[key], tile) if key in tiles else tile
         return PartialEvidence(stamps, dict(sorted(tiles.items())))
+
+    def after(self, evidence: EvidenceMap) -> PartialEvidence:
+        """The same, knowing of the burns that the map knows of, all of which must have been before its frames, or told
+        to it before them."""
+        told = {key: evidence.tile_state(key)["burned_at"] for key in self.tiles}
+        return PartialEvidence(
+            self.stamps,
+            {k: {**tile, "burned_at": np.maximum(tile["burned_at"], told[k])} for k, tile in self.tiles.items()},
+        )
 
     def merge_into(self, evidence: EvidenceMap) -> None:
         """Into what a map holds, which must be of other frames. Raises ArchiveError where they know of other burns."""

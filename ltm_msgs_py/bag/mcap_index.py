@@ -6,6 +6,7 @@ it is read; where reading stopped, and why, is kept in words with the byte offse
 
 from __future__ import annotations
 
+import errno
 import heapq
 import struct
 import zlib
@@ -60,7 +61,8 @@ class _Entry:
 class McapIndex:
     """The channels of an MCAP file and the places of its messages.
 
-    `damage`: what could not be read, with byte offsets; empty for a whole file. `counts`: messages a channel id.
+    `damage`: what could not be read, with byte offsets; empty for a whole file. `unread`: what the system refused to
+    read, and may give another time. `counts`: messages a channel id.
     """
 
     path: Path
@@ -70,6 +72,7 @@ class McapIndex:
     start_ns: int | None = None
     end_ns: int | None = None
     damage: list[str] = field(default_factory=list)
+    unread: list[str] = field(default_factory=list)
     _entries: list[_Entry] = field(default_factory=list)
 
     @classmethod
@@ -135,7 +138,9 @@ class McapIndex:
             if section is None:
                 return False
             records = list(StreamReader(BytesIO(section), skip_magic=True, emit_chunks=True).records)
-        except _BROKEN:
+        except _BROKEN as error:
+            if _refused(error):
+                self.unread.append(f"{self.path}: its index cannot be read ({type(error).__name__}: {error})")
             return False
         statistics = next((record for record in records if isinstance(record, Statistics)), None)
         channels = {record.id: record for record in records if isinstance(record, Channel)}
@@ -232,6 +237,13 @@ class McapIndex:
         note = f"{self.path}: the record at byte {offset} is broken and left out ({type(error).__name__}: {error})"
         if note not in self.damage:
             self.damage.append(note)
+            if _refused(error):
+                self.unread.append(note)
+
+
+def _refused(error: BaseException) -> bool:
+    """Whether the system has not given the bytes; a place before the file's begin is an error of the bytes' own."""
+    return isinstance(error, OSError) and error.errno not in (None, errno.EINVAL)
 
 
 def _sound_summary(stream: BinaryIO) -> bytes | None:

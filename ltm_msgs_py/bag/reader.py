@@ -66,6 +66,11 @@ class BagReader:
         return (*self._notes, *(note for file in self._files for note in file.damage))
 
     @property
+    def unread(self) -> tuple[str, ...]:
+        """What the system refused to read: the bag may hold it, and give it another time."""
+        return tuple(note for file in self._files for note in file.unread)
+
+    @property
     def start_ns(self) -> int | None:
         """Log time of the first message; None for an empty bag."""
         return min((f.start_ns for f in self._files if f.start_ns is not None), default=None)

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -20,10 +21,12 @@ from pydantic import BaseModel
 import ltm_core
 import ltm_msgs_py
 import ltm_ros.archive
+import ltm_ros.importer
 from ltm_core.frame_steps import LabellingConfig, LabellingStep, TracingConfig
 from ltm_core.fuel.site_map import camera_label_errors, site_label_errors
 from ltm_core.resources import config_path
 from ltm_core.site import Site
+from ltm_msgs_py.bag.picture_cdr import CompressedPicture, RawPicture
 
 _STUDY = ("evaluation", "training", "simulator", "bench")
 _PACKAGES = ("numpy", "numba", "scipy", "onnxruntime", "opencv-python-headless", "rasterio", "pillow")
@@ -42,6 +45,7 @@ _NOT_VOTES = {
 _NOT_VOTES |= {"watchdog", "health", "model", "heads", "labels", "name"}
 """Of a site: what has no say in the votes of a frame of which image, pose and calibration are known, and what is given
 by its content beside it."""
+_PLACES = {"crs", "origin", "dem", "coarser", "cameras", "assumed_pose_error"}
 _NOT_VOTES_OF_FUEL = {"prior", "region", "fusion", "label_errors"}
 """What evidence is made of votes with."""
 
@@ -52,17 +56,31 @@ def digest(*parts: object) -> str:
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def picture_digest(raw: bytes) -> str:
-    """Of a picture's message as it was recorded."""
-    return hashlib.blake2b(raw, digest_size=16).hexdigest()
+def picture_digest(picture: CompressedPicture | RawPicture) -> str:
+    """Of what a picture shows and how it is stored, not of when it was taken: a camera that stands still sends the same
+    picture again."""
+    about = {name: value for name, value in vars(picture).items() if name not in ("data", "stamp_ns")}
+    found = hashlib.blake2b(repr(sorted(about.items())).encode(), digest_size=16)
+    found.update(picture.data)
+    return found.hexdigest()
 
 
 @cache
 def code_digest() -> str:
     """Of the program: the sources of core and messages without the study wing, those of this package, and what they
     compute with."""
+    return _sources(ltm_core, ltm_msgs_py, ltm_ros.archive)
+
+
+@cache
+def importer_digest() -> str:
+    """Of the program that places photos."""
+    return _sources(ltm_core, ltm_msgs_py, ltm_ros.importer)
+
+
+def _sources(*packages: ModuleType) -> str:
     found = hashlib.blake2b(digest_size=16)
-    for package in (ltm_core, ltm_msgs_py, ltm_ros.archive):
+    for package in packages:
         (place,) = package.__path__
         for file in sorted(Path(place).rglob("*.py")):
             if file.relative_to(place).parts[0] not in _STUDY:
@@ -89,6 +107,11 @@ def look_digest(site: Site, camera: str) -> str:
     """Of what decides whether a camera's picture is clear, besides the picture."""
     config = site.camera(camera)
     return digest(_by_content(config.model_dump(include={"mask", "judge_pictures"})), site.crs, list(site.origin))
+
+
+def places_digest(site: Site) -> str:
+    """Of what photos are placed by, besides what is told of them. Raises LtmError for files that are not there."""
+    return digest(_by_content(site.model_dump(include=_PLACES)))
 
 
 def evidence_digest(site: Site) -> str:

@@ -64,7 +64,7 @@ def dry_run_table(planned: Plan) -> list[Table]:
     lost = Table(title="not taken")
     for column in ("camera", "cause", "frames", "first reason"):
         lost.add_column(column, overflow="fold")
-    for failure in planned.manifest.failures:
+    for failure in (*planned.manifest.unread, *planned.manifest.failures):
         lost.add_row(failure.place, failure.cause, str(failure.count), failure.why)
     for note in planned.manifest.damage:
         lost.add_row("", "damage", "", note)

@@ -12,7 +12,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from operator import attrgetter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -93,10 +92,11 @@ class Failure:
 
 @dataclass
 class Manifest:
-    """`frames` by camera and stamp. `failures`: frames that were lost on the way here. `repeated`: frames that archives
-    hold more than once. `damage`: of files, in words."""
+    """`frames` by camera and stamp. `unread`: recordings of which nobody knows what they hold. `failures`: frames that
+    were lost on the way here. `repeated`: frames that archives hold more than once. `damage`: of files, in words."""
 
     frames: list[ArchiveFrame] = field(default_factory=list)
+    unread: list[Failure] = field(default_factory=list)
     failures: list[Failure] = field(default_factory=list)
     repeated: int = 0
     damage: list[str] = field(default_factory=list)
@@ -155,7 +155,7 @@ def _join_camera(scans: Sequence[Scan], site: Site, camera: str, rules: Manifest
                                 "is taken: leave out the archive that is wrong")  # fmt: skip
             elif not stamps.refuses(what, message.stamp_ns) and _small_enough(message, site, health):
                 known[message.stamp_ns] = message.content
-                join.add_image(message.stamp_ns, _Picture(file, message))
+                join.add_image(message.stamp_ns, _Picture(message.file or file, message))
         except LtmError as error:
             health.drop(cause_of(error), f"{error} ({file}, log time {message.log_time_ns} ns)")
     join.finish()
@@ -167,7 +167,7 @@ def _join_camera(scans: Sequence[Scan], site: Site, camera: str, rules: Manifest
 
 @dataclass(frozen=True)
 class _Picture:
-    file: Path
+    file: str
     message: ScannedMessage
 
     @property
@@ -175,14 +175,14 @@ class _Picture:
         return self.message.width, self.message.height
 
 
-def _by_log_time(scans: Sequence[Scan], topics: set[str]) -> Iterator[tuple[Path, ScannedMessage]]:
+def _by_log_time(scans: Sequence[Scan], topics: set[str]) -> Iterator[tuple[str, ScannedMessage]]:
     """Of equal times in the order of the files."""
     streams = (_of_topics(scan, topics) for scan in scans)
     return heapq.merge(*streams, key=lambda found: found[1].log_time_ns)
 
 
-def _of_topics(scan: Scan, topics: set[str]) -> Iterator[tuple[Path, ScannedMessage]]:
-    return ((scan.file, message) for message in scan.messages if message.topic in topics)
+def _of_topics(scan: Scan, topics: set[str]) -> Iterator[tuple[str, ScannedMessage]]:
+    return ((scan.name, message) for message in scan.messages if message.topic in topics)
 
 
 def _small_enough(message: ScannedMessage, site: Site, health: Health) -> bool:
@@ -223,7 +223,7 @@ def _frame(camera: str, image: _Picture, joined: JoinedFrame, assumed: Float64Ar
     return ArchiveFrame(
         camera,
         message.stamp_ns,
-        str(image.file),
+        image.file,
         message.topic,
         message.log_time_ns,
         message.size_bytes,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from contextlib import ExitStack
+from typing import Self
 
 import cv2
 import numpy as np
@@ -15,41 +16,84 @@ from ltm_core.vision.usable import WORKING_WIDTH, judge
 from ltm_msgs_py.bag.picture_cdr import CompressedPicture, RawPicture, picture_of
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_ros.archive.content_digest import picture_digest
+from ltm_ros.archive.files import ArchiveFiles
 from ltm_ros.archive.manifest import ArchiveFrame
+from ltm_ros.archive.photo_files import PHOTOS, photo_picture
 
 _REDUCED = {8: cv2.IMREAD_REDUCED_COLOR_8, 4: cv2.IMREAD_REDUCED_COLOR_4, 2: cv2.IMREAD_REDUCED_COLOR_2}
 """A JPEG is decoded to an eighth of its size in a fraction of the time."""
+_HELD = 4
+"""Recordings that are open at once: those of one time overlap little."""
 
 
 class PictureReader:
-    """Reads pictures by file, topic and log time: of a recording of many cameras, only the chunks that hold them."""
+    """Reads pictures by file, topic and log time: of a recording of many cameras, only the chunks that hold them.
 
-    def __init__(self) -> None:
-        self._readers: dict[str, BagReader] = {}
+    A context: files of a store are held while it lasts, as many as are read by turns.
+    """
+
+    def __init__(self, files: ArchiveFiles) -> None:
+        self._files = files
+        self._open: dict[str, tuple[ExitStack, BagReader]] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        while self._open:
+            self._close(next(iter(self._open)))
 
     def read(self, frame: ArchiveFrame) -> CompressedPicture | RawPicture:
-        """Raises ArchiveError where the file is gone or has the picture no longer, OSError where it cannot be read."""
-        if frame.file not in self._readers:
-            try:
-                self._readers[frame.file] = BagReader(Path(frame.file))
-            except RecordingError as error:
-                raise ArchiveError(f"{error}; it was there when the archive was looked through") from error
+        """Raises ArchiveError where the file is gone, has the picture no longer or cannot be read just now, OSError
+        where this machine's disk fails."""
+        found = self._photo(frame) if frame.file.lower().endswith(PHOTOS) else self._recorded(frame)
+        if found is None:
+            raise ArchiveError(
+                f"{frame.file} no longer holds the picture of {frame.topic} that was found there at log time "
+                f"{frame.log_time_ns} ns: it has changed since; run again"
+            )
+        return found
+
+    def _photo(self, frame: ArchiveFrame) -> CompressedPicture | None:
+        with self._files.at_hand(frame.file) as path:
+            picture = photo_picture(path.read_bytes(), frame.stamp_ns)
+        return picture if picture_digest(picture) == frame.content else None
+
+    def _recorded(self, frame: ArchiveFrame) -> CompressedPicture | RawPicture | None:
+        reader = self._reader(frame.file)
         at = frame.log_time_ns
-        for message in self._readers[frame.file].messages([frame.topic], at, at + 1):
-            if picture_digest(message.raw) == frame.content:
-                return picture_of(message.raw, message.type_name)
-        raise ArchiveError(
-            f"{frame.file} no longer holds the picture of {frame.topic} that was found there at log time {at} ns: it "
-            "has changed since; run again"
-        )
+        for message in reader.messages([frame.topic], at, at + 1):
+            picture = picture_of(message.raw, message.type_name)
+            if (picture.stamp_ns, picture_digest(picture)) == (frame.stamp_ns, frame.content):
+                return picture
+        if reader.unread:
+            raise ArchiveError(f"{frame.file} cannot be read just now: {'; '.join(reader.unread)}")
+        return None
+
+    def _reader(self, name: str) -> BagReader:
+        if name not in self._open:
+            if len(self._open) == _HELD:
+                self._close(next(iter(self._open)))
+            with ExitStack() as held:
+                path = held.enter_context(self._files.at_hand(name))
+                try:
+                    reader = BagReader(path)
+                except RecordingError as error:
+                    raise ArchiveError(f"{error}; it was there when the archive was looked through") from error
+                self._open[name] = held.pop_all(), reader
+        return self._open[name][1]
+
+    def _close(self, name: str) -> None:
+        held, _ = self._open.pop(name)
+        held.close()
 
 
 class SmallLook:
     """Says of a camera's pictures why they show too little, as the labelling does of whole ones (`usable.judge`)."""
 
-    def __init__(self, site: Site, camera: str) -> None:
+    def __init__(self, site: Site, camera: str, reader: PictureReader) -> None:
         self._scene, self._judged = SceneFilter.of(site, camera), site.camera(camera).judge_pictures
-        self._reader = PictureReader()
+        self._reader = reader
 
     def __call__(self, frame: ArchiveFrame) -> str:
         """Empty: it is clear. Raises ArchiveError as `PictureReader.read`."""

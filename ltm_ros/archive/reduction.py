@@ -11,9 +11,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
-from itertools import groupby
 from pathlib import Path
 
+import numpy as np
+
+from ltm_core.fuel.burns_io import Burn
+from ltm_core.fuel.evidence import TILE
 from ltm_core.fuel.evidence_merge import PartialEvidence
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import fuel_schema
@@ -21,6 +24,7 @@ from ltm_core.raster.tile_store import FrameRecord, Key, TileStore
 from ltm_core.resources import config_path
 from ltm_core.site import Site
 from ltm_core.vision.labels import LabelSet
+from ltm_ros.archive.manifest import DAY_NS
 from ltm_ros.archive.task import LostFrame, Task, TaskEvidence, read_evidence
 from ltm_ros.fuel_map.layers import ShownLayers
 
@@ -35,18 +39,31 @@ class Reduction:
     newest_ns: int = 0
 
 
-def reduce_to_store(tasks: Sequence[Task], read: Callable[[Task], bytes], site: Site, path: Path) -> Reduction:
-    """Write the store into `path`, where nothing must be yet. `read`: the content of a task's evidence file.
+def reduce_to_store(
+    tasks: Sequence[Task], read: Callable[[Task], bytes], site: Site, path: Path, burns: Sequence[Burn] = ()
+) -> Reduction:
+    """Write the store into `path`, where nothing must be yet. `read`: the content of a task's evidence file. `burns`:
+    by their times; each is told when its day comes, so that the journal's days before it know nothing of it.
 
     Raises LtmError for evidence that does not fit the site, StoreError where the store cannot be written.
     """
     geometry = site.fuel_geometry(site.open_dem())
     evidence = site_evidence_map(site, geometry, LabelSet.load(config_path(site.labels)))
     shown, found, touched = ShownLayers(evidence), Reduction(), set[Key]()
+    days: dict[int, tuple[list[Task], list[Burn]]] = {}
+    for task in tasks:
+        days.setdefault(task.frames[0].day, ([], []))[0].append(task)
+    for burn in burns:
+        days.setdefault(burn.stamp_ns // DAY_NS, ([], []))[1].append(burn)
     with TileStore.open(path, fuel_schema(site, geometry)) as store:
-        for _, of_day in groupby(tasks, key=lambda task: task.frames[0].day):
+        for _, (of_day, burned) in sorted(days.items()):
+            for burn in burned:
+                evidence.burn(burn.mask(geometry.shape), burn.stamp_ns)
+                rows, cols = np.divmod(burn.cells, geometry.width)
+                touched.update(zip((rows // TILE).tolist(), (cols // TILE).tolist(), strict=True))
             parts = [read_evidence(read(task), site, geometry) for task in of_day]
-            reduce(PartialEvidence.merged, (part.partial for part in parts)).merge_into(evidence)
+            merged = reduce(PartialEvidence.merged, (part.partial for part in parts), PartialEvidence())
+            merged.after(evidence).merge_into(evidence)
             records = [record for part in parts for record in _records(part)]
             for part in parts:
                 found.lost += part.lost

@@ -15,22 +15,24 @@ from pathlib import Path
 from typing import Any
 
 from ltm_core.config_io import checked
-from ltm_core.errors import ArchiveError, RasterError
+from ltm_core.errors import ArchiveError, LtmError, RasterError
 from ltm_core.frame_steps import LabellingConfig, TracingConfig
+from ltm_core.fuel.burns_io import Burn, read_burns
 from ltm_core.fuel.export.provenance import software
 from ltm_core.fuel.prior import system_of
 from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
 from ltm_core.raster.tile_store import TileStore
 from ltm_core.site import Site
 from ltm_core.site_io import load_site
-from ltm_ros.archive.content_digest import code_digest, digest, look_digest
+from ltm_ros.archive.choice import chosen
+from ltm_ros.archive.content_digest import code_digest
 from ltm_ros.archive.engine import Engine
+from ltm_ros.archive.files import ArchiveFiles, CacheConfig
 from ltm_ros.archive.manifest import ArchiveFrame, Failure, Manifest, ManifestRules, make_manifest, packed
 from ltm_ros.archive.page import write_page
-from ltm_ros.archive.pictures import SmallLook
 from ltm_ros.archive.reduction import Reduction, reduce_to_store, store_digest
 from ltm_ros.archive.results import ResultFolder
-from ltm_ros.archive.sampling import Sample, in_daylight, place_of, sampled, spans
+from ltm_ros.archive.sampling import Sample
 from ltm_ros.archive.scan import recordings, scan
 from ltm_ros.archive.task import EVIDENCE, Task, TaskSettings, plan
 from ltm_ros.fuel_map.export import export_site
@@ -39,7 +41,7 @@ from ltm_ros.launching.graph import describe
 from ltm_ros.runtime.frame_join import FrameJoinConfig
 
 MANIFEST, RUN, LAYERS, MAPS = "manifest.parquet", "run.json", "layers", "maps"
-LANDSCAPE, LOOKS = "landscape.tif", "looks"
+LANDSCAPE = "landscape.tif"
 STORES = "stores.json"
 """SHA-256 of the store that is there and of the one that takes its place: those that runs have written. A node goes on
 from a store of another."""
@@ -51,9 +53,9 @@ _NAMED = 1000
 class ArchiveOptions:
     """What to work. `since_ns`, `until_ns`: stamps, both inclusive. `shard`: (i, n), the i-th of n parts of the tasks,
     from 1 on: these are worked, and no map is made. `max_failed`: share of all frames that may be lost before they are
-    chosen, and of the chosen ones after."""
+    chosen, and of the chosen ones after. `burns`: GeoJSON of what burned when (`burns_io`)."""
 
-    archives: tuple[Path, ...]
+    archives: tuple[str | Path, ...]
     site: Path
     out: str
     cameras: tuple[str, ...] = ()
@@ -63,6 +65,8 @@ class ArchiveOptions:
     frames_per_task: int = 1500
     shard: tuple[int, int] = (1, 1)
     max_failed: float = 0.001
+    cache: CacheConfig = field(default_factory=CacheConfig)
+    burns: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -79,6 +83,7 @@ class Plan:
     passed_over: Counter[str]
     """Pictures that the sampling looked at and found not clear, by reason."""
     tasks: tuple[Task, ...]
+    burns: tuple[Burn, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -103,43 +108,28 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
     site = load_site(options.site)
     cameras = options.cameras or tuple(site.cameras)
     results = ResultFolder(options.out)
-    files = recordings(list(options.archives))
-    scans = []
-    for number, file in enumerate(files, start=1):
-        scans.append(scan(file, site, results))
-        progress(number, len(files))
+    files, found = ArchiveFiles(options.cache), recordings([str(archive) for archive in options.archives])
+    scans, unread = [], []
+    for number, recording in enumerate(found, start=1):
+        try:
+            scans.append(scan(recording, site, results, files))
+        except (LtmError, OSError) as error:
+            unread.append(Failure(recording.name, "unread", str(error)))
+        progress(number, len(found))
     rules, tracing, labelling = _node_rules(site, options.site, cameras[0])
     manifest = make_manifest(scans, site, cameras, rules)
+    manifest.unread = unread
     since, until = options.since_ns or 0, options.until_ns or 2**63 - 1
     frames = [frame for frame in manifest.frames if since <= frame.stamp_ns <= until]
     passed = Counter[str]()
     if options.sample.count:
-        frames, passed = _sampled(frames, options.sample, site, results)
-    settings = TaskSettings(str(options.site.resolve()), results.url, code_digest(), tracing, labelling)
+        frames, passed = chosen(manifest.frames, (since, until), options.sample, site, results, files)
+    settings = TaskSettings(str(options.site.resolve()), results.url, code_digest(), tracing, labelling, options.cache)
     results.write(MANIFEST, packed(frames))
-    tasks = plan(frames, site, settings, options.frames_per_task)
-    return Plan(options, site, results, settings, manifest, tuple(frames), passed, tuple(tasks))
-
-
-def _sampled(
-    frames: list[ArchiveFrame], sample: Sample, site: Site, results: ResultFolder
-) -> tuple[list[ArchiveFrame], Counter[str]]:
-    """The choice of each span is kept, so that no picture is looked at twice."""
-    looks = {camera: SmallLook(site, camera) for camera in {frame.camera for frame in frames}}
-    chosen, passed = list[ArchiveFrame](), Counter[str]()
-    for span in spans(in_daylight(frames, site), sample, place_of(site)[0]):
-        camera = span[0].camera
-        view = look_digest(site, camera)
-        name = f"{LOOKS}/{digest(code_digest(), view, sample.described, [f.identity() for f in span])}.json"
-        if not results.has(name):
-            found = sampled(span, sample, looks[camera])
-            kept = {"stamps": [frame.stamp_ns for frame in found.frames], "passed_over": found.passed_over}
-            results.write(name, json.dumps(kept).encode())
-        known = json.loads(results.read(name))
-        stamps = set(known["stamps"])
-        chosen += [frame for frame in span if frame.stamp_ns in stamps]
-        passed.update(known["passed_over"])
-    return chosen, passed
+    grid = site.in_crs(site.fuel_geometry(site.open_dem()))
+    burns = () if options.burns is None else tuple(read_burns(options.burns, grid))
+    tasks = plan(frames, site, settings, options.frames_per_task, burns)
+    return Plan(options, site, results, settings, manifest, tuple(frames), passed, tuple(tasks), burns)
 
 
 def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> Summary:
@@ -160,7 +150,7 @@ def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> 
             broken[ended.task.evidence_key] = Failure(ended.task.label, "task", ended.error, len(ended.task.frames))
         else:
             worked += ended.report.worked
-    failures = (*planned.manifest.failures, *broken.values())
+    failures = (*planned.manifest.unread, *planned.manifest.failures, *broken.values())
     if parts > 1:
         summary = Summary(len(tasks), worked, 0, failures, {})
         results.write(f"run_{part}_of_{parts}.json", _record(planned, summary))
@@ -177,7 +167,7 @@ def _reduced(planned: Plan, mapped: Summary, broken: set[str]) -> Summary:
         def read(task: Task) -> bytes:
             return results.read(f"{EVIDENCE}/{task.evidence_key}.parquet")
 
-        found = reduce_to_store(whole, read, planned.site, path)
+        found = reduce_to_store(whole, read, planned.site, path, planned.burns)
         failures = (*mapped.failures, *_lost(found))
         summary = Summary(mapped.tasks, mapped.worked, found.counted.total(), failures, dict(found.unused))
         if refused := _too_many_failed(planned, failures):
@@ -193,6 +183,13 @@ def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
     """Why no map may be written, or nothing. What was lost on the way to the manifest is a share of all that archives
     hold, for a sample is chosen of what is left."""
     manifest, most = planned.manifest, planned.options.max_failed
+    if manifest.unread:
+        first = manifest.unread[0]
+        return (
+            f"{len(manifest.unread)} recordings could not be read, and nobody knows how many frames they hold: no map "
+            f"was written; {planned.results.url}/{RUN} names them, the first is {first.place} ({first.why}); run "
+            "again, or leave out of ARCHIVES what is none"
+        )
     joining, working = manifest.failures, failures[len(manifest.failures) :]
     found = len(manifest.frames) + sum(failure.count for failure in joining)
     for lost, total in ((joining, found), (working, len(planned.frames))):
@@ -269,6 +266,7 @@ def _record(planned: Plan, summary: Summary, about: dict[str, str] | None = None
             "failed": summary.failed,
             "unused": summary.unused,
         },
+        "burns": [{"stamp_ns": burn.stamp_ns, "cells": len(burn.cells)} for burn in planned.burns],
         "terrain": "not worked: what the terrain tells the fuel map is none of this",
         "max_failed": options.max_failed,
         "failures": [asdict(failure) for failure in summary.failures[:_NAMED]],

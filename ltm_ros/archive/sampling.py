@@ -1,8 +1,8 @@
 """Chooses frames of an archive: looks of one view within a day tell nearly the same, so a few of them tell almost all.
 
-The frames of a camera's day or hour are cut into as many parts as looks are wanted, by daylight alone where there is
-any, and of each part the first clear picture is taken, from its middle outwards. A choice hangs on nothing outside its
-own span.
+The frames of a camera's day or hour are cut into as many parts as looks are wanted, by daylight alone on days that have
+any, and of each part the first clear picture is taken, from its middle outwards. A picture that the camera had sent
+before, on that day or the last one before it, is no new look. A choice hangs on nothing else outside its own span.
 """
 
 from __future__ import annotations
@@ -60,15 +60,37 @@ class Sampled:
     passed_over: Counter[str]
 
 
+def solar_day(stamp_ns: int, longitude: float) -> int:
+    """Whole days since 1970 that begin at the middle of the night; `longitude`: radians east."""
+    return (stamp_ns + _shift(longitude)) // DAY_NS
+
+
 def spans(frames: Sequence[ArchiveFrame], sample: Sample, longitude: float) -> list[list[ArchiveFrame]]:
     """Frames of one camera and span each; frames come by camera and stamp. `longitude`: radians east, so that days
     begin at the middle of the site's night.
     """
-    shift = round(longitude / (2 * np.pi) * DAY_NS)
     found: dict[tuple[str, int], list[ArchiveFrame]] = {}
     for frame in frames:
-        found.setdefault((frame.camera, (frame.stamp_ns + shift) // sample.span_ns), []).append(frame)
+        found.setdefault((frame.camera, (frame.stamp_ns + _shift(longitude)) // sample.span_ns), []).append(frame)
     return list(found.values())
+
+
+def repeated(frames: Sequence[ArchiveFrame], longitude: float) -> set[tuple[str, int]]:
+    """Camera and stamp of frames whose picture the camera had sent before: on the same solar day, or on the last day
+    before it of which there are frames. So a picture that stands still for weeks is one look, wherever weeks are cut.
+
+    Frames come by camera and stamp, all that there are.
+    """
+    found = set[tuple[str, int]]()
+    before, today, of = set[str](), set[str](), ("", 0)
+    for frame in frames:
+        day = frame.camera, solar_day(frame.stamp_ns, longitude)
+        if day != of:
+            before, today, of = (today if day[0] == of[0] else set()), set(), day
+        if frame.content in before or frame.content in today:
+            found.add((frame.camera, frame.stamp_ns))
+        today.add(frame.content)
+    return found
 
 
 def sampled(frames: Sequence[ArchiveFrame], sample: Sample, look: Look) -> Sampled:
@@ -86,10 +108,25 @@ def sampled(frames: Sequence[ArchiveFrame], sample: Sample, look: Look) -> Sampl
 
 
 def in_daylight(frames: Sequence[ArchiveFrame], site: Site) -> list[ArchiveFrame]:
-    """Those taken while the sun is up at the site; all where it never is, as in a polar night."""
+    """Those taken while the sun is up at the site; all of a day on which it never is, as in a polar night."""
     longitude, latitude = place_of(site)
     up = sun_elevation(latitude, longitude, [frame.stamp_ns for frame in frames]) > _DAYLIGHT
-    return [frame for frame, bright in zip(frames, up, strict=True) if bright] or list(frames)
+    days = [solar_day(frame.stamp_ns, longitude) for frame in frames]
+    dark = {day for day in set(days) if not _sun_rises(day, latitude, longitude)}
+    return [frame for frame, bright, day in zip(frames, up, days, strict=True) if bright or day in dark]
+
+
+def _sun_rises(day: int, latitude: float, longitude: float) -> bool:
+    """Within a solar day, told by its noon: the sun's height hangs on the date and the place alone."""
+    noon = day * DAY_NS + DAY_NS // 2 - _shift(longitude)
+    # Clocks of the sun are up to 17 minutes off those of the mean sun.
+    minutes = np.arange(-20, 21, 5) * 60 * 10**9
+    return bool((sun_elevation(latitude, longitude, (noon + minutes).tolist()) > _DAYLIGHT).any())
+
+
+def _shift(longitude: float) -> int:
+    """Nanoseconds by which the mean sun is ahead of UTC."""
+    return round(longitude / (2 * np.pi) * DAY_NS)
 
 
 def place_of(site: Site) -> tuple[float, float]:

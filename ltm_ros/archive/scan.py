@@ -7,23 +7,27 @@ long as the file is the same.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+import posixpath
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ltm_core.errors import ArchiveError, LtmError
 from ltm_core.site import Site
-from ltm_msgs_py.bag.picture_cdr import picture_of
+from ltm_msgs_py.bag.picture_cdr import CompressedPicture, RawPicture, picture_of
 from ltm_msgs_py.bag.reader import BagMessage, BagReader
-from ltm_ros.archive.content_digest import digest, picture_digest
+from ltm_ros.archive.content_digest import digest, importer_digest, picture_digest, places_digest
+from ltm_ros.archive.files import ArchiveFiles, StoredFile, files_below
+from ltm_ros.archive.photo_files import PHOTOS
+from ltm_ros.archive.photo_folder import PlacedMessage, is_pose_list, photo_messages
 from ltm_ros.archive.results import ResultFolder
+from ltm_ros.importer.photo_folder import POSES
 from ltm_ros.runtime.topics import CAMERA_INPUTS, IMAGE_COMPRESSED, IMAGE_RAW, camera_topic
 
 SCANS = "scans"
-_VERSION = 1
+_VERSION = 2
 _PICTURES = (IMAGE_COMPRESSED.name, IMAGE_RAW.name)
 
 
@@ -32,7 +36,7 @@ class ScannedMessage:
     """A message of a recording, in the order of log times.
 
     Of a picture `content` is its digest, `stamp_ns` and size are stated in it, and `raw` is empty; `trouble` says why
-    it is none. Of all else `raw` is the message itself.
+    it is none; `file`: its own, where it lies in one. Of all else `raw` is the message itself.
     """
 
     topic: str
@@ -44,6 +48,7 @@ class ScannedMessage:
     height: int = 0
     content: str = ""
     trouble: str = ""
+    file: str = ""
     raw: bytes = b""
 
 
@@ -51,54 +56,87 @@ _SCHEMA = pa.schema(
     [
         *((name, pa.string()) for name in ("topic", "type_name")),
         *((name, pa.int64()) for name in ("log_time_ns", "size_bytes", "stamp_ns", "width", "height")),
-        *((name, pa.string()) for name in ("content", "trouble")),
+        *((name, pa.string()) for name in ("content", "trouble", "file")),
         ("raw", pa.binary()),
     ]
 )
 
 
 @dataclass(frozen=True)
-class Scan:
-    """`damage`: what of the file could not be read, in words."""
+class Recording:
+    """`name` of an MCAP file, or of the pose list of a folder of photos; `files`: all that it is read from, itself
+    first."""
 
-    file: Path
+    files: tuple[StoredFile, ...]
+
+    @property
+    def name(self) -> str:
+        return self.files[0].name
+
+
+@dataclass(frozen=True)
+class Scan:
+    """`name`: of the recording. `damage`: what of it could not be read, in words."""
+
+    name: str
     messages: tuple[ScannedMessage, ...]
     damage: tuple[str, ...]
 
 
-def recordings(archives: list[Path]) -> list[Path]:
-    """The MCAP files of bags, and of folders that hold bags at any depth; each once, in the order of their names.
+def recordings(archives: Sequence[str]) -> list[Recording]:
+    """The MCAP files of bags, and the folders of photos with a pose list, in folders at any depth and on stores; each
+    once, in the order of their names.
 
-    Raises ArchiveError for a place that holds none.
+    Raises ArchiveError for a place that holds none, or that cannot be read just now.
     """
-    found: dict[Path, None] = {}
+    found: dict[str, Recording] = {}
     for archive in archives:
-        inside = [archive] if archive.is_file() else sorted(archive.rglob("*.mcap"))
+        below = files_below(archive)
+        alone = len(below) == 1 and below[0].name.rpartition("/")[2] == archive.rpartition("/")[2]
+        bags = (file for file in below if file.name.endswith(".mcap") or (alone and not is_pose_list(file.name)))
+        inside = [Recording((file,)) for file in bags]
+        for listed in (file for file in below if is_pose_list(file.name)):
+            folder = posixpath.dirname(listed.name)
+            photos = (f for f in below if posixpath.dirname(f.name) == folder and f.name.lower().endswith(PHOTOS))
+            inside.append(Recording((listed, *photos)))
         if not inside:
             raise ArchiveError(
-                f"{archive}: holds no recordings (*.mcap); photos and their poses become one with `ltm import`"
+                f"{archive}: holds no recordings (*.mcap) and no photos with a {POSES}; photos of other kinds become a "
+                "recording with `ltm import`"
             )
-        found.update(dict.fromkeys(file.resolve() for file in inside))
-    return list(found)
+        found.update({recording.name: recording for recording in inside})
+    return list(found.values())
 
 
-def scan(file: Path, site: Site, results: ResultFolder) -> Scan:
-    """Of one MCAP file: as kept in `results`, or made and kept now. Raises RecordingError for what is no recording."""
-    state = file.stat()
+def scan(recording: Recording, site: Site, results: ResultFolder, files: ArchiveFiles) -> Scan:
+    """As kept in `results`, or made and kept now.
+
+    Raises RecordingError for what is no recording; ArchiveError, OSError where it cannot be read just now, in whole or
+    in part: then nothing is kept.
+    """
     topics = {camera_topic(site.name, camera, topic): topic.name for camera in site.cameras for topic in CAMERA_INPUTS}
-    key = digest(_VERSION, str(file), state.st_size, state.st_mtime_ns, sorted(topics))
-    name = f"{SCANS}/{key}.parquet"
+    state = [[file.name, file.size_bytes, file.version] for file in recording.files]
+    placed = [importer_digest(), places_digest(site)] if is_pose_list(recording.name) else []
+    name = f"{SCANS}/{digest(_VERSION, state, sorted(topics), placed)}.parquet"
     if results.has(name):
-        return _read(file, results.read(name))
-    reader = BagReader(file)
-    messages = tuple(_scanned(message, topics[message.topic]) for message in _inputs(reader, set(topics)))
-    found = Scan(file, messages, reader.damage)
+        return _read(recording.name, results.read(name))
+    if is_pose_list(recording.name):
+        placed_messages = photo_messages(recording.files[0], recording.files[1:], site, files)
+        found = Scan(recording.name, tuple(map(_of_photo, placed_messages)), ())
+    else:
+        found = _scanned_bag(recording.name, topics, files)
     results.write(name, _packed(found))
     return found
 
 
-def _inputs(reader: BagReader, topics: set[str]) -> Iterator[BagMessage]:
-    return reader.messages(topics & reader.topics().keys())
+def _scanned_bag(name: str, topics: Mapping[str, str], files: ArchiveFiles) -> Scan:
+    with files.at_hand(name) as path:
+        reader = BagReader(path)
+        wanted = topics.keys() & reader.topics().keys()
+        messages = tuple(_scanned(message, topics[message.topic]) for message in reader.messages(wanted))
+        if reader.unread:
+            raise ArchiveError(f"{name} cannot be read just now: {'; '.join(reader.unread)}")
+        return Scan(name, messages, tuple(note.replace(str(path), name) for note in reader.damage))
 
 
 def _scanned(message: BagMessage, topic: str) -> ScannedMessage:
@@ -106,12 +144,23 @@ def _scanned(message: BagMessage, topic: str) -> ScannedMessage:
     if topic not in _PICTURES:
         return replace(found, raw=message.raw)
     try:
-        picture = picture_of(message.raw, message.type_name)
-        width, height = picture.size
+        return _with_picture(found, picture_of(message.raw, message.type_name))
     except LtmError as error:
         return replace(found, trouble=str(error))
-    content = picture_digest(message.raw)
-    return replace(found, stamp_ns=picture.stamp_ns, width=width, height=height, content=content)
+
+
+def _of_photo(message: PlacedMessage) -> ScannedMessage:
+    size = len(message.raw if message.picture is None else message.picture.data)
+    found = ScannedMessage(message.topic, message.type_name, message.stamp_ns, size, trouble=message.trouble)
+    if message.picture is None:
+        return replace(found, raw=message.raw)
+    return replace(_with_picture(found, message.picture), file=message.file)
+
+
+def _with_picture(message: ScannedMessage, picture: CompressedPicture | RawPicture) -> ScannedMessage:
+    width, height = picture.size
+    content = picture_digest(picture)
+    return replace(message, stamp_ns=picture.stamp_ns, width=width, height=height, content=content)
 
 
 def _packed(found: Scan) -> bytes:
@@ -121,9 +170,9 @@ def _packed(found: Scan) -> bytes:
     return file.getvalue()
 
 
-def _read(file: Path, content: bytes) -> Scan:
+def _read(name: str, content: bytes) -> Scan:
     table = pq.read_table(io.BytesIO(content))
     damage = (table.schema.metadata or {}).get(b"damage", b"").decode()
     return Scan(
-        file, tuple(ScannedMessage(**row) for row in table.to_pylist()), tuple(filter(None, damage.split("\n")))
+        name, tuple(ScannedMessage(**row) for row in table.to_pylist()), tuple(filter(None, damage.split("\n")))
     )

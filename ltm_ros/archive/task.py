@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 from ltm_core.errors import ArchiveError, LtmError
 from ltm_core.frame import PosedImage
 from ltm_core.frame_steps import FrameSteps, LabellingConfig, TracingConfig
+from ltm_core.fuel.burns_io import Burn
 from ltm_core.fuel.evidence_merge import PartialEvidence
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import fuel_schema
@@ -32,7 +33,8 @@ from ltm_core.site import Site
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.archive.content_digest import code_digest, digest, evidence_digest, votes_digest
-from ltm_ros.archive.manifest import ArchiveFrame
+from ltm_ros.archive.files import ArchiveFiles, CacheConfig
+from ltm_ros.archive.manifest import DAY_NS, ArchiveFrame
 from ltm_ros.archive.pictures import PictureReader
 from ltm_ros.archive.results import ResultFolder
 from ltm_ros.runtime.health import cause_of
@@ -47,26 +49,29 @@ _TILES = pa.schema(
 
 @dataclass(frozen=True)
 class TaskSettings:
-    """What all tasks of a run share. `site`: path of the site file, the same for all workers; `results`: URL."""
+    """What all tasks of a run share. `site`: path of the site file, the same for all workers; `results`: URL; `cache`:
+    where a worker puts files of archives on stores."""
 
     site: str
     results: str
     code: str
     tracing: TracingConfig
     labelling: LabellingConfig
+    cache: CacheConfig = field(default_factory=CacheConfig)
 
 
 @dataclass(frozen=True)
 class Task:
     """Some frames of one camera and day, in the order of their stamps, and the names of the files of its two steps.
 
-    `steps_key`: of what makes votes of the camera's frames (`votes_digest`).
+    `steps_key`: of what makes votes of the camera's frames (`votes_digest`). `burns`: of that day.
     """
 
     frames: tuple[ArchiveFrame, ...]
     steps_key: str
     votes_key: str
     evidence_key: str
+    burns: tuple[Burn, ...] = ()
 
     @property
     def label(self) -> str:
@@ -103,7 +108,13 @@ class TaskEvidence:
     unused: dict[str, int]
 
 
-def plan(frames: Sequence[ArchiveFrame], site: Site, settings: TaskSettings, frames_per_task: int) -> list[Task]:
+def plan(
+    frames: Sequence[ArchiveFrame],
+    site: Site,
+    settings: TaskSettings,
+    frames_per_task: int,
+    burns: Sequence[Burn] = (),
+) -> list[Task]:
     """Tasks in the order of days, then cameras. A chunk of a day is decided by its frames' order alone."""
     of_votes = {
         name: votes_digest(site, name, settings.tracing, settings.labelling) for name in {f.camera for f in frames}
@@ -113,16 +124,19 @@ def plan(frames: Sequence[ArchiveFrame], site: Site, settings: TaskSettings, fra
     for frame in frames:
         days.setdefault((frame.day, frame.camera), []).append(frame)
     tasks = []
-    for (_, camera), found in sorted(days.items()):
+    for (day, camera), found in sorted(days.items()):
+        of_day = tuple(burn for burn in burns if burn.stamp_ns // DAY_NS == day)
         for begin in range(0, len(found), frames_per_task):
             chunk = tuple(found[begin : begin + frames_per_task])
             votes = digest(settings.code, of_votes[camera], camera, [frame.identity() for frame in chunk])
-            tasks.append(Task(chunk, of_votes[camera], votes, _evidence_key(settings, votes, of_evidence)))
+            evidence = _evidence_key(settings, votes, of_evidence, of_day)
+            tasks.append(Task(chunk, of_votes[camera], votes, evidence, of_day))
     return tasks
 
 
-def _evidence_key(settings: TaskSettings, votes_key: str, of_evidence: str) -> str:
-    return digest(settings.code, votes_key, of_evidence)
+def _evidence_key(settings: TaskSettings, votes_key: str, of_evidence: str, burns: Sequence[Burn]) -> str:
+    told = [[burn.stamp_ns, burn.cells.tolist()] for burn in burns]
+    return digest(settings.code, votes_key, of_evidence, told)
 
 
 def work(task: Task, settings: TaskSettings) -> TaskReport:
@@ -142,9 +156,9 @@ def work(task: Task, settings: TaskSettings) -> TaskReport:
         results.write(votes, votes_file(task, settings))
         worked = len(task.frames)
     site = load_site(settings.site)
-    if _evidence_key(settings, task.votes_key, evidence_digest(site)) != task.evidence_key:
+    if _evidence_key(settings, task.votes_key, evidence_digest(site), task.burns) != task.evidence_key:
         raise _other_files(settings.site)
-    results.write(evidence, _evidence_file(results.read(votes), site))
+    results.write(evidence, _evidence_file(results.read(votes), site, task.burns))
     return TaskReport(worked)
 
 
@@ -154,19 +168,19 @@ def votes_file(task: Task, settings: TaskSettings) -> bytes:
     camera = task.frames[0].camera
     steps = _steps(settings.site, camera, settings.tracing, settings.labelling, task.steps_key)
     parts, listed, lost = list[Columns](), list[dict[str, object]](), list[LostFrame]()
-    reader = PictureReader()
-    for frame in task.frames:
-        picture = reader.read(frame)
-        try:
-            posed = PosedImage(picture.rgb(), frame.calibration, frame.pose, frame.stamp_ns, camera)
-            found = steps.votes(posed, frame.pose_covariance)
-        except LtmError as error:
-            why = f"{error} ({frame.file}, stamp {frame.stamp_ns} ns)"
-            lost.append(LostFrame(frame.stamp_ns, cause_of(error), why))
-            continue
-        number = np.full(len(found.columns["x"]), len(listed), np.uint32)
-        parts.append({"frame": number, **found.columns})
-        listed.append({"stamp_ns": frame.stamp_ns, "reason": found.reason})
+    with PictureReader(ArchiveFiles(settings.cache)) as reader:
+        for frame in task.frames:
+            picture = reader.read(frame)
+            try:
+                posed = PosedImage(picture.rgb(), frame.calibration, frame.pose, frame.stamp_ns, camera)
+                found = steps.votes(posed, frame.pose_covariance)
+            except LtmError as error:
+                why = f"{error} ({frame.file}, stamp {frame.stamp_ns} ns)"
+                lost.append(LostFrame(frame.stamp_ns, cause_of(error), why))
+                continue
+            number = np.full(len(found.columns["x"]), len(listed), np.uint32)
+            parts.append({"frame": number, **found.columns})
+            listed.append({"stamp_ns": frame.stamp_ns, "reason": found.reason})
     about = {"camera": camera, "model": steps.described, "frames": listed, "lost": [asdict(one) for one in lost]}
     return _parquet(pa.table(_stacked(parts)), about)
 
@@ -197,11 +211,13 @@ def read_votes(content: bytes, geometry: GridGeometry, labels: LabelSet) -> Iter
         yield columns_to_votes(of_frame, geometry, labels.names, frame["stamp_ns"], about["camera"])
 
 
-def _evidence_file(votes: bytes, site: Site) -> bytes:
+def _evidence_file(votes: bytes, site: Site, burns: Sequence[Burn]) -> bytes:
     """One row a tile: its state, and the stamps of the frames that touch it."""
     labels = LabelSet.load(config_path(site.labels))
     geometry = site.fuel_geometry(site.open_dem())
     evidence = site_evidence_map(site, geometry, labels)
+    for burn in burns:
+        evidence.burn(burn.mask(geometry.shape), burn.stamp_ns)
     touched: dict[Key, list[int]] = {}
     for found in read_votes(votes, geometry, labels):
         window = evidence.add(found)

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 
 def reprocess(
-    archives: Annotated[list[Path], typer.Argument(help="Bags, .mcap files, and folders that hold bags.")],
+    archives: Annotated[
+        list[str],
+        typer.Argument(help="Bags, .mcap files, folders that hold bags or photos with poses.csv, s3://bucket/folder."),
+    ],
     site: Annotated[Path, typer.Option("--site", help="Site file.")],
     out: Annotated[str, typer.Option("--out", "-o", help="Folder for results, or s3://bucket/folder.")],
     workers: Annotated[int, typer.Option(min=0, help="Processes on this machine; 0: this one alone.")] = 2,
@@ -31,6 +34,9 @@ def reprocess(
     shard: Annotated[str, typer.Option(help="i/n: work the i-th of n parts and make no map.")] = "1/1",
     frames_per_task: Annotated[int, typer.Option(min=1, help="Of one camera's day, at most.")] = 1500,
     max_failed: Annotated[str, typer.Option(help="Share of frames that may be lost.")] = "0.1%",
+    burns: Annotated[Path | None, typer.Option(help="GeoJSON of what burned, with `burned_at`.")] = None,
+    cache: Annotated[str, typer.Option(help="Where files of stores lie while they are read.")] = "",
+    cache_gb: Annotated[float, typer.Option(min=0.001, help="Of them at most, a machine.")] = 20.0,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only count, find gaps and estimate the cost.")] = False,
 ) -> None:
     """Work all frames of ARCHIVES again with SITE and write the fuel map, its layers and the record of the run to OUT.
@@ -40,6 +46,7 @@ def reprocess(
     from rich.console import Console
 
     from ltm_ros.archive.dry_run import dry_run_table
+    from ltm_ros.archive.files import CacheConfig
     from ltm_ros.archive.run import ArchiveOptions, look_through, run
     from ltm_ros.archive.sampling import Sample
     from ltm_ros.cli.progress import counting_bar
@@ -58,6 +65,8 @@ def reprocess(
         frames_per_task=frames_per_task,
         shard=_shard(shard),
         max_failed=_share(max_failed),
+        burns=burns,
+        cache=CacheConfig(cache or CacheConfig().folder, round(cache_gb * 1e9)),
     )
     with counting_bar(console, "looking through") as progress:
         planned = look_through(options, progress)

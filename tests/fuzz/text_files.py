@@ -22,6 +22,7 @@ from ltm_core.dem import Dem
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.evaluation.segmentation.mask_score import read_mask_truths
 from ltm_core.evaluation.truth_frames_io import read_truth_frames
+from ltm_core.fuel.burns_io import read_burns
 from ltm_core.fuel.codes import FuelModels, FuelRegion
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.geodesy import SiteFrame
@@ -254,5 +255,15 @@ TEXT_FILES = (
     _yaml("mount", _texts(_MOUNT), _read_mount, "mount.yaml"),
     _yaml("bag_metadata", _metadata, lambda path: BagReader(path.parent).topic_infos(), _METADATA_FILE),
     _yaml("surfaces", _texts(_SURFACES), _read_surfaces, MANIFEST),
+    _yaml(
+        "burns",
+        _texts(
+            '{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {"burned_at": "2026-08-01"}, '
+            '"geometry": {"type": "Polygon", "coordinates": [[[-117.22, 37.49], [-117.21, 37.49], [-117.21, 37.5], '
+            "[-117.22, 37.49]]]}}]}"
+        ),
+        lambda path: read_burns(path, GridGeometry(480_000.0, 4_150_000.0, 30.0, 70, 50, "EPSG:26911")),
+        "burns.geojson",
+    ),
     _yaml("simulated_index", _frames, lambda path: _whole(read_truth_frames(path.parent)), "frames.json"),
 )  # fmt: skip

@@ -18,18 +18,24 @@ from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite
 from typer.testing import CliRunner
 
 from ltm_core.errors import ArchiveError, LtmError
+from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
 from ltm_core.raster.tile_store import TileStore
+from ltm_core.resources import config_path
+from ltm_core.site import Site
+from ltm_core.types import Int16Array
+from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb
 from ltm_msgs_py.stamp import stamp_of
+from ltm_ros.archive.choice import REPEATED
 from ltm_ros.archive.engine import Engine, on_workers, serial
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.results import ResultFolder
 from ltm_ros.archive.run import RUN, ArchiveOptions, Summary, look_through, run
 from ltm_ros.archive.sampling import Sample
-from ltm_ros.archive.task import work
+from ltm_ros.archive.task import read_votes, work
 from ltm_ros.cli.main import cli
 from ltm_ros.replay.run import ReplayOptions, run_offline
 from ltm_ros.runtime.topics import IMAGE_COMPRESSED, camera_topic
@@ -243,13 +249,13 @@ def test_a_store_of_our_own_is_written_over_after_runs_that_failed_or_were_kille
 def test_what_is_lost_before_frames_are_chosen_is_a_share_of_all(
     options: ArchiveOptions, small_site: SmallSite, tmp_path: Path
 ) -> None:
-    """One of 12 here, and a sample of 4."""
+    """One of 12 here, and a sample of 3: the mast's pictures are all the same."""
     bag = rewritten(small_site.bag, tmp_path / "cut", lambda number, raw: raw if number != 2 else raw[: len(raw) // 2])
     options = replace(options, archives=(bag,), sample=Sample.parsed("2/day"))
     with pytest.raises(ArchiveError, match="1 of 12 frames failed"):
         reprocessed(replace(options, max_failed=0.08))
     summary = reprocessed(replace(options, max_failed=0.09))
-    assert (summary.merged, summary.failed) == (4, 1)
+    assert (summary.merged, summary.failed) == (3, 1)
 
 
 def test_an_archive_that_is_away_loses_no_frame_for_good(
@@ -310,11 +316,73 @@ def test_the_journal_tells_the_end_of_each_day(small_site: SmallSite, tmp_path: 
     assert only.merged == 4
 
 
+def test_burns_are_told_when_they_come(small_site: SmallSite, tmp_path: Path) -> None:
+    """Of three days, the second burns between two of its frames, and the day after the last without any frames. The map
+    is that of one that counts all frames in their order and is told at these moments."""
+    day, site = 86_400 * 10**9, small_site.site
+    bags = tuple(small_site.write_bag(tmp_path / f"day_{n}", 3, BEGIN_NS + n * day) for n in range(3))
+    # Frames of a day are in its seconds 0 and, of the mast, 0.1 to 0.6: later ones are in the next second.
+    later = small_site.write_bag(tmp_path / "later", 2, BEGIN_NS + day + 5 * 10**9)
+    geometry = site.fuel_geometry(site.open_dem())
+    areas = {BEGIN_NS + day + 3 * 10**9: (2, 30), BEGIN_NS + 3 * day: (20, 26)}
+    features = []
+    for stamp, (first, last) in areas.items():
+        edge = site.in_crs(geometry)
+        corners = [(c, r) for c, r in ((first, 0), (last, 0), (last, 20), (first, 20), (first, 0))]
+        x = [edge.x_min + c * edge.resolution - site.frame.x_origin for c, _ in corners]
+        y = [edge.y_max - r * edge.resolution - site.frame.y_origin for _, r in corners]
+        ring = [list(map(float, site.frame.to_lonlat(*point))) for point in zip(x, y, strict=True)]
+        moment = str(np.datetime64(stamp, "ns").astype("datetime64[s]"))
+        geometry_of = {"type": "Polygon", "coordinates": [ring]}
+        features.append({"type": "Feature", "properties": {"burned_at": moment}, "geometry": geometry_of})
+    (tmp_path / "burns.json").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    options = ArchiveOptions((*bags, later), small_site.path, str(tmp_path / "out"), frames_per_task=2)
+    unburned = reprocessed(options)
+    shutil.copy(tmp_path / "out" / STORE_FILE, tmp_path / "unburned.ltm")
+    planned = look_through(replace(options, burns=tmp_path / "burns.json"), lambda done, total: None)
+    summary = run(planned, serial, lambda done, total: None)
+    assert (summary.worked, summary.merged) == (0, unburned.merged)
+    labels = LabelSet.load(config_path(site.labels))
+    live, votes = site_evidence_map(site, geometry, labels), []
+    for task in planned.tasks:
+        votes += read_votes((tmp_path / "out/votes" / f"{task.votes_key}.parquet").read_bytes(), geometry, labels)
+    waiting = list(planned.burns)
+    assert [burn.stamp_ns for burn in waiting] == list(areas)
+    for frame in sorted(votes, key=lambda frame: frame.stamp_ns):
+        while waiting and waiting[0].stamp_ns <= frame.stamp_ns:
+            burn = waiting.pop(0)
+            live.burn(burn.mask(geometry.shape), burn.stamp_ns)
+        live.add(frame)
+    live.burn(waiting[0].mask(geometry.shape), waiting[0].stamp_ns)
+    with TileStore.open_read_only(tmp_path / "out" / STORE_FILE, STORE_KIND) as store:
+        stored = dict(store.tiles())
+        assert set(stored) >= {(0, 0)}
+        for key, tile in stored.items():
+            for name, values in live.tile_state(key).items():
+                np.testing.assert_array_equal(tile[name], values, err_msg=f"{key} {name}")
+        burned = journal_of(store, site)
+    with TileStore.open_read_only(tmp_path / "unburned.ltm", STORE_KIND) as store:
+        never = journal_of(store, site)
+    np.testing.assert_array_equal(burned[0], never[0])
+    last = planned.burns[1].mask(geometry.shape)
+    assert (burned[4][last] != burned[2][last]).any()
+    np.testing.assert_array_equal(burned[4], live.layers().code)
+
+
+def journal_of(store: TileStore, site: Site) -> list[Int16Array]:
+    """Codes at the end of a day from the first on."""
+    geometry = site.fuel_geometry(site.open_dem())
+    initial = site_evidence_map(site, geometry, LabelSet.load(config_path(site.labels))).layers().code
+    day = 86_400 * 10**9
+    return [store.as_of("code", initial, (BEGIN_NS // day + number + 1) * day - 1) for number in range(5)]
+
+
 def test_a_sample_is_worked_alone_and_looked_at_once(options: ArchiveOptions, small_site: SmallSite) -> None:
     options = replace(options, sample=Sample.parsed("2/day"))
     planned = look_through(options, lambda done, total: None)
-    assert len(planned.frames) == 4
-    assert run(planned, serial, lambda done, total: None).merged == 4
+    assert [frame.camera for frame in planned.frames] == ["mast", "tower", "tower"]
+    assert planned.passed_over == {REPEATED: FRAMES - 1}
+    assert run(planned, serial, lambda done, total: None).merged == 3
     looks = sorted((Path(options.out) / "looks").iterdir())
     changed = [file.stat().st_mtime_ns for file in looks]
     again = look_through(options, lambda done, total: None)
@@ -325,18 +393,21 @@ def test_a_sample_is_worked_alone_and_looked_at_once(options: ArchiveOptions, sm
 def test_pictures_that_show_nothing_are_passed_over(
     options: ArchiveOptions, small_site: SmallSite, tmp_path: Path
 ) -> None:
-    topic, black = camera_topic(NAME, "tower", IMAGE_COMPRESSED), np.zeros((180, 320, 3), np.uint8)
+    """Each of another grey."""
+    topic, grey = camera_topic(NAME, "tower", IMAGE_COMPRESSED), 0
     with BagWriter(tmp_path / "night") as bag:
         for message in BagReader(small_site.bag).messages():
             raw = message.raw
             if message.topic == topic:
+                grey += 20
+                picture = np.full((180, 320, 3), grey, np.uint8)
                 stamp = stamp_of(BagReader(small_site.bag).decode(message))
-                raw = serialize_message(compressed_to_msg(encode_rgb(black), "jpeg", stamp, "tower_optical"))
+                raw = serialize_message(compressed_to_msg(encode_rgb(picture), "jpeg", stamp, "tower_optical"))
             bag.write_raw(message.topic, message.type_name, raw, message.log_time_ns)
     sample = Sample.parsed("2/day")
     planned = look_through(replace(options, archives=(tmp_path / "night",), sample=sample), lambda done, total: None)
     assert {frame.camera for frame in planned.frames} == {"mast"}
-    assert planned.passed_over == {"blank: the picture is of one colour": FRAMES}
+    assert planned.passed_over == {"blank: the picture is of one colour": FRAMES, REPEATED: FRAMES - 1}
 
 
 def test_layers_and_their_catalogue_entry_are_written(options: ArchiveOptions) -> None:

@@ -7,17 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from scenes.small_site import write_small_site
 
 from ltm_core.errors import ArchiveError
+from ltm_core.site_io import load_site
 from ltm_ros.archive.manifest import DAY_NS, ArchiveFrame
-from ltm_ros.archive.sampling import Sample, in_daylight, sampled, spans
+from ltm_ros.archive.sampling import Sample, in_daylight, repeated, sampled, solar_day, spans
 
 HOUR_NS = DAY_NS // 24
 
 
-def frame(camera: str, stamp_ns: int) -> ArchiveFrame:
-    return ArchiveFrame(camera, stamp_ns, "a.mcap", "/ridge/image", stamp_ns, 5, "", (), (), (), ())
+def frame(camera: str, stamp_ns: int, content: str = "") -> ArchiveFrame:
+    return ArchiveFrame(camera, stamp_ns, "a.mcap", "/ridge/image", stamp_ns, 5, content, (), (), (), ())
 
 
 FRAMES = [
@@ -64,13 +66,61 @@ def test_of_each_part_the_first_clear_one_from_the_middle_is_taken() -> None:
     assert found.passed_over == {"fog": 6 + 1, "glare": 1, "night": 6}
 
 
-def test_daylight_is_the_site_s(tmp_path: Path) -> None:
+def test_daylight_is_the_site_s_and_of_each_day(tmp_path: Path) -> None:
     """Of early January in California: from 16 to 1 h UTC."""
     site = write_small_site(tmp_path, recording=False).site
-    found = hours(in_daylight(FRAMES[:24], site))
-    assert found == [0, *range(16, 24)]
-    night = FRAMES[5:8]
-    assert in_daylight(night, site) == night
+    assert hours(in_daylight(FRAMES[:24], site)) == [0, *range(16, 24)]
+    # A camera that only sent by night is not taken by night for it, whatever it sent on other days.
+    assert in_daylight(FRAMES[5:8], site) == []
+    assert hours(in_daylight([*FRAMES[5:8], *FRAMES[40:42]], site)) == [16, 17]
+
+
+def test_days_without_a_sun_are_taken_whole_and_others_not_for_their_sake(tmp_path: Path) -> None:
+    """At 78 degrees north the sun stays down in January and up in June; in the middle of March it rises by noon."""
+    write_small_site(tmp_path, recording=False)
+    content = yaml.safe_load((tmp_path / "site.yaml").read_text())
+    content |= {"crs": "EPSG:32633", "origin": [500_000.0, 8_658_000.0]}
+    (tmp_path / "site.yaml").write_text(yaml.safe_dump(content))
+    site = load_site(tmp_path / "site.yaml")
+    begins = {name: int(np.datetime64(f"2026-{name}", "D").astype(int)) for name in ("01-10", "03-25", "06-20")}
+    days = {name: [frame("east", day * DAY_NS + hour * HOUR_NS) for hour in range(24)] for name, day in begins.items()}
+    found = {name: hours(in_daylight(frames, site)) for name, frames in days.items()}
+    assert found["01-10"] == found["06-20"] == list(range(24))
+    assert 5 < len(found["03-25"]) < 15
+    assert 11 in found["03-25"]
+    together = in_daylight([frame for frames in days.values() for frame in frames], site)
+    assert hours(together) == [hour for name in days for hour in found[name]]
+
+
+def test_a_picture_that_stands_still_for_weeks_is_one_look() -> None:
+    """From the sixth hour of the first day on, for three weeks, and a day without frames among them."""
+    days = [day for day in range(40, 62) if day != 50]
+    frames = [
+        frame("east", day * DAY_NS + hour * HOUR_NS, "still" if (day, hour) >= (40, 6) else f"{hour}")
+        for day in days
+        for hour in range(24)
+    ]
+    found = repeated(frames, 0.0)
+    assert len(found) == len(frames) - 7
+    assert ("east", 40 * DAY_NS + 6 * HOUR_NS) not in found
+
+
+def test_another_camera_s_picture_and_one_of_long_ago_are_no_repetition() -> None:
+    frames = [frame("east", 0, "a"), frame("east", DAY_NS, "b"), frame("east", 2 * DAY_NS, "a"), frame("west", 0, "a")]
+    assert repeated(frames, 0.0) == set()
+    assert repeated([*frames[:2], frame("east", DAY_NS + 1, "a")], 0.0) == {("east", DAY_NS + 1)}
+
+
+def test_a_choice_hangs_on_its_own_days_and_the_one_before() -> None:
+    """Wherever an archive is cut, what is found of all days but the first is the same."""
+    rng = np.random.default_rng(4)
+    frames = [frame("east", hour * HOUR_NS, str(rng.integers(30))) for hour in range(0, 24 * 12, 3)]
+    whole = repeated(frames, 0.3)
+    assert whole
+    for day in range(1, 12):
+        cut = [one for one in frames if solar_day(one.stamp_ns, 0.3) >= day]
+        later = {key for key in whole if solar_day(key[1], 0.3) > day}
+        assert {key for key in repeated(cut, 0.3) if solar_day(key[1], 0.3) > day} == later
 
 
 @pytest.mark.parametrize("text", ["", "0/day", "4", "4/week", "-1/day", "some"])

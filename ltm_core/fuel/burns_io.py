@@ -1,0 +1,99 @@
+"""Reads where and when land has burned, from GeoJSON, onto a fuel grid."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from pyproj import Transformer
+
+from ltm_core.errors import ConfigError
+from ltm_core.fuel.barriers_io import covered_share, near
+from ltm_core.grid import GridGeometry
+from ltm_core.text_io import read_text
+from ltm_core.types import BoolArray, Int64Array
+
+BURNED_AT: Final = "burned_at"
+"""Property of a feature: when its area burned, ISO 8601, UTC unless it names a zone."""
+LEAST_SHARE: Final = 0.5
+"""Of a cell that must have burned, for it to have burned."""
+_LARGEST: Final = 64 << 20
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+@dataclass(frozen=True, eq=False)
+class Burn:
+    """`cells`: (N,) numbers of the burned cells of a fuel grid, row by row, rising."""
+
+    stamp_ns: int
+    cells: Int64Array
+
+    def mask(self, shape: tuple[int, int]) -> BoolArray:
+        """(H, W), true where it burned."""
+        found = np.zeros(shape, np.bool_)
+        found.flat[self.cells] = True
+        return found
+
+
+def read_burns(path: Path, geometry: GridGeometry) -> list[Burn]:
+    """The burns of a GeoJSON file (RFC 7946: longitude and latitude, WGS 84) on the fuel grid `geometry`, in the site's
+    CRS, by their times; areas of one time are one burn, those beside the grid none.
+
+    Polygons and multipolygons with the property `burned_at`. Raises ConfigError for a file that is none of such.
+    """
+    try:
+        content = json.loads(read_text(path, _LARGEST, ConfigError))
+        features = [content] if content["type"] == "Feature" else list(content["features"])
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ConfigError(f"{path}: cannot be read as GeoJSON ({error}); give a FeatureCollection of areas") from error
+    turn = Transformer.from_crs("OGC:CRS84", geometry.crs, always_xy=True)
+    areas: dict[int, list[Any]] = {}
+    for number, feature in enumerate(features):
+        place = f"{path}, feature {number}"
+        try:
+            stamp = _stamp_ns((feature.get("properties") or {}).get(BURNED_AT), place)
+            areas.setdefault(stamp, []).extend(_areas(feature["geometry"], turn, place))
+        except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
+            raise ConfigError(f"{place}: is no area ({type(error).__name__}: {error})") from error
+    burns = (_burn(stamp, areas[stamp], geometry) for stamp in sorted(areas))
+    return [burn for burn in burns if len(burn.cells)]
+
+
+def _burn(stamp_ns: int, areas: Iterable[Any], geometry: GridGeometry) -> Burn:
+    here = [area for area in areas if near(area["coordinates"], geometry)]
+    return Burn(stamp_ns, np.flatnonzero(covered_share(here, geometry) >= LEAST_SHARE))
+
+
+def _areas(shape: Any, turn: Transformer, place: str) -> list[dict[str, Any]]:
+    kinds = {"Polygon": lambda found: [found], "MultiPolygon": list}
+    if shape["type"] not in kinds:
+        raise ConfigError(f"{place}: is a {shape['type']}; what burned is a Polygon or MultiPolygon")
+    found = []
+    for rings in kinds[shape["type"]](shape["coordinates"]):
+        turned = []
+        for ring in rings:
+            points = np.asarray([point[:2] for point in ring], np.float64)
+            if len(points) < 4 or not np.isfinite(points).all():
+                raise ConfigError(f"{place}: a ring of {len(points)} points; it needs four, the last as the first")
+            x, y = turn.transform(points[:, 0], points[:, 1])
+            turned.append(list(zip(np.asarray(x).tolist(), np.asarray(y).tolist(), strict=True)))
+        found.append({"type": "Polygon", "coordinates": turned})
+    return found
+
+
+def _stamp_ns(text: Any, place: str) -> int:
+    try:
+        moment = datetime.fromisoformat(text)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(
+            f"{place}: its property {BURNED_AT} is {text!r}; write when it burned, as 2026-08-01T14:00:00Z"
+        ) from error
+    since = (moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)) - _EPOCH
+    if since < timedelta(0):
+        raise ConfigError(f"{place}: burned at {text}, before 1970")
+    return (since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1000

@@ -1,0 +1,199 @@
+"""The files of archives: on disks of this machine, or on a store such as S3, from which they are fetched to be read.
+
+What a store refuses is asked for again some times, and then is an error that names it: never a result.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import fsspec
+
+from ltm_core.errors import ArchiveError
+from ltm_ros.archive.content_digest import digest
+
+WAITS_S = (0.5, 1.0, 2.0, 4.0)
+"""Before a store is asked again. It also asks again by itself, as `AWS_MAX_ATTEMPTS` says."""
+_VERSIONS = ("ETag", "etag", "mtime", "LastModified", "created")
+"""What stores say of an object by which a change of it is known; the first that is there counts."""
+_PARTIAL = ".partial"
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class CacheConfig:
+    """Where files of stores lie while they are read, and how many bytes of them at most; workers share it."""
+
+    folder: str = str(Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache") / "ltm" / "archive")
+    most_bytes: int = 20 * 10**9
+
+
+@dataclass(frozen=True)
+class StoredFile:
+    """`name`: its path, or its URL on a store. `version`: another one after each change."""
+
+    name: str
+    size_bytes: int
+    version: str
+
+
+def is_remote(name: str) -> bool:
+    return "://" in name
+
+
+def files_below(archive: str) -> list[StoredFile]:
+    """A file, or those in a folder at any depth, by name; none where there is nothing.
+
+    Raises ArchiveError where a store cannot be used, OSError where a disk cannot.
+    """
+    if not is_remote(archive):
+        path = Path(archive).expanduser().resolve()
+        return [_on_disk(path)] if path.is_file() else [_on_disk(p) for p in sorted(path.rglob("*")) if p.is_file()]
+    store, root = _store_of(archive)
+    found = asked(archive, lambda: store.find(root, detail=True))
+    return sorted((_on_store(store, about) for about in found.values()), key=lambda file: file.name)
+
+
+def _on_disk(path: Path) -> StoredFile:
+    state = path.stat()
+    return StoredFile(str(path), state.st_size, str(state.st_mtime_ns))
+
+
+def _on_store(store: Any, about: dict[str, Any]) -> StoredFile:
+    version = next((f"{key} {about[key]}" for key in _VERSIONS if about.get(key)), "")
+    return StoredFile(store.unstrip_protocol(about["name"]), int(about["size"] or 0), version)
+
+
+class ArchiveFiles:
+    """Gives files of archives as files of this machine."""
+
+    def __init__(self, cache: CacheConfig) -> None:
+        self._cache = cache
+
+    @contextmanager
+    def at_hand(self, name: str) -> Iterator[Path]:
+        """While it lasts, the file stays. Raises ArchiveError where it cannot be fetched or is larger than the cache,
+        OSError where this machine's disk fails."""
+        if not is_remote(name):
+            yield Path(name)
+            return
+        store, path = _store_of(name)
+        about = asked(name, lambda: _fresh(store, path))
+        while True:
+            place = self._place(about)
+            if not place.is_file():
+                about = self._fetch(store, path, about)
+                continue
+            with place.open("rb") as held:
+                fcntl.flock(held, fcntl.LOCK_SH)
+                # Another process may have removed it before it was held.
+                if place.exists() and os.fstat(held.fileno()).st_ino == place.stat().st_ino:
+                    os.utime(place)
+                    yield place
+                    return
+
+    def _place(self, about: StoredFile) -> Path:
+        suffix = Path(about.name).suffix
+        key = digest(about.name, about.size_bytes, about.version)
+        return Path(self._cache.folder).expanduser() / f"{key}{suffix}"
+
+    def _fetch(self, store: Any, path: str, about: StoredFile) -> StoredFile:
+        """What was fetched: as asked for, or as it has become meanwhile."""
+        place = self._place(about)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        self._make_room(about)
+        partial = place.with_name(f"{place.name}.{uuid.uuid4().hex}{_PARTIAL}")
+        try:
+            with partial.open("wb") as held:
+                fcntl.flock(held, fcntl.LOCK_EX)  # whoever makes room leaves it alone
+
+                def fetch() -> StoredFile:
+                    store.get_file(path, str(partial))
+                    found = _fresh(store, path)
+                    if partial.stat().st_size != found.size_bytes:
+                        raise OSError(f"{partial.stat().st_size} of {found.size_bytes} bytes came")
+                    return found
+
+                found = asked(about.name, fetch)
+                if found == about:
+                    partial.replace(place)
+        finally:
+            partial.unlink(missing_ok=True)
+        return found
+
+    def _make_room(self, about: StoredFile) -> None:
+        """Removes what was not read for longest and nobody holds. What others hold or fetch may go beyond the bound."""
+        if about.size_bytes > self._cache.most_bytes:
+            raise ArchiveError(
+                f"{about.name} has {about.size_bytes} bytes, more than the {self._cache.most_bytes} that may lie in "
+                f"{self._cache.folder}; raise --cache-gb"
+            )
+        kept = []
+        for place in Path(self._cache.folder).expanduser().iterdir():
+            try:
+                kept.append((place.stat().st_mtime_ns, place.stat().st_size, place))
+            except FileNotFoundError:  # removed by another
+                continue
+        total = sum(size for _, size, _ in kept)
+        for _, size, place in sorted(kept):
+            if total + about.size_bytes <= self._cache.most_bytes and place.suffix != _PARTIAL:
+                continue
+            if _removed(place):
+                total -= size
+
+
+def _removed(place: Path) -> bool:
+    """Whether a file was held by nobody, and is gone now."""
+    try:
+        with place.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            place.unlink()
+    except FileNotFoundError:
+        return True
+    except BlockingIOError:
+        return False
+    return True
+
+
+def asked(name: str, action: Callable[[], T]) -> T:
+    """What a store answers, which is asked again while it fails. Raises ArchiveError where it has failed too often, or
+    has nothing of that name, or gives it to others only."""
+    for wait_s in (*WAITS_S, None):
+        try:
+            return action()
+        except (FileNotFoundError, PermissionError) as error:
+            raise ArchiveError(f"{name}: {_words(error)}; check the address and the credentials") from error
+        except Exception as error:  # of botocore, which has hundreds
+            if wait_s is None:
+                raise ArchiveError(
+                    f"{name} cannot be read just now ({_words(error)}, asked {len(WAITS_S) + 1} times); check the "
+                    "store and the network, then run again"
+                ) from error
+            time.sleep(wait_s)
+    raise AssertionError("the last try returns or raises")
+
+
+def _fresh(store: Any, path: str) -> StoredFile:
+    store.invalidate_cache()
+    return _on_store(store, store.info(path))
+
+
+def _words(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
+
+
+def _store_of(url: str) -> tuple[Any, str]:
+    try:
+        store, path = fsspec.core.url_to_fs(url)
+    except (ImportError, ValueError) as error:
+        raise ArchiveError(f"{url}: no place of archives ({error}); give a folder, a file or s3://bucket/") from error
+    return store, str(path)

@@ -1,0 +1,122 @@
+"""Files of archives on stores: fetched once, bounded, asked for again, and never half."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import fsspec
+import pytest
+
+from ltm_core.errors import ArchiveError
+from ltm_ros.archive import files
+from ltm_ros.archive.files import ArchiveFiles, CacheConfig, files_below
+
+Store = Callable[[str, bytes], str]
+
+
+@pytest.fixture
+def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
+    """Puts a file on a store in memory; gives its URL."""
+    monkeypatch.setattr(files, "WAITS_S", (0.0, 0.0))
+    memory = fsspec.filesystem("memory")
+
+    def put(name: str, content: bytes) -> str:
+        memory.pipe_file(f"/files/{name}", content)
+        return f"memory:///files/{name}"
+
+    yield put
+    memory.store.clear()
+
+
+@pytest.fixture
+def at_hand(tmp_path: Path) -> ArchiveFiles:
+    return ArchiveFiles(CacheConfig(str(tmp_path / "cache"), 100))
+
+
+def cached(tmp_path: Path) -> list[bytes]:
+    return sorted(path.read_bytes() for path in (tmp_path / "cache").iterdir())
+
+
+def test_what_is_below_a_place(store: Store, tmp_path: Path) -> None:
+    store("b/two.mcap", b"22")
+    store("b/a/one.mcap", b"1")
+    found = files_below("memory:///files/b")
+    assert [(file.name, file.size_bytes) for file in found] == [
+        *(("memory:///files/b/a/one.mcap", 1), ("memory:///files/b/two.mcap", 2))
+    ]
+    (tmp_path / "here.mcap").write_bytes(b"333")
+    assert [file.size_bytes for file in files_below(str(tmp_path))] == [3]
+    assert files_below(str(tmp_path / "nothing")) == []
+
+
+def test_a_file_is_fetched_once_and_anew_when_it_has_changed(
+    store: Store, at_hand: ArchiveFiles, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fetched = list[str]()
+    kind = fsspec.get_filesystem_class("memory")
+    fetch = kind.get_file
+    monkeypatch.setattr(kind, "get_file", lambda self, path, *given: (fetched.append(path), fetch(self, path, *given)))
+    url = store("one", b"first")
+    for _ in range(2):
+        with at_hand.at_hand(url) as path:
+            assert path.read_bytes() == b"first"
+    assert len(fetched) == 1
+    store("one", b"second")
+    with at_hand.at_hand(url) as path:
+        assert path.read_bytes() == b"second"
+
+
+def test_the_cache_is_bounded_and_spares_what_is_held(store: Store, at_hand: ArchiveFiles, tmp_path: Path) -> None:
+    """Of 100 bytes, three of 40: the third takes the place of the one that nobody holds."""
+    urls = [store(name, name.encode() * 40) for name in "abc"]
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "cache" / "x.partial").write_bytes(b"of a process that was killed")
+    with at_hand.at_hand(urls[0]) as held:
+        for url in urls[1:]:
+            with at_hand.at_hand(url):
+                pass
+        assert held.read_bytes() == b"a" * 40
+        assert cached(tmp_path) == [b"a" * 40, b"c" * 40]
+    with (
+        pytest.raises(ArchiveError, match=r"has 101 bytes, more than the 100 .* raise --cache-gb"),
+        at_hand.at_hand(store("d", b"d" * 101)),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(("failures", "given"), [(2, True), (3, False)])
+def test_a_store_is_asked_again_some_times(
+    store: Store,
+    at_hand: ArchiveFiles,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    failures: int,
+    given: bool,
+) -> None:
+    kind = fsspec.get_filesystem_class("memory")
+    fetch, left = kind.get_file, [failures]
+
+    def sometimes(self: object, path: str, place: str) -> None:
+        if left[0]:
+            left[0] -= 1
+            Path(place).write_bytes(b"ha")  # and then the connection ends
+            raise OSError("SlowDown")
+        fetch(self, path, place)
+
+    monkeypatch.setattr(kind, "get_file", sometimes)
+    url = store("one", b"half of it")
+    if given:
+        with at_hand.at_hand(url) as path:
+            assert path.read_bytes() == b"half of it"
+    else:
+        with pytest.raises(ArchiveError, match=r"one cannot be read just now \(OSError: SlowDown, asked 3 times"):
+            at_hand.at_hand(url).__enter__()
+        assert cached(tmp_path) == []
+
+
+def test_what_is_not_there_is_asked_for_once(store: Store, at_hand: ArchiveFiles) -> None:
+    with pytest.raises(ArchiveError, match=r"nothing: FileNotFoundError.*check the address"):
+        at_hand.at_hand("memory:///files/nothing").__enter__()
+    with pytest.raises(ArchiveError, match="no place of archives"):
+        at_hand.at_hand("nosuch://bucket/a").__enter__()
