@@ -8,7 +8,6 @@ import threading
 import time
 from typing import Final
 
-from ltm_core.fuel.evidence import Window
 from ltm_core.uplink.config import AGGREGATOR, RegionConfig
 from ltm_ros.region.aggregator import Aggregator
 from ltm_ros.region.exports import RegionExports
@@ -20,6 +19,9 @@ SETTLE_S: Final = 0.25
 """For which frames are counted before they are stored together and answered for."""
 WAITING_BYTES: Final = 64 << 20
 """Of what came and waits to be counted; what comes above it is dropped, and sent again by its tower."""
+SHOWN_SHARE: Final = 0.1
+"""Of the time, which deciding the map anew for those who follow it may take: while many frames come, it is done for
+many at once."""
 KEPT_BYTES: Final = 500
 """What a message takes that waits, beside its payload: any number of empty ones shall not fill the memory."""
 
@@ -49,23 +51,22 @@ class RegionService:
         self._tiles = TilePublisher(config.name, self.aggregator, self._link)
         self._exports = None if config.export is None else RegionExports(config.export, self.aggregator, health)
         self._connections = 0
+        self._show_at = 0.0
 
     def run(self, stopping: threading.Event) -> None:
         """Count, store, answer and send, until told to stop; then store the rest."""
         self._link.start()
         last = tiles_at = time.monotonic()
-        windows: list[Window] = []
         try:
             while not stopping.is_set():
                 self._count_for(SETTLE_S)
                 now = time.monotonic()
                 self.aggregator.persistence.wait(now - last)
                 last = now
-                changed, answers = self.aggregator.settle()
-                windows += changed
+                changed = self._show(now)
+                answers = self.aggregator.settle()
                 self._greet()
                 self._answer(answers)
-                self._tiles.note(changed)
                 if now - tiles_at >= self._config.tiles:
                     tiles_at = now
                     self._tiles.send()
@@ -77,6 +78,16 @@ class RegionService:
             if self._exports is not None:
                 self._exports.close()
             self._link.stop()
+
+    def _show(self, now_s: float) -> bool:
+        """Whether parts of the map were decided anew."""
+        if now_s < self._show_at:
+            return False
+        windows = self.aggregator.show()
+        done = time.monotonic()
+        self._show_at = done + (done - now_s) * (1 / SHOWN_SHARE - 1)
+        self._tiles.note(windows)
+        return bool(windows)
 
     def _count_for(self, seconds: float) -> None:
         """Take what comes; shorter where nothing does."""

@@ -41,8 +41,8 @@ def test_the_map_is_exported_when_it_has_changed(tmp_path: Path, bucket: str) ->
     exports.look(60.0, changed=False)
     for number in range(4):
         aggregator.take("alta", scene.sealed("alta", number))
-    windows, _ = aggregator.settle()
-    exports.look(60.0, changed=bool(windows))
+    aggregator.settle()
+    exports.look(60.0, changed=bool(aggregator.show()))
     wait_for(lambda: exported(2), "the second", lambda: health.last_error)
     exports.look(64.0, changed=True)
     exports.close()
