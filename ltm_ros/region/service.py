@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import queue
 import secrets
 import threading
 import time
@@ -11,19 +10,16 @@ from typing import Final
 from ltm_core.uplink.config import AGGREGATOR, RegionConfig
 from ltm_ros.region.aggregator import Aggregator
 from ltm_ros.region.exports import RegionExports
+from ltm_ros.region.inbox import Inbox
 from ltm_ros.region.mqtt_link import MqttLink, ack_topic, presence_topic, votes_topic
 from ltm_ros.region.tiles import TilePublisher
 from ltm_ros.runtime.health import Health
 
 SETTLE_S: Final = 0.25
 """For which frames are counted before they are stored together and answered for."""
-WAITING_BYTES: Final = 64 << 20
-"""Of what came and waits to be counted; what comes above it is dropped, and sent again by its tower."""
 SHOWN_SHARE: Final = 0.1
 """Of the time, which deciding the map anew for those who follow it may take: while many frames come, it is done for
 many at once."""
-KEPT_BYTES: Final = 500
-"""What a message takes that waits, beside its payload: any number of empty ones shall not fill the memory."""
 
 
 class RegionService:
@@ -35,8 +31,7 @@ class RegionService:
     def __init__(self, config: RegionConfig, health: Health) -> None:
         self._config, self._health = config, health
         self.aggregator = Aggregator(config, health, time.time_ns)
-        self._inbox: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
-        self._bytes_in = self._bytes_out = 0  # each written by one thread only
+        self._inbox = Inbox(config.towers, health)
         self._life = secrets.token_hex(8).encode()
         self._presence = presence_topic(config.name)
         self._link = MqttLink(
@@ -94,14 +89,11 @@ class RegionService:
         until = time.monotonic() + seconds
         wait = seconds
         while wait > 0:
-            try:
-                tower, content = self._inbox.get(timeout=wait)
-            except queue.Empty:
-                return
-            self.aggregator.take(tower, content)
-            self._bytes_out += KEPT_BYTES + len(content)
+            if (came := self._inbox.get(wait)) is None:
+                break
+            self.aggregator.take(*came)
             wait = until - time.monotonic()
-            self._health.gauge("waiting_bytes", self._bytes_in - self._bytes_out)
+        self._health.gauge("waiting_bytes", self._inbox.bytes)
 
     def _greet(self) -> None:
         """Tell towers who is there, whenever the connection is a new one; the broker may have forgotten all."""
@@ -119,8 +111,4 @@ class RegionService:
 
     def _offer(self, topic: str, payload: bytes) -> None:
         """From the connection's thread."""
-        if self._bytes_in - self._bytes_out > WAITING_BYTES:
-            self._health.drop("overload", f"{WAITING_BYTES >> 20} MB wait to be counted; their towers send them again")
-            return
-        self._bytes_in += KEPT_BYTES + len(payload)
-        self._inbox.put((topic.rpartition("/")[2], payload))
+        self._inbox.put(topic.rpartition("/")[2], payload)

@@ -66,7 +66,7 @@ class TilePublisher:
                 region=self._region, row=row, col=col, stamp_ns=stamp, grid=self._grid, classes=self._classes
             )
             sealed = self._aggregator.identity.sealed(header.model_dump_json().encode(), serialize_message(message))
-            if not self._link.send(tile_topic(self._region, row, col), sealed, retain=True):
+            if not self._link.send(tile_topic(self._region, row, col), sealed, retain=True, qos=1):
                 return
             self._sent[key] = content
             self._due.discard(key)

@@ -19,8 +19,8 @@ class Link:
         self.sent: list[tuple[str, bytes]] = []
         self.room = 1000
 
-    def send(self, topic: str, payload: bytes, retain: bool = False) -> bool:
-        assert retain
+    def send(self, topic: str, payload: bytes, retain: bool = False, qos: int = 0) -> bool:
+        assert (retain, qos) == (True, 1)
         if len(self.sent) >= self.room:
             return False
         self.sent.append((topic, payload))
