@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from ltm_core.errors import ConfigError
+
 
 def folder_that_exists(path: Path) -> Path:
     """The path, or the nearest folder above it that is there: a disk may be asked before anything is written to it."""
@@ -14,6 +16,16 @@ def folder_that_exists(path: Path) -> Path:
     while not path.exists() and path != path.parent:
         path = path.parent
     return path
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder where only it is missing, so that a disk that is not there is noticed. Raises ConfigError."""
+    try:
+        folder.mkdir(exist_ok=True)
+    except FileNotFoundError as error:
+        raise ConfigError(f"{folder}: the folder {folder.parent} does not exist; make it first") from error
+    except OSError as error:
+        raise ConfigError(f"{folder}: no folder that can be used ({error.strerror})") from error
 
 
 def disk_bytes(path: Path) -> int:

@@ -295,6 +295,7 @@ class TileStore:
         with transaction(self._db, self._name) as db:
             for frame in frames:
                 self._count(db, frame, keep=not packed)
+            self._touch(db, frames)
             for source in {frame.source for frame in frames}:
                 self._forget(db, source)
             db.executemany(
@@ -320,10 +321,21 @@ class TileStore:
                 "INSERT INTO waiting (source, stamp_ns, model, payload) VALUES (?, ?, ?, ?)",
                 (source, frame.stamp_ns, frame.model, compressed(frame.payload)),
             )
+
+    def _touch(self, db: sqlite3.Connection, frames: Sequence[FrameRecord]) -> None:
+        """One row for each tile, source and network, however many frames of a transaction there are."""
+        touches: dict[tuple[int, int, str, str], tuple[int, int, int]] = {}
+        for frame in frames:
+            at = frame.stamp_ns
+            for row, col in frame.tiles:
+                key = row, col, frame.source, frame.model
+                count, first, last = touches.get(key, (0, at, at))
+                touches[key] = count + 1, min(first, at), max(last, at)
         db.executemany(
-            "INSERT INTO touches VALUES (?, ?, ?, ?, 1, ?, ?) ON CONFLICT DO UPDATE SET frames = frames + 1, "
+            "INSERT INTO touches SELECT ?, ?, id, ?, ?, ?, ? FROM sources WHERE name = ? "
+            "ON CONFLICT DO UPDATE SET frames = frames + excluded.frames, "
             "first_ns = min(first_ns, excluded.first_ns), last_ns = max(last_ns, excluded.last_ns)",
-            [(row, col, source, frame.model, frame.stamp_ns, frame.stamp_ns) for row, col in frame.tiles],
+            [(row, col, model, *touch, source) for (row, col, source, model), touch in touches.items()],
         )
 
     def _forget(self, db: sqlite3.Connection, source: str) -> None:

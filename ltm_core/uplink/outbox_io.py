@@ -121,18 +121,27 @@ class Outbox:
         self.frames, self.bytes = self.frames + new, self.bytes + size
         return new
 
-    def waiting(self, limit: int, now_s: float, without: Iterable[FrameKey] = ()) -> list[OutboxFrame]:
-        """The newest frames but these, and but those that a `postpone` holds back until later than `now_s`: a map of
-        the present is worth more than one of an hour ago, and evidence may come in any order.
+    def waiting(self, limit: int, now_s: float, without: Iterable[FrameKey] = ()) -> list[tuple[FrameKey, int]]:
+        """The newest frames but these, and but those that a `postpone` holds back until later than `now_s`, and the
+        bytes of their messages: a map of the present is worth more than one of an hour ago, and evidence may come in
+        any order. What they hold is read by `frame`, of those alone that are sent.
         """
         left_out = set(without)
         with named_errors(str(self._path)):
             rows = self._db.execute(
-                "SELECT camera, stamp_ns, view, model, message FROM frames WHERE retry_s <= ? "
+                "SELECT camera, stamp_ns, length(message) FROM frames WHERE retry_s <= ? "
                 "ORDER BY stamp_ns DESC LIMIT ?",
                 (now_s, limit + len(left_out)),
             ).fetchall()
-        return [OutboxFrame(*row) for row in rows if row[:2] not in left_out][:limit]
+        return [((camera, at), size) for camera, at, size in rows if (camera, at) not in left_out][:limit]
+
+    def frame(self, key: FrameKey) -> OutboxFrame | None:
+        """What waits under a key; None: nothing."""
+        with named_errors(str(self._path)):
+            row = self._db.execute(
+                "SELECT camera, stamp_ns, view, model, message FROM frames WHERE camera = ? AND stamp_ns = ?", key
+            ).fetchone()
+        return None if row is None else OutboxFrame(*row)
 
     def acknowledge(self, keys: Iterable[FrameKey]) -> int:
         """Let go of frames that are in the region's map; how many of them were here."""

@@ -56,6 +56,7 @@ class VoteTransfer:
         """Cells of the region by the tower's cells that they take from; `_first`: where those of each begin."""
         self._first = np.searchsorted(from_cell[self._targets], np.arange(number.size + 1))
         self._same_crs = source.crs == target.crs
+        self._same_cells = source == target
 
     def votes(self, votes: CellVotes) -> CellVotes:
         """The votes on the region's grid, in row-major order; of cells that it does not have, nothing is left.
@@ -64,6 +65,8 @@ class VoteTransfer:
         """
         if votes.geometry.shape != self.source.shape:
             raise MessageError(f"votes of {votes.source} are on {votes.geometry}, not on {self.source}")
+        if self._same_cells:
+            return replace(votes, geometry=self._in_map)
         own = votes.rows.astype(np.int64) * self.source.width + votes.cols
         counts = self._first[own + 1] - self._first[own]
         taken = np.repeat(np.arange(len(own)), counts)

@@ -17,6 +17,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
@@ -61,9 +62,13 @@ class RegionResult:
     kills: dict[str, int]
     catch_up_s: float
     times_real: float
-    """Seconds of votes a second."""
-    cpu_ms_a_frame: float | None
-    """Processor time of the region's map while it caught up; None: it was killed meanwhile."""
+    """Seconds of votes a second, by the clock."""
+    cpu_ms_a_frame: dict[str, float]
+    """Processor time while it caught up: of all `towers` together, of the `broker`, of the `map`; empty: some were
+    killed meanwhile."""
+    times_real_on_cores: float | None
+    """Seconds of votes a second of processor time of the process that used most: as where each has a core of its own,
+    and none waits for another."""
     dropped: dict[str, int]
     bytes_a_frame: float
 
@@ -82,6 +87,8 @@ class RegionTrial:
         self.said: dict[str, dict[str, Any]] = {name: {"kept": 0, "waiting": -1, "dropped": {}} for name in self.towers}
         self.map_answers = False
         """Whether the region's map has started."""
+        self._left = dict.fromkeys(self.towers, seconds)
+        """Frames of each tower that no answer has been heard of."""
         self._lock = threading.RLock()
         self.begin_ns = time.time_ns() - (seconds + 60) * PERIOD_NS
         self._write()
@@ -161,6 +168,10 @@ class RegionTrial:
     def all_sent(self) -> bool:
         return self.all_kept() and all(said["waiting"] == 0 for said in self.said.values())
 
+    def answered(self) -> float:
+        """Share of all frames that left the outboxes, as far as towers have said."""
+        return 1.0 - sum(self._left.values()) / self.frames
+
     def expected(self) -> LivingFuelMap:
         """The map of all frames, counted in this process without any link."""
         site, evidence = self._empty()
@@ -192,7 +203,9 @@ class RegionTrial:
             if name in self.said and line.startswith("{") and line.endswith("\n"):
                 with self._lock:
                     if self._processes.get(name) is process:
-                        self.said[name] = json.loads(line)
+                        said = self.said[name] = json.loads(line)
+                        if said["kept"] >= self._seconds and said["waiting"] >= 0:
+                            self._left[name] = said["waiting"]
 
     def _last_words(self, names: list[str]) -> str:
         logs = [(self._folder / f"{name}.log").read_text(encoding="utf-8")[-1500:] for name in names]
@@ -248,6 +261,15 @@ class Killer:
     random: random.Random
     kills: Counter[str] = field(default_factory=Counter)
 
+    def kill_while_answered(self, kills: int) -> None:
+        """Spread over the whole of the catching up: each after one more of as many parts of the frames."""
+        for number in range(kills):
+            self.trial.wait("more frames are answered for", partial(self._answered, number / (kills + 1)))
+            self.kill(1.0)
+
+    def _answered(self, share: float) -> bool:
+        return self.trial.answered() >= share
+
     def kill(self, at_most_s: float) -> None:
         time.sleep(self.random.uniform(0, at_most_s))
         name = self.random.choice(self.names)
@@ -273,15 +295,15 @@ def run_region(
             killer.kill(1.0)
         trial.wait("the outboxes have all frames", lambda: trial.all_kept() and trial.map_answers)
         say(f"link down: {trial.frames} frames in {len(trial.towers)} outboxes")
-        begun, cpu_before = time.monotonic(), trial.cpu_s(AGGREGATOR)
+        begun, before = time.monotonic(), {name: trial.cpu_s(name) for name in [*trial.towers, AGGREGATOR]}
         trial.start(BROKER)
         killer.names = [BROKER, BROKER, AGGREGATOR, AGGREGATOR, *trial.towers]
-        for _ in range(kills - kills // 3):
-            killer.kill(3.0)
+        killer.kill_while_answered(kills - kills // 3)
         trial.wait("the outboxes are empty", trial.all_sent)
         took = time.monotonic() - begun
         say(f"caught up after {took:.1f} s with {sum(killer.kills.values())} kills")
-        cpu_s = trial.cpu_s(AGGREGATOR) - cpu_before
+        used = {name: trial.cpu_s(name) - before.get(name, 0.0) for name in [BROKER, *before]}
+        parts = {"towers": sum(used[name] for name in trial.towers), "broker": used[BROKER], "map": used[AGGREGATOR]}
         trial.kill(AGGREGATOR)
         found, sources = trial.found()
         dropped = Counter[str]()
@@ -295,7 +317,8 @@ def run_region(
             kills=dict(killer.kills),
             catch_up_s=took,
             times_real=seconds / took,
-            cpu_ms_a_frame=None if kills else 1000 * cpu_s / trial.frames,
+            cpu_ms_a_frame={} if kills else {part: 1000 * cpu_s / trial.frames for part, cpu_s in parts.items()},
+            times_real_on_cores=None if kills else seconds / max(used.values()),
             dropped=dict(dropped),
             bytes_a_frame=traffic.bytes,
         )
@@ -312,15 +335,25 @@ def same_map(one: LivingFuelMap, other: LivingFuelMap) -> bool:
 
 
 def run_bench(
-    towers: int, seconds: int, kills: int, seed: int, extent: float, views: int, say: Callable[[str], None]
+    towers: int,
+    seconds: int,
+    kills: int,
+    seed: int,
+    extent: float,
+    views: int,
+    say: Callable[[str], None],
+    calm: bool = True,
 ) -> dict[str, RegionResult]:
-    """`calm`: a run without kills, which tells how fast the map catches up; `killed`, unless there are none: with."""
+    """`calm`: a run without kills, which tells how fast the map catches up; `killed`, unless there are none: with.
+
+    Of both or one of them; of neither where there are no kills and `calm` is False.
+    """
     with tempfile.TemporaryDirectory(prefix="ltm-bench-") as name:
         folder = Path(name)
         for part in ("traffic", "calm", "killed"):
             (folder / part).mkdir()
         traffic = write_region(folder / "traffic", towers, extent, views)
-        results = {"calm": run_region(folder / "calm", traffic, seconds, 0, seed, say)}
+        results = {"calm": run_region(folder / "calm", traffic, seconds, 0, seed, say)} if calm else {}
         if kills:
             results["killed"] = run_region(folder / "killed", traffic, seconds, kills, seed, say)
         return results

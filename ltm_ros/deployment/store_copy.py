@@ -59,8 +59,12 @@ def stores_of(state: Path) -> list[Path]:
 def return_stores(state: Path, copy: Path, aside: Path) -> list[Path]:
     """Put back the stores of `copy` whose schema has changed since; the newer ones go to the folder `aside`.
 
-    Returns what was put back. Nothing may write the stores meanwhile. Raises StoreError.
+    Returns what was put back. Nothing may write the stores meanwhile. Raises StoreError that names those which could
+    not be (no room, a copy that is damaged or gone); all others are back then, and none of another schema is left.
     """
+    if not copy.is_dir():
+        raise StoreError(f"{copy}: the copy of the stores is not there")
+    failed = []
     changed = [store for store in stores_of(copy) if schema_of(state / store.name) != schema_of(store)]
     for store in changed:
         aside.mkdir(parents=True, exist_ok=True, mode=0o750)
@@ -69,11 +73,18 @@ def return_stores(state: Path, copy: Path, aside: Path) -> list[Path]:
             if former.exists():
                 former.replace(aside / former.name)
         partial = state / f".{store.name}.returned"
-        shutil.copyfile(store, partial)
-        _give_to_owner_of(store, partial)
-        with partial.open("rb") as file:
-            os.fsync(file.fileno())
-        partial.replace(state / store.name)
+        try:
+            shutil.copyfile(store, partial)
+            _give_to_owner_of(store, partial)
+            with partial.open("rb") as file:
+                os.fsync(file.fileno())
+            partial.replace(state / store.name)
+        except OSError as error:
+            failed.append(f"{store.name} ({error.strerror})")
+            with contextlib.suppress(OSError):
+                partial.unlink(missing_ok=True)
+    if failed:
+        raise StoreError(f"{copy}: cannot be put back: {', '.join(failed)}")
     return changed
 
 

@@ -129,9 +129,17 @@ class Upgrade:
         # The stores first: where that is cut short, the candidate is still current, and all of it is done again.
         if trial.copy:
             aside = self._places.copies.parent / f"stores-of-{trial.candidate}"
-            for store in return_stores(self._places.state, Path(trial.copy), aside):
+            try:
+                for store in return_stores(self._places.state, Path(trial.copy), aside):
+                    self._say(
+                        f"{store.name}: {trial.candidate} had changed its schema; the copy is back, the other in "
+                        f"{aside}"
+                    )
+            except (LtmError, OSError) as error:
+                # A tower that begins with an empty map is more than one that stands still: nothing is deleted.
                 self._say(
-                    f"{store.name}: {trial.candidate} had changed its schema; the copy is back, the other in {aside}"
+                    f"{error}; {trial.former} starts without what is missing. To have it again: stop the service, copy "
+                    f"what lies in {trial.copy} to {self._places.state}, start it"
                 )
         self._releases.switch(trial.former)
 

@@ -17,9 +17,9 @@ from ltm_ros.fuel_map.layers import ShownLayers
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.retry import LAST_PAUSE_S, LAST_TRIES_S, RetryPace
 
-LOGGED_FRAMES = 200
+LOGGED_FRAMES = 1000
 """Frames that wait in the store before its tiles are written: what opening it must count again at most."""
-LOGGED_BYTES = 32 << 20
+LOGGED_BYTES = 64 << 20
 UNSAVED_FRAMES = 500_000
 """Frames counted in memory alone, while the disk is away, before more are refused: three hours of 40 a second."""
 UNSAVED_BYTES = 256 << 20
@@ -159,21 +159,27 @@ class FuelMapPersistence:
         if self.store is None and self._pace.due:
             self._open()
 
-    def settle(self, write_tiles: bool = False, last: bool = False) -> list[Counted]:
-        """Show and write what was counted; what is acknowledged with it.
-
-        `write_tiles`: all that the map holds, at once also where the store was away. `last`: nothing comes after.
-        """
+    def show(self) -> list[Window]:
+        """Decide anew what `shown` tells where frames were counted; the parts of the map that this was of."""
+        windows, self._unshown = self._unshown, []
         if self.map.newest_ns - self._aged_ns >= AGE_NS:
             # Evidence fades and burns end where nobody looks, too.
             self._aged_ns = self.map.newest_ns
-            self._changes += self.shown.refresh_all()
-        else:
-            self._changes += self.shown.refresh(self._unshown)
-        self._unshown = []
+            windows = [(0, 0, *self.map.geometry.shape)]
+        self._changes += self.shown.refresh(windows)
+        return windows
+
+    def settle(self, write_tiles: bool = False, last: bool = False, show: bool = True) -> list[Counted]:
+        """Show and write what was counted; what is acknowledged with it.
+
+        `write_tiles`: all that the map holds, at once also where the store was away. `last`: nothing comes after.
+        `show`: False where the caller calls `show` itself, less often; what is counted does not depend on it.
+        """
+        if show:
+            self.show()
         if self.store is None or (self._failed and not self._pace.due and not write_tiles):
             return []
-        full = self._logged >= LOGGED_FRAMES or self._logged_bytes >= LOGGED_BYTES
+        full = self._logged + len(self._batch) > LOGGED_FRAMES or self._logged_bytes >= LOGGED_BYTES
         tiles = self._dirty if self._durable and (write_tiles or full or self._failed) else set()
         if not (self._batch or tiles or self._changes):
             return []

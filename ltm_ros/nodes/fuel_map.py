@@ -14,6 +14,7 @@ from pydantic import Field
 from std_msgs.msg import String
 
 from ltm_core.confirmed_terrain import terrain_grid
+from ltm_core.disk_io import make_folder
 from ltm_core.errors import ConfigError, MessageError, StoreError
 from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.evidence import EvidenceMap
@@ -286,12 +287,7 @@ def _folder(config: FuelMapConfig) -> Path | None:
     if not config.folder:
         return None
     folder = Path(config.site).parent / Path(config.folder).expanduser()
-    try:
-        folder.mkdir(exist_ok=True)
-    except FileNotFoundError as error:
-        raise ConfigError(f"{folder}: the folder {folder.parent} does not exist; make it first") from error
-    except OSError as error:
-        raise ConfigError(f"{folder}: no folder that can be used ({error.strerror})") from error
+    make_folder(folder)
     return folder
 
 

@@ -100,16 +100,17 @@ class Aggregator:
         if refusal:
             self._answer(frame, refusal)
 
-    def settle(self) -> tuple[list[Window], dict[str, list[bytes]]]:
-        """Store what was counted: the parts of the map that may have changed, and sealed acknowledgements by tower."""
-        windows = []
-        for counted in self.persistence.settle():
+    def show(self) -> list[Window]:
+        """Decide the map anew where frames were counted; the parts of it that this was of."""
+        return self.persistence.show()
+
+    def settle(self) -> dict[str, list[bytes]]:
+        """Store what was counted: sealed acknowledgements by tower."""
+        for counted in self.persistence.settle(show=False):
             self._answer_for(counted)
-            if counted.window is not None:
-                windows.append(counted.window)
         self._health.gauge("frames", self.persistence.saved_frames)
         self._health.gauge("unsaved_frames", self.persistence.unsaved_frames)
-        return windows, self._sealed()
+        return self._sealed()
 
     def close(self) -> dict[str, list[bytes]]:
         """Store all that can be; acknowledgements by tower. What is not stored is sent again by its tower."""

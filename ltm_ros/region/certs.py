@@ -62,11 +62,20 @@ class TrialAuthority:
 
     def _made(self, region: str, clients: Sequence[str], hosts: Sequence[str], address: str, port: int) -> list[Path]:
         new: list[Path] = []
+        missing = [n for n in (BROKER, AGGREGATOR, *clients) if not (self.folder / f"{n}.crt").exists()]
+        if missing:
+            self._make_certificates(missing, hosts, new)
+        for name, text in (("acl", acl(region)), ("mosquitto.conf", self.configuration(address, port))):
+            path = self.folder / name
+            if not path.exists():
+                path.write_text(text, encoding="utf-8")
+                new.append(path)
+        return new
+
+    def _make_certificates(self, names: Sequence[str], hosts: Sequence[str], new: list[Path]) -> None:
         authority_key, authority = self._authority(new)
-        for name in (BROKER, AGGREGATOR, *clients):
-            if (self.folder / f"{name}.crt").exists():
-                continue
-            key = ec.generate_private_key(ec.SECP256R1())
+        for name in names:
+            key = self._key(name)
             usage = ExtendedKeyUsageOID.SERVER_AUTH if name == BROKER else ExtendedKeyUsageOID.CLIENT_AUTH
             builder = (
                 self._builder(name)
@@ -83,16 +92,15 @@ class TrialAuthority:
                     x509.SubjectAlternativeName([_host(host) for host in hosts]), critical=False
                 )
             self._write(name, key, builder.sign(authority_key, hashes.SHA256()), new)
-        for name, text in (("acl", acl(region)), ("mosquitto.conf", self.configuration(address, port))):
-            path = self.folder / name
-            if not path.exists():
-                path.write_text(text, encoding="utf-8")
-                new.append(path)
-        return new
 
     def _authority(self, new: list[Path]) -> tuple[ec.EllipticCurvePrivateKey, x509.Certificate]:
         key_file, certificate_file = self.folder / f"{AUTHORITY}.key", self.folder / f"{AUTHORITY}.crt"
         if certificate_file.exists():
+            if not key_file.exists():
+                raise ConfigError(
+                    f"{key_file}: the authority's key is not there, without which nothing new can be made; put it "
+                    "back while `ltm certs` runs, then away again"
+                )
             try:
                 key = serialization.load_pem_private_key(key_file.read_bytes(), password=None)
                 certificate = x509.load_pem_x509_certificate(certificate_file.read_bytes())
@@ -101,7 +109,7 @@ class TrialAuthority:
             if not isinstance(key, ec.EllipticCurvePrivateKey):
                 raise ConfigError(f"{key_file}: not made by `ltm certs`; name another folder")
             return key, certificate
-        made = ec.generate_private_key(ec.SECP256R1())
+        made = self._key(AUTHORITY)
         certificate = (
             self._builder("ltm trial authority")
             .issuer_name(_subject("ltm trial authority"))
@@ -112,6 +120,22 @@ class TrialAuthority:
         )
         self._write(AUTHORITY, made, certificate, new)
         return made, certificate
+
+    def _key(self, name: str) -> ec.EllipticCurvePrivateKey:
+        """A new one, or that which lies there without a certificate: after a stop in the midst, or made elsewhere."""
+        path = self.folder / f"{name}.key"
+        if not path.exists():
+            return ec.generate_private_key(ec.SECP256R1())
+        try:
+            key = serialization.load_pem_private_key(path.read_bytes(), password=None)
+        except (ValueError, TypeError):
+            key = None
+        if not isinstance(key, ec.EllipticCurvePrivateKey):
+            raise ConfigError(
+                f"{path}: no key on an elliptic curve in PEM, and it has no certificate; it stays as it is: move it "
+                "away"
+            )
+        return key
 
     def _builder(self, name: str) -> x509.CertificateBuilder:
         now = datetime.now(UTC)
@@ -131,10 +155,14 @@ class TrialAuthority:
         content = key.private_bytes(
             serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         )
-        descriptor = os.open(path, os.O_CREAT | os.O_WRONLY | os.O_TRUNC | os.O_NOFOLLOW, 0o600)
+        partial = self.folder / f".{name}.key.new"
+        partial.unlink(missing_ok=True)
+        descriptor = os.open(partial, os.O_CREAT | os.O_WRONLY | os.O_EXCL | os.O_NOFOLLOW, 0o600)
         with os.fdopen(descriptor, "wb") as file:
-            os.fchmod(descriptor, 0o600)  # a file that was there may have been others' to read
             file.write(content)
+            file.flush()
+            os.fsync(descriptor)
+        partial.replace(path)  # half a key would be taken for somebody else's
         crt = self.folder / f"{name}.crt"
         crt.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
         new += [path, crt]

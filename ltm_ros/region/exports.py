@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
@@ -17,7 +18,10 @@ from ltm_ros.runtime.health import Health, cause_of
 
 
 class RegionExports:
-    """One export at a time, on a thread of its own, of the map as it is when it begins."""
+    """One export at a time, on a thread of its own, of the map as it is when it begins.
+
+    Whatever fails there is told and tried again: the map itself does not depend on its files.
+    """
 
     def __init__(self, config: ExportConfig, aggregator: Aggregator, health: Health) -> None:
         self._config, self._aggregator, self._health = config, aggregator, health
@@ -43,21 +47,23 @@ class RegionExports:
         if self._due:
             try:
                 self._write(self._source())
-            except LtmError as error:
+            except Exception as error:
                 self._tell(error)
 
     def _judge(self) -> None:
         """What has become of the last one; of one that failed, the map is due again."""
         work, self._work = self._work, None
         error = None if work is None else work.exception()
-        if isinstance(error, LtmError):
+        if error is not None:
             self._due = True
             self._tell(error)
-        elif error is not None:
-            raise error
 
-    def _tell(self, error: LtmError) -> None:
-        self._health.trouble(cause_of(error), f"the map was not exported: {error}")
+    def _tell(self, error: BaseException) -> None:
+        if isinstance(error, LtmError):
+            self._health.trouble(cause_of(error), f"the map was not exported: {error}")
+        else:  # a bug of ours or of a library
+            sys.excepthook(type(error), error, error.__traceback__)
+            self._health.trouble("export", f"the map was not exported ({type(error).__name__}: {error}); see the log")
 
     def _source(self) -> FuelSource:
         """The map of this moment: its layers are arrays of their own."""

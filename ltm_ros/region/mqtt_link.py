@@ -10,6 +10,7 @@ import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
 
 from ltm_core.uplink.config import BrokerConfig
 from ltm_core.uplink.envelope import LARGEST
@@ -21,6 +22,9 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 1, 10
 """Between attempts to connect."""
 LARGEST_PACKET: Final = LARGEST + 1024
 """Bytes of a packet with its topic; the broker is told that no larger one is taken."""
+
+WITH_WILL: Final = 0x04
+"""Reason of a DISCONNECT after which the will is carried out (MQTT 5, 3.14.2.1)."""
 
 Taker = Callable[[str, bytes], None]
 """Topic and payload; called from the connection's thread, so that it must be quick and raise nothing."""
@@ -44,11 +48,22 @@ def tile_topic(region: str, row: int, col: int) -> str:
     return f"{ROOT}/{region}/tile/{row}/{col}"
 
 
+def hand_over(message: mqtt.MQTTMessage, take: Taker, health: Health) -> None:
+    """What came, to whom it is for. A topic that is no UTF-8 is the word of a broker that means harm: it is counted,
+    for an error here would end the connection's thread for good."""
+    try:
+        topic = message.topic
+    except UnicodeDecodeError as error:
+        health.drop("message", f"the broker sent a message on a topic that is no UTF-8 ({error})")
+        return
+    take(topic, bytes(message.payload))
+
+
 class MqttLink:
     """Connects in the background from `start` on, and again after each loss.
 
     Votes and acknowledgements need no word of the broker (QoS 0): who sends them sends them again until the other side
-    has answered. What is kept by the broker for those who come later (`retain`) goes with QoS 1.
+    has answered. Tiles go with QoS 1, and may queue; who is there goes past them, with QoS 0.
 
     Args:
         client_id: unique among the broker's clients.
@@ -82,7 +97,7 @@ class MqttLink:
         self._client.on_connect_fail = self._on_connect_fail
         self._client.on_disconnect = self._on_disconnect
         self._client.on_subscribe = self._on_subscribe
-        self._client.on_message = lambda _client, _data, message: take(message.topic, bytes(message.payload))
+        self._client.on_message = lambda _client, _data, message: hand_over(message, take, health)
 
     def start(self) -> None:
         properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
@@ -93,15 +108,15 @@ class MqttLink:
         self._client.loop_start()
 
     def stop(self) -> None:
-        """Say good-bye, so that the will is not carried out."""
-        self._client.disconnect()
+        """Say good-bye; the broker carries out the will, whatever else waited to be sent."""
+        self._client.disconnect(reasoncode=ReasonCode(PacketTypes.DISCONNECT, identifier=WITH_WILL))
         self._client.loop_stop()
 
-    def send(self, topic: str, payload: bytes, retain: bool = False) -> bool:
-        """Whether it is on its way; it may still get lost."""
+    def send(self, topic: str, payload: bytes, retain: bool = False, qos: int = 0) -> bool:
+        """Whether it is on its way; it may still get lost, with QoS 1 only together with the connection."""
         if not self.connected.is_set():
             return False
-        return self._client.publish(topic, payload, qos=int(retain), retain=retain).rc == mqtt.MQTT_ERR_SUCCESS
+        return self._client.publish(topic, payload, qos=qos, retain=retain).rc == mqtt.MQTT_ERR_SUCCESS
 
     def _on_connect(self, client: mqtt.Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from pathlib import Path
 from typing import Final
 
-from ltm_core.errors import ConfigError
+from ltm_core.disk_io import make_folder
 from ltm_core.uplink.config import RegionConfig
 from ltm_ros.health import machine
 from ltm_ros.health.metrics import METRICS_KIND, exposition
@@ -25,7 +24,7 @@ SAID_EVERY_S: Final = 60.0
 def run_region(config: RegionConfig) -> None:
     """Until SIGINT or SIGTERM. Raises LtmError for what cannot be taken."""
     for folder in (config.folder, *([config.export.folder] if config.export else [])):
-        _made(folder)
+        make_folder(folder)
     stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopping.set())
@@ -96,13 +95,3 @@ class RegionWatch:
     def close(self) -> None:
         if self._server is not None:
             self._server.close()
-
-
-def _made(folder: Path) -> None:
-    """Only the folder itself is made, so that a disk that is not there is noticed."""
-    try:
-        folder.mkdir(exist_ok=True)
-    except FileNotFoundError as error:
-        raise ConfigError(f"{folder}: the folder {folder.parent} does not exist; make it first") from error
-    except OSError as error:
-        raise ConfigError(f"{folder}: no folder that can be used ({error.strerror})") from error

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import queue
 import secrets
 import threading
 import time
 from typing import Final
 
-from ltm_core.fuel.evidence import Window
 from ltm_core.uplink.config import AGGREGATOR, RegionConfig
 from ltm_ros.region.aggregator import Aggregator
 from ltm_ros.region.exports import RegionExports
+from ltm_ros.region.inbox import Inbox
 from ltm_ros.region.mqtt_link import MqttLink, ack_topic, presence_topic, votes_topic
 from ltm_ros.region.tiles import TilePublisher
 from ltm_ros.runtime.health import Health
 
 SETTLE_S: Final = 0.25
 """For which frames are counted before they are stored together and answered for."""
-WAITING_BYTES: Final = 64 << 20
-"""Of what came and waits to be counted; what comes above it is dropped, and sent again by its tower."""
-KEPT_BYTES: Final = 500
-"""What a message takes that waits, beside its payload: any number of empty ones shall not fill the memory."""
+SHOWN_SHARE: Final = 0.1
+"""Of the time, which deciding the map anew for those who follow it may take: while many frames come, it is done for
+many at once."""
 
 
 class RegionService:
@@ -33,8 +31,7 @@ class RegionService:
     def __init__(self, config: RegionConfig, health: Health) -> None:
         self._config, self._health = config, health
         self.aggregator = Aggregator(config, health, time.time_ns)
-        self._inbox: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
-        self._bytes_in = self._bytes_out = 0  # each written by one thread only
+        self._inbox = Inbox(config.towers, health)
         self._life = secrets.token_hex(8).encode()
         self._presence = presence_topic(config.name)
         self._link = MqttLink(
@@ -49,23 +46,22 @@ class RegionService:
         self._tiles = TilePublisher(config.name, self.aggregator, self._link)
         self._exports = None if config.export is None else RegionExports(config.export, self.aggregator, health)
         self._connections = 0
+        self._show_at = 0.0
 
     def run(self, stopping: threading.Event) -> None:
         """Count, store, answer and send, until told to stop; then store the rest."""
         self._link.start()
         last = tiles_at = time.monotonic()
-        windows: list[Window] = []
         try:
             while not stopping.is_set():
                 self._count_for(SETTLE_S)
                 now = time.monotonic()
                 self.aggregator.persistence.wait(now - last)
                 last = now
-                changed, answers = self.aggregator.settle()
-                windows += changed
+                changed = self._show(now)
+                answers = self.aggregator.settle()
                 self._greet()
                 self._answer(answers)
-                self._tiles.note(changed)
                 if now - tiles_at >= self._config.tiles:
                     tiles_at = now
                     self._tiles.send()
@@ -78,19 +74,26 @@ class RegionService:
                 self._exports.close()
             self._link.stop()
 
+    def _show(self, now_s: float) -> bool:
+        """Whether parts of the map were decided anew."""
+        if now_s < self._show_at:
+            return False
+        windows = self.aggregator.show()
+        done = time.monotonic()
+        self._show_at = done + (done - now_s) * (1 / SHOWN_SHARE - 1)
+        self._tiles.note(windows)
+        return bool(windows)
+
     def _count_for(self, seconds: float) -> None:
         """Take what comes; shorter where nothing does."""
         until = time.monotonic() + seconds
         wait = seconds
         while wait > 0:
-            try:
-                tower, content = self._inbox.get(timeout=wait)
-            except queue.Empty:
-                return
-            self.aggregator.take(tower, content)
-            self._bytes_out += KEPT_BYTES + len(content)
+            if (came := self._inbox.get(wait)) is None:
+                break
+            self.aggregator.take(*came)
             wait = until - time.monotonic()
-            self._health.gauge("waiting_bytes", self._bytes_in - self._bytes_out)
+        self._health.gauge("waiting_bytes", self._inbox.bytes)
 
     def _greet(self) -> None:
         """Tell towers who is there, whenever the connection is a new one; the broker may have forgotten all."""
@@ -108,8 +111,4 @@ class RegionService:
 
     def _offer(self, topic: str, payload: bytes) -> None:
         """From the connection's thread."""
-        if self._bytes_in - self._bytes_out > WAITING_BYTES:
-            self._health.drop("overload", f"{WAITING_BYTES >> 20} MB wait to be counted; their towers send them again")
-            return
-        self._bytes_in += KEPT_BYTES + len(payload)
-        self._inbox.put((topic.rpartition("/")[2], payload))
+        self._inbox.put(topic.rpartition("/")[2], payload)

@@ -28,6 +28,8 @@ class TilePublisher:
     def __init__(self, region: str, aggregator: Aggregator, link: MqttLink) -> None:
         self._region, self._aggregator, self._link = region, aggregator, link
         self._due: set[Key] = set()
+        self._sent: dict[Key, bytes] = {}
+        """What followers have of each tile."""
         self._classes = list(life_form_labels(aggregator.labels).names)
         site = aggregator.site
         self._grid = VotesGrid.of(site.in_crs(aggregator.geometry), site.origin)
@@ -40,6 +42,7 @@ class TilePublisher:
 
     def note_all(self) -> None:
         """The broker may have forgotten what it was sent: all tiles with evidence are due."""
+        self._sent.clear()
         evidence = self._aggregator.persistence.map
         seen = evidence.layers().last_seen > 0
         rows, cols = evidence.tiles
@@ -54,14 +57,19 @@ class TilePublisher:
         while self._due:
             row, col = key = min(self._due)
             height, width = min(TILE, geometry.height - row * TILE), min(TILE, geometry.width - col * TILE)
+            shown = persistence.shown.life_form[row * TILE : row * TILE + height, col * TILE : col * TILE + width]
+            if self._sent.get(key) == (content := shown.tobytes()):
+                self._due.discard(key)
+                continue
             stamp = persistence.map.newest_ns
             message = tile_to_msg(persistence.shown.life_form, geometry, (row * TILE, col * TILE, height, width), stamp)
             header = TileHeader(
                 region=self._region, row=row, col=col, stamp_ns=stamp, grid=self._grid, classes=self._classes
             )
             sealed = self._aggregator.identity.sealed(header.model_dump_json().encode(), serialize_message(message))
-            if not self._link.send(tile_topic(self._region, row, col), sealed, retain=True):
+            if not self._link.send(tile_topic(self._region, row, col), sealed, retain=True, qos=1):
                 return
+            self._sent[key] = content
             self._due.discard(key)
 
 

@@ -233,10 +233,15 @@ class TowerLink:
             self._resend_s = min(2 * self._resend_s, LONGEST_RESEND_S)
             for key in late:
                 del self._on_their_way[key]
-        room = WINDOW_BYTES - sum(size for _, size in self._on_their_way.values())
-        for frame in self._outbox.waiting(WINDOW - len(self._on_their_way), now_s, self._on_their_way):
-            if len(frame.message) > room and self._on_their_way:
+        frames, room = WINDOW - len(self._on_their_way), WINDOW_BYTES - sum(n for _, n in self._on_their_way.values())
+        if frames <= 0 or room <= 0 or not self._outbox.frames:
+            return
+        for key, size in self._outbox.waiting(frames, now_s, self._on_their_way):
+            if size > room and self._on_their_way:
                 return
+            frame = self._outbox.frame(key)
+            if frame is None:
+                continue
             try:
                 content = self._sealed(frame)
             except (MessageError, ValidationError) as error:
@@ -245,8 +250,8 @@ class TowerLink:
                 continue
             if not self._link.send(votes_topic(self._config.name, self._config.tower), content):
                 return
-            self._on_their_way[frame.key] = now_s + self._resend_s, len(frame.message)
-            room -= len(frame.message)
+            self._on_their_way[key] = now_s + self._resend_s, size
+            room -= size
 
     def _sealed(self, frame: OutboxFrame) -> bytes:
         header = VotesHeader(

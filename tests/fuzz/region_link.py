@@ -72,9 +72,11 @@ def _read_outbox(folder: Path) -> None:
     with Outbox(path, 10_000, 1e9) as outbox:
         outbox.put([OutboxFrame("mast", 10**6, 0, "", b"x")])
         outbox.bound(2 * 10**18)
-        found = outbox.waiting(20, 0.0)
-        outbox.postpone([frame.key for frame in found[:3]], 9.0)
-        outbox.acknowledge([frame.key for frame in found])
+        found = [key for key, _ in outbox.waiting(20, 0.0)]
+        for key in found:
+            outbox.frame(key)
+        outbox.postpone(found[:3], 9.0)
+        outbox.acknowledge(found)
         outbox.oldest_ns()
 
 

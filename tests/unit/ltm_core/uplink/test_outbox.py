@@ -8,6 +8,7 @@ import subprocess
 import sys
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -26,7 +27,15 @@ def opened(folder: Path, max_bytes: int = 10_000, max_age_s: float = 1e6) -> Out
 
 
 def keys_of(outbox: Outbox) -> set[tuple[str, int]]:
-    return {found.key for found in outbox.waiting(10_000, 1e12)}
+    return {key for key, _ in outbox.waiting(10_000, 1e12)}
+
+
+def frames(outbox: Outbox, limit: int, now_s: float, **named: Any) -> list[OutboxFrame | None]:
+    """What waits, and that its size is stated."""
+    waiting = outbox.waiting(limit, now_s, **named)
+    found = [outbox.frame(key) for key, _ in waiting]
+    assert [len(one.message) for one in found if one] == [size for _, size in waiting]
+    return found
 
 
 def test_what_was_put_is_there_after_opening_again_and_the_newest_comes_first(tmp_path: Path) -> None:
@@ -35,8 +44,8 @@ def test_what_was_put_is_there_after_opening_again_and_the_newest_comes_first(tm
         assert outbox.put([frame(5), frame(7, "west"), frame(6)]) == 3
     with opened(tmp_path) as outbox:
         assert (outbox.frames, outbox.bytes, outbox.oldest_ns()) == (3, 300, 5 * SECOND)
-        assert outbox.waiting(2, 0.0) == [frame(7, "west"), frame(6)]
-        assert outbox.waiting(2, 0.0, without=[("west", 7 * SECOND)]) == [frame(6), frame(5)]
+        assert frames(outbox, 2, 0.0) == [frame(7, "west"), frame(6)]
+        assert frames(outbox, 2, 0.0, without=[("west", 7 * SECOND)]) == [frame(6), frame(5)]
 
 
 def test_a_frame_is_kept_once_and_goes_when_it_is_acknowledged(tmp_path: Path) -> None:
@@ -53,10 +62,10 @@ def test_a_frame_that_was_refused_is_offered_later_and_by_the_next_process_at_on
     with opened(tmp_path) as outbox:
         outbox.put([frame(5), frame(6)])
         outbox.postpone([("east", 6 * SECOND)], until_s=700.0)
-        assert outbox.waiting(9, 699.0) == [frame(5)]
-        assert outbox.waiting(9, 700.0) == [frame(6), frame(5)]
+        assert frames(outbox, 9, 699.0) == [frame(5)]
+        assert frames(outbox, 9, 700.0) == [frame(6), frame(5)]
     with opened(tmp_path) as outbox:
-        assert outbox.waiting(9, 0.0) == [frame(6), frame(5)]
+        assert frames(outbox, 9, 0.0) == [frame(6), frame(5)]
 
 
 def test_of_an_outbox_that_is_full_the_oldest_are_thinned_and_each_view_is_kept(tmp_path: Path) -> None:
@@ -110,6 +119,7 @@ def test_a_damaged_file_is_put_aside_and_a_new_one_begins(tmp_path: Path) -> Non
 WRITER = """
 import sys
 from pathlib import Path
+from typing import Any
 from ltm_core.uplink.outbox_io import Outbox, OutboxFrame
 
 with Outbox(Path(sys.argv[1]), 10**9, 1e9) as outbox:

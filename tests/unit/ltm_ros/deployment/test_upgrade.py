@@ -108,6 +108,35 @@ def test_a_store_whose_schema_moved_forward_is_put_aside_and_the_copy_returns(to
     assert any("had changed its schema" in line for line in tower.said)
 
 
+@pytest.mark.parametrize("gone", [True, False])
+def test_a_copy_that_cannot_be_put_back_does_not_keep_the_former_release_from_starting(
+    tower: Tower, tmp_path: Path, gone: bool
+) -> None:
+    """Else the tower would stand still for good: `rollback --unconfirmed` would fail at each start."""
+
+    def migrates(version: str) -> None:
+        if version == "2.0":
+            with sqlite3.connect(tower.store) as db:
+                db.execute("ALTER TABLE frames ADD COLUMN quality REAL")
+            if gone:
+                shutil.rmtree(tower.places.copies)
+            else:
+                tower.store.with_name(".fuel_map.ltm.returned").mkdir()  # in the way, as on a disk that is full
+
+    tower.service.behaviour["2.0"] = ServiceState(False, True, "")
+    tower.service.on_start = migrates
+    with pytest.raises(UpgradeError, match=r"1\.0 runs again"):
+        tower.install(write_package(tmp_path, "2.0"))
+    assert tower.releases.current == "1.0"
+    assert tower.releases.trial is None
+    assert tower.service.did[-1] == "start 1.0"
+    (said,) = [line for line in tower.said if "starts without what is missing" in line]
+    assert ("is not there" if gone else "cannot be put back: fuel_map.ltm (Is a directory)") in said
+    kept = tower.store if gone else tower.places.copies.parent / "stores-of-2.0/fuel_map.ltm"
+    assert frames_of(kept) == 5, "nothing is deleted"
+    assert tower.store.exists() == gone
+
+
 def test_a_store_that_cannot_be_copied_leaves_the_former_release_at_work(tower: Tower, tmp_path: Path) -> None:
     tower.store.write_bytes(b"no database" * 500)
     with pytest.raises(UpgradeError, match=r"fuel_map\.ltm: cannot be copied.*; 1\.0 is started again"):

@@ -32,7 +32,7 @@ class Region:
     def answers(self) -> dict[str, list[Outcome]]:
         """What each tower is told, after the signatures have been checked."""
         told: dict[str, list[Outcome]] = {}
-        for tower, sealed in self.aggregator.settle()[1].items():
+        for tower, sealed in self.aggregator.settle().items():
             for content in sealed:
                 envelope = self.scene.identity(tower).opened(content, "aggregator")
                 header = header_of(AckHeader, envelope)

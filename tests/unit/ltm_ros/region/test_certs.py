@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives import serialization
 from typer.testing import CliRunner
 
 from ltm_core.errors import ConfigError
@@ -26,14 +27,40 @@ def test_keys_are_for_their_owner_alone_and_what_is_there_stays(tmp_path: Path) 
     assert made(folder, "--tower", "alta", "--follower", "desk") == pairs | {"mosquitto.conf", "acl"}
     assert {path.stat().st_mode & 0o077 for path in folder.glob("*.key")} == {0}
     assert "listener 8883 127.0.0.1\n" in (folder / "mosquitto.conf").read_text()
-    (folder / "bear.key").write_text("left by a stop in the midst")  # as the umask has it
-    (folder / "bear.key").chmod(0o644)
+    (folder / ".bear.key.new").write_text("left by a stop in the midst")  # as the umask has it
+    (folder / ".bear.key.new").chmod(0o644)
     assert made(folder, "--tower", "bear") == {"bear.crt", "bear.key"}
+    assert not (folder / ".bear.key.new").exists()
     assert (folder / "bear.key").stat().st_mode & 0o777 == 0o600
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     assert made(folder, "--tower", "alta") == set()
     assert made(folder, "--tower", "crow") == {"crow.crt", "crow.key"}
     assert {name: (folder / name).read_bytes() for name in before} == before
+
+
+def test_a_key_that_has_no_certificate_gets_one_and_is_not_overwritten(tmp_path: Path) -> None:
+    made(tmp_path, "--tower", "alta")
+    key = (tmp_path / "alta.key").read_bytes()
+    (tmp_path / "alta.crt").unlink()
+    assert made(tmp_path, "--tower", "alta") == {"alta.crt", "alta.key"}
+    assert serialization.load_pem_private_key((tmp_path / "alta.key").read_bytes(), None).public_key() == (
+        serialization.load_pem_private_key(key, None).public_key()
+    )
+    (tmp_path / "bear.key").write_text("somebody's")
+    with pytest.raises(ConfigError, match=r"bear\.key: no key on an elliptic curve.* stays as it is: move it away"):
+        TrialAuthority(tmp_path, 2).make("kern", ["bear"], [], "127.0.0.1", 8883)
+    assert (tmp_path / "bear.key").read_text() == "somebody's"
+
+
+def test_without_the_authority_s_key_what_is_there_serves_and_nothing_new_is_made(tmp_path: Path) -> None:
+    made(tmp_path, "--tower", "alta")
+    (tmp_path / "ca.key").rename(tmp_path.parent / "away.key")
+    assert made(tmp_path, "--tower", "alta") == set()
+    with pytest.raises(ConfigError, match=r"the authority's key is not there.* put it back"):
+        TrialAuthority(tmp_path, 2).make("kern", ["bear"], [], "127.0.0.1", 8883)
+    assert not (tmp_path / "ca.key").exists()
+    (tmp_path.parent / "away.key").rename(tmp_path / "ca.key")
+    assert made(tmp_path, "--tower", "bear") == {"bear.crt", "bear.key"}
 
 
 @pytest.mark.parametrize("name", ["aggregator", "ca", "broker", "#", "+", "Alta", "a/b", "x" * 64, ""])

@@ -18,11 +18,10 @@ from ltm_ros.region.aggregator import Aggregator
 from ltm_ros.region.exports import RegionExports
 from ltm_ros.runtime.health import Health
 
-s3fs = pytest.importorskip("s3fs")
-
 
 @pytest.fixture
 def bucket() -> Iterator[str]:
+    pytest.importorskip("s3fs")
     with empty_bucket("maps") as address:
         yield f"{address}/kern"
 
@@ -41,8 +40,8 @@ def test_the_map_is_exported_when_it_has_changed(tmp_path: Path, bucket: str) ->
     exports.look(60.0, changed=False)
     for number in range(4):
         aggregator.take("alta", scene.sealed("alta", number))
-    windows, _ = aggregator.settle()
-    exports.look(60.0, changed=bool(windows))
+    aggregator.settle()
+    exports.look(60.0, changed=bool(aggregator.show()))
     wait_for(lambda: exported(2), "the second", lambda: health.last_error)
     exports.look(64.0, changed=True)
     exports.close()
@@ -53,6 +52,8 @@ def test_the_map_is_exported_when_it_has_changed(tmp_path: Path, bucket: str) ->
         assert raster.crs.to_string() == scene.site.crs
         assert raster.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
     item = json.loads((tmp_path / "out/item.stac.json").read_text())
+    import s3fs
+
     store = s3fs.S3FileSystem()
     store.invalidate_cache()
     there = {Path(path).name for path in store.ls("maps/kern")}
@@ -77,4 +78,31 @@ def test_a_copy_that_fails_is_told_and_tried_again(tmp_path: Path, bucket: str) 
     exports.close()
     assert (tmp_path / "out/item.stac.json").is_file()
     assert "noted.exported" not in health.summary()
+    aggregator.close()
+
+
+def test_an_export_that_fails_by_a_bug_is_told_and_tried_again_and_the_map_lives_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, health = write_region_scene(tmp_path), Health()
+    (tmp_path / "out").mkdir()
+    aggregator = Aggregator(scene.config, health, lambda: 0)
+    exports = RegionExports(ExportConfig(folder=tmp_path / "out", every=5.0), aggregator, health)
+
+    def broken(*_: object) -> None:
+        raise ValueError("a library's")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("ltm_ros.region.exports.export_site", broken)
+        exports.look(0.0, changed=True)
+
+        def looked() -> bool:
+            exports.look(1.0, changed=False)
+            return health.troubled
+
+        wait_for(looked, "the failure", lambda: health.last_error)
+        assert "the map was not exported (ValueError: a library's)" in health.last_error
+    exports.look(60.0, changed=False)
+    wait_for(lambda: (tmp_path / "out/life_form.tif").exists(), "the next one", lambda: health.last_error)
+    exports.close()
     aggregator.close()

@@ -24,7 +24,15 @@ from ltm_core.uplink.config import UplinkConfig
 from ltm_core.uplink.envelope import VotesGrid
 from ltm_core.uplink.outbox_io import OutboxFrame
 from ltm_ros.region.certs import TrialAuthority
-from ltm_ros.region.mqtt_link import LARGEST_PACKET, MqttLink, ack_topic, presence_topic, tile_topic, votes_topic
+from ltm_ros.region.mqtt_link import (
+    LARGEST_PACKET,
+    MqttLink,
+    ack_topic,
+    hand_over,
+    presence_topic,
+    tile_topic,
+    votes_topic,
+)
 from ltm_ros.region.process import RegionWatch
 from ltm_ros.region.service import RegionService
 from ltm_ros.region.tiles import opened_tile
@@ -144,16 +152,6 @@ def test_a_disk_that_does_not_serve_holds_up_no_frame_that_lies_on_it(
         with mapped(scene) as service:
             wait_for(lambda: service.frames == 8 and waiting(said) == "0", "the others")
             assert said.summary()["noted.acknowledged"] == "8"
-
-
-def test_empty_messages_do_not_fill_the_memory(scene: RegionScene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ltm_ros.region.service.WAITING_BYTES", 10_000)
-    with Broker(scene.certs / "mosquitto.conf", scene.port), mapped(scene) as service:
-        monkeypatch.setattr(service.service, "_count_for", lambda seconds: time.sleep(seconds))
-        time.sleep(0.6)
-        for _ in range(100):
-            service.service._offer(votes_topic(REGION, "alta"), b"")
-        assert service.health.dropped["overload"] > 50
 
 
 class Client:
@@ -303,6 +301,36 @@ def test_who_follows_the_map_has_all_of_it_and_what_changes(scene: RegionScene, 
             assert not np.array_equal(before, shown.life_form)
         finally:
             follower.stop()
+
+
+def test_a_map_that_ends_is_not_thought_to_be_there_whatever_waited_before(scene: RegionScene, broker: Broker) -> None:
+    """As many tiles as the broker has not yet confirmed stand between its last frame and its good-bye."""
+    presence: list[bytes] = []
+    topic, desk = presence_topic(REGION), scene.identity("desk")
+    follower = MqttLink(scene.broker("desk"), desk, "desk", [topic], lambda _, b: presence.append(b), Health())
+    follower.start()
+    life, will = scene.identity("aggregator"), (topic, b"")
+    link = MqttLink(scene.broker("aggregator"), life, "map", [], lambda *_: None, Health(), will)
+    link.start()
+    try:
+        wait_for(lambda: follower.connected.is_set() and link.connected.is_set(), "connections")
+        link.send(topic, b"a life", retain=True)
+        for number in range(500):
+            link.send(tile_topic(REGION, number, 0), bytes(10_000), retain=True, qos=1)
+        link.stop()
+        wait_for(lambda: presence[-1:] == [b""], "the map's end", lambda: presence)
+        assert b"a life" in presence
+    finally:
+        follower.stop()
+
+
+def test_a_topic_that_is_no_text_is_counted(scene: RegionScene) -> None:
+    message, health, got = mqtt.MQTTMessage(topic=b"ltm/\xff\xfe"), Health(), []
+    hand_over(message, lambda topic, payload: got.append(topic), health)
+    assert (got, health.dropped) == ([], {"message": 1})
+    message.topic = b"ltm/kern/votes/alta"
+    hand_over(message, lambda topic, payload: got.append(topic), health)
+    assert got == ["ltm/kern/votes/alta"]
 
 
 def test_the_region_answers_monitoring_systems(scene: RegionScene, broker: Broker) -> None:
