@@ -16,6 +16,7 @@ from ltm_core.pose_estimation.mount_config import MountConfig
 from ltm_core.site import Site
 from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.scene_view import SceneFilter
+from ltm_core.vision.view_masks import Looking
 
 _MUCH_MASKED = 0.6
 """Share of a picture above which a mask may be inverted."""
@@ -70,8 +71,9 @@ def check_camera(name: str, site: Site, dem: Dem, views: list[PosedCamera]) -> I
 
 
 def check_mask(site: Site, name: str) -> Iterator[Finding]:
-    """Where a camera has one: what share of the picture it hides, if its size is known."""
+    """Where a camera has one: what share of the picture it hides, if its size is known; and those of its views."""
     config = site.cameras[name]
+    yield from _check_view_masks(site, name)
     if config.mask is None:
         return
     called = f"{name}: mask"
@@ -90,10 +92,47 @@ def check_mask(site: Site, name: str) -> Iterator[Finding]:
     if config.mount is not None and not turning:
         doubts.append(
             "the head turns, and the mask hides the same pixels in every view: only what turns with it belongs into "
-            "it, such as corners of the lens and captions"
+            "it, such as corners of the lens and captions; the others belong into view_masks"
         )
     verdict = Verdict.DOUBTFUL if doubts else Verdict.OK
     yield Finding("cameras", called, verdict, ": ".join([found, *doubts]))
+
+
+def _check_view_masks(site: Site, name: str) -> Iterator[Finding]:
+    config = site.cameras[name]
+    if not config.view_masks:
+        return
+    lens = None if config.mount is None else config.mount.lens
+    size = config.calibration or lens
+    try:
+        scene = SceneFilter.of(site, name)
+    except LtmError as error:
+        yield Finding.of("cameras", f"{name}: view_masks", error)
+        return
+    for view in config.view_masks:
+        called, width = f"{name}: mask of view {view.name}", view.hfov_deg
+        looking = Looking(view.azimuth_deg, view.pitch_deg, width or 1.0)
+        doubts = []
+        if lens is not None and width is None:
+            doubts.append(
+                "the lens zooms, and the view says not how wide it is: give hfov_deg, or it hides at any zoom"
+            )
+        others = [other for other in config.view_masks if other is not view]
+        double = [o.name for o in others if looking.off_deg(o) <= min(view.within_deg, o.within_deg)]
+        if double:
+            doubts.append(f"{', '.join(double)} looks there too; the nearer one is taken")
+        found = f"azimuth {view.azimuth_deg:g}, pitch {view.pitch_deg:g}, within {view.within_deg:g} deg"
+        if size is not None:
+            try:
+                hidden = scene.hidden(size.width, size.height, looking)
+            except LtmError as error:
+                yield Finding.of("cameras", called, error)
+                continue
+            share = 0.0 if hidden is None else float(hidden.mean())
+            found += f": hides {share:.1%} of {size.width} x {size.height} pixels"
+            if share > _MUCH_MASKED:
+                doubts.append("little is left to see; masked is what is not 0 in a PNG: is it inverted?")
+        yield Finding("cameras", called, Verdict.DOUBTFUL if doubts else Verdict.OK, "; ".join([found, *doubts]))
 
 
 def _head(mount: MountConfig, name: str, site: Site, dem: Dem) -> Finding:

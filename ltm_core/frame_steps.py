@@ -34,6 +34,7 @@ from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest, Withdrawal
 from ltm_core.vision.scene_view import SceneFilter, SceneView
 from ltm_core.vision.segmenter import Segmentation, Segmenter
+from ltm_core.vision.view_masks import Looking
 
 
 class TracingConfig(StrictModel):
@@ -119,9 +120,9 @@ class TracingStep:
         """Of the confirmed surface in use."""
         return self._over.version
 
-    def hidden(self, camera: Camera) -> BoolArray | None:
-        """(H, W) bool, where the camera's mask has it that something else is seen; None: nowhere."""
-        return self._scene.hidden(camera.width, camera.height)
+    def hidden(self, camera: Camera, pose: Pose) -> BoolArray | None:
+        """(H, W) bool, where the mask of what the camera looks at has it that something else is seen; None: nowhere."""
+        return self._scene.hidden(camera.width, camera.height, Looking.of(camera, pose))
 
     def _tracers(self, terrain: ConfirmedTerrain) -> _Tracers:
         site, top = self._site, terrain.top if self._surface else terrain.ground
@@ -166,9 +167,15 @@ class LabellingStep:
         """Which labels are withdrawn."""
         return self._segmenter.withdrawal
 
-    def label(self, photo: UInt8Array) -> tuple[Segmentation, SceneView]:
-        """Of a picture (H, W, 3) RGB: its labels, and what of it was taken to show the landscape."""
-        view = self._scene.look(photo)
+    @property
+    def by_view(self) -> bool:
+        """Whether the camera has masks of single views, so that a picture's labels hang on where it looks."""
+        return self._scene.by_view
+
+    def label(self, photo: UInt8Array, looking: Looking | None = None) -> tuple[Segmentation, SceneView]:
+        """Of a picture (H, W, 3) RGB: its labels, and what of it was taken to show the landscape. `looking`: where the
+        camera did; None: only what is masked in all views is."""
+        view = self._scene.look(photo, looking)
         if view.reason is None:
             found = self._segmenter.segment(photo, self._zoom)
         else:
@@ -235,8 +242,8 @@ class FrameSteps:
     def votes(self, frame: PosedImage, covariance: NDArray[Any] | None) -> FrameVotes:
         """`covariance`: (6, 6) of the frame's pose; None: it is exact. Raises LtmError as the steps do."""
         traced = self._tracing.trace(frame.camera, frame.pose)
-        depth = seen(traced.ranges.depth(), self._tracing.hidden(frame.camera))
-        found, view = self._labelling.label(frame.image)
+        depth = seen(traced.ranges.depth(), self._tracing.hidden(frame.camera, frame.pose))
+        found, view = self._labelling.label(frame.image, Looking.of(frame.camera, frame.pose))
         cast = self._voting.cast(depth, frame.camera, frame.pose, found, frame.stamp_ns, covariance)
         columns = votes_to_columns(self._voting.carried(cast), self._voting.labels.names)
         return FrameVotes(columns, view.unusable)

@@ -52,19 +52,31 @@ def load_site(path: Path | str) -> Site:
 
 
 def _with_mask(name: str, camera: CameraConfig, site: Path) -> CameraConfig:
-    """With the mask's file beside the site file. A site may come from elsewhere: it names no file outside its folder.
-    Raises ConfigError."""
-    if not isinstance(camera.mask, Path):
-        return camera
-    place = f"{site}: cameras.{name}.mask"
+    """With the masks' files beside the site file. Raises ConfigError."""
+    place = f"{site}: cameras.{name}"
+    changes: dict[str, object] = {}
+    if isinstance(camera.mask, Path):
+        changes["mask"] = _mask_file(camera.mask, f"{place}.mask", site.parent)
+    if any(isinstance(view.mask, Path) for view in camera.view_masks):
+        changes["view_masks"] = tuple(
+            view.model_copy(update={"mask": _mask_file(view.mask, f"{place}.view_masks.{view.name}", site.parent)})
+            if isinstance(view.mask, Path)
+            else view
+            for view in camera.view_masks
+        )
+    return camera.model_copy(update=changes) if changes else camera
+
+
+def _mask_file(path: Path, place: str, folder: Path) -> Path:
+    """A site may come from elsewhere: it names no file outside its folder. Raises ConfigError."""
     try:
-        file = (site.parent / camera.mask).resolve()
-        inside = file.is_relative_to(site.parent)
+        file = (folder / path).resolve()
+        inside = file.is_relative_to(folder)
     except (OSError, ValueError, RuntimeError) as error:  # a name that no file can have, links in a circle
-        raise ConfigError(f"{place}: {str(camera.mask)!r} is no file ({error})") from error
+        raise ConfigError(f"{place}: {str(path)!r} is no file ({error})") from error
     if not inside:
-        raise ConfigError(f"{place}: {camera.mask} leads out of the site's folder; copy the mask into {site.parent}")
-    return camera.model_copy(update={"mask": file})
+        raise ConfigError(f"{place}: {path} leads out of the site's folder; copy the mask into {folder}")
+    return file
 
 
 def _source_beside(camera: CameraConfig, folder: Path) -> CameraConfig:

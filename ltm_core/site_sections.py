@@ -20,7 +20,7 @@ from ltm_core.source_config import NetworkSettings, SnapshotConfig, SourceConfig
 from ltm_core.strict_model import StrictModel
 from ltm_core.types import Float64Array
 from ltm_core.vision.label_head import SHIPPED_HEAD
-from ltm_core.vision.mask_config import MaskConfig
+from ltm_core.vision.mask_config import MOST_VIEW_MASKS, MaskConfig, ViewMask
 
 
 class DemConfig(StrictModel):
@@ -169,8 +169,11 @@ class CameraConfig(StrictModel):
     sensors: SensorsConfig | None = None
     """Instead of the pose topic: from the topics `fix` (NavSatFix) and `imu` (Imu)."""
     mask: MaskConfig | None = None
-    """What of a fixed camera's pictures never shows the landscape: a PNG in the site file's folder, or polygons; see
+    """What of a camera's pictures never shows the landscape: a PNG in the site file's folder, or polygons; see
     `ltm mask`. None: nothing of them."""
+    view_masks: tuple[ViewMask, ...] = Field((), max_length=MOST_VIEW_MASKS)
+    """Of a turning camera: what hides the landscape besides, where it looks one way. A picture that looks nowhere near
+    any of them has `mask` alone."""
     head: str = SHIPPED_HEAD
     """Head of the segmentation network for what this camera sees: `landscape` is the network's own, others are taught
     (`ltm train head`); a name, or a path from the site's folder of heads."""
@@ -194,6 +197,16 @@ class CameraConfig(StrictModel):
             )
         if self.mount is not None and self.mount.lens is not None and self.calibration is not None:
             raise ValueError("give either calibration or mount.lens, not both: the lens zooms, or it does not")
+        return self
+
+    @model_validator(mode="after")
+    def _views_turn(self) -> Self:
+        if self.view_masks and self.pose is not None:
+            raise ValueError("view_masks are of a camera that turns; one with a pose looks one way: write `mask`")
+        names = [view.name for view in self.view_masks]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"view_masks: {', '.join(twice)} stands there twice; each view has its own name")
         return self
 
     @model_validator(mode="after")

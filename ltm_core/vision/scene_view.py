@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,16 +15,19 @@ from ltm_core.types import BoolArray, UInt8Array
 from ltm_core.vision.camera_mask import CameraMask
 from ltm_core.vision.camera_mask_io import read_mask
 from ltm_core.vision.labels import UNLABELLED, Label
+from ltm_core.vision.mask_config import MaskConfig
 from ltm_core.vision.usable import Unusable, Usability, judge
+from ltm_core.vision.view_masks import Looking, MakeMask, ViewMasks, packed
 
 
 @dataclass(frozen=True, eq=False)
 class SceneView:
     """`hidden`: (H, W) bool, True where something else stands before the landscape; None: nowhere. `usability`: whether
-    the picture shows enough of it; None: not judged."""
+    the picture shows enough of it; None: not judged. `masked`: of a camera with masks by view, which one it was."""
 
     hidden: BoolArray | None = None
     usability: Usability | None = None
+    masked: str = ""
 
     @property
     def reason(self) -> Unusable | None:
@@ -63,56 +65,83 @@ class SceneView:
 class SceneFilter:
     """Says of each picture of a camera what of it shows the landscape.
 
-    `make`: the camera's mask for pictures of a size (width, height), raising ConfigError where it cannot be; None: it
-    has none. `size`: of its pictures, where it is known beforehand. `judged`: whether pictures are judged usable.
+    `make`: the camera's mask, that of all its views; None: it has none. `size`: of its pictures, where it is known
+    beforehand. `judged`: whether pictures are judged usable. `views`: masks of single views besides.
     """
 
     def __init__(
         self,
-        make: Callable[[int, int], CameraMask] | None = None,
+        make: MakeMask | None = None,
         size: tuple[int, int] | None = None,
         judged: bool = True,
+        views: ViewMasks | None = None,
     ) -> None:
-        self._make, self._judged = make, judged
+        self._make, self._judged, self._views = make, judged, views
         self.mask = make(*size) if make is not None and size is not None else None
-        """As last needed; None: there is none, or no size is known yet."""
+        """Of all views, as last needed; None: there is none, or no size is known yet."""
+        self._seen: tuple[str, BoolArray] | None = None
 
     @classmethod
     def of(cls, site: Site, camera: str) -> SceneFilter:
         """As the site file has it. Raises ConfigError for a camera that it lacks, and for a mask that cannot be."""
         config = site.camera(camera)
-        if config.mask is None:
-            return cls(judged=config.judge_pictures)
-        place, calibration = f"cameras.{camera}.mask", config.calibration
+        place, calibration = f"cameras.{camera}", config.calibration
         size = None if calibration is None else (calibration.width, calibration.height)
-        if not isinstance(config.mask, Path):
-            return cls(partial(CameraMask.of_polygons, config.mask, place=place), size, config.judge_pictures)
-        return cls.of_png(config.mask, place, size, config.judge_pictures)
+        views = None
+        if config.view_masks:
+            made = {v: _maker(v.mask, f"{place}.view_masks.{v.name}")[0] for v in config.view_masks}
+            views = ViewMasks(made, size)
+        if config.mask is None:
+            return cls(judged=config.judge_pictures, views=views)
+        make, own = _maker(config.mask, f"{place}.mask")
+        return cls(make, size or own, config.judge_pictures, views)
 
     @classmethod
     def of_png(cls, path: Path, place: str, size: tuple[int, int] | None = None, judged: bool = True) -> SceneFilter:
         """With the mask of a PNG; `place`: what names it in errors. Raises ConfigError as `read_mask`, and where it
         does not have the pictures' size."""
-        read = read_mask(path, place)
+        make, own = _maker(path, place)
+        return cls(make, size or own, judged)
 
-        def fitting(width: int, height: int) -> CameraMask:
-            read.check_size(width, height)
-            return read
+    @property
+    def by_view(self) -> bool:
+        """Whether what is hidden hangs on where the camera looks."""
+        return self._views is not None
 
-        return cls(fitting, size or read.size, judged)
-
-    def hidden(self, width: int, height: int) -> BoolArray | None:
-        """(H, W) bool, what the mask hides of pictures of this size; None without a mask. Raises ConfigError."""
-        if self._make is None:
-            return None
-        if self.mask is None or self.mask.size != (width, height):
+    def hidden(self, width: int, height: int, looking: Looking | None = None) -> BoolArray | None:
+        """(H, W) bool, what is masked in pictures of this size that look there (None: wherever they look); None:
+        nothing. Raises ConfigError."""
+        view = None if self._views is None or looking is None else self._views.at(looking)
+        if self._make is not None and (self.mask is None or self.mask.size != (width, height)):
             self.mask = self._make(width, height)
-        return self.mask.hidden
+        common = None if self.mask is None else self.mask.hidden
+        if view is None or self._views is None:
+            return common
+        # A camera dwells at a view: its mask is made once for all pictures of the stay.
+        seen = self._seen
+        if seen is None or seen[0] != view.name or seen[1].shape != (height, width):
+            own = self._views.mask(view, width, height).hidden
+            seen = self._seen = view.name, own if common is None else own | common
+        return seen[1]
 
-    def look(self, picture: UInt8Array) -> SceneView:
+    def look(self, picture: UInt8Array, looking: Looking | None = None) -> SceneView:
         """Of a picture (H, W, 3) RGB. Raises ConfigError where the mask is for another size, ImageError for another
         shape."""
         if picture.ndim != 3 or picture.shape[2] != 3:
             raise ImageError(f"picture is {picture.shape}, expected (H, W, 3) RGB")
-        hidden = self.hidden(picture.shape[1], picture.shape[0])
-        return SceneView(hidden, judge(picture, hidden) if self._judged else None)
+        hidden = self.hidden(picture.shape[1], picture.shape[0], looking)
+        return SceneView(hidden, judge(picture, hidden) if self._judged else None, self._masked(looking))
+
+    def _masked(self, looking: Looking | None) -> str:
+        if self._views is None or looking is None:
+            return ""
+        view = self._views.at(looking)
+        return f"view {view.name}" if view is not None else f"no view of the site file looks to {looking}"
+
+
+def _maker(config: MaskConfig, place: str) -> tuple[MakeMask, tuple[int, int] | None]:
+    """What makes the mask, and the size that it has, where it has one of its own. Raises ConfigError."""
+    if not isinstance(config, Path):
+        return partial(CameraMask.of_polygons, config, place=place), None
+    read = read_mask(config, place)
+    return packed(read), read.size

@@ -12,6 +12,7 @@ from ltm_ros.cli.output import Overwrite
 if TYPE_CHECKING:
     from ltm_core.site import Site
     from ltm_core.types import Float64Array, UInt8Array
+    from ltm_core.vision.mask_config import ViewMask
     from ltm_core.vision.mask_proposals import Proposal
     from ltm_core.vision.polygons_io import NamedArea
 
@@ -34,6 +35,16 @@ def mask(
             help="polygons.json of `ltm label`: areas of its class masked (or any that is no label) are proposed too."
         ),
     ] = None,
+    view: Annotated[
+        str, typer.Option(help="Of a turning camera: name of the view that these pictures are of (with --looking).")
+    ] = "",
+    looking: Annotated[
+        str,
+        typer.Option(
+            help="Where that view looks: AZIMUTH,PITCH or AZIMUTH,PITCH,HFOV in degrees, as the poses have it; of a "
+            "recording, only pictures that look there are taken."
+        ),
+    ] = "",
     model: Annotated[str, typer.Option(help="Segmentation network; default: the site's, or the shipped one.")] = "",
     overwrite: Overwrite = False,
 ) -> None:
@@ -58,17 +69,20 @@ def mask(
 
     if (site is None) != (not camera):
         raise ConfigError("give --site and --camera together: whose mask it shall be")
+    turned = _view(view, looking)
     known = None if site is None else load_site(site)
     if known is not None:
         known.camera(camera)
     is_recording = pictures.is_file() or any(pictures.glob("*.mcap"))
     if is_recording and known is None:
         raise ConfigError(f"{pictures} is a recording: give --site and --camera, whose pictures shall be looked at")
-    target = out or (site.parent / f"{camera}_mask.png" if site is not None else Path("mask.png"))
+    target = out or (
+        site.parent / f"{camera}{f'_{view}' if view else ''}_mask.png" if site is not None else Path("mask.png")
+    )
     beside = target.with_suffix(".json"), target.with_name(f"{target.stem}_proposals.png")
     require_files([target, *beside], overwrite or bool(keep))
     if is_recording and known is not None:
-        names, frames = recorded_pictures(pictures, known, camera, MOST_FRAMES)
+        names, frames = recorded_pictures(pictures, known, camera, MOST_FRAMES, turned)
     else:
         names, frames = folder_pictures(pictures, only, MOST_FRAMES)
     segmenter = Segmenter.open(model or (DEFAULT_MODEL if known is None else known.model))
@@ -100,9 +114,43 @@ def mask(
     write_areas(beside[0], _areas(names[0], chosen))
     console.print(f"  {target}: {hidden.mean():.1%} of the picture\n  {beside[0]}", highlight=False)
     if keep:
-        typer.echo(f"cameras:\n  {camera or 'CAMERA'}:\n    mask: {_below(target, site)}")
+        typer.echo(f"cameras:\n  {camera or 'CAMERA'}:\n{_line(_below(target, site), turned)}")
     else:
         typer.echo("confirm with --keep, such as --keep " + ",".join(str(n) for n, _ in chosen))
+
+
+def _view(name: str, looking: str) -> ViewMask | None:
+    """What --view and --looking say; its mask is still to be found. Raises ConfigError."""
+    from pydantic import ValidationError
+
+    from ltm_core.errors import ConfigError
+    from ltm_core.vision.mask_config import ViewMask
+
+    if bool(name) != bool(looking):
+        raise ConfigError("give --view and --looking together: a view has a name, and looks somewhere")
+    if not name:
+        return None
+    parts = dict(zip(("azimuth_deg", "pitch_deg", "hfov_deg"), looking.split(","), strict=False))
+    try:
+        if looking.count(",") > 2:
+            raise ValueError("too many numbers")
+        return ViewMask.model_validate({"name": name, **{k: float(v) for k, v in parts.items()}, "mask": "-"})
+    except (ValueError, ValidationError) as error:
+        raise ConfigError(
+            f"--looking {looking}: expected AZIMUTH,PITCH or AZIMUTH,PITCH,HFOV in degrees, such as 271.5,-4"
+        ) from error
+
+
+def _line(mask: str, view: ViewMask | None) -> str:
+    """What the site file needs, below the camera."""
+    if view is None:
+        return f"    mask: {mask}"
+    stated = view.model_dump(exclude={"mask"}, exclude_defaults=True)
+    return (
+        "    view_masks:\n      - {"
+        + ", ".join(f"{key}: {value}" for key, value in stated.items())
+        + f", mask: {mask}}}"
+    )
 
 
 def _kept(keep: str, count: int) -> list[bool]:

@@ -96,6 +96,7 @@ def calibrate_from_photos(head: Head, photos: Path, readings: Path, model_name: 
     from ltm_core.tracing.trace_io import read_photo
     from ltm_core.vision.scene_view import SceneFilter
     from ltm_core.vision.segmenter import Segmenter
+    from ltm_core.vision.view_masks import Looking
 
     terrain, config = site_terrain(head.site)
     segmenter = Segmenter.of(head.site, head.camera, model_name)
@@ -109,11 +110,13 @@ def calibrate_from_photos(head: Head, photos: Path, readings: Path, model_name: 
             raise ConfigError(f"{readings} names {name}, which is not in {photos}")
         camera = head.lens.camera(zoom)
         photo = read_photo(file, camera)
-        labels, hidden = segmenter.segment(photo).labels, scene.hidden(camera.width, camera.height)
+        pose = head.model.pose(pan, tilt)[0]
+        hidden = scene.hidden(camera.width, camera.height, Looking.of(camera, pose))
+        labels = segmenter.segment(photo).labels
         doubt = doubt_of_sky(labels, hidden)
         if doubt is not None:
             raise ImageError(f"{file}: {doubt}")
-        prior = PosePrior(head.model.pose(pan, tilt)[0], azimuth, pitch, roll, place, height)
+        prior = PosePrior(pose, azimuth, pitch, roll, place, height)
         priors.append(prior)
         evidence = picture_evidence(photo, labels, camera, config, hidden)
         searches.append(find_pose(evidence, terrain, widened(prior, tilt_zero), config))

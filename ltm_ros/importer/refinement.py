@@ -24,6 +24,7 @@ from ltm_core.site import Site
 from ltm_core.types import UInt8Array
 from ltm_core.vision.scene_view import SceneFilter
 from ltm_core.vision.segmenter import Segmenter
+from ltm_core.vision.view_masks import Looking
 from ltm_msgs_py.image import decode_rgb
 from ltm_ros.importer.georeference import PlacedPhoto
 
@@ -168,7 +169,8 @@ class PoseRefinement:
 
     def _search(self, item: PlacedPhoto, prior: PosePrior, view: _CameraView) -> tuple[PoseResult, Refinement]:
         photo = decode_rgb(item.photo.data)
-        labels, hidden = view.segment(photo), view.scene.hidden(item.camera.width, item.camera.height)
+        looking = Looking.of(item.camera, item.pose)
+        labels, hidden = view.segment(photo), view.scene.hidden(item.camera.width, item.camera.height, looking)
         doubt = doubt_of_sky(labels, hidden)
         if doubt is not None:
             raise ImageError(doubt)

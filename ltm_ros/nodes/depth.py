@@ -94,7 +94,7 @@ class Depth(Handler[DepthConfig]):
                 "raise pixels under `limits:` in the site file",
             )
             return
-        hidden = self._step.hidden(camera)
+        hidden = self._step.hidden(camera, where)
         traced = self._step.trace(camera, where)
         ranges, version = traced.ranges, traced.version
         if version != self._step.version:

@@ -18,6 +18,7 @@ from ltm_core.pose_estimation.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.site_terrain import site_terrain
 from ltm_core.site_io import load_site
 from ltm_core.vision.scene_view import SceneFilter
+from ltm_core.vision.view_masks import Looking
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_rgb
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
@@ -92,19 +93,19 @@ class PoseKeeping(Handler[PoseKeepingConfig]):
         if 0 <= stamp - self._last_ns < self._every_ns:
             return
         photo = msg_to_rgb(image)
-        seen = self._scene.look(photo)
+        camera, stated = msg_to_camera(info), msg_to_pose(pose, "map")
+        seen = self._scene.look(photo, Looking.of(camera, stated))
         note_picture(self.health, seen)
         if seen.reason is not None:
             return  # the next one may be better
         self._last_ns = stamp
-        camera = msg_to_camera(info)
         if not self._terms:
             self._recall(camera)
         watch, before = self._watch, self._watch.correction
         evidence = picture_evidence(photo, msg_to_array(labels, ("mono8",)), camera, self._search, seen.hidden)
         covariance = msg_to_covariance(pose, self._assumed)
         assert covariance is not None  # nosec B101 # tells the type checker what holds
-        clear = watch.look(evidence, msg_to_pose(pose, "map"), covariance)
+        clear = watch.look(evidence, stated, covariance)
         self.health.note("clear" if clear else "unclear")
         if not watch.correction.known:
             self.health.trouble(f"mount_{watch.state.value}", watch.reason)

@@ -10,21 +10,35 @@ from ltm_core.frame_steps import LabellingConfig, LabellingStep
 from ltm_core.resources import config_path
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.view_masks import Looking
+from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import image_to_msg, msg_to_rgb
 from ltm_msgs_py.label_info import label_set_to_msg
+from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
-from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet
+from ltm_ros.runtime.handler import Handler, NodeType, Outlet
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.picture_health import note_picture
-from ltm_ros.runtime.topics import FINISHED, LABELS_CONFIDENCE, LABELS_IMAGE, LABELS_INFO, POSED_IMAGE
+from ltm_ros.runtime.stamp_join import JoinConfig, StampJoin
+from ltm_ros.runtime.topics import (
+    FINISHED,
+    LABELS_CONFIDENCE,
+    LABELS_IMAGE,
+    LABELS_INFO,
+    POSED_CAMERA_INFO,
+    POSED_IMAGE,
+    POSED_POSE,
+)
 
 
-class SegmentationConfig(NodeConfig, LabellingConfig):
-    """Parameters of the node: whose pictures, and how they are labelled."""
+class SegmentationConfig(JoinConfig, LabellingConfig):
+    """Parameters of the node: whose pictures, how they are labelled, and how they are joined with where they look."""
 
 
 class Segmentation(Handler[SegmentationConfig]):
+    """Takes pictures alone; where the camera has masks of single views, with their poses."""
+
     publications = (LABELS_IMAGE, LABELS_CONFIDENCE, LABELS_INFO)
     acknowledgements = (FINISHED,)
 
@@ -33,17 +47,36 @@ class Segmentation(Handler[SegmentationConfig]):
         site = load_site(config.site)
         self._labels = LabelSet.load(config_path(site.labels))
         self._step = LabellingStep(site, config.camera, config)
+        self._join = StampJoin(("image", "info", "pose"), self._label_view, health, max_wait=config.max_wait)
 
     @property
     def subscriptions(self) -> Mapping[Any, Callable[[Any], None]]:
-        return {POSED_IMAGE: self.on_image}
+        if not self._step.by_view:
+            return {POSED_IMAGE: self.on_image}
+        return {
+            POSED_IMAGE: lambda m: self._join.add("image", stamp_of(m), m),
+            POSED_CAMERA_INFO: lambda m: self._join.add("info", stamp_of(m), m),
+            POSED_POSE: lambda m: self._join.add("pose", stamp_of(m), m),
+        }
 
     def start(self) -> None:
         self.outlet.publish(LABELS_INFO, label_set_to_msg(self._labels, self._step.described))
 
-    def on_image(self, message: Any) -> None:
+    def discard(self, stamp_ns: int) -> None:
+        self._join.discard(stamp_ns)
+
+    def tick(self, waited: float) -> None:
+        self._join.tick(waited)
+
+    def finish(self) -> None:
+        self._join.finish()
+
+    def _label_view(self, image: Any, info: Any, pose: Any) -> None:
+        self.on_image(image, Looking.of(msg_to_camera(info), msg_to_pose(pose, "map")))
+
+    def on_image(self, message: Any, looking: Looking | None = None) -> None:
         stamp, frame_id = stamp_of(message), message.header.frame_id
-        found, view = self._step.label(msg_to_rgb(message))
+        found, view = self._step.label(msg_to_rgb(message), looking)
         note_picture(self.health, view)
         for topic, image in ((LABELS_CONFIDENCE, found.confidence), (LABELS_IMAGE, found.labels)):
             self.outlet.provide(topic, stamp, partial(image_to_msg, image, "mono8", stamp, frame_id))

@@ -28,6 +28,7 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import Manifest
 from ltm_core.vision.scene_view import SceneFilter, SceneView
+from ltm_core.vision.view_masks import Looking
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.confirmed_surface import msg_to_traced
 from ltm_msgs_py.image import depth_to_msg, image_to_msg, msg_to_array, msg_to_depth, msg_to_rgb
@@ -142,7 +143,7 @@ class TopoDepth(Handler[TopoDepthConfig]):
             self.health.note("unlabelled")
         camera, where = msg_to_camera(info), msg_to_pose(pose, "map")
         stamp, rgb = stamp_of(image), msg_to_rgb(image)
-        seen = self._scene.look(rgb)
+        seen = self._scene.look(rgb, Looking.of(camera, where))
         ground: RangeImage | DepthImage = DepthImage(msg_to_depth(depth), camera, where)
         surface = None
         if self._ground is not None:

@@ -11,4 +11,6 @@ def note_picture(health: Health, seen: SceneView) -> None:
     if seen.reason is not None:
         health.note(f"unusable.{seen.reason}")
     doubtful = "" if seen.doubtful is None else f"usable but for {seen.doubtful.mean():.0%}, burnt out or black"
+    if seen.masked:
+        health.gauge("mask", seen.masked)
     health.gauge("picture", seen.unusable or doubtful or "usable")

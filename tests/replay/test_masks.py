@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes.masked_site import hidden_of, write_masked_site
+from scenes.masked_site import VIEW, hidden_of, hidden_of_view, write_masked_site, write_turning_site
 from scenes.small_site import FRAMES, NAME, SmallSite, write_small_site
 
 from ltm_core.depth.hidden_pixels import hidden_at
@@ -113,6 +113,28 @@ def test_hidden_pixels_do_not_vote(small: SmallSite, masked: Results, plain: Res
         lost = int(was.counts.sum()) - int(votes.counts.sum())
         assert 0 < lost <= could.sum()
         assert lost > 0.9 * could.sum()
+
+
+def test_the_mask_of_a_view_hides_in_that_view_alone(small: SmallSite, plain: Results, tmp_path: Path) -> None:
+    turning = Results(small, write_turning_site(small), tmp_path / "turning")
+    summary = turning.summaries[f"/{NAME}/tower/segmentation"]
+    assert summary["dropped"] == "0"
+    assert summary["mask"].startswith("no view of the site file looks to azimuth 100.0")
+    geometry = small.site.fuel_geometry(small.dem)
+    names = ("sky", "grass", "shrub", "tree", "bare", "water", "built")
+    for number in range(FRAMES):
+        hidden = hidden_of_view() if number == VIEW else np.zeros_like(hidden_of_view())
+        for topic, nothing in ((LABELS_IMAGE, 255), (LABELS_CONFIDENCE, 0)):
+            found, was = (msg_to_array(r.on("tower", topic)[number], ("mono8",)) for r in (turning, plain))
+            np.testing.assert_array_equal(found, np.where(hidden, nothing, was), f"{topic.name} {number}")
+        depth, was_depth = (msg_to_depth(r.on("tower", DEPTH_IMAGE)[number]) for r in (turning, plain))
+        np.testing.assert_array_equal(depth, np.where(hidden, np.float32(np.nan), was_depth))
+        votes, before = (
+            msg_to_votes(r.on("tower", FUEL_VOTES)[number], geometry, names, "tower") for r in (turning, plain)
+        )
+        lost = int(before.counts.sum()) - int(votes.counts.sum())
+        assert (lost > 1000) == (number == VIEW), f"frame {number} lost {lost} votes"
+        assert lost == 0 or number == VIEW
 
 
 def test_pictures_of_another_size_are_refused_in_words(small: SmallSite, tmp_path: Path) -> None:

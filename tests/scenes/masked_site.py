@@ -36,3 +36,27 @@ def write_masked_site(small: SmallSite, name: str = "masked.yaml") -> Path:
     path = small.folder / name
     path.write_text(yaml.safe_dump(content))
     return path
+
+
+VIEW = 2
+"""Number of the tower's frame that the mask of `write_turning_site` belongs to."""
+
+
+def hidden_of_view() -> BoolArray:
+    """(H, W): what the mask of the tower's view hides."""
+    hidden = np.zeros((TOWER.height, TOWER.width), np.bool_)
+    hidden[90:170, 150:290] = True
+    return hidden
+
+
+def write_turning_site(small: SmallSite, name: str = "turning.yaml") -> Path:
+    """A site file beside that of `small` whose tower has a mask where it looks as in its frame VIEW, and none else."""
+    content = yaml.safe_load(small.path.read_text())
+    azimuth, pitch, _ = small.tower_pose(20.0 * VIEW).angles_deg
+    write_mask(small.folder / "view_mask.png", hidden_of_view())
+    content["cameras"]["tower"]["view_masks"] = [
+        {"name": "forty", "azimuth_deg": azimuth + 0.3, "pitch_deg": pitch, "mask": "view_mask.png"}
+    ]
+    path = small.folder / name
+    path.write_text(yaml.safe_dump(content))
+    return path

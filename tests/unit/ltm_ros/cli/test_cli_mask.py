@@ -17,10 +17,12 @@ from ltm_core.errors import LtmError
 from ltm_core.site_io import load_site
 from ltm_core.vision.polygons_io import NamedArea, read_areas, write_areas
 from ltm_core.vision.scene_view import SceneFilter
+from ltm_core.vision.view_masks import Looking
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb
+from ltm_msgs_py.pose import pose_to_msg
 from ltm_ros.cli.main import cli
-from ltm_ros.runtime.topics import IMAGE_COMPRESSED, camera_topic
+from ltm_ros.runtime.topics import IMAGE_COMPRESSED, POSE, camera_topic
 
 
 def run(*arguments: object) -> str:
@@ -79,12 +81,42 @@ def test_a_recording_and_areas_drawn_by_hand(tmp_path: Path) -> None:
     np.testing.assert_array_equal(hidden, expected)
 
 
+def test_of_a_turning_camera_the_pictures_of_one_view_are_taken(tmp_path: Path) -> None:
+    small = write_small_site(tmp_path, recording=False)
+    with BagWriter(tmp_path / "bag") as bag:
+        for seed, azimuth in ((1, 10.0), (2, 70.2), (3, 69.9)):
+            stamp = seed * 10**9
+            message = compressed_to_msg(encode_rgb(tower_picture(seed), quality=95), "jpeg", stamp, "o")
+            bag.write(camera_topic(NAME, "tower", IMAGE_COMPRESSED), message, stamp)
+            bag.write(camera_topic(NAME, "tower", POSE), pose_to_msg(small.tower_pose(azimuth), stamp), stamp)
+    given = [tmp_path / "bag", "--site", small.path, "--camera", "tower", "--view", "east"]
+    out = run("mask", *given, "--looking", "70,-14", "--keep", "all")
+    assert "2 pictures of one camera" in out
+    (line,) = yaml.safe_load(out[out.index("cameras:") :])["cameras"]["tower"]["view_masks"]
+    assert line == {"name": "east", "azimuth_deg": 70.0, "pitch_deg": -14.0, "mask": "tower_east_mask.png"}
+    content = yaml.safe_load(small.path.read_text())
+    content["cameras"]["tower"]["view_masks"] = [line]
+    small.path.write_text(yaml.safe_dump(content))
+    scene = SceneFilter.of(load_site(small.path), "tower")
+    assert scene.hidden(WIDTH, HEIGHT, Looking(10.0, -14.0, 62.0)) is None
+    hidden = scene.hidden(WIDTH, HEIGHT, Looking(70.2, -14.0, 62.0))
+    assert hidden is not None
+    assert (hidden & corners()).any()
+    with pytest.raises(LtmError, match="no picture of tower has a pose that looks to view east"):
+        run("mask", *given, "--looking", "200,-14", "--keep", "all")
+
+
 def test_mistakes_are_told_in_words(photos: Path, tmp_path: Path) -> None:
     out = ["--out", tmp_path / "m.png"]
     with pytest.raises(LtmError, match="different sizes"):
         run("mask", photos, *out)
     with pytest.raises(LtmError, match="--site and --camera together"):
         run("mask", photos, "--camera", "west", *out)
+    with pytest.raises(LtmError, match="--view and --looking together"):
+        run("mask", photos, "--view", "west", *out)
+    for said in ("70", "70,west", "70,-14,30,5", "500,0"):
+        with pytest.raises(LtmError, match="expected AZIMUTH,PITCH"):
+            run("mask", photos, "--view", "west", "--looking", said, *out)
     with pytest.raises(LtmError, match="no photos called 'east"):
         run("mask", photos, "--only", "east*", *out)
     with pytest.raises(LtmError, match="there is no proposal 99"):
