@@ -37,7 +37,6 @@ def with_barriers(codes: Int16Array, barriers: Int16Array) -> Int16Array:
 def _cells(barrier: BarrierConfig, geometry: GridGeometry) -> BoolArray:
     """(H, W): what the barrier takes."""
     from rasterio.features import rasterize
-    from rasterio.transform import from_origin
 
     lines, areas = _shapes(barrier, geometry)
     taken = np.zeros(geometry.shape, np.bool_)
@@ -51,6 +50,7 @@ def _cells(barrier: BarrierConfig, geometry: GridGeometry) -> BoolArray:
 def covered_share(areas: Sequence[Any], geometry: GridGeometry) -> Float32Array:
     """(H, W): how much of each cell areas cover, 0 to 1; GeoJSON geometries in the grid's CRS."""
     from rasterio.features import rasterize
+    from rasterio.transform import from_origin
 
     share = np.zeros(geometry.shape, np.float32)
     # In strips of rows: of a large site the fine grid would take gigabytes.

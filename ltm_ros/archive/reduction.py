@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from ltm_core.fuel.burns_io import Burn
-from ltm_core.fuel.evidence import TILE
 from ltm_core.fuel.evidence_merge import PartialEvidence
+from ltm_core.fuel.evidence_state import TILE
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import fuel_schema
 from ltm_core.raster.tile_store import FrameRecord, Key, TileStore
