@@ -55,7 +55,7 @@ def run(
     from ltm_ros.launching.runner import Runner, new_log_folder, print_line
     from ltm_ros.launching.service_manager import ServiceManager
     from ltm_ros.launching.site_check import NotReadyError, Wanted, require_ready
-    from ltm_ros.runtime.process_memory import steady_allocation
+    from ltm_ros.runtime.process_memory import settle, steady_allocation
 
     steady_allocation()
     named = ServiceManager.of_environment(os.environ, required=bool(notify))
@@ -102,6 +102,7 @@ def run(
     if config.health is not None:
         scheme = "https" if config.health.certificate else "http"
         typer.echo(f"-- health and status page: {scheme}://{config.health.address}:{config.health.port}")
+    settle()
     status = runner.run(manager)
     # Not by echo: a console that has gone meanwhile is no error of the run.
     print_line(f"-- {config.name} has ended; its logs: {runner.log_folder}")

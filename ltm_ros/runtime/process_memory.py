@@ -17,6 +17,9 @@ TRIM_EVERY_S = 600.0
 MAPPED_FROM = 128 << 10
 """Bytes from which a block is mapped by itself where large blocks pass through: glibc's own value at first."""
 
+STRINGS = 1 << 18
+"""Enough for Python to make the table of a process of ours anew more than once: it has interned some 30,000."""
+
 _M_MMAP_THRESHOLD = -3
 _M_ARENA_MAX = -8
 _PR_SET_THP_DISABLE = 41
@@ -61,11 +64,17 @@ def settle() -> None:
     Imports and compiled kernels leave cycles of objects. Python looks for such among old objects only once a quarter as
     many have been made anew, which takes a node hours: meanwhile what it makes takes fresh memory beside them. What is
     left now stays for good, so later looks leave it out, and are short.
+
+    So with the table of interned strings: Python makes it anew, three times as large as it is in use, once enough have
+    come and gone, each name of a file that is read among them: 2 MB at once, half an hour later. Now it is done, and
+    the place where the former one lay is there for the next.
     """
     gc.collect()
     gc.freeze()
     gc.collect()  # so that the rule of the quarter counts from here
     trim()
+    for number in range(STRINGS):
+        sys.intern(f"comes and goes {number}")
 
 
 def trim() -> None:
