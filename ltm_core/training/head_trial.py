@@ -96,6 +96,7 @@ def teach_head(
         classes=segmenter.labels.names,
         confusion=tuple(tuple(float(v) for v in row) for row in balanced([after.labels.confusion])),
         measured_on=f"{len(frames)} photos of {len(set(sites))} sites, held out {folds}",
+        photographs=sum(not frame.rendered for frame in frames),
         ece={name: ece for name, ece in errors.items() if np.isfinite(ece)},  # none where all is withdrawn
     )
     final = as_head(name, fit_head(samples, manifest.maps), manifest.maps, temperature, rules)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from ltm_core.errors import ImageError, ModelError
 from ltm_core.types import Float32Array, UInt8Array
 from ltm_core.vision.label_agreement import agreed
+from ltm_core.vision.label_calibration_io import doubt_of_photographs, load_calibration
 from ltm_core.vision.label_head import SHIPPED_HEAD, LabelHead
 from ltm_core.vision.label_head_io import find_head, read_head
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
@@ -110,9 +111,12 @@ class Segmenter:
 
     @property
     def described(self) -> str:
-        """What labels, with its checksum: what `labels/info` tells."""
+        """What labels, with its checksum, and whether photos have judged it: what `labels/info` tells. Raises
+        ModelError for a calibration that cannot be read."""
         network = f"{self.manifest.name} {self.manifest.sha256[:12]}"
-        return network if self.head is None else f"{network}, head {self.head.described}"
+        told = network if self.head is None else f"{network}, head {self.head.described}"
+        doubt = doubt_of_photographs(load_calibration(self.manifest)) if self.head is None else self.head.doubt
+        return f"{told}, {doubt}" if doubt else told
 
     @property
     def model_path(self) -> Path:

@@ -30,7 +30,7 @@ def test_sites_that_did_not_teach_a_head_are_labelled_better_by_it(shared_data: 
     frames = read_frames(shared_data / "hpwren_towers", 7)
     trial = teach_head(Segmenter.open(), frames, "towers", "")
     before, after = trial.before.labels.f1, trial.after.labels.f1
-    assert before[Label.SHRUB] < 0.65
+    assert 0.70 < before[Label.SHRUB] < 0.80  # 0.61 before the photo's colour spoke against trees
     assert before[Label.BUILT] < 0.05
     assert after[Label.SHRUB] >= 0.80
     assert after[Label.BARE] >= 0.65
