@@ -37,6 +37,6 @@ def test_sites_that_did_not_teach_a_head_are_labelled_better_by_it(shared_data: 
     assert after[Label.BUILT] >= 0.55
     assert after[Label.SKY] >= 0.985
     assert trial.after.calibration.ece <= 0.08
-    assert trial.after.land_calibration.ece <= 0.1
+    assert trial.after.land_calibration.ece <= 0.13
     assert trial.after.land_risk.risk(0.8) <= 0.75 * trial.after.land_risk.risk()
     assert trial.sites == ("highpoint", "redmtn", "santaynez")
