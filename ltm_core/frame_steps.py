@@ -7,7 +7,7 @@ the same votes, to the last bit, whoever works on it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,10 +30,11 @@ from ltm_core.strict_model import StrictModel
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.caches import TracerStatistics
 from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
-from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.manifest import Manifest, Withdrawal
 from ltm_core.vision.scene_view import SceneFilter, SceneView
 from ltm_core.vision.segmenter import Segmentation, Segmenter
+from ltm_core.vision.smoke import SmokeMemory
 from ltm_core.vision.view_masks import Looking
 
 
@@ -146,6 +147,7 @@ class LabellingStep:
 
     def __init__(self, site: Site, camera: str, config: LabellingConfig) -> None:
         self._scene = SceneFilter.of(site, camera)
+        self._smoke = SmokeMemory() if site.camera(camera).judge_pictures else None
         self._zoom = config.zoom
         self._segmenter = Segmenter.of(site, camera, config.model, config.threads)
         chosen = {"confidence": config.confidence, "tree_contrast": config.tree_contrast}
@@ -172,16 +174,28 @@ class LabellingStep:
         """Whether the camera has masks of single views, so that a picture's labels hang on where it looks."""
         return self._scene.by_view
 
-    def label(self, photo: UInt8Array, looking: Looking | None = None) -> tuple[Segmentation, SceneView]:
-        """Of a picture (H, W, 3) RGB: its labels, and what of it was taken to show the landscape. `looking`: where the
-        camera did; None: only what is masked in all views is."""
+    def label(
+        self, photo: UInt8Array, looking: Looking | None = None, stamp_ns: int | None = None
+    ) -> tuple[Segmentation, SceneView]:
+        """Of a picture (H, W, 3) RGB: its labels, and what of it was taken to show the landscape.
+
+        `looking`: where the camera did; None: only what is masked in all views is. `stamp_ns`: of pictures that come in
+        their order, so that smoke is told by those before; None: by itself alone a picture shows none.
+        """
         view = self._scene.look(photo, looking)
         if view.reason is None:
             found = self._segmenter.segment(photo, self._zoom)
         else:
             found = Segmentation(np.zeros(photo.shape[:2], np.uint8), np.zeros(photo.shape[:2], np.uint8))
         view.unlabelled(found.labels, found.confidence)
-        return found, view
+        if self._smoke is None or stamp_ns is None or view.reason is not None:
+            return found, view
+        smoke = self._smoke.look(photo, found.labels, stamp_ns * 1e-9)
+        if smoke is None:
+            return found, view
+        gone = smoke & (found.labels != Label.SKY) & (found.labels != UNLABELLED)
+        found.labels[gone], found.confidence[gone] = UNLABELLED, 0
+        return found, replace(view, smoke=float(gone.mean()))
 
 
 class VotingStep:
@@ -227,7 +241,8 @@ class FrameVotes:
 
 
 class FrameSteps:
-    """All steps for the frames of one camera; frames may come in any order."""
+    """All steps for the frames of one camera; frames may come in any order, so smoke, which earlier pictures tell, is
+    not told."""
 
     def __init__(self, site: Site, camera: str, tracing: TracingConfig, labelling: LabellingConfig) -> None:
         self._tracing = TracingStep(site, camera, tracing)

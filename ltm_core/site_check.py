@@ -194,12 +194,15 @@ def _heads(site: Site) -> Iterator[Finding]:
     for head, names in cameras.items():
         if head == SHIPPED_HEAD:
             continue
+        doubt = ""
         try:
             manifest = Manifest.find(site.model)
             file = find_head(head, manifest, site.heads)
             if file is not None:
-                read_head(file, manifest)
+                doubt = read_head(file, manifest)[0].doubt
         except LtmError as error:
             yield Finding.of("networks", f"head {head}", error)
         else:
-            yield Finding("networks", f"head {head}", Verdict.OK, f"of {', '.join(names)}: {file}")
+            said = f"of {', '.join(names)}: {file}"
+            verdict = Verdict.DOUBTFUL if doubt else Verdict.OK
+            yield Finding("networks", f"head {head}", verdict, f"{said}; it was {doubt}" if doubt else said)

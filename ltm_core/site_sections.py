@@ -185,7 +185,7 @@ class CameraConfig(StrictModel):
     """Where given, the node `source` asks the camera for its pictures and publishes them; None: a driver does."""
     judge_pictures: bool = True
     """Tell pictures by night, in fog or glare, blank or blurred ones from usable ones; they do not vote, move the
-    terrain or fit the pose."""
+    terrain or fit the pose. And tell smoke before the land, which does not vote."""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:

@@ -255,6 +255,7 @@ def check_shared_memory() -> Iterator[Finding]:
 
 
 def check_models() -> Iterator[Finding]:
+    from ltm_core.vision.label_calibration_io import doubt_of_photographs, load_calibration
     from ltm_core.vision.manifest import Manifest, shipped_names
     from ltm_core.vision.onnx_model import OnnxModel
     from ltm_core.vision.segmenter import DEFAULT_MODEL
@@ -270,7 +271,9 @@ def check_models() -> Iterator[Finding]:
             )
             continue
         role = " (default)" if name == DEFAULT_MODEL else ""
-        yield Finding("models", name, Condition.OK, f"{model.path}{role}, checksum as its manifest states")
+        told = f"{model.path}{role}, checksum as its manifest states"
+        doubt = "" if model.manifest.output.is_depth else doubt_of_photographs(load_calibration(model.manifest))
+        yield Finding("models", name, Condition.OK, f"{told}; its labels were {doubt} here" if doubt else told)
 
 
 def check_machine() -> Iterator[Finding]:

@@ -24,6 +24,9 @@ FLOOR = 0.01
 """The least share that any label is taken to have: a matrix counted on a few scenes never rules anything out."""
 ASSUMED = "default"
 """Name of the file for networks of which nothing is known."""
+PHOTO_STEP = 1.8
+"""Labels of photos are so many times as often wrong as those of renderings: the shipped network's risk on land, of five
+views of real towers against `training_g`'s renderings, 0.404 to 0.223 (docs/labels.md)."""
 _OPEN, _STANDING = (LifeForm.GRASS, LifeForm.BARE), (LifeForm.SHRUB, LifeForm.TREE)
 _NAMES = tuple(form.name.lower() for form in LifeForm)
 
@@ -139,7 +142,8 @@ class LabelErrors:
         if calibration is None:
             return cls(assumed.shares, correlation, given.source, appearance)
         about = f"its calibration on {calibration.measured_on}; of cells: {given.source}"
-        return cls(_calibrated(calibration, assumed.shares), correlation, about, appearance)
+        errors = cls(_calibrated(calibration, assumed.shares), correlation, about, appearance)
+        return errors._for_photographs(calibration)
 
     @classmethod
     def of_head(cls, model: str, head: str, heads: Path | None = None) -> LabelErrors:
@@ -156,7 +160,15 @@ class LabelErrors:
         if calibration is None:
             return assumed
         about = f"head {head}, on {calibration.measured_on}"
-        return cls(_calibrated(calibration, assumed.shares), assumed.correlation, about)
+        errors = cls(_calibrated(calibration, assumed.shares), assumed.correlation, about)
+        return errors._for_photographs(calibration)
+
+    def _for_photographs(self, calibration: Calibration) -> LabelErrors:
+        """With the step from renderings to photos, where no photo had a part in the calibration."""
+        if not calibration.on_renderings_alone:
+            return self
+        about = f"{self.source}; never scored on photographs, so taken for {PHOTO_STEP:g} times as large"
+        return replace(self.scaled(PHOTO_STEP), source=about)
 
     def scaled(self, level: float) -> LabelErrors:
         """A network with `level` times the share of wrong labels, at most all but a tenth of a form's."""

@@ -90,6 +90,7 @@ class TrainingConfig(StrictModel):
     optimiser: OptimiserConfig = OptimiserConfig()
     augment: AugmentConfig = AugmentConfig()
     offsets: dict[str, float] = Field(default_factory=dict)  # of the exported network's logits: see manifest.OutputSpec
+    redness: dict[str, float] = Field(default_factory=dict)  # likewise
     licence: str = "Apache-2.0"
 
     @model_validator(mode="after")

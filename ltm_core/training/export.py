@@ -62,7 +62,9 @@ def export_adapted(network: LandscapeNetwork, base: Manifest, name: str, labels:
     """Write a network that was adapted from another's file, with what is known of that one's labels."""
     split = SplitConfig(test=("none",))
     size = {"deploy_width": base.input.width, "deploy_height": base.input.height}
-    config = TrainingConfig(name=name, split=split, licence=base.licence, offsets=base.output.offsets, **size)
+    config = TrainingConfig(
+        name=name, split=split, licence=base.licence, offsets=base.output.offsets, redness=base.output.redness, **size
+    )
     manifest = export(network, config, labels, folder)
     content = yaml.safe_load(manifest.read_text(encoding="utf-8"))
     content["output"]["temperature"] = base.output.temperature
@@ -135,7 +137,8 @@ def _manifest(file: Path, config: TrainingConfig, labels: LabelSet) -> dict[str,
         "name": config.name,
         **_common(file, config),
         "output": {"name": "logits", "kind": "logits", "layout": "NCHW"}
-        | ({"offsets": config.offsets} if config.offsets else {}),
+        | ({"offsets": config.offsets} if config.offsets else {})
+        | ({"redness": config.redness} if config.redness else {}),
         "classes": list(labels.names),
         "mapping": {name: name for name in labels.names},
     }

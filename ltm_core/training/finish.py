@@ -54,6 +54,7 @@ def calibrate(manifest: Path, frames: list[Frame], labels: LabelSet, seed: int) 
         classes=labels.names,
         confusion=tuple(tuple(float(v) for v in row) for row in confusion),
         measured_on=", ".join(f"{name} ({len(members)} frames)" for name, members in sets.items()),
+        photographs=sum(not frame.rendered for members in sets.values() for frame in members),
         ece={name: score.calibration.ece for name, score in scores.items()},
     )
     write_calibration(calibration_path(manifest), calibration)

@@ -14,7 +14,7 @@ from ltm_core.training.head_fit import FittedHead, fit_head
 from ltm_core.training.head_samples import PhotoSamples, photo_samples, sites_of
 from ltm_core.training.labelled_frames import Frame
 from ltm_core.training.temperature_scaling import balanced, fit_exponent, fit_temperature
-from ltm_core.types import Float64Array
+from ltm_core.types import BoolArray, Float64Array
 from ltm_core.vision.label_agreement import Agreement
 from ltm_core.vision.label_calibration_io import Calibration
 from ltm_core.vision.label_head import LabelHead
@@ -60,8 +60,9 @@ def teach_head(
 
     Each site's photos are labelled by a head that the other sites taught; from these answers come scores, temperature,
     agreement and calibration. The head that is kept is taught by all. Where all photos are of one site, each photo is
-    held out in turn, which says nothing of other sites. `withdrawal`: which labels the head leaves out. `look` gets the
-    answer to each photo held out. Raises ModelError for a network without maps, or a single photo.
+    held out in turn, which says nothing of other sites. How sure a head is of a photo held out is fitted to others.
+    `withdrawal`: which labels the head leaves out. `look` gets the answer to each photo held out. Raises ModelError for
+    a network without maps, or a single photo.
     """
     manifest = segmenter.manifest
     if not manifest.maps:
@@ -83,11 +84,12 @@ def teach_head(
     temperature = _temperature(samples, [held_out[s.site].scores(s) for s in samples], rng)
     rules = withdrawal or Withdrawal()
     heads = {g: as_head(name, fitted, manifest.maps, temperature, rules) for g, fitted in held_out.items()}
+    judged = _judged_by_others(segmenter, samples, frames, heads, held_out, rng)
     counted = _shared(samples)
     if not counted:
         raise ModelError("no class is named in photos of two sites: nothing can be judged; name more areas")
-    alike = _agreement([_with_head(segmenter, replace(heads[g], agreement=AGREEMENT)) for g in groups], frames)
-    with_heads = [_with_head(segmenter, replace(heads[g], agreement=alike)) for g in groups]
+    alike = _agreement([_surety(segmenter, heads[g], frame) for g, frame in zip(groups, frames, strict=True)])
+    with_heads = [_with_head(segmenter, judged[g]) for g in groups]
     before = score_each([segmenter] * len(frames), frames, macro=counted)
     after = score_each(with_heads, frames, macro=counted, look=look)
     names = manifest.classes
@@ -96,6 +98,7 @@ def teach_head(
         classes=segmenter.labels.names,
         confusion=tuple(tuple(float(v) for v in row) for row in balanced([after.labels.confusion])),
         measured_on=f"{len(frames)} photos of {len(set(sites))} sites, held out {folds}",
+        photographs=sum(not frame.rendered for frame in frames),
         ece={name: ece for name, ece in errors.items() if np.isfinite(ece)},  # none where all is withdrawn
     )
     final = as_head(name, fit_head(samples, manifest.maps), manifest.maps, temperature, rules)
@@ -128,16 +131,45 @@ def _temperature(samples: Sequence[PhotoSamples], scores: Sequence[Float64Array]
     return fit_temperature(np.concatenate(scores)[drawn].astype(np.float32), labels[drawn])
 
 
-def _agreement(with_heads: Sequence[Segmenter], frames: Sequence[Frame]) -> Agreement:
-    """With the exponent that makes it the share of right labels, of land in photos held out: sky is easy."""
-    sure, right = [], []
-    for segmenter, frame in zip(with_heads, frames, strict=True):
-        found = segmenter.segment(frame.image)
-        land = (frame.labels < len(segmenter.labels)) & (frame.labels != Label.SKY) & (found.labels != UNLABELLED)
-        sure.append(found.confidence[land] / 255)
-        right.append(found.labels[land] == frame.labels[land])
-    exponent = fit_exponent(np.concatenate(sure), np.concatenate(right))
-    return AGREEMENT.model_copy(update={"exponent": round(exponent, 3)})
+def _judged_by_others(
+    segmenter: Segmenter,
+    samples: Sequence[PhotoSamples],
+    frames: Sequence[Frame],
+    heads: Mapping[str, LabelHead],
+    held_out: Mapping[str, FittedHead],
+    rng: np.random.Generator,
+) -> dict[str, LabelHead]:
+    """The heads of the groups held out as they are scored: with the temperature and the agreement that the photos of
+    the other groups gave, so that no photo had a part in how sure the head is that labels it."""
+    scores = [held_out[s.site].scores(s) for s in samples]
+    warm = {}
+    for group, head in heads.items():
+        others = [k for k, s in enumerate(samples) if s.site != group]
+        warm[group] = replace(
+            head, temperature=_temperature([samples[k] for k in others], [scores[k] for k in others], rng)
+        )
+    surety = [_surety(segmenter, warm[s.site], frame) for s, frame in zip(samples, frames, strict=True)]
+    return {
+        group: replace(
+            head, agreement=_agreement([pair for s, pair in zip(samples, surety, strict=True) if s.site != group])
+        )
+        for group, head in warm.items()
+    }
+
+
+def _surety(segmenter: Segmenter, head: LabelHead, frame: Frame) -> tuple[Float64Array, BoolArray]:
+    """Of land in a photo held out, for sky is easy: the agreement of each pixel, and whether its label is right."""
+    found = _with_head(segmenter, replace(head, agreement=AGREEMENT)).segment(frame.image)
+    land = (frame.labels < len(segmenter.labels)) & (frame.labels != Label.SKY) & (found.labels != UNLABELLED)
+    return found.confidence[land] / 255, found.labels[land] == frame.labels[land]
+
+
+def _agreement(surety: Sequence[tuple[Float64Array, BoolArray]]) -> Agreement:
+    """With the exponent that makes it the share of right labels."""
+    sure, right = (np.concatenate(values) for values in zip(*surety, strict=True))
+    if len(sure) == 0:
+        return AGREEMENT
+    return AGREEMENT.model_copy(update={"exponent": round(fit_exponent(sure, right), 3)})
 
 
 def _shared(samples: Sequence[PhotoSamples]) -> tuple[int, ...]:

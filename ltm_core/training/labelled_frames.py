@@ -27,6 +27,7 @@ from ltm_core.vision.labels import UNLABELLED, LabelSet
 from ltm_core.vision.polygons_io import POLYGONS_FILE, NamedArea
 
 LABELS_SUFFIX = "_labels.png"
+_INDEX: Final = "frames.json"
 UNKNOWN: Final = 254
 """In labels to train on: nothing at all is known of the pixel (255: it is no sky)."""
 LAND: Final = 253
@@ -46,6 +47,11 @@ class Frame:
     path: Path
     inverse: Float32Array | None = field(default=None, repr=False)
     ordinal: bool = False
+
+    @property
+    def rendered(self) -> bool:
+        """Whether it is of a simulated set."""
+        return (self.path.parent / _INDEX).is_file()
 
 
 @dataclass(frozen=True)
@@ -106,7 +112,7 @@ def _named(photo: Path, areas: list[NamedArea], label_set: LabelSet, classes: in
 
 
 def _cameras(folder: Path) -> dict[str, Camera]:
-    index = folder / "frames.json"
+    index = folder / _INDEX
     if not index.is_file():
         return {}
     entries = json.loads(index.read_text(encoding="utf-8"))["frames"]

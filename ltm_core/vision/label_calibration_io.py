@@ -18,11 +18,13 @@ from ltm_core.vision.manifest import CALIBRATION_SUFFIX, Manifest
 
 class Calibration(StrictModel):
     """How a model's labels err: `confusion[i][j]` is P(label j given | label i true), classes in the order of
-    `labels.yaml`; `measured_on` says where."""
+    `labels.yaml`; `measured_on` says where, and `photographs` on how many photos that were not rendered (None: nobody
+    wrote it down)."""
 
     classes: tuple[str, ...]
     confusion: tuple[tuple[float, ...], ...]
     measured_on: str
+    photographs: int | None = Field(default=None, ge=0)
     ece: dict[str, float] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -35,6 +37,11 @@ class Calibration(StrictModel):
                 raise ValueError(f"confusion: the row of {name} sums to {sum(row):.4f}, expected 1, none below 0")
         return self
 
+    @property
+    def on_renderings_alone(self) -> bool:
+        """Whether no photo had a part in it, so that labels of photos err more than it says."""
+        return self.photographs == 0
+
     def matrix(self, labels: LabelSet) -> Float64Array:
         """The matrix (K, K) for a label set whose first classes are those of the file; classes appended to the set
         are taken at their word. Raises ModelError for classes in another order."""
@@ -46,6 +53,13 @@ class Calibration(StrictModel):
         matrix = np.eye(len(labels))
         matrix[:count, :count] = self.confusion
         return np.asarray(matrix / matrix.sum(axis=1, keepdims=True))
+
+
+def doubt_of_photographs(calibration: Calibration | None) -> str:
+    """What is to be told of a network or a head that no photo has judged; empty where one has."""
+    if calibration is None:
+        return "never scored"
+    return "never scored on photographs" if calibration.on_renderings_alone else ""
 
 
 def calibration_path(manifest_path: Path) -> Path:
@@ -68,6 +82,7 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     content = {
         "classes": list(calibration.classes),
         "measured_on": calibration.measured_on,
+        **({} if calibration.photographs is None else {"photographs": calibration.photographs}),
         "ece": {name: round(value, 4) for name, value in calibration.ece.items()},
         "confusion": [[round(value, 4) for value in row] for row in calibration.confusion],
     }

@@ -28,7 +28,7 @@ class LabelHead:
     """`weights`: map -> (K, C) float32; `bias`: (K,) float32; `temperature` divides the corrected scores.
 
     `withdraw`: labels that are left out. `agreement`: what those around say of how sure the others are. `described`:
-    name and checksum, for `labels/info`.
+    name and checksum, for `labels/info`. `doubt`: what is to be told of how it was judged.
     """
 
     name: str
@@ -38,6 +38,7 @@ class LabelHead:
     temperature: float
     withdraw: Withdrawal = field(default_factory=Withdrawal)
     agreement: Agreement = field(default_factory=Agreement)
+    doubt: str = ""
 
     @property
     def maps(self) -> tuple[str, ...]:

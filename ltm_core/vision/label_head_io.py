@@ -15,7 +15,7 @@ from ltm_core.config_io import load_yaml
 from ltm_core.errors import ConfigError, ModelError
 from ltm_core.strict_model import StrictModel
 from ltm_core.vision.label_agreement import Agreement
-from ltm_core.vision.label_calibration_io import Calibration
+from ltm_core.vision.label_calibration_io import Calibration, doubt_of_photographs
 from ltm_core.vision.label_head import SHIPPED_HEAD, LabelHead
 from ltm_core.vision.manifest import Manifest, Withdrawal, added_folder
 
@@ -95,6 +95,7 @@ def read_head(path: Path, manifest: Manifest) -> tuple[LabelHead, HeadFile]:
         temperature=content.temperature,
         withdraw=content.withdraw,
         agreement=content.agreement,
+        doubt=doubt_of_photographs(content.calibration),
     )
     return head, content
 

@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
@@ -95,6 +95,8 @@ class OutputSpec(StrictModel):
     temperature: float = Field(default=1.0, gt=0)  # logits are divided by it: fitted so that probabilities hold
     # Class -> what is added to its logits: gives a class that training weighed up its true rarity (Menon et al. 2021).
     offsets: dict[str, float] = Field(default_factory=dict)
+    # Class -> what is taken off its logits, at most, where the photo is redder than what is green (`photo_colour`).
+    redness: dict[str, Annotated[float, Field(gt=0, le=20)]] = Field(default_factory=dict)
     withdraw: Withdrawal = Withdrawal()
     inverse: bool = False
     canonical_focal_px: float | None = Field(default=None, gt=0)
@@ -110,6 +112,8 @@ class OutputSpec(StrictModel):
             raise ValueError(f"inverse and canonical_focal_px belong to kind metric; remove them for {self.kind}")
         if self.kind != "logits" and self.offsets:
             raise ValueError(f"offsets belong to kind logits; remove them for {self.kind}")
+        if self.kind != "logits" and self.redness:
+            raise ValueError(f"redness belongs to kind logits; remove it for {self.kind}")
         return self
 
 
@@ -154,6 +158,9 @@ class Manifest(StrictModel):
         strangers = sorted(set(self.output.offsets) - set(self.classes))
         if strangers:
             raise ValueError(f"output.offsets names {', '.join(strangers)}, none of classes")
+        strangers = sorted(set(self.output.redness) - set(self.classes))
+        if strangers:
+            raise ValueError(f"output.redness names {', '.join(strangers)}, none of classes")
         if (self.text is not None) != (self.output.kind == "embeddings"):
             raise ValueError("text belongs to output kind embeddings, and such a network needs it")
         if self.maps and self.output.kind != "logits":

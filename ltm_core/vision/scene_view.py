@@ -23,11 +23,13 @@ from ltm_core.vision.view_masks import Looking, MakeMask, ViewMasks, packed
 @dataclass(frozen=True, eq=False)
 class SceneView:
     """`hidden`: (H, W) bool, True where something else stands before the landscape; None: nowhere. `usability`: whether
-    the picture shows enough of it; None: not judged. `masked`: of a camera with masks by view, which one it was."""
+    the picture shows enough of it; None: not judged. `masked`: of a camera with masks by view, which one it was.
+    `smoke`: share of the picture in which smoke hides the land."""
 
     hidden: BoolArray | None = None
     usability: Usability | None = None
     masked: str = ""
+    smoke: float = 0.0
 
     @property
     def reason(self) -> Unusable | None:

@@ -12,11 +12,13 @@ import numpy.typing as npt
 from ltm_core.errors import ImageError, ModelError
 from ltm_core.types import Float32Array, UInt8Array
 from ltm_core.vision.label_agreement import agreed
+from ltm_core.vision.label_calibration_io import doubt_of_photographs, load_calibration
 from ltm_core.vision.label_head import SHIPPED_HEAD, LabelHead
 from ltm_core.vision.label_head_io import find_head, read_head
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.manifest import InputSpec, Manifest
 from ltm_core.vision.onnx_model import OnnxModel
+from ltm_core.vision.photo_colour import against_green
 from ltm_core.vision.text_io import load_text
 from ltm_core.vision.tiling import with_distant_tiles
 from ltm_core.vision.upsample import upsampled_winner
@@ -109,9 +111,12 @@ class Segmenter:
 
     @property
     def described(self) -> str:
-        """What labels, with its checksum: what `labels/info` tells."""
+        """What labels, with its checksum, and whether photos have judged it: what `labels/info` tells. Raises
+        ModelError for a calibration that cannot be read."""
         network = f"{self.manifest.name} {self.manifest.sha256[:12]}"
-        return network if self.head is None else f"{network}, head {self.head.described}"
+        told = network if self.head is None else f"{network}, head {self.head.described}"
+        doubt = doubt_of_photographs(load_calibration(self.manifest)) if self.head is None else self.head.doubt
+        return f"{told}, {doubt}" if doubt else told
 
     @property
     def model_path(self) -> Path:
@@ -155,8 +160,8 @@ class Segmenter:
         return Segmentation(labels, np.where(labels == UNLABELLED, 0, 255).astype(np.uint8))
 
     def logits(self, image: UInt8Array) -> Float32Array:
-        """The scores (K, h, w) of the network's classes, with the manifest's offsets, corrected by the head and before
-        any temperature, at the network's resolution.
+        """The scores (K, h, w) of the network's classes, with the manifest's offsets and colours, corrected by the head
+        and before any temperature, at the network's resolution.
 
         Raises ImageError and ModelError as `segment` does, and ModelError for a network that gives ids.
         """
@@ -166,20 +171,20 @@ class Segmenter:
         return self._corrected(image)
 
     def scores_and_maps(self, image: UInt8Array) -> tuple[Float32Array, dict[str, Float32Array]]:
-        """The network's own scores (K, h, w), with the manifest's offsets, and all decoder maps (C, h', w') that its
-        manifest states: what a head is taught from. Raises as `logits` does."""
+        """The network's own scores (K, h, w), with the manifest's offsets and colours, and all decoder maps (C, h', w')
+        that its manifest states: what a head is taught from. Raises as `logits` does."""
         _check(image)
         names = tuple(self.manifest.maps)
         output, maps = self._model.run_with_maps(input_tensor(image, self.manifest.input), names)
-        return self._scores(output), dict(zip(names, maps, strict=True))
+        return self._scores(output, image), dict(zip(names, maps, strict=True))
 
     def _corrected(self, image: UInt8Array) -> Float32Array:
         """Scores (K, h, w) of the network's classes for a photo, corrected by the head where there is one."""
         tensor = input_tensor(image, self.manifest.input)
         if self.head is None:
-            return self._scores(self._model.run(tensor))
+            return self._scores(self._model.run(tensor), image)
         output, maps = self._model.run_with_maps(tensor, self.head.maps)
-        scores = self._scores(output)
+        scores = self._scores(output, image)
         self.head.add_to(scores, maps)
         return scores
 
@@ -188,8 +193,8 @@ class Segmenter:
         probabilities = self._probabilities(self.logits(image))
         return dict(zip(self.classes, probabilities, strict=True))
 
-    def _scores(self, output: npt.NDArray[Any]) -> Float32Array:
-        """Network output -> (K, h, w), checked."""
+    def _scores(self, output: npt.NDArray[Any], image: UInt8Array) -> Float32Array:
+        """Network output of a photo -> (K, h, w), checked."""
         spec = self.manifest.output
         scores = output[0] if spec.layout == "NCHW" else np.moveaxis(output[0], -1, 0)
         scores = np.ascontiguousarray(scores, dtype=np.float32)
@@ -199,6 +204,10 @@ class Segmenter:
             )
         for name, offset in spec.offsets.items():
             scores[self.classes.index(name)] += np.float32(offset)
+        if spec.redness:
+            against = against_green(image, *scores.shape[1:])
+            for name, most in spec.redness.items():
+                scores[self.classes.index(name)] -= np.float32(most) * against
         return scores if self._text is None else self._text.scores(scores)
 
     def _probabilities(self, scores: Float32Array) -> Float32Array:

@@ -76,7 +76,7 @@ class Segmentation(Handler[SegmentationConfig]):
 
     def on_image(self, message: Any, looking: Looking | None = None) -> None:
         stamp, frame_id = stamp_of(message), message.header.frame_id
-        found, view = self._step.label(msg_to_rgb(message), looking)
+        found, view = self._step.label(msg_to_rgb(message), looking, stamp)
         note_picture(self.health, view)
         for topic, image in ((LABELS_CONFIDENCE, found.confidence), (LABELS_IMAGE, found.labels)):
             self.outlet.provide(topic, stamp, partial(image_to_msg, image, "mono8", stamp, frame_id))

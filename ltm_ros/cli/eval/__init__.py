@@ -25,6 +25,7 @@ from ltm_ros.cli.eval.recorded_poses import recorded_poses
 from ltm_ros.cli.eval.relative_depth import relative_depth
 from ltm_ros.cli.eval.segmentation import segmentation
 from ltm_ros.cli.eval.sim2real import sim2real
+from ltm_ros.cli.eval.smoke import smoke
 from ltm_ros.cli.eval.terrain import terrain
 from ltm_ros.cli.eval.update import update
 from ltm_ros.cli.eval.usable import usable
@@ -58,6 +59,7 @@ evaluate.command()(recorded_poses)
 evaluate.command()(locate)
 evaluate.command()(relative_depth)
 evaluate.command()(segmentation)
+evaluate.command()(smoke)
 evaluate.command()(sim2real)
 evaluate.command()(terrain)
 evaluate.command()(update)

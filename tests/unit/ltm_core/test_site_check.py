@@ -145,5 +145,6 @@ def test_a_head_that_no_network_has_is_told_with_its_cameras_place(tmp_path: Pat
     write_swapping_head(tmp_path / "heads" / "chaparral.yaml", network)
     cameras = {"north": {"head": "chaparral"}, "south": {}}
     check = checked(tmp_path, 890.0, heads="heads", model="colors.yaml", cameras=cameras)
-    ((_, message),) = [found for found in said(check, Verdict.OK) if found[0] == name]
+    ((_, message),) = [found for found in said(check, Verdict.DOUBTFUL) if found[0] == name]
     assert message.startswith("of north: ")
+    assert message.endswith("; it was never scored")

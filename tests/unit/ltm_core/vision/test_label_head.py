@@ -17,6 +17,7 @@ from ltm_core.errors import ConfigError, ModelError
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.vision.label_agreement import Agreement
+from ltm_core.vision.label_calibration_io import load_calibration
 from ltm_core.vision.label_head import SHIPPED_HEAD, LabelHead
 from ltm_core.vision.label_head_io import HeadFile, find_head, heads_folder, read_head, write_head
 from ltm_core.vision.labels import UNLABELLED, Label
@@ -84,7 +85,9 @@ def test_a_head_changes_the_labels_of_who_names_it_alone(tmp_path: Path) -> None
     swapped = Segmenter.open(manifest, head="swap", heads=tmp_path / "heads")
     assert (plain.segment(photo).labels[20, 5], plain.segment(photo).labels[20, 60]) == (Label.BUILT, Label.GRASS)
     assert (swapped.segment(photo).labels[20, 5], swapped.segment(photo).labels[20, 60]) == (Label.GRASS, Label.BUILT)
-    assert swapped.described.startswith(f"{plain.described}, head swap ")
+    network, _, doubt = plain.described.partition(", ")
+    assert swapped.described.startswith(f"{network}, head swap ")
+    assert doubt == "never scored"
     assert swapped.name == "colors swap"
 
 
@@ -163,6 +166,37 @@ def test_a_head_s_label_errors_are_those_of_its_own_calibration(tmp_path: Path) 
     np.testing.assert_allclose(errors.shares[shrub, [LifeForm.GRASS - 1, shrub, LifeForm.TREE - 1]], [0.1, 0.6, 0.3])
     assert errors.source == "head swap, on two photos"
     assert LabelErrors.of_head(str(manifest), SHIPPED_HEAD).source == LabelErrors.of_model(str(manifest)).source
+
+
+def test_what_no_photograph_has_judged_says_so_and_errs_more(tmp_path: Path) -> None:
+    """Shares of wrong labels are 1.8 times as large; not those of a head that photos judged, or nobody says."""
+    names = ("sky", "grass", "shrub", "tree", "bare", "water", "built")
+    confusion = np.full((7, 7), 0.0) + np.eye(7)
+    confusion[2] = [0.0, 0.1, 0.7, 0.2, 0.0, 0.0, 0.0]
+    calibration = {"classes": list(names), "confusion": confusion.tolist(), "measured_on": "meadows (9 frames)"}
+    manifest = write_classifier(tmp_path, maps=True)
+    shrub, tree = LifeForm.SHRUB - 1, LifeForm.TREE - 1
+    for name, photographs, doubt, wrong in (
+        ("rendered", {"photographs": 0}, ", never scored on photographs", 0.36),
+        ("seen", {"photographs": 9}, "", 0.2),
+        ("open", {}, "", 0.2),
+    ):
+        write_swapping_head(tmp_path / f"{name}.yaml", manifest, calibration=calibration | photographs)
+        errors = LabelErrors.of_head(str(manifest), name, tmp_path)
+        assert errors.shares[shrub, tree] == pytest.approx(wrong)
+        assert errors.shares[shrub].sum() == pytest.approx(1.0)
+        assert ("never scored on photographs" in errors.source) == bool(doubt)
+        described = Segmenter.open(manifest, head=name, heads=tmp_path).described
+        assert described.partition(f"head {name} ")[2][12:] == doubt
+    write_swapping_head(tmp_path / "bare.yaml", manifest)
+    assert Segmenter.open(manifest, head="bare", heads=tmp_path).described.endswith(", never scored")
+
+
+def test_the_shipped_network_was_scored_on_photographs() -> None:
+    calibration = load_calibration(Manifest.find("landscape_lite0"))
+    assert calibration is not None
+    assert calibration.photographs == 15
+    assert "never" not in Segmenter.open().described
 
 
 def test_a_broken_head_ends_in_words(tmp_path: Path) -> None:

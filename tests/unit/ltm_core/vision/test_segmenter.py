@@ -110,6 +110,33 @@ def test_an_offset_is_added_to_its_classes_logits_alone(tmp_path: Path) -> None:
     assert not np.any(Segmenter.open(others).segment(photo).labels == Label.GRASS)
 
 
+def test_a_class_that_is_green_loses_where_the_photo_is_red(tmp_path: Path) -> None:
+    """Nothing where green leads by 1 % of both, all from 3 % of red on, half between; other classes keep theirs."""
+    photo = np.empty((40, 90, 3), np.uint8)
+    photo[:, :30], photo[:, 30:60], photo[:, 60:] = (98, 102, 60), (103, 101, 60), (120, 100, 60)
+    path = write_classifier(tmp_path, gain=3.0)
+    plain = Segmenter.open(path).logits(photo)
+    moved = Segmenter.open(changed(path, output={"redness": {"lime": 1.5}})).logits(photo)
+    lime = Segmenter.open(path).classes.index("lime")
+    taken = plain - moved
+    rows, cols = taken.shape[1:]
+    middle, third = rows // 2, cols // 3
+    at = [third // 2, third + third // 2, 2 * third + third // 2]
+    half = 1.5 * ((103 - 101) / (103 + 101 + 4) + 0.01) / 0.04
+    np.testing.assert_allclose(taken[lime, middle, at], (0.0, half, 1.5), atol=1e-3)
+    assert np.all(np.delete(taken, lime, axis=0) == 0)
+
+
+def test_colour_speaks_against_classes_that_there_are_alone(tmp_path: Path) -> None:
+    path = write_classifier(tmp_path)
+    with pytest.raises(ModelError, match="redness names violet, none of classes"):
+        Segmenter.open(changed(path, output={"redness": {"violet": 1.0}}))
+    (tmp_path / "p").mkdir()
+    other = write_classifier(tmp_path / "p", "probabilities")
+    with pytest.raises(ModelError, match="redness belongs to kind logits"):
+        Segmenter.open(changed(other, output={"redness": {"lime": 1.0}}))
+
+
 def test_split_classes_of_one_label_beat_a_single_rival(tmp_path: Path) -> None:
     """lime and olive halve the vote between them; red is the most probable single class, grass the better label."""
     gain = 2.0

@@ -1,0 +1,158 @@
+"""Tells smoke before the land: where a camera saw the land's own pattern a while ago, and now something pale without.
+
+Smoke looks as a cloud or a pale slope does in one picture, so each picture is compared with earlier ones of the same
+view. The land's pattern comes back under any exposure; in a cloud of smoke it does not. What is new on the land and
+stays, a felled stand, say, looks like smoke too at first, but it has a pattern that comes back: from one remembered
+picture of it on, it is land again.
+
+Pictures of another view, or of another light, do not agree with the present one and are left out; then none is told.
+The constants were set on pairs of photographs of two towers, one of them with smoke before land (docs/masks.md).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+
+from ltm_core.types import BoolArray, Float32Array, UInt8Array
+from ltm_core.vision.labels import UNLABELLED, Label
+
+WORKING_WIDTH: Final = 320
+APART_S: Final = 300.0
+"""Seconds between two pictures that are remembered, and the least age of one that is compared with."""
+OLDEST_S: Final = 10_800.0
+"""Of pictures that are compared with: later, shadows lie elsewhere."""
+REMEMBERED: Final = 36
+"""Pictures: those of three hours of one view, or fewer of each of a patrol's."""
+COMPARED: Final = 3
+"""That agree best."""
+
+_REACH: Final = 3.3
+"""Pixels: standard deviation of the Gaussian in which patterns are compared."""
+_NOISE: Final = 0.5
+"""Variance of grey levels that noise and compression make."""
+_ALIKE: Final = 0.8
+"""Correlation from which on a pattern is the same,"""
+_AGREES: Final = 0.45
+"""and the share of the land that must be so for an earlier picture to be of this view and light."""
+_GONE: Final = 0.5
+"""Correlation below which a pattern is gone,"""
+_PATTERN: Final = 2.0
+"""where there was one: grey levels of deviation in the earlier picture."""
+_PALER: Final = 8.0
+"""Grey levels by which smoke is brighter than what it hides,"""
+_LEAST: Final = 1e-3
+"""Share of the picture that a cloud of it has at least."""
+_WIDER: Final = 6
+"""Pixels, by which its edge is wider than what is told of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """A remembered picture. `grey`: (h, w) uint8; `land`: (h, w) bool; at `at_s` seconds."""
+
+    at_s: float
+    grey: UInt8Array
+    land: BoolArray
+
+
+class SmokeMemory:
+    """What a camera saw of its land in the last hours: it tells smoke in later pictures, in their order."""
+
+    def __init__(self) -> None:
+        self._seen: deque[_Seen] = deque(maxlen=REMEMBERED)
+
+    def look(self, picture: UInt8Array, labels: UInt8Array, at_s: float) -> BoolArray | None:
+        """(H, W) bool, where smoke hides the land in a picture (H, W, 3) RGB taken at `at_s`; None: nowhere that could
+        be told. `labels`: (H, W), what was taken for land is remembered as such. A picture from before the last one
+        is judged, and not remembered."""
+        height, width = picture.shape[:2]
+        size = min(WORKING_WIDTH, width), max(1, round(height * min(WORKING_WIDTH, width) / width))
+        small = cv2.cvtColor(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
+        land = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST_EXACT)
+        now = _Seen(at_s, np.asarray(small, np.uint8), (land != Label.SKY) & (land != UNLABELLED))
+        found = self._told(now)
+        if not self._seen or at_s - self._seen[-1].at_s >= APART_S:
+            self._seen.append(now)
+        if found is None or not found.any():
+            return None
+        return np.asarray(cv2.resize(found.view(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0)
+
+    def _told(self, now: _Seen) -> BoolArray | None:
+        could = [s for s in self._seen if APART_S <= now.at_s - s.at_s <= OLDEST_S and s.grey.shape == now.grey.shape]
+        pairs = [pair for s in _newest_and_others(could) if (pair := _compare(s, now)) is not None]
+        if not pairs:
+            return None
+        pairs.sort(key=lambda pair: -pair.agrees)
+        pairs = pairs[:COMPARED]
+        gone = np.max([pair.correlation for pair in pairs], axis=0) < _GONE
+        pattern = np.max([np.where(pair.land, pair.deviation, 0) for pair in pairs], axis=0) > _PATTERN
+        paler = np.max([np.where(pair.land, pair.brighter, -255) for pair in pairs], axis=0) > _PALER
+        grey = cv2.GaussianBlur(now.grey, (0, 0), _REACH)
+        land = np.logical_or.reduce([pair.land for pair in pairs])
+        # What is darker than most of the land is no smoke, though a bush in the shade may have lost its pattern.
+        dark = grey < np.median(grey[land])
+        rough = (gone & pattern & paler & ~dark).astype(np.uint8)
+        return _clouds(cv2.morphologyEx(rough, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """The present picture against an earlier one, (h, w) each. `correlation` of their patterns; `deviation`: how much
+    pattern there was; `brighter`: grey levels, exposure left aside; `land`: there was. `agrees`: share of the land."""
+
+    correlation: Float32Array
+    deviation: Float32Array
+    brighter: Float32Array
+    land: BoolArray
+    agrees: float
+
+
+def _newest_and_others(could: list[_Seen]) -> list[_Seen]:
+    """At most so many that each picture stays cheap: the newest, and others spread over the rest."""
+    if len(could) <= 2 * COMPARED:
+        return could
+    places = np.linspace(0, len(could) - 1, 2 * COMPARED).round().astype(int)
+    return [could[k] for k in places]
+
+
+def _compare(earlier: _Seen, now: _Seen) -> _Pair | None:
+    """None where they do not agree: another view, another light, or all in smoke."""
+    before, after = earlier.grey.astype(np.float32), now.grey.astype(np.float32)
+    mean_before, mean_after = _around(before), _around(after)
+    square_before = np.maximum(_around(before * before) - mean_before**2, 0)
+    square_after = np.maximum(_around(after * after) - mean_after**2, 0)
+    shared = _around(before * after) - mean_before * mean_after
+    correlation = shared / np.sqrt((square_before + _NOISE) * (square_after + _NOISE))
+    same = (correlation > _ALIKE) & earlier.land
+    agrees = float(same.sum() / max(earlier.land.sum(), 1))
+    if agrees < _AGREES:
+        return None
+    x, y = mean_before[same], mean_after[same]
+    spread = float(x.var())
+    gain = float(((x - x.mean()) * (y - y.mean())).mean() / spread) if spread > 1.0 else 1.0
+    expected = y.mean() + gain * (mean_before - x.mean())
+    return _Pair(
+        np.asarray(correlation, np.float32),
+        np.asarray(np.sqrt(square_before), np.float32),
+        np.asarray(mean_after - expected, np.float32),
+        earlier.land,
+        agrees,
+    )
+
+
+def _around(values: Float32Array) -> Float32Array:
+    return np.asarray(cv2.GaussianBlur(values, (0, 0), _REACH), np.float32)
+
+
+def _clouds(rough: UInt8Array) -> BoolArray:
+    """Connected areas that are large enough, widened."""
+    _, parts, statistics, _ = cv2.connectedComponentsWithStats(rough)
+    large = statistics[:, cv2.CC_STAT_AREA] >= _LEAST * rough.size
+    large[0] = False
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _WIDER + 1, 2 * _WIDER + 1))
+    return np.asarray(cv2.dilate(large[parts].astype(np.uint8), kernel) > 0)
