@@ -51,9 +51,10 @@ def noisy_scenes(count: int, width: int, height: int, shown: bytes = b"") -> lis
     return scenes
 
 
-def picture(scene: bytes, width: int) -> bytes:
+def picture(scene: bytes, width: int, moment: float) -> bytes:
+    """`moment`: seconds since the epoch, which it shows."""
     image = bytearray(scene)
-    count = round(time.time() * 1000)
+    count = round(moment * 1000)
     for bit in range(BITS):
         row, column = divmod(bit, ACROSS)
         value = bytes([235 if count >> bit & 1 else 16]) * SQUARE
@@ -95,10 +96,19 @@ class Live(GstRtspServer.RTSPMediaFactory):
         source = media.get_element().get_child_by_name("src")
 
         def push() -> None:
-            number, due = 0, time.monotonic()
+            number, due, first, first_ns = 0, time.monotonic(), time.time(), None
             while True:
+                clock = source.get_clock()
+                if first_ns is None:
+                    first = time.time() - number / RATE
+                    if clock is not None:
+                        first_ns = clock.get_time() - source.get_base_time() - number * Gst.SECOND // RATE
                 scene = self.scenes[number % len(self.scenes)]
-                made = Gst.Buffer.new_wrapped(picture(scene, self.width) if self.tells_time else scene)
+                shows = picture(scene, self.width, first + number / RATE) if self.tells_time else scene
+                made = Gst.Buffer.new_wrapped(shows)
+                if first_ns is not None:
+                    # Taken at its turn, as by a sensor: a busy computer sends it late, with the time that it shows.
+                    made.pts = max(0, first_ns + number * Gst.SECOND // RATE)
                 if source.emit("push-buffer", made) == Gst.FlowReturn.EOS:
                     return
                 number, due = number + 1, due + 1 / RATE

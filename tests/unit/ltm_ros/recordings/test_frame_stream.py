@@ -66,7 +66,9 @@ def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
         tracemalloc.stop()
         return most
 
-    assert peak(90) < 1.5 * peak(30)
+    # Sixty frames more are 22 MB: a third of them held would show, and nothing else that a process does is so large.
+    few, many = peak(30), peak(90)
+    assert many - few < 7 << 20
 
 
 def test_raw_stamp_of_no_message() -> None:
