@@ -56,9 +56,10 @@ class _Frame:
     network: NetworkDepth
 
 
-def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionCost]:
-    """Costs for a frame of ridges under a patchwork of covers; the kernels are compiled before."""
-    frame, classes, settings = _frame(width, height), ClassPriors.of(LabelSet.load()), FusionSettings()
+def run(width: int = 1920, height: int = 1080, repeats: int = 5, extent: int = 2500) -> list[FusionCost]:
+    """Costs for a frame of ridges, `extent` metres a side, under a patchwork of covers; the kernels are compiled
+    before."""
+    frame, classes, settings = _frame(width, height, extent), ClassPriors.of(LabelSet.load()), FusionSettings()
     config = FusionConfig()
     jump, sigmas = config.surface.jump, (settings.angle_sigma, settings.dem_sigma)
     camera, ground = frame.traced.camera, frame.traced.depth()
@@ -105,8 +106,8 @@ def run(width: int = 1920, height: int = 1080, repeats: int = 5) -> list[FusionC
     return [FusionCost(name, least_cost(call, repeats)) for name, call in parts.items()]
 
 
-def _frame(width: int, height: int) -> _Frame:
-    dem = ridged_terrain(2500)
+def _frame(width: int, height: int, extent: int) -> _Frame:
+    dem = ridged_terrain(extent)
     camera = Camera.from_fov(width, height, 55.0)
     # A tower near the edge that looks along the site: three quarters of the photo are terrain, a tenth is land beyond
     # the raster, the rest sky.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes.small_scenario import small_scenario
@@ -18,6 +20,7 @@ from ltm_core.simulator.mitsuba_scene import SceneBuilder
 from ltm_core.simulator.render import render_range
 from ltm_core.simulator.run import SimulatedSite, make_site, plan_shots, rasters_at, render_shots, site_at
 from ltm_core.simulator.vegetation import LATTICE, Placement, Planting
+from ltm_core.simulator.works import Houses
 from ltm_core.tracing import TerrainTracer
 from ltm_core.types import Float64Array
 
@@ -42,7 +45,9 @@ def natural() -> SimulatedSite:
 def _errors(site: SimulatedSite, resolution: float) -> Float64Array:
     """|rendered - traced| range of bare ground (N,) away from silhouettes, the tracer's DEM at `resolution`."""
     shot = plan_shots(CONFIG, site)[0]
-    view = SceneBuilder(CONFIG, site.terrain, site.cover).view(shot.pose.position)
+    # Bare all over: what grows there is no part of the ground, and most of the work of a scene.
+    bare = replace(site.cover, classes=np.full_like(site.cover.classes, BARE), houses=Houses.none())
+    view = SceneBuilder(CONFIG, site.terrain, bare).view(shot.pose.position)
     rendered = render_range(view.ground, shot.camera, shot.pose)
     ground = site.terrain.site
     geometry = GridGeometry(0.0, 400.0, resolution, round(400 / resolution), round(400 / resolution))

@@ -29,9 +29,9 @@ def traffic(folder: Path, towers: int) -> Traffic:
 def test_after_kills_the_map_is_that_of_all_frames(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     folder.mkdir()
-    result = run_region(folder, traffic(tmp_path, 2), 60, 5, 3, lambda line: None)
+    result = run_region(folder, traffic(tmp_path, 2), 60, 3, 3, lambda line: None)
     assert result.equal
-    assert (result.stored, sum(result.kills.values())) == (120, 5)
+    assert (result.stored, sum(result.kills.values())) == (120, 3)
     assert result.dropped == {}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -163,18 +164,18 @@ def test_no_more_frames_wait_than_allowed_and_none_is_lost_at_the_end(
 @pytest.mark.parametrize(
     ("values", "reason"),
     [
-        (np.full((9, 16), 0.4, np.float32), "same depth everywhere (0.4)"),
-        (np.full((9, 16), np.nan, np.float32), "no depth for 100% of its pixels"),
-        (-depth_scene().network().values, "runs against the terrain"),
-        (np.random.default_rng(0).random((90, 160), np.float32), "explains only"),
+        (lambda: np.full((9, 16), 0.4, np.float32), "same depth everywhere (0.4)"),
+        (lambda: np.full((9, 16), np.nan, np.float32), "no depth for 100% of its pixels"),
+        (lambda: -depth_scene().network().values, "runs against the terrain"),
+        (lambda: np.random.default_rng(0).random((90, 160), np.float32), "explains only"),
     ],
 )
 def test_a_broken_network_is_named_and_the_terrain_flows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, values: Any, reason: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, values: Callable[[], Any], reason: str
 ) -> None:
     from ltm_core.depth.monocular import NetworkDepth
 
-    node = Node(tmp_path, monkeypatch, NetworkDepth(values, "relative_inverse"))
+    node = Node(tmp_path, monkeypatch, NetworkDepth(values(), "relative_inverse"))
     node.feed()
     assert node.infos[0]["verdict"] == "network_unusable"
     assert reason in node.infos[0]["reason"]
