@@ -66,6 +66,7 @@ def test_what_counts_as_a_fault(order: str, found: str, tmp_path: Path, monkeypa
             assert fault == ""
         else:
             assert re.search(found, fault)
+        monkeypatch.undo()
         file.write_bytes(b"whole")
         assert suite.fault_of(worker.run(file)) == ""  # by a new process, where the old one has died
 

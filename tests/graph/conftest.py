@@ -91,6 +91,13 @@ def small_site(kernels: None, tmp_path_factory: pytest.TempPathFactory) -> Small
     return write_small_site(tmp_path_factory.mktemp("small_site"))
 
 
+@pytest.fixture
+def small(tmp_path: Path) -> SmallSite:
+    """A small site of the test's own, to be written into; without a recording."""
+    (tmp_path / "site").mkdir()
+    return write_small_site(tmp_path / "site", recording=False)
+
+
 _slots: list[int] = []
 """The lock file that gives this process the right to have a graph; one suffices for all that it has."""
 

@@ -17,10 +17,9 @@ import yaml
 from bystander import Bystander
 from scenes.http_camera import HttpCamera, running
 from scenes.ptz_camera import FakeHead, Place, ptz_camera
-from scenes.small_site import NAME, Frame, SmallSite, paint_at, write_small_site
+from scenes.small_site import NAME, Frame, SmallSite, like_its_paint
 from scenes.waiting import wait_for
 
-from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation.mount_config import written_mount
 from ltm_core.pose_estimation.mount_model import MountModel
@@ -38,12 +37,6 @@ pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("kernels")]
 PRESETS: dict[str, Place] = {"valley": (35.0, -13.0, 1.0), "ridge": (250.0, -11.0, 300.0)}
 TABLE = (ZoomPoint(zoom=1, hfov_deg=62.0), ZoomPoint(zoom=9999, hfov_deg=2.5))
 LENS = LensConfig(width=320, height=180, zoom=TABLE).lens()
-
-
-@pytest.fixture
-def small(tmp_path: Path) -> SmallSite:
-    (tmp_path / "site").mkdir()
-    return write_small_site(tmp_path / "site", recording=False)
 
 
 @pytest.fixture
@@ -139,12 +132,9 @@ def test_from_a_patrolling_head_to_a_fuel_map(
         assert 0.03 < math.degrees(math.sqrt(message.pose.covariance[35])) < 0.3
     zoomed = {round(msg_to_camera(message).fx, 3) for message in bystander.heard[infos]}
     assert zoomed == {round(LENS.camera(zoom).fx, 3) for _, _, zoom in PRESETS.values()}
-    classes, geometry = read_fuel_map(tmp_path / "fuel_map.tif")
-    x0, y0 = site.origin
-    truth = paint_at(*geometry.translated(-x0, -y0).to_map(*np.mgrid[: geometry.height, : geometry.width]))
-    seen = classes != 255
-    assert seen.sum() > 20
-    assert (classes == truth)[seen].mean() > 0.7
+    seen, right = like_its_paint(tmp_path / "fuel_map.tif", site)
+    assert seen > 20
+    assert right > 0.7
 
 
 def _turn(a: Pose, b: Pose) -> float:

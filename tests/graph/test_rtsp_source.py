@@ -12,11 +12,10 @@ import pytest
 import yaml
 from bystander import Bystander
 from scenes.rtsp_camera import PASSWORD, SIZE, USER, RtspCamera, running
-from scenes.small_site import NAME, Frame, SmallSite, paint_at, write_small_site
+from scenes.small_site import NAME, Frame, SmallSite, like_its_paint
 from scenes.waiting import wait_for
 
 from ltm_core.camera import Camera
-from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.site_io import load_site
 from ltm_ros.launching.graph import describe
 from ltm_ros.launching.runner import Runner
@@ -25,12 +24,6 @@ from ltm_ros.runtime.topics import FUEL_MAP_UPDATE, FUEL_VOTES, IMAGE_COMPRESSED
 pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("kernels")]
 
 HFOV = 62.0
-
-
-@pytest.fixture
-def small(tmp_path: Path) -> SmallSite:
-    (tmp_path / "site").mkdir()
-    return write_small_site(tmp_path / "site", recording=False)
 
 
 @pytest.fixture
@@ -82,9 +75,6 @@ def test_from_an_rtsp_stream_to_a_fuel_map(
     assert all(began - 2.0 < stamp / 1e9 < time.time() for stamp in bystander.stamps(images))
     assert len(set(bystander.stamps(images)) & set(bystander.stamps(votes))) >= 3
     assert not any(PASSWORD in line for line in lines)
-    classes, geometry = read_fuel_map(tmp_path / "fuel_map.tif")
-    x0, y0 = site.origin
-    truth = paint_at(*geometry.translated(-x0, -y0).to_map(*np.mgrid[: geometry.height, : geometry.width]))
-    seen = classes != 255
-    assert seen.sum() > 20
-    assert (classes == truth)[seen].mean() > 0.7
+    seen, right = like_its_paint(tmp_path / "fuel_map.tif", site)
+    assert seen > 20
+    assert right > 0.7

@@ -13,11 +13,10 @@ import pytest
 import yaml
 from bystander import Bystander
 from scenes.http_camera import Behaviour, HttpCamera, running
-from scenes.small_site import NAME, SmallSite, paint_at, write_small_site
+from scenes.small_site import NAME, SmallSite, like_its_paint
 from scenes.timed_picture import jpeg
 from scenes.waiting import wait_for
 
-from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.site_io import load_site
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_ros.launching.graph import describe
@@ -48,12 +47,6 @@ def camera(small: SmallSite) -> Iterator[HttpCamera]:
 
     with running(HttpCamera(Behaviour(authentication="digest", clock_ahead=3600.0, render=render))) as camera:
         yield camera
-
-
-@pytest.fixture
-def small(tmp_path: Path) -> SmallSite:
-    (tmp_path / "site").mkdir()
-    return write_small_site(tmp_path / "site", recording=False)
 
 
 def write_sources(small: SmallSite, camera: HttpCamera) -> None:
@@ -120,12 +113,9 @@ def test_from_a_snapshot_camera_to_a_fuel_map(
     # One stamp for all that belongs to a picture, up to its votes.
     for topic in (CAMERA_INFO, POSE, POSED_POSE, FUEL_VOTES):
         assert len(set(bystander.stamps(camera_topic(NAME, "mast", topic))) & set(stamps)) >= 3, topic
-    classes, geometry = read_fuel_map(tmp_path / "fuel_map.tif")
-    x0, y0 = site.origin
-    truth = paint_at(*geometry.translated(-x0, -y0).to_map(*np.mgrid[: geometry.height, : geometry.width]))
-    seen = classes != 255
-    assert seen.sum() > 20
-    assert (classes == truth)[seen].mean() > 0.7
+    seen, right = like_its_paint(tmp_path / "fuel_map.tif", site)
+    assert seen > 20
+    assert right > 0.7
     # Nothing that was logged, told or recorded holds the password.
     recorded = b"".join(message.raw for message in BagReader(tmp_path / "bag").messages())
     assert camera_topic(NAME, "mast", IMAGE_COMPRESSED) in BagReader(tmp_path / "bag").topics()

@@ -100,12 +100,7 @@ def test_span_gives_the_map_of_its_frames(small_site: SmallSite, tmp_path: Path)
 
 
 def test_truncated_recording_gives_what_it_has(small_site: SmallSite, tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "small_chunks", chunk_size=20_000) as bag:
-        for message in BagReader(small_site.bag).messages():
-            bag.write_raw(message.topic, message.type_name, message.raw, message.log_time_ns)
-    whole = next((tmp_path / "small_chunks").glob("*.mcap"))
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    cut = small_site.cut_in_half(tmp_path)
     summaries = replayed(small_site, tmp_path / "out", bag=cut)
     frames = int(summaries[f"/{NAME}/fuel_map"]["frames_in"])
     assert 2 <= frames < 2 * FRAMES

@@ -1,4 +1,4 @@
-"""Kernels, compiled once for all processes of a test run: the nodes', and those of poses, places and the simulator.
+"""Kernels, compiled once for all processes of a test run: the nodes', and those that many tests use besides.
 
 Numba keeps what it has compiled in a folder that all processes share, but two that need a kernel at the same time both
 compile it: cold, every node of a graph and every worker would spend a minute or two on the same.
@@ -14,6 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.topodepth import fuse
 from ltm_core.locating.locator import Locator
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation.picture_evidence import picture_evidence
@@ -22,6 +26,12 @@ from ltm_core.pose_estimation.pose_prior import PosePrior
 from ltm_core.simulator.clouds import Clouds
 from ltm_core.simulator.run import make_site, rasters_at
 from ltm_core.simulator.scenario import CloudConfig
+from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.baselines.march import march
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND
+from ltm_core.visibility.point_visibility import PointVisibility
+from ltm_core.visibility.viewshed import PosedCamera, viewshed
+from ltm_core.vision.labels import LabelSet
 from ltm_ros.nodes.depth import Depth, DepthConfig
 from ltm_ros.nodes.fuel_map import FuelMap, FuelMapConfig
 from ltm_ros.nodes.fuel_votes import FuelVotes
@@ -30,7 +40,9 @@ from ltm_ros.nodes.topodepth import TopoDepth, TopoDepthConfig
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.stamp_join import JoinConfig
 from scenes import located, mountain_view
+from scenes.depth_scene import depth_scene
 from scenes.outlets import Kept
+from scenes.rasters import rough_terrain, standing
 from scenes.small_scenario import small_scenario
 from scenes.terrain_frames import write_fusing_site
 
@@ -67,9 +79,36 @@ def _simulator(_: str) -> None:
     Clouds(CloudConfig(cover=0.5), 300.0, scenario.sun, pose.position, seed=4).seen(camera, pose)
 
 
+def _rays(_: str) -> None:
+    """Of rays in any direction over whole ground and over ground with holes, without and with a lens's distortion; what
+    a place sees; and the paper's march."""
+    whole = rough_terrain(5, (70, 90))
+    holed = whole.elevation.copy()
+    holed[30:40, 50:60] = np.nan
+    camera = Camera(40, 30, 40.0, 40.0, 19.5, 14.5, (0.1, 0.0, 0.0, 0.0, 0.0))
+    pose = Pose.from_angles(standing(whole, 40.0, 30.0, 25.0), 80.0, -15.0, 5.0)
+    for dem in (whole, Dem(holed, whole.geometry)):
+        for tracer in (TerrainTracer(dem), TerrainTracer(dem, possible=NOTHING_BEYOND)):
+            tracer.trace(camera, pose)
+            tracer.trace_rays(pose.position, camera.rays().reshape(-1, 3) @ pose.rotation.T)
+        viewshed(PointVisibility(dem), [PosedCamera("one", camera, pose)])
+        march(dem, pose.position, [(0.6, 0.0, -0.8)])
+
+
+def _fusion_of_a_photo(_: str) -> None:
+    scene, classes = depth_scene(), ClassPriors.of(LabelSet.load())
+    fuse(scene.traced, scene.network(), scene.photo, scene.labels, classes)
+
+
 NODES: dict[str, Callable[[str], None]] = {"terrain": _terrain, "fusion": _fusion, "fuel": _fuel}
 """Each compiled by one process, from a site file; the largest first."""
-ALL = NODES | {"simulator": _simulator, "poses": _poses, "places": _places}
+ALL = NODES | {
+    "simulator": _simulator,
+    "poses": _poses,
+    "places": _places,
+    "rays": _rays,
+    "fusion of a photo": _fusion_of_a_photo,
+}
 
 
 def compile_kernels(parts: Mapping[str, Callable[[str], None]] = NODES) -> None:

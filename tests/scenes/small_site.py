@@ -17,12 +17,15 @@ from numpy.typing import NDArray
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
+from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.site import Site
 from ltm_core.site_io import load_site
 from ltm_core.tracing import TerrainTracer
 from ltm_core.types import UInt8Array
+from ltm_core.vision.labels import UNLABELLED
+from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg
@@ -74,6 +77,17 @@ class SmallSite:
     @property
     def bag(self) -> Path:
         return self.folder / "recording"
+
+    def cut_in_half(self, folder: Path) -> Path:
+        """A file in `folder` with the first half of the recording's bytes, in small chunks: as one that a power cut
+        has ended."""
+        with BagWriter(folder / "small_chunks", chunk_size=20_000) as bag:
+            for message in BagReader(self.bag).messages():
+                bag.write_raw(message.topic, message.type_name, message.raw, message.log_time_ns)
+        whole = next((folder / "small_chunks").glob("*.mcap"))
+        cut = folder / "cut.mcap"
+        cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+        return cut
 
     @cached_property
     def site(self) -> Site:
@@ -154,6 +168,15 @@ def paint_at(x: NDArray[np.floating], y: NDArray[np.floating]) -> UInt8Array:
     with np.errstate(invalid="ignore"):
         odd = (np.floor(x / SQUARE) + np.floor(y / SQUARE)) % 2 == 1
     return np.where(odd, BUILT, GRASS).astype(np.uint8)
+
+
+def like_its_paint(fuel_map: Path, site: Site) -> tuple[int, float]:
+    """Of a fuel map that was saved: how many cells are seen, and the share of these that have their cover's class."""
+    classes, geometry = read_fuel_map(fuel_map)
+    x0, y0 = site.origin
+    truth = paint_at(*geometry.translated(-x0, -y0).to_map(*np.mgrid[: geometry.height, : geometry.width]))
+    seen = classes != UNLABELLED
+    return int(seen.sum()), float((classes == truth)[seen].mean())
 
 
 def write_small_site(folder: Path, recording: bool = True) -> SmallSite:
