@@ -8,7 +8,6 @@ import os
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -22,6 +21,7 @@ import numpy as np
 import pytest
 import yaml
 from bystander import Bystander
+from scenes.free_port import free_port
 from scenes.small_site import NAME, SmallSite
 from scenes.waiting import wait_for
 from tower_frames import TOPICS, send_frame
@@ -59,9 +59,7 @@ class Tower:
 @pytest.fixture(scope="module")
 def tower(small_site: SmallSite, module_ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tower]:
     folder = tmp_path_factory.mktemp("health")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     path = small_site.folder / "watched.yaml"
     keys = yaml.safe_load(small_site.path.read_text())
     path.write_text(yaml.safe_dump(keys | {"health": {"port": port, "frame_age": 3600.0}}))

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 import yaml
 from bystander import Bystander
-from scenes.mqtt_broker import Broker, free_port
+from scenes.free_port import free_port
+from scenes.mqtt_broker import Broker
 from scenes.small_site import NAME, SmallSite
 from scenes.waiting import wait_for
 from tower_frames import TOPICS, send_frame

@@ -19,6 +19,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 from urllib.parse import urlsplit
 
+from scenes.free_port import free_port
 from scenes.timed_picture import jpeg, scene, with_time
 
 REALM = "camera"
@@ -275,7 +276,7 @@ def running(camera: HttpCamera | None = None, certificate: tuple[str, str] | Non
     """`certificate`: files of certificate and key, for https. A camera that had a port gets it again."""
     camera = camera or HttpCamera()
     handler = type("CameraRequest", (Request,), {"camera": camera})
-    server = _Server(("127.0.0.1", camera.port), handler)
+    server = _Server(("127.0.0.1", camera.port or free_port()), handler)
     if certificate is not None:
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         context.load_cert_chain(*certificate)

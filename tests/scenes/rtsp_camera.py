@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import socket
 import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -12,6 +11,8 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+
+from scenes.free_port import free_port
 
 SYSTEM_PYTHON = "/usr/bin/python3"
 SERVER = Path(__file__).with_name("rtsp_server_process.py")
@@ -53,10 +54,7 @@ class RtspCamera:
         return f"rtsp://127.0.0.1:{self.port}/live"
 
     def start(self) -> None:
-        if not self.port:
-            with socket.socket() as free:
-                free.bind(("127.0.0.1", 0))
-                self.port = free.getsockname()[1]
+        self.port = self.port or free_port()
         command = [SYSTEM_PYTHON, str(SERVER), str(self.port), "--ahead", str(self.ahead), "--keys", str(self.keys)]
         command += ["--i420", str(self.shown)] if self.shown is not None else []
         command += ["--password", PASSWORD] if self.authentication else []

@@ -15,7 +15,8 @@ import numpy as np
 import paho.mqtt.client as mqtt
 import pytest
 from paho.mqtt.enums import CallbackAPIVersion
-from scenes.mqtt_broker import Broker, free_port
+from scenes.free_port import free_port
+from scenes.mqtt_broker import Broker
 from scenes.region_scene import CAMERA, REGION, RegionScene, stamp_of, write_region_scene
 from scenes.waiting import PATIENCE_S, wait_for
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from scenes.free_port import free_port
 from scenes.rerun_site import LABELS, hills, site
 from scenes.waiting import wait_for
 
@@ -23,10 +23,10 @@ from ltm_ros.viewer.server import RerunProcess, grpc_url, listens, web_url
 
 @pytest.fixture
 def ports() -> tuple[int, int]:
-    with socket.socket() as a, socket.socket() as b:
-        a.bind(("127.0.0.1", 0))
-        b.bind(("127.0.0.1", 0))
-        return a.getsockname()[1], b.getsockname()[1]
+    web = grpc = free_port()
+    while grpc == web:
+        grpc = free_port()
+    return web, grpc
 
 
 def listening(port: int) -> list[str]:
