@@ -127,7 +127,7 @@ def test_strongly_bent_rays(bend: float) -> None:
     tracer.bend = bend
     rng = np.random.default_rng(8)
     for position in positions(dem, rng, 16):
-        rays = directions(rng, 200, -20, 8)
+        rays = directions(rng, 100, -20, 8)
         assert_same(tracer.trace_rays(position, rays), trace_reference(dem, position, rays, bend), position)
 
 
