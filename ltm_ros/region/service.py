@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 import threading
 import time
+from collections.abc import Callable
 from typing import Final
 
 from ltm_core.uplink.config import AGGREGATOR, RegionConfig
@@ -25,16 +26,25 @@ many at once."""
 class RegionService:
     """Raises LtmError for a site, a store or certificates that cannot be taken.
 
-    `run` works until it is told to stop.
+    `run` works until it is told to stop, by one `step` after the other.
+
+    Args:
+        now_ns: the time. `make_link`: the connection; others in tests.
     """
 
-    def __init__(self, config: RegionConfig, health: Health) -> None:
+    def __init__(
+        self,
+        config: RegionConfig,
+        health: Health,
+        now_ns: Callable[[], int] = time.time_ns,
+        make_link: type[MqttLink] = MqttLink,
+    ) -> None:
         self._config, self._health = config, health
-        self.aggregator = Aggregator(config, health, time.time_ns)
+        self.aggregator = Aggregator(config, health, now_ns)
         self._inbox = Inbox(config.towers, health)
         self._life = secrets.token_hex(8).encode()
         self._presence = presence_topic(config.name)
-        self._link = MqttLink(
+        self._link = make_link(
             config.broker,
             self.aggregator.identity,
             f"{config.name}-{AGGREGATOR}",
@@ -46,33 +56,38 @@ class RegionService:
         self._tiles = TilePublisher(config.name, self.aggregator, self._link)
         self._exports = None if config.export is None else RegionExports(config.export, self.aggregator, health)
         self._connections = 0
-        self._show_at = 0.0
+        self._show_at = self._last = self._tiles_at = 0.0
 
     def run(self, stopping: threading.Event) -> None:
         """Count, store, answer and send, until told to stop; then store the rest."""
         self._link.start()
-        last = tiles_at = time.monotonic()
+        self._last = self._tiles_at = time.monotonic()
         try:
             while not stopping.is_set():
-                self._count_for(SETTLE_S)
-                now = time.monotonic()
-                self.aggregator.persistence.wait(now - last)
-                last = now
-                changed = self._show(now)
-                answers = self.aggregator.settle()
-                self._greet()
-                self._answer(answers)
-                if now - tiles_at >= self._config.tiles:
-                    tiles_at = now
-                    self._tiles.send()
-                if self._exports is not None:
-                    self._exports.look(now, bool(changed))
+                self.step(SETTLE_S)
         finally:
             self._link.send(self._presence, b"", retain=True)
             self._answer(self.aggregator.close())
             if self._exports is not None:
                 self._exports.close()
             self._link.stop()
+
+    def step(self, patience_s: float) -> None:
+        """One turn: count what comes, for `SETTLE_S` at most, until nothing has come for `patience_s`; then store it,
+        and answer."""
+        self._count_for(patience_s)
+        now = time.monotonic()
+        self.aggregator.persistence.wait(now - self._last)
+        self._last = now
+        changed = self._show(now)
+        answers = self.aggregator.settle()
+        self._greet()
+        self._answer(answers)
+        if now - self._tiles_at >= self._config.tiles:
+            self._tiles_at = now
+            self._tiles.send()
+        if self._exports is not None:
+            self._exports.look(now, changed)
 
     def _show(self, now_s: float) -> bool:
         """Whether parts of the map were decided anew."""
@@ -84,15 +99,12 @@ class RegionService:
         self._tiles.note(windows)
         return bool(windows)
 
-    def _count_for(self, seconds: float) -> None:
-        """Take what comes; shorter where nothing does."""
-        until = time.monotonic() + seconds
-        wait = seconds
-        while wait > 0:
-            if (came := self._inbox.get(wait)) is None:
+    def _count_for(self, patience_s: float) -> None:
+        until = time.monotonic() + SETTLE_S
+        while (wait := until - time.monotonic()) > 0:
+            if (came := self._inbox.get(min(wait, patience_s))) is None:
                 break
             self.aggregator.take(*came)
-            wait = until - time.monotonic()
         self._health.gauge("waiting_bytes", self._inbox.bytes)
 
     def _greet(self) -> None:

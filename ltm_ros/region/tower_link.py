@@ -19,11 +19,12 @@ from typing import Final
 from pydantic import ValidationError
 
 from ltm_core.errors import MessageError, StoreError
-from ltm_core.uplink.config import AGGREGATOR, UplinkConfig
-from ltm_core.uplink.envelope import VERSION, AckHeader, Outcome, VotesGrid, VotesHeader, header_of, outcomes_of
+from ltm_core.uplink.config import UplinkConfig
+from ltm_core.uplink.envelope import Outcome, VotesGrid
 from ltm_core.uplink.outbox_io import FrameKey, Outbox, OutboxFrame
 from ltm_ros.region.identity import Identity
 from ltm_ros.region.mqtt_link import MqttLink, ack_topic, presence_topic, votes_topic
+from ltm_ros.region.tower_words import outcomes_heard, sealed_votes
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.retry import LAST_TRIES_S
@@ -38,6 +39,10 @@ to"""
 LONGEST_RESEND_S: Final = 480.0
 REFUSED_PAUSE_S: Final = 600.0
 """Until a frame that the aggregator refused is offered again: a version, a clock or a list of towers may be mended."""
+OPEN_S: Final = 5.0
+"""Between two attempts to open an outbox whose disk does not serve."""
+SLOW_S: Final = 1.0
+"""For one transaction; a disk that takes longer is about to fail, or is somebody else's too."""
 HELD_BYTES: Final = 32 << 20
 """Of frames that wait for a disk that does not serve; further ones are lost, and counted."""
 BOUND_S: Final = 10.0
@@ -55,16 +60,25 @@ class TowerLink:
         grid: the fuel grid that the votes are on.
         outbox: its file.
         clock: for the age of frames.
+        make_link: the connection; another one in tests.
     """
 
-    def __init__(self, config: UplinkConfig, grid: VotesGrid, outbox: Path, health: Health, clock: Clock) -> None:
-        """Raises ConfigError for a certificate, a key or an outbox that cannot be taken, StoreError where the disk does
-        not serve."""
+    def __init__(
+        self,
+        config: UplinkConfig,
+        grid: VotesGrid,
+        outbox: Path,
+        health: Health,
+        clock: Clock,
+        make_link: type[MqttLink] = MqttLink,
+    ) -> None:
+        """Raises ConfigError for a certificate, a key or an outbox that cannot be taken. Where its disk does not serve
+        frames wait in memory, and it is tried again."""
         self._config, self._grid, self._health, self._clock = config, grid, health, clock
         self._identity = Identity(config.broker, config.tower)
-        self._outbox = Outbox(outbox, config.outbox_bytes, config.outbox_days * 86_400)
-        if self._outbox.damage:
-            health.drop("outbox_damaged", self._outbox.damage)
+        self._file = outbox
+        self._outbox: Outbox | None = None
+        self._open_due = 0.0
         self.kept = 0
         """Frames of `offer` that are in the outbox, the first ones."""
         self._offered: deque[OutboxFrame] = deque()
@@ -83,9 +97,12 @@ class TowerLink:
         self._bound_due = 0.0
         self._wake, self._stopping = threading.Event(), threading.Event()
         topics = [ack_topic(config.name, config.tower), presence_topic(config.name)]
-        self._link = MqttLink(
-            config.broker, self._identity, f"{config.name}-{config.tower}", topics, self._take, health
-        )
+        name = f"{config.name}-{config.tower}"
+        self._link = make_link(config.broker, self._identity, name, topics, self._take, health)
+        try:
+            self._open()
+        except StoreError as error:
+            health.trouble(cause_of(error), str(error))
         self._activity = HEARTBEAT.activity("uplink")
         self._thread = threading.Thread(target=self._run, name="uplink", daemon=True)
 
@@ -114,25 +131,37 @@ class TowerLink:
         lost = len(self._offered)
         if lost:
             self._health.drop("outbox_full", f"{lost} frames could not be written before the end", lost)
-        self._outbox.close()
+        if self._outbox is not None:
+            self._outbox.close()
         return not lost
 
     def step(self, now_s: float) -> None:
         """One turn of the thread's work. Raises StoreError where the disk does not serve; what lies in the outbox is
         sent all the same, for what leaves it makes room on a disk that is full.
         """
+        if self._outbox is None and (now_s >= self._open_due or self._stopping.is_set()):
+            self._open_due = now_s + OPEN_S
+            self._open()
+        if (outbox := self._outbox) is None:
+            return
         try:
-            self._keep()
+            self._keep(outbox)
         finally:
-            self._pass_on(now_s)
+            self._pass_on(outbox, now_s)
 
-    def _pass_on(self, now_s: float) -> None:
-        self._hear_acks(now_s)
-        if now_s >= self._bound_due or self._outbox.bytes > self._config.outbox_bytes:
+    def _open(self) -> None:
+        self._health.gauge("outbox_frames", len(self._offered))
+        self._outbox = Outbox(self._file, self._config.outbox_bytes, self._config.outbox_days * 86_400)
+        if self._outbox.damage:
+            self._health.drop("outbox_damaged", self._outbox.damage)
+
+    def _pass_on(self, outbox: Outbox, now_s: float) -> None:
+        self._hear_acks(outbox, now_s)
+        if now_s >= self._bound_due or outbox.bytes > self._config.outbox_bytes:
             self._bound_due = now_s + BOUND_S
-            self._bound()
-        self._send(now_s)
-        self._state()
+            self._bound(outbox)
+        self._send(outbox, now_s)
+        self._state(outbox)
 
     def _run(self) -> None:
         stop_at = 0.0
@@ -154,19 +183,23 @@ class TowerLink:
                 if not self._offered or time.monotonic() > stop_at:
                     return
 
-    def _keep(self) -> None:
+    def _keep(self, outbox: Outbox) -> None:
         with self._lock:
             frames = list(self._offered)
         if not frames:
             return
-        self._outbox.put(frames)
+        begun = time.monotonic()
+        outbox.put(frames)
+        if (took := time.monotonic() - begun) > SLOW_S:
+            words = "look whether it fails (smartctl), or who else writes to it"
+            self._health.trouble("outbox_slow", f"the disk took {took:.1f} s to keep {len(frames)} frames: {words}")
         self.kept += len(frames)
         with self._lock:
             for frame in frames:
                 self._offered.popleft()
                 self._held -= len(frame.message)
 
-    def _hear_acks(self, now_s: float) -> None:
+    def _hear_acks(self, outbox: Outbox, now_s: float) -> None:
         refused: list[FrameKey] = []
         for _ in range(self._acks.qsize()):  # not until it is empty: somebody may fill it as quickly
             for outcome in self._outcomes(self._acks.get_nowait()):
@@ -181,36 +214,26 @@ class TowerLink:
                         "refused", f"the region's map refuses the frame {key[1]} of {key[0]}: {outcome.why}"
                     )
         if refused:
-            self._outbox.postpone(refused, now_s + REFUSED_PAUSE_S)
+            outbox.postpone(refused, now_s + REFUSED_PAUSE_S)
         if self._answered:
             self._resend_s = RESEND_S
-            for _ in range(self._outbox.acknowledge(self._answered)):
+            for _ in range(outbox.acknowledge(self._answered)):
                 self._health.note("acknowledged")
             self._answered.clear()
 
     def _outcomes(self, content: bytes) -> list[Outcome]:
         """Of nobody but the aggregator, for this tower; what cannot be believed says nothing, and is counted."""
         try:
-            envelope = self._identity.opened(content, AGGREGATOR)
-            header = header_of(AckHeader, envelope)
-            if (header.region, header.tower, header.version) != (self._config.name, self._config.tower, VERSION):
-                raise MessageError(
-                    f"an acknowledgement is of version {header.version} for {header.tower} in {header.region}; this is "
-                    f"{self._config.tower} in {self._config.name}, version {VERSION}"
-                )
-            return outcomes_of(envelope)
+            return outcomes_heard(self._identity, self._config, content)
         except MessageError as error:
             self._health.drop(cause_of(error), str(error))
             return []
 
-    def _bound(self) -> None:
-        removed = self._outbox.bound(self._clock())
+    def _bound(self, outbox: Outbox) -> None:
+        removed = outbox.bound(self._clock())
         if removed.aged:
-            self._health.drop(
-                "outbox_aged",
-                f"frames older than {self._config.outbox_days:g} days were not sent; is the link up?",
-                removed.aged,
-            )
+            words = f"frames older than {self._config.outbox_days:g} days were not sent; is the link up?"
+            self._health.drop("outbox_aged", words, removed.aged)
         if removed.thinned:
             self._health.drop(
                 "outbox_thinned",
@@ -219,7 +242,7 @@ class TowerLink:
                 removed.thinned,
             )
 
-    def _send(self, now_s: float) -> None:
+    def _send(self, outbox: Outbox, now_s: float) -> None:
         life = self._presence, self._link.connections
         if not (life[0] and self._link.connected.is_set()):
             return
@@ -234,18 +257,18 @@ class TowerLink:
             for key in late:
                 del self._on_their_way[key]
         frames, room = WINDOW - len(self._on_their_way), WINDOW_BYTES - sum(n for _, n in self._on_their_way.values())
-        if frames <= 0 or room <= 0 or not self._outbox.frames:
+        if frames <= 0 or room <= 0 or not outbox.frames:
             return
-        for key, size in self._outbox.waiting(frames, now_s, self._on_their_way):
+        for key, size in outbox.waiting(frames, now_s, self._on_their_way):
             if size > room and self._on_their_way:
                 return
-            frame = self._outbox.frame(key)
+            frame = outbox.frame(key)
             if frame is None:
                 continue
             try:
-                content = self._sealed(frame)
+                content = sealed_votes(self._identity, self._config, self._grid, frame)
             except (MessageError, ValidationError) as error:
-                self._outbox.acknowledge([frame.key])
+                outbox.acknowledge([frame.key])
                 self._health.drop("message", f"the frame {frame.stamp_ns} of {frame.camera} cannot be sent: {error}")
                 continue
             if not self._link.send(votes_topic(self._config.name, self._config.tower), content):
@@ -253,21 +276,10 @@ class TowerLink:
             self._on_their_way[key] = now_s + self._resend_s, size
             room -= size
 
-    def _sealed(self, frame: OutboxFrame) -> bytes:
-        header = VotesHeader(
-            region=self._config.name,
-            tower=self._config.tower,
-            camera=frame.camera,
-            stamp_ns=frame.stamp_ns,
-            model=frame.model,
-            grid=self._grid,
-        )
-        return self._identity.sealed(header.model_dump_json().encode(), frame.message)
-
-    def _state(self) -> None:
-        oldest, now = self._outbox.oldest_ns(), self._clock()
-        self._health.gauge("outbox_frames", self._outbox.frames)
-        self._health.gauge("outbox_bytes", self._outbox.bytes)
+    def _state(self, outbox: Outbox) -> None:
+        oldest, now = outbox.oldest_ns(), self._clock()
+        self._health.gauge("outbox_frames", outbox.frames)
+        self._health.gauge("outbox_bytes", outbox.bytes)
         age_s = 0.0 if oldest is None else max(0.0, ((now or time.time_ns()) - oldest) / 1e9)
         self._health.gauge("outbox_age_s", f"{age_s:.1f}")
         self._health.gauge("link_up", int(bool(self._presence and self._link.connected.is_set())))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+from fnmatch import fnmatch
 from pathlib import Path
 
 PACKAGING = Path(__file__).parents[3] / "packaging"
@@ -29,6 +31,44 @@ def test_command_environment_and_user_are_the_service_s() -> None:
     assert set(of_unit("Environment")) < set(said["ENV"].split())
     assert [said["USER"]] == of_unit("User")
     assert [said["WORKDIR"]] == of_unit("WorkingDirectory")
+
+
+KNOWN = ("FROM", "COPY", "RUN", "USER", "WORKDIR", "ENV", "VOLUME", "ENTRYPOINT", "CMD")
+"""Instructions of the Dockerfile reference that we use, in the order in which they must come."""
+
+
+def test_each_instruction_is_one_that_an_engine_knows_and_in_its_place() -> None:
+    """No engine was at hand to build it."""
+    said = instructions()
+    assert tuple(said) == KNOWN
+    lines = FILE.read_text().replace("\\\n", " ").splitlines()
+    assert all(line.startswith("#") or line.partition(" ")[0] in KNOWN for line in lines if line.strip())
+    assert all(pair.count("=") == 1 for pair in said["ENV"].split())
+    for name in ("ENTRYPOINT", "CMD"):
+        words = json.loads(said[name])
+        assert all(isinstance(word, str) for word in words), "exec form: signals reach the program"
+    subprocess.run(["sh", "-n", "-c", said["RUN"]], check=True)
+
+
+def test_what_it_copies_is_what_is_built_and_what_it_runs_is_what_is_installed() -> None:
+    said, builder = instructions(), (PACKAGING / "build_deb.py").read_text()
+    pattern, target = said["COPY"].split()
+    (built,) = re.findall(r"f\"(ltm_\{version\}_.*?\.deb)\"", builder)
+    name = built.replace("{version}", "0.2.0")
+    assert fnmatch(name, pattern), "a package's name"
+    assert fnmatch(target + name, re.search(r"/tmp/ltm\S+\.deb", said["RUN"])[0])  # type: ignore[index]
+    assert said["RUN"].count(f"{target}{pattern}") == 2, "installed, then removed"
+    # The package is for the Python of the release that it starts from.
+    assert said["FROM"] == "debian:12-slim"
+    (program,) = json.loads(said["ENTRYPOINT"])
+    assert program.startswith("/opt/ltm/current/")
+    assert "/opt/ltm/.current.new /opt/ltm/current" in (PACKAGING / "debian/postinst").read_text()
+    folders = (PACKAGING / "systemd/tmpfiles-ltm.conf").read_text()
+    for path in (said["VOLUME"], said["WORKDIR"], *[w for w in json.loads(said["CMD"]) if w.startswith("/var/")]):
+        assert re.search(rf"^d {path} \S+ {said['USER']} ", folders, re.MULTILINE), f"{path} is made for its user"
+    page = (PACKAGING.parent / "docs/deployment.md").read_text()
+    assert "docker build --file packaging/Containerfile --tag ltm out/deb" in page
+    assert f"--volume ltm-state:{said['VOLUME']} " in page
 
 
 def test_what_stands_for_systemd_satisfies_the_package() -> None:

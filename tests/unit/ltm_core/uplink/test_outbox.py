@@ -119,7 +119,6 @@ def test_a_damaged_file_is_put_aside_and_a_new_one_begins(tmp_path: Path) -> Non
 WRITER = """
 import sys
 from pathlib import Path
-from typing import Any
 from ltm_core.uplink.outbox_io import Outbox, OutboxFrame
 
 with Outbox(Path(sys.argv[1]), 10**9, 1e9) as outbox:

@@ -10,7 +10,8 @@ from scenes.fuel_frames import grid_of, message, write_site
 from scenes.mqtt_broker import MOSQUITTO
 
 from ltm_ros.bench.network_site import Traffic
-from ltm_ros.bench.region import RegionTrial, run_bench, run_region, same_map
+from ltm_ros.bench.region import run_bench, run_region, same_map
+from ltm_ros.bench.region_trial import RegionTrial
 
 pytestmark = pytest.mark.skipif(MOSQUITTO is None, reason="needs mosquitto: apt install mosquitto")
 

@@ -5,16 +5,23 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rclpy.serialization import serialize_message
-from scenes.fuel_frames import BEGIN_NS, message
+from rclpy.serialization import deserialize_message, serialize_message
+from scenes.fuel_frames import BEGIN_NS, LABELS, message, votes
 from scenes.region_scene import CAMERA, REGION, RegionScene, stamp_of, write_region_scene
+from sensor_msgs.msg import PointCloud2
 
 from ltm_core.errors import ConfigError, MessageError
-from ltm_core.uplink.envelope import LARGEST, MOST_OUTCOMES, AckHeader, Outcome, header_of, outcomes_of
+from ltm_core.fuel.export.export_grid import snapped_grid
+from ltm_core.fuel.site_map import site_evidence_map
+from ltm_core.grid import GridGeometry
+from ltm_core.uplink.envelope import LARGEST, MOST_OUTCOMES, AckHeader, Outcome, VotesGrid, header_of, outcomes_of
+from ltm_msgs_py.votes import msg_to_votes, votes_to_msg
+from ltm_ros.bench.region import same_map
 from ltm_ros.region.aggregator import Aggregator
 from ltm_ros.region.certs import TrialAuthority
 from ltm_ros.region.identity import Identity
@@ -158,6 +165,37 @@ def test_what_cannot_be_taken_is_answered_in_words(scene: RegionScene) -> None:
             assert not outcome.done
             assert words in outcome.why
         assert region.frames == 0
+
+
+def test_towers_of_another_origin_extent_and_crs_count_on_one_map(scene: RegionScene) -> None:
+    """alta's site begins 4 cells further north-west and its map frame elsewhere; bear's is in the next UTM zone."""
+    here = scene.site.in_crs(scene.geometry)
+    wider = GridGeometry(here.x_min - 120, here.y_max + 120, 30.0, here.width + 9, here.height + 7, str(here.crs))
+    zone_10 = snapped_grid(here, "EPSG:26910")
+    grids = {"alta": VotesGrid.of(wider, (470_000.0, 4_140_000.0)), "bear": VotesGrid.of(zone_10, (900_000.0, 4e6))}
+    seen = votes(1, scene.geometry, stamp_of(1))
+    sent = {
+        "alta": replace(seen, geometry=grids["alta"].in_map, rows=seen.rows + 4, cols=seen.cols + 4),
+        "bear": votes(2, grids["bear"].in_map, stamp_of(2)),
+    }
+    with living(scene) as region:
+        for number, (tower, cast) in enumerate(sent.items(), start=1):
+            header = scene.header(tower, number, grid=grids[tower]).model_dump_json().encode()
+            region.aggregator.take(tower, scene.identity(tower).sealed(header, _cdr(votes_to_msg(cast, LABELS.names))))
+            assert region.answers() == {tower: [done(number)]}
+            evidence = region.aggregator.persistence.map
+            counted = evidence.seen_by(f"{tower}_{CAMERA}")
+            if tower == "alta":
+                expected = site_evidence_map(scene.site, scene.geometry, LABELS)
+                direct = _cdr(votes_to_msg(seen, LABELS.names))
+                expected.add(
+                    msg_to_votes(deserialize_message(direct, PointCloud2), scene.geometry, LABELS.names, "alta_mast")
+                )
+                assert same_map(evidence, expected)
+            else:
+                # Cells of the other zone are turned by 2.4 degrees: each of ours takes the one that its centre is in.
+                assert 0.9 < counted.sum() / len(cast) < 1.1
+        assert region.health.dropped == {}
 
 
 def test_an_identity_says_what_is_wrong_with_its_files(scene: RegionScene) -> None:
