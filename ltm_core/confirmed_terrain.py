@@ -20,7 +20,8 @@ class ConfirmedTerrain:
 
     `ground`: bare earth. `top`: what cameras see, with trees and houses where the site knows them; the same object as
     `ground` where nothing is known to stand. `surface`: the changed cells of the version. `canopy_known`: whether `top`
-    has what stood before; False: only what has changed differs from `ground`. `note`: what is to be told of it.
+    has what stood before; False: only what has changed differs from `ground`. `given`: `top` as it was given, of a
+    version; None: not known. `note`: what is to be told of it.
     """
 
     version: SurfaceVersion | None
@@ -28,6 +29,7 @@ class ConfirmedTerrain:
     top: Dem
     surface: ConfirmedSurface | None = None
     canopy_known: bool = True
+    given: Dem | None = None
     note: str = ""
 
     @property
@@ -64,7 +66,7 @@ class ConfirmedTerrain:
                 ("confirmed surface", surface.surface_over, given.top),
             )
         )
-        return cls(entry, ground, top, surface, given.canopy_known)
+        return cls(entry, ground, top, surface, given.canopy_known, given.top)
 
 
 def surface_versions(site: Site, folder: Path) -> SurfaceVersions:

@@ -56,8 +56,8 @@ def canopy(
     for name in scenes.split(","):
         for seed in numbers:
             scene = trial(name, seed)
-            confirmed = confirmed_of(scene, SceneConditions(looks=looks, seed=seed))
-            scores = score_canopy(scene, confirmed, constant)
+            conditions = SceneConditions(looks=looks, seed=seed)
+            scores = score_canopy(scene, confirmed_of(scene, conditions), constant, conditions)
             if not scores:
                 typer.echo(f"{name}, seed {seed}: nothing was confirmed")
             for score in scores:

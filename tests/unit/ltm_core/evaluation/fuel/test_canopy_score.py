@@ -13,8 +13,9 @@ from ltm_core.fuel.codes import FuelRegion
 @pytest.mark.parametrize("scene", ["felled", "growth"])
 def test_what_is_seen_is_nearer_to_the_truth_than_what_was_known(scene: str) -> None:
     found = trial(scene, 23)
-    confirmed = confirmed_of(found, SceneConditions(looks=4, seed=23))
-    scores = {s.source: s for s in score_canopy(found, confirmed, FuelRegion.named("dry").canopy)}
+    conditions = SceneConditions(looks=4, seed=23)
+    confirmed = confirmed_of(found, conditions)
+    scores = {s.source: s for s in score_canopy(found, confirmed, FuelRegion.named("dry").canopy, conditions)}
     seen = scores["seen"]
     assert seen.cells > 5
     assert seen.cover <= 15.0
