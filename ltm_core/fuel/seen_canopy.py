@@ -68,7 +68,8 @@ def seen_canopy(terrain: ConfirmedTerrain, grid: GridGeometry) -> SeenCanopy | N
         found[:, part] = _measured(terrain.top, terrain.ground, grid, part, side)
     thinned = (counts >= LEAST_SHARE * ratio**2) & (2 * lost > counts)
     found[2] = np.where(thinned, np.hypot(found[2], _STANDING * found[0]), found[2])
-    return SeenCanopy(*found.reshape(4, *grid.shape), thinned.reshape(grid.shape))
+    cover, height, cover_sigma, height_sigma = found.reshape(4, *grid.shape)
+    return SeenCanopy(cover, height, cover_sigma, height_sigma, thinned.reshape(grid.shape))
 
 
 def measured_canopy(
@@ -86,8 +87,8 @@ def measured_canopy(
         labels: cover by labels and its standard error, % (`EvidenceMap.label_cover`).
         heights: of stands and their standard errors, metres (`stand_heights`).
     """
-    unknown = np.full(trees.shape, np.nan)
-    found = SeenCanopy(*(unknown.astype(np.float32) for _ in range(4))) if changed is None else changed
+    unknown = np.full(trees.shape, np.nan, np.float32)
+    found = SeenCanopy(unknown, unknown, unknown, unknown) if changed is None else changed
     moved, use = np.isfinite(found.cover), trees & new
     cover, cover_sigma = (a.astype(np.float64) for a in (found.cover, found.cover_sigma))
     if labels is not None:
@@ -106,7 +107,13 @@ def measured_canopy(
     if heights is not None:
         alone = use & ~moved
         tops, top_sigma = (np.where(alone, h, t) for h, t in zip(heights, (tops, top_sigma), strict=True))
-    return SeenCanopy(*(np.asarray(a, np.float32) for a in (cover, tops, cover_sigma, top_sigma)), found.thinned)
+    return SeenCanopy(
+        cover.astype(np.float32),
+        tops.astype(np.float32),
+        cover_sigma.astype(np.float32),
+        top_sigma.astype(np.float32),
+        found.thinned,
+    )
 
 
 def with_seen_canopy(

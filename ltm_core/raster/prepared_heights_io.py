@@ -71,8 +71,8 @@ def own_copy(heights: Float32Array) -> Float32Array:
     mapped: Any = heights
     while mapped is not None and not isinstance(mapped, np.memmap):
         mapped = getattr(mapped, "base", None)
-    name = None if mapped is None else mapped.filename
-    if name is None or mapped.shape != heights.shape or not Path(name).name.endswith(_SUFFIX):
+    name = getattr(mapped, "filename", None)
+    if name is None or mapped is None or mapped.shape != heights.shape or not Path(name).name.endswith(_SUFFIX):
         return heights.copy()
     try:
         with Path(name).open("rb") as file:

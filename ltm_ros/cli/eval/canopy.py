@@ -47,6 +47,8 @@ def canopy(
         numbers = [int(part) for part in seeds.split(",")]
     except ValueError as error:
         raise ConfigError(f"--seeds must be whole numbers with commas, got {seeds!r}") from error
+    if depth != "none" and not frames:
+        raise ConfigError(f"--depth {depth} is for rendered sites: give --frames")
     constant, figures = FuelRegion.named(region).canopy, []
     if frames:
         rendered = [one for folder in frames for one in _rendered(folder, model, depth, looks, constant)]
