@@ -96,7 +96,8 @@ class SurfaceManifest(StrictModel):
         """Manifests of before had none: what counted was a version, its parent, and so on."""
         if not isinstance(content, dict) or "history" in content or not isinstance(content.get("versions"), list):
             return content
-        known = {one.get("version"): one for one in content["versions"] if isinstance(one, dict)}
+        entries = [one for one in content["versions"] if isinstance(one, dict)]
+        known = {one["version"]: one for one in entries if isinstance(one.get("version"), str)}
         chain, name = [], content.get("current", AS_GIVEN)
         while isinstance(name, str) and name in known:
             one = known.pop(name)

@@ -129,7 +129,17 @@ def test_another_site_or_grid_is_refused(versions: SurfaceVersions) -> None:
         SurfaceVersions(versions.folder, "ridge", GridGeometry(0.0, 60.0, 1.0, 80, 60)).load(entry)
 
 
-@pytest.mark.parametrize("text", ["", "[]", '{"site": "ridge", "current": "../../etc/passwd"}', '{"site": 3}'])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        '{"site": "ridge", "current": "../../etc/passwd"}',
+        '{"site": 3}',
+        '{"site": "ridge", "current": [], "versions": [{"version": {}}, 7]}',
+        '{"site": "ridge", "history": [{"version": "0123456789abcdef", "as_of_ns": 3}]}',
+    ],
+)
 def test_a_broken_manifest_is_told(versions: SurfaceVersions, text: str) -> None:
     versions.add(felled(101.0), 1_000, 9)
     (versions.folder / MANIFEST).write_text(text)
