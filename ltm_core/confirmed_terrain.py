@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ltm_core.dem import Dem
@@ -20,7 +20,8 @@ class ConfirmedTerrain:
 
     `ground`: bare earth. `top`: what cameras see, with trees and houses where the site knows them; the same object as
     `ground` where nothing is known to stand. `surface`: the changed cells of the version. `canopy_known`: whether `top`
-    has what stood before; False: only what has changed differs from `ground`.
+    has what stood before; False: only what has changed differs from `ground`. `given`: `top` as it was given, of a
+    version; None: not known. `note`: what is to be told of it.
     """
 
     version: SurfaceVersion | None
@@ -28,6 +29,8 @@ class ConfirmedTerrain:
     top: Dem
     surface: ConfirmedSurface | None = None
     canopy_known: bool = True
+    given: Dem | None = None
+    note: str = ""
 
     @property
     def name(self) -> str:
@@ -63,7 +66,7 @@ class ConfirmedTerrain:
                 ("confirmed surface", surface.surface_over, given.top),
             )
         )
-        return cls(entry, ground, top, surface, given.canopy_known)
+        return cls(entry, ground, top, surface, given.canopy_known, given.top)
 
 
 def surface_versions(site: Site, folder: Path) -> SurfaceVersions:
@@ -75,15 +78,22 @@ def surface_versions(site: Site, folder: Path) -> SurfaceVersions:
 def exported_terrain(site: Site, state: Path | None, moment_ns: int | None = None) -> ConfirmedTerrain:
     """The terrain that a map exports whose store lies in the folder `state`: as confirmed, now or at a moment, where
     the site asks for that and its terrain keeps its surfaces there too; else bare earth as given, and nothing that
-    stands on it: no export asks for that then, and the surface raster stays closed. Raises StoreError.
+    stands on it: no export asks for that then, and the surface raster stays closed. Raises StoreError, also for a
+    moment of which no surface is kept any more.
     """
+    note = ""
     if state is not None and site.terrain is not None and site.terrain.trace_confirmed:
         versions = surface_versions(site, state / FOLDER)
         entry = versions.manifest().at(moment_ns)
         if entry is not None:
-            return ConfirmedTerrain.of(site, versions, entry.version)
+            return replace(ConfirmedTerrain.of(site, versions, entry.version), version=entry)
+        if not versions.folder.is_dir():
+            note = (
+                f"the site follows the confirmed surface, but {versions.folder} is not there: heights are bare earth "
+                "as given; keep fuel map and terrain in one folder (ltm run --state)"
+            )
     ground = site.open_dem()
-    return ConfirmedTerrain(None, ground, ground, canopy_known=False)
+    return ConfirmedTerrain(None, ground, ground, canopy_known=False, note=note)
 
 
 def terrain_grid(dem: GridGeometry, resolution: float | None) -> GridGeometry:

@@ -26,7 +26,7 @@ ALIKE = 5.0
 _MOST_SAMPLES = 30
 """Of the surface, a side of a fuel cell."""
 _STANDING = 0.5
-"""Standard error of the share of a changed cell that still stands, by that share."""
+"""Standard error of the cover of a thinned cell, by that cover."""
 _CELLS = 1000
 """Fuel cells that are worked on at a time."""
 
@@ -34,13 +34,15 @@ _CELLS = 1000
 @dataclass(frozen=True, eq=False)
 class SeenCanopy:
     """(H, W) each, NaN where it was not measured. `cover`: %; `height`: mean of the canopy's top over bare earth,
-    metres, 0 where no canopy is left; and the standard errors of both.
+    metres, 0 where no canopy is left; and the standard errors of both. `thinned`: (H, W), where more of a changed
+    surface is lower than higher, so that what still stands may only not have been confirmed as gone yet; None: nowhere.
     """
 
     cover: Float32Array
     height: Float32Array
     cover_sigma: Float32Array
     height_sigma: Float32Array
+    thinned: BoolArray | None = None
 
 
 def seen_canopy(terrain: ConfirmedTerrain, grid: GridGeometry) -> SeenCanopy | None:
@@ -55,12 +57,19 @@ def seen_canopy(terrain: ConfirmedTerrain, grid: GridGeometry) -> SeenCanopy | N
     counts = np.bincount(row[inside] * grid.width + col[inside], minlength=grid.width * grid.height)
     ratio = grid.resolution / cells.geometry.resolution
     chosen = np.flatnonzero(counts >= LEAST_SHARE * ratio**2)
+    lower = np.zeros(len(cells), np.bool_)
+    if terrain.given is not None:
+        lower = cells.surface < terrain.given.elevation_at(*cells.geometry.to_map(cells.rows, cells.cols))
+    lost = np.bincount(row[inside & lower] * grid.width + col[inside & lower], minlength=grid.width * grid.height)
     found = np.full((4, grid.height * grid.width), np.nan, np.float32)
     side = int(np.clip(round(ratio), 1, _MOST_SAMPLES))
     for start in range(0, len(chosen), _CELLS):
         part = chosen[start : start + _CELLS]
         found[:, part] = _measured(terrain.top, terrain.ground, grid, part, side)
-    return SeenCanopy(*found.reshape(4, *grid.shape))
+    thinned = (counts >= LEAST_SHARE * ratio**2) & (2 * lost > counts)
+    found[2] = np.where(thinned, np.hypot(found[2], _STANDING * found[0]), found[2])
+    cover, height, cover_sigma, height_sigma = found.reshape(4, *grid.shape)
+    return SeenCanopy(cover, height, cover_sigma, height_sigma, thinned.reshape(grid.shape))
 
 
 def measured_canopy(
@@ -78,8 +87,8 @@ def measured_canopy(
         labels: cover by labels and its standard error, % (`EvidenceMap.label_cover`).
         heights: of stands and their standard errors, metres (`stand_heights`).
     """
-    unknown = np.full(trees.shape, np.nan)
-    found = SeenCanopy(*(unknown.astype(np.float32) for _ in range(4))) if changed is None else changed
+    unknown = np.full(trees.shape, np.nan, np.float32)
+    found = SeenCanopy(unknown, unknown, unknown, unknown) if changed is None else changed
     moved, use = np.isfinite(found.cover), trees & new
     cover, cover_sigma = (a.astype(np.float64) for a in (found.cover, found.cover_sigma))
     if labels is not None:
@@ -87,7 +96,8 @@ def measured_canopy(
         with np.errstate(invalid="ignore"):
             weights = 1 / cover_sigma**2, 1 / sigma**2
             # Where no canopy is left there is none to be found by labels: shrubs are woody too.
-            both = moved & trees & np.isfinite(value) & (found.cover > 0)
+            doubt = np.zeros(trees.shape, np.bool_) if found.thinned is None else found.thinned
+            both = moved & doubt & trees & np.isfinite(value) & (found.cover > 0)
             mean = (weights[0] * cover + weights[1] * value) / (weights[0] + weights[1])
             cover = np.where(both, mean, np.where(use & ~moved, value, cover))
             cover_sigma = np.where(
@@ -97,7 +107,13 @@ def measured_canopy(
     if heights is not None:
         alone = use & ~moved
         tops, top_sigma = (np.where(alone, h, t) for h, t in zip(heights, (tops, top_sigma), strict=True))
-    return SeenCanopy(*(np.asarray(a, np.float32) for a in (cover, tops, cover_sigma, top_sigma)))
+    return SeenCanopy(
+        cover.astype(np.float32),
+        tops.astype(np.float32),
+        cover_sigma.astype(np.float32),
+        top_sigma.astype(np.float32),
+        found.thinned,
+    )
 
 
 def with_seen_canopy(
@@ -135,11 +151,10 @@ def _measured(top: Dem, ground: Dem, grid: GridGeometry, cells: IndexArray, side
     height = np.where(canopy, above, 0.0).sum(axis=1) / np.maximum(stands, 1)
     spread = np.sqrt((np.where(canopy, above - height[:, None], 0.0) ** 2).sum(axis=1) / np.maximum(stands, 1))
     independent = (grid.resolution / ALIKE) ** 2
-    # What still stands beside what is gone may only not have been confirmed yet; and no sample is without error.
+    # No sample is without error.
     some = np.clip(share, 1 / independent, 1 - 1 / independent)
-    standing = share * _STANDING
     errors = (
-        100 * np.sqrt(some * (1 - some) / independent + standing**2),
+        100 * np.sqrt(some * (1 - some) / independent),
         spread / np.sqrt(np.maximum(independent * share, 1)),
     )
     found = np.stack([100 * share, height, *errors])

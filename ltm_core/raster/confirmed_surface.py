@@ -14,6 +14,7 @@ from ltm_core.errors import RasterError
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.dem_seams import BAND
 from ltm_core.raster.dem_stack import DemStack
+from ltm_core.raster.prepared_heights_io import own_copy
 from ltm_core.types import BoolArray, Float32Array, Float64Array, Int32Array, Int64Array
 
 _ROWS = 256
@@ -88,7 +89,7 @@ class ConfirmedSurface:
         first, last = grid.to_grid(west, north), grid.to_grid(east, south)
         top, left = (max(0, int(np.ceil(v))) for v in first)
         bottom, right = (min(n - 1, int(np.floor(v))) for v, n in zip(last, grid.shape, strict=True))
-        elevation = level.elevation.copy()
+        elevation = own_copy(level.elevation)
         col = np.arange(left, right + 1)
         for start in range(top, bottom + 1, _ROWS):
             row = np.arange(start, min(start + _ROWS, bottom + 1))

@@ -33,11 +33,14 @@ LEAST_CELLS = 16 << 20
 SPARE_BYTES = 1 << 30
 """That must be left free on the disk."""
 _HEADER_BYTES = 1 << 16
+_SUFFIX = ".ltm-heights"
+_MARK = b'{"ltm heights":'
+_COMPARED_ROWS = 256
 
 
 def heights_path(raster: Path | str) -> Path:
     raster = Path(raster)
-    return raster.with_name(raster.name + ".ltm-heights")
+    return raster.with_name(raster.name + _SUFFIX)
 
 
 def map_heights(raster: Path | str, source: Any) -> Float32Array | None:
@@ -61,17 +64,56 @@ def map_heights(raster: Path | str, source: Any) -> Float32Array | None:
     return mapped.view(np.ndarray)
 
 
+def own_copy(heights: Float32Array) -> Float32Array:
+    """A copy (H, W) that may be written to. Of prepared heights it is another mapping of their file: only pages that
+    are written to are this process's own, where a copy in memory of 10,000 x 10,000 cells would take 400 MB.
+    """
+    mapped: Any = heights
+    while mapped is not None and not isinstance(mapped, np.memmap):
+        mapped = getattr(mapped, "base", None)
+    name = getattr(mapped, "filename", None)
+    if name is None or mapped is None or mapped.shape != heights.shape or not Path(name).name.endswith(_SUFFIX):
+        return heights.copy()
+    try:
+        with Path(name).open("rb") as file:
+            if os.fstat(file.fileno()).st_size != _HEADER_BYTES + heights.nbytes:
+                return heights.copy()
+            again = np.memmap(file, np.float32, "c", _HEADER_BYTES, heights.shape).view(np.ndarray)
+    except OSError:
+        return heights.copy()
+    # These heights may have been written to, at the seams of a stack, and the file may be another by now.
+    for row in range(0, len(heights), _COMPARED_ROWS):
+        part = slice(row, row + _COMPARED_ROWS)
+        other = heights[part].view(np.uint32) != again[part].view(np.uint32)
+        if other.any():
+            again[part][other] = heights[part][other]
+    return again
+
+
+def _stale_makes_room(path: Path, raster: Path | str) -> None:
+    """Removes what another state of the raster was prepared as: nobody believes it any more."""
+    with contextlib.suppress(OSError):
+        with path.open("rb") as file:
+            ours = file.read(len(_MARK)) == _MARK
+            owner = os.fstat(file.fileno()).st_uid
+        if ours and owner in (os.geteuid(), Path(raster).stat().st_uid):
+            path.unlink()
+
+
 def write_heights(raster: Path | str, source: Any, read: Callable[[Float32Array], None]) -> Path | None:
     """Prepare `source`, the open dataset of `raster`; the file, or None where it is there already or not worth it.
 
     `read`: writes the heights, (H, W) float32 of any content before, into its argument. Raises OSError where the file
-    cannot be written; what was there before is left then.
+    cannot be written; what was there before is left then, unless it is of another state and stands in the way.
     """
-    cells = source.height * source.width
-    if cells < LEAST_CELLS or map_heights(raster, source) is not None:
+    cells, path = source.height * source.width, heights_path(raster)
+    if map_heights(raster, source) is not None:
         return None
-    header, path = _header(source), heights_path(raster)
-    if header is None or free_bytes(path) < 4 * cells + SPARE_BYTES:
+    header = _header(source)
+    if cells < LEAST_CELLS or header is None or free_bytes(path) < 4 * cells + SPARE_BYTES:
+        # It will not be written over, so what is left of another state would stay for good.
+        _stale_makes_room(path, raster)
+    if cells < LEAST_CELLS or header is None or free_bytes(path) < 4 * cells + SPARE_BYTES:
         return None
     for left in path.parent.glob(f".{glob.escape(path.name)}.*"):  # by a process that was killed
         if not Path("/proc", left.suffix[1:]).exists():

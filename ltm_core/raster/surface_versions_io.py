@@ -10,10 +10,12 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import io
+import itertools
 import os
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
@@ -36,10 +38,15 @@ _MOST_FILE = 1 << 30
 _ARRAYS = ("rows", "cols", "surface", "ground")
 
 
+class BrokenManifestError(StoreError):
+    """What stands in its place is no manifest, and will not become one by itself."""
+
+
 class SurfaceVersion(StrictModel):
     """One version. `version`: the first 16 digits of `digest`, the SHA-256 of its file. `parent`: the version that it
-    follows. `as_of_ns`: stamp of the newest frame that had a say. `seen`: cells that independent views have judged, of
-    the `cells` of the grid; `changed` of them are confirmed as changed, `lowered` with their bare earth.
+    followed when it came last. `as_of_ns`: stamp of the newest frame that had a say. `seen`: cells that independent
+    views have judged, of the `cells` of the grid; `changed` of them are confirmed as changed, `lowered` with their
+    bare earth.
     """
 
     version: str = Field(pattern=f"^{VERSION}$")
@@ -63,18 +70,49 @@ class SurfaceVersion(StrictModel):
         return self.changed / max(1, self.seen)
 
 
+class Counted(StrictModel):
+    """That a version began to count, by frames up to `as_of_ns`."""
+
+    version: str = Field(pattern=f"^{VERSION}$")
+    as_of_ns: int = Field(ge=0)
+
+
 class SurfaceManifest(StrictModel):
-    """`current`: the version that counts. `held`: it was taken back, and none follows by itself."""
+    """`current`: the version that counts. `held`: it was taken back, and none follows by itself. `history`: what has
+    counted, in order, without what was taken back; a version that returns is there twice. `forgotten`: there was more
+    before that.
+    """
 
     site: str
     current: str = Field(AS_GIVEN, pattern=f"^({VERSION})?$")
     held: bool = False
     versions: tuple[SurfaceVersion, ...] = ()
+    history: tuple[Counted, ...] = ()
+    forgotten: bool = False
+
+    @model_validator(mode="before")
+    @classmethod
+    def _history_of_parents(cls, content: Any) -> Any:
+        """Manifests of before had none: what counted was a version, its parent, and so on."""
+        if not isinstance(content, dict) or "history" in content or not isinstance(content.get("versions"), list):
+            return content
+        entries = [one for one in content["versions"] if isinstance(one, dict)]
+        known = {one["version"]: one for one in entries if isinstance(one.get("version"), str)}
+        chain, name = [], content.get("current", AS_GIVEN)
+        while isinstance(name, str) and name in known:
+            one = known.pop(name)
+            chain.append({"version": name, "as_of_ns": one.get("as_of_ns")})
+            name = one.get("parent")
+        return content | {"history": chain[::-1], "forgotten": bool(name)}
 
     @model_validator(mode="after")
     def _current_is_listed(self) -> SurfaceManifest:
         if self.current and self.entry(self.current) is None:
             raise ValueError(f"current version {self.current} is not among the versions")
+        if any(self.entry(one.version) is None for one in self.history):
+            raise ValueError("a version of the history is not among the versions")
+        if self.current != (self.history[-1].version if self.history else AS_GIVEN):
+            raise ValueError(f"current version {self.current!r} is not the last of the history")
         return self
 
     def entry(self, version: str) -> SurfaceVersion | None:
@@ -82,11 +120,20 @@ class SurfaceManifest(StrictModel):
         return next((one for one in self.versions if one.version == version), None)
 
     def at(self, moment_ns: int | None) -> SurfaceVersion | None:
-        """The current version, or the one before it that counted at a moment; None: as given."""
-        found = self.entry(self.current)
-        while found is not None and moment_ns is not None and found.as_of_ns > moment_ns:
-            found = self.entry(found.parent)
-        return found
+        """The current version, or the one before it that counted at a moment, with the stamp from which on it did;
+        None: as given. Raises StoreError for a moment of which nothing is kept any more.
+        """
+        past = [one for one in self.history if moment_ns is None or one.as_of_ns <= moment_ns]
+        if past:
+            found = self.entry(past[-1].version)
+            return None if found is None else found.model_copy(update={"as_of_ns": past[-1].as_of_ns})
+        if self.forgotten and moment_ns is not None and self.history:
+            since = np.datetime64(self.history[0].as_of_ns, "ns").astype("datetime64[s]")
+            raise StoreError(
+                f"which surface counted then is forgotten: {KEPT} are kept, the first of {since} UTC; ask for a later "
+                "moment, or export bare earth as given with a site file without terrain.trace_confirmed"
+            )
+        return None
 
 
 @dataclass(frozen=True)
@@ -107,11 +154,29 @@ class SurfaceVersions:
             found = SurfaceManifest.model_validate_json(_read(path, _MOST_MANIFEST))
         except FileNotFoundError:
             return SurfaceManifest(site=self.site)
-        except (OSError, ValidationError) as error:
+        except ValidationError as error:
+            problem = f"{path}: cannot be read as a list of surfaces ({error}); move the folder away"
+            raise BrokenManifestError(problem) from error
+        except OSError as error:
             raise StoreError(f"{path}: cannot be read as a list of surfaces ({error}); move the folder away") from error
         if found.site != self.site:
             raise StoreError(f"{path} is of site {found.site}, not {self.site}: give each site a folder of its own")
         return found
+
+    def manifest_of_writer(self) -> tuple[SurfaceManifest, str]:
+        """For whoever writes: a folder whose manifest cannot be read as one is put aside, and begun anew; and what is
+        to be told of that, empty: nothing. Raises StoreError as `manifest` does for anything else.
+        """
+        try:
+            return self.manifest(), ""
+        except BrokenManifestError as error:
+            places = (self.folder.with_name(f"{self.folder.name}.{number}") for number in itertools.count(1))
+            aside = next(place for place in places if not place.exists())
+            try:
+                self.folder.rename(aside)
+            except OSError as broken:
+                raise StoreError(f"{error}; it could not be put aside ({broken.strerror or broken})") from broken
+            return SurfaceManifest(site=self.site), f"{error}; it was put aside as {aside}, and surfaces begin anew"
 
     def file(self, version: str) -> Path:
         """Where the file of a version of the manifest stands."""
@@ -154,15 +219,24 @@ class SurfaceVersions:
             lowered=surface.lowered,
         )
         others = tuple(one for one in before.versions if one.version != version)
-        if (known := before.entry(version)) is not None:
-            entry = known
-        else:  # One that was dropped comes again: what had followed it would else lie before it and after it.
-            others = tuple(
-                one.model_copy(update={"parent": AS_GIVEN}) if one.parent == version else one for one in others
-            )
         versions = (*others, entry)[-KEPT:]
+        kept = {one.version for one in versions}
+        counted = (*before.history, Counted(version=version, as_of_ns=as_of_ns))
+        # From the last on backwards, as far as all of it is kept.
+        gone = max((n for n, one in enumerate(counted) if one.version not in kept), default=-1)
+        first = max(gone + 1, len(counted) - KEPT)
         self._write(self.file(version), content)
-        self._replace(before.model_copy(update={"current": version, "held": False, "versions": versions}))
+        self._replace(
+            before.model_copy(
+                update={
+                    "current": version,
+                    "held": False,
+                    "versions": versions,
+                    "history": counted[first:],
+                    "forgotten": before.forgotten or first > 0,
+                }
+            )
+        )
         self._remove_all_but({self.file(one.version) for one in versions})
         return entry
 
@@ -179,8 +253,9 @@ class SurfaceVersions:
         entry = before.entry(before.current)
         if entry is None:
             raise StoreError(f"{self.folder}: no confirmed surface counts; there is nothing to take back")
-        parent = entry.parent if before.entry(entry.parent) is not None else AS_GIVEN
-        after = before.model_copy(update={"current": parent, "held": True})
+        history = before.history[:-1]
+        current = history[-1].version if history else AS_GIVEN
+        after = before.model_copy(update={"current": current, "held": True, "history": history})
         self._replace(after)
         return after
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from ltm_core.confirmed_terrain import surface_versions
 from ltm_core.errors import StoreError
 from ltm_core.raster.confirmed_surface import ConfirmedSurface
+from ltm_core.raster.surface_versions_io import SurfaceManifest
 from ltm_core.site import Site
 from ltm_core.terrain.confirmation import confirmed_surface
 from ltm_core.terrain.surface_map import SurfaceMap
@@ -33,7 +34,8 @@ class Confirmation:
         """Whether cells have changed since it was last looked for a version."""
         self._looked_ns = 0
         self._current: ConfirmedSurface | None = None
-        self._manifest = self._versions.manifest()
+        self._manifest = SurfaceManifest(site=site.name)
+        self._read()
         self._pace = RetryPace()
 
     def start(self) -> None:
@@ -68,13 +70,33 @@ class Confirmation:
         now = f"surface {self._manifest.current}" if self._manifest.current else "the terrain as it was given"
         return f"{now} counts again, and is held until terrain/confirm is called"
 
+    def _read(self) -> None:
+        """What counts, from the folder. Where that cannot be, nothing does until a version is made; the node lives."""
+        try:
+            self._manifest, told = self._versions.manifest_of_writer()
+        except StoreError as error:
+            told, cause = str(error), cause_of(error)
+        else:
+            cause = "surfaces"
+        if told:
+            self._health.trouble(cause, told)
+
     def _try(self) -> None:
         try:
+            self._put_aside_what_is_broken()
             self._renew()
             self._pace.succeeded()
         except StoreError as error:
             self._pace.failed()
             self._health.trouble(cause_of(error), f"{error}; the surface before still counts")
+
+    def _put_aside_what_is_broken(self) -> None:
+        """Somebody may write into the folder while the node lives."""
+        manifest, told = self._versions.manifest_of_writer()
+        if told:
+            self._health.trouble("surfaces", told)
+            self._manifest, self._current = manifest, None
+            self._tell()
 
     def _renew(self) -> None:
         """Make a version where there is anything new; none while one is held."""
@@ -97,6 +119,7 @@ class Confirmation:
         return self._current
 
     def _add(self, found: ConfirmedSurface, seen: int) -> None:
+        self._put_aside_what_is_broken()
         self._map.commit()
         self._versions.add(found, self._map.newest_ns, seen)
         self._manifest, self._current = self._versions.manifest(), found

@@ -63,7 +63,7 @@ def export_site(
     else:
         points = fuel_points(moved, heights, target, map_.labels)
         (write_ply if kind == "ply" else write_las)(out, points, made)
-    return target, []
+    return target, [terrain.note] if terrain.note else []
 
 
 def _write_landscape(
@@ -95,7 +95,7 @@ def _write_landscape(
         write_elmfire(out, landscape, tags)
         files = sorted(out.glob("*.tif"))
     write_item(out, files, target, made)
-    return [_about(made, landscape), *([canopy.note] if canopy.note else [])]
+    return [_about(made, landscape), *(note for note in (terrain.note, canopy.note) if note)]
 
 
 def _about(made: Provenance, landscape: Landscape) -> str:

@@ -47,6 +47,8 @@ def canopy(
         numbers = [int(part) for part in seeds.split(",")]
     except ValueError as error:
         raise ConfigError(f"--seeds must be whole numbers with commas, got {seeds!r}") from error
+    if depth != "none" and not frames:
+        raise ConfigError(f"--depth {depth} is for rendered sites: give --frames")
     constant, figures = FuelRegion.named(region).canopy, []
     if frames:
         rendered = [one for folder in frames for one in _rendered(folder, model, depth, looks, constant)]
@@ -56,8 +58,8 @@ def canopy(
     for name in scenes.split(","):
         for seed in numbers:
             scene = trial(name, seed)
-            confirmed = confirmed_of(scene, SceneConditions(looks=looks, seed=seed))
-            scores = score_canopy(scene, confirmed, constant)
+            conditions = SceneConditions(looks=looks, seed=seed)
+            scores = score_canopy(scene, confirmed_of(scene, conditions), constant, conditions)
             if not scores:
                 typer.echo(f"{name}, seed {seed}: nothing was confirmed")
             for score in scores:

@@ -53,6 +53,10 @@ def test_the_version_of_the_moment_is_exported_and_none_without_a_state(small: S
     assert exported_terrain(small.site, None).version is None
     plain = small.site.model_copy(update={"terrain": None})
     assert exported_terrain(plain, state).version is None
+    elsewhere = exported_terrain(small.site, tmp_path)
+    assert elsewhere.version is None
+    assert f"{tmp_path / FOLDER} is not there" in elsewhere.note
+    assert now.note == then.note == before.note == exported_terrain(plain, tmp_path).note == ""
 
 
 def test_one_process_holds_a_version_once(small: SmallSite, tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -31,7 +33,7 @@ def terrain(changed_cols: int) -> ConfirmedTerrain:
     cells = gone_rows.ravel().astype(np.int32), gone_cols.ravel().astype(np.int32)
     nan = np.full(len(cells[0]), np.nan, np.float32)
     surface = ConfirmedSurface(FINE, *cells, ground.elevation[cells], nan)
-    return ConfirmedTerrain(None, ground, surface.surface_over(top), surface)
+    return ConfirmedTerrain(None, ground, surface.surface_over(top), surface, given=top)
 
 
 def test_cover_and_height_are_those_of_what_is_left() -> None:
@@ -39,6 +41,8 @@ def test_cover_and_height_are_those_of_what_is_left() -> None:
     assert seen is not None
     assert np.argwhere(np.isfinite(seen.cover)).tolist() == [[1, 2]]
     assert seen.cover[1, 2] == pytest.approx(100 / 3, abs=0.5)
+    assert seen.thinned is not None
+    assert np.argwhere(seen.thinned).tolist() == [[1, 2]]
     assert seen.height[1, 2] == pytest.approx(20.0, abs=0.5)
     # A third of the cell stands, beside what is gone: half of that may be gone too.
     assert 15 < seen.cover_sigma[1, 2] < 20
@@ -89,15 +93,16 @@ def test_base_and_density_follow_what_was_measured() -> None:
 
 def test_labels_count_where_trees_are_new_and_beside_a_confirmed_change() -> None:
     nan = np.nan
-    changed = canopy([40.0, nan, nan, nan, 0.0], [12.0, nan, nan, nan, 0.0], sigma=10.0)
-    trees = np.array([[True, True, True, False, True]])
-    new = np.array([[False, True, False, True, True]])
-    labels = np.array([[20.0, 30.0, 30.0, 30.0, 50.0]]), np.full((1, 5), 10.0)
-    heights = tuple(np.full((1, 5), v, np.float32) for v in (9.0, 2.0))
+    changed = canopy([40.0, nan, nan, nan, 0.0, 40.0], [12.0, nan, nan, nan, 0.0, 12.0], sigma=10.0)
+    changed = replace(changed, thinned=np.array([[True, False, False, False, True, False]]))
+    trees = np.array([[True, True, True, False, True, True]])
+    new = np.array([[False, True, False, True, True, True]])
+    labels = np.array([[20.0, 30.0, 30.0, 30.0, 50.0, 20.0]]), np.full((1, 6), 10.0)
+    heights = np.full((1, 6), 9.0, np.float32), np.full((1, 6), 2.0, np.float32)
     found = measured_canopy(trees, new, changed, labels, heights)
-    np.testing.assert_allclose(found.cover, [[30.0, 30.0, nan, nan, 0.0]], rtol=1e-6)
+    np.testing.assert_allclose(found.cover, [[30.0, 30.0, nan, nan, 0.0, 40.0]], rtol=1e-6)
     np.testing.assert_allclose(found.cover_sigma[0, :2], [10 / np.sqrt(2), 10.0], rtol=1e-6)
-    np.testing.assert_allclose(found.height, [[12.0, 9.0, nan, nan, 0.0]])
+    np.testing.assert_allclose(found.height, [[12.0, 9.0, nan, nan, 0.0, 12.0]])
     nothing = measured_canopy(trees, new, None, None, None)
     assert np.isnan(nothing.cover).all()
     assert np.isnan(nothing.height).all()

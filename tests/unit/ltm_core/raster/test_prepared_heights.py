@@ -15,6 +15,7 @@ from ltm_core.dem import Dem
 from ltm_core.errors import RasterError
 from ltm_core.grid import GridGeometry
 from ltm_core.raster import prepared_heights_io as module
+from ltm_core.raster.confirmed_surface import ConfirmedSurface
 from ltm_core.raster.dem_io import prepare_heights
 from ltm_core.raster.dem_stack import DemStack
 from ltm_core.raster.prepared_heights_io import heights_path
@@ -181,3 +182,36 @@ def test_errors_leave_nothing(raster: Path, monkeypatch: pytest.MonkeyPatch) -> 
     with pytest.raises(OSError, match="No space"):
         prepare_heights(raster)
     assert sorted(path.name for path in raster.parent.iterdir()) == ["dem.tif"]
+
+
+def test_a_terrain_with_changed_cells_owns_only_the_pages_of_these(raster: Path) -> None:
+    """And is as if it had been copied, also where the file has changed since, or the heights were written to."""
+    prepare_heights(raster)
+    given = Dem.open(raster)
+    cells = np.array([3, 3], np.int32), np.array([7, 8], np.int32)
+    nan = np.full(2, np.nan, np.float32)
+    surface = ConfirmedSurface(given.geometry, *cells, np.array([1.0, 2.0], np.float32), nan)
+    found = surface.surface_over(given)
+    expected = given.elevation.copy()
+    expected[cells] = 1.0, 2.0
+    assert is_mapped(found)
+    np.testing.assert_array_equal(found.elevation, expected)
+    np.testing.assert_array_equal(Dem.open(raster).elevation, given.elevation)
+    given.elevation[40, 60] = 5.0
+    written = surface.surface_over(given)
+    assert (is_mapped(written), written.elevation[40, 60]) == (True, 5.0)
+    heights_path(raster).unlink()
+    assert not is_mapped(surface.surface_over(given))
+
+
+@pytest.mark.parametrize("why", ["too small", "no room"])
+def test_what_another_state_left_does_not_stay(raster: Path, why: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    prepare_heights(raster)
+    heights(900.0).save(raster.with_name("other.tif"))
+    raster.with_name("other.tif").replace(raster)
+    monkeypatch.setattr(module, *{"too small": ("LEAST_CELLS", 1 << 40), "no room": ("SPARE_BYTES", 1 << 60)}[why])
+    assert prepare_heights(raster) is None
+    assert not heights_path(raster).exists()
+    heights_path(raster).write_bytes(b"of somebody else")
+    assert prepare_heights(raster) is None
+    assert heights_path(raster).exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 
@@ -47,8 +48,43 @@ def test_versions_are_taken_back_one_by_one_and_the_former_return(versions: Surf
     assert versions.take_back().current == ""
     with pytest.raises(StoreError, match="nothing to take back"):
         versions.take_back()
-    assert versions.add(felled(99.0), 3_000, 9) == second
+    again = versions.add(felled(99.0), 3_000, 9)
+    assert (again.version, again.as_of_ns) == (second.version, 3_000)
     assert not versions.manifest().held
+
+
+def test_a_surface_that_returns_follows_what_counted_meanwhile(versions: SurfaceVersions) -> None:
+    first, second = versions.add(felled(101.0), 1_000, 9), versions.add(felled(99.0), 2_000, 9)
+    versions.add(felled(101.0), 3_000, 9)
+    found = versions.manifest()
+    at = [(one.version, one.as_of_ns) for m in (3_500, 2_500, 1_500) if (one := found.at(m)) is not None]
+    assert at == [(first.version, 3_000), (second.version, 2_000), (first.version, 1_000)]
+    assert len(found.versions) == 2
+    assert [versions.take_back().current for _ in range(3)] == [second.version, first.version, ""]
+
+
+def test_a_manifest_without_a_history_is_read_by_its_parents(versions: SurfaceVersions) -> None:
+    first, second = versions.add(felled(101.0), 1_000, 9), versions.add(felled(99.0), 2_000, 9)
+    path = versions.folder / MANIFEST
+    content = json.loads(path.read_text())
+    del content["history"], content["forgotten"]
+    path.write_text(json.dumps(content))
+    assert [versions.manifest().at(moment) for moment in (None, 1_500, 500)] == [second, first, None]
+
+
+def test_the_writer_puts_a_broken_manifest_aside_and_begins_anew(versions: SurfaceVersions) -> None:
+    for number in (1, 2):
+        entry = versions.add(felled(101.0), 1_000, 9)
+        (versions.folder / MANIFEST).write_text("{")
+        manifest, told = versions.manifest_of_writer()
+        aside = versions.folder.with_name(f"surfaces.{number}")
+        assert manifest.current == ""
+        assert f"put aside as {aside}" in told
+        assert (aside / versions.file(entry.version).name).is_file()
+    assert versions.manifest_of_writer() == (versions.manifest(), "")
+    versions.add(felled(101.0), 1_000, 9)
+    with pytest.raises(StoreError, match="is of site ridge, not valley"):
+        SurfaceVersions(versions.folder, "valley", GRID).manifest_of_writer()
 
 
 @pytest.mark.parametrize("when", ["file", "manifest"])
@@ -93,7 +129,17 @@ def test_another_site_or_grid_is_refused(versions: SurfaceVersions) -> None:
         SurfaceVersions(versions.folder, "ridge", GridGeometry(0.0, 60.0, 1.0, 80, 60)).load(entry)
 
 
-@pytest.mark.parametrize("text", ["", "[]", '{"site": "ridge", "current": "../../etc/passwd"}', '{"site": 3}'])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        '{"site": "ridge", "current": "../../etc/passwd"}',
+        '{"site": 3}',
+        '{"site": "ridge", "current": [], "versions": [{"version": {}}, 7]}',
+        '{"site": "ridge", "history": [{"version": "0123456789abcdef", "as_of_ns": 3}]}',
+    ],
+)
 def test_a_broken_manifest_is_told(versions: SurfaceVersions, text: str) -> None:
     versions.add(felled(101.0), 1_000, 9)
     (versions.folder / MANIFEST).write_text(text)
@@ -112,6 +158,11 @@ def test_old_versions_make_room_but_not_the_one_that_counts(
     assert len(found.versions) == KEPT == len(list(versions.folder.glob("*.npz")))
     assert found.entry(first.version) is None
     assert found.entry(found.current) == found.versions[-1]
+    kept = found.at(KEPT)
+    assert kept is not None
+    assert kept.as_of_ns == KEPT
+    with pytest.raises(StoreError, match=f"is forgotten: {KEPT} are kept, the first of 1970-01-01"):
+        found.at(1)
 
 
 def test_a_surface_that_comes_again_after_it_was_dropped_goes_round_in_no_circle(
@@ -121,10 +172,12 @@ def test_a_surface_that_comes_again_after_it_was_dropped_goes_round_in_no_circle
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
     for number in [0, 1, 2, 1, *range(3, KEPT + 1), 0]:
         versions.add(felled(50.0 + number), 1_000 + number, 9)
-    assert versions.manifest().at(500) is None
-    for _ in range(KEPT):
-        after = versions.take_back()
-    assert after.current == ""
+    with pytest.raises(StoreError, match="is forgotten"):
+        versions.manifest().at(500)
+    taken = 0
+    while versions.manifest().current:
+        taken, _ = taken + 1, versions.take_back()
+    assert KEPT - 5 <= taken <= KEPT
 
 
 def test_files_that_no_manifest_names_are_removed(versions: SurfaceVersions) -> None:

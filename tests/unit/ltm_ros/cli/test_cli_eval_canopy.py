@@ -15,6 +15,7 @@ from ltm_ros.cli.main import cli
         (["--seeds", "23,a"], "whole numbers"),
         (["--scenes", "flood"], "no scene 'flood'"),
         (["--region", "moon"], "moon"),
+        (["--depth", "true"], "give --frames"),
     ],
 )
 def test_what_cannot_be_is_told(options: list[str], told: str) -> None:

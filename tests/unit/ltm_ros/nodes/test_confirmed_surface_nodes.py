@@ -223,6 +223,24 @@ def test_a_lost_file_leaves_the_terrain_before_and_is_written_anew(chain: Chain)
     assert chain.versions[-1] != ""
 
 
+@pytest.mark.parametrize("when", ["at the start", "meanwhile"])
+def test_a_broken_list_of_surfaces_is_told_and_put_aside_and_the_terrain_lives(chain: Chain, when: str) -> None:
+    truth = sunk(chain.small)
+    for hours in (0, 2):
+        chain.look(truth, hours)
+    if when == "at the start":
+        (chain.folder / MANIFEST).write_text("{")
+        chain.restart()
+    else:
+        (chain.folder / MANIFEST).write_text("{")
+    for hours in (4, 6, 8):
+        chain.look(truth, hours)
+    assert "it was put aside as" in chain.health.last_error
+    assert (chain.folder.with_name(f"{FOLDER}.1") / MANIFEST).read_text() == "{"
+    assert chain.versions[-1] != ""
+    assert msg_to_version(chain.told.on(TERRAIN_SURFACE)[-1]) == chain.versions[-1]
+
+
 @pytest.mark.parametrize(
     "text",
     [
