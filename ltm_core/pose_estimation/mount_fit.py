@@ -20,6 +20,7 @@ from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.contour_scores import ContourDirections, ridge_strength
 from ltm_core.pose_estimation.picture_pose_config import FLOOR_DEG, PicturePoseConfig
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch
+from ltm_core.pose_estimation.pose_hypothesis import mean_about_best
 from ltm_core.pose_estimation.pose_prior import PosePrior, turned
 from ltm_core.pose_estimation.pose_refinement import ROUNDS, picture_system, skyline_cost
 from ltm_core.pose_estimation.pose_verdict import Word
@@ -85,26 +86,40 @@ def fit_mount(
     starts = _proposals(pictures)
     if not starts:
         return _stated(pictures, "no_skyline", "no picture shows a skyline or a ridge of the DEM", sigma)
-    costs = np.array([_cost(pictures, w, 0.0, np.zeros(3), sigma, config) for w in starts])
+    costs = np.array([_cost(pictures, np.array([0.0, 0.0, 0.0, *w, 0.0]), sigma, config) for w in starts])
     order = np.argsort(costs)
     fits = []
     for k in _apart([starts[j] for j in order]):
-        w, tilt, shift, covariance = _refined(pictures, starts[order[k]], sigma, config)
-        fits.append((_cost(pictures, w, tilt, shift, sigma, config), w, tilt, shift, covariance))
+        state, covariance = _refined(pictures, starts[order[k]], sigma, config)
+        fits.append((_cost(pictures, state, sigma, config), state, covariance))
     fits.sort(key=lambda fit: fit[0])
-    best, w, tilt, shift, covariance = fits[0]
-    limit = math.radians(config.verdict.alternative_deg)
-    gap = next((cost - best for cost, other, *_ in fits[1:] if abs(other[2] - w[2]) > limit), math.inf)
+    v = config.verdict
+    gap = next(
+        (
+            cost - fits[0][0]
+            for cost, state, _ in fits[1:]
+            if abs(state[5] - fits[0][1][5]) > math.radians(v.alternative_deg)
+        ),
+        math.inf,
+    )
+    states = np.array([state for _, state, _ in fits])
+    agreement = v.agreement if sigma[0] == 0 else v.loose_agreement
+    mean, spread = mean_about_best([cost for cost, *_ in fits], states[:, 5], states, agreement, v)
+    shift, w, tilt = mean[:3], mean[3:6], float(mean[6])
+    covariance = fits[0][2] + spread
     found = tuple(_posed(p.prior.pose, w, tilt, shift) for p in pictures)
-    worst = math.degrees(math.sqrt(float(np.linalg.eigvalsh(covariance[3:6, 3:6])[-1])))
+    turns = np.degrees(np.sqrt(np.diag(covariance)[3:6]))
+    support, veiled = _seen(pictures, found, config)
     away = np.abs(np.array([*w, tilt])) / np.where(sigma[3:] > 0, sigma[3:], np.inf)
     word: Word = "accepted"
     reason = f"{len(pictures)} pictures agree"
-    if worst > config.verdict.most_sigma_deg:
-        word, reason = "ambiguous", f"the pictures leave the mount open by {worst:.2f} deg"
-    elif gap < config.verdict.least_gap:
+    if turns.max() > v.most_sigma_deg or turns[2] > v.most_azimuth_sigma_deg:
+        word, reason = "ambiguous", f"the pictures leave the mount open by {turns.max():.2f} deg"
+    elif gap < v.gap_asked(veiled):
         word, reason = "ambiguous", f"another azimuth of the mount costs {gap:.1f} more only"
-    elif away.max() > config.verdict.contradiction:
+    elif support < v.least_support:
+        word, reason = "ambiguous", f"only {support:.0%} of the photos' skylines lies on the terrain's"
+    elif away.max() > v.contradiction:
         word, reason = "contradicts_prior", f"the mount is {away.max():.1f} sigmas from where it is said to be"
     poses = found if word == "accepted" else tuple(p.prior.pose for p in pictures)
     return MountFit(w, tilt, shift, covariance, poses, found, word, reason, gap)
@@ -147,28 +162,36 @@ def _apart(turns: list[Float64Array]) -> list[int]:
     return kept
 
 
-def _cost(
-    pictures: list[_Picture],
-    w: Float64Array,
-    tilt: float,
-    shift: Float64Array,
-    sigma: Float64Array,
-    config: PicturePoseConfig,
-) -> float:
-    away = np.concatenate([shift, w, [tilt]]) / np.where(sigma > 0, sigma, np.inf)
+def _cost(pictures: list[_Picture], state: Float64Array, sigma: Float64Array, config: PicturePoseConfig) -> float:
+    """Of a state (7,): shift, rotation, tilt zero."""
+    away = state / np.where(sigma > 0, sigma, np.inf)
     total = 0.5 * float(away @ away)
     for p in pictures:
-        pose = _posed(p.prior.pose, w, tilt, shift)
+        pose = _posed(p.prior.pose, state[3:6], float(state[6]), state[:3])
         evidence, horizon = p.search.evidence, p.search.horizon
-        total += skyline_cost(pose, evidence.camera, evidence, horizon, config)[0]
+        cost = skyline_cost(pose, evidence.camera, evidence, horizon, config)[0]
         z = ridge_strength(pose, p.ridges, horizon.step, evidence.camera, evidence.edges)
-        total -= config.contours.weight * min(max(z, 0.0), config.contours.most) ** 2 / 2
+        cost -= config.contours.weight * min(max(z, 0.0), config.contours.most) ** 2 / 2
+        total += cost / _alike(p, pictures)
     return total
+
+
+def _seen(pictures: list[_Picture], poses: Sequence[Pose], config: PicturePoseConfig) -> tuple[float, float]:
+    """Of pictures that have a skyline: the share of it that lies on the terrain's, that which plants may hide; each the
+    median."""
+    shares = [
+        skyline_cost(pose, p.search.evidence.camera, p.search.evidence, p.search.horizon, config)[1:]
+        for p, pose in zip(pictures, poses, strict=True)
+        if p.search.evidence.skyline is not None
+    ]
+    support, veiled = np.median(np.array(shares), axis=0) if shares else (1.0, 0.0)
+    return float(support), float(veiled)
 
 
 def _refined(
     pictures: list[_Picture], w: Float64Array, sigma: Float64Array, config: PicturePoseConfig
-) -> tuple[Float64Array, float, Float64Array, Float64Array]:
+) -> tuple[Float64Array, Float64Array]:
+    """The state (7,) as in `_cost` and its covariance."""
     state = np.concatenate([np.zeros(3), w, [0.0]])
     free = np.flatnonzero(sigma > 0)
     covariance = np.zeros((7, 7))
@@ -196,7 +219,7 @@ def _refined(
             covariance[3:6, 3:6] += pose_covariance(pictures[0].prior.pose, 0.0, 0.0, *FLOOR_DEG)[3:, 3:]
         else:
             state[free] -= np.linalg.solve(normal[np.ix_(free, free)], gradient[free])
-    return state[3:6], float(state[6]), state[:3], covariance
+    return state, covariance
 
 
 def _alike(picture: _Picture, pictures: list[_Picture]) -> float:

@@ -20,12 +20,13 @@ from ltm_core.pose import Pose
 from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG
 from ltm_core.pose_estimation.contour_scores import ContourDirections
 from ltm_core.pose_estimation.mount_fit import fit_mount
+from ltm_core.pose_estimation.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_correction import PoseCorrection
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch, Terrain, find_pose
 from ltm_core.pose_estimation.pose_hypothesis import search_reach
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, turned
-from ltm_core.pose_estimation.pose_refinement import ROUNDS, PictureEvidence, refine, skyline_cost
+from ltm_core.pose_estimation.pose_refinement import ROUNDS, refine, skyline_cost
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
 from ltm_core.site_sections import PoseRefinementConfig
 from ltm_core.types import Float64Array
@@ -142,9 +143,7 @@ class MountWatch:
     def _fit(self) -> None:
         fit = fit_mount(self._priors, self._searches, self._search, tilt_zero_sigma_deg=0.0)
         before = self.correction
-        # Pictures of one view err alike, so that their agreement alone says little.
-        sure = sum(search.verdict.word == "accepted" for search in self._searches)
-        if fit.word == "accepted" and 2 * sure >= len(self._searches):
+        if fit.word == "accepted":
             rotation = fit.rotation
             if self.state is MountState.SLIPPED:  # its poses were those of the former correction
                 both = Rotation.from_rotvec(fit.rotation) * Rotation.from_rotvec(before.rotation)

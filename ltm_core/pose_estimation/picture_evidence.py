@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -11,8 +13,7 @@ from ltm_core.camera import Camera
 from ltm_core.errors import ImageError
 from ltm_core.pose_estimation.image_contours import ImageContours, image_contours
 from ltm_core.pose_estimation.image_skyline import ImageSkyline, image_skyline
-from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.pose_refinement import PictureEvidence
+from ltm_core.pose_estimation.picture_pose_config import ContourConfig, PicturePoseConfig
 from ltm_core.types import BoolArray, UInt8Array
 from ltm_core.vision.labels import UNLABELLED, Label
 
@@ -20,6 +21,55 @@ _BORDER = 0.006
 """Of the width: a skyline so near, above or below, to what is hidden is its border."""
 _LEAST_SKY = 0.1
 """Share of columns that a skyline must have to be one."""
+
+
+@dataclass(frozen=True, eq=False)
+class PictureEdges:
+    """A photo's edges, each found when it is first asked for: `find` gives those in a picture so many pixels wide."""
+
+    find: Callable[[int], ImageContours]
+    config: ContourConfig
+
+    @cached_property
+    def fine(self) -> ImageContours:
+        """To which ridges are laid."""
+        return self.find(self.config.width)
+
+    @cached_property
+    def coarse(self) -> ImageContours:
+        """By which poses are compared: who only tracks a pose never needs them."""
+        return self.find(self.config.coarse_width)
+
+
+@dataclass(frozen=True, eq=False)
+class PictureEvidence:
+    """What a photo, undistorted and in its working size, shows: `skyline` (None: no sky in it), `found`, its edges, and
+    the labels (H, W) that tell what grows on a ridge."""
+
+    camera: Camera
+    labels: UInt8Array
+    skyline: ImageSkyline | None
+    found: PictureEdges
+
+    @property
+    def edges(self) -> ImageContours:
+        return self.found.fine
+
+    @property
+    def coarse_edges(self) -> ImageContours:
+        return self.found.coarse
+
+    @property
+    def unseen(self) -> PictureEvidence:
+        """The same, its edges still to be found: for who measures how long that takes."""
+        return replace(self, found=replace(self.found))
+
+    @property
+    def plants(self) -> float:
+        """The share of trees and shrubs in the land."""
+        land = self.labels != np.uint8(Label.SKY)
+        grown = (self.labels == np.uint8(Label.TREE)) | (self.labels == np.uint8(Label.SHRUB))
+        return float(grown.sum()) / max(float(land.sum()), 1.0)
 
 
 def picture_evidence(
@@ -67,7 +117,7 @@ def picture_evidence(
     def edges(pixels: int) -> ImageContours:
         return image_contours(small, pixels, shut | sky)
 
-    return PictureEvidence(work, ids, skyline if found else None, edges, config.contours)
+    return PictureEvidence(work, ids, skyline if found else None, PictureEdges(edges, config.contours))
 
 
 def _seen_through(ids: UInt8Array, shut: BoolArray) -> UInt8Array:

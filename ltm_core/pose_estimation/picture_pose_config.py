@@ -115,10 +115,17 @@ class VerdictConfig(StrictModel):
     most_sigma_deg: float = Field(0.6, gt=0)
     """Of azimuth, pitch and roll,"""
     most_azimuth_sigma_deg: float = Field(0.35, gt=0)
-    """and of an azimuth by a skyline."""
-    agreement: float = Field(2.0, gt=0)
-    """By how much more the cost of a pose must be for its weight among those about the best to fall to 1/e: columns and
-    edges agree with each other more than they know."""
+    """and of an azimuth by a skyline,"""
+    gain: float = Field(0.075, ge=0)
+    """or this share of what a compass states, where that is more,"""
+    loosest_azimuth_sigma_deg: float = Field(0.45, gt=0)
+    """up to here: a phone that was 6 degrees off gains by half a degree, too. Not where no heading is known."""
+    agreement: float = Field(1.0, gt=0)
+    """By how much more the cost of a pose must be for its weight among those about the best to fall to 1/e,"""
+    loose_agreement: float = Field(2.0, gt=0)
+    """and the same from a place that is not exact, whose error moves all columns together."""
+    same_deg: float = Field(0.1, ge=0)
+    """Of azimuth, between refined poses that are one."""
     least_support: float = Field(0.75, ge=0, le=1)
     """Share of the skyline that fits."""
     clear_support: float = Field(0.35, ge=0, le=1)
@@ -131,6 +138,10 @@ class VerdictConfig(StrictModel):
     """then ridges must also lie on edges so many times more than chance."""
     contradiction: float = Field(4.0, gt=0)
     """Sigmas by which an otherwise good pose may differ from the prior one."""
+
+    def gap_asked(self, veiled: float) -> float:
+        """By how much an alternative must cost more, where plants may hide such a share of the skyline."""
+        return self.least_gap * (1 + self.veil_factor * veiled)
 
 
 FLOOR_DEG = (0.05, 0.03, 0.05)

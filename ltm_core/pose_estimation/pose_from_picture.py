@@ -17,10 +17,11 @@ from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation.contour_scores import ContourDirections, contour_scores
+from ltm_core.pose_estimation.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
-from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, search_reach, widened_by_others
+from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, merged_with_others, search_reach
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, rotations_of
-from ltm_core.pose_estimation.pose_refinement import PictureEvidence, refine
+from ltm_core.pose_estimation.pose_refinement import refine
 from ltm_core.pose_estimation.pose_verdict import Verdict, judge
 from ltm_core.pose_estimation.ridge_search import search_ridges
 from ltm_core.pose_estimation.skyline_search import search_azimuths
@@ -87,8 +88,7 @@ def find_pose(
         found = terrain.above(_search_skyline(evidence, horizon, prior, config, focal_sigma))
     verdict = judge(found, False, prior, config)
     if not found or (verdict.word != "accepted" and found[0].refined.support < _LEAST_SUPPORT):
-        blind = replace(evidence, skyline=None)
-        by_ridges = terrain.above(search_ridges(blind, horizon, prior, config, focal_sigma))
+        by_ridges = terrain.above(search_ridges(replace(evidence, skyline=None), horizon, prior, config, focal_sigma))
         other = judge(by_ridges, True, prior, config, evidence.plants)
         if other.word == "accepted" or not found:
             found, verdict = by_ridges, other
@@ -152,7 +152,7 @@ def _search_skyline(
         ridge = float(_ridge_cost(np.array([score]), usual, spread, config)[0])
         found.append(Hypothesis(refined, refined.cost + ridge, (score - usual) / spread))
     found.sort(key=lambda hypothesis: hypothesis.cost)
-    return widened_by_others(found, config.verdict)
+    return merged_with_others(found, not prior.sigmas[:3].any(), config.verdict)
 
 
 def _best_over_pitch(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
-from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between
+from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.pose_refinement import RefinedPose
 from ltm_core.types import Float64Array
 
@@ -25,23 +26,50 @@ class Hypothesis:
     ridge_score: float
 
 
-def widened_by_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> list[Hypothesis]:
-    """The same, from the best down, the first one's angles as uncertain as the others about it say that cost hardly
-    more: a smooth slope fits in many places. Those that are further away are alternatives (`pose_verdict`)."""
+def merged_with_others(hypotheses: list[Hypothesis], place_held: bool, config: VerdictConfig) -> list[Hypothesis]:
+    """The same, from the best down, the first one's pose the mean of those about it, each with its weight by cost, and
+    as uncertain as they are spread: a smooth slope fits in many places. Those further away are alternatives
+    (`pose_verdict`). `place_held`: the place is exact.
+    """
     if len(hypotheses) < 2:
         return hypotheses
     best = hypotheses[0]
-    near = [
-        other
-        for other in hypotheses
-        if abs(angles_between(best.refined.pose, other.refined.pose)[0]) <= math.radians(config.alternative_deg)
-    ]
-    weights = np.exp([(best.cost - other.cost) / config.agreement for other in near])
-    turns = np.array([other.refined.pose.rotation @ best.refined.pose.rotation.T for other in near])
-    away = Rotation.from_matrix(turns).as_rotvec()
-    covariance = best.refined.covariance.copy()
-    covariance[3:6, 3:6] += (away.T * weights) @ away / weights.sum()
-    return [replace(best, refined=replace(best.refined, covariance=covariance)), *hypotheses[1:]]
+    changes = np.array([_change(best.refined, other.refined) for other in hypotheses])
+    azimuths = np.array([angles_between(best.refined.pose, other.refined.pose)[0] for other in hypotheses])
+    agreement = config.agreement if place_held else config.loose_agreement
+    mean, spread = mean_about_best([other.cost for other in hypotheses], azimuths, changes, agreement, config)
+    refined = best.refined
+    factor = math.exp(mean[6])
+    merged = replace(
+        refined,
+        pose=turned(refined.pose, mean[3:6], mean[:3]),
+        camera=replace(refined.camera, fx=refined.camera.fx * factor, fy=refined.camera.fy * factor),
+        covariance=refined.covariance + spread,
+    )
+    return [replace(best, refined=merged), *hypotheses[1:]]
+
+
+def mean_about_best(
+    costs: Sequence[float], azimuths: Float64Array, states: Float64Array, agreement: float, config: VerdictConfig
+) -> tuple[Float64Array, Float64Array]:
+    """Mean (K,) of states (N, K) and their spread about it (K, K), of those whose azimuths (N,), rad, are near that of
+    the first, the best."""
+    near: list[int] = []
+    for k in np.flatnonzero(np.abs(azimuths - azimuths[0]) <= math.radians(config.alternative_deg)):
+        # Starts that have ended in one place are one pose, however many they were.
+        if all(abs(azimuths[j] - azimuths[k]) > math.radians(config.same_deg) for j in near):
+            near.append(int(k))
+    weights = np.exp((costs[0] - np.array(costs)[near]) / agreement)
+    weights /= weights.sum()
+    mean = weights @ states[near]
+    away = states[near] - mean
+    return mean, (away.T * weights) @ away
+
+
+def _change(a: RefinedPose, b: RefinedPose) -> Float64Array:
+    """(7,) from `a` to `b`: place (m), rotation about the map's axes (rad), logarithm of the focal length."""
+    turn = Rotation.from_matrix(b.pose.rotation @ a.pose.rotation.T).as_rotvec()
+    return np.concatenate([b.pose.position - a.pose.position, turn, [math.log(b.camera.fx / a.camera.fx)]])
 
 
 def search_reach(prior: PosePrior, config: PicturePoseConfig) -> float:

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis
 from ltm_core.pose_estimation.pose_prior import PosePrior, angle_slopes, angles_between
 
@@ -64,12 +64,12 @@ def judge(
     def verdict(word: Word, reason: str) -> Verdict:
         return Verdict(word, reason, gap, other, sigma, support)
 
-    if max(sigma) > v.most_sigma_deg or (azimuth > v.most_azimuth_sigma_deg and not by_ridges):
+    if max(sigma) > v.most_sigma_deg or (azimuth > _most_azimuth_sigma(prior, v) and not by_ridges):
         known = "what ridges are in the picture" if by_ridges else "the skyline"
         word: Word = "no_skyline" if by_ridges else "ambiguous"
         return verdict(word, f"{known} leaves azimuth, pitch, roll open by {azimuth:.2f}, {pitch:.2f}, {roll:.2f} deg")
     veiled = best.refined.veiled
-    least = v.least_gap * (1 + v.veil_factor * veiled)
+    least = v.gap_asked(veiled)
     if by_ridges:
         least = v.plants_gap if plants >= MANY_PLANTS else v.ridges_gap
         if plants >= MANY_PLANTS and best.ridge_score < v.plants_score:
@@ -87,3 +87,9 @@ def judge(
         name = ("azimuth", "pitch", "roll")[int(away_by.argmax())]
         return verdict("contradicts_prior", f"the picture's {name} is {away_by.max():.1f} sigmas from the stated one")
     return verdict("accepted", f"the next best azimuth costs {gap:.1f} more" if other is not None else "no alternative")
+
+
+def _most_azimuth_sigma(prior: PosePrior, config: VerdictConfig) -> float:
+    """Degrees."""
+    gained = config.gain * prior.azimuth_sigma_deg if prior.heading_known else 0.0
+    return max(config.most_azimuth_sigma_deg, min(gained, config.loosest_azimuth_sigma_deg))

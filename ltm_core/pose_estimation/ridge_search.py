@@ -11,10 +11,11 @@ from ltm_core.camera import Camera
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.contour_scores import ContourDirections, contour_scores, ridge_strength
+from ltm_core.pose_estimation.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.picture_pose_config import CrestCover, PicturePoseConfig
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, search_reach
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, rotations_of
-from ltm_core.pose_estimation.pose_refinement import PictureEvidence, refine
+from ltm_core.pose_estimation.pose_refinement import refine
 from ltm_core.pose_estimation.pose_verdict import MANY_PLANTS
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
 from ltm_core.types import Float64Array

@@ -12,11 +12,10 @@ from ltm_core.camera import Camera
 from ltm_core.evaluation.pose.disturbance import Sensor, disturbed
 from ltm_core.evaluation.truth_frames_io import TruthFrame
 from ltm_core.pose import Pose
-from ltm_core.pose_estimation.picture_evidence import picture_evidence
+from ltm_core.pose_estimation.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch, Terrain, find_pose
 from ltm_core.pose_estimation.pose_prior import PosePrior, angle_slopes, angles_between
-from ltm_core.pose_estimation.pose_refinement import PictureEvidence
 from ltm_core.tracing import TerrainTracer
 from ltm_core.types import Float64Array, UInt8Array
 
@@ -94,7 +93,7 @@ def run_trial(
 ) -> tuple[PoseTrial, PictureSearch, PosePrior]:
     """Disturb the pose of a frame, and its focal length by a factor, and search it."""
     frame = prepared_frame.frame
-    evidence = replace(prepared_frame.evidence)  # without the edges that a former trial has found: they take time, too
+    evidence = prepared_frame.evidence.unseen
     prior = disturbed(frame.pose, sensor, terrain.dem, rng)
     if focal_factor != 1.0:
         c = evidence.camera

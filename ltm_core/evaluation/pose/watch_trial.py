@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -85,7 +85,7 @@ def run_watch_trial(
 
 
 def _shown(watch: MountWatch, frame: PreparedFrame, stated: Pose, sigma_deg: float) -> bool:
-    fresh = replace(frame.evidence)  # a picture that has just come: nothing has been looked for in it yet
+    fresh = frame.evidence.unseen  # a picture that has just come
     return watch.look(fresh, stated, pose_covariance(stated, 0.0, 0.0, sigma_deg, sigma_deg, sigma_deg))
 
 

@@ -9,9 +9,8 @@ from scenes.mountain_view import CAMERA, eye, terrain, view
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.mount_watch import MountState, MountWatch
-from ltm_core.pose_estimation.picture_evidence import picture_evidence
+from ltm_core.pose_estimation.picture_evidence import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.pose_prior import angles_between, turned
-from ltm_core.pose_estimation.pose_refinement import PictureEvidence
 from ltm_core.site_sections import PoseRefinementConfig
 from ltm_core.types import Float64Array
 from ltm_core.vision.labels import UNLABELLED

@@ -186,9 +186,40 @@ def test_presets_of_one_head_share_its_mount() -> None:
     assert fit.tilt_zero == pytest.approx(-tilt, abs=np.radians(0.1))
 
 
+def test_copies_of_one_picture_say_no_more_than_the_picture() -> None:
+    """Its DEM's errors are the same in all of them."""
+    told = turned(TRUE, np.radians([0.1, 0.0, 0.8]))
+    prior = PosePrior(told, 1.5, 0.5, 0.5)
+    search = find_pose(picture_evidence(*view(TRUE), CAMERA), terrain(), prior)
+    once, often = (fit_mount([prior] * n, [search] * n, tilt_zero_sigma_deg=0.0) for n in (1, 4))
+    assert once.word == often.word == "accepted"
+    np.testing.assert_allclose(often.rotation, once.rotation, atol=1e-6)
+    np.testing.assert_allclose(often.covariance, once.covariance, rtol=1e-3, atol=1e-12)
+    assert often.gap == pytest.approx(once.gap, rel=1e-3)
+
+
+def test_a_mount_whose_pictures_leave_its_azimuth_open_stays_as_stated() -> None:
+    geometry = GridGeometry(0.0, 3000.0, 20.0, 170, 150)
+    flat = replace(terrain(), dem=Dem(np.full((150, 170), 50.0, np.float32), geometry))
+    rows = np.mgrid[0:300, 0:480][0]
+    labels = np.where(rows < 150, np.uint8(Label.SKY), np.uint8(Label.GRASS)).astype(np.uint8)
+    photo = np.where((rows < 150)[..., None], [200, 210, 230], [90, 90, 50]).astype(np.uint8)
+    prior = PosePrior(Pose.from_angles((1700.0, 1500.0, 60.0), 40.0), 1.5, 0.5, 0.5)
+    search = find_pose(picture_evidence(photo, labels, CAMERA), flat, prior)
+    fit = fit_mount([prior] * 3, [search] * 3, tilt_zero_sigma_deg=0.0)
+    assert fit.word in ("ambiguous", "no_skyline")
+    assert fit.poses == (prior.pose,) * 3
+
+
 def test_a_mount_without_pictures_is_refused() -> None:
     with pytest.raises(PoseError, match="one each"):
         fit_mount([], [])
+
+
+def test_edges_are_found_once_for_a_picture_with_and_without_its_skyline() -> None:
+    evidence = picture_evidence(*view(TRUE), CAMERA)
+    assert replace(evidence, skyline=None).edges is evidence.edges
+    assert evidence.unseen.edges is not evidence.edges
 
 
 def test_labels_of_another_size_are_told() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,12 +12,20 @@ from ltm_core.camera import Camera
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
-from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, widened_by_others
-from ltm_core.pose_estimation.pose_prior import PosePrior
+from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, merged_with_others
+from ltm_core.pose_estimation.pose_prior import UNKNOWN_DEG, PosePrior, angles_between
 from ltm_core.pose_estimation.pose_refinement import RefinedPose
 from ltm_core.pose_estimation.pose_verdict import judge
 
-CONFIG = VerdictConfig(alternative_deg=2.5, agreement=2.0, most_azimuth_sigma_deg=0.35)
+CONFIG = VerdictConfig(
+    alternative_deg=2.5,
+    agreement=2.0,
+    loose_agreement=4.0,
+    same_deg=0.1,
+    most_azimuth_sigma_deg=0.35,
+    gain=0.1,
+    loosest_azimuth_sigma_deg=0.5,
+)
 
 
 def hypothesis(azimuth_deg: float, cost: float) -> Hypothesis:
@@ -33,25 +42,61 @@ def azimuth_sigma_deg(best: Hypothesis) -> float:
     return math.degrees(math.sqrt(best.refined.covariance[5, 5]))
 
 
-def test_poses_that_cost_the_same_make_the_best_one_unsure() -> None:
+@pytest.mark.parametrize(("place_held", "agreement"), [(True, 2.0), (False, 4.0)])
+def test_poses_that_cost_the_same_are_one_that_is_unsure(place_held: bool, agreement: float) -> None:
     others = [hypothesis(61.2, -100.0), hypothesis(60.6, -98.0), hypothesis(70.0, -99.9)]
-    best, *rest = widened_by_others([hypothesis(60.0, -100.0), *others], CONFIG)
-    weight = math.exp(-1.0)
-    variance = 0.1**2 + (1.2**2 + weight * 0.6**2) / (2 + weight)  # the one 10 degrees off is an alternative
-    assert azimuth_sigma_deg(best) == pytest.approx(math.sqrt(variance), rel=1e-4)
+    best, *rest = merged_with_others([hypothesis(60.0, -100.0), *others], place_held, CONFIG)
+    weight = math.exp(-2.0 / agreement)  # the one 10 degrees off is an alternative
+    mean = (1.2 + weight * 0.6) / (2 + weight)
+    spread = (mean**2 + (1.2 - mean) ** 2 + weight * (0.6 - mean) ** 2) / (2 + weight)
+    assert best.refined.pose.angles_deg[0] == pytest.approx(60.0 + mean, abs=1e-6)
+    assert azimuth_sigma_deg(best) == pytest.approx(math.sqrt(0.1**2 + spread), rel=1e-4)
     assert rest == others
 
 
-def test_poses_that_cost_much_more_do_not() -> None:
-    best, _ = widened_by_others([hypothesis(60.0, -100.0), hypothesis(61.5, -70.0)], CONFIG)
+def test_starts_that_end_in_one_place_count_once() -> None:
+    apart = [hypothesis(60.0, -100.0), hypothesis(61.2, -100.0)]
+    (once, *_), (thrice, *_) = (
+        merged_with_others(found, True, CONFIG)
+        for found in (apart, [*apart, hypothesis(61.21, -99.999), hypothesis(61.19, -99.998)])
+    )
+    assert thrice.refined.pose.angles_deg[0] == pytest.approx(once.refined.pose.angles_deg[0], abs=1e-6)
+    assert azimuth_sigma_deg(thrice) == pytest.approx(azimuth_sigma_deg(once))
+
+
+def test_poses_that_cost_much_more_change_nothing() -> None:
+    first = hypothesis(60.0, -100.0)
+    best, _ = merged_with_others([first, hypothesis(61.5, -70.0)], True, CONFIG)
+    assert np.abs(angles_between(first.refined.pose, best.refined.pose)).max() < 1e-6
     assert azimuth_sigma_deg(best) == pytest.approx(0.1, rel=1e-3)
-    (alone,) = widened_by_others([hypothesis(60.0, -100.0)], CONFIG)
+    (alone,) = merged_with_others([first], True, CONFIG)
     assert azimuth_sigma_deg(alone) == pytest.approx(0.1)
-    assert widened_by_others([], CONFIG) == []
+    assert merged_with_others([], True, CONFIG) == []
 
 
-@pytest.mark.parametrize(("second", "word"), [(60.3, "accepted"), (61.2, "ambiguous")])
-def test_an_open_azimuth_is_not_accepted(second: float, word: str) -> None:
-    found = widened_by_others([hypothesis(60.0, -100.0), hypothesis(second, -99.8)], CONFIG)
-    prior = PosePrior(found[0].refined.pose, 1.5, 0.5, 0.5)
+def test_place_and_focal_length_are_those_of_the_mean_too() -> None:
+    first, other = hypothesis(60.0, -100.0), hypothesis(60.4, -100.0)
+    pose = Pose(other.refined.pose.position + np.array([4.0, -2.0, 1.0]), other.refined.pose.rotation)
+    camera = replace(other.refined.camera, fx=other.refined.camera.fx * 1.02, fy=other.refined.camera.fy * 1.02)
+    other = replace(other, refined=replace(other.refined, pose=pose, camera=camera))
+    best, _ = merged_with_others([first, other], False, CONFIG)
+    np.testing.assert_allclose(best.refined.pose.position, (12.0, 19.0, 300.5), atol=1e-9)
+    assert best.refined.camera.fx == pytest.approx(first.refined.camera.fx * math.sqrt(1.02))
+    assert best.refined.covariance[0, 0] == pytest.approx(4.0)
+    assert best.refined.covariance[6, 6] == pytest.approx((math.log(1.02) / 2) ** 2)
+
+
+@pytest.mark.parametrize(
+    ("second", "stated_deg", "word"),
+    [
+        (60.3, 1.5, "accepted"),
+        (60.8, 1.5, "ambiguous"),  # half of 0.8 degrees besides 0.1 is 0.41
+        (60.8, 6.0, "accepted"),  # which a compass gains by
+        (61.2, 60.0, "ambiguous"),  # but 0.61 is too much whatever was stated
+        (60.8, UNKNOWN_DEG, "ambiguous"),
+    ],
+)
+def test_an_open_azimuth_is_not_accepted(second: float, stated_deg: float, word: str) -> None:
+    found = merged_with_others([hypothesis(60.0, -100.0), hypothesis(second, -100.0)], True, CONFIG)
+    prior = PosePrior(found[0].refined.pose, stated_deg, 0.5, 0.5)
     assert judge(found, False, prior, PicturePoseConfig(verdict=CONFIG)).word == word

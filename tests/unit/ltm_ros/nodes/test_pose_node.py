@@ -19,9 +19,9 @@ from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.mount_watch import MountWatch
+from ltm_core.pose_estimation.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.pose_correction import PoseCorrection
 from ltm_core.pose_estimation.pose_prior import angles_between, turned
-from ltm_core.pose_estimation.pose_refinement import PictureEvidence
 from ltm_core.site_io import load_site
 from ltm_core.vision.camera_mask_io import write_mask
 from ltm_msgs_py.camera_info import camera_to_msg
