@@ -75,7 +75,7 @@ def one_frame(recording: Path, site_file: Path, camera_name: str) -> OneFrame:
     depth = DepthImage(traced.depth(), frame.camera, frame.pose)
 
     # What grows there: a class for each pixel, and how sure the network is of it.
-    segmenter = Segmenter.open(site.model)
+    segmenter = Segmenter.of(site, camera_name)
     segmentation = segmenter.segment(frame.image)
 
     # TopoDepth: a network's depth has no scale of its own; terrain that can be trusted gives it one.

@@ -31,6 +31,7 @@ def fit_to_points(
     from typing import cast
 
     from rich.console import Console
+    from rich.markup import escape
 
     from ltm_core.config_io import load_yaml
     from ltm_core.geodesy import ray_bend
@@ -68,12 +69,12 @@ def fit_to_points(
         write_report(report, result, setup.frame)
     console = Console()
     for note in held_notes(result, setup.position, setup.frame):
-        console.print(f"[yellow]{note}", highlight=False)
+        console.print(f"[yellow]{escape(note)}", highlight=False)
     if result.outliers:
-        console.print(f"[yellow]left out as outliers: {', '.join(result.outliers)}", highlight=False)
+        console.print(f"[yellow]left out as outliers: {escape(', '.join(result.outliers))}", highlight=False)
     console.print(_parameters(result, setup.camera, setup))
     console.print(_points(result, setup, guess.curvature, guess.refraction))
-    console.print(f"  {out}", highlight=False)
+    console.print(escape(f"  {out}"), highlight=False)
     return out
 
 
@@ -107,6 +108,7 @@ def _parameters(result: Resection, start: Camera, setup: ResectionSetup) -> Tabl
 
 def _points(result: Resection, setup: ResectionSetup, curvature: bool, refraction: float) -> Table:
     import numpy as np
+    from rich.markup import escape
     from rich.table import Table
 
     median = float(np.median(result.residual_px))
@@ -126,11 +128,11 @@ def _points(result: Resection, setup: ResectionSetup, curvature: bool, refractio
     for k, name in enumerate(result.points.names):
         u, v = result.points.pixels[k]
         du, dv = result.residuals[k]
-        cells = [name, f"{u:.1f}", f"{v:.1f}", f"{du:.2f}", f"{dv:.2f}", f"{result.residual_px[k]:.2f}"]
+        cells = [escape(name), f"{u:.1f}", f"{v:.1f}", f"{du:.2f}", f"{dv:.2f}", f"{result.residual_px[k]:.2f}"]
         if traced is not None:
             off, above = float(traced.errors[k]), float(traced.above_ground[k])
             cells += [f"{off:.2f} m" if traced.met[k] else "no terrain", "" if np.isnan(above) else f"{above:+.1f} m"]
-            cells.append(str(traced.states[k]))
+            cells.append(escape(str(traced.states[k])))
         table.add_row(*cells, style=None if result.used[k] else "red")
     table.title = title
     return table

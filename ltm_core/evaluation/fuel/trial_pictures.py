@@ -7,6 +7,8 @@ higher than it says, by plants whose heights differ from cell to cell. The searc
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import cv2
 import numpy as np
 from scipy import ndimage
@@ -105,9 +107,13 @@ class TrialPictures:
 
     def _light(self, x: Float64Array, y: Float64Array) -> Float32Array:
         """Of slopes under a sun from the south west, and of the roughness of what grows there."""
-        dem = self._surface
-        down, right = np.gradient(dem.elevation, dem.geometry.resolution)
+        row, col = self._surface.geometry.cell_of(x, y)
+        rows, cols = self._lit.shape
+        return self._lit[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
+
+    @cached_property
+    def _lit(self) -> Float32Array:
+        """Of each cell of the surface."""
+        down, right = np.gradient(self._surface.elevation, self._surface.geometry.resolution)
         lit = np.clip(0.75 + 0.5 * (down - right) / np.sqrt(1 + down**2 + right**2), 0.35, 1.15)
-        row, col = dem.geometry.cell_of(x, y)
-        rows, cols = lit.shape
-        return np.asarray(lit[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)], np.float32)
+        return np.asarray(lit, np.float32)
