@@ -25,9 +25,10 @@ from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_correction import PoseCorrection
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch, Terrain, find_pose
 from ltm_core.pose_estimation.pose_hypothesis import search_reach
-from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, turned
+from ltm_core.pose_estimation.pose_prior import PosePrior, angle_slopes, angles_between, turned
 from ltm_core.pose_estimation.pose_refinement import ROUNDS, refine, skyline_cost
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
+from ltm_core.pose_estimation.turn_search import clearer_turn
 from ltm_core.site_sections import PoseRefinementConfig
 from ltm_core.types import Float64Array
 
@@ -170,7 +171,12 @@ class MountWatch:
         prior = PosePrior(pose, *(_TRACKED_SIGMA_DEG,) * 3)
         horizon, ridges = self._horizon(evidence, prior)
         around = ridges.in_view(pose, evidence.camera, self._search.contours.most_points)
-        found = refine(pose, evidence.camera, evidence, horizon, around, prior, 0.0, self._search, _TRACKING)
+        begun = [
+            refine(start, evidence.camera, evidence, horizon, around, prior, 0.0, self._search, _TRACKING)
+            for start in (pose, clearer_turn(evidence.skyline, evidence.camera, prior, horizon, self._search.skyline))
+            if start is not None
+        ]
+        found = min(begun, key=lambda refined: refined.cost)
         here = skyline_cost(pose, evidence.camera, evidence, horizon, self._search)[1]
         refined, covariance, support = found.pose, found.covariance[3:6, 3:6], found.support
         least = self._search.verdict.clear_support
@@ -183,9 +189,10 @@ class MountWatch:
             refined, covariance = best.pose, best.covariance[3:6, 3:6]
         off = angles_between(pose, refined)
         assert self.correction.angles is not None  # nosec B101 # tells the type checker what holds
-        variance = float(np.linalg.eigvalsh(covariance + self.correction.angles)[-1])
-        limit = math.radians(self._config.least_slip_deg) + self._config.slip_sigmas * math.sqrt(variance)
-        self._tracked.append(off if np.abs(off).max() > limit else None)
+        slopes = angle_slopes(refined)
+        sigmas = np.sqrt(np.diag(slopes @ (covariance + self.correction.angles) @ slopes.T))
+        limits = math.radians(self._config.least_slip_deg) + self._config.slip_sigmas * sigmas
+        self._tracked.append(off if (np.abs(off) > limits).any() else None)
         self._judge()
         return True
 
