@@ -54,6 +54,7 @@ class Done:
     error: str = ""
 
 
+Job = Callable[[Task, TaskSettings], TaskReport]
 Engine = Callable[[Sequence[Task], TaskSettings], Iterator[Done]]
 
 
@@ -66,8 +67,9 @@ def serial(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
             yield Done(task, None, str(error))
 
 
-def on_workers(count: int) -> Engine:
-    """An engine of so many processes of this machine, which end with it."""
+def on_workers(count: int, job: Job | None = None) -> Engine:
+    """An engine of so many processes of this machine, which end with it. `job`: what each task is, in place of its
+    work."""
 
     def run(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
         import dask
@@ -81,7 +83,7 @@ def on_workers(count: int) -> Engine:
             ) as cluster,
             Client(cluster) as client,
         ):
-            yield from _windowed(client, tasks, settings)
+            yield from _windowed(client, tasks, settings, job or work)
 
     return run
 
@@ -105,12 +107,12 @@ def on_cluster(cluster: Cluster) -> Engine:
                 "with certificates of the same authority"
             ) from error
         with client:
-            yield from _windowed(client, tasks, settings)
+            yield from _windowed(client, tasks, settings, work)
 
     return run
 
 
-def _windowed(client: Any, tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
+def _windowed(client: Any, tasks: Sequence[Task], settings: TaskSettings, job: Job) -> Iterator[Done]:
     """As many tasks are with the scheduler as workers have threads: the memory of a year's run is that of an hour's,
     and a worker that dies is blamed on the one task that it had. A task takes minutes, so nobody waits for the next.
     """
@@ -121,7 +123,7 @@ def _windowed(client: Any, tasks: Sequence[Task], settings: TaskSettings) -> Ite
     def fill() -> None:
         room = max(sum(client.nthreads().values()), 1) - len(waiting)
         for task in islice(ahead, max(room, 0)):
-            future = client.submit(work, task, settings, key=f"{task.label} {task.evidence_key}", pure=False)
+            future = client.submit(job, task, settings, key=f"{task.label} {task.evidence_key}", pure=False)
             waiting[future] = task
 
     fill()
