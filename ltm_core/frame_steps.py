@@ -18,7 +18,7 @@ from ltm_core.camera import Camera
 from ltm_core.confirmed_terrain import ConfirmedTerrain
 from ltm_core.errors import PoseError
 from ltm_core.frame import PosedImage
-from ltm_core.fuel.vote_columns import fitting, turn_of, votes_to_columns
+from ltm_core.fuel.vote_columns import fitting, no_columns, turn_of, votes_to_columns
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.named_columns import Columns
 from ltm_core.pose import Pose
@@ -256,9 +256,11 @@ class FrameSteps:
 
     def votes(self, frame: PosedImage, covariance: NDArray[Any] | None) -> FrameVotes:
         """`covariance`: (6, 6) of the frame's pose; None: it is exact. Raises LtmError as the steps do."""
+        found, view = self._labelling.label(frame.image, Looking.of(frame.camera, frame.pose))
+        if view.reason is not None:
+            return FrameVotes(no_columns(), view.unusable)  # a picture that shows nothing needs no ranges
         traced = self._tracing.trace(frame.camera, frame.pose)
         depth = seen(traced.ranges.depth(), self._tracing.hidden(frame.camera, frame.pose))
-        found, view = self._labelling.label(frame.image, Looking.of(frame.camera, frame.pose))
         cast = self._voting.cast(depth, frame.camera, frame.pose, found, frame.stamp_ns, covariance)
         columns = votes_to_columns(self._voting.carried(cast), self._voting.labels.names)
         return FrameVotes(columns, view.unusable)

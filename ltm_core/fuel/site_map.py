@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from ltm_core.fuel.codes import FuelRegion
@@ -20,11 +21,16 @@ def site_evidence_map(site: Site, geometry: GridGeometry, labels: LabelSet) -> L
 
     Raises ConfigError and RasterError for a region, label errors or prior that cannot be taken.
     """
+    return empty_maps(site, geometry, labels)()
+
+
+def empty_maps(site: Site, geometry: GridGeometry, labels: LabelSet) -> Callable[[], LivingFuelMap]:
+    """Makes such maps, as many as are asked for, of files that are read once, now. Raises as `site_evidence_map`."""
     fuel = site.fuel
     prior = None if fuel.prior is None else load_prior(fuel.prior, site.in_crs(geometry))
     region = FuelRegion.named(fuel.region)
     errors, of_cameras = site_label_errors(site), camera_label_errors(site)
-    return LivingFuelMap(geometry, prior, labels, fuel.fusion, errors, region, of_cameras)
+    return lambda: LivingFuelMap(geometry, prior, labels, fuel.fusion, errors, region, of_cameras)
 
 
 def site_label_errors(site: Site) -> LabelErrors:

@@ -38,8 +38,7 @@ def fitting(votes: CellVotes, turn: int) -> CellVotes:
     """The votes that fit into a message of `MAX_BYTES`.
 
     Where there are more, the strongest take three quarters of the room and the others take turns in the rest, so that
-    the distance that a fixed camera sees is not left out for good. `turn`: any
-    number, another one for each frame.
+    the distance that a fixed camera sees is not left out for good. `turn`: any number, another one for each frame.
     """
     limit = (MAX_BYTES - _HEADER_BYTES) // _point_bytes(votes)
     if len(votes) <= limit:
@@ -82,6 +81,11 @@ def votes_to_columns(votes: CellVotes, class_names: Sequence[str]) -> Columns:
             columns[name] = _scaled(length, 10, np.uint16)
         columns["bearing_deg"] = np.mod(np.rint(np.degrees(seen.bearing)), 360).astype(np.uint16)
     return columns
+
+
+def no_columns() -> Columns:
+    """Those of a frame that votes for no cell."""
+    return {axis: np.zeros(0, np.float32) for axis in _AXES}
 
 
 def columns_to_votes(

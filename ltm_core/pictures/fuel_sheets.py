@@ -16,18 +16,21 @@ from ltm_core.types import BoolArray, RgbImage
 
 
 def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: ClassPalette) -> RgbImage:
-    """Life forms and fuel models, and how sure and how widely seen they are: four maps with their legends."""
-    known = np.isfinite(layers.p_max) & np.isfinite(layers.entropy)
-    return _sheet(
-        {
-            "life form; paler: less sure; outlined: no longer the prior map's": canvas.life_forms(layers, palette),
-            "surface fuel model; outlined: no longer the prior map's": canvas.codes(layers.code, layers.changed),
+    """Life forms and fuel models, and how sure and how widely seen they are, with their legends; of a map of which the
+    last two are not known, as of an earlier date, the first two alone."""
+    known, seen = np.isfinite(layers.p_max) & np.isfinite(layers.entropy), layers.seen_by > 0
+    maps = {
+        "life form; paler: less sure; outlined: no longer the prior map's": canvas.life_forms(layers, palette),
+        "surface fuel model; outlined: no longer the prior map's": canvas.codes(layers.code, layers.changed),
+    }
+    if known.any() or seen.any():
+        maps |= {
             "doubt about the life form: entropy, 0 certain to 1 nothing known": canvas.scaled(
                 layers.entropy, known, DOUBT
             ),
-            "cameras that see a cell": canvas.scaled(layers.seen_by, layers.seen_by > 0, CAMERAS),
+            "cameras that see a cell": canvas.scaled(layers.seen_by, seen, CAMERAS),
         }
-    )
+    return _sheet(maps)
 
 
 def change_sheet(

@@ -19,6 +19,9 @@ from ltm_ros.archive.task import Task, TaskReport, TaskSettings, work
 
 _DEATHS = 3
 """Workers beyond the first that may die while they have a task, before it is given up as their killer."""
+PATIENCE_S = 30.0
+"""Seconds without a task that ends, after which a cluster without workers is told of, again and again."""
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,7 @@ class Done:
     error: str = ""
 
 
+Job = Callable[[Task, TaskSettings], TaskReport]
 Engine = Callable[[Sequence[Task], TaskSettings], Iterator[Done]]
 
 
@@ -63,8 +67,9 @@ def serial(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
             yield Done(task, None, str(error))
 
 
-def on_workers(count: int) -> Engine:
-    """An engine of so many processes of this machine, which end with it."""
+def on_workers(count: int, job: Job | None = None) -> Engine:
+    """An engine of so many processes of this machine, which end with it. `job`: what each task is, in place of its
+    work."""
 
     def run(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
         import dask
@@ -78,7 +83,7 @@ def on_workers(count: int) -> Engine:
             ) as cluster,
             Client(cluster) as client,
         ):
-            yield from _windowed(client, tasks, settings)
+            yield from _windowed(client, tasks, settings, job or work)
 
     return run
 
@@ -102,38 +107,47 @@ def on_cluster(cluster: Cluster) -> Engine:
                 "with certificates of the same authority"
             ) from error
         with client:
-            yield from _windowed(client, tasks, settings)
+            yield from _windowed(client, tasks, settings, work)
 
     return run
 
 
-def _windowed(client: Any, tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
+def _windowed(client: Any, tasks: Sequence[Task], settings: TaskSettings, job: Job) -> Iterator[Done]:
     """As many tasks are with the scheduler as workers have threads: the memory of a year's run is that of an hour's,
     and a worker that dies is blamed on the one task that it had. A task takes minutes, so nobody waits for the next.
     """
-    from distributed import as_completed
+    from distributed import wait
 
-    ahead, waiting = iter(tasks), dict[str, Task]()
-    running = as_completed()
+    ahead, waiting = iter(tasks), dict[Any, Task]()
 
     def fill() -> None:
         room = max(sum(client.nthreads().values()), 1) - len(waiting)
         for task in islice(ahead, max(room, 0)):
-            future = client.submit(work, task, settings, key=f"{task.label} {task.evidence_key}", pure=False)
-            waiting[future.key] = task
-            running.add(future)
+            future = client.submit(job, task, settings, key=f"{task.label} {task.evidence_key}", pure=False)
+            waiting[future] = task
 
     fill()
-    for future in running:
-        task = waiting.pop(future.key)
-        error = future.exception() if future.status == "error" else None
-        if future.status == "finished":
-            yield Done(task, future.result())
-        elif error is None or isinstance(error, LtmError | OSError) or type(error).__name__ == "KilledWorker":
-            yield Done(task, None, _said(error, future.status))
-        else:
-            raise error  # a bug
-        future.release()
+    while waiting:
+        try:
+            ended = wait(list(waiting), timeout=PATIENCE_S, return_when="FIRST_COMPLETED").done
+        except TimeoutError:
+            if not client.nthreads():
+                _log.warning(
+                    "%s has no workers; the run waits for some: `dask worker %s` with the cluster's certificates",
+                    *[client.scheduler.address] * 2,
+                )
+            fill()
+            continue
+        for future in ended:
+            task = waiting.pop(future)
+            error = future.exception() if future.status == "error" else None
+            if future.status == "finished":
+                yield Done(task, future.result())
+            elif error is None or isinstance(error, LtmError | OSError) or type(error).__name__ == "KilledWorker":
+                yield Done(task, None, _said(error, future.status))
+            else:
+                raise error  # a bug
+            future.release()
         fill()
 
 

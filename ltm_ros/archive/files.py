@@ -33,8 +33,13 @@ T = TypeVar("T")
 class CacheConfig:
     """Where files of stores lie while they are read, and how many bytes of them at most; workers share it."""
 
-    folder: str = str(Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache") / "ltm" / "archive")
+    folder: str = str(Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache") / "ltm")
     most_bytes: int = 20 * 10**9
+
+    @property
+    def own(self) -> Path:
+        """Below `folder`, which may hold what is not ours to remove."""
+        return Path(self.folder).expanduser() / "archive_files"
 
 
 @dataclass(frozen=True)
@@ -104,7 +109,7 @@ class ArchiveFiles:
     def _place(self, about: StoredFile) -> Path:
         suffix = Path(about.name).suffix
         key = digest(about.name, about.size_bytes, about.version)
-        return Path(self._cache.folder).expanduser() / f"{key}{suffix}"
+        return self._cache.own / f"{key}{suffix}"
 
     def _fetch(self, store: Any, path: str, about: StoredFile) -> StoredFile:
         """What was fetched: as asked for, or as it has become meanwhile."""
@@ -138,7 +143,7 @@ class ArchiveFiles:
                 f"{self._cache.folder}; raise --cache-gb"
             )
         kept = []
-        for place in Path(self._cache.folder).expanduser().iterdir():
+        for place in self._cache.own.iterdir():
             try:
                 kept.append((place.stat().st_mtime_ns, place.stat().st_size, place))
             except FileNotFoundError:  # removed by another

@@ -176,13 +176,22 @@ class _Picture:
 
 
 def _by_log_time(scans: Sequence[Scan], topics: set[str]) -> Iterator[tuple[str, ScannedMessage]]:
-    """Of equal times in the order of the files."""
-    streams = (_of_topics(scan, topics) for scan in scans)
-    return heapq.merge(*streams, key=lambda found: found[1].log_time_ns)
+    """Of equal times in the order of the files, of which those that overlap in time are open together."""
+    begins = [min((scan.begins[t] for t in topics & scan.begins.keys()), default=None) for scan in scans]
+    waiting = sorted(((b, n) for n, b in enumerate(begins) if b is not None), reverse=True)
+    heads: list[tuple[int, int, ScannedMessage, Iterator[ScannedMessage]]] = []
 
+    def advance(number: int, stream: Iterator[ScannedMessage]) -> None:
+        if (message := next(stream, None)) is not None:
+            heapq.heappush(heads, (message.log_time_ns, number, message, stream))
 
-def _of_topics(scan: Scan, topics: set[str]) -> Iterator[tuple[str, ScannedMessage]]:
-    return ((scan.name, message) for message in scan.messages if message.topic in topics)
+    while waiting or heads:
+        while waiting and (not heads or waiting[-1][0] <= heads[0][0]):
+            _, number = waiting.pop()
+            advance(number, scans[number].messages(topics))
+        _, number, message, stream = heapq.heappop(heads)
+        yield scans[number].name, message
+        advance(number, stream)
 
 
 def _small_enough(message: ScannedMessage, site: Site, health: Health) -> bool:

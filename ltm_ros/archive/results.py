@@ -76,6 +76,11 @@ class ResultFolder:
         """Copy a file of this machine."""
         self.write(name, file.read_bytes())
 
+    def remove(self, name: str) -> None:
+        """A file that is there."""
+        with self._reached():
+            self._files.rm_file(self._path(name))
+
     @contextmanager
     def _reached(self) -> Iterator[None]:
         try:

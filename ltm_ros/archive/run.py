@@ -223,6 +223,9 @@ def _publish(planned: Plan, store: Path, summary: Summary) -> None:
         write_page(map_, out / MAPS)
     for file in sorted(path for path in out.rglob("*") if path.is_file()):
         results.put(file, file.relative_to(out).as_posix())
+    for folder in (LAYERS, MAPS):  # days and layers of a former run that this one has not
+        for name in results.names(folder) - {file.name for file in (out / folder).iterdir()}:
+            results.remove(f"{folder}/{name}")
     written = hashlib.sha256(store.read_bytes()).hexdigest()
     # Before the store: a run that is killed in between shall know its own.
     results.write(STORES, json.dumps([former, written]).encode())

@@ -6,10 +6,14 @@ long as the file is the same.
 
 from __future__ import annotations
 
+import heapq
 import io
+import json
 import posixpath
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from operator import itemgetter
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -27,7 +31,10 @@ from ltm_ros.importer.photo_folder import POSES
 from ltm_ros.runtime.topics import CAMERA_INPUTS, IMAGE_COMPRESSED, IMAGE_RAW, camera_topic
 
 SCANS = "scans"
-_VERSION = 2
+_VERSION = 3
+_ABOUT = "ltm"
+_GROUP = 5_000
+"""Messages that are unpacked at once."""
 _PICTURES = (IMAGE_COMPRESSED.name, IMAGE_RAW.name)
 
 
@@ -54,6 +61,7 @@ class ScannedMessage:
 
 _SCHEMA = pa.schema(
     [
+        ("order", pa.int64()),
         *((name, pa.string()) for name in ("topic", "type_name")),
         *((name, pa.int64()) for name in ("log_time_ns", "size_bytes", "stamp_ns", "width", "height")),
         *((name, pa.string()) for name in ("content", "trouble", "file")),
@@ -74,13 +82,25 @@ class Recording:
         return self.files[0].name
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scan:
-    """`name`: of the recording. `damage`: what of it could not be read, in words."""
+    """What was found in the recording `name`, which stays where it is kept until it is asked for. `begins`: log time of
+    the first message of each topic. `damage`: what of it could not be read, in words."""
 
     name: str
-    messages: tuple[ScannedMessage, ...]
+    begins: Mapping[str, int]
     damage: tuple[str, ...]
+    kept: Callable[[], bytes]
+
+    def messages(self, topics: Collection[str]) -> Iterator[ScannedMessage]:
+        """Of some topics, in the order of the recording, by log time. Raises as `ResultFolder.read` does."""
+        file = pq.ParquetFile(io.BytesIO(self.kept()))
+        groups: dict[str, list[int]] = {}
+        for number, topic in enumerate(_about(file)["groups"]):
+            groups.setdefault(topic, []).append(number)
+        streams = [_of_groups(file, groups[topic]) for topic in sorted(groups.keys() & set(topics))]
+        for _, message in heapq.merge(*streams, key=itemgetter(0)):
+            yield message
 
 
 def recordings(archives: Sequence[str]) -> list[Recording]:
@@ -118,25 +138,27 @@ def scan(recording: Recording, site: Site, results: ResultFolder, files: Archive
     state = [[file.name, file.size_bytes, file.version] for file in recording.files]
     placed = [importer_digest(), places_digest(site)] if is_pose_list(recording.name) else []
     name = f"{SCANS}/{digest(_VERSION, state, sorted(topics), placed)}.parquet"
-    if results.has(name):
-        return _read(recording.name, results.read(name))
-    if is_pose_list(recording.name):
-        placed_messages = photo_messages(recording.files[0], recording.files[1:], site, files)
-        found = Scan(recording.name, tuple(map(_of_photo, placed_messages)), ())
-    else:
-        found = _scanned_bag(recording.name, topics, files)
-    results.write(name, _packed(found))
-    return found
+    if not results.has(name):
+        if is_pose_list(recording.name):
+            photos = photo_messages(recording.files[0], recording.files[1:], site, files)
+            results.write(name, _packed([_of_photo(message) for message in photos], ()))
+        else:
+            results.write(name, _packed(*_scanned_bag(recording.name, topics, files)))
+    about = _about(pq.ParquetFile(io.BytesIO(results.read(name))))
+    return Scan(recording.name, about["begins"], tuple(about["damage"]), lambda: results.read(name))
 
 
-def _scanned_bag(name: str, topics: Mapping[str, str], files: ArchiveFiles) -> Scan:
+def _scanned_bag(
+    name: str, topics: Mapping[str, str], files: ArchiveFiles
+) -> tuple[list[ScannedMessage], Sequence[str]]:
+    """And the damage."""
     with files.at_hand(name) as path:
         reader = BagReader(path)
         wanted = topics.keys() & reader.topics().keys()
-        messages = tuple(_scanned(message, topics[message.topic]) for message in reader.messages(wanted))
+        messages = [_scanned(message, topics[message.topic]) for message in reader.messages(wanted)]
         if reader.unread:
             raise ArchiveError(f"{name} cannot be read just now: {'; '.join(reader.unread)}")
-        return Scan(name, messages, tuple(note.replace(str(path), name) for note in reader.damage))
+        return messages, [note.replace(str(path), name) for note in reader.damage]
 
 
 def _scanned(message: BagMessage, topic: str) -> ScannedMessage:
@@ -163,16 +185,27 @@ def _with_picture(message: ScannedMessage, picture: CompressedPicture | RawPictu
     return replace(message, stamp_ns=picture.stamp_ns, width=width, height=height, content=content)
 
 
-def _packed(found: Scan) -> bytes:
-    table = pa.Table.from_pylist([asdict(message) for message in found.messages], _SCHEMA)
-    file = io.BytesIO()
-    pq.write_table(table.replace_schema_metadata({"damage": "\n".join(found.damage)}), file, compression="zstd")
+def _packed(messages: Sequence[ScannedMessage], damage: Sequence[str]) -> bytes:
+    """Row groups of one topic each, so that a camera's messages are read without those of others."""
+    by_topic: dict[str, list[dict[str, Any]]] = {}
+    for order, message in enumerate(messages):
+        by_topic.setdefault(message.topic, []).append({"order": order, **asdict(message)})
+    groups = [(topic, rows[at : at + _GROUP]) for topic, rows in by_topic.items() for at in range(0, len(rows), _GROUP)]
+    begins = {topic: rows[0]["log_time_ns"] for topic, rows in by_topic.items()}
+    about = {"groups": [topic for topic, _ in groups], "begins": begins, "damage": list(damage)}
+    file, schema = io.BytesIO(), _SCHEMA.with_metadata({_ABOUT: json.dumps(about)})
+    with pq.ParquetWriter(file, schema, compression="zstd") as writer:
+        for _, rows in groups:
+            writer.write_table(pa.Table.from_pylist(rows, schema))
     return file.getvalue()
 
 
-def _read(name: str, content: bytes) -> Scan:
-    table = pq.read_table(io.BytesIO(content))
-    damage = (table.schema.metadata or {}).get(b"damage", b"").decode()
-    return Scan(
-        name, tuple(ScannedMessage(**row) for row in table.to_pylist()), tuple(filter(None, damage.split("\n")))
-    )
+def _about(file: pq.ParquetFile) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(file.schema_arrow.metadata[_ABOUT.encode()])
+    return found
+
+
+def _of_groups(file: pq.ParquetFile, groups: Sequence[int]) -> Iterator[tuple[int, ScannedMessage]]:
+    for number in groups:
+        for row in file.read_row_group(number).to_pylist():
+            yield row.pop("order"), ScannedMessage(**row)

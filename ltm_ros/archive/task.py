@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 
@@ -20,8 +20,9 @@ from ltm_core.errors import ArchiveError, LtmError
 from ltm_core.frame import PosedImage
 from ltm_core.frame_steps import FrameSteps, LabellingConfig, TracingConfig
 from ltm_core.fuel.burns_io import Burn
+from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.evidence_merge import PartialEvidence
-from ltm_core.fuel.site_map import site_evidence_map
+from ltm_core.fuel.site_map import empty_maps
 from ltm_core.fuel.stored_map import fuel_schema
 from ltm_core.fuel.vote_columns import columns_to_votes
 from ltm_core.fuel.votes import CellVotes
@@ -155,10 +156,10 @@ def work(task: Task, settings: TaskSettings) -> TaskReport:
     if not results.has(votes):
         results.write(votes, votes_file(task, settings))
         worked = len(task.frames)
-    site = load_site(settings.site)
-    if _evidence_key(settings, task.votes_key, evidence_digest(site), task.burns) != task.evidence_key:
+    of_evidence = evidence_digest(load_site(settings.site))
+    if _evidence_key(settings, task.votes_key, of_evidence, task.burns) != task.evidence_key:
         raise _other_files(settings.site)
-    results.write(evidence, _evidence_file(results.read(votes), site, task.burns))
+    results.write(evidence, _evidence_file(results.read(votes), _ground(settings.site, of_evidence), task.burns))
     return TaskReport(worked)
 
 
@@ -211,11 +212,27 @@ def read_votes(content: bytes, geometry: GridGeometry, labels: LabelSet) -> Iter
         yield columns_to_votes(of_frame, geometry, labels.names, frame["stamp_ns"], about["camera"])
 
 
-def _evidence_file(votes: bytes, site: Site, burns: Sequence[Burn]) -> bytes:
+@dataclass(frozen=True, eq=False)
+class _Ground:
+    """What evidence is made on: the same for all tasks of a run. `empty` makes maps without any."""
+
+    site: Site
+    labels: LabelSet
+    geometry: GridGeometry
+    empty: Callable[[], EvidenceMap]
+
+
+@lru_cache(maxsize=1)
+def _ground(site: str, of_evidence: str) -> _Ground:
+    """`of_evidence`: digest of the files that it is read from, now."""
+    found = load_site(site)
+    labels, geometry = LabelSet.load(config_path(found.labels)), found.fuel_geometry(found.open_dem())
+    return _Ground(found, labels, geometry, empty_maps(found, geometry, labels))
+
+
+def _evidence_file(votes: bytes, ground: _Ground, burns: Sequence[Burn]) -> bytes:
     """One row a tile: its state, and the stamps of the frames that touch it."""
-    labels = LabelSet.load(config_path(site.labels))
-    geometry = site.fuel_geometry(site.open_dem())
-    evidence = site_evidence_map(site, geometry, labels)
+    labels, geometry, evidence = ground.labels, ground.geometry, ground.empty()
     for burn in burns:
         evidence.burn(burn.mask(geometry.shape), burn.stamp_ns)
     touched: dict[Key, list[int]] = {}
@@ -228,7 +245,7 @@ def _evidence_file(votes: bytes, site: Site, burns: Sequence[Burn]) -> bytes:
     for frame in about.pop("frames"):
         if frame["reason"]:
             unused[frame["reason"]] = unused.get(frame["reason"], 0) + 1
-    schema = fuel_schema(site, geometry)
+    schema = fuel_schema(ground.site, geometry)
     rows = [
         {"row": key[0], "col": key[1], "content": schema.pack(key, evidence.tile_state(key)), "stamps": stamps}
         for key, stamps in sorted(touched.items())

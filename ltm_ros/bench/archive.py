@@ -17,6 +17,7 @@ from ltm_ros.archive.engine import Engine, on_workers, serial
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, look_through, run
 from ltm_ros.archive.task import VOTES
+from ltm_ros.bench.archive_worker import EngineCost, WorkerCost, engine_cost, worker_cost
 from ltm_ros.replay.run import ReplayOptions, run_offline
 
 
@@ -34,21 +35,27 @@ class Way:
 
 @dataclass(frozen=True)
 class ArchiveBench:
-    """`votes_bytes`: of a frame, in files of `frames_per_file` at most. `peak_mb`: of the process that worked alone."""
+    """`votes_bytes`: of a frame, in files of `frames_per_file` at most. `peak_mb`: of the process that worked alone,
+    map and layers included. `worker`: of tasks alone; `engine`: of empty ones, None where none was asked for."""
 
     frames: int
     ways: tuple[Way, ...]
     votes_bytes: float
     frames_per_file: int
     peak_mb: float
+    worker: WorkerCost
+    engine: EngineCost | None
 
     @property
     def digests(self) -> set[str]:
         return {way.digest for way in self.ways}
 
 
-def measure(bag: Path, site: Path, folder: Path, kills: int, seed: int, said: Callable[[str], None]) -> ArchiveBench:
-    """In an empty `folder`. `kills`: runs on two workers in which one of them is killed at a random moment."""
+def measure(
+    bag: Path, site: Path, folder: Path, kills: int, empty: int, seed: int, said: Callable[[str], None]
+) -> ArchiveBench:
+    """In an empty `folder`. `kills`: runs on two workers in which one of them is killed at a random moment. `empty`:
+    tasks that do nothing, for the engine's own cost; 0: it is not measured."""
     options = ArchiveOptions((bag,), site, str(folder / "warm"), frames_per_task=1)
     planned = look_through(options, _quiet)
     said("kernels and networks")
@@ -80,7 +87,14 @@ def measure(bag: Path, site: Path, folder: Path, kills: int, seed: int, said: Ca
     with TileStore.open_read_only(state / STORE_FILE, STORE_KIND) as store:
         frames = store.frame_count()
         ways.append(Way("offline replay, with fused depth where the site has it", store_digest(store), frames, *spent))
-    return ArchiveBench(len(planned.frames), tuple(ways), sum(sizes) / len(planned.frames), 1500, peak)
+    said("a worker alone")
+    alone = look_through(replace(options, out=str(folder / "alone"), frames_per_task=1500), _quiet)
+    worker = worker_cost(alone.tasks, alone.settings)
+    if empty:
+        said(f"{empty} empty tasks")
+    engine_alone = engine_cost(empty, alone.settings) if empty else None
+    each = sum(sizes) / len(planned.frames)
+    return ArchiveBench(len(planned.frames), tuple(ways), each, 1500, peak, worker, engine_alone)
 
 
 def _timed(name: str, options: ArchiveOptions, engine: Engine) -> Way:

@@ -73,7 +73,6 @@ class Capture(Handler[CaptureConfig]):
         self._correction: PoseCorrection | None = None
         self._stamps = StampCheck(outlet.now_ns, health)
         self._join = FrameJoin(site, config.camera, config, self._offer, health, self._stamp_and_size)
-        self.on_pose, self.on_fix, self.on_imu = self._join.on_pose, self._join.on_fix, self._join.on_imu
         self._admission = Admission[JoinedFrame](
             self._send,
             lambda: outlet.workers(FINISHED),

@@ -15,11 +15,17 @@ def archive(
     site: Annotated[Path | None, typer.Option("--site", help="Its site file.")] = None,
     kills: Annotated[int, typer.Option(help="Runs in which a worker is killed at a random moment.", min=0)] = 3,
     seed: Annotated[int, typer.Option(help="Of these moments.")] = 1,
+    empty: Annotated[int, typer.Option(help="Tasks that do nothing, for the engine's own cost.", min=0)] = 0,
+    month: Annotated[
+        int, typer.Option("--month", min=0, help="Days of a simulated month in its place, such as 30.")
+    ] = 0,
+    keep: Annotated[Path | None, typer.Option(help="New folder in which the month and its maps stay.")] = None,
     json_path: JsonFile = None,
 ) -> None:
     """Work a recording again in several ways, and replay it: the digests of their maps, and the time they took.
 
-    Ends with status 1 where the digests differ.
+    With --month, that of a drawn month of two towers, and how far the map of four looks a day is from it. Ends with
+    status 1 where the digests differ, or more than a thousandth of the codes.
     """
     import tempfile
     from dataclasses import asdict
@@ -34,13 +40,17 @@ def archive(
     from ltm_ros.cli.bench.runs import print_conditions
     from ltm_ros.evaluation.figures_io import write_figures
 
+    if month:
+        raise typer.Exit(0 if _month(month, keep, json_path) else 1)
     if (bag is None) != (site is None):
         raise ArchiveError("give both the bag and its --site, or neither for the demo's")
     console = Console()
     state = conditions(("numpy", "numba", "onnxruntime", "dask", "pyarrow"))
     demo = project_path("bags/demo")
     with tempfile.TemporaryDirectory(prefix="ltm-bench-archive-") as folder, console.status("") as status:
-        found = measure(bag or demo / "recording", site or demo / "site.yaml", Path(folder), kills, seed, status.update)
+        found = measure(
+            bag or demo / "recording", site or demo / "site.yaml", Path(folder), kills, empty, seed, status.update
+        )
     table = Table(title=f"{found.frames} frames", caption="processor: of this process alone, not of workers")
     for column in ("way", "worked", "killed", "wall s", "processor s", "a frame", "digest"):
         table.add_column(column, justify="left" if column in ("way", "digest") else "right")
@@ -53,7 +63,59 @@ def archive(
         f"{len(found.digests)} digest{'s' * (len(found.digests) > 1)} of {len(found.ways)} maps; votes "
         f"{found.votes_bytes / 1e3:.1f} kB a frame in files of a camera's day; {found.peak_mb:.0f} MB at most serially"
     )
+    console.print(
+        f"a worker alone: {found.worker.to_votes_s:.3f} s of processor a frame to votes, {found.worker.tasks_s:.3f} s "
+        f"with evidence and files, {found.worker.peak_mb:.0f} MB at most"
+    )
+    if found.engine is not None:
+        idle = found.engine
+        console.print(
+            f"{idle.tasks} empty tasks: {idle.each_ms:.2f} ms each for scheduler and client, whose process held "
+            f"{idle.early_mb:.0f} MB after a tenth of them and {idle.late_mb:.0f} MB after all"
+        )
     print_conditions(console, state)
     if json_path is not None:
         write_figures(json_path, {"conditions": state.as_dict(), **asdict(found)})
     raise typer.Exit(0 if len(found.digests) == 1 else 1)
+
+
+def _month(days: int, keep: Path | None, json_path: Path | None) -> bool:
+    """Whether all holds."""
+    import tempfile
+    from contextlib import nullcontext
+    from dataclasses import asdict
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from ltm_core.bench.measure import conditions
+    from ltm_ros.bench.archive_month import measure_month
+    from ltm_ros.cli.bench.runs import print_conditions
+    from ltm_ros.evaluation.figures_io import write_figures
+
+    console, state = Console(), conditions(("numpy", "numba", "onnxruntime", "dask", "pyarrow"))
+    if keep is not None:
+        keep.mkdir(parents=True)
+    place = nullcontext(str(keep)) if keep is not None else tempfile.TemporaryDirectory(prefix="ltm-bench-month-")
+    with place as folder, console.status("") as status:
+        found = measure_month(Path(folder), days, status.update)
+    table = Table(title=f"{found.frames} frames of {days} days", caption="processor: of this process, not of workers")
+    for column in ("way", "worked", "wall s", "processor s", "digest"):
+        table.add_column(column, justify="left" if column in ("way", "digest") else "right")
+    for way in (*found.ways, *found.burned_ways):
+        table.add_row(way.name, str(way.worked), f"{way.wall_s:.1f}", f"{way.cpu_s:.1f}", way.digest[:12])
+    console.print(table)
+    console.print(f"of the felled cells {found.felled_found:.0%} have changed by all frames")
+    for one in found.samples:
+        console.print(
+            f"{one.sample}: {one.frames} frames; {one.different} of {found.seen} seen cells have another code "
+            f"({one.different / max(found.seen, 1):.3%}); {one.felled_found:.0%} of the felled cells have changed"
+        )
+        for reason, count in sorted(one.passed_over.items()):
+            console.print(f"  {count} passed over: {reason}")
+    if keep is not None:
+        console.print(f"maps through time: {found.page}")
+    print_conditions(console, state)
+    if json_path is not None:
+        write_figures(json_path, {"conditions": state.as_dict(), "holds": found.holds, **asdict(found)})
+    return found.holds

@@ -35,7 +35,7 @@ def at_hand(tmp_path: Path) -> ArchiveFiles:
 
 
 def cached(tmp_path: Path) -> list[bytes]:
-    return sorted(path.read_bytes() for path in (tmp_path / "cache").iterdir())
+    return sorted(path.read_bytes() for path in (tmp_path / "cache/archive_files").iterdir())
 
 
 def test_what_is_below_a_place(store: Store, tmp_path: Path) -> None:
@@ -70,14 +70,16 @@ def test_a_file_is_fetched_once_and_anew_when_it_has_changed(
 def test_the_cache_is_bounded_and_spares_what_is_held(store: Store, at_hand: ArchiveFiles, tmp_path: Path) -> None:
     """Of 100 bytes, three of 40: the third takes the place of the one that nobody holds."""
     urls = [store(name, name.encode() * 40) for name in "abc"]
-    (tmp_path / "cache").mkdir()
-    (tmp_path / "cache" / "x.partial").write_bytes(b"of a process that was killed")
+    (tmp_path / "cache/archive_files").mkdir(parents=True)
+    (tmp_path / "cache/archive_files/x.partial").write_bytes(b"of a process that was killed")
+    (tmp_path / "cache/others.txt").write_bytes(b"-" * 100)
     with at_hand.at_hand(urls[0]) as held:
         for url in urls[1:]:
             with at_hand.at_hand(url):
                 pass
         assert held.read_bytes() == b"a" * 40
         assert cached(tmp_path) == [b"a" * 40, b"c" * 40]
+    assert (tmp_path / "cache/others.txt").exists()
     with (
         pytest.raises(ArchiveError, match=r"has 101 bytes, more than the 100 .* raise --cache-gb"),
         at_hand.at_hand(store("d", b"d" * 101)),

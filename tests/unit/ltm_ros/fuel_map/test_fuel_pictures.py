@@ -151,7 +151,11 @@ def test_sheets_hold_what_they_name() -> None:
     before = layers(classes)
     classes[2:5, 3:9] = LifeForm.TREE
     after = layers(classes)
-    for sheet in (fuel_sheet(canvas, after, PALETTE), change_sheet(canvas, before, after, PALETTE, ("then", "now"))):
+    whole = fuel_sheet(canvas, replace(after, seen_by=np.ones(GRID.shape, after.seen_by.dtype)), PALETTE)
+    unknown = replace(after, p_max=np.full(GRID.shape, np.nan, np.float32), seen_by=np.zeros_like(after.seen_by))
+    as_of = fuel_sheet(canvas, unknown, PALETTE)
+    assert 2 * as_of.shape[0] == pytest.approx(whole.shape[0], rel=0.2), "two maps, of which something is known"
+    for sheet in (whole, change_sheet(canvas, before, after, PALETTE, ("then", "now"))):
         assert sheet.shape[0] > 500
         assert sheet.shape[1] > 2 * 300
     changes = change_sheet(canvas, before, after, PALETTE, ("then", "now"))

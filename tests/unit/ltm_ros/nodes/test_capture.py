@@ -103,7 +103,7 @@ def test_leaves_when_the_last_part_comes(capture_of: CaptureOf, order: str) -> N
     capture, outlet, health = capture_of()
     feed = {
         "i": lambda: capture.on_image(image(S)),
-        "p": lambda: capture.on_pose(pose(S)),
+        "p": lambda: capture.subscriptions[POSE](pose(S)),
         "c": lambda: capture.on_camera_info(info(S)),
     }
     for part in order[:2]:
@@ -126,7 +126,7 @@ def test_calibration_is_the_newest_up_to_the_image(capture_of: CaptureOf) -> Non
     for stamp, fx in ((10 * S, 10.0), (30 * S, 30.0), (20 * S, 20.0)):
         capture.on_camera_info(info(stamp, fx))
     for stamp in (5 * S, 25 * S, 20 * S, 99 * S):
-        capture.on_pose(pose(stamp))
+        capture.subscriptions[POSE](pose(stamp))
         capture.on_image(image(stamp))
     # An image from before all calibrations takes the first.
     assert [m.k[0] for m in outlet.on(POSED_CAMERA_INFO)] == [10.0, 20.0, 20.0, 30.0]
@@ -136,22 +136,22 @@ def test_pose_must_have_the_stamp_unless_told_otherwise(capture_of: CaptureOf) -
     capture, outlet, _ = capture_of()
     capture.on_camera_info(info(0))
     capture.on_image(image(S))
-    capture.on_pose(pose(S - 1))
-    capture.on_pose(pose(S + 1))
+    capture.subscriptions[POSE](pose(S - 1))
+    capture.subscriptions[POSE](pose(S + 1))
     assert outlet.sent == []
 
 
 def test_nearest_pose_within_the_tolerance_once_a_later_one_is_there(capture_of: CaptureOf) -> None:
     capture, outlet, _ = capture_of(pose_tolerance=0.5)
     capture.on_camera_info(info(0))
-    capture.on_pose(pose(9 * S // 10, x=0.9))
+    capture.subscriptions[POSE](pose(9 * S // 10, x=0.9))
     capture.on_image(image(S))
     assert outlet.sent == [], "a nearer pose may be on its way"
-    capture.on_pose(pose(11 * S // 10 - 1, x=1.1))
+    capture.subscriptions[POSE](pose(11 * S // 10 - 1, x=1.1))
     assert [m.pose.pose.position.x for m in outlet.on(POSED_POSE)] == [1.1]
     assert outlet.stamps(POSED_POSE) == [S]
     capture.on_image(image(2 * S))
-    capture.on_pose(pose(26 * S // 10, x=2.6))
+    capture.subscriptions[POSE](pose(26 * S // 10, x=2.6))
     assert outlet.stamps(POSED_POSE) == [S], "nobody is within half a second of it"
 
 
@@ -166,14 +166,14 @@ def test_image_waits_so_long_and_is_counted(capture_of: CaptureOf) -> None:
     capture.tick(0.6)
     assert health.dropped == {"no_pose": 1}
     assert f"image of stamp {S} ns has no pose (waited 2 s)" in health.last_error
-    capture.on_pose(pose(S))
-    capture.on_pose(pose(2 * S))
+    capture.subscriptions[POSE](pose(S))
+    capture.subscriptions[POSE](pose(2 * S))
     assert outlet.stamps(POSED_IMAGE) == [2 * S]
 
 
 def test_without_calibration_that_is_the_cause(capture_of: CaptureOf) -> None:
     capture, _, health = capture_of(max_wait=1.0)
-    capture.on_pose(pose(S))
+    capture.subscriptions[POSE](pose(S))
     capture.on_image(image(S))
     capture.tick(1.1)
     assert health.dropped == {"no_calibration": 1}
@@ -188,7 +188,7 @@ def test_oldest_goes_when_too_many_wait(capture_of: CaptureOf) -> None:
     capture.on_image(image(5 * S))
     assert health.dropped == {"no_pose": 1}
     for stamp in range(2, 6):
-        capture.on_pose(pose(stamp * S))
+        capture.subscriptions[POSE](pose(stamp * S))
     assert outlet.stamps(POSED_IMAGE) == [3 * S, 4 * S, 5 * S]
 
 
@@ -205,7 +205,7 @@ def test_duplicates_and_disorder(capture_of: CaptureOf) -> None:
     capture, outlet, health = capture_of()
     capture.on_camera_info(info(0))
     for stamp in (2 * S, S, 2 * S, 3 * S):
-        capture.on_pose(pose(stamp))
+        capture.subscriptions[POSE](pose(stamp))
         capture.on_image(image(stamp))
     assert outlet.stamps(POSED_IMAGE) == [2 * S, S, 3 * S]
     assert health.dropped == {"duplicate": 1}
@@ -215,7 +215,7 @@ def test_duplicates_and_disorder(capture_of: CaptureOf) -> None:
 def test_broken_image_does_not_hold_back_the_others(capture_of: CaptureOf) -> None:
     capture, outlet, health = capture_of()
     for stamp in (S, 2 * S, 3 * S, 4 * S):
-        capture.on_pose(pose(stamp))
+        capture.subscriptions[POSE](pose(stamp))
         capture.on_image(image(stamp, b"garbage" if stamp in (S, 3 * S) else None))
     with pytest.raises(ImageError, match="neither jpeg nor png"):
         capture.on_camera_info(info(0))
@@ -232,12 +232,12 @@ def test_bad_parts_are_refused_and_leave_nothing(capture_of: CaptureOf) -> None:
     bad_pose.pose.pose.position.y = float("nan")
     bad_info.k[0] = 0.0
     with pytest.raises(PoseError):
-        capture.on_pose(bad_pose)
+        capture.subscriptions[POSE](bad_pose)
     with pytest.raises(CameraError, match="uncalibrated"):
         capture.on_camera_info(bad_info)
     capture.on_image(image(S))
     assert outlet.sent == []
-    capture.on_pose(pose(S))
+    capture.subscriptions[POSE](pose(S))
     with pytest.raises(ImageError, match="image of eye is 12 x 7 pixels, its calibration is for 13 x 7"):
         capture.on_camera_info(camera_to_msg(Camera.from_fov(13, 7, 50.0), S, "x"))
     assert outlet.sent == []
@@ -286,7 +286,7 @@ FUSE = "/ridge/eye/topodepth"
 def offered(capture: Capture, *stamps: int) -> None:
     capture.on_camera_info(info(0))
     for stamp in stamps:
-        capture.on_pose(pose(stamp))
+        capture.subscriptions[POSE](pose(stamp))
         capture.on_image(image(stamp))
 
 
@@ -319,7 +319,7 @@ def test_what_is_no_image_of_the_camera_takes_no_place_at_the_door(capture_of: C
     capture, outlet, health = capture_of()
     outlet.working = {FUSE}
     offered(capture, S, 2 * S, 3 * S)
-    capture.on_pose(pose(4 * S))
+    capture.subscriptions[POSE](pose(4 * S))
     with pytest.raises(ImageError):
         capture.on_image(image(4 * S, b"garbage"))
     capture.on_finished(make_header(S, FUSE))
@@ -336,7 +336,7 @@ def posed_covariances(capture: Capture, outlet: Kept, *matrices: Any) -> list[An
     for number, matrix in enumerate(matrices, start=1):
         message = pose(number * S)
         message.pose.covariance = np.asarray(matrix, np.float64).ravel()
-        capture.on_pose(message)
+        capture.subscriptions[POSE](message)
         capture.on_image(image(number * S))
     return [message.pose.covariance.reshape(6, 6) for message in outlet.on(POSED_POSE)]
 
@@ -391,7 +391,7 @@ def test_images_that_state_too_many_pixels_are_not_decoded(
         grey.save(buffer, kind)
         bomb = image(number * S, buffer.getvalue())
         capture.on_camera_info(info(0))
-        capture.on_pose(pose(number * S))
+        capture.subscriptions[POSE](pose(number * S))
         before = grown()
         capture.on_image(bomb)
         assert grown() - before < 40 << 20, "decoded by another way: 79 MB"
@@ -421,7 +421,7 @@ def test_images_of_another_size_are_not_decoded(capture_of: CaptureOf, monkeypat
     capture, _, _ = capture_of()
     refuse_to_decode(monkeypatch)
     capture.on_camera_info(camera_to_msg(Camera.from_fov(13, 7, 50.0), S, "x"))
-    capture.on_pose(pose(S))
+    capture.subscriptions[POSE](pose(S))
     with pytest.raises(ImageError, match="12 x 7 pixels, its calibration is for 13 x 7"):
         capture.on_image(image(S))
 
@@ -431,7 +431,7 @@ def test_calibrations_of_too_many_pixels_are_dropped(capture_of: CaptureOf) -> N
     capture.on_camera_info(camera_to_msg(Camera.from_fov(12_000, 9_000, 50.0), S, "x"))
     assert health.dropped == {"too_large": 1}
     assert "camera_info of 12000 x 9000 pixels" in health.last_error
-    capture.on_pose(pose(S))
+    capture.subscriptions[POSE](pose(S))
     capture.on_image(image(S))
     capture.finish()
     assert health.dropped == {"too_large": 1, "no_calibration": 1}

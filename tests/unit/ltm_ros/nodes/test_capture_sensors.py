@@ -78,8 +78,8 @@ def capture(tmp_path: Path, sensors: dict[str, Any], **camera: Any) -> tuple[Cap
 
 def feed(node: Capture, attitude: Any) -> None:
     node.on_camera_info(info())
-    node.on_fix(fix())
-    node.on_imu(attitude)
+    node.subscriptions[FIX](fix())
+    node.subscriptions[IMU](attitude)
     node.on_image(photo())
 
 
@@ -100,12 +100,12 @@ def test_a_phones_image_is_posed_by_the_nearest_attitude_and_the_last_fix(
     assert POSE not in node.subscriptions
     mount = phone_camera(0.0 if portrait else 90.0)
     node.on_camera_info(info(portrait))
-    node.on_fix(fix(STAMP - S))
-    node.on_fix(fix(STAMP - 5 * S, lon=LON + 0.01))
-    node.on_imu(imu(STAMP - S // 50, (200.0, 0.0, 0.0), mount))
+    node.subscriptions[FIX](fix(STAMP - S))
+    node.subscriptions[FIX](fix(STAMP - 5 * S, lon=LON + 0.01))
+    node.subscriptions[IMU](imu(STAMP - S // 50, (200.0, 0.0, 0.0), mount))
     node.on_image(photo(STAMP, portrait, raw))
     assert outlet.on(POSED_IMAGE) == []  # a nearer attitude may be on its way
-    node.on_imu(imu(STAMP + S // 100, SEEN, mount))
+    node.subscriptions[IMU](imu(STAMP + S // 100, SEEN, mount))
     pose, covariance = sent(outlet)
     x, y = (float(v) for v in FRAME.from_lonlat(LON, LAT))
     np.testing.assert_allclose(pose.position, [x, y, GROUND + 1.6], atol=0.01)
@@ -128,8 +128,8 @@ def test_what_the_messages_state_of_their_errors_goes_on(tmp_path: Path) -> None
     turn = imu(STAMP)
     turn.orientation_covariance = np.diag([0.0004, 0.0001, 0.01]).ravel()
     node.on_camera_info(info())
-    node.on_fix(fix(variances=(4.0, 6.0, 64.0)))
-    node.on_imu(turn)
+    node.subscriptions[FIX](fix(variances=(4.0, 6.0, 64.0)))
+    node.subscriptions[IMU](turn)
     node.on_image(photo())
     pose, covariance = sent(outlet)
     assert pose.position[2] == pytest.approx(GROUND + 9.0)
@@ -187,11 +187,11 @@ def test_an_altitude_under_the_ground_is_not_believed(tmp_path: Path) -> None:
 def test_fixes_that_are_none_are_refused(tmp_path: Path, fields: dict[str, Any], complaint: str) -> None:
     node, _, _ = capture(tmp_path, TRUE)
     with pytest.raises(PoseError, match=complaint):
-        node.on_fix(fix(**fields))
+        node.subscriptions[FIX](fix(**fields))
     lost = fix()
     lost.status.status = -1
     with pytest.raises(PoseError, match="no fix"):
-        node.on_fix(lost)
+        node.subscriptions[FIX](lost)
 
 
 def test_attitudes_that_are_none_are_refused(tmp_path: Path) -> None:
@@ -200,16 +200,16 @@ def test_attitudes_that_are_none_are_refused(tmp_path: Path) -> None:
     none.orientation_covariance[0] = -1.0
     unset.orientation.w = unset.orientation.x = unset.orientation.y = unset.orientation.z = 0.0
     with pytest.raises(PoseError, match="holds no orientation"):
-        node.on_imu(none)
+        node.subscriptions[IMU](none)
     with pytest.raises(PoseError, match="unit quaternion"):
-        node.on_imu(unset)
+        node.subscriptions[IMU](unset)
 
 
 def test_an_image_far_from_its_fix_is_told_with_both_times(tmp_path: Path) -> None:
     node, _, _ = capture(tmp_path, TRUE)
     node.on_camera_info(info())
-    node.on_fix(fix(STAMP - 60 * S))
-    node.on_imu(imu(STAMP))
+    node.subscriptions[FIX](fix(STAMP - 60 * S))
+    node.subscriptions[IMU](imu(STAMP))
     with pytest.raises(PoseError, match=r"the nearest fix is -60\.00 s from the image"):
         node.on_image(photo())
 
@@ -219,9 +219,9 @@ def test_an_image_without_fix_or_attitude_is_given_up_by_name(tmp_path: Path) ->
         node, _, health = capture(tmp_path, TRUE)
         node.on_camera_info(info())
         if given == "fix":
-            node.on_fix(fix())
+            node.subscriptions[FIX](fix())
         else:
-            node.on_imu(imu(STAMP))
+            node.subscriptions[IMU](imu(STAMP))
         node.on_image(photo())
         node.finish()
         assert health.dropped == {"no_pose": 1}
@@ -231,8 +231,8 @@ def test_an_image_without_fix_or_attitude_is_given_up_by_name(tmp_path: Path) ->
 def test_a_place_beside_the_dem_needs_the_geoid(tmp_path: Path) -> None:
     node, _, _ = capture(tmp_path, TRUE)
     node.on_camera_info(info())
-    node.on_fix(fix(lon=LON + 0.2))
-    node.on_imu(imu(STAMP))
+    node.subscriptions[FIX](fix(lon=LON + 0.2))
+    node.subscriptions[IMU](imu(STAMP))
     with pytest.raises(PoseError, match="geoid_undulation"):
         node.on_image(photo())
 

@@ -1,0 +1,131 @@
+"""Measures `ltm reprocess` on a simulated month: one map on all ways, and what a sample of its frames costs the map."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
+from ltm_core.raster.tile_store import TileStore
+from ltm_core.site_io import load_site
+from ltm_core.types import BoolArray, Int16Array
+from ltm_ros.archive.engine import Engine, on_workers, serial
+from ltm_ros.archive.reduction import store_digest
+from ltm_ros.archive.run import ArchiveOptions, look_through, run
+from ltm_ros.archive.sampling import Sample
+from ltm_ros.bench.archive import Way
+from ltm_ros.bench.simulated_month import Month, write_month
+from ltm_ros.fuel_map.source import FuelSource
+from ltm_ros.replay.run import ReplayOptions, run_offline
+
+SAMPLES = ("4/day", "8/day")
+"""What is wanted holds of the first."""
+
+
+@dataclass(frozen=True)
+class SampleCost:
+    """What a sample costs the map: the frames that it takes, and why it did not take others; the cells whose code is
+    another one by it, of those that all frames see; the share of the seen felled cells that have changed."""
+
+    sample: str
+    frames: int
+    passed_over: dict[str, int]
+    different: int
+    felled_found: float
+
+
+@dataclass(frozen=True)
+class MonthBench:
+    """`ways`: to the map without burns, which a replay is not told of; `burned_ways`: to that with them.
+
+    `seen`: cells that all frames see; `felled_found`: share of the seen felled cells that have changed. `page`: the
+    maps through time.
+    """
+
+    frames: int
+    ways: tuple[Way, ...]
+    burned_ways: tuple[Way, ...]
+    seen: int
+    felled_found: float
+    samples: tuple[SampleCost, ...]
+    page: str
+
+    @property
+    def holds(self) -> bool:
+        """One digest of each, and a thousandth of the codes at most another by the first sample."""
+        one = all(len({way.digest for way in ways}) == 1 for ways in (self.ways, self.burned_ways))
+        return one and self.samples[0].different <= 0.001 * self.seen
+
+
+def measure_month(folder: Path, days: int, said: Callable[[str], None]) -> MonthBench:
+    """In an empty `folder`."""
+    month = write_month(folder, said, days)
+    options = ArchiveOptions(month.bags, month.site, str(folder / "all"))
+    burned = replace(options, burns=month.burns)
+    said("all frames, serial")
+    ways = [_way("serial, a day a task", options, serial)]
+    said("all frames, two workers")
+    apart = replace(options, out=str(folder / "apart"), frames_per_task=10)
+    ways.append(_way("2 workers, 10 frames a task", apart, on_workers(2)))
+    said("offline replay")
+    ways.append(_replayed(month, folder / "replay"))
+    said("burns")
+    burned_ways = [
+        _way("serial, a day a task, burns told", burned, serial),
+        _way("serial, 10 frames a task, burns told", replace(apart, burns=month.burns), serial),
+    ]
+    codes, seen, changed = _codes(month, Path(burned.out))
+    felled, samples = month.felled & seen, []
+    for sample in SAMPLES:
+        said(sample)
+        few = replace(burned, out=str(folder / sample.replace("/", "_a_")), sample=Sample.parsed(sample))
+        planned = look_through(few, _quiet)
+        run(planned, serial, _quiet)
+        others, _, also = _codes(month, Path(few.out))
+        different, found = int((codes != others)[seen].sum()), float(also[felled].mean())
+        samples.append(SampleCost(sample, len(planned.frames), dict(planned.passed_over), different, found))
+    return MonthBench(
+        month.frames,
+        tuple(ways),
+        tuple(burned_ways),
+        int(seen.sum()),
+        float(changed[felled].mean()),
+        tuple(samples),
+        str(folder / "all/maps/index.html"),
+    )
+
+
+def _way(name: str, options: ArchiveOptions, engine: Engine) -> Way:
+    begin, cpu = time.perf_counter(), time.process_time()
+    found = run(look_through(options, _quiet), engine, _quiet)
+    return Way(name, found.digest, found.worked, time.perf_counter() - begin, time.process_time() - cpu)
+
+
+def _replayed(month: Month, state: Path) -> Way:
+    state.mkdir()
+    begin, cpu = time.perf_counter(), time.process_time()
+    for bag in month.bags:
+        run_offline(bag, month.site, ReplayOptions(state=state), _quiet)
+    spent = time.perf_counter() - begin, time.process_time() - cpu
+    with TileStore.open_read_only(state / STORE_FILE, STORE_KIND) as store:
+        return Way("offline replay", store_digest(store), store.frame_count(), *spent)
+
+
+def _codes(month: Month, out: Path) -> tuple[Int16Array, BoolArray, BoolArray]:
+    """Codes of a map, where there is evidence or it burned, and where it is not the prior's; on the world's grid."""
+    with FuelSource.open(out / STORE_FILE, load_site(month.site)) as map_:
+        layers = map_.layers
+        touched = (layers.evidence > 0) | (layers.last_seen > 0)
+        shape = month.felled.shape
+        grid = map_.geometry
+    site = load_site(month.site)
+    top = round((grid.y_max - site.frame.y_origin - month.grid.y_max) / grid.resolution)
+    left = round((month.grid.x_min - grid.x_min + site.frame.x_origin) / grid.resolution)
+    part = slice(top, top + shape[0]), slice(left, left + shape[1])
+    return layers.code[part], touched[part], layers.changed[part]
+
+
+def _quiet(done: int, total: int) -> None:
+    """Nobody watches."""

@@ -1,0 +1,66 @@
+"""The simulated month and what is measured on it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+from scenes.small_site import FRAMES, write_small_site
+
+from ltm_ros.archive.run import ArchiveOptions, look_through
+from ltm_ros.bench.archive import Way
+from ltm_ros.bench.archive_month import MonthBench, SampleCost, measure_month
+from ltm_ros.bench.archive_worker import engine_cost, worker_cost
+from ltm_ros.bench.colour_network import write_colour_network
+
+COLOURS = {"sky": (200, 210, 235), "soil": (175, 160, 150), "tree": (35, 75, 35)}
+
+
+def test_the_network_reads_the_nearest_colour(tmp_path: Path) -> None:
+    write_colour_network(tmp_path, COLOURS, {"sky": "sky", "soil": "bare", "tree": "tree"}, (8, 4))
+    picture = np.zeros((1, 3, 4, 8), np.float32)
+    picture[..., :4] = (np.array(COLOURS["tree"]) + 12)[:, None, None] / 255
+    picture[..., 4:] = (np.array(COLOURS["soil"]) - 15)[:, None, None] / 255
+    (scores,) = onnxruntime.InferenceSession(str(tmp_path / "colours.onnx")).run(None, {"image": picture})
+    assert scores.argmax(axis=1)[0].tolist() == [[2, 2, 1, 1]] * 2
+
+
+def bench(different: int, *digests: str) -> MonthBench:
+    ways = tuple(Way("a way", digest, 1, 0.0, 0.0) for digest in digests)
+    samples = SampleCost("4/day", 4, {}, different, 1.0), SampleCost("8/day", 8, {}, 900, 1.0)
+    return MonthBench(9, ways, ways[:1], 2000, 1.0, samples, "")
+
+
+def test_what_holds() -> None:
+    assert bench(2, "a", "a").holds
+    assert not bench(3, "a", "a").holds
+    assert not bench(0, "a", "b").holds
+
+
+@pytest.mark.slow
+def test_a_drawn_day_gives_one_map_on_all_ways(tmp_path: Path) -> None:
+    found = measure_month(tmp_path, 1, lambda words: None)
+    assert found.frames == 48
+    assert {len({way.digest for way in ways}) for ways in (found.ways, found.burned_ways)} == {1}
+    assert [one.sample for one in found.samples] == ["4/day", "8/day"]
+    # A day of UTC has parts of two days of the sun.
+    assert 6 <= found.samples[0].frames <= 16
+    assert found.samples[0].frames < found.samples[1].frames <= 32
+    assert Path(found.page).is_file()
+
+
+@pytest.mark.slow
+def test_what_a_worker_and_the_engine_cost(tmp_path: Path) -> None:
+    small_site = write_small_site(tmp_path)
+    planned = look_through(
+        ArchiveOptions((small_site.bag,), small_site.path, str(tmp_path / "out")), lambda done, total: None
+    )
+    found = worker_cost(planned.tasks, planned.settings)
+    assert found.to_votes_s > 0
+    assert len(list((tmp_path / "out/evidence").iterdir())) == len(planned.tasks) == 2
+    assert sum(len(task.frames) for task in planned.tasks) == 2 * FRAMES
+    spent = engine_cost(40, replace(planned.settings, code="another"))
+    assert (spent.tasks, spent.each_ms > 0) == (40, True)
