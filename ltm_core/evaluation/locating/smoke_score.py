@@ -25,6 +25,8 @@ NEAREST, FARTHEST = 800.0, 10_000.0
 """Metres from a tower to smoke."""
 _WIDE, _APART, _TOGETHER = 30.0, 15.0, 5.0
 """Degrees at the foot: two cameras that cross well, three that are told apart, two from one direction."""
+TURNED_DEG = 2.0
+"""By which a camera is turned without anybody's knowledge."""
 _BESIDE = 60.0, 160.0
 """Metres between two towers that look from one direction."""
 
@@ -46,7 +48,8 @@ class Trial:
     likeliest place. `range`: mean of the cameras'. `hidden`: metres of
     the plume that the camera that sees it best does not see. `densest`: the share of the densest region that the truth
     lies at the edge of. `in_50`, `in_95`: whether the ellipses hold it. `major`, `minor`: half axes of the 95 % one.
-    `named`: the camera taken for wrong. `unlocated`: why there is no answer.
+    `named`: the camera taken for wrong. `blur_deg`: of the camera that is turned, sigma of what its mark's azimuth leaves
+    open of the foot's, by the pose and the plume's drift. `unlocated`: why there is no answer.
     """
 
     site: str
@@ -67,6 +70,7 @@ class Trial:
     wrong: str
     milliseconds: float
     unlocated: str = ""
+    blur_deg: float = math.nan
 
     def row(self) -> dict[str, Any]:
         """For JSON."""
@@ -98,7 +102,7 @@ def smoke_trials(
             if views is None:
                 continue
             wrong = int(rng.integers(len(views))) if case is Case.TURNED else -1
-            turn = 2.0 * (1 if rng.uniform() < 0.5 else -1)
+            turn = TURNED_DEG * (1 if rng.uniform() < 0.5 else -1)
             marks = [
                 sighting(rng, f"camera_{k}", view, bend, errors, config, boxed, turn if k == wrong else 0.0)
                 for k, view in enumerate(views)
@@ -150,6 +154,11 @@ def _crossing(a: Float64Array, b: Float64Array, at: Float64Array) -> float:
     return min(angle, 180.0 - angle)
 
 
+def _blur_deg(view: SeenPlume, mark: Sighting, config: LocatingConfig) -> float:
+    pose = math.degrees(math.sqrt(float(mark.covariance[5, 5])))
+    return math.hypot(pose, math.degrees(config.plume_lean * view.hidden / view.range))
+
+
 def _score(
     site: str,
     case: Case,
@@ -171,6 +180,7 @@ def _score(
         *(math.nan, math.nan, 1.0, False, False, math.nan, math.nan, 0, True, ""),
         f"camera_{wrong}" if wrong >= 0 else "",
         math.nan,
+        blur_deg=_blur_deg(views[wrong], marks[wrong], locator.config) if wrong >= 0 else math.nan,
     )
     try:
         location = locator.locate(marks, smoke=True)
