@@ -48,8 +48,8 @@ class Trial:
     likeliest place. `range`: mean of the cameras'. `hidden`: metres of
     the plume that the camera that sees it best does not see. `densest`: the share of the densest region that the truth
     lies at the edge of. `in_50`, `in_95`: whether the ellipses hold it. `major`, `minor`: half axes of the 95 % one.
-    `named`: the camera taken for wrong. `blur_deg`: of the camera that is turned, sigma of what its mark's azimuth leaves
-    open of the foot's, by the pose and the plume's drift. `unlocated`: why there is no answer.
+    `named`: the camera taken for wrong. `blur_deg`: of the camera that is turned, sigma of what its mark's azimuth
+    leaves open of the foot's, by the pose and the plume's drift. `unlocated`: why there is no answer.
     """
 
     site: str
