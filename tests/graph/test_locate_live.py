@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.stamp import make_header
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
+from ltm_ros.runtime.handler import Topic
 from ltm_ros.runtime.topics import (
     LOCATE_ESTIMATE,
     LOCATE_FUSED,
@@ -29,7 +32,6 @@ from ltm_ros.runtime.topics import (
     LOCATE_TRACKS,
     POSED_CAMERA_INFO,
     POSED_POSE,
-    Topic,
     camera_topic,
     site_topic,
 )
@@ -39,7 +41,6 @@ pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("kernels")]
 SITE = "hollow"
 FIRE = np.array([-100.0, 2480.0, 64.0])
 TOWERS = {"north": (-900.0, 1300.0, 180.0), "east": (1200.0, 1700.0, 190.0)}
-BEGIN = 1_700_000_000_000_000_000
 SECOND = 1_000_000_000
 NODE = f"/{SITE}/locate"
 
@@ -69,6 +70,7 @@ def of(camera: str, topic: Topic) -> str:
 
 def test_marks_of_two_cameras_become_one_place(ros_domain: int, tmp_path: Path) -> None:
     path = write_site(tmp_path)
+    begin = time.time_ns() - 10 * SECOND  # stamps of long ago are refused
     whole = describe(load_site(path), path)
     graph = Graph(SITE, (whole.node("locate"),))
     seen = {name: sighting(name, tower, FIRE, 0.05) for name, tower in TOWERS.items()}
@@ -92,46 +94,40 @@ def test_marks_of_two_cameras_become_one_place(ros_domain: int, tmp_path: Path) 
             message.polygon.points = [Point32(x=x, y=y, z=0.0) for x, y in corners]
             return message
 
-        def properties(name: str) -> dict:
+        def properties(name: str) -> Any:
             return json.loads(bystander.heard[of(name, LOCATE_GEOJSON)][-1].data)["features"][0]["properties"]
 
         # Nothing is known of the camera yet, then a frame that is not its own: told, and the node lives.
-        bystander.send(of("north", LOCATE_REGION), mark("north", BEGIN))
+        bystander.send(of("north", LOCATE_REGION), mark("north", begin))
         wait_for(lambda: bystander.count(NODE, "dropped") >= 1, "the region without a pose to be counted")
-        bystander.send(of("north", LOCATE_REGION), mark("north", BEGIN, frame="map"))
+        bystander.send(of("north", LOCATE_REGION), mark("north", begin, frame="map"))
         wait_for(lambda: bystander.count(NODE, "dropped") >= 2, "the region in another frame to be counted")
 
-        for name, each in seen.items():
-            info = camera_to_msg(CAMERA, BEGIN, f"{name}_optical")
-            bystander.send(of(name, POSED_CAMERA_INFO), info)
-            bystander.send(of(name, POSED_POSE), pose_to_msg(each.pose, BEGIN, covariance=each.covariance))
+        def pose(name: str) -> None:
+            bystander.send(of(name, POSED_CAMERA_INFO), camera_to_msg(CAMERA, begin, f"{name}_optical"))
+            bystander.send(of(name, POSED_POSE), pose_to_msg(seen[name].pose, begin, covariance=seen[name].covariance))
 
-        # Pose and region come on different topics, in any order: a mark is sent again until its pose is there.
-        def located(name: str, stamp: int) -> bool:
+        # Pose and mark come on different topics, in any order, and may be lost: sent again until there is an answer.
+        def located(name: str, stamp: int, topic: Topic, message: PolygonStamped | PointStamped) -> bool:
             if stamp in bystander.stamps(of(name, LOCATE_ESTIMATE)):
                 return True
-            bystander.send(of(name, LOCATE_REGION), mark(name, stamp))
+            pose(name)
+            bystander.send(of(name, topic), message)
             return False
 
-        wait_for(lambda: located("north", BEGIN), "an estimate of north")
-        alone = bystander.wait_for_stamp(of("north", LOCATE_ESTIMATE), BEGIN)
+        wait_for(lambda: located("north", begin, LOCATE_REGION, mark("north", begin)), "an estimate of north")
+        alone = bystander.wait_for_stamp(of("north", LOCATE_ESTIMATE), begin)
         assert alone.header.frame_id == "map"
         wait_for(lambda: bystander.heard[of("north", LOCATE_GEOJSON)], "its GeoJSON")
         assert properties("north")["source"] == "detector"
         assert properties("north")["track"] == 1
 
         # A person's point in the other camera's picture enters the same track.
-        stamp = BEGIN + SECOND
+        stamp = begin + SECOND
         point = PointStamped(header=make_header(stamp, "east_optical"))
         point.point.x, point.point.y = (float(x) for x in seen["east"].mark.pixels[0])
 
-        def pinned() -> bool:
-            if stamp in bystander.stamps(of("east", LOCATE_ESTIMATE)):
-                return True
-            bystander.send(of("east", LOCATE_POINT), point)
-            return False
-
-        wait_for(pinned, "an estimate of east")
+        wait_for(lambda: located("east", stamp, LOCATE_POINT, point), "an estimate of east")
         both = bystander.wait_for_stamp(fused, stamp)
         place = both.pose.pose.position
         assert (place.x, place.y) == pytest.approx(tuple(FIRE[:2]), abs=15)
@@ -142,7 +138,7 @@ def test_marks_of_two_cameras_become_one_place(ros_domain: int, tmp_path: Path) 
         assert properties("east")["source"] == "person"
         assert properties("east")["track"] == 1
 
-        def told() -> dict:
+        def told() -> Any:
             newest = json.loads(bystander.heard[tracks][-1].data)["features"]
             return newest[0]["properties"] if newest else {}
 

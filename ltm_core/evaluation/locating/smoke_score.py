@@ -48,8 +48,7 @@ class Trial:
     likeliest place. `range`: mean of the cameras'. `hidden`: metres of
     the plume that the camera that sees it best does not see. `densest`: the share of the densest region that the truth
     lies at the edge of. `in_50`, `in_95`: whether the ellipses hold it. `major`, `minor`: half axes of the 95 % one.
-    `named`: the camera taken for wrong. `blur_deg`: of the camera that is turned, sigma of what its mark's azimuth
-    leaves open of the foot's, by the pose and the plume's drift. `unlocated`: why there is no answer.
+    `named`: the camera taken for wrong. `unlocated`: why there is no answer.
     """
 
     site: str
@@ -70,7 +69,6 @@ class Trial:
     wrong: str
     milliseconds: float
     unlocated: str = ""
-    blur_deg: float = math.nan
 
     def row(self) -> dict[str, Any]:
         """For JSON."""
@@ -154,11 +152,6 @@ def _crossing(a: Float64Array, b: Float64Array, at: Float64Array) -> float:
     return min(angle, 180.0 - angle)
 
 
-def _blur_deg(view: SeenPlume, mark: Sighting, config: LocatingConfig) -> float:
-    pose = math.degrees(math.sqrt(float(mark.covariance[5, 5])))
-    return math.hypot(pose, math.degrees(config.plume_lean * view.hidden / view.range))
-
-
 def _score(
     site: str,
     case: Case,
@@ -180,7 +173,6 @@ def _score(
         *(math.nan, math.nan, 1.0, False, False, math.nan, math.nan, 0, True, ""),
         f"camera_{wrong}" if wrong >= 0 else "",
         math.nan,
-        blur_deg=_blur_deg(views[wrong], marks[wrong], locator.config) if wrong >= 0 else math.nan,
     )
     try:
         location = locator.locate(marks, smoke=True)

@@ -9,10 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ltm_core.evaluation.locating.smoke_score import TURNED_DEG, Trial
-
-TOLD_DEG = TURNED_DEG / 3
-"""Sigma of an azimuth up to which a camera that is turned can be told at all."""
+from ltm_core.evaluation.locating.smoke_score import Trial
 
 
 @dataclass(frozen=True)
@@ -20,8 +17,7 @@ class SmokeSummary:
     """Of trials of one kind. Shares are of all, an answer that was refused counts as a miss; errors are of those with
     one. `densest_50`, `densest_95`: how often the densest region held the foot; `ellipse_50`, `ellipse_95`: an ellipse.
     `long`: median half axis of the 95 % ellipse. `agreed`: cameras that were taken for agreeing. `named`: the wrong
-    camera was named; `tellable`: share of wrong cameras that are turned by three sigmas of what their mark leaves open
-    or more, `named_tellable`: of these were named; `slandered`: one that was not wrong.
+    camera was named; `slandered`: one that was not wrong.
     """
 
     count: int
@@ -40,8 +36,6 @@ class SmokeSummary:
     short: float
     agreed: float
     named: float
-    tellable: float
-    named_tellable: float
     slandered: float
     milliseconds: float
 
@@ -76,8 +70,6 @@ class SmokeSummary:
             middle([trial.minor for trial in found]),
             share([trial.agreed for trial in found]),
             share([trial.named == trial.wrong for trial in turned]),
-            share([trial.blur_deg <= TOLD_DEG for trial in turned]),
-            share([trial.named == trial.wrong for trial in turned if trial.blur_deg <= TOLD_DEG]),
             share([bool(trial.named) and trial.named != trial.wrong for trial in trials]),
             middle([trial.milliseconds for trial in found]),
         )
