@@ -17,6 +17,8 @@ from ltm_core.types import Float32Array, Float64Array, Int64Array, UInt8Array
 
 CRESTS = 6
 """Crests that are kept of a ray: those that may be the highest."""
+_STRETCH = 0.01
+"""Of the range: samples so near each other count as erring alike, however fine the raster."""
 _SPARSE = 4
 """Of so many samples of which it is not sure whether their ground is seen, for one the chance is worked out."""
 FOREGROUND = 15.0
@@ -126,7 +128,7 @@ def smoke_along(
                     top, surely = max(top, mu1), max(surely, mu1 - reach)
                     count, stale = _add_crest(mu, var, knot, count, mu1, var1, knot1, top), True
                 mu1, var1, knot1 = mu0, var0, knot0
-                mu0, var0, score0, knot0, end0 = slope, own, score, knots[k], r + apart[level]
+                mu0, var0, score0, knot0, end0 = slope, own, score, knots[k], r + max(apart[level], _STRETCH * r)
             elif score > score0:
                 mu0, var0, score0, knot0 = slope, own, score, knots[k]
             edge, edge_var, edge_knot = slope, own, knots[k]
