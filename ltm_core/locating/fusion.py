@@ -31,12 +31,14 @@ _SHRINKS = 0.5
 class Fused:
     """On one raster, (H, W) each. `misfit`: T (see `locator`), +inf where a camera excludes a cell. `weight`: density
     of the posterior. `lift`: metres above ground from which the camera that sees least of a cell sees something.
+    `log_evidence`: logarithm of the probability density of all marks, over all places; -inf where none is possible.
     """
 
     window: GridGeometry
     misfit: Float64Array
     weight: Float64Array
     lift: Float64Array
+    log_evidence: float
 
     @cached_property
     def least(self) -> float:
@@ -46,9 +48,9 @@ class Fused:
 def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Sequence[Sight] = ()) -> Fused:
     """All sights together, as finely as the places that they allow in common ask for.
 
-    `turned`: of a camera whose azimuth may be wrong: they count for the misfit, and by their slope alone.
+    `turned`: of a camera that is turned by nobody knows how much.
     """
-    shared = _shared(sights)
+    shared = _shared([*sights, *turned])
     supports = [terrain.support(sight) for sight in sights]
     window = _common_window([bounds for bounds, _ in supports], max(cell for _, cell in supports))
     found = _fused(terrain, sights, shared, window)
@@ -65,7 +67,7 @@ def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Seq
         wanted = max(_FINEST, extent / _SIDE)
         bounds = x_min, y_min, x_max, y_max
         closer = [terrain.look_closer(sight, bounds, wanted) for sight in sights]
-        others = [terrain.look_at_slope(sight, bounds, wanted) for sight in turned]
+        others = [terrain.look_turned(sight, bounds, wanted) for sight in turned]
         resolution = max(wanted, *(sight.cell for sight in (*closer, *others)))
         found = _fused(terrain, closer, shared, covering(bounds, resolution), others)
     return found
@@ -84,6 +86,8 @@ def _shared(sights: Sequence[Sight]) -> dict[str, float]:
 
 def mixture(parts: Sequence[Fused], shares: Sequence[float]) -> Fused:
     """Several posteriors of which one is true, on one raster."""
+    if len(parts) == 1:
+        return parts[0]
     bounds = np.array([part.window.bounds for part in parts])
     low, high = bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)
     resolution = max(max(part.window.resolution for part in parts), float((high - low).max()) / _SIDE)
@@ -100,7 +104,7 @@ def mixture(parts: Sequence[Fused], shares: Sequence[float]) -> Fused:
     with np.errstate(invalid="ignore", divide="ignore"):
         lift = np.where(weight > 0, lift / weight, 0.0)
     least = min(part.least for part in parts)
-    return Fused(window, np.where(weight > 0, least, np.inf), weight, lift)
+    return Fused(window, np.where(weight > 0, least, np.inf), weight, lift, -math.inf)
 
 
 def covering(bounds: Bounds, resolution: float) -> GridGeometry:
@@ -127,7 +131,7 @@ def _fused(
     by_camera: dict[str, list[SightRaster]] = {}
     positions: dict[str, Float64Array] = {}
     possible = np.ones(window.shape, np.bool_)
-    for sight in sights:
+    for sight in (*sights, *turned):
         raster = sight_raster(sight.fan, sight.likelihood, sight.position, window)
         by_camera.setdefault(sight.name, []).append(raster)
         positions[sight.name] = sight.position
@@ -135,23 +139,29 @@ def _fused(
     rows, cols = np.nonzero(possible)
     misfit, weight, lift = np.full(window.shape, np.inf), np.zeros(window.shape), np.zeros(window.shape)
     if not len(rows):
-        return Fused(window, misfit, weight, lift)
+        return Fused(window, misfit, weight, lift, -math.inf)
     x, y = window.to_map(rows, cols)
-    fit, density, raised = (np.zeros(len(rows)) for _ in range(3))
+    fit, density, evidence, raised = (np.zeros(len(rows)) for _ in range(4))
+    loose = {sight.name for sight in turned}
     for name, rasters in by_camera.items():
         part = 1 / (shared[name] * len(rasters))
         for raster in rasters:
             fit += np.log(np.maximum(raster.fit[rows, cols], 1e-30)) / len(rasters)
-            density += np.log(raster.density[rows, cols]) * part
-            raised = np.maximum(raised, raster.lift[rows, cols])
+            here = np.log(raster.density[rows, cols])
+            density += here * part
+            evidence += here / len(rasters)
+            if name not in loose:  # what it marks may be something else
+                raised = np.maximum(raised, raster.lift[rows, cols])
         squared = (x - positions[name][0]) ** 2 + (y - positions[name][1]) ** 2
-        density -= np.log1p(squared / terrain.config.detection_range**2) / shared[name]
-    for sight in turned:
-        raster = sight_raster(sight.fan, sight.likelihood, sight.position, window)
-        fit += np.log(np.maximum(raster.fit[rows, cols], 1e-30)) / len(turned)
+        noticed = np.log1p(squared / terrain.config.detection_range**2)
+        density -= noticed / shared[name]
+        evidence -= noticed
     rising = np.log(terrain.chance(raised))
     density += rising
+    evidence += rising
     misfit[rows, cols] = -2 * (fit + rising)
     weight[rows, cols] = np.exp(density - density.max())
     lift[rows, cols] = raised
-    return Fused(window, misfit, weight, lift)
+    greatest = float(evidence.max())
+    total = greatest + math.log(float(np.exp(evidence - greatest).sum()) * window.resolution**2)
+    return Fused(window, misfit, weight, lift, total)

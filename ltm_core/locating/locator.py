@@ -10,16 +10,19 @@ error: their densities are averaged (geometrically) and no number of them makes 
 look in one direction share what is wrong of the terrain model and of the plume: they too are averaged, the more so the
 smaller the angle between them, and those at right angles are multiplied.
 
-Whether cameras agree is judged at the best place. T = -2 log of S and of the densities there, each over the greatest
-that it could have. A camera that is wrong is most often turned, for mounts slip and encoders lose their zero about the
-vertical: then its slope still agrees with the right place, its azimuth does not. So T is found again with the azimuth
-of each camera let go; where that lowers it by more than chance would (one degree of freedom, Baarda's test of a network
-made for densities), the cameras disagree, and the least T tells which one is wrong. Two cameras tell no more than that
-one of them is.
+**Whether cameras agree** is judged by evidence: the integral of the right side above, that all are right, against that
+camera c is turned by an angle of which only a prior is known (`direction_table`, `sight_likelihood`), for every c.
+Mounts slip and encoders lose their zero about the vertical: the camera's slope still agrees with the right place, and
+how far it must be turned for each place says something too. The cameras disagree where the mean of these ratios is
+above `wrong_odds`. The shares of the ratios are then the probabilities of each camera to be the wrong one, and the
+answer is the mixture, by these, of what the others say without it. Two cameras tell no more than that one is wrong.
+
+`misfit` is T = -2 log of S and of the densities at the best place, each over the greatest that it could have.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -31,16 +34,22 @@ from ltm_core.errors import RegionError
 from ltm_core.locating.fusion import Fused, fused_closely, mixture
 from ltm_core.locating.posterior import Posterior
 from ltm_core.locating.settings import LocatingConfig
+from ltm_core.locating.sight_likelihood import OTHER_SLOPE
 from ltm_core.locating.sighting import LocatingTerrain, Sighting
+from ltm_core.types import Float64Array
 
 MOST_SIGHTINGS = 64
+_NEGLIGIBLE = 0.02
+"""Probability of a camera to be the wrong one below which the answer without it does not count."""
+_ELSEWHERE = 0.02 * OTHER_SLOPE / (2 * math.pi)
+"""Of one in fifty wrong cameras, which mark something else: density of their marks, in any azimuth."""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """`statistic`: T of all cameras; +inf where no place is possible for all. `limit`: of what one camera may cause.
-    `suspicion`: by camera, the probability that it is the wrong one, where they disagree; else empty. `wrong`: the one
-    that is named.
+    """`statistic`: logarithm of how much likelier the marks are where one camera is wrong than where none is; +inf
+    where no place is possible for all. `limit`: of it. `suspicion`: by camera, the probability that it is the wrong
+    one, where they disagree; else empty. `wrong`: the one that is named.
     """
 
     statistic: float
@@ -55,9 +64,9 @@ class Agreement:
 
 @dataclass(frozen=True, eq=False)
 class Location:
-    """`posterior`: in the map frame; of the cameras but the wrong one. `misfit`: T at the best place, of one camera's
-    sightings too. `agreement`: None where one camera has seen it. `lift`: metres above the ground from which the camera
-    that sees least of it sees smoke, mean over the posterior.
+    """`posterior`: in the map frame; where cameras disagree, without each by its probability to be wrong. `misfit`: T
+    at the best place, of one camera's sightings too. `agreement`: None where one camera has seen it. `lift`: metres
+    above the ground from which the camera that sees least of it sees smoke, mean over the posterior.
     """
 
     posterior: Posterior
@@ -99,29 +108,30 @@ class Locator:
         fused = fused_closely(terrain, sights)
         if len(names) == 1:
             return _location(fused, None)
-        limit = self.limit(len(names))
-        if fused.least <= limit:
-            return _location(fused, Agreement(fused.least, limit, {}, None))
+        limit = math.log(self.config.wrong_odds)
         parted = {
             name: ([s for s in sights if s.name != name], [s for s in sights if s.name == name]) for name in names
         }
-        misfits = [fused_closely(terrain, others, wrong).least for others, wrong in parted.values()]
-        if len(names) > 2 and fused.least - min(misfits) <= limit:
-            return _location(fused, Agreement(fused.least, limit, {}, None))
-        chances = _shares(misfits)
+        turned = [fused_closely(terrain, others, wrong) for others, wrong in parted.values()]
+        evidences = np.array([part.log_evidence for part in turned])
+        statistic = _log_mean(evidences) - fused.log_evidence if np.isfinite(fused.log_evidence) else math.inf
+        if not statistic > limit:
+            return _location(fused, Agreement(statistic, limit, {}, None))
+        # What a wrong camera marks may be another thing, in any direction.
+        without = [fused_closely(terrain, others) for others, _ in parted.values()]
+        elsewhere = np.array([part.log_evidence for part in without]) + math.log(_ELSEWHERE)
+        chances = _shares(np.logaddexp(evidences, elsewhere))
         suspicion = dict(zip(names, chances, strict=True))
         suspect = max(suspicion, key=lambda name: suspicion[name])
-        named = suspicion[suspect] >= self.config.sure_of_wrong and len(names) > 2
-        agreement = Agreement(fused.least, limit, suspicion, suspect if named else None)
-        if named:
-            return _location(fused_closely(terrain, parted[suspect][0]), agreement)
-        without = [fused_closely(terrain, others) for others, _ in parted.values()]
-        return _location(mixture(without, chances), agreement)
+        named = suspicion[suspect] > self.config.sure_of_wrong and len(names) > 2
+        agreement = Agreement(statistic, limit, suspicion, suspect if named else None)
+        likely = [k for k, chance in enumerate(chances) if chance >= _NEGLIGIBLE]
+        return _location(mixture([without[k] for k in likely], [chances[k] for k in likely]), agreement)
 
-    def limit(self, cameras: int) -> float:
-        """By how much T may fall when a camera's azimuth is let go, where all are right; of two cameras, T itself."""
-        share = self.config.false_alarm
-        return float(chdtri(1, share / cameras) if cameras > 2 else chdtri(2, share))
+    @property
+    def limit(self) -> float:
+        """Of the misfit of one camera's sightings of one thing."""
+        return float(chdtri(2, self.config.false_alarm))
 
 
 def _location(fused: Fused, agreement: Agreement | None) -> Location:
@@ -132,8 +142,14 @@ def _location(fused: Fused, agreement: Agreement | None) -> Location:
     return Location(posterior, fused.least, agreement, lift)
 
 
-def _shares(misfits: Sequence[float]) -> list[float]:
-    """Probabilities of hypotheses from their misfits."""
-    values = np.array([min(m, 1e6) for m in misfits])
-    weights = np.exp(-0.5 * (values - values.min()))
+def _shares(evidences: Float64Array) -> list[float]:
+    """Probabilities of hypotheses that are equally likely before; where nothing is possible under any, still equal."""
+    if not np.isfinite(evidences.max()):
+        return [1 / len(evidences)] * len(evidences)
+    weights = np.exp(evidences - evidences.max())
     return [float(w) for w in weights / weights.sum()]
+
+
+def _log_mean(values: Float64Array) -> float:
+    greatest = float(values.max())
+    return greatest + math.log(float(np.exp(values - greatest).mean())) if np.isfinite(greatest) else greatest

@@ -30,6 +30,8 @@ class LocatingConfig(StrictModel):
     focal_sigma: float = Field(0.002, ge=0)
     """Of the focal length, as a share."""
     false_alarm: float = Field(0.03, gt=0, lt=0.5)
-    """Share of agreeing sightings that are taken for disagreeing ones."""
-    sure_of_wrong: float = Field(0.6, gt=0.5, lt=1)
-    """Probability from which a camera is named as the wrong one."""
+    """Share of one camera's sightings of one thing that are taken for those of two."""
+    wrong_odds: float = Field(2.0, gt=0)
+    """How many times likelier marks must be with one camera wrong than with none, until cameras disagree."""
+    sure_of_wrong: float = Field(0.5, ge=0.5, lt=1)
+    """Probability above which a camera is named as the wrong one."""

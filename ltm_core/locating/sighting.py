@@ -10,17 +10,12 @@ import numpy as np
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import PoseError, RegionError
+from ltm_core.locating.direction_table import MOST_TURNED, DirectionTable, direction_table, turned_table
 from ltm_core.locating.directions import MarkedDirections, marked_directions
 from ltm_core.locating.region import Mark
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_fan import SightFan, sight_fan
-from ltm_core.locating.sight_likelihood import (
-    SightLikelihood,
-    direction_table,
-    level_errors,
-    sight_likelihood,
-    slope_table,
-)
+from ltm_core.locating.sight_likelihood import SightLikelihood, level_errors, sight_likelihood
 from ltm_core.pose import Pose
 from ltm_core.types import Float32Array, Float64Array
 from ltm_core.visibility.point_uncertainty import checked_covariance
@@ -36,8 +31,6 @@ _FIRST, _MOST = 40, 120
 """Azimuths of a fan at first, and at most when it is looked at closely."""
 _WING, _WINGS = math.radians(3.0), 12
 """How far a fan reaches on either side for what plumes drift, and its azimuths there."""
-_TURNED = math.radians(15.0)
-"""How far a camera may be turned without anybody's knowledge."""
 _CREST = 16
 """Azimuths over the mark in every fan for smoke: there it comes up, wherever its foot is."""
 _PER_CELL = 1.5
@@ -129,23 +122,20 @@ class LocatingTerrain:
         spacing = max((high - low) / (count - 1) * far, float(within.max(initial=0.0)))
         return self._sight(sight.sighting, sight.directions, fan, _PER_CELL * spacing)
 
-    def look_at_slope(self, sight: Sight, bounds: Bounds, resolution: float) -> Sight:
-        """As `look_closer`, of a camera whose azimuth is wrong by anything: what it marks agrees with any place that is
-        seen at the marked slope.
-        """
+    def look_turned(self, sight: Sight, bounds: Bounds, resolution: float) -> Sight:
+        """As `look_closer`, of a camera that is turned by nobody knows how much."""
         around = float(sight.directions.azimuth @ sight.directions.weights)
         low, high = _azimuths_of(sight.position, bounds, around)
-        low, high = max(low, around - _TURNED), min(high, around + _TURNED)
+        low, high = max(low, around - MOST_TURNED), min(high, around + MOST_TURNED)
         if high <= low:
-            low, high = around - _TURNED, around + _TURNED
+            low, high = around - MOST_TURNED, around + MOST_TURNED
         near, far = ranges_of(sight.position, bounds)
         far = min(far, float(sight.fan.ranges[-1]))
         count = int(np.clip(math.ceil(_PER_CELL * (high - low) * far / resolution) + 1, 16, _MOST))
         azimuths = np.linspace(low, high, count)
         fan = sight_fan(self.dem, sight.position, azimuths, max(far, 10.0), (near, far, resolution / _PER_CELL))
-        table = slope_table(sight.directions, count)
-        height = float(sight.position[2])
-        likelihood = sight_likelihood(fan, table, height, self.bend, *level_errors(self.dem, self.config), self.smoke)
+        table = turned_table(sight.directions, azimuths)
+        likelihood = self._likelihood(sight.sighting, fan, table, turned=True)
         return replace(sight, fan=fan, likelihood=likelihood, cell=_PER_CELL * (high - low) / (count - 1) * far)
 
     def chance(self, lift: Float64Array | Float32Array) -> Float64Array:
@@ -172,12 +162,17 @@ class LocatingTerrain:
 
     def _sight(self, sighting: Sighting, directions: MarkedDirections, fan: SightFan, cell: float) -> Sight:
         table = direction_table(directions, fan.azimuths, self._drifts)
-        variances, apart = level_errors(self.dem, self.config)
+        return Sight(sighting, directions, fan, self._likelihood(sighting, fan, table), cell)
+
+    def _likelihood(
+        self, sighting: Sighting, fan: SightFan, table: DirectionTable, turned: bool = False
+    ) -> SightLikelihood:
         height, lean = float(sighting.pose.position[2]), self.config.plume_lean
-        likelihood = sight_likelihood(fan, table, height, self.bend, variances, apart, self.smoke, lean)
+        errors = level_errors(self.dem, self.config)
+        found = sight_likelihood(fan, table, height, self.bend, *errors, self.smoke, lean, turned)
         near = fan.ranges < self.config.min_range
-        likelihood.density[:, near], likelihood.fit[:, near] = 0.0, 0.0
-        return Sight(sighting, directions, fan, likelihood, cell)
+        found.density[:, near], found.fit[:, near] = 0.0, 0.0
+        return found
 
     def _check(self, sight: Sight) -> None:
         """Raises RegionError where nothing on the ground explains the mark."""

@@ -92,7 +92,7 @@ class Tracks:
                 location = self.locator.locate([each.sighting for each in together], self.smoke)
             except RegionError:
                 continue
-            if _agree(location, self.locator.limit(2)):
+            if _agree(location, self.locator.limit):
                 if best is None or location.misfit < best[0]:
                     best = (location.misfit, track, location)
             elif location.agreement is not None and location.agreement.wrong is not None:

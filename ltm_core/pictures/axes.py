@@ -12,7 +12,7 @@ from ltm_core.pictures.legend import INK, PAPER
 from ltm_core.pictures.text import Anchor, draw_texts, text_width
 from ltm_core.types import RgbImage
 
-_STEPS = (1, 2, 5)
+_STEPS = (0.5, 1, 2, 5)  # the first for lengths that rounding puts just below a power of ten
 _LEAST_TICKS = 3
 
 

@@ -215,7 +215,8 @@ def _tell(said: Answer, scene: LocatingScene, console: Console) -> None:
     if agreement is not None and agreement.wrong is not None:
         sure = agreement.suspicion[agreement.wrong]
         console.print(
-            f"[yellow]The cameras disagree: {agreement.wrong} is wrong ({sure:.0%}); it was left out. Check its pose."
+            f"[yellow]The cameras disagree: {agreement.wrong} is wrong ({sure:.0%}) and is left out by as much. "
+            "Check its pose."
         )
     elif agreement is not None and not agreement.agree:
         shares = ", ".join(f"{camera} {share:.0%}" for camera, share in agreement.suspicion.items())

@@ -180,9 +180,12 @@ class Locate(Handler[LocateConfig]):
     def _publish_estimate(self, name: str, alone: Location, track: Track, source: str, stamp: int) -> None:
         said = self._said(alone)
         self.outlet.publish(self._of(name, LOCATE_ESTIMATE), _place_msg(said, stamp))
-        properties = {"camera": name, "source": source, "track": track.number, "stamp_ns": stamp}
-        collection = as_geojson(said, self._site.frame, properties)
-        self.outlet.publish(self._of(name, LOCATE_GEOJSON), String(data=json.dumps(collection)))
+
+        def collection() -> String:
+            properties = {"camera": name, "source": source, "track": track.number, "stamp_ns": stamp}
+            return String(data=json.dumps(as_geojson(said, self._site.frame, properties)))
+
+        self.outlet.provide(self._of(name, LOCATE_GEOJSON), stamp, collection)  # a String has no stamp of its own
 
     def _publish_fused(self, track: Track, stamp: int) -> None:
         self.outlet.publish(LOCATE_FUSED, _place_msg(self._said(track.location), stamp))

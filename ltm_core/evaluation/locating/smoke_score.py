@@ -25,6 +25,8 @@ NEAREST, FARTHEST = 800.0, 10_000.0
 """Metres from a tower to smoke."""
 _WIDE, _APART, _TOGETHER = 30.0, 15.0, 5.0
 """Degrees at the foot: two cameras that cross well, three that are told apart, two from one direction."""
+TURNED_DEG = 2.0
+"""By which a camera is turned without anybody's knowledge."""
 _BESIDE = 60.0, 160.0
 """Metres between two towers that look from one direction."""
 
@@ -98,7 +100,7 @@ def smoke_trials(
             if views is None:
                 continue
             wrong = int(rng.integers(len(views))) if case is Case.TURNED else -1
-            turn = 2.0 * (1 if rng.uniform() < 0.5 else -1)
+            turn = TURNED_DEG * (1 if rng.uniform() < 0.5 else -1)
             marks = [
                 sighting(rng, f"camera_{k}", view, bend, errors, config, boxed, turn if k == wrong else 0.0)
                 for k, view in enumerate(views)

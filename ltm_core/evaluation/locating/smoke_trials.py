@@ -23,6 +23,10 @@ CAMERA = Camera.from_fov(1920, 1080, 60.0)
 LEAST_HEIGHT = 15.0
 """Metres of a plume that must be seen, and pixels: a smaller one is not noticed."""
 LEAST_PIXELS = 8.0
+_SEEN = 0.5
+"""Metres below a line of sight that count as seen."""
+_BETWEEN = 17
+"""Heights at which the lowest visible part is looked for between two samples of the axis."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +48,11 @@ class Plume:
     def axis(self, count: int = 80) -> tuple[Float64Array, Float64Array]:
         """Heights above the foot, (count,), and the axis there, (count, 3)."""
         heights = np.concatenate([[0.0], np.geomspace(0.5, self.height, count - 1)])
-        points = self.foot + heights[:, None] * np.array([self.lean[0], self.lean[1], 1.0])
-        return heights, points
+        return heights, self.at(heights)
+
+    def at(self, heights: Float64Array) -> Float64Array:
+        """The axis at heights above the foot (N,), (N, 3)."""
+        return np.asarray(self.foot + heights[:, None] * np.array([self.lean[0], self.lean[1], 1.0]), np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,14 +89,21 @@ def seen_plume(sight: PointVisibility, plume: Plume, tower: Float64Array) -> See
     """None where too little of it is seen to be noticed. `sight`: over the true ground."""
     heights, points = plume.axis()
     lifts, _ = sight.lifts(tower, points)
-    shown = np.flatnonzero(lifts <= 0.5)
+    shown = np.flatnonzero(lifts <= _SEEN)
     if not len(shown):
         return None
     first = int(shown[0])
-    hidden = float(heights[first])
-    if plume.height - hidden < LEAST_HEIGHT:
+    if first > 0:
+        # The axis is sampled the more coarsely the higher it is: by metres, which are pixels of a mark.
+        between = np.linspace(heights[first - 1], heights[first], _BETWEEN)[1:]
+        finer = plume.at(between)
+        lowest = int(np.flatnonzero(sight.lifts(tower, finer)[0] <= _SEEN)[0])
+        heights = np.concatenate([between[lowest : lowest + 1], heights[first:]])
+        points = np.concatenate([finer[lowest : lowest + 1], points[first:]])
+        first = 0
+    if plume.height - heights[first] < LEAST_HEIGHT:
         return None
-    return SeenPlume(plume, tower, hidden, points[first:], 6.0 + 0.12 * heights[first:])
+    return SeenPlume(plume, tower, float(heights[first]), points[first:], 6.0 + 0.12 * heights[first:])
 
 
 def sighting(

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ltm_core.dem import Dem
-    from ltm_core.evaluation.locating.smoke_score import Trial
+    from ltm_core.evaluation.locating.smoke_score import Case, Trial
 
 HELD_OUT = "31,32,33,34"
 """Seeds of synthetic sites that no constant of locating was chosen on: those were chosen on seeds 1 and 2."""
@@ -31,6 +31,7 @@ def locate(
         float | None, typer.Option(help="Sigma of the terrain model's heights, metres; default a tenth of a cell.")
     ] = None,
     marks: Annotated[str, typer.Option(help="What is marked: click, box, or both.")] = "both",
+    cases: Annotated[str, typer.Option(help="Of one, two, same, three, turned; commas.")] = "one,two,same,three,turned",
     points: Annotated[
         Path | None, typer.Option(help="Instead: control points, a CSV with id, x, y, z, u, v; with --guess and --dem.")
     ] = None,
@@ -61,8 +62,14 @@ def locate(
         return
     if marks not in ("click", "box", "both"):
         raise ConfigError(f"--marks is click, box or both, got {marks!r}")
+    from ltm_core.evaluation.locating.smoke_score import Case
+
+    unknown = [part for part in cases.split(",") if part.upper() not in Case.__members__]
+    if unknown:
+        raise ConfigError(f"--cases are one, two, same, three, turned, got {', '.join(unknown)}")
+    chosen = tuple(Case[part.upper()] for part in cases.split(","))
     boxed = {"click": [False], "box": [True], "both": [False, True]}[marks]
-    _smoke(_sites(seeds, dem or []), count, angle_sigma, dem_error, boxed, pictures, console, json_path)
+    _smoke(_sites(seeds, dem or []), chosen, count, angle_sigma, dem_error, boxed, pictures, console, json_path)
 
 
 def _sites(seeds: str, rasters: list[Path]) -> list[tuple[str, Dem, int]]:
@@ -81,6 +88,7 @@ def _sites(seeds: str, rasters: list[Path]) -> list[tuple[str, Dem, int]]:
 
 def _smoke(
     sites: list[tuple[str, Dem, int]],
+    cases: tuple[Case, ...],
     count: int,
     angle_sigma: float,
     dem_error: float | None,
@@ -90,7 +98,7 @@ def _smoke(
     json_path: Path | None,
 ) -> None:
     from ltm_core.bench.measure import conditions
-    from ltm_core.evaluation.locating.smoke_score import Case, smoke_trials
+    from ltm_core.evaluation.locating.smoke_score import smoke_trials
     from ltm_core.evaluation.locating.smoke_sites import smoke_site
     from ltm_core.evaluation.locating.smoke_trials import PoseErrors
     from ltm_core.locating.settings import LocatingConfig
@@ -110,7 +118,7 @@ def _smoke(
             site = smoke_site(name, dem, error, seed)
             config = LocatingConfig(dem_sigma=error)
             for kind in boxed:
-                for case in Case:
+                for case in cases:
                     status.update(f"{name}, {case.value}, {'box' if kind else 'click'}")
                     drawer = None if pictures is None else _drawer(pictures, name, case.value, kind, site.model)
                     trials += smoke_trials(

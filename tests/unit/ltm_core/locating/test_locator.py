@@ -142,7 +142,7 @@ def test_the_camera_that_is_turned_is_named(turned: int) -> None:
 
 def test_of_two_that_disagree_none_is_named_and_both_places_stay() -> None:
     dem = hills()
-    place, other = np.array([-100.0, 2480.0, 64.0]), np.array([500.0, 2500.0, 80.0])
+    place, other = np.array([-100.0, 2480.0, 64.0]), np.array([60.0, 2500.0, 80.0])
     sightings = [
         sighting("a", (-900.0, 1300.0, 180.0), place, 0.05),
         sighting("b", (1200.0, 1700.0, 190.0), other, 0.05),

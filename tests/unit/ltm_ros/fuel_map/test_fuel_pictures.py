@@ -99,7 +99,10 @@ def test_scales_read_the_same_without_colours(scale: Scale) -> None:
     np.testing.assert_array_equal(scale.classes(values, known), [[1, last, last, 0, 255]])
 
 
-@pytest.mark.parametrize(("length", "step"), [(4000.0, 1000.0), (2900.0, 500.0), (700.0, 200.0), (45.0, 10.0)])
+@pytest.mark.parametrize(
+    ("length", "step"),
+    [(4000.0, 1000.0), (2900.0, 500.0), (700.0, 200.0), (45.0, 10.0), (float(np.nextafter(3000.0, 0.0)), 500.0)],
+)
 def test_axes_have_three_round_ticks_or_more(length: float, step: float) -> None:
     assert round_step(length) == step
 
