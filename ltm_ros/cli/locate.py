@@ -136,15 +136,17 @@ def numbers(text: str, option: str, counts: tuple[int, ...] = ()) -> list[float]
 
 
 def _masks(scene: LocatingScene, given: list[str]) -> dict[str, Any]:
+    """Of each camera, what its site file hides, and what is given besides."""
     from ltm_core.errors import ConfigError
     from ltm_core.locating.locating_io import read_mask
 
-    found = {}
+    found = {name: camera.hidden for name, camera in scene.cameras.items()}
     for text in given:
         name, equals, path = text.partition("=")
         if not equals:
             raise ConfigError(f"--mask {text!r}: name its camera: --mask north=mast.png")
-        found[name] = read_mask(Path(path), scene.camera(name).camera)
+        more, hidden = read_mask(Path(path), scene.camera(name).camera), found[name]
+        found[name] = more if hidden is None else more | hidden
     return found
 
 

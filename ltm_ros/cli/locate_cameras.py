@@ -14,19 +14,21 @@ from ltm_core.geodesy import SiteFrame, ray_bend
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.pose import Pose
 from ltm_core.site_sections import PoseErrorConfig
-from ltm_core.types import Float64Array
+from ltm_core.types import BoolArray, Float64Array
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
 
 
 @dataclass(frozen=True, eq=False)
 class LocatingCamera:
-    """A camera with what is known of its pose: `covariance` (6, 6)."""
+    """A camera with what is known of its pose: `covariance` (6, 6). `hidden`: (H, W) of its picture, True where the
+    site file masks it; None: nowhere."""
 
     name: str
     camera: Camera
     pose: Pose
     covariance: Float64Array
+    hidden: BoolArray | None = None
 
     @property
     def posed(self) -> PosedCamera:
@@ -62,6 +64,8 @@ def of_site(path: Path, poses: Sequence[str]) -> LocatingScene:
     from ltm_core.fuel.prior_io import load_prior
     from ltm_core.site_io import load_site
     from ltm_core.tracing.trace_io import load_picture_config
+    from ltm_core.vision.scene_view import SceneFilter
+    from ltm_core.vision.view_masks import Looking
 
     site = load_site(path)
     ground = site.open_dem()
@@ -81,7 +85,9 @@ def of_site(path: Path, poses: Sequence[str]) -> LocatingScene:
         placed = pose.pose(ground, site.frame)
         stated = pose.covariance(placed, assumed.position, assumed.angle_deg)
         covariance = assumed.covariance() if stated is None else stated
-        cameras[name] = LocatingCamera(name, calibration.camera(), placed, covariance)
+        model = calibration.camera()
+        hidden = SceneFilter.of(site, name).hidden(model.width, model.height, Looking.of(model, placed))
+        cameras[name] = LocatingCamera(name, model, placed, covariance, hidden)
     if files:
         raise ConfigError(
             f"--pose {', '.join(files)}: site {site.name} has no such camera; it has {', '.join(site.cameras)}"

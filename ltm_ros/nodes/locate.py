@@ -29,6 +29,8 @@ from ltm_core.site_io import load_site
 from ltm_core.types import Float64Array
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
+from ltm_core.vision.scene_view import SceneFilter
+from ltm_core.vision.view_masks import Looking
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.located import msg_to_outline, place_to_msg
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
@@ -91,6 +93,7 @@ class Locate(Handler[LocateConfig]):
         self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, config.max_behind)
         lifetime = round(config.track_lifetime * 1e9)
         self._tracks = Tracks(self._locator, config.smoke, lifetime, config.max_tracks)
+        self._scenes = {name: SceneFilter.of(site, name) for name in site.cameras}
         self._cameras: dict[str, Camera] = {}
         self._poses: dict[str, OrderedDict[int, tuple[Pose, Float64Array]]] = {
             name: OrderedDict() for name in site.cameras
@@ -137,10 +140,11 @@ class Locate(Handler[LocateConfig]):
         if camera is None:
             raise MessageError(f"a region of {name}, of which no calibration has come yet: {POSED_CAMERA_INFO.name}")
         config = self._locator.config
+        hidden = self._scenes[name].hidden(camera.width, camera.height, Looking.of(camera, pose))
         if len(outline) == 1:
-            mark = marked_pixel(camera, outline[0], config.pixel_sigma)
+            mark = marked_pixel(camera, outline[0], config.pixel_sigma, hidden)
         else:
-            mark = marked_polygon(camera, outline, config.pixel_sigma, config.box_sigma, self.config.smoke)
+            mark = marked_polygon(camera, outline, config.pixel_sigma, config.box_sigma, self.config.smoke, hidden)
         seen = SeenAt(Sighting(name, camera, pose, covariance, mark), stamp, source)
         track, alone, wrong = self._tracks.add(seen)
         self._publish_estimate(name, alone, track, source, stamp)

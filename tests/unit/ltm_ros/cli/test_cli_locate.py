@@ -35,6 +35,7 @@ def site(folder: Path) -> Path:
         cameras[name] = {
             "calibration": {"width": CAMERA.width, "height": CAMERA.height, "fx": CAMERA.fx},
             "pose": {"x": x + 4e5, "y": y + 38e5, "z": z, "pitch_sigma_deg": 0.05, "roll_sigma_deg": 0.05} | angles,
+            "mask": [{"class": "caption", "polygon": [[0, 0], [80, 0], [80, 30], [0, 30]]}],
         }
     content = {"name": "hollow", "crs": "EPSG:32611", "origin": [4e5, 38e5], "dem": {"path": "dem.tif"}}
     path = folder / "site.yaml"
@@ -101,6 +102,7 @@ def test_a_place_is_found_in_the_pictures(tmp_path: Path, capsys: pytest.Capture
         ({"pixel": ["1,2"], "box": ["1,2,3,4"], "camera": ["north"]}, ConfigError, "marks of one kind"),
         ({"pixel": ["5000,2"], "camera": ["north"]}, RegionError, "not in the picture"),
         ({"pixel": ["960,5"], "camera": ["north"]}, RegionError, "shows sky"),
+        ({"pixel": ["60,20"], "camera": ["north"]}, RegionError, "is masked"),
         ({}, ConfigError, "give a mark"),
         ({"pixel": ["1,2"], "place": "1,2", "camera": ["north"]}, ConfigError, "give a mark"),
         ({"place": "1"}, ConfigError, "wants 2 or 3"),

@@ -62,10 +62,10 @@ def write_site(folder: Path, **more: Any) -> Path:
 
 
 class Running:
-    def __init__(self, folder: Path, **config: Any) -> None:
+    def __init__(self, folder: Path, **content: Any) -> None:
         self.kept, self.health = Kept(), Health()
-        site = str(write_site(folder, locating={"dem_sigma": 0.5}))
-        self.node = Locate(LocateConfig(site=site, **config), self.kept, self.health)
+        site = str(write_site(folder, locating={"dem_sigma": 0.5}, **content))
+        self.node = Locate(LocateConfig(site=site), self.kept, self.health)
         self.kept.now = STAMP + 60 * SECOND
 
     def of(self, camera: str, topic: Topic) -> Topic:
@@ -168,6 +168,21 @@ def test_bad_regions_change_nothing(tmp_path: Path, change: dict[str, Any], erro
         running.send("north", LOCATE_REGION, message)
     assert running.kept.on(LOCATE_FUSED) == []
     running.send("north", LOCATE_REGION, region(seen))
+    assert len(running.kept.on(LOCATE_FUSED)) == 1
+
+
+def test_what_the_site_masks_is_not_located(tmp_path: Path) -> None:
+    seen = seen_by("north")
+    u, v = (float(x) for x in seen.mark.pixels[0])
+    mast = [{"polygon": [[u - 9, v - 40], [u + 9, v - 40], [u + 9, v + 9], [u - 9, v + 9]]}]
+    running = Running(tmp_path, cameras={"north": {"mask": mast}, "east": {}})
+    running.pose(seen)
+    with pytest.raises(RegionError, match="masked"):
+        running.send("north", LOCATE_REGION, region(seen))
+    aside = region(seen)
+    for point in aside.polygon.points:
+        point.x += 60.0
+    running.send("north", LOCATE_REGION, aside)
     assert len(running.kept.on(LOCATE_FUSED)) == 1
 
 
