@@ -74,10 +74,14 @@ class LastPictures:
         with self._lock:
             return {name: picture.stamp_ns / 1e9 for name, picture in self._kept.items()}
 
+    def shown(self, camera: str) -> CameraPicture | None:
+        """None where no frame has come."""
+        with self._lock:
+            return self._kept.get(camera)
+
     def jpeg(self, camera: str, kind: str) -> bytes | None:
         """None where no frame has come. Raises ImageError."""
-        with self._lock:
-            picture = self._kept.get(camera)
+        picture = self.shown(camera)
         return picture.jpeg(kind, self._labels) if picture is not None else None
 
     def map_png(self) -> bytes | None:

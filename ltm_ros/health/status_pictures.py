@@ -48,6 +48,13 @@ class CameraPicture:
             self.name, self.stamp_ns, thin(self.photo), thin(self.labels), thin(self.depth), self.camera, self.pose
         )
 
+    def pixel(self, across: float, down: float) -> tuple[float, float]:
+        """(u, v) of the camera's own picture, where `across` and `down` are shares of this one's width and height."""
+        rows, columns = self.photo.shape[:2]
+        step = -(-self.camera.width // columns)
+        u, v = (across * columns - 0.5) * step, (down * rows - 0.5) * step
+        return min(max(u, 0.0), self.camera.width - 1.0), min(max(v, 0.0), self.camera.height - 1.0)
+
     def jpeg(self, kind: str, palette: ClassPalette) -> bytes:
         """`kind`: photo, labels or depth. Raises ImageError where sizes disagree."""
         if kind == "labels":

@@ -26,6 +26,8 @@ CONNECTIONS = 16
 """At a time; others are closed at once."""
 LEAST_TOKEN = 16
 """Characters."""
+LONGEST_BODY = 4096
+"""Bytes, of what is sent here."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,8 @@ class Answer:
 
 
 Route = Callable[[], Answer]
+Taking = Callable[[bytes], Answer]
+"""Answers what was sent."""
 
 
 def secret(path: Path) -> Path:
@@ -61,17 +65,19 @@ def read_token(path: Path) -> str:
 
 
 class WebServer:
-    """Serves `routes` (by path) from threads of its own, from the moment it is made.
+    """Serves `routes` (by path) from threads of its own, from the moment it is made; `taking`: where JSON may be sent.
 
     Raises ConfigError where the address is taken or a certificate cannot be read.
     """
 
-    def __init__(self, config: HealthConfig, routes: Mapping[str, Route]) -> None:
+    def __init__(
+        self, config: HealthConfig, routes: Mapping[str, Route], taking: Mapping[str, Taking] | None = None
+    ) -> None:
         self._token = read_token(config.token) if config.token is not None else None
         address = ipaddress.ip_address(config.address)
         # A page of somebody else in a browser on this machine could have its own name lead here.
         hosts = {"localhost", str(address)} if address.is_loopback and self._token is None else None
-        handler = _handler(routes, self._token, hosts)
+        handler = _handler(routes, taking or {}, self._token, hosts)
         try:
             self._server = _BoundedServer((config.address, config.port), handler, config)
         except OSError as error:
@@ -141,7 +147,9 @@ def _tls(config: HealthConfig) -> ssl.SSLContext | None:
     return context
 
 
-def _handler(routes: Mapping[str, Route], token: str | None, hosts: set[str] | None) -> type[BaseHTTPRequestHandler]:
+def _handler(
+    routes: Mapping[str, Route], taking: Mapping[str, Taking], token: str | None, hosts: set[str] | None
+) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         server_version, sys_version = "ltm", ""
         protocol_version = "HTTP/1.0"
@@ -153,6 +161,9 @@ def _handler(routes: Mapping[str, Route], token: str | None, hosts: set[str] | N
         def do_HEAD(self) -> None:
             self._answer()
 
+        def do_POST(self) -> None:
+            self._answer()
+
         def log_message(self, *_: object) -> None:
             """Scrapes come each few seconds."""
 
@@ -161,6 +172,8 @@ def _handler(routes: Mapping[str, Route], token: str | None, hosts: set[str] | N
                 answer = Answer(b"ask for this machine by its address\n", status=HTTPStatus.MISDIRECTED_REQUEST)
             elif token is not None and not _knows(self.headers.get("Authorization", ""), token):
                 answer = Answer(b"a token is needed\n", status=HTTPStatus.UNAUTHORIZED)
+            elif self.command == "POST":
+                answer = self._taken()
             elif (route := routes.get(urlsplit(self.path).path)) is None:
                 answer = Answer(b"not found\n", status=HTTPStatus.NOT_FOUND)
             else:
@@ -176,6 +189,18 @@ def _handler(routes: Mapping[str, Route], token: str | None, hosts: set[str] | N
             self.end_headers()
             if self.command != "HEAD":
                 self.wfile.write(answer.body)
+
+        def _taken(self) -> Answer:
+            take = taking.get(urlsplit(self.path).path)
+            if take is None:
+                return Answer(b"not found\n", status=HTTPStatus.NOT_FOUND)
+            # A page of somebody else may send forms from a browser that knows the token, but no JSON without asking.
+            if self.headers.get_content_type() != "application/json":
+                return Answer(b"send application/json\n", status=HTTPStatus.UNSUPPORTED_MEDIA_TYPE)
+            length = self.headers.get("Content-Length", "")
+            if not length.isascii() or not length.isdigit() or int(length) > LONGEST_BODY:
+                return Answer(b"say how long it is, at most 4096 bytes\n", status=HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+            return take(self.rfile.read(int(length)))
 
     return Handler
 

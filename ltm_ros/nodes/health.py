@@ -18,6 +18,7 @@ from ltm_core.errors import ConfigError, LtmError
 from ltm_core.site_io import load_site
 from ltm_ros.health import machine
 from ltm_ros.health.last_pictures import LastPictures
+from ltm_ros.health.marks import Marks
 from ltm_ros.health.metrics import METRICS_KIND, exposition
 from ltm_ros.health.tower_status import TowerStatus, TowerWatch, camera_of
 from ltm_ros.health.web_server import Answer, Route, WebServer
@@ -67,7 +68,9 @@ class HealthNode(Node):  # type: ignore[misc]
             for kind in ("photo", "labels", "depth"):
                 draw = partial(self._pictures.jpeg, camera, kind)
                 routes[f"/picture/{camera}/{kind}.jpg"] = partial(_picture, draw, "image/jpeg")
-        self._server = WebServer(site.health, routes)
+        self._marks = Marks(self, site.name, cameras, self._pictures.shown) if site.locating is not None else None
+        taking = {} if self._marks is None else {"/mark": self._marks.take}
+        self._server = WebServer(site.health, routes, taking)
         self.get_logger().info(f"health at {self._server.url}")
 
     def close(self) -> int:
@@ -77,7 +80,8 @@ class HealthNode(Node):  # type: ignore[misc]
     def _page_json(self) -> Answer:
         """What the page asks for, again and again while somebody looks at it."""
         self._pictures.look()
-        return Answer.json(self.status().as_dict() | {"pictures": self._pictures.stamps_s()})
+        places = None if self._marks is None else self._marks.places()
+        return Answer.json(self.status().as_dict() | {"pictures": self._pictures.stamps_s(), "places": places})
 
     def status(self) -> TowerStatus:
         """Now; may be asked for from any thread."""

@@ -62,7 +62,7 @@ def tower(small_site: SmallSite, module_ros_domain: int, tmp_path_factory: pytes
     port = free_port()
     path = small_site.folder / "watched.yaml"
     keys = yaml.safe_load(small_site.path.read_text())
-    path.write_text(yaml.safe_dump(keys | {"health": {"port": port, "frame_age": 3600.0}}))
+    path.write_text(yaml.safe_dump(keys | {"health": {"port": port, "frame_age": 3600.0}, "locating": {}}))
     command = [sys.executable, "-c", LTM, "run", str(path), "--only", "tower", "--state", str(folder / "state")]
     with (folder / "console").open("w") as console:
         graph = subprocess.Popen([*command, "--logs", str(folder / "logs")], stdout=console, stderr=subprocess.STDOUT)
@@ -144,6 +144,29 @@ def test_the_page_shows_pictures_map_and_words(tower: Tower, tmp_path: Path) -> 
     # The site is painted in pure colours; its photo is on the page as it is.
     painted = (np.abs(colors.astype(int)[:, ::-1] - (0, 255, 0)).max(axis=1) < 30).mean()
     assert painted > 0.01, "the picture is drawn, not only named"
+
+
+def test_a_click_in_a_picture_is_located(tower: Tower, tmp_path: Path) -> None:
+    """In a real browser, by a real mouse: the tower's view straight ahead is ground."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright: pip install 'ltm[dev]'")
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("needs a browser: apt install chromium")
+    wait_for(lambda: tower.get("/picture/tower/photo.jpg")[0] == 200, "a picture", tower.said, patience_s=180.0)
+    with playwright.sync_playwright() as tools:
+        page = tools.chromium.launch(executable_path=browser, args=["--no-sandbox"]).new_page()
+        page.goto(f"http://127.0.0.1:{tower.port}/")
+        page.wait_for_selector("img.markable[src^='/picture/tower/photo']")
+        box = page.locator("img.markable").bounding_box()
+        assert box is not None
+        page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.8 * box["height"])
+        page.wait_for_selector("#places tbody tr", timeout=60_000)
+        assert "Marked: tower, pixel" in page.locator("#marked").inner_text()
+        (place,) = json.loads(tower.get("/page.json")[1])["places"]
+        told = page.locator("#places tbody tr").inner_text()
+    assert place["sources"] == ["person"]
+    assert place["seen_by"] == ["tower"]
+    assert str(place["place"]["mgrs"]) in told
 
 
 def counts(summary: dict[str, str]) -> dict[str, float]:

@@ -22,6 +22,7 @@ from ltm_ros.health.web_server import CONNECTIONS, Answer, WebServer
 
 TOKEN = "0123456789abcdef-token"
 ROUTES = {"/healthz": lambda: Answer(b"alive\n"), "/status.json": lambda: Answer.json({"ready": True})}
+TAKING = {"/mark": lambda body: Answer(b"taken: " + body)}
 Start = Callable[..., WebServer]
 
 
@@ -30,7 +31,7 @@ def start() -> Iterator[Start]:
     servers: list[WebServer] = []
 
     def start(**keys: object) -> WebServer:
-        servers.append(WebServer(HealthConfig.model_validate({"port": 0} | keys), ROUTES))
+        servers.append(WebServer(HealthConfig.model_validate({"port": 0} | keys), ROUTES, TAKING))
         return servers[-1]
 
     yield start
@@ -44,9 +45,10 @@ def get(
     headers: dict[str, str] | None = None,
     method: str = "GET",
     address: str = "127.0.0.1",
+    body: bytes | None = None,
 ) -> tuple[int, bytes]:
     with closing(http.client.HTTPConnection(address, port_of(server), timeout=10)) as connection:
-        connection.request(method, path, headers=headers or {})
+        connection.request(method, path, body, headers or {})
         answer = connection.getresponse()
         return answer.status, answer.read()
 
@@ -86,7 +88,7 @@ def test_answers_on_loopback(start: Start) -> None:
     assert get(server, "/healthz?verbose") == (200, b"alive\n")
     assert get(server, "/healthz", method="HEAD") == (200, b"")
     assert get(server, "/../../etc/passwd")[0] == 404
-    assert get(server, "/healthz", method="POST")[0] == 501
+    assert get(server, "/healthz", method="PUT")[0] == 501
     assert ask(config_for(server), "/status.json") == {"ready": True}
 
 
@@ -208,3 +210,38 @@ def test_a_port_that_is_taken_is_named(start: Start) -> None:
         start(port=port_of(server))
     with pytest.raises(ConfigError, match="no tower answers"):
         ask(HealthConfig(port=1), "/status.json")
+
+
+JSON = {"Content-Type": "application/json; charset=utf-8"}
+
+
+def test_what_is_sent_is_taken_where_it_may_be(start: Start) -> None:
+    server = start()
+    assert get(server, "/mark", JSON, "POST", body=b"{}") == (200, b"taken: {}")
+    assert get(server, "/healthz", JSON, "POST", body=b"{}")[0] == 404
+    assert get(server, "/mark")[0] == 404, "it is sent to, not asked for"
+
+
+@pytest.mark.parametrize(
+    ("headers", "body", "status"),
+    [
+        ({"Content-Type": "text/plain"}, b"{}", 415),
+        ({"Content-Type": "application/x-www-form-urlencoded"}, b"camera=north", 415),
+        (JSON, b"x" * 4097, 413),
+        (JSON | {"Content-Length": "-1"}, None, 413),
+        (JSON | {"Content-Length": "many"}, None, 413),
+        (JSON | {"Host": "evil.example"}, b"{}", 421),
+    ],
+)
+def test_pages_of_others_and_too_much_are_not_taken(
+    start: Start, headers: dict[str, str], body: bytes | None, status: int
+) -> None:
+    """A form of somebody else's page comes with whatever the browser knows, but not as JSON."""
+    assert get(start(), "/mark", headers, "POST", body=body)[0] == status
+
+
+def test_who_sends_must_know_the_token(start: Start, tmp_path: Path) -> None:
+    (tmp_path / "token").write_text(TOKEN)
+    server = start(token=tmp_path / "token")
+    assert get(server, "/mark", JSON, "POST", body=b"{}")[0] == 401
+    assert get(server, "/mark", JSON | {"Authorization": f"Bearer {TOKEN}"}, "POST", body=b"{}")[0] == 200

@@ -1,0 +1,83 @@
+"""What a person clicks on in a camera's picture on the status page goes to `locate`; its places come back."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Sequence
+from http import HTTPStatus
+from typing import Any
+
+from geometry_msgs.msg import PointStamped
+from pydantic import Field, ValidationError
+from rclpy.node import Node
+
+from ltm_core.strict_model import StrictModel
+from ltm_msgs_py.stamp import make_header
+from ltm_ros.health.status_pictures import CameraPicture
+from ltm_ros.health.web_server import Answer
+from ltm_ros.runtime.outlet_node import stream_qos
+from ltm_ros.runtime.topics import LOCATE_POINT, LOCATE_TRACKS, camera_topic, site_topic
+
+SAME_S = 1e-3
+"""A browser's numbers hold stamps to microseconds."""
+
+
+class Mark(StrictModel):
+    """Where somebody clicked. `stamp`: seconds, of the picture that was shown; `across`, `down`: shares of its width
+    and height, from its upper left corner."""
+
+    camera: str
+    stamp: float
+    across: float = Field(ge=0, le=1)
+    down: float = Field(ge=0, le=1)
+
+
+class Marks:
+    """`take` and `places` may be called from any thread.
+
+    `shown`: the picture of a camera that the page shows; None: there is none.
+    """
+
+    def __init__(
+        self, node: Node, site: str, cameras: Sequence[str], shown: Callable[[str], CameraPicture | None]
+    ) -> None:
+        self._shown = shown
+        self._publishers = {
+            name: node.create_publisher(LOCATE_POINT.type, camera_topic(site, name, LOCATE_POINT), stream_qos())
+            for name in cameras
+        }
+        self._places: list[dict[str, Any]] = []
+        self._lock = threading.Lock()
+        node.create_subscription(
+            LOCATE_TRACKS.type, site_topic(site, LOCATE_TRACKS), self._hear, stream_qos(LOCATE_TRACKS.latched, 1)
+        )
+
+    def take(self, body: bytes) -> Answer:
+        """Of a request: a `Mark` in JSON. What `locate` makes of it, or why it cannot, is its own to say."""
+        try:
+            mark = Mark.model_validate_json(body)
+        except ValidationError as error:
+            wrong = "; ".join(f"{'.'.join(map(str, one['loc'])) or 'body'}: {one['msg']}" for one in error.errors())
+            return Answer(f"not a mark: {wrong}\n".encode(), status=HTTPStatus.BAD_REQUEST)
+        picture = self._shown(mark.camera) if mark.camera in self._publishers else None
+        if picture is None:
+            return Answer(b"no picture of such a camera\n", status=HTTPStatus.NOT_FOUND)
+        if abs(picture.stamp_ns / 1e9 - mark.stamp) > SAME_S:
+            return Answer(b"another picture has come meanwhile: mark it there\n", status=HTTPStatus.CONFLICT)
+        u, v = picture.pixel(mark.across, mark.down)
+        point = PointStamped(header=make_header(picture.stamp_ns, f"{mark.camera}_optical"))
+        point.point.x, point.point.y = u, v
+        self._publishers[mark.camera].publish(point)
+        return Answer.json({"u": round(u, 1), "v": round(v, 1)})
+
+    def places(self) -> list[dict[str, Any]]:
+        """The site's tracks, newest first, as `locate` says them."""
+        with self._lock:
+            return self._places
+
+    def _hear(self, message: Any) -> None:
+        features = json.loads(message.data)["features"]
+        found = [one["properties"] for one in features if one["properties"].get("role") == "place"]
+        with self._lock:
+            self._places = sorted(found, key=lambda place: -int(place["last_ns"]))
