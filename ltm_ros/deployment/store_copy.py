@@ -60,20 +60,20 @@ def return_stores(state: Path, copy: Path, aside: Path) -> list[Path]:
     """Put back the stores of `copy` whose schema has changed since; the newer ones go to the folder `aside`.
 
     Returns what was put back. Nothing may write the stores meanwhile. Raises StoreError that names those which could
-    not be (no room, a copy that is damaged or gone); all others are back then, and none of another schema is left.
+    not be (no room, a copy that is damaged or gone); all others are back then.
     """
     if not copy.is_dir():
         raise StoreError(f"{copy}: the copy of the stores is not there")
     failed = []
     changed = [store for store in stores_of(copy) if schema_of(state / store.name) != schema_of(store)]
     for store in changed:
-        aside.mkdir(parents=True, exist_ok=True, mode=0o750)
-        for end in ("", "-wal", "-shm"):
-            former = state / f"{store.name}{end}"
-            if former.exists():
-                former.replace(aside / former.name)
         partial = state / f".{store.name}.returned"
         try:
+            aside.mkdir(parents=True, exist_ok=True, mode=0o750)
+            for end in ("", "-wal", "-shm"):
+                former = state / f"{store.name}{end}"
+                if former.exists():
+                    former.replace(aside / former.name)
             shutil.copyfile(store, partial)
             _give_to_owner_of(store, partial)
             with partial.open("rb") as file:
@@ -89,12 +89,16 @@ def return_stores(state: Path, copy: Path, aside: Path) -> list[Path]:
 
 
 def schema_of(store: Path) -> tuple[int, tuple[str, ...]]:
-    """SQLite's user_version, and every table as it is declared; (-1, ()) of what is no store any more."""
+    """SQLite's user_version, every table as it is declared, and what a map's store says of its tiles, whose fields may
+    grow in tables that stay; (-1, ()) of what is no store any more."""
     try:
         with contextlib.closing(sqlite3.connect(f"{store.resolve().as_uri()}?mode=ro", uri=True)) as db:
             (version,) = db.execute("PRAGMA user_version").fetchone()
-            tables = db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name").fetchall()
-            return int(version), tuple(str(sql) for (sql,) in tables)
+            declared = db.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name").fetchall()
+            schema = [sql for _, sql in declared]
+            if "description" in dict(declared):
+                schema += [content for (content,) in db.execute("SELECT content FROM description")]
+            return int(version), tuple(map(str, schema))
     except sqlite3.Error:
         return -1, ()
 

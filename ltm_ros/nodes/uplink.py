@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 from rclpy.serialization import serialize_message
 
-from ltm_core.errors import ConfigError, MessageError
+from ltm_core.errors import ConfigError, MessageError, StoreError
 from ltm_core.fuel.vote_columns import MAX_BYTES
 from ltm_core.site import Site
 from ltm_core.site_io import load_site
@@ -27,6 +27,7 @@ from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.kernel_clock import kernel_clock
 from ltm_ros.runtime.node import run_node
+from ltm_ros.runtime.retry import LAST_TRIES_S
 from ltm_ros.runtime.topics import FUEL_VOTES, LABELS_INFO, camera_topic
 
 OUTBOX_FILE: Final = "outbox.sqlite"
@@ -81,7 +82,9 @@ class Uplink(Handler[UplinkNodeConfig]):
         self._models[camera] = msg_to_model(message)
 
     def finish(self) -> None:
-        self._link.stop()
+        """Raises StoreError where frames could not be written; they are lost."""
+        if not self._link.stop():
+            raise StoreError(f"frames are lost: the outbox's disk did not serve for {LAST_TRIES_S:.0f} s more; see to it")
 
 
 def sector(message: Any) -> int:

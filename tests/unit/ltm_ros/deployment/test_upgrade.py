@@ -12,10 +12,12 @@ import pytest
 from scenes.tower import Tower, frames_of, write_package, write_store
 
 from ltm_core.errors import ConfigError, StoreError
+from ltm_core.grid import GridGeometry
+from ltm_core.raster.tile_store import Field, StoreSchema, TileStore
 from ltm_ros.deployment.package_file import PackageError
 from ltm_ros.deployment.releases import Trial
 from ltm_ros.deployment.service import ServiceError, ServiceState
-from ltm_ros.deployment.store_copy import copy_stores
+from ltm_ros.deployment.store_copy import copy_stores, return_stores
 from ltm_ros.deployment.upgrade import UpgradeError
 
 pytestmark = pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="needs dpkg-deb: apt install dpkg")
@@ -106,6 +108,23 @@ def test_a_store_whose_schema_moved_forward_is_put_aside_and_the_copy_returns(to
         assert len(db.execute("PRAGMA table_info(frames)").fetchall()) == 1
     assert frames_of(tower.places.copies.parent / "stores-of-2.0/fuel_map.ltm") == 5
     assert any("had changed its schema" in line for line in tower.said)
+
+
+def test_a_map_whose_tiles_have_grown_fields_is_put_aside_for_a_release_that_does_not_know_them(tmp_path: Path) -> None:
+    """SQLite's tables are the same then, and still the former release could not open it."""
+    state, aside = tmp_path / "state", tmp_path / "aside"
+    state.mkdir()
+    grid = GridGeometry(0.0, 60.0, 30.0, 3, 2, "EPSG:32611")
+    former = StoreSchema("map", 1, grid, 2, {"seen": Field("f4")})
+    grown = StoreSchema("map", 2, grid, 2, {"seen": Field("f4"), "hidden": Field("f4")}, extends=1)
+    TileStore.open(state / "map.ltm", former).close()
+    copy = copy_stores(state, tmp_path / "copies", "1.0")
+    assert copy is not None
+    assert return_stores(state, copy, aside) == []
+    TileStore.open(state / "map.ltm", grown).close()
+    assert return_stores(state, copy, aside) == [copy / "map.ltm"]
+    TileStore.open(state / "map.ltm", former).close()
+    TileStore.open(aside / "map.ltm", grown).close()
 
 
 @pytest.mark.parametrize("gone", [True, False])

@@ -11,7 +11,7 @@ from scenes.fuel_frames import LABELS, stamp_of_frame, votes
 from scenes.outlets import Kept
 from scenes.region_scene import REGION, RegionScene, write_region_scene
 
-from ltm_core.errors import ConfigError, MessageError
+from ltm_core.errors import ConfigError, MessageError, StoreError
 from ltm_core.uplink.outbox_io import Outbox
 from ltm_msgs_py.label_info import label_set_to_msg
 from ltm_msgs_py.votes import votes_to_msg
@@ -59,6 +59,24 @@ def test_votes_are_in_the_outbox_at_the_end_of_the_node(scene: RegionScene) -> N
         ]
         assert [frame.model for frame in found] == ["", *(3 * ["landscape_lite0"])]
         assert [frame.view for frame in found] == [sector(message) for message in reversed(sent)]
+
+
+def test_frames_that_no_disk_took_are_lost_aloud(scene: RegionScene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a tower that was started on a dead disk, and is stopped before anybody has seen to it."""
+
+    def dead(*_: object) -> None:
+        raise StoreError("outbox.sqlite: disk I/O error")
+
+    monkeypatch.setattr("ltm_ros.region.tower_link.Outbox", dead)
+    monkeypatch.setattr("ltm_ros.region.tower_link.LAST_TRIES_S", 0.0)
+    health = Health()
+    node = Uplink(UplinkNodeConfig(site=str(scene.config.site), folder="map"), Kept(), health)
+    node.start()
+    for number in range(3):
+        node.on_votes("alta_mast", votes_to_msg(votes(number, scene.geometry), LABELS.names))
+    with pytest.raises(StoreError, match="frames are lost"):
+        node.finish()
+    assert health.dropped == {"outbox_full": 3}
 
 
 def test_votes_that_no_region_takes_are_refused_at_once(scene: RegionScene) -> None:
