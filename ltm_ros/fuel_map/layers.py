@@ -34,6 +34,12 @@ class ShownLayers:
         """Whose code is not the prior's."""
         return int(self._changed.sum())
 
+    def tells(self, window: Window) -> bool:
+        """Whether anything is known of a part of the map beyond the prior, or was at the last refresh."""
+        row, col, height, width = window
+        part = slice(row, row + height), slice(col, col + width)
+        return bool(self._seen[part].any() or self._changed[part].any())
+
     def refresh(self, windows: Sequence[Window]) -> list[CellChanges]:
         """Decide these parts of the map anew; what has changed there."""
         return [change for window in _merged(windows) for change in self._refresh(window)]

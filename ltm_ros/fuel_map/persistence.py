@@ -144,7 +144,7 @@ class FuelMapPersistence:
             self.map.load_tile(key, tile)
         self._dirty.update(tiles)
         self._changes += [*changes, *self.shown.refresh_all()]
-        self._logged = LOGGED_FRAMES  # no payload could bring this state back
+        self._logged = LOGGED_FRAMES + 1  # no payload could bring this state back
         if not source:
             return
         while (before := self.seen(source, stamp_ns)) is Counting.DUPLICATE:
@@ -179,7 +179,8 @@ class FuelMapPersistence:
             self.show()
         if self.store is None or (self._failed and not self._pace.due and not write_tiles):
             return []
-        full = self._logged + len(self._batch) > LOGGED_FRAMES or self._logged_bytes >= LOGGED_BYTES
+        frames, size = self._logged + len(self._batch), self._logged_bytes + self._batch_bytes
+        full = frames > LOGGED_FRAMES or size > LOGGED_BYTES
         tiles = self._dirty if self._durable and (write_tiles or full or self._failed) else set()
         if not (self._batch or tiles or self._changes):
             return []

@@ -84,7 +84,7 @@ class Uplink(Handler[UplinkNodeConfig]):
     def finish(self) -> None:
         """Raises StoreError where frames could not be written; they are lost."""
         if not self._link.stop():
-            raise StoreError(f"frames are lost: the outbox's disk did not serve for {LAST_TRIES_S:.0f} s more; see to it")
+            raise StoreError(f"frames are lost: the outbox's disk did not serve, nor for {LAST_TRIES_S:.0f} s more")
 
 
 def sector(message: Any) -> int:

@@ -11,8 +11,10 @@ from ltm_ros.runtime.health import Health
 
 WAITING_BYTES: Final = 64 << 20
 """Of all that waits; above it, what came last of the tower of which most waits is dropped, and sent again by it."""
-KEPT_BYTES: Final = 500
+KEPT_BYTES: Final = 1000
 """What a message takes that waits, beside its payload: any number of empty ones shall not fill the memory."""
+LONGEST_NAME: Final = 100
+"""Characters that are kept of a name that is no tower's: a broker may make it 65,000 long."""
 
 
 class Inbox:
@@ -38,7 +40,7 @@ class Inbox:
 
     def put(self, tower: str, content: bytes) -> None:
         """Keep a message, unless no room is left and most of what waits is its own tower's."""
-        name = tower if tower in self._lanes else ""
+        name, tower = (tower, tower) if tower in self._lanes else ("", tower[:LONGEST_NAME])
         with self._came:
             if not self._lanes[name]:
                 self._turns.append(name)
@@ -51,7 +53,7 @@ class Inbox:
                 self._account(most, -KEPT_BYTES - len(content))
                 if not self._lanes[most]:
                     self._turns.remove(most)
-                dropped.append(gone)
+                dropped.append(gone if most else "names that are no towers")
             self._came.notify()
         for gone in dropped:
             self._health.drop(

@@ -30,15 +30,18 @@ class TilePublisher:
         self._due: set[Key] = set()
         self._sent: dict[Key, bytes] = {}
         """What followers have of each tile."""
+        self._store = aggregator.persistence.store
         self._classes = list(life_form_labels(aggregator.labels).names)
         site = aggregator.site
         self._grid = VotesGrid.of(site.in_crs(aggregator.geometry), site.origin)
 
     def note(self, windows: Sequence[Window]) -> None:
-        """These parts of the map may have changed."""
-        evidence = self._aggregator.persistence.map
-        for window in windows:
-            self._due.update(evidence.tiles_of(window))
+        """These parts of the map may have changed. Where nobody has looked yet, nothing is sent: most of a region."""
+        persistence = self._aggregator.persistence
+        keys = {key for window in windows for key in persistence.map.tiles_of(window)}
+        for row, col in keys:
+            if (row, col) in self._sent or persistence.shown.tells((row * TILE, col * TILE, TILE, TILE)):
+                self._due.add((row, col))
 
     def note_all(self) -> None:
         """The broker may have forgotten what it was sent: all tiles with evidence are due."""
@@ -54,6 +57,9 @@ class TilePublisher:
     def send(self) -> None:
         """Send what is due, as far as the connection takes it."""
         persistence, geometry = self._aggregator.persistence, self._aggregator.geometry
+        if persistence.store is not self._store:  # it was away when the map began, which so far held but what came since
+            self._store = persistence.store
+            self.note_all()
         while self._due:
             row, col = key = min(self._due)
             height, width = min(TILE, geometry.height - row * TILE), min(TILE, geometry.width - col * TILE)

@@ -16,7 +16,8 @@ def drained(inbox: Inbox) -> list[tuple[str, bytes]]:
 
 
 def test_a_tower_that_floods_delays_nobody_s_frames() -> None:
-    inbox, health = Inbox(["alta", "bear", "crow"], Health()), Health()
+    health = Health()
+    inbox = Inbox(["alta", "bear", "crow"], health)
     for number in range(50):
         inbox.put("alta", b"flood %d" % number)
     for number in range(2):
@@ -52,6 +53,10 @@ def test_any_number_of_names_that_are_no_towers_has_one_turn_and_is_bounded() ->
     came = [tower for tower, _ in drained(inbox)]
     assert came == ["nobody0", "alta", *(f"nobody{number}" for number in range(1, 7))]
     assert health.dropped == {"overload": 993}
+    assert "most of them of names that are no towers" in health.last_error
+    inbox.put("alta" + 60_000 * "x", b"")
+    ((name, _),) = drained(inbox)
+    assert name == "alta" + 96 * "x"
 
 
 def test_who_waits_is_woken() -> None:

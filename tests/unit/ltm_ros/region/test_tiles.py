@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 from scenes.fuel_frames import BEGIN_NS
-from scenes.region_scene import write_region_scene
+from scenes.region_scene import CAMERA, write_region_scene
 
+from ltm_core.fuel.evidence_state import TILE
+from ltm_core.fuel.stored_map import STORE_FILE, fuel_schema
+from ltm_core.raster.tile_store import TileStore
 from ltm_ros.region.aggregator import Aggregator
 from ltm_ros.region.tiles import TilePublisher, opened_tile
 from ltm_ros.runtime.health import Health
@@ -30,6 +34,44 @@ class Link:
         topics = [topic for topic, _ in self.sent]
         self.sent.clear()
         return topics
+
+
+def test_of_most_of_a_region_nobody_has_seen_anything_and_nothing_is_sent(tmp_path: Path) -> None:
+    """Also when an hour has gone by, after which all of the map is decided anew."""
+    scene, link = write_region_scene(tmp_path), Link()
+    aggregator = Aggregator(scene.config, Health(), lambda: BEGIN_NS + 10**13)
+    tiles = TilePublisher("kern", aggregator, link)  # type: ignore[arg-type]
+    for number in (1, 4000):
+        aggregator.take("alta", scene.sealed("alta", number))
+        windows = aggregator.show()
+        assert windows[0] == (0, 0, *scene.geometry.shape)
+        tiles.note(windows)
+    tiles.send()
+    rows, cols = np.nonzero(aggregator.persistence.map.seen_by(f"alta_{CAMERA}"))
+    seen = {f"ltm/kern/tile/{row // TILE}/{col // TILE}" for row, col in zip(rows, cols, strict=True)}
+    assert set(link.taken()) == seen
+    down, across = aggregator.persistence.map.tiles
+    assert 0 < len(seen) < down * across
+    aggregator.close()
+
+
+def test_tiles_of_a_store_that_was_away_at_the_start_go_once_it_is_back(tmp_path: Path) -> None:
+    scene, link = write_region_scene(tmp_path), Link()
+    before = Aggregator(scene.config, Health(), lambda: BEGIN_NS + 10**13)
+    for number in range(3):
+        before.take("alta", scene.sealed("alta", number))
+    before.close()
+    blocker = TileStore.open(scene.config.folder / STORE_FILE, fuel_schema(scene.site, scene.geometry))
+    aggregator = Aggregator(scene.config, Health(), lambda: BEGIN_NS + 10**13)
+    tiles = TilePublisher("kern", aggregator, link)  # type: ignore[arg-type]
+    tiles.note_all()
+    tiles.send()
+    assert link.taken() == []
+    blocker.close()
+    aggregator.persistence.wait(1e6)
+    tiles.send()
+    assert link.taken()
+    aggregator.close()
 
 
 def test_a_tile_goes_when_it_differs_from_what_followers_have(tmp_path: Path) -> None:
