@@ -57,7 +57,7 @@ class TilePublisher:
     def send(self) -> None:
         """Send what is due, as far as the connection takes it."""
         persistence, geometry = self._aggregator.persistence, self._aggregator.geometry
-        if persistence.store is not self._store:  # it was away when the map began, which so far held but what came since
+        if persistence.store is not self._store:  # it was away so far, and the map held but what came since
             self._store = persistence.store
             self.note_all()
         while self._due:

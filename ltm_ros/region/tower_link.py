@@ -106,6 +106,11 @@ class TowerLink:
         self._activity = HEARTBEAT.activity("uplink")
         self._thread = threading.Thread(target=self._run, name="uplink", daemon=True)
 
+    @property
+    def waiting(self) -> int:
+        """Frames that were offered or lie in the outbox."""
+        return len(self._offered) + (0 if self._outbox is None else self._outbox.frames)
+
     def start(self) -> None:
         self._link.start()
         self._thread.start()
@@ -127,13 +132,17 @@ class TowerLink:
         self._stopping.set()
         self._wake.set()
         self._thread.join(LAST_TRIES_S + 2.0)
-        self._link.stop()
         lost = len(self._offered)
         if lost:
             self._health.drop("outbox_full", f"{lost} frames could not be written before the end", lost)
+        self.close()
+        return not lost
+
+    def close(self) -> None:
+        """Let go of the connection and the outbox, as an end in the midst does: what was not yet written is gone."""
+        self._link.stop()
         if self._outbox is not None:
             self._outbox.close()
-        return not lost
 
     def step(self, now_s: float) -> None:
         """One turn of the thread's work. Raises StoreError where the disk does not serve; what lies in the outbox is

@@ -38,9 +38,8 @@ class Tower:
             self.health.trouble("store", str(error))
 
     def close(self) -> None:
-        """Its thread was never started: only the file is let go of."""
-        assert self.link._outbox is not None
-        self.link._outbox.close()
+        """Its thread was never started."""
+        self.link.close()
 
     def state(self) -> dict[str, object]:
         return {

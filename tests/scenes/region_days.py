@@ -19,7 +19,7 @@ from sensor_msgs.msg import PointCloud2
 from ltm_core.errors import StoreError
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.surface_change import LivingFuelMap
-from ltm_core.uplink.config import UplinkConfig
+from ltm_core.uplink.config import AGGREGATOR, UplinkConfig
 from ltm_core.uplink.outbox_io import OutboxFrame
 from ltm_msgs_py.votes import msg_to_votes
 from ltm_ros.bench.network_towers import stamped
@@ -62,6 +62,10 @@ class Broker:
         for name, content in copies:
             for link in list(self.links):
                 link.hear(name, content)
+
+    def end(self, name: str) -> None:
+        """A client is killed."""
+        next(link for link in self.links if link.name == name).stop()
 
     def restart(self) -> None:
         """It forgets all; connections are new."""
@@ -146,7 +150,7 @@ class RegionDays:
     def __post_init__(self) -> None:
         self._draws = random.Random(self.seed)
         self._broker = Broker(self._draws)
-        self._link: Any = type("Link", (BrokerLink,), {"broker": self._broker})
+        self._make_link: Any = type("Link", (BrokerLink,), {"broker": self._broker})
         self._mended: dict[str, int] = {}
         """When a line, or a disk, serves again."""
         self._messages = [self.scene.votes(number) for number in range(6)]
@@ -177,8 +181,7 @@ class RegionDays:
     @property
     def waiting(self) -> int:
         """Frames in outboxes and on their way there."""
-        boxes = [(link._outbox, link._offered) for link, _ in self._towers.values()]
-        return sum(len(offered) + (0 if box is None else box.frames) for box, offered in boxes)
+        return sum(link.waiting for link, _ in self._towers.values())
 
     @property
     def evidence(self) -> LivingFuelMap:
@@ -209,16 +212,14 @@ class RegionDays:
     def _tower(self, name: str) -> tuple[TowerLink, Health]:
         config, health = UplinkConfig(name=REGION, tower=name, broker=self.scene.broker(name)), Health()
         file = self.scene.folder / f"{name}.sqlite"
-        return TowerLink(config, self.scene.grid, file, health, lambda: None, self._link), health
+        return TowerLink(config, self.scene.grid, file, health, lambda: None, self._make_link), health
 
     def _made_map(self) -> RegionService:
         self._map_health = Health()
-        return RegionService(self.scene.config, self._map_health, lambda: self.stamp_ns, self._link)
+        return RegionService(self.scene.config, self._map_health, lambda: self.stamp_ns, self._make_link)
 
     def _let_go(self, link: TowerLink, health: Health) -> None:
-        link._link.stop()
-        if link._outbox is not None:
-            link._outbox.close()
+        link.close()
         self.dropped += Counter(health.dropped)
 
     def _half_minute(self, frames: bool) -> None:
@@ -274,7 +275,7 @@ class RegionDays:
                 self._let_go(link, health)
                 self._towers[name] = self._tower(name)
         elif kind == "map":
-            self._map._link.stop()
+            self._broker.end(f"{REGION}-{AGGREGATOR}")
             assert self._map.aggregator.persistence.store is not None
             self._map.aggregator.persistence.store.close()
             self.dropped += Counter(self._map_health.dropped)

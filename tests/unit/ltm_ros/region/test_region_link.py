@@ -23,7 +23,7 @@ from scenes.waiting import PATIENCE_S, wait_for
 from ltm_core.errors import StoreError
 from ltm_core.uplink.config import UplinkConfig
 from ltm_core.uplink.envelope import VotesGrid
-from ltm_core.uplink.outbox_io import OutboxFrame
+from ltm_core.uplink.outbox_io import Outbox, OutboxFrame
 from ltm_ros.region.certs import TrialAuthority
 from ltm_ros.region.mqtt_link import (
     LARGEST_PACKET,
@@ -137,14 +137,13 @@ def test_a_disk_that_does_not_serve_holds_up_no_frame_that_lies_on_it(
     with sending(scene, "alta") as (alta, said):
         offer(alta, scene, range(5))
         wait_for(lambda: waiting(said) == "5", "the outbox")
-        outbox = alta._outbox
 
         def full(*_: object) -> int:
             raise StoreError("the disk is full")
 
         with monkeypatch.context() as patched:
-            patched.setattr(outbox, "put", full)
-            patched.setattr(outbox, "acknowledge", full)
+            patched.setattr(Outbox, "put", full)
+            patched.setattr(Outbox, "acknowledge", full)
             offer(alta, scene, range(5, 8))
             with mapped(scene) as service:
                 wait_for(lambda: service.frames == 5, "the frames on the disk")

@@ -23,10 +23,7 @@ from ltm_ros.viewer.server import RerunProcess, grpc_url, listens, web_url
 
 @pytest.fixture
 def ports() -> tuple[int, int]:
-    web = grpc = free_port()
-    while grpc == web:
-        grpc = free_port()
-    return web, grpc
+    return free_port(), free_port()
 
 
 def listening(port: int) -> list[str]:
