@@ -81,7 +81,8 @@ test-all: $(VENV)/.installed-all $(FIRE)/.installed
 # New cases each time; what fails is kept in out/fuzz, and printed with the command that repeats it.
 fuzz: MINUTES ?= 20
 fuzz: $(VENV)/.installed-dev
-	LTM_FUZZ=1 $(BIN)/python -m pytest tests/fuzz/test_converters.py tests/property -n 2 -q
+	LTM_FUZZ=1 $(BIN)/python -m pytest tests/fuzz/test_converters.py tests/property \
+		tests/unit/ltm_ros/runtime/test_admission.py -n 2 -q
 	PYTHONPATH=tests $(BIN)/python -m fuzz.campaign --minutes $(MINUTES)
 
 # The graph of a small site: faults by chance, and what it has acknowledged is there at the end (SEED=N draws the same

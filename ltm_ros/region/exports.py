@@ -40,8 +40,9 @@ class RegionExports:
             self._due, self._next_s = False, now_s + self._config.every
             self._work = self._pool.submit(self._write, self._source())
 
-    def close(self) -> None:
-        """Write the last state."""
+    def close(self, changed: bool = False) -> None:
+        """Write the last state, where it is not written yet; `changed`: since the last `look`."""
+        self._due |= changed
         self._pool.shutdown()
         self._judge()
         if self._due:

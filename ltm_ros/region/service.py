@@ -67,9 +67,10 @@ class RegionService:
                 self.step(SETTLE_S)
         finally:
             self._link.send(self._presence, b"", retain=True)
+            changed = bool(self.aggregator.show())
             self._answer(self.aggregator.close())
             if self._exports is not None:
-                self._exports.close()
+                self._exports.close(changed)
             self._link.stop()
 
     def step(self, patience_s: float) -> None:
