@@ -150,22 +150,22 @@ class TrialAuthority:
     def _write(
         self, name: str, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate, new: list[Path]
     ) -> None:
-        """The key first, for its owner's eyes alone: a certificate without its key would be taken for made."""
-        path = self.folder / f"{name}.key"
-        content = key.private_bytes(
+        """The key first, for its owner's eyes alone: a certificate without its key would be taken for made. Each whole
+        or not at all: half a key would be taken for somebody else's, half a certificate for made."""
+        secret = key.private_bytes(
             serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         )
-        partial = self.folder / f".{name}.key.new"
-        partial.unlink(missing_ok=True)
-        descriptor = os.open(partial, os.O_CREAT | os.O_WRONLY | os.O_EXCL | os.O_NOFOLLOW, 0o600)
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(descriptor)
-        partial.replace(path)  # half a key would be taken for somebody else's
-        crt = self.folder / f"{name}.crt"
-        crt.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
-        new += [path, crt]
+        public = certificate.public_bytes(serialization.Encoding.PEM)
+        for file_name, content, mode in ((f"{name}.key", secret, 0o600), (f"{name}.crt", public, 0o644)):
+            partial = self.folder / f".{file_name}.new"
+            partial.unlink(missing_ok=True)
+            descriptor = os.open(partial, os.O_CREAT | os.O_WRONLY | os.O_EXCL | os.O_NOFOLLOW, mode)
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(descriptor)
+            partial.replace(self.folder / file_name)
+            new.append(self.folder / file_name)
 
     def configuration(self, address: str, port: int) -> str:
         """mosquitto's; the certificate says who a client is, and nobody comes without one."""

@@ -180,6 +180,7 @@ def test_what_the_start_left_over_is_gone_and_what_stays_is_looked_at_no_more() 
     assert looks == "True"
 
 
+@pytest.mark.skipif(sys.version_info[:2] == (3, 12), reason="Python 3.12 lets go of no interned string")
 def test_strings_that_come_and_go_take_no_more_memory_later() -> None:
     """The table of interned strings is made anew at the start, not half an hour later: some 2 MB."""
     assert int(_run(_STRINGS)) > 1500
