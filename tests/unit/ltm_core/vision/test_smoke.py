@@ -96,3 +96,30 @@ def test_of_a_patrol_the_pictures_of_the_same_view_are_compared() -> None:
     assert found is not None
     assert found[there & (labels() != Label.SKY)].mean() > 0.9
     assert after(views, land(2)) is None
+
+
+def test_a_patrol_that_comes_round_as_often_as_pictures_are_remembered_has_them_of_all_views() -> None:
+    """By time alone they would all be of the first one."""
+    views, dwell = 3, APART_S / 3
+    for asked in range(views):
+        memory = SmokeMemory()
+        for stay in range(2 * views + asked):
+            memory.look(land(stay % views), labels(), stay * dwell)
+        at_s = (2 * views + asked) * dwell
+        assert memory.look(plume(land(asked), 7)[0], labels(), at_s) is not None, asked
+
+
+def test_one_stamp_of_another_time_does_not_end_it() -> None:
+    memory = SmokeMemory()
+    memory.look(land(), labels(), 4e9)
+    memory.look(land(), labels(), 1e9)
+    assert memory.look(plume(land(), 2)[0], labels(), 1e9 + APART_S) is not None
+
+
+def test_pictures_without_a_pattern_leave_room_for_what_was_seen_before() -> None:
+    """Fog at a frame a second, for ten minutes."""
+    memory, fog = SmokeMemory(), np.full((*SIZE, 3), 170, np.uint8)
+    memory.look(land(), labels(), 0.0)
+    for second in range(1, 601, 5):
+        memory.look(fog, labels(), float(second))
+    assert memory.look(plume(land(), 2)[0], labels(), 700.0) is not None
