@@ -14,7 +14,7 @@ import numpy as np
 
 from ltm_core.confirmed_terrain import ConfirmedTerrain
 from ltm_core.dem import Dem
-from ltm_core.fuel.stand_allometry import ForestType, broadleaved, crown_fuel
+from ltm_core.fuel.stand_allometry import MOST_DENSITY, ForestType, broadleaved, crown_fuel
 from ltm_core.grid import GridGeometry
 from ltm_core.terrain.fuel_change import LEAST_SHARE
 from ltm_core.types import BoolArray, Float32Array, Float64Array, IndexArray, Int16Array
@@ -134,6 +134,7 @@ def with_seen_canopy(
     left = (share > 0) & (tops > 0)
     moved[2:] = np.where(stays, np.where(left, bands[2:], 0), moved[2:])
     moved[2] = np.minimum(moved[2], tops)
+    moved[3] = np.minimum(moved[3], np.maximum(density, 100 * MOST_DENSITY))
     return np.where(now & np.isfinite(moved).all(axis=0), np.round(moved), bands).astype(np.int16)
 
 

@@ -106,3 +106,13 @@ def test_labels_count_where_trees_are_new_and_beside_a_confirmed_change() -> Non
     nothing = measured_canopy(trees, new, None, None, None)
     assert np.isnan(nothing.cover).all()
     assert np.isnan(nothing.height).all()
+
+
+@pytest.mark.parametrize(("said", "most"), [(11, 45), (60, 60)])
+def test_a_stand_that_is_low_now_is_no_denser_than_stands_are(said: int, most: int) -> None:
+    """By the regressions alone one of 15 m that is 3 m high now would have 8 kg/m3."""
+    bands = np.array([55, 150, 15, said], np.int16).reshape(4, 1, 1)
+    cover, height, sigma = (np.full((1, 1), value, np.float32) for value in (95, 3, 1))
+    found = with_seen_canopy(bands, SeenCanopy(cover, height, sigma, sigma), np.full((1, 1), 183, np.int16))
+    assert found[:2].ravel().tolist() == [95, 30]
+    assert found[3, 0, 0] == most
