@@ -11,7 +11,7 @@ that two parts hold is refused: it would count twice. Of each field of a cell's 
 | `best`, `last`, `last_seen`, second of `span` | the largest |
 | `first`, first of `span` | the least that is not 0 |
 | `camera_hashes`, `seen_by` | the least of the union, as many as are kept, rising |
-| `woody`, `woody_epoch` | of each view the newest epoch, and the sum of what is of it, as far as it has room |
+| `woody`, `woody_epoch` | of each view the newest epoch, and the sum of what is of it, at most the largest number |
 | `burned_at` | must be the same: a burn is told to every part before its frames are counted |
 
 Days of frames need not be told of the burns of other days: a burn voids what came before it, so the days before it are
@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from ltm_core.errors import ArchiveError
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.evidence_state import EPOCHS
+from ltm_core.fuel.label_cover import capped
 from ltm_core.raster.tile_store_schema import Key, Tile
 from ltm_core.types import Int64Array
 
@@ -96,9 +97,7 @@ def merged_tile(one: Tile, other: Tile) -> Tile:
 def _merged_cover(one: Tile, other: Tile) -> Tile:
     newest = np.maximum(one["woody_epoch"], other["woody_epoch"])
     parts = [np.where((t["woody_epoch"] == newest)[..., None], t["woody"], 0).astype(np.uint64) for t in (one, other)]
-    whole = parts[0] + parts[1]
-    full = (whole > np.iinfo(np.uint32).max).any(axis=-1, keepdims=True)
-    return {"woody": np.where(full, parts[0], whole).astype(np.uint32), "woody_epoch": newest}
+    return {"woody": capped(parts[0] + parts[1]), "woody_epoch": newest}
 
 
 def _merged_epochs(one: Tile, other: Tile) -> Tile:

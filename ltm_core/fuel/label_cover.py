@@ -84,11 +84,13 @@ def add_looks(state: Mapping[str, NDArray[Any]], looks: WoodyLooks, views: Int64
     fresh = (state["burned_at"][at[:2]] <= second) & (state["woody_epoch"][at] <= epoch)
     at = looks.rows[fresh], looks.cols[fresh], views[fresh]
     before = np.where((state["woody_epoch"][at] == epoch)[:, None], state["woody"][at], 0)
-    total = before.astype(np.uint64) + looks.sums[fresh]
-    # At the ceiling all three would no longer be of the same frames: 16 million in ten days, more than a camera takes.
-    full = (total > np.iinfo(np.uint32).max).any(axis=1)
-    state["woody"][at] = np.where(full[:, None], before, total).astype(np.uint32)
+    state["woody"][at] = capped(before.astype(np.uint64) + looks.sums[fresh])
     state["woody_epoch"][at] = epoch
+
+
+def capped(sums: NDArray[np.uint64]) -> UInt32Array:
+    """At the largest number, which does not depend on the order of the frames: of one view, 17 million in ten days."""
+    return np.minimum(sums, np.iinfo(np.uint32).max).astype(np.uint32)
 
 
 def label_cover(woody: UInt32Array, before: Float64Array) -> tuple[Float64Array, Float64Array]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import reduce
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -143,6 +144,18 @@ def test_sums_end_at_the_largest_number() -> None:
     merged = merged_tile(full, full)
     assert merged["shown"][1, 2, 3, 0].tolist() == [2**32 - 1] * full["shown"].shape[-1]
     assert int((merged["shown"] > 0).sum()) == full["shown"].shape[-1]
+
+
+def test_sums_of_woody_pixels_at_the_largest_number_do_not_hang_on_the_order() -> None:
+    tiles = []
+    for amount in (2**32 - 10, 6, 7):
+        tile = {n: array.copy() for n, array in EvidenceMap(GRID, None, LABELS).tile_state((0, 0)).items()}
+        tile["woody"][1, 2, 3], tile["woody_epoch"][1, 2, 3] = (5, amount, 9), 7
+        tiles.append(tile)
+    ways = [merged_tile(merged_tile(tiles[a], tiles[b]), tiles[c])["woody"] for a, b, c in permutations(range(3))]
+    for way in ways:
+        np.testing.assert_array_equal(way, ways[0])
+    assert ways[0][1, 2, 3].tolist() == [15, 2**32 - 1, 27]
 
 
 def test_parts_that_know_of_different_burns_are_refused() -> None:
