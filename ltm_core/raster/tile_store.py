@@ -106,11 +106,16 @@ class TileStore:
             if not path.exists():
                 create_store(path, schema)
             database, stored = open_store(path, read_only=False)
-            if schema.grown_from(stored):
-                grow(database, stored, schema, str(path))
-            elif differences := schema.differences(stored):
+            try:
+                if schema.grown_from(stored):
+                    grow(database, stored, schema, str(path))
+                elif differences := schema.differences(stored):
+                    raise ConfigError(
+                        f"{path}: not a store of this map: {differences}; move it away or name another file"
+                    )
+            except BaseException:
                 database.close()
-                raise ConfigError(f"{path}: not a store of this map: {differences}; move it away or name another file")
+                raise
             reserve = DiskReserve(path.with_name(f".{path.name}.reserve"))
             store = cls(database, schema, str(path), lock, kept_frames, most_frames, reserve)
             store._hold()

@@ -226,6 +226,31 @@ def test_a_store_that_knows_its_fields_by_their_former_names_is_read(tmp_path: P
         assert_same(store.read((0, 1)), arrays)
 
 
+def test_a_store_whose_growth_is_cut_short_is_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a disk that fills up: the next attempt, with room again, finds all of it."""
+    path = tmp_path / "map.ltm"
+    with TileStore.open(path, SCHEMA) as store:
+        store.commit({(1, 2): tile(1), (0, 1): tile(2)}, [FrameRecord("north", 5)])
+    more = dict(SCHEMA.fields) | {"snow": Field(np.uint16, (3,))}
+    grown = replace(SCHEMA, version=SCHEMA.version + 1, fields=more, extends=SCHEMA.version)
+    packed = []
+
+    def no_room_for_a_second(schema: StoreSchema, *arguments: Any) -> bytes:
+        packed.append(arguments)
+        if len(packed) > 1:
+            raise sqlite3.OperationalError("database or disk is full")
+        return pack(schema, *arguments)
+
+    pack = StoreSchema.pack
+    with monkeypatch.context() as patched, pytest.raises(ConfigError, match="disk is full"):
+        patched.setattr(StoreSchema, "pack", no_room_for_a_second)
+        TileStore.open(path, grown)
+    with TileStore.open(path, SCHEMA) as store:
+        assert_same(store.read((1, 2)), tile(1))
+    with TileStore.open(path, grown) as store:
+        assert_same(store.read((0, 1)), tile(2) | {"snow": np.zeros((8, 8, 3), np.uint16)})
+
+
 def test_a_store_of_an_earlier_version_gets_the_fields_that_it_lacks(tmp_path: Path) -> None:
     path = tmp_path / "map.ltm"
     with TileStore.open(path, SCHEMA) as store:
