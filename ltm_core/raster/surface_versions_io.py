@@ -127,11 +127,14 @@ class SurfaceManifest(StrictModel):
         if past:
             found = self.entry(past[-1].version)
             return None if found is None else found.model_copy(update={"as_of_ns": past[-1].as_of_ns})
-        if self.forgotten and moment_ns is not None and self.history:
-            since = np.datetime64(self.history[0].as_of_ns, "ns").astype("datetime64[s]")
+        if self.forgotten and moment_ns is not None:
+            kept = "none is kept"
+            if self.history:
+                since = np.datetime64(self.history[0].as_of_ns, "ns").astype("datetime64[s]")
+                kept = f"{KEPT} are kept, the first of {since} UTC; ask for a later moment"
             raise StoreError(
-                f"which surface counted then is forgotten: {KEPT} are kept, the first of {since} UTC; ask for a later "
-                "moment, or export bare earth as given with a site file without terrain.trace_confirmed"
+                f"which surface counted then is forgotten: {kept}, or export bare earth as given with a site file "
+                "without terrain.trace_confirmed"
             )
         return None
 

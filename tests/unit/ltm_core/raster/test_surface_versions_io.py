@@ -178,6 +178,9 @@ def test_a_surface_that_comes_again_after_it_was_dropped_goes_round_in_no_circle
     while versions.manifest().current:
         taken, _ = taken + 1, versions.take_back()
     assert KEPT - 5 <= taken <= KEPT
+    with pytest.raises(StoreError, match="is forgotten: none is kept"):
+        versions.manifest().at(500)
+    assert versions.manifest().at(None) is None
 
 
 def test_files_that_no_manifest_names_are_removed(versions: SurfaceVersions) -> None:
