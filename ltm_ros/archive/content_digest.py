@@ -45,6 +45,8 @@ _NOT_VOTES = {
 _NOT_VOTES |= {"watchdog", "health", "model", "heads", "labels", "name"}
 """Of a site: what has no say in the votes of a frame of which image, pose and calibration are known, and what is given
 by its content beside it."""
+_SEEN = {"mask", "view_masks", "judge_pictures"}
+"""Of a camera: what of its pictures is taken to show the landscape (`SceneFilter`)."""
 _PLACES = {"crs", "origin", "dem", "coarser", "cameras", "assumed_pose_error"}
 _NOT_VOTES_OF_FUEL = {"prior", "region", "fusion", "label_errors"}
 """What evidence is made of votes with."""
@@ -95,7 +97,7 @@ def votes_digest(site: Site, camera: str, tracing: TracingConfig, labelling: Lab
     settings = site.model_dump(exclude=_NOT_VOTES)
     settings["fuel"] = site.fuel.model_dump(exclude=_NOT_VOTES_OF_FUEL)
     config = site.camera(camera)
-    settings["camera"] = {"mask": config.model_dump(include={"mask"}), "judge_pictures": config.judge_pictures}
+    settings["camera"] = config.model_dump(include=_SEEN)
     step = LabellingStep(site, camera, labelling)
     settings["network"] = [step.described, step.manifest.model_dump(mode="json"), step.withdrawal.model_dump()]
     settings["labels"] = file_digest(config_path(site.labels))
@@ -106,7 +108,7 @@ def votes_digest(site: Site, camera: str, tracing: TracingConfig, labelling: Lab
 def look_digest(site: Site, camera: str) -> str:
     """Of what decides whether a camera's picture is clear, besides the picture."""
     config = site.camera(camera)
-    return digest(_by_content(config.model_dump(include={"mask", "judge_pictures"})), site.crs, list(site.origin))
+    return digest(_by_content(config.model_dump(include=_SEEN)), site.crs, list(site.origin))
 
 
 def places_digest(site: Site) -> str:

@@ -13,6 +13,7 @@ from ltm_core.site import Site
 from ltm_core.types import UInt8Array
 from ltm_core.vision.scene_view import SceneFilter
 from ltm_core.vision.usable import WORKING_WIDTH, judge
+from ltm_core.vision.view_masks import Looking
 from ltm_msgs_py.bag.picture_cdr import CompressedPicture, RawPicture, picture_of
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_ros.archive.content_digest import picture_digest
@@ -104,7 +105,7 @@ class SmallLook:
             return f"damaged: {error}"
         if not self._judged:
             return ""
-        hidden = self._scene.hidden(*picture.size)
+        hidden = self._scene.hidden(*picture.size, Looking.of(frame.calibration, frame.pose))
         if hidden is not None:
             size = small.shape[1], small.shape[0]
             hidden = cv2.resize(hidden.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0

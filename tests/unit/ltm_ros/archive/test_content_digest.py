@@ -10,11 +10,15 @@ from pathlib import Path
 
 import pytest
 import yaml
+from scenes.masked_site import hidden_of_view, write_turning_site
 from scenes.small_site import write_small_site
 
 import ltm_ros.archive
+from ltm_core.frame_steps import LabellingConfig, TracingConfig
+from ltm_core.site import Site
 from ltm_core.site_io import load_site
-from ltm_ros.archive.content_digest import code_digest, evidence_digest, file_digest
+from ltm_core.vision.camera_mask_io import write_mask
+from ltm_ros.archive.content_digest import code_digest, evidence_digest, file_digest, look_digest, votes_digest
 
 _SAYS = """
 import sys
@@ -49,6 +53,23 @@ def test_other_errors_of_the_network_give_other_evidence(tmp_path: Path) -> None
         site.path.write_text(yaml.safe_dump(content))
         found.append(evidence_digest(load_site(site.path)))
     assert found[0] != found[1]
+
+
+def test_masks_of_views_are_in_the_names_of_votes_and_looks(tmp_path: Path) -> None:
+    """None, one, and the same file with another mask in it: of the camera that has them alone."""
+    small = write_small_site(tmp_path, recording=False)
+    site, turning = load_site(small.path), load_site(write_turning_site(small))
+    found = {camera: [_names(site, camera), _names(turning, camera)] for camera in ("tower", "mast")}
+    write_mask(tmp_path / "view_mask.png", ~hidden_of_view())
+    for camera, names in found.items():
+        names.append(_names(turning, camera))
+    for of_step in range(2):
+        assert len({names[of_step] for names in found["tower"]}) == 3
+        assert len({names[of_step] for names in found["mast"]}) == 1
+
+
+def _names(site: Site, camera: str) -> tuple[str, str]:
+    return votes_digest(site, camera, TracingConfig(), LabellingConfig()), look_digest(site, camera)
 
 
 def test_the_program_is_its_own_sources_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
