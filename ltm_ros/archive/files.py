@@ -5,15 +5,15 @@ What a store refuses is asked for again some times, and then is an error that na
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import time
-import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import fsspec
 
@@ -24,7 +24,11 @@ WAITS_S = (0.5, 1.0, 2.0, 4.0)
 """Before a store is asked again. It also asks again by itself, as `AWS_MAX_ATTEMPTS` says."""
 _VERSIONS = ("ETag", "etag", "mtime", "LastModified", "created")
 """What stores say of an object by which a change of it is known; the first that is there counts."""
+_OF_THE_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+"""What no store says."""
 _PARTIAL = ".partial"
+_CHANGES = 5
+"""Times that a file may be another one when it has come than when it was asked for."""
 
 T = TypeVar("T")
 
@@ -62,10 +66,22 @@ def files_below(archive: str) -> list[StoredFile]:
     """
     if not is_remote(archive):
         path = Path(archive).expanduser().resolve()
-        return [_on_disk(path)] if path.is_file() else [_on_disk(p) for p in sorted(path.rglob("*")) if p.is_file()]
+        return [_on_disk(p) for p in ([path] if path.is_file() else _files_in(path))]
     store, root = _store_of(archive)
     found = asked(archive, lambda: store.find(root, detail=True))
     return sorted((_on_store(store, about) for about in found.values()), key=lambda file: file.name)
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """At any depth, by their paths; none where there is no such folder. Raises OSError for one that cannot be read: as
+    `Path.rglob` does not."""
+
+    def failed(error: OSError) -> None:
+        if not (isinstance(error, FileNotFoundError) and error.filename == str(folder)):
+            raise error
+
+    found = [Path(place) / name for place, _, names in os.walk(folder, onerror=failed) for name in names]
+    return sorted(path for path in found if path.is_file())
 
 
 def _on_disk(path: Path) -> StoredFile:
@@ -92,48 +108,52 @@ class ArchiveFiles:
             yield Path(name)
             return
         store, path = _store_of(name)
-        about = asked(name, lambda: _fresh(store, path))
-        while True:
+        for _ in range(_CHANGES):
+            about = asked(name, lambda: _fresh(store, path))
             place = self._place(about)
             if not place.is_file():
-                about = self._fetch(store, path, about)
-                continue
-            with place.open("rb") as held:
-                fcntl.flock(held, fcntl.LOCK_SH)
-                # Another process may have removed it before it was held.
-                if place.exists() and os.fstat(held.fileno()).st_ino == place.stat().st_ino:
+                self._fetch(store, path, about)
+            if (held := _held(place)) is not None:
+                with held:
                     os.utime(place)
                     yield place
                     return
+        raise ArchiveError(
+            f"{name} was another one, or gone from the cache, each of {_CHANGES} times that it was fetched; wait until "
+            "it is whole, or raise --cache-gb"
+        )
 
     def _place(self, about: StoredFile) -> Path:
         suffix = Path(about.name).suffix
         key = digest(about.name, about.size_bytes, about.version)
         return self._cache.own / f"{key}{suffix}"
 
-    def _fetch(self, store: Any, path: str, about: StoredFile) -> StoredFile:
-        """What was fetched: as asked for, or as it has become meanwhile."""
+    def _fetch(self, store: Any, path: str, about: StoredFile) -> None:
+        """Into its place, unless it has become another one meanwhile. Who wants the same file waits, and finds it."""
         place = self._place(about)
         place.parent.mkdir(parents=True, exist_ok=True)
-        self._make_room(about)
-        partial = place.with_name(f"{place.name}.{uuid.uuid4().hex}{_PARTIAL}")
-        try:
-            with partial.open("wb") as held:
-                fcntl.flock(held, fcntl.LOCK_EX)  # whoever makes room leaves it alone
+        partial = place.with_name(f"{place.name}{_PARTIAL}")
+        while (own := _held(partial, alone=True)) is None:
+            continue
+        with own:
+            # A file that is there may be held, and what is held must stay the file of its name.
+            if place.is_file():
+                partial.unlink()
+                return
+            try:
+                self._make_room(about)
 
-                def fetch() -> StoredFile:
+                def fetch() -> bool:
                     store.get_file(path, str(partial))
                     found = _fresh(store, path)
                     if partial.stat().st_size != found.size_bytes:
                         raise OSError(f"{partial.stat().st_size} of {found.size_bytes} bytes came")
-                    return found
+                    return found == about
 
-                found = asked(about.name, fetch)
-                if found == about:
+                if asked(about.name, fetch):
                     partial.replace(place)
-        finally:
-            partial.unlink(missing_ok=True)
-        return found
+            finally:
+                partial.unlink(missing_ok=True)
 
     def _make_room(self, about: StoredFile) -> None:
         """Removes what was not read for longest and nobody holds. What others hold or fetch may go beyond the bound."""
@@ -156,12 +176,33 @@ class ArchiveFiles:
                 total -= size
 
 
+def _held(place: Path, alone: bool = False) -> BinaryIO | None:
+    """A file that nobody removes while it is open; None: it is not, or no longer, the file of that name. `alone`: it is
+    made where there is none, and held by one at a time."""
+    try:
+        file = place.open("a+b" if alone else "rb")
+    except FileNotFoundError:
+        return None
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+        # Another process may have removed it before it was held.
+        if os.fstat(file.fileno()).st_ino == place.stat().st_ino:
+            return file
+    except FileNotFoundError:
+        pass
+    except BaseException:
+        file.close()
+        raise
+    file.close()
+    return None
+
+
 def _removed(place: Path) -> bool:
     """Whether a file was held by nobody, and is gone now."""
     try:
-        with place.open("rb") as file:
+        with place.open("r+b") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            place.unlink()
+            place.unlink(missing_ok=True)
     except FileNotFoundError:
         return True
     except BlockingIOError:
@@ -171,13 +212,15 @@ def _removed(place: Path) -> bool:
 
 def asked(name: str, action: Callable[[], T]) -> T:
     """What a store answers, which is asked again while it fails. Raises ArchiveError where it has failed too often, or
-    has nothing of that name, or gives it to others only."""
+    has nothing of that name, or gives it to others only; OSError where this machine's disk is full."""
     for wait_s in (*WAITS_S, None):
         try:
             return action()
         except (FileNotFoundError, PermissionError) as error:
             raise ArchiveError(f"{name}: {_words(error)}; check the address and the credentials") from error
         except Exception as error:  # of botocore, which has hundreds
+            if isinstance(error, OSError) and error.errno in _OF_THE_DISK:
+                raise
             if wait_s is None:
                 raise ArchiveError(
                     f"{name} cannot be read just now ({_words(error)}, asked {len(WAITS_S) + 1} times); check the "
@@ -197,6 +240,8 @@ def _words(error: Exception) -> str:
 
 
 def _store_of(url: str) -> tuple[Any, str]:
+    if "::" in url:  # to fsspec a chain of stores: of a file named so, it would read another one
+        raise ArchiveError(f"{url}: addresses with :: are not taken; rename it")
     try:
         store, path = fsspec.core.url_to_fs(url)
     except (ImportError, ValueError) as error:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import fsspec
@@ -48,6 +52,95 @@ def test_what_is_below_a_place(store: Store, tmp_path: Path) -> None:
     (tmp_path / "here.mcap").write_bytes(b"333")
     assert [file.size_bytes for file in files_below(str(tmp_path))] == [3]
     assert files_below(str(tmp_path / "nothing")) == []
+
+
+def test_a_folder_that_cannot_be_read_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else its recordings are missing from the map, and nobody knows."""
+    (tmp_path / "a/shut").mkdir(parents=True)
+    (tmp_path / "a/one.mcap").write_bytes(b"1")
+    look = os.scandir
+
+    def refused(place: str) -> object:
+        if Path(place).name == "shut":
+            raise PermissionError(13, "Permission denied", str(place))
+        return look(place)
+
+    monkeypatch.setattr(os, "scandir", refused)
+    with pytest.raises(PermissionError, match="shut"):
+        files_below(str(tmp_path))
+
+
+def test_a_file_whose_name_fsspec_takes_apart_is_not_read_as_another(store: Store, at_hand: ArchiveFiles) -> None:
+    store("a", b"another one")
+    with pytest.raises(ArchiveError, match="with :: are not taken"):
+        at_hand.at_hand(store("a::b.mcap", b"its own")).__enter__()
+
+
+def test_what_is_held_stays_though_another_fetches_it_too(
+    store: Store, at_hand: ArchiveFiles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two begin at once: the second waits for the first, which fetches it, and nobody who makes room takes it from
+    either: recordings are opened by their name again and again."""
+    kind = fsspec.get_filesystem_class("memory")
+    fetch, fetched, go_on = kind.get_file, list[str](), threading.Event()
+
+    def slowly(self: object, path: str, place: str) -> None:
+        fetched.append(path)
+        go_on.wait(60)
+        fetch(self, path, place)
+
+    monkeypatch.setattr(kind, "get_file", slowly)
+    url = store("one", b"1" * 60)
+
+    def read(begun: threading.Event) -> bytes:
+        begun.set()
+        with at_hand.at_hand(url) as path:
+            both.wait(60)  # held twice
+            if fetched == ["/files/one"]:
+                with at_hand.at_hand(other):
+                    pass
+            both.wait(60)
+            return path.read_bytes()
+
+    other = store("two", b"2" * 60)
+    both = threading.Barrier(2)
+    with ThreadPoolExecutor(2) as pool:
+        begun = [threading.Event() for _ in range(2)]
+        reading = [pool.submit(read, one) for one in begun]
+        for one in begun:
+            one.wait(60)
+        go_on.set()
+        assert [one.result() for one in reading] == [b"1" * 60] * 2
+    assert fetched.count("/files/one") == 1
+
+
+def test_what_the_disk_says_is_no_word_of_the_store(
+    store: Store, at_hand: ArchiveFiles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: object, path: str, place: str) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(fsspec.get_filesystem_class("memory"), "get_file", full)
+    with pytest.raises(OSError, match="No space left"):
+        at_hand.at_hand(store("one", b"1")).__enter__()
+    assert cached(tmp_path) == []
+
+
+def test_a_file_that_is_another_one_each_time_is_given_up(
+    store: Store, at_hand: ArchiveFiles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kind = fsspec.get_filesystem_class("memory")
+    fetch, size = kind.get_file, [1]
+
+    def growing(self: object, path: str, place: str) -> None:
+        size[0] += 1
+        store("one", b"1" * size[0])
+        fetch(self, path, place)
+
+    monkeypatch.setattr(kind, "get_file", growing)
+    with pytest.raises(ArchiveError, match="one was another one"):
+        at_hand.at_hand(store("one", b"1")).__enter__()
+    assert cached(tmp_path) == []
 
 
 def test_a_file_is_fetched_once_and_anew_when_it_has_changed(
