@@ -18,12 +18,12 @@ from ltm_core.errors import PoseError
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
 from ltm_core.pose_estimation.contour_scores import ContourDirections, ridge_strength
-from ltm_core.pose_estimation.picture_pose_config import FLOOR_DEG, PicturePoseConfig
+from ltm_core.pose_estimation.picture_pose_config import FLOOR_DEG, PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch
 from ltm_core.pose_estimation.pose_hypothesis import mean_about_best
 from ltm_core.pose_estimation.pose_prior import PosePrior, turned
 from ltm_core.pose_estimation.pose_refinement import ROUNDS, picture_system, skyline_cost
-from ltm_core.pose_estimation.pose_verdict import Word
+from ltm_core.pose_estimation.pose_verdict import MANY_PLANTS, Word
 from ltm_core.types import Float64Array
 
 TILT_ZERO_SIGMA_DEG = 0.3
@@ -115,7 +115,7 @@ def fit_mount(
     reason = f"{len(pictures)} pictures agree"
     if turns.max() > v.most_sigma_deg or turns[2] > v.most_azimuth_sigma_deg:
         word, reason = "ambiguous", f"the pictures leave the mount open by {turns.max():.2f} deg"
-    elif gap < v.gap_asked(veiled):
+    elif gap < _gap_asked(pictures, veiled, v):
         word, reason = "ambiguous", f"another azimuth of the mount costs {gap:.1f} more only"
     elif support < v.least_support:
         word, reason = "ambiguous", f"only {support:.0%} of the photos' skylines lies on the terrain's"
@@ -186,6 +186,15 @@ def _seen(pictures: list[_Picture], poses: Sequence[Pose], config: PicturePoseCo
     ]
     support, veiled = np.median(np.array(shares), axis=0) if shares else (1.0, 0.0)
     return float(support), float(veiled)
+
+
+def _gap_asked(pictures: list[_Picture], veiled: float, config: VerdictConfig) -> float:
+    """Of a mount as of a picture (`pose_verdict.judge`): more where ridges alone tell."""
+    evidences = [p.search.evidence for p in pictures]
+    if any(evidence.skyline is not None for evidence in evidences):
+        return config.gap_asked(veiled)
+    plants = float(np.median([evidence.plants for evidence in evidences]))
+    return config.plants_gap if plants >= MANY_PLANTS else config.ridges_gap
 
 
 def _refined(

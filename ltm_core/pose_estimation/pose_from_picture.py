@@ -86,6 +86,8 @@ def find_pose(
     found: list[Hypothesis] = []
     if evidence.skyline is not None and not horizon.open.all():
         found = terrain.above(_search_skyline(evidence, horizon, prior, config, focal_sigma))
+        # Of those above the ground alone: else what comes next would be as sure as if nothing were about it.
+        found = terrain.above(merged_with_others(found, not prior.sigmas[:3].any(), config.verdict))
     verdict = judge(found, False, prior, config)
     if not found or (verdict.word != "accepted" and found[0].refined.support < _LEAST_SUPPORT):
         by_ridges = terrain.above(search_ridges(replace(evidence, skyline=None), horizon, prior, config, focal_sigma))
@@ -152,7 +154,7 @@ def _search_skyline(
         ridge = float(_ridge_cost(np.array([score]), usual, spread, config)[0])
         found.append(Hypothesis(refined, refined.cost + ridge, (score - usual) / spread))
     found.sort(key=lambda hypothesis: hypothesis.cost)
-    return merged_with_others(found, not prior.sigmas[:3].any(), config.verdict)
+    return found
 
 
 def _best_over_pitch(

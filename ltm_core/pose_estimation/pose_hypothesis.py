@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ltm_core.pose import Pose
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.pose_refinement import RefinedPose
@@ -19,11 +20,13 @@ _FOCAL_STEP = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A refined pose with its whole cost: skyline, prior and ridges."""
+    """A refined pose with its whole cost: skyline, prior and ridges. `about`: where it is a mean, the best fit of those
+    that it is the mean of."""
 
     refined: RefinedPose
     cost: float
     ridge_score: float
+    about: Pose | None = None
 
 
 def merged_with_others(hypotheses: list[Hypothesis], place_held: bool, config: VerdictConfig) -> list[Hypothesis]:
@@ -46,7 +49,7 @@ def merged_with_others(hypotheses: list[Hypothesis], place_held: bool, config: V
         camera=replace(refined.camera, fx=refined.camera.fx * factor, fy=refined.camera.fy * factor),
         covariance=refined.covariance + spread,
     )
-    return [replace(best, refined=merged), *hypotheses[1:]]
+    return [replace(best, refined=merged, about=refined.pose), *hypotheses[1:]]
 
 
 def mean_about_best(

@@ -54,8 +54,9 @@ def judge(
     azimuth, pitch, roll = (float(s) for s in np.degrees(np.sqrt(np.maximum(np.diag(turns), 0.0))))
     sigma = azimuth, pitch, roll
     gap, other = math.inf, None
+    middle = best.about or best.refined.pose  # what is not part of a mean is an alternative to it
     for hypothesis in hypotheses[1:]:
-        away = abs(float(angles_between(best.refined.pose, hypothesis.refined.pose)[0]))
+        away = abs(float(angles_between(middle, hypothesis.refined.pose)[0]))
         if away > math.radians(v.alternative_deg):
             gap, other = hypothesis.cost - best.cost, hypothesis.refined.pose.angles_deg[0]
             break

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +15,9 @@ from ltm_core.errors import ImageError, PoseError
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation.image_skyline import image_skyline
-from ltm_core.pose_estimation.mount_fit import fit_mount, widened
+from ltm_core.pose_estimation.mount_fit import MountFit, fit_mount, widened
 from ltm_core.pose_estimation.picture_evidence import picture_evidence
+from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.picture_pose_io import doubt_of_sky, result_of
 from ltm_core.pose_estimation.pose_from_picture import find_pose
 from ltm_core.pose_estimation.pose_prior import UNKNOWN_DEG, PosePrior, angles_between, turned
@@ -209,6 +211,26 @@ def test_a_mount_whose_pictures_leave_its_azimuth_open_stays_as_stated() -> None
     fit = fit_mount([prior] * 3, [search] * 3, tilt_zero_sigma_deg=0.0)
     assert fit.word in ("ambiguous", "no_skyline")
     assert fit.poses == (prior.pose,) * 3
+
+
+@pytest.mark.parametrize(("grown", "asked"), [(Label.BARE, "ridges_gap"), (Label.TREE, "plants_gap")])
+def test_a_mount_of_which_ridges_alone_tell_is_asked_more(grown: Label, asked: str) -> None:
+    """As of a single picture; all other limits are loose here."""
+    prior = PosePrior(turned(TRUE, np.radians([0.1, 0.0, 6.0])), 8.0, 0.5, 0.5)
+    photo, labels = view(TRUE)
+    labels = np.where(labels == Label.BARE, np.uint8(grown), labels).astype(np.uint8)
+    evidence = replace(picture_evidence(photo, labels, CAMERA), skyline=None)
+    loose = {"most_sigma_deg": 9.0, "most_azimuth_sigma_deg": 9.0, "least_gap": 0.0, "alternative_deg": 0.05}
+    loose |= {"ridges_gap": 0.0, "plants_gap": 0.0, "contradiction": 99.0}
+    search = find_pose(evidence, terrain(), prior)
+
+    def fit(**limits: float) -> MountFit:
+        config = PicturePoseConfig(verdict=VerdictConfig(**(loose | limits)))
+        return fit_mount([prior] * 2, [search] * 2, config, tilt_zero_sigma_deg=0.0)
+
+    gap = fit().gap
+    assert 0 < gap < math.inf
+    assert [fit(**{asked: share * gap}).word for share in (0.9, 1.1)] == ["accepted", "ambiguous"]
 
 
 def test_a_mount_without_pictures_is_refused() -> None:

@@ -100,3 +100,12 @@ def test_an_open_azimuth_is_not_accepted(second: float, stated_deg: float, word:
     found = merged_with_others([hypothesis(60.0, -100.0), hypothesis(second, -100.0)], True, CONFIG)
     prior = PosePrior(found[0].refined.pose, stated_deg, 0.5, 0.5)
     assert judge(found, False, prior, PicturePoseConfig(verdict=CONFIG)).word == word
+
+
+@pytest.mark.parametrize("third", [62.4, 62.6, 63.5])
+def test_what_fits_as_well_is_in_the_mean_or_an_alternative_to_it(third: float) -> None:
+    """60.0 and 60.6 make 60.3, from which 62.6 is less than 2.5 degrees away, but it is no part of it."""
+    apart = [hypothesis(60.0, -100.0), hypothesis(60.6, -100.0), hypothesis(third, -99.9)]
+    found = merged_with_others(apart, True, CONFIG)
+    prior = PosePrior(found[0].refined.pose, 1.5, 0.5, 0.5)
+    assert judge(found, False, prior, PicturePoseConfig(verdict=CONFIG)).word == "ambiguous"
