@@ -31,15 +31,13 @@ _TELLING = 0.02
 
 @dataclass(frozen=True, eq=False)
 class RefinedPose:
-    """`information`: (7, 7) of the picture alone over x, y, z (m), rotations about them (rad) and the logarithm of the
-    focal length; `gradient`: (7,) of its cost there. `cost`: of skyline and prior. `support`: the share of the skyline
-    that fits; `veiled`: the share where a nearer crest may hide the horizon.
+    """`covariance`: (7, 7) over x, y, z (m), rotations about them (rad) and the logarithm of the focal length. `cost`: of
+    skyline and prior. `support`: the share of the skyline that fits; `veiled`: the share where a nearer crest may hide
+    the horizon.
     """
 
     pose: Pose
     camera: Camera
-    information: Float64Array
-    gradient: Float64Array
     covariance: Float64Array
     cost: float
     support: float
@@ -70,17 +68,17 @@ def refine(
         pose = turned(pose, step[3:6], step[:3])
         focal += step[6]
         camera = replace(camera, fx=camera.fx * math.exp(step[6]), fy=camera.fy * math.exp(step[6]))
-    information, gradient = picture_system(
+    normal, gradient = picture_system(
         pose, camera, evidence, horizon, ridges, rounds[-1][0], 1.0, config, expected=True
     )
-    normal, _ = _with_prior(information, gradient, pose, prior, focal, focal_sigma)
+    normal, _ = _with_prior(normal, gradient, pose, prior, focal, focal_sigma)
     covariance = np.zeros((7, 7))
     covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
     covariance[3:6, 3:6] += pose_covariance(pose, 0.0, 0.0, *FLOOR_DEG)[3:, 3:]
     cost, support, veiled = skyline_cost(pose, camera, evidence, horizon, config)
     deviation = prior.deviation(pose) / np.where(prior.sigmas > 0, prior.sigmas, np.inf)
     cost += 0.5 * float(deviation @ deviation)
-    return RefinedPose(pose, camera, information, gradient, covariance, cost, support, veiled)
+    return RefinedPose(pose, camera, covariance, cost, support, veiled)
 
 
 def skyline_cost(

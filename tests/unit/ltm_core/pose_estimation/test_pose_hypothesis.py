@@ -33,9 +33,8 @@ def hypothesis(azimuth_deg: float, cost: float) -> Hypothesis:
     pose = Pose.from_angles((10.0, 20.0, 300.0), azimuth_deg, 0.0)
     covariance = np.zeros((7, 7))
     covariance[:6, :6] = pose_covariance(pose, 0.0, 0.0, 0.1, 0.05, 0.2)
-    nothing = np.zeros((7, 7)), np.zeros(7)
     camera = Camera.from_fov(640, 360, 50.0)
-    return Hypothesis(RefinedPose(pose, camera, *nothing, covariance, cost, support=0.95, veiled=0.0), cost, 1.0)
+    return Hypothesis(RefinedPose(pose, camera, covariance, cost, support=0.95, veiled=0.0), cost, 1.0)
 
 
 def azimuth_sigma_deg(best: Hypothesis) -> float:
