@@ -24,6 +24,8 @@ LEAST_SHARE: Final = 0.5
 """Of a cell that must have burned, for it to have burned."""
 _LARGEST: Final = 64 << 20
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_LATEST = datetime(2106, 1, 1, tzinfo=UTC) - _EPOCH
+"""What fits into a cell's state (`EvidenceMap.burn`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +60,7 @@ def read_burns(path: Path, geometry: GridGeometry) -> list[Burn]:
         try:
             stamp = _stamp_ns((feature.get("properties") or {}).get(BURNED_AT), place)
             areas.setdefault(stamp, []).extend(_areas(feature["geometry"], turn, place))
-        except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
+        except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
             raise ConfigError(f"{place}: is no area ({type(error).__name__}: {error})") from error
     burns = (_burn(stamp, areas[stamp], geometry) for stamp in sorted(areas))
     return [burn for burn in burns if len(burn.cells)]
@@ -78,10 +80,14 @@ def _areas(shape: Any, turn: Transformer, place: str) -> list[dict[str, Any]]:
         turned = []
         for ring in rings:
             points = np.asarray([point[:2] for point in ring], np.float64)
-            if len(points) < 4 or not np.isfinite(points).all():
+            if len(points) < 4:
                 raise ConfigError(f"{place}: a ring of {len(points)} points; it needs four, the last as the first")
+            if not (np.abs(points) <= (180.0, 90.0)).all():  # neither is NaN
+                raise ConfigError(f"{place}: points are longitude and latitude, in this order, degrees")
             x, y = turn.transform(points[:, 0], points[:, 1])
             turned.append(list(zip(np.asarray(x).tolist(), np.asarray(y).tolist(), strict=True)))
+        if not turned:
+            raise ConfigError(f"{place}: a polygon without a ring")
         found.append({"type": "Polygon", "coordinates": turned})
     return found
 
@@ -94,6 +100,6 @@ def _stamp_ns(text: Any, place: str) -> int:
             f"{place}: its property {BURNED_AT} is {text!r}; write when it burned, as 2026-08-01T14:00:00Z"
         ) from error
     since = (moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)) - _EPOCH
-    if since < timedelta(0):
-        raise ConfigError(f"{place}: burned at {text}, before 1970")
+    if not timedelta(0) <= since < _LATEST:
+        raise ConfigError(f"{place}: burned at {text}, which is not in 1970 to 2105")
     return (since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1000

@@ -31,7 +31,7 @@ _TELLING = 0.02
 
 @dataclass(frozen=True, eq=False)
 class RefinedPose:
-    """`covariance`: (7, 7) over x, y, z (m), rotations about them (rad) and the logarithm of the focal length. `cost`: of
+    """`covariance`: (7, 7) of x, y, z (m), rotations about them (rad) and the logarithm of the focal length. `cost`: of
     skyline and prior. `support`: the share of the skyline that fits; `veiled`: the share where a nearer crest may hide
     the horizon.
     """

@@ -14,9 +14,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from ltm_core.config_io import checked
 from ltm_core.errors import ArchiveError, LtmError, RasterError
-from ltm_core.frame_steps import LabellingConfig, TracingConfig
 from ltm_core.fuel.burns_io import Burn, read_burns
 from ltm_core.fuel.export.provenance import software
 from ltm_core.fuel.prior import system_of
@@ -28,7 +26,8 @@ from ltm_ros.archive.choice import chosen
 from ltm_ros.archive.content_digest import code_digest
 from ltm_ros.archive.engine import Engine
 from ltm_ros.archive.files import ArchiveFiles, CacheConfig
-from ltm_ros.archive.manifest import ArchiveFrame, Failure, Manifest, ManifestRules, make_manifest, packed
+from ltm_ros.archive.manifest import ArchiveFrame, Failure, Manifest, make_manifest, packed
+from ltm_ros.archive.node_rules import node_rules
 from ltm_ros.archive.page import write_page
 from ltm_ros.archive.reduction import Reduction, reduce_to_store, store_digest
 from ltm_ros.archive.results import ResultFolder
@@ -37,8 +36,6 @@ from ltm_ros.archive.scan import recordings, scan
 from ltm_ros.archive.task import EVIDENCE, Task, TaskSettings, plan
 from ltm_ros.fuel_map.export import export_site
 from ltm_ros.fuel_map.source import FuelSource
-from ltm_ros.launching.graph import describe
-from ltm_ros.runtime.frame_join import FrameJoinConfig
 
 MANIFEST, RUN, LAYERS, MAPS = "manifest.parquet", "run.json", "layers", "maps"
 LANDSCAPE = "landscape.tif"
@@ -106,6 +103,9 @@ class Summary:
 def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) -> Plan:
     """`progress`: files looked through, of how many. Raises LtmError for what cannot be worked at all."""
     site = load_site(options.site)
+    grid = site.in_crs(site.fuel_geometry(site.open_dem()))
+    # Before hours of looking through: a file of burns may be wrong.
+    burns = () if options.burns is None else tuple(read_burns(options.burns, grid))
     cameras = options.cameras or tuple(site.cameras)
     results = ResultFolder(options.out)
     files, found = ArchiveFiles(options.cache), recordings([str(archive) for archive in options.archives])
@@ -116,7 +116,7 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
         except (LtmError, OSError) as error:
             unread.append(Failure(recording.name, "unread", str(error)))
         progress(number, len(found))
-    rules, tracing, labelling = _node_rules(site, options.site, cameras[0])
+    rules, tracing, labelling = node_rules(site, options.site, cameras[0])
     manifest = make_manifest(scans, site, cameras, rules)
     manifest.unread = unread
     since, until = options.since_ns or 0, options.until_ns or 2**63 - 1
@@ -126,8 +126,6 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
         frames, passed = chosen(manifest.frames, (since, until), options.sample, site, results, files)
     settings = TaskSettings(str(options.site.resolve()), results.url, code_digest(), tracing, labelling, options.cache)
     results.write(MANIFEST, packed(frames))
-    grid = site.in_crs(site.fuel_geometry(site.open_dem()))
-    burns = () if options.burns is None else tuple(read_burns(options.burns, grid))
     tasks = plan(frames, site, settings, options.frames_per_task, burns)
     return Plan(options, site, results, settings, manifest, tuple(frames), passed, tuple(tasks), burns)
 
@@ -279,22 +277,3 @@ def _record(planned: Plan, summary: Summary, about: dict[str, str] | None = None
         **(about or {}),
     }
     return json.dumps(record, indent=1).encode()
-
-
-def _node_rules(site: Site, path: Path, camera: str) -> tuple[ManifestRules, TracingConfig, LabellingConfig]:
-    """What the site file sets for the nodes whose work this is; defaults are those of the nodes."""
-    from ltm_ros.nodes.fuel_map import FuelMapConfig
-
-    graph = describe(site, path)
-
-    def given(label: str) -> dict[str, Any]:
-        return {k: v for k, v in graph.node(label).parameters.items() if k != "use_sim_time"}
-
-    def only(model: type[Any], label: str) -> Any:
-        values = {name: value for name, value in given(label).items() if name in model.model_fields}
-        return checked(model, values, f"parameters of {label}")
-
-    fuel_map = checked(FuelMapConfig, given("fuel_map"), "parameters of fuel_map")
-    join = only(FrameJoinConfig, f"{camera}/capture")
-    rules = ManifestRules(join, fuel_map.max_ahead, fuel_map.max_behind)
-    return rules, only(TracingConfig, f"{camera}/depth"), only(LabellingConfig, f"{camera}/segmentation")

@@ -17,7 +17,7 @@ from rclpy.serialization import serialize_message
 from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite
 from typer.testing import CliRunner
 
-from ltm_core.errors import ArchiveError, LtmError
+from ltm_core.errors import ArchiveError, ConfigError, LtmError
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
 from ltm_core.raster.tile_store import TileStore
@@ -372,6 +372,15 @@ def journal_of(store: TileStore, site: Site) -> list[Int16Array]:
     initial = site_evidence_map(site, geometry, LabelSet.load(config_path(site.labels))).layers().code
     day = 86_400 * 10**9
     return [store.as_of("code", initial, (BEGIN_NS // day + number + 1) * day - 1) for number in range(5)]
+
+
+def test_burns_are_read_before_any_recording(options: ArchiveOptions, tmp_path: Path) -> None:
+    (tmp_path / "burns.geojson").write_text("none")
+    with pytest.raises(ConfigError, match="cannot be read as GeoJSON"):
+        look_through(
+            replace(options, archives=(tmp_path / "nothing",), burns=tmp_path / "burns.geojson"),
+            lambda done, total: None,
+        )
 
 
 def test_a_sample_is_worked_alone_and_looked_at_once(options: ArchiveOptions, small_site: SmallSite) -> None:

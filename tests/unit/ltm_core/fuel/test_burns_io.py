@@ -63,7 +63,12 @@ def test_cells_of_which_half_has_burned(tmp_path: Path) -> None:
     [
         (feature(None, "Polygon", [ring(0, 0, 1, 1)]), "write when it burned"),
         (feature("yesterday", "Polygon", [ring(0, 0, 1, 1)]), "'yesterday'; write when it burned"),
-        (feature("1969-01-01", "Polygon", [ring(0, 0, 1, 1)]), "before 1970"),
+        (feature("1969-01-01", "Polygon", [ring(0, 0, 1, 1)]), "not in 1970 to 2105"),
+        (feature("2107-01-01", "Polygon", [ring(0, 0, 1, 1)]), "not in 1970 to 2105"),
+        (feature("2026-08-01", "Polygon", [[[y, x] for x, y in ring(0, 0, 1, 1)]]), "in this order"),
+        (feature("2026-08-01", "Polygon", [[[float("nan"), 30.0]] * 4]), "in this order"),
+        (feature("2026-08-01", "Polygon", [[[10**400, 30.0]] * 4]), "is no area"),
+        (feature("2026-08-01", "Polygon", []), "without a ring"),
         (feature("2026-08-01", "Point", [1.0, 2.0]), "is a Point"),
         (feature("2026-08-01", "Polygon", [[[1.0, 2.0]] * 3]), "a ring of 3 points"),
         (feature("2026-08-01", "Polygon", [[["a", 2.0]] * 4]), "is no area"),
