@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 
 from rclpy.serialization import serialize_message
 
@@ -49,8 +49,8 @@ def is_pose_list(name: str) -> bool:
 
 def photo_messages(
     listed: StoredFile, photos: Sequence[StoredFile], site: Site, files: ArchiveFiles
-) -> list[PlacedMessage]:
-    """Of the photos that a pose list names, by their stamps.
+) -> Iterator[PlacedMessage]:
+    """Of the photos that a pose list names, in its order; one photo is held at a time.
 
     Raises ConfigError for a list that cannot be taken, ArchiveError and OSError where files cannot be read just now.
     """
@@ -58,20 +58,18 @@ def photo_messages(
         rows = read_pose_file(path)
     around = Surroundings(site.frame, site.open_dem(), site.cameras, site.assumed_pose_error)
     there = {PurePosixPath(photo.name).name: photo for photo in photos}
-    found: list[PlacedMessage] = []
     for name, row in rows.items():
         camera = _camera_of(row, site, listed)
         try:
             if name not in there:
                 raise ImageError(f"{listed.name} names {name}, which is not beside it")
-            found += _messages(there[name], row, camera, site, around, files)
+            yield from _messages(there[name], row, camera, site, around, files)
         except (ArchiveError, ConfigError):
             raise
         except LtmError as error:
             stamp = _ns(row.stamp) if row.stamp is not None else 0
             topic = camera_topic(site.name, camera, IMAGE_COMPRESSED)
-            found.append(PlacedMessage(topic, COMPRESSED_TYPE, stamp, trouble=str(error)))
-    return sorted(found, key=lambda message: message.stamp_ns)
+            yield PlacedMessage(topic, COMPRESSED_TYPE, stamp, trouble=str(error))
 
 
 def _messages(
@@ -79,7 +77,7 @@ def _messages(
 ) -> Iterator[PlacedMessage]:
     with files.at_hand(photo.name) as path:
         data = path.read_bytes()
-        read = photo_of(data, path)
+    read = photo_of(data, Path(photo.name))  # which errors name, not its place in the cache
     if read.reencoded:
         raise ImageError(f"{photo.name} is not stored upright; make a recording of the folder with `ltm import`")
     item = place(read, row, camera, around, Assumptions())

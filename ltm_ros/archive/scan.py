@@ -12,7 +12,7 @@ import json
 import posixpath
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import pyarrow as pa
@@ -141,7 +141,8 @@ def scan(recording: Recording, site: Site, results: ResultFolder, files: Archive
     if not results.has(name):
         if is_pose_list(recording.name):
             photos = photo_messages(recording.files[0], recording.files[1:], site, files)
-            results.write(name, _packed([_of_photo(message) for message in photos], ()))
+            placed_messages = sorted(map(_of_photo, photos), key=attrgetter("log_time_ns"))
+            results.write(name, _packed(placed_messages, ()))
         else:
             results.write(name, _packed(*_scanned_bag(recording.name, topics, files)))
     about = _about(pq.ParquetFile(io.BytesIO(results.read(name))))
