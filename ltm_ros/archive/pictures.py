@@ -64,7 +64,10 @@ class PictureReader:
         reader = self._reader(frame.file)
         at = frame.log_time_ns
         for message in reader.messages([frame.topic], at, at + 1):
-            picture = picture_of(message.raw, message.type_name)
+            try:
+                picture = picture_of(message.raw, message.type_name)
+            except LtmError:  # of the same time, and not ours, which was one when it was found
+                continue
             if (picture.stamp_ns, picture_digest(picture)) == (frame.stamp_ns, frame.content):
                 return picture
         if reader.unread:

@@ -41,7 +41,8 @@ class ResultFolder:
             self._files.invalidate_cache()  # others may have written since
             if not self._files.exists(place):
                 return set()
-            return {posixpath.basename(str(path)) for path in self._files.ls(place, detail=False)}
+            found = self._files.ls(place, detail=True)
+            return {posixpath.basename(about["name"]) for about in found if about["type"] != "directory"}
 
     def has(self, name: str) -> bool:
         with self._reached():

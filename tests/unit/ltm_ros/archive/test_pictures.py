@@ -1,4 +1,4 @@
-"""Whether a picture of an archive is clear, by one that is decoded small."""
+"""Pictures of an archive: found again, and whether they are clear, by one that is decoded small."""
 
 from __future__ import annotations
 
@@ -8,13 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from rclpy.serialization import serialize_message
 from scenes.small_site import TOWER, write_small_site
 
 from ltm_core.pose import Pose
 from ltm_core.site_io import load_site
 from ltm_core.types import UInt8Array
 from ltm_core.vision.camera_mask_io import write_mask
-from ltm_msgs_py.bag.picture_cdr import RawPicture
+from ltm_msgs_py.bag.picture_cdr import RAW_TYPE, RawPicture, picture_of
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_msgs_py.image import image_to_msg
+from ltm_ros.archive.content_digest import picture_digest
 from ltm_ros.archive.files import ArchiveFiles, CacheConfig
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.pictures import PictureReader, SmallLook
@@ -51,3 +55,15 @@ def test_what_a_view_s_mask_hides_is_not_judged(tmp_path: Path, azimuth_deg: flo
     frame = replace(frame, position=tuple(pose.position), quaternion=tuple(pose.quaternion))
     look = SmallLook(load_site(small.path), "tower", _Pictures(picture))
     assert (look(frame) == "") == clear
+
+
+def test_a_message_of_the_same_time_that_is_none_spoils_no_picture(tmp_path: Path) -> None:
+    raw = serialize_message(image_to_msg(np.full((4, 6, 3), 9, np.uint8), "rgb8", 7, "east_optical"))
+    with BagWriter(tmp_path / "bag") as bag:
+        for content in (raw[:11], raw):
+            bag.write_raw("/a/east/image_raw", RAW_TYPE, content, 50)
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    wanted = picture_digest(picture_of(raw, RAW_TYPE))
+    frame = ArchiveFrame("east", 7, str(file), "/a/east/image_raw", 50, len(raw), wanted, (), (), (), ())
+    with PictureReader(ArchiveFiles(CacheConfig())) as reader:
+        assert reader.read(frame).size == (6, 4)
