@@ -21,7 +21,7 @@ from ltm_core.pose_estimation.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_hypothesis import Hypothesis, focal_candidates, merged_with_others, search_reach
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, rotations_of
-from ltm_core.pose_estimation.pose_refinement import refine
+from ltm_core.pose_estimation.pose_refinement import refine, skyline_cost
 from ltm_core.pose_estimation.pose_verdict import Verdict, judge
 from ltm_core.pose_estimation.ridge_search import search_ridges
 from ltm_core.pose_estimation.skyline_search import search_azimuths
@@ -88,6 +88,10 @@ def find_pose(
         found = terrain.above(_search_skyline(evidence, horizon, prior, config, focal_sigma))
         # Of those above the ground alone: else what comes next would be as sure as if nothing were about it.
         found = terrain.above(merged_with_others(found, not prior.sigmas[:3].any(), config.verdict))
+    if found:  # a mean lies where none of those fits that it is of: does the photo's skyline, there?
+        mean = found[0].refined
+        _, support, veiled = skyline_cost(mean.pose, mean.camera, evidence, horizon, config)
+        found[0] = replace(found[0], refined=replace(mean, support=support, veiled=veiled))
     verdict = judge(found, False, prior, config)
     if not found or (verdict.word != "accepted" and found[0].refined.support < _LEAST_SUPPORT):
         by_ridges = terrain.above(search_ridges(replace(evidence, skyline=None), horizon, prior, config, focal_sigma))

@@ -14,12 +14,14 @@ from ltm_core.dem import Dem
 from ltm_core.errors import ImageError, PoseError
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
+from ltm_core.pose_estimation import pose_from_picture
 from ltm_core.pose_estimation.image_skyline import image_skyline
 from ltm_core.pose_estimation.mount_fit import MountFit, fit_mount, widened
 from ltm_core.pose_estimation.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.picture_pose_io import doubt_of_sky, result_of
 from ltm_core.pose_estimation.pose_from_picture import find_pose
+from ltm_core.pose_estimation.pose_hypothesis import Hypothesis
 from ltm_core.pose_estimation.pose_prior import UNKNOWN_DEG, PosePrior, angles_between, turned
 from ltm_core.pose_estimation.terrain_horizon import terrain_horizon
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
@@ -186,6 +188,23 @@ def test_presets_of_one_head_share_its_mount() -> None:
     # Both turn a camera that looks level up and down; the lean is about axes that all share, the zero about its own.
     np.testing.assert_allclose(fit.rotation, -lean, atol=np.radians(0.1))
     assert fit.tilt_zero == pytest.approx(-tilt, abs=np.radians(0.1))
+
+
+def test_a_mean_that_fits_nowhere_is_not_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here one that lies 1.5 degrees beside all that it is of."""
+
+    def beside(found: list[Hypothesis], *given: object) -> list[Hypothesis]:
+        best = found[0]
+        mean = replace(best.refined, pose=turned(best.refined.pose, np.radians([0.0, 0.0, 1.5])))
+        return [replace(best, refined=mean, about=best.refined.pose), *found[1:]]
+
+    prior = PosePrior(turned(TRUE, np.radians([0.1, 0.0, 0.8])), 1.5, 0.5, 0.5)
+    evidence = picture_evidence(*view(TRUE), CAMERA)
+    assert find_pose(evidence, terrain(), prior).verdict.word == "accepted"
+    monkeypatch.setattr(pose_from_picture, "merged_with_others", beside)
+    verdict = find_pose(evidence, terrain(), prior).verdict
+    assert verdict.support < 0.75
+    assert verdict.word != "accepted"
 
 
 def test_copies_of_one_picture_say_no_more_than_the_picture() -> None:
