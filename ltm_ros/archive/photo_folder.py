@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 
-from rclpy.serialization import serialize_message
-
 from ltm_core.errors import ArchiveError, ConfigError, ImageError, LtmError
 from ltm_core.site import Site
 from ltm_msgs_py.bag.picture_cdr import COMPRESSED_TYPE, CompressedPicture
@@ -75,6 +73,8 @@ def photo_messages(
 def _messages(
     photo: StoredFile, row: PhotoPose, camera: str, site: Site, around: Surroundings, files: ArchiveFiles
 ) -> Iterator[PlacedMessage]:
+    from rclpy.serialization import serialize_message  # workers that read no folder shall not wait for it
+
     with files.at_hand(photo.name) as path:
         data = path.read_bytes()
     read = photo_of(data, Path(photo.name))  # which errors name, not its place in the cache

@@ -31,7 +31,7 @@ from ltm_core.pose_estimation.mount_config import MountConfig
 from ltm_core.pose_estimation.mount_io import read_head_points, read_readings
 from ltm_core.pose_estimation.pose_file_io import GuessConfig
 from ltm_core.pose_estimation.resection_io import read_control_points, set_up_resection
-from ltm_core.raster.surface_versions_io import MANIFEST, SurfaceManifest, SurfaceVersion, SurfaceVersions
+from ltm_core.raster.surface_versions_io import MANIFEST, Counted, SurfaceManifest, SurfaceVersion, SurfaceVersions
 from ltm_core.resources import config_path
 from ltm_core.simulator.scenario_io import load_scenario
 from ltm_core.site_io import load_site
@@ -52,7 +52,9 @@ from ltm_ros.launching.graph import describe
 _ENTRY = SurfaceVersion(
     version="a" * 16, digest="a" * 64, parent="", as_of_ns=5, cells=20, seen=9, changed=2, lowered=1
 )
-_SURFACES = SurfaceManifest(site="a", current=_ENTRY.version, versions=(_ENTRY,)).model_dump_json(indent=1)
+_SURFACES = SurfaceManifest(
+    site="a", current=_ENTRY.version, versions=(_ENTRY,), history=(Counted(version=_ENTRY.version, as_of_ns=5),)
+).model_dump_json(indent=1)
 
 
 def _read_surfaces(path: Path) -> None:
