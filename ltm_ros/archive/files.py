@@ -27,6 +27,7 @@ _VERSIONS = ("ETag", "etag", "mtime", "LastModified", "created")
 _OF_THE_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 """What no store says."""
 _PARTIAL = ".partial"
+_POLL_S = 0.05
 _CHANGES = 5
 """Times that a file may be another one when it has come than when it was asked for."""
 
@@ -133,8 +134,12 @@ class ArchiveFiles:
         place = self._place(about)
         place.parent.mkdir(parents=True, exist_ok=True)
         partial = place.with_name(f"{place.name}{_PARTIAL}")
+        # Asked again and again: the file that another fetches becomes the one in place, which it then holds to read;
+        # whoever had queued for it here would wait for that, too.
         while (own := _held(partial, alone=True)) is None:
-            continue
+            if place.is_file():
+                return
+            time.sleep(_POLL_S)
         with own:
             # A file that is there may be held, and what is held must stay the file of its name.
             if place.is_file():
@@ -178,17 +183,17 @@ class ArchiveFiles:
 
 def _held(place: Path, alone: bool = False) -> BinaryIO | None:
     """A file that nobody removes while it is open; None: it is not, or no longer, the file of that name. `alone`: it is
-    made where there is none, and held by one at a time."""
+    made where there is none, and held by one at a time; None also where another has it."""
     try:
         file = place.open("a+b" if alone else "rb")
     except FileNotFoundError:
         return None
     try:
-        fcntl.flock(file, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB if alone else fcntl.LOCK_SH)
         # Another process may have removed it before it was held.
         if os.fstat(file.fileno()).st_ino == place.stat().st_ino:
             return file
-    except FileNotFoundError:
+    except (FileNotFoundError, BlockingIOError):
         pass
     except BaseException:
         file.close()
