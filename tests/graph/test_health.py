@@ -62,7 +62,9 @@ def tower(small_site: SmallSite, module_ros_domain: int, tmp_path_factory: pytes
     port = free_port()
     path = small_site.folder / "watched.yaml"
     keys = yaml.safe_load(small_site.path.read_text())
-    path.write_text(yaml.safe_dump(keys | {"health": {"port": port, "frame_age": 3600.0}, "locating": {}}))
+    # A node that hangs is missed after 10 s, and shall be so until a person has asked, however long that takes.
+    more = {"health": {"port": port, "frame_age": 3600.0}, "locating": {}, "watchdog": {"silent": 30.0}}
+    path.write_text(yaml.safe_dump(keys | more))
     command = [sys.executable, "-c", LTM, "run", str(path), "--only", "tower", "--state", str(folder / "state")]
     with (folder / "console").open("w") as console:
         graph = subprocess.Popen([*command, "--logs", str(folder / "logs")], stdout=console, stderr=subprocess.STDOUT)
