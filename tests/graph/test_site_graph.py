@@ -219,17 +219,23 @@ def test_killed_nodes_come_back_and_the_others_run_on(replayed: Replayed, tmp_pa
                 lambda: bystander.summaries,
             )
         else:
-            wait_for(
-                lambda: sum(map(bool, recorded_depths(out / "recording_2").values())) == len(CAMERAS),
-                "depths in the next bag",
-                lambda: bystander.summaries,
-            )
+            wait_for_depths("recording_2")
+
+    def wait_for_depths(name: str) -> None:
+        """On disk, of every camera."""
+        wait_for(
+            lambda: sum(map(bool, recorded_depths(out / name).values())) == len(CAMERAS),
+            f"depths in {name}",
+            lambda: bystander.summaries,
+        )
 
     # No faster than it takes to see that all work: each frame goes through a dozen processes.
     with looping(LivePlayer(Selection.open(bag, small.site), rate=0.5), len(runner.graph)) as player:
         for victims in KILLED_TOGETHER:
             others = {label: pid for label, pid in replayed.pids.items() if label not in victims}
             starts = {victim: runner.processes[victim].starts for victim in victims}
+            if "recorder" in victims:
+                wait_for_depths("recording_1")
             for victim in victims:
                 assert runner.kill(victim)
             for victim in victims:
