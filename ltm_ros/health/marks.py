@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from collections.abc import Callable, Sequence
 from http import HTTPStatus
 from typing import Any
 
 from geometry_msgs.msg import PointStamped
-from pydantic import Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from rclpy.node import Node
 
 from ltm_core.strict_model import StrictModel
 from ltm_msgs_py.stamp import make_header
 from ltm_ros.health.status_pictures import CameraPicture
 from ltm_ros.health.web_server import Answer
+from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.outlet_node import stream_qos
 from ltm_ros.runtime.topics import LOCATE_POINT, LOCATE_TRACKS, camera_topic, site_topic
 
@@ -33,6 +33,43 @@ class Mark(StrictModel):
     down: float = Field(ge=0, le=1)
 
 
+class _Told(BaseModel):
+    """Part of what `locate/tracks` tells; the rest of it is for others."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+
+class _Name(_Told):
+    mgrs: str | None
+    lon: float
+    lat: float
+    elevation: float | None
+
+
+class _Ellipse(_Told):
+    share: float
+    semi_major: float | None
+    semi_minor: float | None
+
+
+class _Place(_Told):
+    track: int
+    last_ns: int
+    place: _Name
+    ellipses: list[_Ellipse]
+    seen_by: list[str]
+    sources: list[str]
+    disagrees: str | None
+
+
+class _Feature(_Told):
+    properties: dict[str, Any]
+
+
+class _Tracks(_Told):
+    features: list[_Feature]
+
+
 class Marks:
     """`take` and `places` may be called from any thread.
 
@@ -40,9 +77,14 @@ class Marks:
     """
 
     def __init__(
-        self, node: Node, site: str, cameras: Sequence[str], shown: Callable[[str], CameraPicture | None]
+        self,
+        node: Node,
+        site: str,
+        cameras: Sequence[str],
+        shown: Callable[[str], CameraPicture | None],
+        health: Health,
     ) -> None:
-        self._shown = shown
+        self._shown, self._health = shown, health
         self._publishers = {
             name: node.create_publisher(LOCATE_POINT.type, camera_topic(site, name, LOCATE_POINT), stream_qos())
             for name in cameras
@@ -77,7 +119,11 @@ class Marks:
             return self._places
 
     def _hear(self, message: Any) -> None:
-        features = json.loads(message.data)["features"]
-        found = [one["properties"] for one in features if one["properties"].get("role") == "place"]
+        try:
+            told = (one.properties for one in _Tracks.model_validate_json(message.data).features)
+            found = [_Place.model_validate(one) for one in told if one.get("role") == "place"]
+        except ValidationError as error:
+            self._health.drop("message", f"{LOCATE_TRACKS.name}: not what `locate` tells ({error.errors()[0]['msg']})")
+            return
         with self._lock:
-            self._places = sorted(found, key=lambda place: -int(place["last_ns"]))
+            self._places = [one.model_dump() for one in sorted(found, key=lambda place: -place.last_ns)]

@@ -68,7 +68,9 @@ class HealthNode(Node):  # type: ignore[misc]
             for kind in ("photo", "labels", "depth"):
                 draw = partial(self._pictures.jpeg, camera, kind)
                 routes[f"/picture/{camera}/{kind}.jpg"] = partial(_picture, draw, "image/jpeg")
-        self._marks = Marks(self, site.name, cameras, self._pictures.shown) if site.locating is not None else None
+        self._marks = None
+        if site.locating is not None:
+            self._marks = Marks(self, site.name, cameras, self._pictures.shown, self._health)
         taking = {} if self._marks is None else {"/mark": self._marks.take}
         self._server = WebServer(site.health, routes, taking)
         self.get_logger().info(f"health at {self._server.url}")

@@ -15,6 +15,7 @@ from ltm_core.camera import Camera
 from ltm_core.pose import Pose
 from ltm_ros.health.marks import Marks
 from ltm_ros.health.status_pictures import CameraPicture
+from ltm_ros.runtime.health import Health
 
 STAMP = 1_700_000_000_123_456_789
 
@@ -52,9 +53,14 @@ def graph() -> Graph:
 
 
 @pytest.fixture
-def marks(graph: Graph) -> Marks:
+def health() -> Health:
+    return Health()
+
+
+@pytest.fixture
+def marks(graph: Graph, health: Health) -> Marks:
     shown = {"north": picture().small()}
-    return Marks(graph, "ridge", ["north", "east"], shown.get)
+    return Marks(graph, "ridge", ["north", "east"], shown.get, health)
 
 
 def body(**keys: Any) -> bytes:
@@ -110,12 +116,34 @@ def test_what_is_no_mark_is_told_and_not_sent(graph: Graph, marks: Marks, sent: 
     assert graph.sent == []
 
 
+def tracks(*last_ns: int, lon: float = -117.2) -> String:
+    """As `locate` tells of them, numbered from 1 on, each with an ellipse as a feature of its own."""
+    features: list[Any] = []
+    for number, last in enumerate(last_ns, start=1):
+        place = {"mgrs": "11S MB 80574 50576", "lon": lon, "lat": 37.5, "elevation": None, "crs": "EPSG:32611"}
+        ellipse = {"share": 0.95, "semi_major": 30.0, "semi_minor": 9.0, "azimuth_deg": 12.0}
+        about = {"role": "place", "track": number, "last_ns": last, "place": place, "ellipses": [ellipse]}
+        about |= {"seen_by": ["north"], "sources": ["person"], "disagrees": None, "smoke": True}
+        features += [{"properties": about}, {"properties": {"role": "ellipse", "share": 0.95}}]
+    return String(data=json.dumps({"type": "FeatureCollection", "features": features}))
+
+
 def test_places_come_newest_first(graph: Graph, marks: Marks) -> None:
     assert marks.places() == []
-    features = [
-        {"properties": {"role": "place", "track": 1, "last_ns": 5}},
-        {"properties": {"role": "ellipse"}},
-        {"properties": {"role": "place", "track": 2, "last_ns": 9}},
-    ]
-    graph.heard["/ridge/locate/tracks"](String(data=json.dumps({"features": features})))
+    graph.heard["/ridge/locate/tracks"](tracks(5, 9))
     assert [place["track"] for place in marks.places()] == [2, 1]
+
+
+@pytest.mark.parametrize(
+    "message",
+    [String(data="no JSON"), String(data='{"features": 3}'), String(data="[" * 100_000), tracks(7, lon=np.nan)],
+)
+def test_what_is_no_word_of_locate_is_counted_and_changes_nothing(
+    graph: Graph, marks: Marks, health: Health, message: String
+) -> None:
+    """Whoever is on the machine can publish there."""
+    graph.heard["/ridge/locate/tracks"](tracks(5))
+    before = marks.places()
+    graph.heard["/ridge/locate/tracks"](message)
+    assert health.dropped == {"message": 1}
+    assert marks.places() == before
