@@ -19,6 +19,7 @@ from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.numpy_io import load_array
 from ltm_core.raster.tile_store import FrameRecord, Key, StoreSchema, TileStore
+from ltm_core.raster.tile_store_schema import with_all_fields
 from ltm_core.site import Site
 
 STORE_KIND: Final = "fuel"
@@ -49,9 +50,7 @@ def restore(store: TileStore, evidence: LivingFuelMap) -> set[Key]:
     """
     for key, tile in store.tiles():
         # One of an earlier version, opened for reading, lacks fields.
-        missing = EVIDENCE_FIELDS.keys() - tile.keys()
-        fields = ((name, EVIDENCE_FIELDS[name]) for name in missing)
-        evidence.load_tile(key, tile | {n: np.zeros((TILE, TILE, *f.shape), np.dtype(f.dtype)) for n, f in fields})
+        evidence.load_tile(key, with_all_fields(tile, EVIDENCE_FIELDS, TILE))
     evidence.recall(store.as_of(SURFACE_LAYER, np.zeros_like(evidence.surface_changes), _ALWAYS))
     newer: set[Key] = set()
     for frame in store.waiting():

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ltm_core.errors import ConfigError, StoreError
-from ltm_core.raster.tile_store_schema import StoreSchema
+from ltm_core.raster.tile_store_schema import StoreSchema, with_all_fields
 
 APPLICATION_ID = 0x4C544D31  # "LTM1"
 LAYOUT = 1
@@ -189,6 +189,6 @@ def grow(db: sqlite3.Connection, stored: StoreSchema, schema: StoreSchema, name:
     with transaction(db, name):
         for row, col in db.execute("SELECT row, col FROM tiles").fetchall():
             (content,) = db.execute("SELECT content FROM tiles WHERE row = ? AND col = ?", (row, col)).fetchone()
-            packed = schema.pack((row, col), schema.with_all_fields(stored.unpack(content)))
+            packed = schema.pack((row, col), with_all_fields(stored.unpack(content), schema.fields, schema.tile))
             db.execute("UPDATE tiles SET content = ? WHERE row = ? AND col = ?", (packed, row, col))
         db.execute("UPDATE description SET content = ?", (schema.described(),))

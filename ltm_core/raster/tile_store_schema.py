@@ -136,14 +136,6 @@ class StoreSchema:
         known = all(name in self.fields and self.fields[name] == field for name, field in older.fields.items())
         return same and known and self.extends is not None and self.extends <= older.version < self.version
 
-    def with_all_fields(self, tile: Tile) -> Tile:
-        """A tile of a schema that this one has grown from: what that did not know is 0."""
-        shapes = {name: (self.tile, self.tile, *spec.shape) for name, spec in self.fields.items()}
-        return {
-            name: tile[name] if name in tile else np.zeros(shapes[name], np.dtype(spec.dtype))
-            for name, spec in self.fields.items()
-        }
-
     def pack(self, key: Key, arrays: Mapping[str, NDArray[Any]]) -> bytes:
         """A tile as compressed bytes with a checksum. Raises ValueError on arrays that are not this schema's."""
         across = self.tiles
@@ -235,6 +227,14 @@ class Touch:
     frames: int
     first_ns: int
     last_ns: int
+
+
+def with_all_fields(tile: Tile, fields: Mapping[str, Field], size: int) -> Tile:
+    """A tile of an earlier version, `size` cells a side, with all of today's `fields`: what it did not know is 0."""
+    return {
+        name: tile[name] if name in tile else np.zeros((size, size, *spec.shape), np.dtype(spec.dtype))
+        for name, spec in fields.items()
+    }
 
 
 def compressed(content: bytes) -> bytes:
