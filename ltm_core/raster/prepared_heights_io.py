@@ -110,11 +110,15 @@ def write_heights(raster: Path | str, source: Any, read: Callable[[Float32Array]
     if map_heights(raster, source) is not None:
         return None
     header = _header(source)
-    if cells < LEAST_CELLS or header is None or free_bytes(path) < 4 * cells + SPARE_BYTES:
-        # It will not be written over, so what is left of another state would stay for good.
+    # What will not be written over would stay for good where it is left of another state.
+    if cells < LEAST_CELLS or header is None:
         _stale_makes_room(path, raster)
-    if cells < LEAST_CELLS or header is None or free_bytes(path) < 4 * cells + SPARE_BYTES:
         return None
+    needed = 4 * cells + SPARE_BYTES
+    if free_bytes(path) < needed:
+        _stale_makes_room(path, raster)
+        if free_bytes(path) < needed:
+            return None
     for left in path.parent.glob(f".{glob.escape(path.name)}.*"):  # by a process that was killed
         if not Path("/proc", left.suffix[1:]).exists():
             left.unlink(missing_ok=True)
