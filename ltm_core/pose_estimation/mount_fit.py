@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ltm_core.errors import PoseError
 from ltm_core.pose import Pose
@@ -24,6 +23,7 @@ from ltm_core.pose_estimation.pose_hypothesis import mean_about_best
 from ltm_core.pose_estimation.pose_prior import PosePrior, turned
 from ltm_core.pose_estimation.pose_refinement import ROUNDS, picture_system, skyline_cost
 from ltm_core.pose_estimation.pose_verdict import MANY_PLANTS, Word
+from ltm_core.rotations import matrix_of_vector, vector_of_matrix
 from ltm_core.types import Float64Array
 
 TILT_ZERO_SIGMA_DEG = 0.3
@@ -138,7 +138,7 @@ def _sigmas(prior: PosePrior, tilt_zero_sigma_deg: float) -> Float64Array:
 
 
 def _posed(pose: Pose, w: Float64Array, tilt: float, shift: Float64Array) -> Pose:
-    up = Rotation.from_rotvec([tilt, 0.0, 0.0]).as_matrix()
+    up = matrix_of_vector([tilt, 0.0, 0.0])
     return turned(Pose(pose.position, pose.rotation @ up), w, shift)
 
 
@@ -147,7 +147,7 @@ def _proposals(pictures: list[_Picture]) -> list[Float64Array]:
     for picture in pictures:
         for hypothesis in picture.search.hypotheses[:_PROPOSALS]:
             turn = hypothesis.refined.pose.rotation @ picture.prior.pose.rotation.T
-            found.append(Rotation.from_matrix(turn).as_rotvec())
+            found.append(vector_of_matrix(turn))
     return found if len(found) > 1 else []
 
 

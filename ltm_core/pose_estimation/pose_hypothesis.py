@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.pose_prior import PosePrior, angles_between, turned
 from ltm_core.pose_estimation.pose_refinement import RefinedPose
+from ltm_core.rotations import vector_of_matrix
 from ltm_core.types import Float64Array
 
 _FOCAL_STEP = 0.02
@@ -71,7 +71,7 @@ def mean_about_best(
 
 def _change(a: RefinedPose, b: RefinedPose) -> Float64Array:
     """(7,) from `a` to `b`: place (m), rotation about the map's axes (rad), logarithm of the focal length."""
-    turn = Rotation.from_matrix(b.pose.rotation @ a.pose.rotation.T).as_rotvec()
+    turn = vector_of_matrix(b.pose.rotation @ a.pose.rotation.T)
     return np.concatenate([b.pose.position - a.pose.position, turn, [math.log(b.camera.fx / a.camera.fx)]])
 
 

@@ -25,8 +25,10 @@ from ltm_core.types import BoolArray, Float32Array, Float64Array
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """`error` (N,) px, its `slopes` (N, 7), `sigma` and `weight` (N,). `veiled`: the share
-    of the skyline's columns where a nearer crest stands so close below the horizon that its trees may hide it.
+    """`error` (N,) px, its `slopes` (N, 7), `sigma` and `weight` (N,).
+
+    `veiled`: the share of the skyline's columns where a nearer crest stands so close below the horizon that its trees
+    may hide it.
     """
 
     error: Float64Array

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from ltm_core.camera import Camera
 from ltm_core.errors import PoseError
@@ -23,6 +22,7 @@ from ltm_core.pose_estimation.control_points import ControlPoints
 from ltm_core.pose_estimation.resection_adjustment import PARAMETERS, Adjustment, Fit, Parameter, median_px, size_of
 from ltm_core.pose_estimation.resection_limits import check_fit, check_points, hold_for_redundancy, unbearable
 from ltm_core.pose_estimation.resection_search import coarse_poses
+from ltm_core.rotations import matrix_of_vector
 from ltm_core.types import BoolArray, Float64Array
 
 
@@ -215,7 +215,7 @@ def _angle_sigmas(pose: Pose, turns: Float64Array) -> dict[str, float]:
     step = 1e-6
     slopes = np.empty((3, 3))
     for axis in range(3):
-        moved = Rotation.from_rotvec(step * np.eye(3)[axis]).as_matrix() @ pose.rotation
+        moved = matrix_of_vector(step * np.eye(3)[axis]) @ pose.rotation
         change = np.array(Pose(pose.position, moved).angles_deg) - np.array(pose.angles_deg)
         slopes[:, axis] = ((change + 180) % 360 - 180) / step
     deviations = np.sqrt(np.diag(slopes @ turns @ slopes.T))

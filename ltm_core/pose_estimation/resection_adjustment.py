@@ -10,12 +10,12 @@ from typing import Literal
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from ltm_core.camera import Camera
 from ltm_core.errors import PoseError
 from ltm_core.pose import Pose
 from ltm_core.pose_estimation.control_points import ControlPoints
+from ltm_core.rotations import matrix_of_vector
 from ltm_core.types import BoolArray, Float64Array
 from ltm_core.visibility.line_of_sight import line_of_sight_vectors
 
@@ -120,7 +120,7 @@ def _applied(x: Float64Array, camera: Camera, pose: Pose, free: tuple[Parameter,
             camera = replace(camera, distortion=(camera.distortion[0] + float(rest.pop(0)), *camera.distortion[1:]))
         else:
             position = position + np.array([rest.pop(0) for _ in range(3)])
-    return camera, Pose(position, Rotation.from_rotvec(x[:3]).as_matrix() @ pose.rotation)
+    return camera, Pose(position, matrix_of_vector(x[:3]) @ pose.rotation)
 
 
 def _inverse(jacobian: Float64Array) -> Float64Array:

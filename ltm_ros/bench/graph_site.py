@@ -24,19 +24,18 @@ Layout = Literal["site", "node"]
 NAME = "bench"
 SENT = {"info": CAMERA_INFO, "pose": POSE, "image": IMAGE_COMPRESSED}
 """What a camera sends of each frame, in this order; the names are the suffixes of its files."""
-
-
-CAMERAS_MOST = 1000
+MOST_CAMERAS = 1000
+"""Of a bench; a stamp's last digits are the number of its camera."""
 
 
 def stamp_of_frame(now_ns: int, camera: int) -> int:
     """Unique over all cameras, so that an update of the map names its frame and its camera (`camera_of`)."""
-    return now_ns // CAMERAS_MOST * CAMERAS_MOST + camera
+    return now_ns // MOST_CAMERAS * MOST_CAMERAS + camera
 
 
 def camera_of(stamp: int) -> int:
     """Number of the camera that sent the frame of this stamp."""
-    return stamp % CAMERAS_MOST
+    return stamp % MOST_CAMERAS
 
 
 @dataclass(frozen=True)
