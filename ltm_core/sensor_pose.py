@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
 from typing import Literal
 
 import numpy as np
@@ -19,6 +18,7 @@ from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SI
 from ltm_core.rotations import matrix_of_quaternion
 from ltm_core.strict_model import StrictModel
 from ltm_core.types import Float64Array
+from ltm_core.utc_time import moment_of_stamp
 
 
 class SensorsConfig(StrictModel):
@@ -106,7 +106,7 @@ def sensed_pose(
         mount = matrix_of_quaternion(config.mount)
     seen = attitude.rotation @ mount
     azimuth, pitch, roll = optical_angles_deg(seen)
-    on = (datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=stamp_ns // 1_000_000_000)).date()
+    on = moment_of_stamp(stamp_ns).date()
     grid = frame.true_to_grid_deg(azimuth, x, y)
     if config.north == "magnetic":
         grid = frame.magnetic_to_grid_deg(azimuth, x, y, on, z)

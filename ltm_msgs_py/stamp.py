@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from builtin_interfaces.msg import Time
 from std_msgs.msg import Header
 
 from ltm_core.errors import MessageError
+from ltm_core.utc_time import moment_of_stamp
 
 NS_PER_S = 1_000_000_000
 LATEST_NS = 2**31 * NS_PER_S - 1
@@ -51,7 +51,7 @@ def time_text(stamp_ns: int) -> str:
     """Nanoseconds since the epoch as people and as machines read them: `2023-11-14T22:13:20.100Z (1700000000100000000
     ns)`.
     """
-    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=stamp_ns // 1000)
+    moment = moment_of_stamp(stamp_ns)
     return f"{moment.strftime('%Y-%m-%dT%H:%M:%S')}.{moment.microsecond // 1000:03d}Z ({stamp_ns} ns)"
 
 

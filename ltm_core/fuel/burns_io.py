@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,14 +17,14 @@ from ltm_core.fuel.barriers_io import covered_share, near
 from ltm_core.grid import GridGeometry
 from ltm_core.text_io import read_text
 from ltm_core.types import BoolArray, Int64Array
+from ltm_core.utc_time import stamp_of_moment
 
 BURNED_AT: Final = "burned_at"
 """Property of a feature: when its area burned, ISO 8601, UTC unless it names a zone."""
 LEAST_SHARE: Final = 0.5
 """Of a cell that must have burned, for it to have burned."""
 _LARGEST: Final = 64 << 20
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_LATEST = datetime(2106, 1, 1, tzinfo=UTC) - _EPOCH
+_LATEST_NS = stamp_of_moment(datetime(2106, 1, 1))
 """What fits into a cell's state (`EvidenceMap.burn`)."""
 
 
@@ -99,7 +99,7 @@ def _stamp_ns(text: Any, place: str) -> int:
         raise ConfigError(
             f"{place}: its property {BURNED_AT} is {text!r}; write when it burned, as 2026-08-01T14:00:00Z"
         ) from error
-    since = (moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)) - _EPOCH
-    if not timedelta(0) <= since < _LATEST:
+    stamp_ns = stamp_of_moment(moment)
+    if not 0 <= stamp_ns < _LATEST_NS:
         raise ConfigError(f"{place}: burned at {text}, which is not in 1970 to 2105")
-    return (since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1000
+    return stamp_ns

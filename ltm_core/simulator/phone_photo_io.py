@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from fractions import Fraction
 from pathlib import Path
 from typing import Literal
@@ -17,6 +17,7 @@ from ltm_core.camera import Camera
 from ltm_core.geodesy import SiteFrame, magnetic_declination_deg
 from ltm_core.pose import Pose
 from ltm_core.types import UInt8Array
+from ltm_core.utc_time import moment_of_stamp
 
 _FULL_FRAME_WIDTH_MM = 36.0
 
@@ -52,7 +53,7 @@ def magnetic_azimuth_deg(photo: PhonePhoto, frame: SiteFrame) -> float:
 
 def time_of(photo: PhonePhoto) -> datetime:
     """UTC."""
-    return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=photo.stamp_ns // 1000)
+    return moment_of_stamp(photo.stamp_ns)
 
 
 def write_phone_photo(

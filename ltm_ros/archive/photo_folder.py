@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 
 from ltm_core.errors import ArchiveError, ConfigError, ImageError, LtmError
 from ltm_core.site import Site
+from ltm_core.utc_time import stamp_of_moment
 from ltm_msgs_py.bag.picture_cdr import COMPRESSED_TYPE, CompressedPicture
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.camera_info import camera_to_msg
@@ -65,7 +65,7 @@ def photo_messages(
         except (ArchiveError, ConfigError):
             raise
         except LtmError as error:
-            stamp = _ns(row.stamp) if row.stamp is not None else 0
+            stamp = stamp_of_moment(row.stamp) if row.stamp is not None else 0
             topic = camera_topic(site.name, camera, IMAGE_COMPRESSED)
             yield PlacedMessage(topic, COMPRESSED_TYPE, stamp, trouble=str(error))
 
@@ -101,9 +101,3 @@ def _camera_of(row: PhotoPose, site: Site, listed: StoredFile) -> str:
     name = row.camera or next(iter(site.cameras))
     site.camera(name)
     return name
-
-
-def _ns(stamp: datetime) -> int:
-    taken = stamp if stamp.tzinfo is not None else stamp.replace(tzinfo=UTC)
-    since = taken - datetime(1970, 1, 1, tzinfo=UTC)
-    return (since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import datetime
 
 from ltm_core.camera import Camera
 from ltm_core.camera_config import PartialCalibration, PartialPose, PoseConfig
@@ -14,6 +14,7 @@ from ltm_core.pose import Pose
 from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, moved_covariance
 from ltm_core.site_sections import CameraConfig
 from ltm_core.types import Float64Array
+from ltm_core.utc_time import stamp_of_moment
 from ltm_ros.importer.assumptions import Assumptions, Surroundings
 from ltm_ros.importer.exif import FULL_FRAME_WIDTH_MM
 from ltm_ros.importer.height import height_of
@@ -21,7 +22,6 @@ from ltm_ros.importer.photo import Photo
 from ltm_ros.importer.photo_time import photo_time
 from ltm_ros.importer.pose_file import PhotoPose
 
-_NS_PER_S = 1_000_000_000
 _NOT_PLACED = "so that nothing is placed by it until a pose is found (ltm pose)"
 
 
@@ -108,12 +108,12 @@ def _whole(fixed: PoseConfig | None) -> PartialPose | None:
 
 
 def _stamp_ns(photo: Photo, taken: datetime) -> int:
-    since = taken - datetime(1970, 1, 1, tzinfo=UTC)
-    if since.days < 0:
+    stamp_ns = stamp_of_moment(taken)
+    if stamp_ns < 0:
         raise RecordingError(
             f"{photo.path} is dated {taken.isoformat()}, before 1970: give it a `stamp` in the pose file"
         )
-    return (since.days * 86_400 + since.seconds) * _NS_PER_S + since.microseconds * 1000
+    return stamp_ns
 
 
 def _position(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -13,6 +12,7 @@ import numpy as np
 from ltm_core.errors import RecordingError
 from ltm_core.geodesy import SiteFrame
 from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG, UNKNOWN_PITCH_SIGMA_DEG, pose_sigmas
+from ltm_core.utc_time import moment_of_stamp
 from ltm_ros.importer.georeference import PlacedPhoto
 
 POSES = "poses.csv"
@@ -49,7 +49,7 @@ class PhotoFolder:
         photo, pose, lens = item.photo, item.pose, item.camera
         file = Path(name).stem + _SUFFIXES[photo.image_format]
         (self._path / file).write_bytes(photo.data)
-        taken = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=stamp_ns // 1000)
+        taken = moment_of_stamp(stamp_ns)
         x, y, z = pose.position
         row = {"name": file, "camera": camera, "stamp": taken.isoformat(), "crs": self._frame.crs}
         row |= {"x": f"{x + self._frame.x_origin:.3f}", "y": f"{y + self._frame.y_origin:.3f}", "z": f"{z:.3f}"}

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 from ltm_core.device_attitude import held_phone
 from ltm_core.errors import RecordingError
 from ltm_core.picture_io import LARGEST_FILE
 from ltm_core.types import Float64Array
+from ltm_core.utc_time import stamp_of_moment
 from ltm_ros.importer.arkit import (
     is_record3d,
     is_stray_scanner,
@@ -127,7 +127,7 @@ def _beside(picture: Picture, tracks: list[SensorTrack], assumed: Assumptions) -
     def read() -> Photo:
         photo = picture.read()
         taken = photo_time(photo, None, assumed.time_zone, [])
-        stamp_ns = _nanoseconds(taken)
+        stamp_ns = stamp_of_moment(taken)
         for track in tracks:
             told = _told(photo, track, stamp_ns)
             if told.sensed.lon is not None:
@@ -152,8 +152,3 @@ def held(photo: Photo, track: SensorTrack, stamp_ns: int) -> Float64Array:
     turned = (_TURNED_DEG[stated],) if stated != 1 and stated in _TURNED_DEG else ()
     rotation = track.rotation_at(stamp_ns)
     return held_phone(None if rotation is None else rotation.as_matrix(), photo.height > photo.width, turned)
-
-
-def _nanoseconds(taken: datetime) -> int:
-    since = taken - datetime(1970, 1, 1, tzinfo=UTC)
-    return (since.days * 86_400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bisect
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from typing import Literal
 
 import numpy as np
@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from ltm_core.device_attitude import optical_angles_deg
 from ltm_core.errors import RecordingError
 from ltm_core.types import Float64Array, Int64Array
+from ltm_core.utc_time import moment_of_stamp
 from ltm_ros.importer.sensed import Sensed, Walk
 
 _FIX_GAP_NS = 15_000_000_000
@@ -155,7 +156,7 @@ class SensorTrack:
 def time_of(stamp_ns: int) -> datetime:
     """UTC. Raises RecordingError for one that no calendar has."""
     try:
-        return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=stamp_ns // 1000)
+        return moment_of_stamp(stamp_ns)
     except OverflowError as error:
         raise RecordingError(f"time {stamp_ns} ns is no nanoseconds since 1970") from error
 

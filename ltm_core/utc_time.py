@@ -1,0 +1,18 @@
+"""Moments of the calendar and the nanoseconds since 1970 that frames are stamped with, exactly in integers."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def stamp_of_moment(moment: datetime) -> int:
+    """Nanoseconds since 1970, negative before; a moment that names no time zone is one of UTC."""
+    since = (moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)) - _EPOCH
+    return since // timedelta(microseconds=1) * 1000
+
+
+def moment_of_stamp(stamp_ns: int) -> datetime:
+    """In UTC, to the microsecond below. Raises OverflowError outside of the years 1 to 9999."""
+    return _EPOCH + timedelta(microseconds=stamp_ns // 1000)
