@@ -51,6 +51,7 @@ def pose(
         bool, typer.Option("--mounts", help="Also all frames of one eye as the presets of one head, fitted together.")
     ] = False,
     seed: Annotated[int, typer.Option(help="Of the disturbances.")] = 1,
+    every: Annotated[int, typer.Option(help="Each folder's first frame and each so-manieth after it.", min=1)] = 1,
     limit: Annotated[int | None, typer.Option(help="At most so many frames of each folder.", min=1)] = None,
     pictures: Annotated[
         Path | None,
@@ -67,7 +68,20 @@ def pose(
     if not folders:
         raise ConfigError("give folders of `ltm simulate`, or --engabreen with the real photo's folder")
     _rendered(
-        folders, sensors, draws, labels, model, open_views, canopy, focal, mounts, seed, limit, pictures, json_path
+        folders,
+        sensors,
+        draws,
+        labels,
+        model,
+        open_views,
+        canopy,
+        focal,
+        mounts,
+        seed,
+        every,
+        limit,
+        pictures,
+        json_path,
     )
 
 
@@ -82,6 +96,7 @@ def _rendered(
     focal: float,
     mounts: bool,
     seed: int,
+    every: int,
     limit: int | None,
     pictures: Path | None,
     json_path: Path | None,
@@ -121,7 +136,8 @@ def _rendered(
         tracer = TerrainTracer(terrain.dem, terrain.bend > 0, possible=terrain.possible)
         by_head: dict[str, list[PreparedFrame]] = {}
         with console.status(f"{folder.name}"):
-            for number, frame in enumerate(islice(read_truth_frames(folder), limit)):
+            chosen = islice(enumerate(read_truth_frames(folder)), 0, None, every)
+            for number, frame in islice(chosen, limit):
                 shape = (frame.camera.height, frame.camera.width)
                 ids = segmenter.segment(frame.photo).labels if segmenter else upsampled_labels(frame.labels, shape)
                 ready = prepared(f"{folder.name}/{number:04d}", frame, ids, terrain, config)
@@ -150,11 +166,11 @@ def _rendered(
     if not trials:
         raise RecordingError(f"{', '.join(map(str, folders))}: no frame with truth")
     scores = {}
-    for place, chosen in (("inside", inside(trials)), ("open", open_ones(trials)), ("between", None)):
-        if chosen is None:
-            chosen = [t for t in trials if t not in inside(trials) and t not in open_ones(trials)]
+    known, unknown = inside(trials), open_ones(trials)
+    between = [trial for trial in trials if trial not in known and trial not in unknown]
+    for place, seen in (("inside", known), ("open", unknown), ("between", between)):
         for kind in kinds:
-            some = [trial for trial in chosen if trial.sensor is kind]
+            some = [trial for trial in seen if trial.sensor is kind]
             if some:
                 scores[f"{place}, {kind}"] = PoseScore.of(some)
     console.print(_table(scores))
@@ -164,6 +180,7 @@ def _rendered(
         f"{', '.join(f.name for f in folders)}: {len({t.frame for t in trials})} rendered frames, {draws} draws each, "
         f"labels {labels.value if segmenter is None else model or DEFAULT_MODEL}, seed {seed}"
     )
+    state += f", one frame of {every}" if every > 1 else ""
     state += ", DEM of the site alone" if open_views else ", with the 10 m DEM of the range around"
     state += ", with the true surface raster" if canopy else ""
     state += f", focal lengths off by up to {focal:.0%}" if focal else ""
