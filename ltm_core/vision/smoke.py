@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from math import ceil
 from typing import Final, Self
 
 import cv2
@@ -83,11 +84,62 @@ class _Seen:
         return cls(at_s, np.asarray(small, np.uint8), land, np.asarray(pattern, np.float32))
 
 
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    """A `_Seen` in its place of a `_Places`: `land` is packed, eight pixels a byte."""
+
+    at_s: float
+    grey: UInt8Array
+    packed_land: UInt8Array
+    coarse: Float32Array
+
+    @property
+    def land(self) -> BoolArray:
+        """(h, w) bool."""
+        return np.unpackbits(self.packed_land, count=self.grey.size).view(np.bool_).reshape(self.grey.shape)
+
+
+class _Places:
+    """Memory for `REMEMBERED` pictures, taken with the first one and used in turn: a camera shall need in three hours
+    what it needs at once. 2.9 MB where pictures are 16 to 9, 3.8 MB at 4 to 3."""
+
+    def __init__(self) -> None:
+        self._bytes = np.empty((REMEMBERED, 0), np.uint8)
+        self._next = 0
+
+    @property
+    def nbytes(self) -> int:
+        return self._bytes.nbytes
+
+    def keep(self, seen: _Seen) -> _Kept:
+        """In the place of the one that was kept `REMEMBERED` pictures ago. One that is larger than the first gets a
+        place of its own."""
+        packed = np.packbits(seen.land)
+        # Numbers of four bytes first, for they must begin at a multiple of four.
+        ends = np.cumsum([seen.coarse.nbytes, seen.grey.nbytes, packed.nbytes])
+        if not self._bytes.size:
+            # Touched at once: memory that is only asked for is given page by page.
+            self._bytes = np.full((REMEMBERED, 4 * ceil(ends[-1] / 4)), 0, np.uint8)
+        fits = ends[-1] <= self._bytes.shape[1]
+        place = self._bytes[self._next] if fits else np.empty(ends[-1], np.uint8)
+        self._next = (self._next + 1) % REMEMBERED
+        coarse, grey, land, _ = np.split(place, ends)
+        kept = _Kept(seen.at_s, grey.reshape(seen.grey.shape), land, coarse.view(np.float32).reshape(seen.coarse.shape))
+        kept.grey[...], kept.packed_land[...], kept.coarse[...] = seen.grey, packed, seen.coarse
+        return kept
+
+
 class SmokeMemory:
     """What a camera saw of its land in the last hours: it tells smoke in later pictures, in their order."""
 
     def __init__(self) -> None:
-        self._seen: deque[_Seen] = deque(maxlen=REMEMBERED)
+        self._seen: deque[_Kept] = deque(maxlen=REMEMBERED)
+        self._places = _Places()
+
+    @property
+    def nbytes(self) -> int:
+        """That it holds, all of it from the first picture on."""
+        return self._places.nbytes
 
     def look(self, picture: UInt8Array, labels: UInt8Array, at_s: float) -> BoolArray | None:
         """(H, W) bool, where smoke hides the land in a picture (H, W, 3) RGB taken at `at_s`; None: nowhere that could
@@ -98,7 +150,7 @@ class SmokeMemory:
             self._seen.clear()
         found = self._told(now)
         if self._is_new(now):
-            self._seen.append(now)
+            self._seen.append(self._places.keep(now))
         if found is None or not found.any():
             return None
         size = picture.shape[1::-1]
@@ -138,7 +190,7 @@ class _Pattern:
     variance: Float32Array
 
     @classmethod
-    def of(cls, seen: _Seen) -> Self:
+    def of(cls, seen: _Seen | _Kept) -> Self:
         grey = seen.grey.astype(np.float32)
         mean = _around(grey)
         return cls(grey, mean, np.maximum(_around(grey * grey) - mean**2, 0))
@@ -156,7 +208,7 @@ class _Pair:
     agrees: float
 
 
-def _of_one_view(one: _Seen, other: _Seen) -> bool:
+def _of_one_view(one: _Kept, other: _Seen) -> bool:
     """Whether they may be: a first look, that of `_compare` is the one that counts."""
     if one.grey.shape != other.grey.shape:
         return False
@@ -164,7 +216,7 @@ def _of_one_view(one: _Seen, other: _Seen) -> bool:
     return scale > 0 and float((one.coarse * other.coarse).sum()) >= _OF_A_VIEW * scale
 
 
-def _newest_and_others(could: list[_Seen]) -> list[_Seen]:
+def _newest_and_others(could: list[_Kept]) -> list[_Kept]:
     """At most so many that each picture stays cheap: the newest, and others spread over the rest."""
     if len(could) <= 2 * COMPARED:
         return could
@@ -172,13 +224,14 @@ def _newest_and_others(could: list[_Seen]) -> list[_Seen]:
     return [could[k] for k in places]
 
 
-def _compare(earlier: _Seen, after: _Pattern) -> _Pair | None:
+def _compare(earlier: _Kept, after: _Pattern) -> _Pair | None:
     """None where they do not agree: another view, another light, or all in smoke."""
+    land = earlier.land
     before = _Pattern.of(earlier)
     shared = _around(before.grey * after.grey) - before.mean * after.mean
     correlation = shared / np.sqrt((before.variance + _NOISE) * (after.variance + _NOISE))
-    same = (correlation > _ALIKE) & earlier.land
-    agrees = float(same.sum() / max(earlier.land.sum(), 1))
+    same = (correlation > _ALIKE) & land
+    agrees = float(same.sum() / max(land.sum(), 1))
     if agrees < _AGREES:
         return None
     x, y = before.mean[same], after.mean[same]
@@ -189,7 +242,7 @@ def _compare(earlier: _Seen, after: _Pattern) -> _Pair | None:
         np.asarray(correlation, np.float32),
         np.asarray(np.sqrt(before.variance), np.float32),
         np.asarray(after.mean - expected, np.float32),
-        earlier.land,
+        land,
         agrees,
     )
 

@@ -7,6 +7,7 @@ import gc
 import os
 import sys
 from collections.abc import Callable
+from functools import cache
 from typing import NamedTuple
 
 ARENAS = 2
@@ -35,7 +36,7 @@ def steady_allocation() -> None:
     and 198 with). Where the user has chosen (`MALLOC_ARENA_MAX`, `GLIBC_TUNABLES`, `NUMPY_MADVISE_HUGEPAGE`), and with
     another C library, nothing is done.
     """
-    libc = ctypes.CDLL(None)
+    libc = _libc()
     chosen = os.environ.get("MALLOC_ARENA_MAX") or "malloc.arena_max" in os.environ.get("GLIBC_TUNABLES", "")
     if not chosen and (mallopt := getattr(libc, "mallopt", None)) is not None:
         mallopt(_M_ARENA_MAX, ARENAS)
@@ -53,7 +54,7 @@ def map_large_blocks() -> None:
     (`MALLOC_MMAP_THRESHOLD_`, `GLIBC_TUNABLES`), and with another C library, nothing is done.
     """
     tuned = "malloc.mmap_threshold" in os.environ.get("GLIBC_TUNABLES", "")
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    mallopt = getattr(_libc(), "mallopt", None)
     if mallopt is not None and not tuned and not os.environ.get("MALLOC_MMAP_THRESHOLD_"):
         mallopt(_M_MMAP_THRESHOLD, MAPPED_FROM)
 
@@ -80,7 +81,7 @@ def settle() -> None:
 def trim() -> None:
     """Give pages of the heaps back in which nothing lies, between others too; glibc itself only does so at their ends.
     It takes milliseconds, and what is needed again costs as much: not for each frame."""
-    if (malloc_trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:
+    if (malloc_trim := getattr(_libc(), "malloc_trim", None)) is not None:
         malloc_trim(ctypes.c_size_t(0))
 
 
@@ -96,12 +97,19 @@ class MemoryInUse(NamedTuple):
 def memory_in_use() -> MemoryInUse:
     """As of now, within a tenth of a millisecond."""
     blocks = sys.getallocatedblocks()
-    mallinfo = getattr(ctypes.CDLL(None), "mallinfo2", None)
+    mallinfo = getattr(_libc(), "mallinfo2", None)
     if mallinfo is None:
         return MemoryInUse(None, blocks)
     mallinfo.restype = _MallInfo
     found = mallinfo()
     return MemoryInUse(int(found.uordblks) + int(found.hblkhd), blocks)
+
+
+@cache
+def _libc() -> ctypes.CDLL:
+    """Opened once: each `CDLL` makes a class of its own, thirty objects in a cycle, which Python looks for only minutes
+    later. One a second, for a report, was most of what some nodes grew by."""
+    return ctypes.CDLL(None)
 
 
 class _MallInfo(ctypes.Structure):
@@ -113,10 +121,17 @@ class _MallInfo(ctypes.Structure):
     ] + [("keepcost", ctypes.c_size_t)]
 
 
-class Trimming:
-    """Calls `trim` every `TRIM_EVERY_S`, so that holes do not add up. `now_s`: a steady clock; `act`: for tests."""
+def tidy() -> None:
+    """Have Python look for cycles among all that came since the start, give up the tuples, lists and numbers that it
+    keeps to use again, and `trim`. By itself it looks at old objects hours later; what it keeps fills as long."""
+    gc.collect()
+    trim()
 
-    def __init__(self, now_s: float, act: Callable[[], None] = trim) -> None:
+
+class Trimming:
+    """Calls `tidy` every `TRIM_EVERY_S`, so that holes do not add up. `now_s`: a steady clock; `act`: for tests."""
+
+    def __init__(self, now_s: float, act: Callable[[], None] = tidy) -> None:
         self._last, self._act = now_s, act
 
     def look(self, now_s: float) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import cv2
 import numpy as np
 
 from ltm_core.types import BoolArray, UInt8Array
 from ltm_core.vision.labels import Label
-from ltm_core.vision.smoke import APART_S, OLDEST_S, SmokeMemory
+from ltm_core.vision.smoke import APART_S, OLDEST_S, REMEMBERED, WORKING_WIDTH, SmokeMemory
 
 SIZE = (216, 384)
 SKYLINE = 70
@@ -123,3 +125,34 @@ def test_pictures_without_a_pattern_leave_room_for_what_was_seen_before() -> Non
     for second in range(1, 601, 5):
         memory.look(fog, labels(), float(second))
     assert memory.look(plume(land(), 2)[0], labels(), 700.0) is not None
+
+
+def test_what_it_will_hold_in_three_hours_it_holds_from_the_first_picture_on() -> None:
+    memory = SmokeMemory()
+    small = round(WORKING_WIDTH * SIZE[0] / SIZE[1]) * WORKING_WIDTH
+    tracemalloc.start()
+    memory.look(land(), labels(), 0.0)
+    first, _ = tracemalloc.get_traced_memory()
+    for number in range(1, 2 * REMEMBERED):
+        memory.look(land(number % 3), labels(), number * APART_S)
+    last, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # Grey levels, a bit for land, and a sixteenth of the pixels as numbers of four bytes.
+    assert memory.nbytes == REMEMBERED * small * (1 + 1 / 8 + 4 / 16)
+    assert memory.nbytes <= first < memory.nbytes + 50_000
+    assert last < first + 50_000
+
+
+def test_pictures_of_other_sizes_are_remembered_besides() -> None:
+    """Larger ones than the first, and smaller ones."""
+    memory = SmokeMemory()
+
+    def look(picture: UInt8Array, size: tuple[int, int], at_s: float) -> BoolArray | None:
+        of_size = cv2.resize(picture, size)
+        return memory.look(of_size, cv2.resize(labels(), size, interpolation=cv2.INTER_NEAREST), at_s)
+
+    sizes = (SIZE[1], SIZE[0]), (SIZE[1], SIZE[0] + 60), (SIZE[1] - 100, SIZE[0] - 40)
+    for number, size in enumerate(sizes):
+        look(land(), size, number * APART_S)
+    for number, size in enumerate(sizes, len(sizes)):
+        assert look(plume(land(), 2)[0], size, number * APART_S) is not None

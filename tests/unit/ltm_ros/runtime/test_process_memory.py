@@ -138,6 +138,35 @@ for one in (both, without):
     print(one.heap_bytes - before.heap_bytes, (one.python_blocks - before.python_blocks) // 2)
 """
 
+_ASKED_OFTEN = """
+import gc, sys
+from ltm_ros.runtime.process_memory import memory_in_use
+gc.disable()  # it looks at what is old hours later
+for number in range(300):
+    now = memory_in_use()
+    if number == 50:
+        before = now
+print(now.python_blocks - before.python_blocks)
+"""
+
+_TIDIED = """
+import gc, sys
+from ltm_ros.runtime.process_memory import tidy
+gc.disable()
+class Node:
+    def __init__(self):
+        self.itself = self
+def leave():
+    for _ in range(2_000):
+        Node()
+    many = [[(n,) * size for n in range(2_000)] for size in range(1, 20)]  # tuples, which Python keeps to use again
+before = sys.getallocatedblocks()
+leave()
+left = sys.getallocatedblocks() - before
+tidy()
+print(left, sys.getallocatedblocks() - before)
+"""
+
 
 def _run(program: str, folder: Path | None = None, *arguments: str, **environment: str) -> str:
     given = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "GLIBC_", "NUMPY_"))}
@@ -213,3 +242,14 @@ def test_what_objects_lie_in_is_counted() -> None:
     assert abs(blocks - 50_000) < 2_000  # Python keeps some to use again
     assert abs(heap_after) < 100_000
     assert abs(blocks_after) < 2_000
+
+
+def test_asking_for_it_leaves_nothing_behind() -> None:
+    """A report a second, between two of Python's looks for cycles."""
+    assert abs(int(_run(_ASKED_OFTEN))) < 100
+
+
+def test_cycles_and_tuples_to_use_again_are_given_up_when_a_process_is_tidied() -> None:
+    left, after = map(int, _run(_TIDIED).split())
+    assert left > 4_000
+    assert after < 500
