@@ -107,8 +107,8 @@ def memory_in_use() -> MemoryInUse:
 
 @cache
 def _libc() -> ctypes.CDLL:
-    """Opened once: each `CDLL` makes a class of its own, thirty objects in a cycle, which Python looks for only minutes
-    later. One a second, for a report, was most of what some nodes grew by."""
+    """Opened once: each `CDLL` makes a class of its own, twenty blocks in a cycle, which Python looks for only minutes
+    later; a report came each second."""
     return ctypes.CDLL(None)
 
 
