@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from scipy.stats import theilslopes
 
 from ltm_core.types import Float64Array
@@ -43,20 +42,6 @@ class Growth:
         end = max(1, round(len(memory) * ENDS))
         grown = np.median(memory[-end:]) - np.median(memory[:end])
         return cls(float(slope), float(low), float(high), float(grown), float(np.diff(memory).max()))
-
-
-def slope_over_turns(minutes: Float64Array, memory: Float64Array, turn: float) -> float:
-    """kB a minute of what comes and goes in turns of so many minutes: Theil and Sen's slope of its running median over
-    a turn. `minutes`, `memory`: (N,), at equal distances; less than two turns of them are taken as they are.
-
-    A thing that grows for a turn and is given up then has a slope of its own, though in the end nothing grows. Its
-    running median has none. What grows on keeps its slope in it, and a step stays a step.
-    """
-    samples = round(turn / float(np.median(np.diff(minutes))))
-    if samples < 2 or len(minutes) < 2 * samples:
-        return Growth.of(minutes, memory).slope
-    medians, middles = (np.median(sliding_window_view(of, samples), axis=1) for of in (memory, minutes))
-    return Growth.of(middles, medians).slope
 
 
 @dataclass(frozen=True)

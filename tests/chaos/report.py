@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from chaos.bounded_caches import STATED, caches_of
 from chaos.cameras import CAMERAS
 from chaos.chaos_run import Outcome
-from chaos.soak import TURN_MINUTES, InUseGrowth
+from chaos.soak import InUseGrowth
 from chaos.verdict import Verdict
 from ltm_ros.bench.growth import Growth
 
@@ -47,15 +47,13 @@ def causes(counted: Mapping[str, int], most: int = 40) -> Iterable[str]:
         yield f"  {count:6d}  {name}"
 
 
-def growth(own: Mapping[str, Growth], lasting: Mapping[str, float], in_use: Mapping[str, InUseGrowth]) -> Iterable[str]:
+def growth(own: Mapping[str, Growth], in_use: Mapping[str, InUseGrowth]) -> Iterable[str]:
     """Of memory, by process: what it has asked for, and how much of that objects lie in. What the former grows by
-    beyond the latter are holes of the heaps. `lasting`: `Soak.lasting_slopes`. Below each, what it keeps that is
-    bounded."""
+    beyond the latter are holes of the heaps. Below each, what it keeps that is bounded."""
     yield "own memory over the last two thirds: kB a minute (95 % interval); kB grown, the largest step of it;"
-    yield f"kB a minute of its running median over {TURN_MINUTES:.0f} minutes, of which the sum is judged;"
     yield "what of it is in use: kB a minute of the C library's heap (95 % interval), blocks a minute of Python's"
     for label, one in own.items():
-        row = f"  {label:<20}{_slope(one)}; {one.grown:.0f}, {one.largest_step:.0f}; {lasting[label]:.1f}"
+        row = f"  {label:<20}{_slope(one)}; {one.grown:.0f}, {one.largest_step:.0f}"
         if used := in_use.get(label):
             row += f"; {_slope(used.heap_kb)}, {used.python_blocks.slope:.0f}"
         yield row

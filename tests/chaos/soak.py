@@ -11,14 +11,12 @@ import numpy as np
 
 from chaos.heartbeats import Heartbeats
 from chaos.running_site import RunningSite
-from ltm_ros.bench.growth import SUM, Growth, GrowthWatch, Sample, memory_growth, slope_over_turns
-from ltm_ros.runtime.process_memory import TRIM_EVERY_S, MemoryInUse
+from ltm_ros.bench.growth import SUM, Growth, GrowthWatch, Sample, memory_growth
+from ltm_ros.runtime.process_memory import MemoryInUse
 
 EVERY_S = 30.0
 SETTLED_AFTER = 1 / 3
 """Share of the time after which growth is taken: before it, caches fill and what is rare happens first."""
-TURN_MINUTES = TRIM_EVERY_S / 60
-"""In which processes are tidied, and files of a recording begin."""
 MOST_KB_A_MINUTE = 10.0
 JUDGED_MINUTES = 30.0
 """From which on a soak is judged: a shorter one sees caches fill."""
@@ -59,16 +57,6 @@ class Soak:
         """Of the memory of its own (`Usage.own`) of each process that lived through the last two thirds, and in sum."""
         return memory_growth(self.samples[self._settled :])
 
-    def lasting_slopes(self) -> dict[str, float]:
-        """Likewise, kB a minute of what does not come and go in turns of `TURN_MINUTES`: what a soak is judged by.
-        Whatever it is that grows, nothing is subtracted."""
-        settled = self.samples[self._settled :]
-        minutes = np.array([sample.seconds for sample in settled]) / 60.0
-        lasting = sorted(set.intersection(*(set(sample.usage) for sample in settled)))
-        own = {label: np.array([sample.usage[label].own for sample in settled], float) for label in lasting}
-        own[SUM] = np.sum(list(own.values()), axis=0)
-        return {label: slope_over_turns(minutes, memory, TURN_MINUTES) for label, memory in own.items()}
-
     def growth_in_use(self) -> dict[str, InUseGrowth]:
         """Likewise, of the processes that say what they use."""
         minutes = np.array([sample.seconds for sample in self.samples[self._settled :]]) / 60.0
@@ -91,5 +79,5 @@ class Soak:
         """What a soak of `JUDGED_MINUTES` or more must not show."""
         if self.samples[-1].seconds < 60.0 * JUDGED_MINUTES - EVERY_S:
             return []
-        slope = self.lasting_slopes()[SUM]
+        slope = self.growth()[SUM].slope
         return [f"memory grows by {slope:.1f} kB a minute in sum"] if slope > MOST_KB_A_MINUTE else []

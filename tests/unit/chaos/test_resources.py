@@ -86,24 +86,11 @@ def test_a_single_step_is_no_slope_and_is_told() -> None:
         assert soak.missed() == []
 
 
-def test_what_comes_and_goes_in_turns_is_no_growth_and_what_grows_beside_it_is() -> None:
-    """An index that fills for ten minutes, 100 kB in each, and is given up then; the same beside 12 kB a minute."""
-    turns = _soak(60, lambda t: 5000 + 100 * (t % 10), lambda _: 700)
-    np.testing.assert_allclose(turns.lasting_slopes()[SUM], 0.0, atol=0.1)
-    assert turns.growth()[SUM].slope > 3.0
-    assert turns.missed() == []
-    grows = _soak(60, lambda t: 5000 + 100 * (t % 10) + 12 * t, lambda _: 700)
-    np.testing.assert_allclose(grows.lasting_slopes()[SUM], 12.0, atol=0.5)
-    assert len(grows.missed()) == 1
-    short = _soak(12, lambda t: 5000 + 12 * t)
-    np.testing.assert_allclose(short.lasting_slopes()[SUM], 12.0, atol=0.2)
-
-
 def test_the_report_names_what_each_process_keeps() -> None:
     soak = _soak(45, lambda _: 5000)
     for sample in soak.samples:
         sample.usage["recorder"] = sample.usage["0"]
-    lines = list(report.growth(soak.growth(), soak.lasting_slopes(), {}))
+    lines = list(report.growth(soak.growth(), {}))
     row = next(number for number, line in enumerate(lines) if line.startswith("  recorder"))
     assert lines[row + 1] == "    keeps the index of the file at hand, which ends after 10 minutes"
 
@@ -120,7 +107,7 @@ def test_growth_in_use_is_told_by_process_and_is_not_that_of_holes() -> None:
     assert found.keys() == {"0", "1"}
     np.testing.assert_allclose([found["0"].heap_kb.slope, found["0"].python_blocks.slope], [4.0, 6.0], rtol=0.01)
     assert (found["1"].heap_kb.slope, found["1"].python_blocks.slope) == (0.0, 0.0)
-    *_, first, second, total, _ = report.growth(soak.growth(), soak.lasting_slopes(), found)
+    *_, first, second, total, _ = report.growth(soak.growth(), found)
     assert first.split(";")[-1].split() == ["4.0", "(4.0", "to", "4.0),", "6"]
     assert second.split(";")[-1].split() == ["0.0", "(0.0", "to", "0.0),", "0"]
     assert total.split()[:3] == ["in", "sum", "40.0"]
