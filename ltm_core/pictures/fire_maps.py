@@ -64,12 +64,14 @@ def arrival_scale(hours: float) -> Scale:
 
 
 def difference_classes(effect: FireEffect) -> tuple[NDArray[np.floating], BoolArray]:
-    """(H, W) values on the scale DIFFERENCE, and where there are any."""
+    """(H, W) values on the scale DIFFERENCE, and where there are any. Where one fire alone comes, and only as time runs
+    out, the other may come a moment after: that is called the same.
+    """
     a, b = effect.before.burned, effect.after.burned
-    later = np.nan_to_num(effect.difference())
-    value = np.select(
-        [~a & b, a & ~b, later <= -1, later < -_SOON, later <= _SOON, later < 1], [0, 6, 1, 2, 3, 4], default=5
-    )
+    was, now = (np.where(run.burned, run.arrival, effect.hours) for run in (effect.before, effect.after))
+    later = now - was
+    same = np.abs(later) <= _SOON
+    value = np.select([same, ~a & b, a & ~b, later <= -1, later < 0, later < 1], [3, 0, 6, 1, 2, 4], default=5)
     return value.astype(float), a | b
 
 

@@ -53,6 +53,12 @@ def test_where_it_comes_later_earlier_or_only_once() -> None:
     ]  # fmt: skip
     turned = FireEffect(AFTER, BEFORE, effect().changed, 100.0, 3.0)
     assert DIFFERENCE.names[int(difference_classes(turned)[0][1, 3])] == "earlier by 1 h and more"
+    # The other fire may come a moment after the end.
+    late = run([N] * 6, [N, 0.0, 0.5, 1.0, 2.0, 2.95], [N, 0.5, 0.7, 1.5, N, 2.9], [N] * 6)
+    for pair in ((BEFORE, late), (late, BEFORE)):
+        found = difference_classes(FireEffect(*pair, effect().changed, 100.0, 3.0))[0]
+        assert DIFFERENCE.names[int(found[1, 5])] == "the same to 5 min"
+        assert DIFFERENCE.names[int(found[2, 5])].startswith("burns only")
     assert effect().first_contact() == 1.0
     felled = FireEffect(BEFORE, AFTER, ~AFTER.burned, 100.0, 3.0)
     assert felled.first_contact() == 2.0
