@@ -20,7 +20,7 @@ from ltm_core.fuel.stand_heights import stand_heights
 from ltm_core.grid import GridGeometry
 from ltm_core.site import Site
 from ltm_core.terrain.stored_surface import TERRAIN_STORE, open_stored_surface
-from ltm_core.types import Float32Array
+from ltm_core.types import Float32Array, Float64Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,22 +53,25 @@ def site_canopy(
     given = None if prior is None else prior.canopy
     new = layers.changed | (np.ones(trees.shape, np.bool_) if given is None else given[0] == NODATA)
     before = np.where(bands[0] > 0, bands[0], np.nan).astype(np.float64)
-    heights, note = _heights(site, grid, state)
+    tops = np.where(bands[1] > 0, bands[1] / 10.0, np.nan)
+    heights, note = _heights(site, grid, state, tops)
     labels = None if evidence is None else evidence.label_cover(before)
     return SiteCanopy(measured_canopy(trees, new, seen_canopy(terrain, grid), labels, heights), note)
 
 
 def _heights(
-    site: Site, grid: GridGeometry, state: Path | None
+    site: Site, grid: GridGeometry, state: Path | None, before: Float64Array
 ) -> tuple[tuple[Float32Array, Float32Array] | None, str]:
-    """Of stands against bare earth, where no raster of tree tops says what was there; and what kept it from that."""
+    """Of stands against bare earth, where no raster of tree tops says what was there; and what kept it from that.
+    `before`: metres, as of `stand_heights`.
+    """
     path = None if state is None else state / TERRAIN_STORE
     if path is None or site.terrain is None or site.surface is not None or not path.is_file():
         return None, ""
     try:
         surface = open_stored_surface(path, site)
         try:
-            return stand_heights(surface, grid), ""
+            return stand_heights(surface, grid, before), ""
         finally:
             surface.close()
     except (ConfigError, StoreError, RasterError) as error:

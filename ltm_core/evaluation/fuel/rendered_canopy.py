@@ -71,7 +71,7 @@ def score_heights(
     for number, frame in enumerate([*frames] * looks):
         surface.add(replace(measure(frame)[0], stamp_ns=frame.stamp_ns + number * HOUR_NS))
     surface.decide()
-    height, sigma = stand_heights(surface, truth.grid)
+    height, sigma = stand_heights(surface, truth.grid, np.full(truth.height.shape, constant.height))
     with np.errstate(divide="ignore", invalid="ignore"):
         error, spread, flat = (a / truth.height for a in (height - truth.height, sigma, constant.height - truth.height))
     return _score(error, spread, flat, truth.trees & (truth.cover >= LEAST_COVER) & np.isfinite(error))

@@ -16,13 +16,15 @@ from ltm_core.fuel.codes import FuelRegion
 from ltm_core.fuel.evidence_state import EVIDENCE_FIELDS, EXTENDED_VERSION
 from ltm_core.fuel.site_canopy import site_canopy
 from ltm_core.fuel.site_map import site_evidence_map
+from ltm_core.fuel.stand_heights import stand_heights
 from ltm_core.fuel.stored_map import fuel_schema, open_stored_map, restore
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.raster.tile_store import TileStore
 from ltm_core.terrain import Reference, SurfaceMap
-from ltm_core.terrain.stored_surface import TERRAIN_STORE
+from ltm_core.terrain.stored_surface import TERRAIN_STORE, open_stored_surface
 from ltm_core.terrain.tile_pool import TILE, schema_of
+from ltm_core.types import Float32Array
 from ltm_core.vision.labels import LabelSet
 
 LABELS = LabelSet.load()
@@ -51,8 +53,8 @@ def wooded(small: SmallSite) -> LivingFuelMap:
     return evidence
 
 
-def stands_of(small: SmallSite, state: Path, height: float) -> None:
-    """A terrain store of which one fuel cell's terrain cells are known to stand so high."""
+def stands_of(small: SmallSite, state: Path, height: float | Float32Array, weight: float = 1000.0) -> None:
+    """A terrain store of which one fuel cell's terrain cells, 3 x 3, are known to stand so high."""
     reference = Reference.of(small.dem, None)
     grid = small.site.fuel_geometry(small.dem)
     rows, cols = reference.geometry.cell_of(*grid.to_map(*(np.array([i + d for d in (-0.3, 0, 0.3)]) for i in CELL)))
@@ -61,7 +63,7 @@ def stands_of(small: SmallSite, state: Path, height: float) -> None:
         surface = SurfaceMap(reference, small.site.terrain, ("north", "south"), store)
         blank = {n: np.zeros((TILE, TILE, *f.shape), np.dtype(f.dtype)) for n, f in store.schema.fields.items()}
         at = np.ix_(np.unique(rows) % TILE, np.unique(cols) % TILE)
-        known = {"dz": height, "base": height, "looks": 4.0, "weight": 1000.0, "cameras": 3, "frames": 4,
+        known = {"dz": height, "base": height, "looks": 4.0, "weight": weight, "cameras": 3, "frames": 4,
                  "relative_variance": 0.01, "pose_variance": 0.0, "first": 1, "last": 10**6}  # fmt: skip
         for name, value in known.items():
             blank[name][at] = value
@@ -83,7 +85,30 @@ def test_new_trees_have_the_cover_that_labels_show_and_the_height_that_depth_doe
     assert np.argwhere(np.isfinite(found.seen.cover)).tolist() == [list(CELL)]
     assert 10 < found.seen.cover[CELL] < region.canopy.cover
     assert np.argwhere(np.isfinite(found.seen.height)).tolist() == [list(CELL)]
-    assert found.seen.height[CELL] == pytest.approx(8.0)
+    # Seen from the side, the higher crowns hide the lower.
+    assert found.seen.height[CELL] == pytest.approx(0.8 * 8.0, abs=0.1)
+
+
+def test_a_cell_that_is_half_a_gap_hardly_lowers_its_stand(small: SmallSite, tmp_path: Path) -> None:
+    half = np.array([[8.0, 8.0, 3.0], [3.0, 8.0, 8.0], [8.0, 3.0, 8.0]], np.float32)
+    stands_of(small, tmp_path, half)
+    surface, grid = open_stored_surface(tmp_path / TERRAIN_STORE, small.site), small.site.fuel_geometry(small.dem)
+    alone, _ = stand_heights(surface, grid, np.full(grid.shape, np.nan))
+    surface.close()
+    assert alone[CELL] == pytest.approx(0.8 * (6 * 8**2 + 3 * 3**2) / (6 * 8 + 3 * 3))
+    assert np.isfinite(alone).sum() == 1
+
+
+def test_a_height_meets_what_the_map_said_by_their_standard_errors(small: SmallSite, tmp_path: Path) -> None:
+    stands_of(small, tmp_path, 8.0, weight=0.04)
+    surface, grid = open_stored_surface(tmp_path / TERRAIN_STORE, small.site), small.site.fuel_geometry(small.dem)
+    alone, sigma = stand_heights(surface, grid, np.full(grid.shape, np.nan))
+    both, less = stand_heights(surface, grid, np.full(grid.shape, 15.0))
+    surface.close()
+    weights = np.array([1 / sigma[CELL] ** 2, 1 / 5.0**2])
+    assert both[CELL] == pytest.approx(np.average([alone[CELL], 15.0], weights=weights), rel=1e-4)
+    assert less[CELL] == pytest.approx(1 / np.sqrt(weights.sum()), rel=1e-4)
+    assert alone[CELL] + 0.5 < both[CELL] < 14.5
 
 
 def test_a_terrain_of_another_grid_is_told_and_the_export_goes_on(small: SmallSite, tmp_path: Path) -> None:
