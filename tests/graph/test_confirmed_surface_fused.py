@@ -1,4 +1,4 @@
-"""Fused depth follows the confirmed surface through a living chain whose topodepth is killed while that changes."""
+"""Fused depth follows the confirmed surface through a living chain, of which any process is killed meanwhile."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from scenes.small_site import BEGIN_NS, NAME
 from scenes.terrain_frames import HOUR, built_up, mast_pose, photo_of_depth, write_fusing_site
 from scenes.waiting import wait_for
 
+from ltm_core.confirmed_terrain import exported_terrain
 from ltm_core.tracing import TerrainTracer
 from ltm_msgs_py.confirmed_surface import msg_to_traced, msg_to_version
 from ltm_msgs_py.image import image_to_msg, msg_to_depth
@@ -22,20 +23,28 @@ from ltm_ros.runtime.topics import DEPTH_INFO, FUSED_DEPTH, IMAGE_RAW, TERRAIN_S
 
 pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("kernels")]
 
-KINDS = ("capture", "depth", "segmentation", "topodepth")
+KINDS = ("capture", "depth", "segmentation", "fuel_votes", "topodepth")
 SURFACE = site_topic(NAME, TERRAIN_SURFACE)
 IMAGES, INFO, FUSED = (camera_topic(NAME, "mast", topic) for topic in (IMAGE_RAW, DEPTH_INFO, FUSED_DEPTH))
 
 
 @pytest.mark.slow
-def test_topodepth_may_be_killed_while_the_surface_changes(ros_domain: int, tmp_path: Path) -> None:
-    """It comes back to frames that are traced to a version which it has never seen, and fuses them with that."""
+@pytest.mark.parametrize(
+    ("layout", "killed"),
+    [("site", "cameras"), *(("node", label) for label in ("terrain", "fuel_map", *(f"mast/{kind}" for kind in KINDS)))],
+)
+def test_any_process_may_be_killed_while_the_surface_changes(
+    ros_domain: int, tmp_path: Path, layout: str, killed: str
+) -> None:
+    """What traces comes back to frames that are traced to a version which it has never seen, and goes on with that; the
+    fuel map hears of them.
+    """
     terrain = {"threshold": 2.0, "register_frames": False, "trace_confirmed": True}
     (tmp_path / "site").mkdir()
-    small = write_fusing_site(tmp_path / "site", False, terrain=terrain, processes="node")
-    state = {"terrain": {"folder": str(tmp_path / "kept")}}
+    small = write_fusing_site(tmp_path / "site", False, terrain=terrain, processes=layout)
+    state = {name: {"folder": str(tmp_path / "kept")} for name in ("terrain", "fuel_map")}
     whole = describe(small.site, small.path, parameters=state)
-    labels = ("terrain", *(f"mast/{kind}" for kind in KINDS))
+    labels = ("terrain", "fuel_map", *(f"mast/{kind}" for kind in KINDS))
     runner = Runner(
         Graph(NAME, tuple(whole.node(label) for label in labels)),
         domain_id=ros_domain,
@@ -79,7 +88,6 @@ def test_topodepth_may_be_killed_while_the_surface_changes(ros_domain: int, tmp_
                 f"{number} frames in the terrain",
                 lambda: bystander.summaries,
             )
-        killed = "mast/topodepth"
         process = runner.processes[killed]
         starts = process.starts
         # A frame is on its way as it dies.
@@ -90,11 +98,17 @@ def test_topodepth_may_be_killed_while_the_surface_changes(ros_domain: int, tmp_
         bystander.wait_for_wiring(len(labels))
         stamp = look(number + 1)
         wait_for(lambda: fused(stamp), "a frame fused after the kill", lambda: bystander.summaries)
+        wait_for(
+            lambda: bystander.count(f"/{NAME}/fuel_map", "frames") > 0, "labels in its map", lambda: bystander.summaries
+        )
         traced = dict(msg_to_traced(message) for message in list(bystander.heard[INFO]))
         depths = {stamp_of(message): msg_to_depth(message) for message in list(bystander.heard[FUSED])}
         dropped = bystander.dropped(f"/{NAME}/mast/topodepth")
     assert traced[stamp] == version()
     assert traced[BEGIN_NS] == ""
+    exported = exported_terrain(small.site, tmp_path / "kept").version
+    assert exported is not None
+    assert exported.version == version()
     seen = block & np.isfinite(depths[stamp])
     assert seen.sum() > 20
     assert np.median(np.abs(depths[stamp][seen] - now[seen])) < 0.5 * np.median(np.abs(was[seen] - now[seen]))
