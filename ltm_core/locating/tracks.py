@@ -1,9 +1,9 @@
 """Tracks: which sightings, of several cameras and times, are of one fire.
 
 A sighting joins the track whose sightings it agrees with best (`Locator.limit`). Where it agrees with none, but a track
-that other cameras share has a place in its direction, it begins a track of its own, and the two count as one fire that
-its cameras disagree about. What all fires say of each camera is kept: a camera that is turned is named by them together.
-All else begins a new track.
+that other cameras share has a place in its direction, it begins a track of its own, and the two count as one fire about
+which its cameras disagree. What all fires say of each camera is kept: one that is turned is named by them together. All
+else begins a new track.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ltm_core.locating.sighting import Sight
 
 STEP = math.radians(0.05)
-TURNS = STEP * np.arange(-round(MOST_TURNED / STEP), round(MOST_TURNED / STEP) + 1)
+TURNS: Float64Array = STEP * np.arange(-round(MOST_TURNED / STEP), round(MOST_TURNED / STEP) + 1, dtype=np.float64)
 """Radians by which a stated azimuth may be too great, (T,)."""
 _LEAST_SIGMA = 0.8 * STEP
 """Of a mark's azimuth: narrower ones would fall between the angles."""
@@ -67,7 +67,7 @@ def turn_profile(
         apart: (N,) of the other cameras' marks.
         x, y: (N,) of the cells.
     """
-    off, prior, variance, marked = np.zeros(len(x)), np.zeros(len(x)), 0.0, np.zeros(len(x))
+    off, prior, variance = np.zeros(len(x)), np.zeros(len(x)), 0.0
     for sight in turned:
         directions, to_x, to_y = sight.directions, x - sight.position[0], y - sight.position[1]
         middle = float(directions.azimuth @ directions.weights)

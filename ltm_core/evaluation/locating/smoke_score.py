@@ -111,7 +111,9 @@ def smoke_trials(
                 yield _score(site.name, case, boxed, locator, views, found, wrong, drawer)
 
 
-def views_of_case(rng: np.random.Generator, site: SmokeSite, sight: PointVisibility, case: Case) -> list[SeenPlume] | None:
+def views_of_case(
+    rng: np.random.Generator, site: SmokeSite, sight: PointVisibility, case: Case
+) -> list[SeenPlume] | None:
     """Smoke at a random place and the towers of a case that see it; None where they do not."""
     g = site.truth.geometry
     at = rng.uniform([g.x_min + 100, g.y_min + 100], [g.x_max - 100, g.y_max - 100])

@@ -77,10 +77,7 @@ class NamingScore:
     def of(cls, cases: Sequence[TurnedCase], fires: int, sure: float) -> NamingScore:
         verdicts = [(case, case.verdict(fires, sure)) for case in cases]
         found = [(case, verdict) for case, verdict in verdicts if case.turned and verdict.wrong == case.turned]
-        most = [
-            bool(case.turned) and said.suspect == case.turned
-            for case, said in verdicts
-        ]
+        most = [bool(case.turned) and said.suspect == case.turned for case, said in verdicts]
         off = [abs(math.degrees(verdict.turn) - case.turn_deg) for case, verdict in found]
         slandered = [verdict.wrong is not None and verdict.wrong != case.turned for case, verdict in verdicts]
         return cls(
