@@ -59,14 +59,23 @@ def direction_table(directions: MarkedDirections, azimuths: Float64Array, drifti
 def turned_table(directions: MarkedDirections, azimuths: Float64Array) -> DirectionTable:
     """Of a camera that is turned by nobody knows how much: the marked slope, and its azimuth as good as that."""
     middle = float(directions.azimuth @ directions.weights)
-    spread = float(directions.weights @ (directions.azimuth - middle) ** 2)
-    scale = math.sqrt(TURN_SCALE**2 + spread)
-    off = azimuths - middle
-    turned = scale / (scale**2 + off**2) / (2 * math.atan(MOST_TURNED / scale))
+    turned = turn_density(directions, azimuths - middle)
     shape = (len(azimuths), len(KNOTS))
     slope, variance = _slope(directions)
     density = np.broadcast_to(turned[:, None], shape)[None].copy()
     return DirectionTable(density, np.full(shape, slope), np.broadcast_to(variance, shape).copy())
+
+
+def turn_density(directions: MarkedDirections, off: Float64Array) -> Float64Array:
+    """Of azimuths that are off the marked one by an angle, of a camera that is turned by nobody knows how much."""
+    middle = float(directions.azimuth @ directions.weights)
+    spread = float(directions.weights @ (directions.azimuth - middle) ** 2)
+    return turn_prior(off, math.sqrt(TURN_SCALE**2 + spread))
+
+
+def turn_prior(turn: Float64Array, scale: float = TURN_SCALE) -> Float64Array:
+    """Density of the angle by which a camera is turned, where one is."""
+    return np.asarray(scale / (scale**2 + turn**2) / (2 * math.atan(MOST_TURNED / scale)), np.float64)
 
 
 def _slope(directions: MarkedDirections) -> tuple[float, Float64Array]:

@@ -7,8 +7,9 @@ import math
 import numpy as np
 from numba import njit
 
+from ltm_core.locating.kernel_arguments import Drifts, RayMark, RayTerrain, SmokeDensities
 from ltm_core.locating.sight_fan import NO_LEVEL
-from ltm_core.types import Float32Array, Float64Array, Int64Array, UInt8Array
+from ltm_core.types import Float64Array
 
 _REACH = 2.5
 """Sigmas of drift to which neighbouring azimuths count."""
@@ -16,29 +17,14 @@ _NEIGHBOURS = 9
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def add_drifted(
-    heights: Float32Array,
-    levels: UInt8Array,
-    ranges: Float64Array,
-    knots: Int64Array,
-    z0: float,
-    bend: float,
-    widths: Float64Array,
-    azimuth_density: Float64Array,
-    azimuth_peak: Float64Array,
-    slope_mean: Float64Array,
-    lean: float,
-    next_drift: Float64Array,
-    unseen: Float32Array,
-    hidden: Float64Array,
-    hidden_fit: Float32Array,
-    density: Float64Array,
-    fit: Float32Array,
-    lifts: Float32Array,
-) -> None:
+def add_drifted(terrain: RayTerrain, mark: RayMark, drifting: Drifts, found: SmokeDensities) -> None:
     """Makes densities of the marked direction out of those of its slope, in place. Smoke of a hidden foot comes up at
     the marked azimuths, wherever the foot is: over these its slope's density is averaged, range by range.
     """
+    heights, levels, ranges, knots, z0, bend = terrain
+    widths, azimuth_density, azimuth_peak, lean, next_drift = drifting
+    slope_mean = mark.slope_mean
+    density, hidden, fit, hidden_fit, unseen, lifts = found
     over, over_fit, marked = np.zeros(len(ranges)), np.zeros(len(ranges)), np.zeros(len(ranges))
     for a in range(heights.shape[0]):
         for k in range(heights.shape[1]):
@@ -73,24 +59,13 @@ def add_drifted(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def add_smeared(
-    heights: Float32Array,
-    levels: UInt8Array,
-    ranges: Float64Array,
-    knots: Int64Array,
-    z0: float,
-    bend: float,
-    slope_mean: Float64Array,
-    lean: float,
-    azimuths: Float64Array,
-    hidden: Float64Array,
-    hidden_fit: Float32Array,
-    density: Float64Array,
-    fit: Float32Array,
-) -> None:
+def add_smeared(terrain: RayTerrain, mark: RayMark, azimuths: Float64Array, lean: float, found: SmokeDensities) -> None:
     """Adds to the slope's density at a seen foot that at a hidden one, averaged over the azimuths to which a plume may
     have drifted; evenly spaced azimuths.
     """
+    heights, levels, ranges, knots, z0, bend = terrain
+    slope_mean = mark.slope_mean
+    density, hidden, fit, hidden_fit = found.seen, found.hidden, found.seen_fit, found.hidden_fit
     count = len(azimuths)
     spacing = (azimuths[-1] - azimuths[0]) / (count - 1)
     for a in range(count):

@@ -12,6 +12,7 @@ import numpy as np
 from ltm_core.grid import GridGeometry
 from ltm_core.locating.sighting import Bounds, LocatingTerrain, Sight
 from ltm_core.locating.splat import SightRaster, sight_raster
+from ltm_core.locating.turn_evidence import TurnProfile, turn_profile
 from ltm_core.types import Float64Array
 
 _SIDE = 240
@@ -32,6 +33,7 @@ class Fused:
     """On one raster, (H, W) each. `misfit`: T (see `locator`), +inf where a camera excludes a cell. `weight`: density
     of the posterior. `lift`: metres above ground from which the camera that sees least of a cell sees something.
     `log_evidence`: logarithm of the probability density of all marks, over all places; -inf where none is possible.
+    `profile`: the same by the angle of a camera that is turned.
     """
 
     window: GridGeometry
@@ -39,6 +41,7 @@ class Fused:
     weight: Float64Array
     lift: Float64Array
     log_evidence: float
+    profile: TurnProfile | None = None
 
     @cached_property
     def least(self) -> float:
@@ -141,7 +144,7 @@ def _fused(
     if not len(rows):
         return Fused(window, misfit, weight, lift, -math.inf)
     x, y = window.to_map(rows, cols)
-    fit, density, evidence, raised = (np.zeros(len(rows)) for _ in range(4))
+    fit, density, evidence, apart, raised = (np.zeros(len(rows)) for _ in range(5))
     loose = {sight.name for sight in turned}
     for name, rasters in by_camera.items():
         part = 1 / (shared[name] * len(rasters))
@@ -150,12 +153,14 @@ def _fused(
             here = np.log(raster.density[rows, cols])
             density += here * part
             evidence += here / len(rasters)
+            apart += here / len(rasters) if name not in loose else 0.0
             if name not in loose:  # what it marks may be something else
                 raised = np.maximum(raised, raster.lift[rows, cols])
         squared = (x - positions[name][0]) ** 2 + (y - positions[name][1]) ** 2
         noticed = np.log1p(squared / terrain.config.detection_range**2)
         density -= noticed / shared[name]
         evidence -= noticed
+        apart -= noticed if name not in loose else 0.0
     rising = np.log(terrain.chance(raised))
     density += rising
     evidence += rising
@@ -164,4 +169,5 @@ def _fused(
     lift[rows, cols] = raised
     greatest = float(evidence.max())
     total = greatest + math.log(float(np.exp(evidence - greatest).sum()) * window.resolution**2)
-    return Fused(window, misfit, weight, lift, total)
+    profile = turn_profile(evidence, apart + rising, x, y, turned, window.resolution) if turned else None
+    return Fused(window, misfit, weight, lift, total, profile)

@@ -36,6 +36,7 @@ from ltm_core.locating.posterior import Posterior
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_likelihood import OTHER_SLOPE
 from ltm_core.locating.sighting import LocatingTerrain, Sighting
+from ltm_core.locating.turn_evidence import TurnEvidence, pose_sigma, turn_evidence
 from ltm_core.types import Float64Array
 
 MOST_SIGHTINGS = 64
@@ -49,13 +50,15 @@ _ELSEWHERE = 0.02 * OTHER_SLOPE / (2 * math.pi)
 class Agreement:
     """`statistic`: logarithm of how much likelier the marks are where one camera is wrong than where none is; +inf
     where no place is possible for all. `limit`: of it. `suspicion`: by camera, the probability that it is the wrong
-    one, where they disagree; else empty. `wrong`: the one that is named.
+    one, where they disagree; else empty. `wrong`: the one that is named. `turns`: what the marks say of each camera's
+    turn, to be taken together with other fires' (`turn_watch`).
     """
 
     statistic: float
     limit: float
     suspicion: dict[str, float]
     wrong: str | None
+    turns: TurnEvidence
 
     @property
     def agree(self) -> bool:
@@ -114,9 +117,12 @@ class Locator:
         }
         turned = [fused_closely(terrain, others, wrong) for others, wrong in parted.values()]
         evidences = np.array([part.log_evidence for part in turned])
+        profiles = {name: part.profile for name, part in zip(names, turned, strict=True)}
+        sigmas = {name: pose_sigma(wrong) for name, (_, wrong) in parted.items()}
+        turns = turn_evidence(profiles, fused.log_evidence, _ELSEWHERE, sigmas)
         statistic = _log_mean(evidences) - fused.log_evidence if np.isfinite(fused.log_evidence) else math.inf
         if not statistic > limit:
-            return _location(fused, Agreement(statistic, limit, {}, None))
+            return _location(fused, Agreement(statistic, limit, {}, None, turns))
         # What a wrong camera marks may be another thing, in any direction.
         without = [fused_closely(terrain, others) for others, _ in parted.values()]
         elsewhere = np.array([part.log_evidence for part in without]) + math.log(_ELSEWHERE)
@@ -124,7 +130,7 @@ class Locator:
         suspicion = dict(zip(names, chances, strict=True))
         suspect = max(suspicion, key=lambda name: suspicion[name])
         named = suspicion[suspect] > self.config.sure_of_wrong and len(names) > 2
-        agreement = Agreement(statistic, limit, suspicion, suspect if named else None)
+        agreement = Agreement(statistic, limit, suspicion, suspect if named else None, turns)
         likely = [k for k, chance in enumerate(chances) if chance >= _NEGLIGIBLE]
         return _location(mixture([without[k] for k in likely], [chances[k] for k in likely]), agreement)
 

@@ -12,8 +12,9 @@ import math
 import numpy as np
 from numba import njit
 
+from ltm_core.locating.kernel_arguments import HeightErrors, RayMark, RayTerrain, SmokeDensities
 from ltm_core.locating.sight_fan import NO_LEVEL
-from ltm_core.types import Float32Array, Float64Array, Int64Array, UInt8Array
+from ltm_core.types import Float32Array, Float64Array, Int64Array
 
 CRESTS = 6
 """Crests that are kept of a ray: those that may be the highest."""
@@ -33,21 +34,16 @@ ROOT_2PI = math.sqrt(2 * math.pi)
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def ground_along(
-    heights: Float32Array,
-    levels: UInt8Array,
-    ranges: Float64Array,
-    knots: Int64Array,
-    z0: float,
-    bend: float,
-    azimuth_density: Float64Array,
-    slope_mean: Float64Array,
-    slope_variance: Float64Array,
+    terrain: RayTerrain,
+    mark: RayMark,
     height_variance: Float64Array,
     density: Float64Array,
     fit: Float32Array,
     lifts: Float32Array,
 ) -> None:
     """Of something on the ground: where the terrain model hides it by a little, with the chance that it errs."""
+    heights, levels, ranges, knots, z0, bend = terrain
+    azimuth_density, slope_mean, slope_variance = mark
     for a in range(heights.shape[0]):
         top, top_k, before = -np.inf, 0, np.nan
         for k in range(heights.shape[1]):
@@ -76,30 +72,15 @@ def ground_along(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def smoke_along(
-    heights: Float32Array,
-    levels: UInt8Array,
-    ranges: Float64Array,
-    knots: Int64Array,
-    z0: float,
-    bend: float,
-    azimuth_density: Float64Array,
-    slope_mean: Float64Array,
-    slope_variance: Float64Array,
-    height_variance: Float64Array,
-    apart: Float64Array,
-    rise: float,
-    seen: Float64Array,
-    hidden: Float64Array,
-    seen_fit: Float32Array,
-    hidden_fit: Float32Array,
-    unseen: Float32Array,
-    lifts: Float32Array,
-) -> None:
+def smoke_along(terrain: RayTerrain, mark: RayMark, errors: HeightErrors, rise: float, found: SmokeDensities) -> None:
     """Densities of the marked slope with the foot `seen` and `hidden`, without drift; `unseen`: the chance that the
     terrain hides the foot. (A, R) each; the densities only where the azimuth is possible, `unseen` only where the mark
     is higher above the foot than `rise`, a slope.
     """
+    heights, levels, ranges, knots, z0, bend = terrain
+    azimuth_density, slope_mean, slope_variance = mark
+    height_variance, apart = errors
+    seen, hidden, seen_fit, hidden_fit, unseen, lifts = found
     mu, var, knot = np.empty(CRESTS), np.empty(CRESTS), np.empty(CRESTS, np.int64)
     far, far_fit, at, left = np.empty(CRESTS), np.empty(CRESTS), np.empty(CRESTS), np.empty(CRESTS)
     sigmas, inverse = np.sqrt(height_variance), 1.0 / ranges

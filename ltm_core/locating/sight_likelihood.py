@@ -29,6 +29,7 @@ from ltm_core.dem import Dem
 from ltm_core.locating.direction_table import NEXT_DRIFT, DirectionTable
 from ltm_core.locating.directions import KNOTS
 from ltm_core.locating.drift_kernels import add_drifted, add_smeared
+from ltm_core.locating.kernel_arguments import Drifts, HeightErrors, RayMark, RayTerrain, SmokeDensities
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_fan import SightFan
 from ltm_core.locating.sight_kernels import ROOT_2PI, ground_along, smoke_along
@@ -84,24 +85,22 @@ def sight_likelihood(
         turned: the table is of a camera that is turned (`turned_table`).
     """
     shape = fan.heights.shape
-    density, fit, lifts = np.zeros(shape), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     knots = np.clip(np.searchsorted(KNOTS, fan.ranges), 0, len(KNOTS) - 1)
-    terrain = fan.heights, fan.levels, fan.ranges, knots, height, bend
-    marked = table.density[0], table.slope, table.variance
+    terrain = RayTerrain(fan.heights, fan.levels, fan.ranges, knots, height, bend)
+    marked = RayMark(table.density[0], table.slope, table.variance)
+    density, fit, lifts = np.zeros(shape), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     if not smoke:
-        ground_along(*terrain, *marked, variances, density, fit, lifts)
+        ground_along(terrain, marked, variances, density, fit, lifts)
     else:
         hidden, hidden_fit, unseen = np.zeros(shape), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        found = SmokeDensities(density, hidden, fit, hidden_fit, unseen, lifts)
         rise = math.inf if turned or lean <= 0 else NEXT_DRIFT[0] / lean
-        smoke_along(*terrain, *marked, variances, apart, rise, density, hidden, fit, hidden_fit, unseen, lifts)
+        smoke_along(terrain, marked, HeightErrors(variances, apart), rise, found)
         if turned:
-            add_smeared(*terrain, table.slope, lean, fan.azimuths, hidden, hidden_fit, density, fit)
+            add_smeared(terrain, marked, fan.azimuths, lean, found)
         else:
-            peaks = table.density.max(axis=1)
-            add_drifted(
-                *(*terrain, fan.widths, table.density, peaks, table.slope, lean, NEXT_DRIFT, unseen),
-                *(hidden, hidden_fit, density, fit, lifts),
-            )
+            drifting = Drifts(fan.widths, table.density, table.density.max(axis=1), lean, NEXT_DRIFT)
+            add_drifted(terrain, marked, drifting, found)
             return SightLikelihood(density, fit, lifts)
     azimuth = table.density[0][:, knots]
     if turned:

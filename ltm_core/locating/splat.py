@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from ltm_core.grid import GridGeometry
+from ltm_core.locating.kernel_arguments import CellSums, FanSamples
 from ltm_core.locating.sight_fan import SightFan
 from ltm_core.locating.sight_likelihood import SightLikelihood
 from ltm_core.types import BoolArray, Float32Array, Float64Array
@@ -33,43 +34,29 @@ def sight_raster(
     fan: SightFan, likelihood: SightLikelihood, position: Float64Array, window: GridGeometry
 ) -> SightRaster:
     """Every sample stands for its part of the sector, as long as its step and as wide as its azimuth's share."""
-    total, area, lift, fit = (np.zeros(window.shape) for _ in range(4))
-    _splat(
-        *(
-            likelihood.density,
-            likelihood.fit,
-            likelihood.lifts,
-            fan.ranges,
-            fan.steps,
-            fan.widths,
-            np.sin(fan.azimuths),
-            np.cos(fan.azimuths),
-        ),
-        *((position[0] - window.x_min) / window.resolution, (window.y_max - position[1]) / window.resolution),
-        *(1 / window.resolution, total, area, lift, fit),
-    )
+    samples = FanSamples(fan.ranges, fan.steps, fan.widths, np.sin(fan.azimuths), np.cos(fan.azimuths))
+    sums = CellSums(*(np.zeros(window.shape) for _ in range(4)))
+    x0, y0 = (position[0] - window.x_min) / window.resolution, (window.y_max - position[1]) / window.resolution
+    densities = likelihood.density, likelihood.fit, likelihood.lifts
+    _splat(samples, *densities, x0, y0, 1 / window.resolution, sums)
+    total, area, lift, fit = sums
     with np.errstate(invalid="ignore", divide="ignore"):
         return SightRaster(np.where(area > 0, total / area, 0.0), fit, np.where(total > 0, lift / total, 0.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _splat(
+    samples: FanSamples,
     density: Float64Array,
     fits: Float32Array,
     lifts: Float32Array,
-    ranges: Float64Array,
-    steps: Float64Array,
-    widths: Float64Array,
-    sines: Float64Array,
-    cosines: Float64Array,
     x0: float,
     y0: float,
     per_metre: float,
-    total: Float64Array,
-    area: Float64Array,
-    lift: Float64Array,
-    fit: Float64Array,
+    sums: CellSums,
 ) -> None:
+    ranges, steps, widths, sines, cosines = samples
+    total, area, lift, fit = sums
     height, width = total.shape
     for a in range(density.shape[0]):
         for k in range(density.shape[1]):

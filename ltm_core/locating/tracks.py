@@ -1,8 +1,9 @@
 """Tracks: which sightings, of several cameras and times, are of one fire.
 
 A sighting joins the track whose sightings it agrees with best (`Locator.limit`). Where it agrees with none, but a track
-that other cameras share has a place in its direction, the test of the locator says who of them is wrong: a sighting of
-a camera that is named so is told of, and begins a track of its own. All else begins a new track.
+that other cameras share has a place in its direction, it begins a track of its own, and the two count as one fire about
+which its cameras disagree. What all fires say of each camera is kept: one that is turned is named by them together. All
+else begins a new track.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ltm_core.errors import RegionError
-from ltm_core.locating.locator import Location, Locator
+from ltm_core.locating.locator import Agreement, Location, Locator
 from ltm_core.locating.sighting import Sighting
+from ltm_core.locating.turn_watch import TurnWatch
 
 NEARBY_DEG = 4.0
 """Between a sighting's azimuth and a track's place: within it the two may be of one fire, a camera being wrong."""
@@ -32,11 +34,16 @@ class SeenAt:
 
 @dataclass(eq=False)
 class Track:
-    """One fire. `sightings`: newest last. `wrong`: the camera whose sightings do not fit it, as far as is known."""
+    """One fire. `sightings`: newest last. `fire`: number of the first track of those that may be of the same fire, some
+    camera being wrong. `disputed`: cameras that disagree about it. `wrong`: the one of them that is wrong, once that is
+    known.
+    """
 
     number: int
     sightings: list[SeenAt]
     location: Location
+    fire: int
+    disputed: frozenset[str] = frozenset()
     wrong: str | None = None
 
     @property
@@ -66,6 +73,7 @@ class Tracks:
         lifetime_ns: after which a track without a new sighting ends.
         most: tracks kept; the one that was seen longest ago goes first.
         of_a_camera: sightings of one camera that a track keeps, the newest.
+        memory_ns: after which what a fire says of the cameras is forgotten.
     """
 
     locator: Locator
@@ -73,17 +81,23 @@ class Tracks:
     lifetime_ns: int = 3_600_000_000_000
     most: int = 16
     of_a_camera: int = 2
+    memory_ns: int = 86_400_000_000_000
     tracks: list[Track] = field(default_factory=list)
+    watch: TurnWatch = field(init=False)
     _next: int = 1
 
+    def __post_init__(self) -> None:
+        self.watch = TurnWatch(self.locator.config.sure_of_wrong, self.memory_ns)
+
     def add(self, seen: SeenAt) -> tuple[Track, Location, str | None]:
-        """The track that a sighting belongs to now, where the sighting alone is, and a camera that a nearby track's
-        sightings say is wrong. Raises RegionError, PoseError as `Locator.locate`; nothing has changed then.
+        """The track that a sighting belongs to now, where the sighting alone is, and, where it does not agree with a
+        track nearby, the camera that is wrong, if that is known. Raises RegionError, PoseError as `Locator.locate`;
+        nothing has changed then.
         """
         alone = self.locator.locate([seen.sighting], self.smoke)
         self.expire(seen.stamp_ns)
         best: tuple[float, Track, Location] | None = None
-        wrong: str | None = None
+        disputes: list[tuple[Track, Agreement]] = []
         for track in self.tracks:
             if not _nearby(seen.sighting, track, alone):
                 continue
@@ -95,16 +109,31 @@ class Tracks:
             if _agree(location, self.locator.limit):
                 if best is None or location.misfit < best[0]:
                     best = (location.misfit, track, location)
-            elif location.agreement is not None and location.agreement.wrong is not None:
-                wrong = track.wrong = location.agreement.wrong
+            elif location.agreement is not None:
+                disputes.append((track, location.agreement))
         if best is not None:
             _, track, location = best
             track.sightings, track.location = self._kept([*track.sightings, seen]), location
-            return track, alone, wrong
-        track = Track(self._next, [seen], alone)
+            if location.agreement is not None:
+                self.watch.note(track.fire, seen.stamp_ns, location.agreement.turns)
+            self._name()
+            return track, alone, None
+        track = Track(self._next, [seen], alone, self._next)
+        if disputes:
+            other, agreement = max(disputes, key=lambda each: len(each[0].cameras))
+            track.fire = other.fire
+            track.disputed = other.disputed = frozenset(agreement.turns.ratios)
+            self.watch.note(other.fire, seen.stamp_ns, agreement.turns)
         self._next += 1
         self.tracks = sorted([*self.tracks, track], key=lambda each: each.last_ns)[-self.most :]
-        return track, alone, wrong
+        self._name()
+        return track, alone, track.wrong
+
+    def _name(self) -> None:
+        """What is known now of whom each track's cameras disagree with."""
+        wrong = self.watch.verdict.wrong
+        for track in self.tracks:
+            track.wrong = wrong if wrong in track.disputed else None
 
     def expire(self, now_ns: int) -> None:
         """End tracks that nobody has seen for long."""

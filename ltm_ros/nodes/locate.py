@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -21,6 +22,7 @@ from ltm_core.fuel.prior_io import load_prior
 from ltm_core.grid import GridGeometry
 from ltm_core.locating.answer import Answer, answer, as_geojson
 from ltm_core.locating.locator import Location, Locator
+from ltm_core.locating.place import place_views
 from ltm_core.locating.region import marked_pixel, marked_polygon
 from ltm_core.locating.sighting import Sighting
 from ltm_core.locating.tracks import SeenAt, Track, Tracks
@@ -64,6 +66,8 @@ class LocateConfig(NodeConfig):
     """Seconds without a new sighting after which a track ends."""
     max_tracks: int = Field(16, ge=1, le=100)
     """The one seen longest ago goes first."""
+    turn_memory: float = Field(86_400.0, gt=0)
+    """Seconds after which what a fire says of a camera that is turned is forgotten: mounts are put right."""
     max_ahead: float = Field(MAX_AHEAD_S, gt=0)
     """Seconds by which a region's stamp may be ahead."""
     max_behind: float = Field(MAX_BEHIND_S, gt=0)
@@ -92,7 +96,8 @@ class Locate(Handler[LocateConfig]):
         self._assumed = site.assumed_pose_error.covariance()
         self._stamps = StampCheck(outlet.now_ns, health, config.max_ahead, config.max_behind)
         lifetime = round(config.track_lifetime * 1e9)
-        self._tracks = Tracks(self._locator, config.smoke, lifetime, config.max_tracks)
+        memory = round(config.turn_memory * 1e9)
+        self._tracks = Tracks(self._locator, config.smoke, lifetime, config.max_tracks, memory_ns=memory)
         self._scenes = {name: SceneFilter.of(site, name) for name in site.cameras}
         self._cameras: dict[str, Camera] = {}
         self._poses: dict[str, OrderedDict[int, tuple[Pose, Float64Array]]] = {
@@ -206,8 +211,21 @@ class Locate(Handler[LocateConfig]):
                 "disagrees": track.wrong,
             }
             features += as_geojson(self._said(track.location), self._site.frame, properties)["features"]
-        collection = {"type": "FeatureCollection", "stamp_ns": stamp, "features": features}
+        collection = {"type": "FeatureCollection", "stamp_ns": stamp, "turned": self._turned(), "features": features}
         self.outlet.publish(LOCATE_TRACKS, String(data=json.dumps(collection)))
+
+    def _turned(self) -> dict[str, Any] | None:
+        """The camera that is turned by all that fires have said, if one is named."""
+        verdict = self._tracks.watch.verdict
+        if verdict.wrong is None:
+            return None
+        return {
+            "camera": verdict.wrong,
+            "probability": round(verdict.suspicion[verdict.wrong], 4),
+            "turned_deg": round(math.degrees(verdict.turn), 3),
+            "sigma_deg": round(math.degrees(verdict.sigma), 3),
+            "fires": verdict.fires,
+        }
 
 
 def _place_msg(said: Answer, stamp: int) -> Any:
@@ -225,9 +243,11 @@ def _compile_kernels() -> None:
     camera, pose = Camera.from_fov(64, 48, 50.0), Pose.from_angles((400.0, 50.0, 40.0), 0.0, -10.0)
     mark = marked_pixel(camera, (32.0, 24.0), 1.0)
     covariance = np.diag([0.1] * 3 + [1e-5] * 3)
+    beside = Pose.from_angles((200.0, 50.0, 40.0), 40.0, -10.0)
+    one, other = (Sighting(name, camera, at, covariance, mark) for name, at in (("one", pose), ("other", beside)))
     for smoke in (False, True):
-        Locator(plain, 0.0).locate([Sighting("any", camera, pose, covariance, mark)], smoke)
-    PointVisibility(plain).visible(camera, pose, np.array([[400.0, 300.0, 0.0]]))
+        Locator(plain, 0.0).locate([one, other], smoke)  # of two cameras, each may be turned
+    place_views(PointVisibility(plain), [PosedCamera("one", camera, pose)], np.array([400.0, 300.0, 0.0]))
 
 
 NODE = NodeType("locate", LocateConfig, Locate)

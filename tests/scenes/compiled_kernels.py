@@ -68,8 +68,11 @@ def _poses(_: str) -> None:
 
 
 def _places(_: str) -> None:
-    sighting = located.sighting("mast", (0.0, 0.0, 130.0), np.array([30.0, 1000.0, 100.0]))
-    Locator(located.hills(), 0.0).locate([sighting], smoke=True)
+    crest = np.array([30.0, 1000.0, 100.0])
+    masts = {"mast": (0.0, 0.0, 130.0), "other": (900.0, 200.0, 130.0)}
+    sightings = [located.sighting(name, at, crest) for name, at in masts.items()]
+    for smoke in (False, True):
+        Locator(located.hills(), 0.0).locate(sightings, smoke)
 
 
 def _simulator(_: str) -> None:

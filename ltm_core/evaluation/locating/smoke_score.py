@@ -23,7 +23,7 @@ from ltm_core.visibility.point_visibility import PointVisibility
 
 NEAREST, FARTHEST = 800.0, 10_000.0
 """Metres from a tower to smoke."""
-_WIDE, _APART, _TOGETHER = 30.0, 15.0, 5.0
+_WIDE, APART, _TOGETHER = 30.0, 15.0, 5.0
 """Degrees at the foot: two cameras that cross well, three that are told apart, two from one direction."""
 TURNED_DEG = 2.0
 """By which a camera is turned without anybody's knowledge."""
@@ -96,7 +96,7 @@ def smoke_trials(
         for _ in range(count * 400):
             if done == count:
                 break
-            views = _views(rng, site, sight, case)
+            views = views_of_case(rng, site, sight, case)
             if views is None:
                 continue
             wrong = int(rng.integers(len(views))) if case is Case.TURNED else -1
@@ -111,7 +111,9 @@ def smoke_trials(
                 yield _score(site.name, case, boxed, locator, views, found, wrong, drawer)
 
 
-def _views(rng: np.random.Generator, site: SmokeSite, sight: PointVisibility, case: Case) -> list[SeenPlume] | None:
+def views_of_case(
+    rng: np.random.Generator, site: SmokeSite, sight: PointVisibility, case: Case
+) -> list[SeenPlume] | None:
     """Smoke at a random place and the towers of a case that see it; None where they do not."""
     g = site.truth.geometry
     at = rng.uniform([g.x_min + 100, g.y_min + 100], [g.x_max - 100, g.y_max - 100])
@@ -124,9 +126,9 @@ def _views(rng: np.random.Generator, site: SmokeSite, sight: PointVisibility, ca
     rng.shuffle(near)
     seen: list[SeenPlume] = []
     wanted = {Case.ONE: 1, Case.TWO: 2, Case.SAME: 1, Case.THREE: 3, Case.TURNED: 3}[case]
-    apart = _WIDE if case is Case.TWO else _APART
+    apart = _WIDE if case is Case.TWO else APART
     for tower in near:
-        if all(_crossing(tower, other.tower, at) >= apart for other in seen):
+        if all(crossing_deg(tower, other.tower, at) >= apart for other in seen):
             view = seen_plume(sight, plume, tower)
             if view is not None:
                 seen.append(view)
@@ -139,13 +141,13 @@ def _views(rng: np.random.Generator, site: SmokeSite, sight: PointVisibility, ca
         x, y = seen[0].tower[:2] + distance * np.array([math.cos(angle), math.sin(angle)])
         beside = np.array([x, y, float(site.truth.elevation_at(x, y)) + MAST])
         view = seen_plume(sight, plume, beside) if np.isfinite(beside).all() else None
-        if view is None or _crossing(beside, seen[0].tower, at) > _TOGETHER:
+        if view is None or crossing_deg(beside, seen[0].tower, at) > _TOGETHER:
             return None
         seen.append(view)
     return seen
 
 
-def _crossing(a: Float64Array, b: Float64Array, at: Float64Array) -> float:
+def crossing_deg(a: Float64Array, b: Float64Array, at: Float64Array) -> float:
     """Degrees between the directions from a place to two towers, at most 90: lines cross either way."""
     u, v = a[:2] - at, b[:2] - at
     angle = abs(math.degrees(math.atan2(float(u[0] * v[1] - u[1] * v[0]), float(u @ v))))

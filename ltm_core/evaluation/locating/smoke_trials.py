@@ -115,9 +115,11 @@ def sighting(
     config: LocatingConfig,
     boxed: bool,
     turned_deg: float = 0.0,
+    offsets: Float64Array | None = None,
 ) -> Sighting | None:
     """What a camera that shows the plume reports: a box around what is seen of it, or a click on its lowest part, with
-    a pose that is wrong by `errors` and, unknown to all, turned by `turned_deg`.
+    a pose that is wrong by `errors` and, unknown to all, turned by `turned_deg`. `offsets`: (6,) sigmas by which the
+    pose is wrong, position and angles, where a camera has the same ones each time; else they are drawn.
 
     None where it does not fit the picture.
     """
@@ -137,11 +139,12 @@ def sighting(
         corners = (min(left, right), min(top, bottom), max(left, right), max(top, bottom))
     else:
         corners = tuple(pixels[0] + 1.5 * rng.standard_normal(2))
+    off = rng.standard_normal(6) if offsets is None else offsets
     stated = Pose.from_angles(
-        seen.tower + errors.position * rng.standard_normal(3),
-        true.angles_deg[0] + errors.angle_deg * rng.standard_normal() + turned_deg,
-        true.angles_deg[1] + errors.angle_deg * rng.standard_normal(),
-        true.angles_deg[2] + errors.angle_deg * rng.standard_normal(),
+        seen.tower + errors.position * off[:3],
+        true.angles_deg[0] + errors.angle_deg * off[3] + turned_deg,
+        true.angles_deg[1] + errors.angle_deg * off[4],
+        true.angles_deg[2] + errors.angle_deg * off[5],
     )
     a = errors.angle_deg
     covariance = pose_covariance(stated, errors.position, errors.position, a, a, a)

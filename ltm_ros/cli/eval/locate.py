@@ -32,6 +32,9 @@ def locate(
     ] = None,
     marks: Annotated[str, typer.Option(help="What is marked: click, box, or both.")] = "both",
     cases: Annotated[str, typer.Option(help="Of one, two, same, three, turned; commas.")] = "one,two,same,three,turned",
+    fires: Annotated[
+        int, typer.Option(help="Instead: three cameras, one or none of them turned, mark so many fires; who is named.")
+    ] = 0,
     points: Annotated[
         Path | None, typer.Option(help="Instead: control points, a CSV with id, x, y, z, u, v; with --guess and --dem.")
     ] = None,
@@ -59,6 +62,11 @@ def locate(
         if guess is None or not dem:
             raise ConfigError("--points needs --guess, a pose file of what is known, and --dem")
         _points(points, guess, dem[0], first_pixel, dem_error, console, json_path)
+        return
+    if fires > 0:
+        from ltm_ros.cli.eval.locate_turned import naming
+
+        naming(_sites(seeds, dem or []), count, fires, angle_sigma, dem_error, console, json_path)
         return
     if marks not in ("click", "box", "both"):
         raise ConfigError(f"--marks is click, box or both, got {marks!r}")

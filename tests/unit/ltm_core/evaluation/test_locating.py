@@ -13,7 +13,9 @@ from ltm_core.evaluation.locating.smoke_score import Case, Trial, smoke_trials
 from ltm_core.evaluation.locating.smoke_sites import MAST, ranged_mountains, smoke_site
 from ltm_core.evaluation.locating.smoke_trials import CAMERA, Plume, PoseErrors, seen_plume, sighting
 from ltm_core.evaluation.locating.summary import SmokeSummary
+from ltm_core.evaluation.locating.turned_trials import NamingScore, TurnedCase, turned_cases
 from ltm_core.locating.settings import LocatingConfig
+from ltm_core.locating.turn_evidence import TURNS, TurnEvidence
 from ltm_core.visibility.point_visibility import PointVisibility, project
 
 pytestmark = pytest.mark.kernel
@@ -80,3 +82,34 @@ def test_a_refused_answer_counts_as_a_miss() -> None:
     one = SmokeSummary.of([found, refused])
     assert one is not None
     assert (one.unlocated, one.error, one.ellipse_95, one.densest_95) == (1, 10.0, 0.5, 0.5)
+
+
+def turned_case(turned: str, *turns_deg: float) -> TurnedCase:
+    """Fires whose marks say that `a` is turned by 2 degrees, or that `b` is by another angle each time."""
+    fires = []
+    for other in turns_deg:
+        off = {"a": TURNS - math.radians(2.0), "b": TURNS - math.radians(other)}
+        ratios = {name: np.logaddexp(15.0 - 0.5 * (at / 0.002) ** 2, -9.0) for name, at in off.items()}
+        fires.append(TurnEvidence(ratios, {"a": 0.001, "b": 0.001}))
+    return TurnedCase("site", turned, 2.0 if turned else 0.0, tuple(fires))
+
+
+def test_naming_is_scored_by_fires() -> None:
+    cases = [turned_case("a", 1.5, 0.3), turned_case("b", 1.5, 0.3), turned_case("", 1.5, 0.3), turned_case("a")]
+    one, two = (NamingScore.of(cases, fires, 0.9) for fires in (1, 2))
+    assert (one.count, one.named, one.slandered, one.suspect) == (4, 0.0, 0.0, 0.25)
+    assert (two.named, two.slandered, two.suspect) == (0.25, 0.5, 0.25)
+    assert two.off_deg == pytest.approx(0.0, abs=0.05)
+    assert [case.told for case in cases] == [True, False, False, False]
+
+
+@pytest.mark.slow
+def test_a_turned_camera_is_named_by_three_fires() -> None:
+    site = smoke_site("seed 1", ranged_mountains(1, 700, 25.0), 2.5, 1)
+    config = LocatingConfig(dem_sigma=2.5)
+    cases = list(turned_cases(site, 2, 3, True, PoseErrors(0.06), config, 1))
+    assert len(cases) == 2
+    assert all(2 <= len(case.fires) <= 3 for case in cases)  # a mark that no ground explains is refused
+    assert NamingScore.of(cases, 3, 0.9).suspect == 1.0
+    none = list(turned_cases(site, 1, 2, False, PoseErrors(0.06), config, 1))
+    assert NamingScore.of(none, 2, 0.9).slandered == 0.0

@@ -44,6 +44,12 @@ def test_a_turned_camera_is_told_and_does_not_move_the_track() -> None:
     assert wrong == fire.wrong == "c"
     assert turned is not fire
     assert fire.location.posterior.mean == before
+    verdict = tracks.watch.verdict
+    assert (verdict.wrong, verdict.fires) == ("c", 1)
+    assert np.degrees(verdict.turn) == pytest.approx(2.0, abs=0.3)
+    # What the next fire's cameras agree about is of another fire, and no camera is told for it.
+    other, _, wrong = tracks.add(seen("b", OTHER, 3))
+    assert (other.fire, wrong) == (3, None)
 
 
 def test_what_is_kept_is_bounded() -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -220,3 +223,14 @@ def test_the_node_is_there_where_the_site_asks_for_it(tmp_path: Path) -> None:
     assert graph.node("locate").namespace == "/hollow"
     with pytest.raises(ConfigError, match="no camera can have this name"):
         load_site(write_site(tmp_path, cameras={"locate": {}}))
+
+
+def test_nothing_is_compiled_after_the_start(tmp_path: Path) -> None:
+    """In a process of its own: in this one other tests have compiled."""
+    code = Path(__file__).with_name("marks_after_start.py")
+    paths = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    run = subprocess.run([sys.executable, code, tmp_path], env=paths, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    before, after = json.loads(run.stdout)
+    assert before["ltm_core.locating.drift_kernels.add_smeared"] == 1
+    assert after == before

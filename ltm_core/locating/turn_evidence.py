@@ -1,0 +1,127 @@
+"""What marks say of a camera that is turned about the vertical: their probability density by the angle of it.
+
+One fire cannot always tell which camera is turned. The directions of three cameras make a triangle on the map, and at
+each of its corners two agree and the third one is off by some angle: only slopes, and that small turns are likelier,
+tell the corners apart. But a turn is the same for all fires, and the angles that a right camera would have to be off
+by are not. So densities are kept by angle, and those of several fires are multiplied (`turn_watch`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ltm_core.locating.direction_table import MOST_TURNED, turn_density
+from ltm_core.locating.directions import KNOTS
+from ltm_core.types import Float64Array
+
+if TYPE_CHECKING:
+    from ltm_core.locating.sighting import Sight
+
+STEP = math.radians(0.05)
+TURNS: Float64Array = STEP * np.arange(-round(MOST_TURNED / STEP), round(MOST_TURNED / STEP) + 1, dtype=np.float64)
+"""Radians by which a stated azimuth may be too great, (T,)."""
+_LEAST_SIGMA = 0.8 * STEP
+"""Of a mark's azimuth: narrower ones would fall between the angles."""
+_FAR = 1_000.0
+"""Metres from which on the position's error counts for little in an azimuth."""
+
+
+@dataclass(frozen=True, eq=False)
+class TurnProfile:
+    """Of one fire and one camera. `density`: (T,) logarithm of the density of all marks by the camera's turn. `apart`:
+    the same of the other cameras' marks alone.
+    """
+
+    density: Float64Array
+    apart: float
+
+
+@dataclass(frozen=True, eq=False)
+class TurnEvidence:
+    """Of one fire. `ratios`: by camera, (T,) logarithm of how much likelier its marks are where the camera is turned
+    than where none is. `sigmas`: of the azimuth of the camera's pose, radians, as its covariance has it.
+    """
+
+    ratios: Mapping[str, Float64Array]
+    sigmas: Mapping[str, float]
+
+
+def turn_profile(
+    evidence: Float64Array,
+    apart: Float64Array,
+    x: Float64Array,
+    y: Float64Array,
+    turned: Sequence[Sight],
+    resolution: float,
+) -> TurnProfile:
+    """From the cells of a raster that are possible.
+
+    Args:
+        evidence: (N,) logarithm of the density of all marks by cell, with `turned` sightings of one camera that may be
+            turned by any angle (`Sight`s of `look_turned`).
+        apart: (N,) of the other cameras' marks.
+        x, y: (N,) of the cells.
+    """
+    off, prior, variance = np.zeros(len(x)), np.zeros(len(x)), 0.0
+    for sight in turned:
+        directions, to_x, to_y = sight.directions, x - sight.position[0], y - sight.position[1]
+        middle = float(directions.azimuth @ directions.weights)
+        # The stated azimuth over the true one.
+        here = (middle - np.arctan2(to_x, to_y) + np.pi) % (2 * np.pi) - np.pi
+        off += here / len(turned)
+        prior += np.log(turn_density(directions, here)) / len(turned)
+        wide = resolution**2 / np.maximum(to_x**2 + to_y**2, resolution**2) / 12
+        variance += (_mark_variance(sight) + float(wide.mean())) / len(turned)
+    greatest = float(evidence.max())
+    weights = np.exp(evidence - greatest - prior + prior.max())
+    bins = np.rint(off / STEP).astype(np.int64) + len(TURNS) // 2
+    inside = (bins >= 0) & (bins < len(TURNS))
+    counts = np.bincount(bins[inside], weights[inside], len(TURNS))
+    sigma = max(math.sqrt(variance), _LEAST_SIGMA)
+    reach = math.ceil(6 * sigma / STEP)
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * STEP / sigma) ** 2) / (sigma * math.sqrt(2 * math.pi))
+    smooth = np.convolve(counts, kernel)[reach : reach + len(TURNS)] * resolution**2
+    with np.errstate(divide="ignore"):
+        density = np.log(smooth) + greatest - float(prior.max())
+    most = float(apart.max())
+    alone = most + math.log(float(np.exp(apart - most).sum()) * resolution**2)
+    return TurnProfile(np.asarray(density, np.float64), alone)
+
+
+def turn_evidence(
+    profiles: Mapping[str, TurnProfile | None], log_evidence: float, elsewhere: float, sigmas: Mapping[str, float]
+) -> TurnEvidence:
+    """Of one fire, by camera that may be turned.
+
+    Args:
+        log_evidence: of all marks with no camera turned.
+        elsewhere: density of a camera's mark that is of another thing, times the chance of that: whatever a single fire
+            says, it may be two fires.
+    """
+    others = [profile.apart for profile in profiles.values() if profile is not None]
+    floor = float(np.logaddexp.reduce(others)) + math.log(elsewhere) if others else -math.inf
+    none = float(np.logaddexp(log_evidence, floor))
+    ratios = {}
+    for name, profile in profiles.items():
+        density = np.full(len(TURNS), -math.inf) if profile is None else profile.density
+        ratios[name] = np.logaddexp(density, floor) - none if math.isfinite(none) else np.zeros(len(TURNS))
+    return TurnEvidence(ratios, sigmas)
+
+
+def pose_sigma(sights: Sequence[Sight]) -> float:
+    """Radians: of the azimuth of a camera's pose, as its covariance has it; the greatest of its sightings."""
+    return math.sqrt(max(float(sight.sighting.covariance[5, 5]) for sight in sights))
+
+
+def _mark_variance(sight: Sight) -> float:
+    """Of the azimuth, without what the pose's has: that is the camera's, not the mark's."""
+    directions = sight.directions
+    middle = float(directions.azimuth @ directions.weights)
+    far = int(np.searchsorted(KNOTS, _FAR))
+    here = directions.covariance[:, far, 0, 0] + (directions.azimuth - middle) ** 2
+    return max(float(directions.weights @ here) - pose_sigma([sight]) ** 2, 0.0)

@@ -1,0 +1,111 @@
+"""Which camera of a site is turned, by the marks of several fires together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ltm_core.locating.direction_table import turn_prior
+from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence
+from ltm_core.types import Float64Array
+
+
+@dataclass(frozen=True)
+class TurnVerdict:
+    """`suspicion`: by camera, the probability that it is turned; `suspect`: the greatest's. `wrong`: the suspect, where
+    that is sure. `turn`, `sigma`: radians by which the suspect's stated azimuths are too great, if it is turned.
+    `fires`: by which it was judged.
+    """
+
+    suspicion: dict[str, float]
+    suspect: str | None
+    wrong: str | None
+    turn: float
+    sigma: float
+    fires: int
+
+
+NOBODY = TurnVerdict({}, None, None, 0.0, 0.0, 0)
+
+
+def judged(fires: Sequence[TurnEvidence], sure: float) -> TurnVerdict:
+    """Whether one camera is turned, and which.
+
+    That one is turned is as probable beforehand as that none is, and each camera as another. Where none is, the poses
+    still err by what their covariances say, and alike in all fires: of this the explanation by the one camera that
+    makes the marks likeliest stands for all, so that none is named for an error that its covariance allows.
+
+    Args:
+        fires: of different fires; several sightings of one fire are one.
+        sure: probability above which a camera is named.
+    """
+    names = list(dict.fromkeys(name for fire in fires for name in fire.ratios))
+    if not names:
+        return NOBODY
+    totals = {name: _total(fires, name) for name in names}
+    sigmas = {name: max(fire.sigmas[name] for fire in fires if name in fire.sigmas) for name in names}
+    turned = np.array([_integral(totals[name], turn_prior(TURNS)) for name in names])
+    stated = [_integral(totals[name], _normal(sigmas[name])) for name in names]
+    none = max(0.0, *stated)
+    shares = turned - math.log(len(names))
+    every = float(np.logaddexp.reduce([*shares, none]))
+    suspicion = {name: math.exp(share - every) for name, share in zip(names, shares.tolist(), strict=True)}
+    suspect = max(names, key=lambda name: suspicion[name])
+    weights = np.exp(totals[suspect] - totals[suspect].max()) * turn_prior(TURNS)
+    weights /= weights.sum()
+    turn = float(weights @ TURNS)
+    sigma = math.sqrt(float(weights @ (TURNS - turn) ** 2) + STEP**2 / 12)
+    seen = sum(suspect in fire.ratios for fire in fires)
+    return TurnVerdict(suspicion, suspect, suspect if suspicion[suspect] > sure else None, turn, sigma, seen)
+
+
+@dataclass
+class TurnWatch:
+    """What a site's fires say, newest last.
+
+    Args:
+        sure: `judged`.
+        memory_ns: fires seen longer ago do not count: a mount that has been put right is right again.
+        most: fires that count, the newest.
+    """
+
+    sure: float
+    memory_ns: int = 86_400_000_000_000
+    most: int = 32
+    _fires: dict[int, tuple[int, TurnEvidence]] = field(default_factory=dict)
+
+    def note(self, fire: int, stamp_ns: int, evidence: TurnEvidence) -> None:
+        """Takes the place of what the same fire has said before, unless that was of more cameras."""
+        before = self._fires.pop(fire, None)
+        if before is not None and len(before[1].ratios) > len(evidence.ratios):
+            evidence = before[1]
+        self._fires[fire] = (stamp_ns, evidence)
+        newest = max(stamp for stamp, _ in self._fires.values())
+        kept = [(key, known) for key, known in self._fires.items() if newest - known[0] <= self.memory_ns]
+        self._fires = dict(kept[-self.most :])
+
+    @property
+    def verdict(self) -> TurnVerdict:
+        return judged([evidence for _, evidence in self._fires.values()], self.sure)
+
+
+def _total(fires: Sequence[TurnEvidence], name: str) -> Float64Array:
+    """(T,) of all fires that the camera has seen."""
+    ratios = [fire.ratios[name] for fire in fires if name in fire.ratios]
+    return np.asarray(np.sum(ratios, axis=0), np.float64)
+
+
+def _integral(logs: Float64Array, density: Float64Array) -> float:
+    """Logarithm of the mean of a likelihood over a density of turns."""
+    greatest = float(logs.max())
+    if not math.isfinite(greatest):
+        return -math.inf
+    return greatest + math.log(float(np.exp(logs - greatest) @ density) / float(density.sum()))
+
+
+def _normal(sigma: float) -> Float64Array:
+    wide = max(sigma, STEP / 2)
+    return np.asarray(np.exp(-0.5 * (TURNS / wide) ** 2), np.float64)

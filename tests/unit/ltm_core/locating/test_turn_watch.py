@@ -1,0 +1,120 @@
+"""A turned camera by the marks of several fires: profiles worked out by hand, and fires on level ground."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scenes.located import plain, sighting
+
+from ltm_core.locating.locator import Locator
+from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence, TurnProfile, turn_evidence
+from ltm_core.locating.turn_watch import NOBODY, TurnWatch, judged
+from ltm_core.types import Float64Array
+
+DEG = math.radians(1.0)
+SIGMA = 0.06 * DEG
+
+
+def peak(turn_deg: float, sigma: float = 0.1 * DEG) -> Float64Array:
+    """Ratios, in logarithms, of marks whose density is normal around a turn."""
+    bell = -0.5 * ((TURNS - turn_deg * DEG) / sigma) ** 2
+    return np.asarray(np.logaddexp(bell + 0.5 * (turn_deg * DEG / sigma) ** 2, -12.0), np.float64)
+
+
+def fire(**ratios: Float64Array) -> TurnEvidence:
+    return TurnEvidence(ratios, dict.fromkeys(ratios, SIGMA))
+
+
+def alike(*turns_deg: float) -> TurnEvidence:
+    """A fire that tells only that some camera is turned: `a` by the first angle, or `b` by the second one, ..."""
+    return fire(**{name: np.logaddexp(20.0 - 0.5 * ((TURNS - turn * DEG) / (0.1 * DEG)) ** 2, -5.0)
+                   for name, turn in zip("abc", turns_deg, strict=True)})  # fmt: skip
+
+
+def test_fires_tell_together_what_one_does_not() -> None:
+    first, second = alike(2.0, -1.9, 2.2), alike(2.0, 0.8, -3.4)
+    one = judged([first], 0.9)
+    assert one.wrong is None
+    assert sum(one.suspicion.values()) == pytest.approx(1.0, abs=1e-3)
+    two = judged([first, second], 0.9)
+    assert two.wrong == two.suspect == "a"
+    assert math.degrees(two.turn) == pytest.approx(2.0, abs=0.02)
+    assert math.degrees(two.sigma) == pytest.approx(0.1 / math.sqrt(2), rel=0.1)
+    assert two.fires == 2
+
+
+def test_cameras_that_always_agree_are_not_suspect() -> None:
+    flat = {name: peak(0.0) for name in "abc"}
+    assert judged([fire(**flat)] * 5, 0.9).suspicion == pytest.approx(dict.fromkeys("abc", 0.0), abs=0.05)
+    assert judged([], 0.9) == NOBODY
+
+
+def test_an_error_that_the_pose_allows_is_not_a_turn() -> None:
+    # Two sigmas off, at ten fires: against poses without any error this would be 18 in the logarithm.
+    off = {"a": peak(0.12, sigma=0.2 * DEG), "b": peak(0.0), "c": peak(0.0)}
+    assert judged([fire(**off)] * 10, 0.9).wrong is None
+    assert judged([fire(a=peak(0.6, sigma=0.2 * DEG), b=peak(0.0), c=peak(0.0))] * 10, 0.9).wrong == "a"
+
+
+def test_two_fires_taken_for_one_do_not_name_a_camera_for_long() -> None:
+    """One set of marks of two fires says that `a` is turned; what it can say is limited, and others say no."""
+    mixed = fire(
+        a=np.logaddexp(9.0 - 0.5 * ((TURNS - 3 * DEG) / (0.1 * DEG)) ** 2, -3.0),
+        b=np.zeros(len(TURNS)),
+        c=np.zeros(len(TURNS)),
+    )
+    right = fire(a=peak(0.0), b=peak(0.0), c=peak(0.0))
+    assert judged([mixed], 0.9).wrong == "a"
+    assert judged([mixed, right, right], 0.9).wrong is None
+
+
+def test_a_fire_says_no_more_than_that_it_may_be_two() -> None:
+    impossible = TurnProfile(np.full(len(TURNS), -math.inf), -2.0)
+    certain = TurnProfile(np.where(np.abs(TURNS - 2 * DEG) < STEP / 2, 30.0, -math.inf), -2.0)
+    said = turn_evidence({"a": certain, "b": impossible, "c": None}, -math.inf, math.exp(-5), {})
+    floor = math.log(2) - 2 - 5
+    assert said.ratios["a"].max() == pytest.approx(30 - floor)
+    assert said.ratios["b"] == pytest.approx(np.zeros(len(TURNS)))
+    assert said.ratios["c"] == pytest.approx(np.zeros(len(TURNS)))
+
+
+def named(watch: TurnWatch) -> str:
+    return watch.verdict.wrong or ""
+
+
+def test_the_watch_forgets_and_is_bounded() -> None:
+    watch = TurnWatch(0.9, memory_ns=100, most=2)
+    first, second = alike(2.0, -1.9, 2.2), alike(2.0, 0.8, -3.4)
+    watch.note(1, 0, first)
+    watch.note(1, 10, first)  # the same fire again is no more evidence
+    assert watch.verdict.fires == 1
+    watch.note(2, 20, second)
+    assert named(watch) == "a"
+    watch.note(2, 30, fire(a=peak(0.0), b=peak(0.0)))  # fewer cameras: what three have said stays
+    assert named(watch) == "a"
+    watch.note(3, 115, fire(d=peak(0.0)))  # the first is forgotten
+    assert named(watch) == ""
+    for number in range(4, 9):
+        watch.note(number, 120, first)
+    assert watch.verdict.fires == 2
+
+
+@pytest.mark.kernel
+def test_the_density_by_turn_is_highest_at_the_turn() -> None:
+    """Over level ground; the marks are exact."""
+    towers = {"a": (0.0, 0.0, 350.0), "b": (3500.0, 200.0, 350.0), "c": (200.0, 3900.0, 350.0)}
+    locator = Locator(plain(), 0.0)
+    fires = []
+    for x, y in ((1500.0, 2000.0), (2600.0, 3000.0)):
+        place = np.array([x, y, 50.0])
+        marks = [sighting(name, at, place, 0.05, 2.0 if name == "b" else 0.0) for name, at in towers.items()]
+        agreement = locator.locate(marks).agreement
+        assert agreement is not None
+        best = math.degrees(TURNS[int(agreement.turns.ratios["b"].argmax())])
+        assert best == pytest.approx(2.0, abs=0.1)
+        fires.append(agreement.turns)
+    verdict = judged(fires, 0.9)
+    assert verdict.wrong == "b"
+    assert math.degrees(verdict.turn) == pytest.approx(2.0, abs=0.1)

@@ -1,0 +1,34 @@
+"""Prints how many signatures each kernel is compiled for once `locate` has started, and after marks of two cameras."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from numba.core.dispatcher import Dispatcher
+from unit.ltm_ros.nodes.test_locate_node import TOWERS, Running, region, seen_by
+
+from ltm_ros.runtime.topics import LOCATE_REGION
+
+
+def compiled() -> dict[str, int]:
+    modules = [module for name, module in sys.modules.items() if name.startswith("ltm_")]
+    kernels = {kernel for module in modules for kernel in vars(module).values() if isinstance(kernel, Dispatcher)}
+    return {f"{kernel.py_func.__module__}.{kernel.py_func.__name__}": len(kernel.signatures) for kernel in kernels}
+
+
+def main() -> None:
+    running = Running(Path(sys.argv[1]))
+    running.node.start()
+    before = compiled()
+    for turned_deg in (0.0, 2.0):
+        for camera in TOWERS:
+            seen = seen_by(camera, turned_deg if camera == "east" else 0.0)
+            running.pose(seen)
+            running.send(camera, LOCATE_REGION, region(seen))
+    print(json.dumps([before, compiled()]))
+
+
+if __name__ == "__main__":
+    main()
