@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sqlite3
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from math import prod
 from pathlib import Path
@@ -298,8 +299,7 @@ class TileStore:
         self, packed: Sequence[tuple[int, int, bytes]], frames: Sequence[FrameRecord], changes: Sequence[CellChanges]
     ) -> None:
         with transaction(self._db, self._name) as db:
-            for frame in frames:
-                self._count(db, frame, keep=not packed)
+            self._count(db, frames, keep=not packed)
             self._touch(db, frames)
             for source in {frame.source for frame in frames}:
                 self._forget(db, source)
@@ -311,20 +311,29 @@ class TileStore:
                 db.executemany("INSERT OR REPLACE INTO tiles VALUES (?, ?, ?)", packed)
                 db.execute("DELETE FROM waiting")
 
-    def _count(self, db: sqlite3.Connection, frame: FrameRecord, keep: bool) -> None:
-        (source,) = db.execute(
-            "INSERT INTO sources (name, counted, kept) VALUES (?, 1, 1) "
-            "ON CONFLICT (name) DO UPDATE SET counted = counted + 1, kept = kept + 1 RETURNING id",
-            (frame.source,),
-        ).fetchone()
-        try:
-            db.execute("INSERT INTO frames VALUES (?, ?)", (source, frame.stamp_ns))
-        except sqlite3.IntegrityError as error:
-            raise ValueError(f"the frame {frame.stamp_ns} of {frame.source} has been counted already") from error
-        if keep and frame.payload:
-            db.execute(
+    def _count(self, db: sqlite3.Connection, frames: Sequence[FrameRecord], keep: bool) -> None:
+        """`keep`: their payloads too, until the tiles that hold them are written."""
+        sources = {
+            name: db.execute(
+                "INSERT INTO sources (name, counted, kept) VALUES (?1, ?2, ?2) "
+                "ON CONFLICT (name) DO UPDATE SET counted = counted + ?2, kept = kept + ?2 RETURNING id",
+                (name, count),
+            ).fetchone()[0]
+            for name, count in Counter(frame.source for frame in frames).items()
+        }
+        for frame in frames:
+            try:
+                db.execute("INSERT INTO frames VALUES (?, ?)", (sources[frame.source], frame.stamp_ns))
+            except sqlite3.IntegrityError as error:
+                raise ValueError(f"the frame {frame.stamp_ns} of {frame.source} has been counted already") from error
+        if keep:
+            db.executemany(
                 "INSERT INTO waiting (source, stamp_ns, model, payload) VALUES (?, ?, ?, ?)",
-                (source, frame.stamp_ns, frame.model, compressed(frame.payload)),
+                (
+                    (sources[frame.source], frame.stamp_ns, frame.model, compressed(frame.payload))
+                    for frame in frames
+                    if frame.payload
+                ),
             )
 
     def _touch(self, db: sqlite3.Connection, frames: Sequence[FrameRecord]) -> None:
