@@ -107,9 +107,17 @@ class TileStore:
             if not path.exists():
                 create_store(path, schema)
             database, stored = open_store(path, read_only=False)
+            reserve = DiskReserve(path.with_name(f".{path.name}.reserve"))
             try:
                 if schema.grown_from(stored):
-                    grow(database, stored, schema, str(path))
+                    try:
+                        grow(database, stored, schema, str(path))
+                    except StoreError as error:
+                        # Held by a process that was killed; one that ends in order leaves nothing held.
+                        if not wants_room(error) or not reserve.held:
+                            raise
+                        with _lent(reserve, database):
+                            grow(database, stored, schema, str(path))
                 elif differences := schema.differences(stored):
                     raise ConfigError(
                         f"{path}: not a store of this map: {differences}; move it away or name another file"
@@ -117,7 +125,6 @@ class TileStore:
             except BaseException:
                 database.close()
                 raise
-            reserve = DiskReserve(path.with_name(f".{path.name}.reserve"))
             store = cls(database, schema, str(path), lock, kept_frames, most_frames, reserve)
             store._hold()
             return store
@@ -277,13 +284,8 @@ class TileStore:
             reserve = self._reserve
             if reserve is None or not wants_room(error) or reserve.held <= (0 if last else reserve.most // 2):
                 raise
-            with reserve.lent():
-                try:
-                    self._write(packed, frames, changes)
-                finally:
-                    # What this transaction took beside the file is free again for the next.
-                    with contextlib.suppress(sqlite3.Error):
-                        self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            with _lent(reserve, self._db):
+                self._write(packed, frames, changes)
             self.strain = f"{error}; this was written in room that was held for it, {reserve.held >> 10} kB are left"
         else:
             self.strain = ""
@@ -396,3 +398,15 @@ class TileStore:
                 found = ", ".join(f"{value!r:.40}" for value in row)
                 raise ConfigError(f"{self._name}: the store is damaged: a row holds {found}; restore it from a copy")
         return rows
+
+
+@contextlib.contextmanager
+def _lent(reserve: DiskReserve, database: sqlite3.Connection) -> Iterator[None]:
+    """The room that was held, for one transaction."""
+    with reserve.lent():
+        try:
+            yield
+        finally:
+            # What the transaction took beside the file is free again for the next.
+            with contextlib.suppress(sqlite3.Error):
+                database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
