@@ -116,13 +116,16 @@ def spread(
                 share = np.exp(-0.5 * square)
                 whole += share
                 c = cols[i] - left + dx
-                if r < 0 or r >= height or c < 0 or c >= width or index[r, c] < 0:
+                if r < 0 or r >= height or c < 0 or c >= width:
                     continue
                 j = index[r, c]
+                if j < 0:
+                    continue
                 seen += share
-                total += share * weights[j]
+                weight = share * weights[j]
+                total += weight
                 for f in range(forms):
-                    out[i, f] += share * weights[j] * shares[j, f]
+                    out[i, f] += weight * shares[j, f]
         coverage[i] = seen / whole
         if total > 0:
             for f in range(forms):

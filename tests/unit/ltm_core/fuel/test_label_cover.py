@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scenes.any_votes import GRID, LABELS
 
 from ltm_core.fuel.cell_visibility import CellVisibility
@@ -124,7 +127,7 @@ def test_looks_add_up_whatever_their_order() -> None:
     for epoch in (2, 3, 3, 5):
         cells = np.unravel_index(rng.choice(40, n // 4, replace=False), shape[:2])
         sums = rng.integers(0, 2**31, (n // 4, 3)).astype(np.uint32)
-        looks = WoodyLooks(*cells, sums, np.zeros(n // 4))
+        looks = WoodyLooks(cells[0], cells[1], sums, np.zeros(n // 4))
         frames.append((looks, rng.integers(0, 4, n // 4), 100 * epoch, epoch))
     burned = np.where(rng.random(shape[:2]) < 0.2, 250, 0)
     expected = np.zeros((*shape, 3), np.uint64)
@@ -137,7 +140,7 @@ def test_looks_add_up_whatever_their_order() -> None:
                 expected[row, col, view], newest[row, col, view] = 0, epoch
             expected[row, col, view] += looks.sums[k]
     for order in ([0, 1, 2, 3], [3, 2, 1, 0], [2, 0, 3, 1]):
-        state = {
+        state: dict[str, NDArray[Any]] = {
             "burned_at": burned.astype(np.uint32),
             "woody_epoch": np.zeros(shape, np.uint16),
             "woody": np.zeros((*shape, 3), np.uint32),

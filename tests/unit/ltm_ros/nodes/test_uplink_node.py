@@ -95,7 +95,14 @@ def test_a_tower_without_an_outbox_tells_what_waits_all_the_same(
 
     monkeypatch.setattr("ltm_ros.region.tower_link.Outbox", opened)
     now_ns, health = stamp_of_frame(0) + 90 * 10**9, Health()
-    broker = BrokerConfig(**{k: scene.certs.parent / v if "/" in str(v) else v for k, v in SECTION["broker"].items()})  # type: ignore[attr-defined]
+    certs = scene.certs
+    broker = BrokerConfig(
+        host="127.0.0.1",
+        port=1,
+        ca=certs / "ca.crt",
+        certificate=certs / "alta.crt",
+        key=certs / "alta.key",
+    )
     config = UplinkConfig(name=REGION, tower="alta", broker=broker)
     link = TowerLink(config, scene.grid, scene.folder / "map" / OUTBOX_FILE, health, lambda: now_ns)
     for number in (1, 0, 2):
