@@ -21,8 +21,8 @@ from ltm_ros.runtime.kernel_clock import kernel_clock
 
 SAID_EVERY_S: Final = 60.0
 SWITCH_S: Final = 0.0005
-"""After which the thread that counts lets that of the connection in. A message comes by some ten reads, and Python's
-5 ms for each would let 20 messages a second in beside a thread that never waits."""
+"""After which the thread that counts lets that of the connection in. A message comes by several reads, before
+each of which that may have to wait as long: with Python's 5 ms, tens of milliseconds a message."""
 
 
 def run_region(config: RegionConfig) -> None:
