@@ -11,6 +11,7 @@ regression with as many cells of each form gives the log ratios of the likelihoo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, Self
 
 import numpy as np
@@ -72,10 +73,15 @@ class CellAppearanceModel:
             weights={name: np.round(rows, 2).tolist() for name, rows in known.items()},
         )
 
-    @property
+    @cached_property
     def known(self) -> BoolArray:
         """(FORMS,): forms that the network was tried on."""
         return np.isfinite(self.weights[:, 0, 0])
+
+    @cached_property
+    def by_incidence(self) -> Float64Array:
+        """(K, SEEN, FORMS): the weights as `look_kernel.tell_by_look` takes them, 0 for forms that are not known."""
+        return np.ascontiguousarray(np.nan_to_num(self.weights).transpose(1, 2, 0))
 
     def log_likelihood(self, seen: Float64Array, cosine: Float64Array) -> Float64Array:
         """(N, FORMS) of what is seen, (N, SEEN), up to a constant for each cell; -inf for forms that are not known."""

@@ -98,9 +98,16 @@ def spread(
         reach_x = int(_REACH * np.hypot(a * sine, b * cosine) + 0.5)
         reach_y = int(_REACH * np.hypot(a * cosine, b * sine) + 0.5)
         whole, seen, total = 0.0, 0.0, 0.0
+        # The ellipse as square = xx dx^2 + 2 xy dx dy + yy dy^2: the part of each row that may lie in it.
+        xx = (sine / a) ** 2 + (cosine / b) ** 2
+        xy = sine * cosine * (1 / b**2 - 1 / a**2)
+        yy = (cosine / a) ** 2 + (sine / b) ** 2
         for dy in range(-reach_y, reach_y + 1):
             r = rows[i] - top + dy
-            for dx in range(-reach_x, reach_x + 1):
+            half = np.sqrt(max((xy * dy) ** 2 - xx * (yy * dy * dy - _REACH * _REACH), 0.0)) / xx
+            middle = -xy * dy / xx
+            first = max(int(np.floor(middle - half)), -reach_x)
+            for dx in range(first, min(int(np.ceil(middle + half)), reach_x) + 1):
                 along = (dx * sine - dy * cosine) / a
                 across = (dx * cosine + dy * sine) / b
                 square = along * along + across * across
@@ -109,13 +116,16 @@ def spread(
                 share = np.exp(-0.5 * square)
                 whole += share
                 c = cols[i] - left + dx
-                if r < 0 or r >= height or c < 0 or c >= width or index[r, c] < 0:
+                if r < 0 or r >= height or c < 0 or c >= width:
                     continue
                 j = index[r, c]
+                if j < 0:
+                    continue
                 seen += share
-                total += share * weights[j]
+                weight = share * weights[j]
+                total += weight
                 for f in range(forms):
-                    out[i, f] += share * weights[j] * shares[j, f]
+                    out[i, f] += weight * shares[j, f]
         coverage[i] = seen / whole
         if total > 0:
             for f in range(forms):

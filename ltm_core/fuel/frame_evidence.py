@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import log_softmax, softmax
 
 from ltm_core.errors import ImageError
-from ltm_core.fuel.cell_appearance_model import what_is_seen
+from ltm_core.fuel.cell_appearance_model import USUAL
 from ltm_core.fuel.evidence_kernel import spread, with_neighbours
 from ltm_core.fuel.label_errors import FLOOR, LabelErrors
 from ltm_core.fuel.life_form import form_counts
+from ltm_core.fuel.look_kernel import log_normalised, normalised, shown_forms, tell_by_look
 from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.types import Float64Array, Int64Array, UInt8Array
@@ -61,11 +61,12 @@ def frame_evidence(
     if votes.counts.shape[1] != len(forms):
         raise ImageError(f"votes of {votes.source} count {votes.counts.shape[1]} classes, this map {len(forms)}")
     counts = form_counts(votes.counts, forms)
-    pixels = counts.sum(axis=1)
+    pixels = counts @ np.ones(counts.shape[1])  # whole numbers: exact, and quicker than a sum over so short an axis
     useful = pixels > 0
     if votes.visibility is not None:
         useful &= np.maximum(votes.visibility.sigma_along, votes.visibility.sigma_across) <= rules.max_sigma
-    votes, counts, pixels = votes.only(useful), counts[useful], pixels[useful]
+    if not useful.all():
+        votes, counts, pixels = votes.only(useful), counts[useful], pixels[useful]
     rows, cols = votes.rows.astype(np.int64), votes.cols.astype(np.int64)
     stand = np.zeros(len(rows), np.uint8) if stands is None else stands[rows, cols]
     probability = _probability(votes, rows, cols, counts / pixels[:, None], pixels, stand, errors, rules)
@@ -97,9 +98,7 @@ def frame_evidence(
         # Shafer's discount: labels that two forms explain as well say nothing of either.
         first, second = (np.partition(probability, -k, axis=1)[:, -k] for k in (1, 2))
         amounts *= (first - second)[:, None]
-    shown = amounts.argmax(axis=1)
-    sure = amounts.max(axis=1, initial=0.0) >= np.maximum(_SUPPORTS, 0.5 * amount)
-    return FrameEvidence(rows, cols, amounts, np.where(sure, shown, -1), bearing)
+    return FrameEvidence(rows, cols, amounts, shown_forms(amounts, amount, _SUPPORTS), bearing)
 
 
 def _probability(
@@ -119,18 +118,27 @@ def _probability(
     correlation = errors.correlation
     own = (pixels / (1 + (pixels - 1) * correlation.cell))[:, None] * _log_shares(shares, errors)
     if errors.appearance is not None and votes.visibility is not None:
-        seen = what_is_seen(rows, cols, shares, votes.visibility.bearing, votes.confidence)
-        looks = errors.appearance.log_likelihood(seen, votes.visibility.cos_incidence.astype(np.float64))
         # Of cells that are mostly called what the looks were not learnt of, such as water, the labels are all there is.
-        usual = shares[:, errors.appearance.known].sum(axis=1) >= 0.5
-        own[usual] = np.maximum(log_softmax(looks[usual], axis=1), np.log(FLOOR))
+        look = errors.appearance
+        tell_by_look(
+            rows,
+            cols,
+            shares,
+            np.zeros(len(rows)) if votes.confidence is None else (votes.confidence - USUAL).astype(np.float64),
+            votes.visibility.bearing,
+            votes.visibility.cos_incidence.astype(np.float64),
+            look.incidence,
+            look.by_incidence,
+            look.known,
+            np.log(FLOOR),
+            own,
+        )
     known = np.isfinite(own).all(axis=0)
     pooled, cells = with_neighbours(
-        rows, cols, log_softmax(own[:, known], axis=1), stand, rules.context, rules.context_cells
+        rows, cols, log_normalised(own[:, known]), stand, rules.context, rules.context_cells
     )
-    pooled /= (1 + (cells - 1) * correlation.between_cells)[:, None]
     probability = np.zeros(shares.shape)
-    probability[:, known] = softmax(pooled, axis=1)
+    probability[:, known] = normalised(pooled, 1 + (cells - 1) * correlation.between_cells)
     return probability
 
 

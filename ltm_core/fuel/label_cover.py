@@ -17,10 +17,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.fuel.life_form import LifeForm, form_counts
+from ltm_core.fuel.life_form import FORMS, LifeForm, form_counts
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.raster.tile_store_schema import Field
 from ltm_core.types import Float64Array, Int64Array, UInt32Array
@@ -66,10 +67,10 @@ def woody_looks(votes: CellVotes, forms: Int64Array) -> WoodyLooks | None:
     if seen is None:
         return None
     counts = form_counts(votes.counts, forms)
-    pixels = counts.sum(axis=1)
+    pixels = counts @ np.ones(FORMS)
     placed = np.maximum(seen.sigma_along, seen.sigma_across) <= votes.geometry.resolution
     good = (pixels >= _LEAST_PIXELS) & placed & (seen.cos_incidence > 0)
-    woody = counts[good][:, [LifeForm.SHRUB - 1, LifeForm.TREE - 1]].sum(axis=1) / pixels[good]
+    woody = (counts[good, LifeForm.SHRUB - 1] + counts[good, LifeForm.TREE - 1]) / pixels[good]
     parts = np.ones(len(woody)), _SCALE * woody, _SCALE * seen.cos_incidence[good].astype(np.float64)
     sums = np.rint(np.stack(parts, axis=-1)).astype(np.uint32)
     rows, cols = votes.rows[good].astype(np.int64), votes.cols[good].astype(np.int64)
@@ -80,12 +81,28 @@ def add_looks(state: Mapping[str, NDArray[Any]], looks: WoodyLooks, views: Int64
     """Add them to the state (H, W, ...) of a grid, where the cell has not burned since and the view (N,) has no newer
     epoch. Frames may come in any order.
     """
-    at = looks.rows, looks.cols, views
-    fresh = (state["burned_at"][at[:2]] <= second) & (state["woody_epoch"][at] <= epoch)
-    at = looks.rows[fresh], looks.cols[fresh], views[fresh]
-    before = np.where((state["woody_epoch"][at] == epoch)[:, None], state["woody"][at], 0)
-    state["woody"][at] = capped(before.astype(np.uint64) + looks.sums[fresh])
-    state["woody_epoch"][at] = epoch
+    _add(
+        *(looks.rows, looks.cols, views, looks.sums, second, epoch),
+        *(state[name] for name in ("burned_at", "woody_epoch", "woody")),
+    )
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _add(
+    rows: Any, cols: Any, views: Any, sums: Any, second: int, epoch: int, burned_at: Any, epochs: Any, woody: Any
+) -> None:
+    ceiling = np.uint64(np.iinfo(np.uint32).max)
+    for i in range(rows.size):
+        r, c, v = rows[i], cols[i], views[i]
+        if burned_at[r, c] > second or epochs[r, c, v] > epoch:
+            continue
+        if epochs[r, c, v] != epoch:
+            epochs[r, c, v] = epoch
+            woody[r, c, v] = 0
+        for k in range(sums.shape[1]):
+            # At the largest number, which does not depend on the order of the frames: of one view, 17 million in
+            # ten days.
+            woody[r, c, v, k] = min(np.uint64(woody[r, c, v, k]) + np.uint64(sums[i, k]), ceiling)
 
 
 def capped(sums: NDArray[np.uint64]) -> UInt32Array:

@@ -84,11 +84,10 @@ def label_forms(labels: LabelSet) -> Int64Array:
 
 def form_counts(counts: UInt32Array, forms: Int64Array) -> Float64Array:
     """(N, FORMS) pixels of each life form, of (N, K) pixels of each label; `forms` as of `label_forms`."""
-    result = np.zeros((len(counts), FORMS))
-    for label, form in enumerate(forms):
-        if form >= 0:
-            result[:, form] += counts[:, label]
-    return result
+    table = np.zeros((len(forms), FORMS))
+    of_form = np.flatnonzero(forms >= 0)
+    table[of_form, forms[of_form]] = 1.0
+    return counts.astype(np.float64) @ table  # whole numbers: exact
 
 
 def life_form_labels(labels: LabelSet) -> LabelSet:

@@ -8,6 +8,7 @@ name the classes that they count. Maps count what comes out of these columns, wh
 
 from __future__ import annotations
 
+import functools
 import re
 import zlib
 from collections.abc import Sequence
@@ -119,7 +120,12 @@ def most_bytes(cells: int, class_names: Sequence[str]) -> int:
 
 def checked_names(class_names: Sequence[str]) -> tuple[str, ...]:
     """Raises MessageError unless they are distinct identifiers that no other column has."""
-    names = tuple(class_names)
+    return _checked(tuple(class_names))
+
+
+@functools.lru_cache(maxsize=64)
+def _checked(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Asked twice for each frame, nearly always of the same names."""
     bad = [n for n in names if n in _RESERVED or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", n)]
     if not names or bad or len(set(names)) != len(names):
         raise MessageError(f"vote classes must be distinct identifiers other than {', '.join(_RESERVED)}; got {names}")

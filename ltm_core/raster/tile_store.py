@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sqlite3
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from math import prod
 from pathlib import Path
@@ -106,9 +107,17 @@ class TileStore:
             if not path.exists():
                 create_store(path, schema)
             database, stored = open_store(path, read_only=False)
+            reserve = DiskReserve(path.with_name(f".{path.name}.reserve"))
             try:
                 if schema.grown_from(stored):
-                    grow(database, stored, schema, str(path))
+                    try:
+                        grow(database, stored, schema, str(path))
+                    except StoreError as error:
+                        # Held by a process that was killed; one that ends in order leaves nothing held.
+                        if not wants_room(error) or not reserve.held:
+                            raise
+                        with _lent(reserve, database):
+                            grow(database, stored, schema, str(path))
                 elif differences := schema.differences(stored):
                     raise ConfigError(
                         f"{path}: not a store of this map: {differences}; move it away or name another file"
@@ -116,7 +125,6 @@ class TileStore:
             except BaseException:
                 database.close()
                 raise
-            reserve = DiskReserve(path.with_name(f".{path.name}.reserve"))
             store = cls(database, schema, str(path), lock, kept_frames, most_frames, reserve)
             store._hold()
             return store
@@ -276,13 +284,8 @@ class TileStore:
             reserve = self._reserve
             if reserve is None or not wants_room(error) or reserve.held <= (0 if last else reserve.most // 2):
                 raise
-            with reserve.lent():
-                try:
-                    self._write(packed, frames, changes)
-                finally:
-                    # What this transaction took beside the file is free again for the next.
-                    with contextlib.suppress(sqlite3.Error):
-                        self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            with _lent(reserve, self._db):
+                self._write(packed, frames, changes)
             self.strain = f"{error}; this was written in room that was held for it, {reserve.held >> 10} kB are left"
         else:
             self.strain = ""
@@ -298,8 +301,7 @@ class TileStore:
         self, packed: Sequence[tuple[int, int, bytes]], frames: Sequence[FrameRecord], changes: Sequence[CellChanges]
     ) -> None:
         with transaction(self._db, self._name) as db:
-            for frame in frames:
-                self._count(db, frame, keep=not packed)
+            self._count(db, frames, keep=not packed)
             self._touch(db, frames)
             for source in {frame.source for frame in frames}:
                 self._forget(db, source)
@@ -311,20 +313,29 @@ class TileStore:
                 db.executemany("INSERT OR REPLACE INTO tiles VALUES (?, ?, ?)", packed)
                 db.execute("DELETE FROM waiting")
 
-    def _count(self, db: sqlite3.Connection, frame: FrameRecord, keep: bool) -> None:
-        (source,) = db.execute(
-            "INSERT INTO sources (name, counted, kept) VALUES (?, 1, 1) "
-            "ON CONFLICT (name) DO UPDATE SET counted = counted + 1, kept = kept + 1 RETURNING id",
-            (frame.source,),
-        ).fetchone()
-        try:
-            db.execute("INSERT INTO frames VALUES (?, ?)", (source, frame.stamp_ns))
-        except sqlite3.IntegrityError as error:
-            raise ValueError(f"the frame {frame.stamp_ns} of {frame.source} has been counted already") from error
-        if keep and frame.payload:
-            db.execute(
+    def _count(self, db: sqlite3.Connection, frames: Sequence[FrameRecord], keep: bool) -> None:
+        """`keep`: their payloads too, until the tiles that hold them are written."""
+        sources = {
+            name: db.execute(
+                "INSERT INTO sources (name, counted, kept) VALUES (?1, ?2, ?2) "
+                "ON CONFLICT (name) DO UPDATE SET counted = counted + ?2, kept = kept + ?2 RETURNING id",
+                (name, count),
+            ).fetchone()[0]
+            for name, count in Counter(frame.source for frame in frames).items()
+        }
+        for frame in frames:
+            try:
+                db.execute("INSERT INTO frames VALUES (?, ?)", (sources[frame.source], frame.stamp_ns))
+            except sqlite3.IntegrityError as error:
+                raise ValueError(f"the frame {frame.stamp_ns} of {frame.source} has been counted already") from error
+        if keep:
+            db.executemany(
                 "INSERT INTO waiting (source, stamp_ns, model, payload) VALUES (?, ?, ?, ?)",
-                (source, frame.stamp_ns, frame.model, compressed(frame.payload)),
+                (
+                    (sources[frame.source], frame.stamp_ns, frame.model, compressed(frame.payload))
+                    for frame in frames
+                    if frame.payload
+                ),
             )
 
     def _touch(self, db: sqlite3.Connection, frames: Sequence[FrameRecord]) -> None:
@@ -387,3 +398,15 @@ class TileStore:
                 found = ", ".join(f"{value!r:.40}" for value in row)
                 raise ConfigError(f"{self._name}: the store is damaged: a row holds {found}; restore it from a copy")
         return rows
+
+
+@contextlib.contextmanager
+def _lent(reserve: DiskReserve, database: sqlite3.Connection) -> Iterator[None]:
+    """The room that was held, for one transaction."""
+    with reserve.lent():
+        try:
+            yield
+        finally:
+            # What the transaction took beside the file is free again for the next.
+            with contextlib.suppress(sqlite3.Error):
+                database.execute("PRAGMA wal_checkpoint(TRUNCATE)")

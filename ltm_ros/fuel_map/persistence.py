@@ -78,6 +78,9 @@ class FuelMapPersistence:
         self._initial = self.shown.copies()
         self._batch: list[Counted] = []
         self._in_batch: set[tuple[str, int]] = set()
+        self._unseen: tuple[str, int] | None = None
+        """What `seen` has last found in neither batch nor store: who asks before votes are decoded is not asked again
+        of the disk by `count`."""
         self._batch_bytes = 0
         self._unshown: list[Window] = []
         self._aged_ns = 0
@@ -103,6 +106,7 @@ class FuelMapPersistence:
             return Counting.DUPLICATE
         if self.store is not None and self.store.counted(source, stamp_ns):
             return Counting.TOO_OLD if self.store.forgotten(source, stamp_ns) else Counting.DUPLICATE
+        self._unseen = source, stamp_ns
         return None
 
     def stored(self, source: str, stamp_ns: int) -> bool:
@@ -112,7 +116,8 @@ class FuelMapPersistence:
 
     def count(self, votes: CellVotes, model: str = "") -> Counting:
         """Count a frame, once. Raises LtmError where it cannot be taken; nothing of it is counted then."""
-        if (before := self.seen(votes.source, votes.stamp_ns)) is not None:
+        asked = self._unseen == (votes.source, votes.stamp_ns)
+        if not asked and (before := self.seen(votes.source, votes.stamp_ns)) is not None:
             return before
         if len(self._batch) >= UNSAVED_FRAMES or self._batch_bytes > UNSAVED_BYTES:
             raise StoreError(
@@ -250,6 +255,7 @@ class FuelMapPersistence:
 
     def _take(self, counted: Counted) -> None:
         record = counted.record
+        self._unseen = None
         self._batch.append(counted)
         self._in_batch.add((record.source, record.stamp_ns))
         self._batch_bytes += len(record.payload)
@@ -259,7 +265,7 @@ class FuelMapPersistence:
 
     def _open(self) -> None:
         """Begin with what the store holds; frames that have been counted without it are counted into that."""
-        store = None
+        store, self._unseen = None, None
         try:
             store = self._open_store()
             evidence = self._make_map()  # the last attempt may have filled one in part

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ssl
 from collections import OrderedDict
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
@@ -24,6 +25,28 @@ _REMEMBERED: Final = 256
 _HASH: Final = ec.ECDSA(hashes.SHA256())
 
 
+@dataclass(frozen=True)
+class _Believed:
+    """What a certificate says, read once: it is asked for with each message. `key`: None where it is of another kind
+    than ours; valid from `begin` to `end`."""
+
+    name: str
+    key: ec.EllipticCurvePublicKey | None
+    begin: datetime
+    end: datetime
+
+    @classmethod
+    def of(cls, certificate: x509.Certificate) -> _Believed:
+        """Raises ValueError where it cannot be read."""
+        key = certificate.public_key()
+        return cls(
+            common_name(certificate),
+            key if isinstance(key, ec.EllipticCurvePublicKey) else None,
+            certificate.not_valid_before_utc,
+            certificate.not_valid_after_utc,
+        )
+
+
 class Identity:
     """Signs envelopes, and checks those of others. Raises ConfigError for files that cannot be taken.
 
@@ -41,7 +64,7 @@ class Identity:
             raise ConfigError(f"{config.key} is not the key of {config.certificate}: name the one that belongs to it")
         if (found := common_name(certificates[0])) != name:
             raise ConfigError(f"{config.certificate} is of {found!r}, not of {name!r}: name that of {name!r}")
-        self._believed: OrderedDict[bytes, x509.Certificate] = OrderedDict()
+        self._believed: OrderedDict[bytes, _Believed] = OrderedDict()
 
     def tls(self) -> ssl.SSLContext:
         """For a connection to the broker: TLS 1.2 or newer, its certificate checked, ours shown."""
@@ -61,38 +84,38 @@ class Identity:
     def opened(self, content: bytes, name: str) -> Envelope:
         """An envelope that `name` has signed, unchanged. Raises MessageError on any other."""
         envelope = unpacked(content)
-        certificate = self._believable(envelope.certificate)
-        if (found := common_name(certificate)) != name:
-            raise MessageError(f"an envelope of {name!r} is signed by {found!r}")
-        key = certificate.public_key()
-        if not isinstance(key, ec.EllipticCurvePublicKey):
+        signer = self._believable(envelope.certificate)
+        if signer.name != name:
+            raise MessageError(f"an envelope of {name!r} is signed by {signer.name!r}")
+        if signer.key is None:
             raise MessageError(
                 f"the certificate of {name!r} has no key on an elliptic curve: make one with `ltm certs`"
             )
         try:
-            key.verify(envelope.signature, envelope.signed, _HASH)
+            signer.key.verify(envelope.signature, envelope.signed, _HASH)
         except InvalidSignature as error:
             raise MessageError(f"an envelope of {name!r} was altered after it was signed") from error
         return envelope
 
-    def _believable(self, content: bytes) -> x509.Certificate:
-        """A certificate that one of our authorities has signed and that is valid now."""
-        certificate = self._believed.get(content)
-        if certificate is None:
+    def _believable(self, content: bytes) -> _Believed:
+        """Whose certificate it is: one that one of our authorities has signed and that is valid now."""
+        believed = self._believed.get(content)
+        if believed is None:
             try:
                 certificate = x509.load_der_x509_certificate(content)
                 self._check_issuer(certificate)
+                believed = _Believed.of(certificate)
             except (ValueError, TypeError, x509.InvalidVersion) as error:
                 raise MessageError(f"an envelope's certificate cannot be read ({error})") from error
-            self._believed[content] = certificate
+            self._believed[content] = believed
             if len(self._believed) > _REMEMBERED:
                 self._believed.popitem(last=False)
-        if not certificate.not_valid_before_utc <= datetime.now(UTC) <= certificate.not_valid_after_utc:
+        if not believed.begin <= datetime.now(UTC) <= believed.end:
             raise MessageError(
-                f"the certificate of {common_name(certificate)!r} is valid from {certificate.not_valid_before_utc} to "
-                f"{certificate.not_valid_after_utc}: renew it, or set the clock"
+                f"the certificate of {believed.name!r} is valid from {believed.begin} to {believed.end}: renew it, or "
+                "set the clock"
             )
-        return certificate
+        return believed
 
     def _check_issuer(self, certificate: x509.Certificate) -> None:
         for authority in self._authorities:

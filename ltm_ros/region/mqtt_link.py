@@ -18,7 +18,7 @@ from ltm_ros.region.identity import Identity
 from ltm_ros.runtime.health import Health
 
 ROOT: Final = "ltm"
-FIRST_PAUSE_S, LONGEST_PAUSE_S = 1, 10
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 1, 5
 """Between attempts to connect."""
 LARGEST_PACKET: Final = LARGEST + 1024
 """Bytes of a packet with its topic; the broker is told that no larger one is taken."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 import time
 from typing import Final
@@ -19,12 +20,16 @@ from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.kernel_clock import kernel_clock
 
 SAID_EVERY_S: Final = 60.0
+SWITCH_S: Final = 0.0005
+"""After which the thread that counts lets that of the connection in. A message comes by several reads, before
+each of which that may have to wait as long: with Python's 5 ms, tens of milliseconds a message."""
 
 
 def run_region(config: RegionConfig) -> None:
     """Until SIGINT or SIGTERM. Raises LtmError for what cannot be taken."""
     for folder in (config.folder, *([config.export.folder] if config.export else [])):
         make_folder(folder)
+    sys.setswitchinterval(SWITCH_S)
     stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopping.set())

@@ -20,7 +20,9 @@ SETTLE_S: Final = 0.25
 """For which frames are counted before they are stored together and answered for."""
 SHOWN_SHARE: Final = 0.1
 """Of the time, which deciding the map anew for those who follow it may take: while many frames come, it is done for
-many at once."""
+many at once;"""
+SHOWN_SHARE_LATE: Final = 0.02
+"""while frames wait to be counted, as after an outage."""
 
 
 class RegionService:
@@ -96,7 +98,8 @@ class RegionService:
             return False
         windows = self.aggregator.show()
         done = time.monotonic()
-        self._show_at = done + (done - now_s) * (1 / SHOWN_SHARE - 1)
+        share = SHOWN_SHARE_LATE if self._inbox.bytes else SHOWN_SHARE
+        self._show_at = done + (done - now_s) * (1 / share - 1)
         self._tiles.note(windows)
         return bool(windows)
 

@@ -24,7 +24,7 @@ from ltm_core.uplink.envelope import Outcome, VotesGrid
 from ltm_core.uplink.outbox_io import FrameKey, Outbox, OutboxFrame
 from ltm_ros.region.identity import Identity
 from ltm_ros.region.mqtt_link import MqttLink, ack_topic, presence_topic, votes_topic
-from ltm_ros.region.tower_words import outcomes_heard, sealed_votes
+from ltm_ros.region.tower_words import outcomes_heard, sealed_votes, tell_what_waits
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.retry import LAST_TRIES_S
@@ -150,7 +150,10 @@ class TowerLink:
         """
         if self._outbox is None and (now_s >= self._open_due or self._stopping.is_set()):
             self._open_due = now_s + OPEN_S
-            self._open()
+            try:
+                self._open()
+            finally:
+                self._state()
         if (outbox := self._outbox) is None:
             return
         try:
@@ -159,7 +162,6 @@ class TowerLink:
             self._pass_on(outbox, now_s)
 
     def _open(self) -> None:
-        self._health.gauge("outbox_frames", len(self._offered))
         self._outbox = Outbox(self._file, self._config.outbox_bytes, self._config.outbox_days * 86_400)
         if self._outbox.damage:
             self._health.drop("outbox_damaged", self._outbox.damage)
@@ -170,7 +172,7 @@ class TowerLink:
             self._bound_due = now_s + BOUND_S
             self._bound(outbox)
         self._send(outbox, now_s)
-        self._state(outbox)
+        self._state()
 
     def _run(self) -> None:
         stop_at = 0.0
@@ -285,13 +287,16 @@ class TowerLink:
             self._on_their_way[key] = now_s + self._resend_s, size
             room -= size
 
-    def _state(self, outbox: Outbox) -> None:
-        oldest, now = outbox.oldest_ns(), self._clock()
-        self._health.gauge("outbox_frames", outbox.frames)
-        self._health.gauge("outbox_bytes", outbox.bytes)
-        age_s = 0.0 if oldest is None else max(0.0, ((now or time.time_ns()) - oldest) / 1e9)
-        self._health.gauge("outbox_age_s", f"{age_s:.1f}")
-        self._health.gauge("link_up", int(bool(self._presence and self._link.connected.is_set())))
+    def _state(self) -> None:
+        """What waits, in the outbox or, while its disk does not serve, in memory alone."""
+        if (outbox := self._outbox) is not None:
+            frames, size, oldest = outbox.frames, outbox.bytes, outbox.oldest_ns()
+        else:
+            with self._lock:
+                frames, size = len(self._offered), self._held
+                oldest = min((frame.stamp_ns for frame in self._offered), default=None)
+        up = bool(self._presence and self._link.connected.is_set())
+        tell_what_waits(self._health, frames, size, oldest, self._clock() or time.time_ns(), up)
 
     def _take(self, topic: str, payload: bytes) -> None:
         """From the connection's thread."""

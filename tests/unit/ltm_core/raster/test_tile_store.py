@@ -14,6 +14,7 @@ from scenes.small_disk import SmallDisk
 
 from ltm_core.errors import ConfigError, StoreError
 from ltm_core.raster.tile_store import Field, FrameRecord, StoreSchema, Tile, TileStore, Touch
+from ltm_core.raster.tile_store_file import grow
 
 
 def assert_same(found: Tile | None, expected: Tile) -> None:
@@ -250,6 +251,50 @@ def test_a_store_whose_growth_is_cut_short_is_as_it_was(tmp_path: Path, monkeypa
         assert_same(store.read((1, 2)), tile(1))
     with TileStore.open(path, grown) as store:
         assert_same(store.read((0, 1)), tile(2) | {"snow": np.zeros((8, 8, 3), np.uint16)})
+
+
+def test_a_store_grows_on_a_full_disk_in_the_room_that_was_held(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a killed process held beside it is there still, and serves; without it, or with no more room then either,
+    the store is as it was."""
+    path, held = tmp_path / "map.ltm", tmp_path / ".map.ltm.reserve"
+    keys = [(row, col) for row in range(2) for col in range(3)]
+    with TileStore.open(path, SCHEMA) as store:
+        store.commit({key: tile(number) for number, key in enumerate(keys)}, [FrameRecord("north", 5)])
+    more = dict(SCHEMA.fields) | {"snow": Field(np.uint16, (300,))}
+    grown = replace(SCHEMA, version=SCHEMA.version + 1, fields=more, extends=SCHEMA.version)
+    pack, room = StoreSchema.pack, 0
+    rng = np.random.default_rng(8)
+
+    def incompressible(schema: StoreSchema, key: Any, arrays: Any) -> bytes:
+        if "snow" in arrays:
+            arrays = arrays | {"snow": rng.integers(0, 2**16, arrays["snow"].shape).astype(np.uint16)}
+        return pack(schema, key, arrays)
+
+    def grow_on_a_full_disk(db: sqlite3.Connection, *arguments: Any) -> None:
+        (pages,) = db.execute("PRAGMA page_count").fetchone()
+        db.execute(f"PRAGMA max_page_count = {pages if held.exists() else pages + room}")
+        grow(db, *arguments)
+
+    monkeypatch.setattr(StoreSchema, "pack", incompressible)
+    monkeypatch.setattr("ltm_core.raster.tile_store.grow", grow_on_a_full_disk)
+    for kept, room in ((False, 0), (True, 0), (True, 1000)):
+        held.unlink(missing_ok=True)
+        if kept:
+            held.write_bytes(bytes(1 << 20))
+        if room:
+            break
+        with pytest.raises(StoreError, match=r"SQLITE_FULL.*make room"):
+            TileStore.open(path, grown)
+        assert held.exists() == kept
+        with TileStore.open(path, SCHEMA) as store:
+            assert store.keys() == keys
+    with TileStore.open(path, grown) as store:
+        assert store.schema == grown
+        found = store.read((1, 2))
+        assert found is not None
+        assert_same({name: found[name] for name in SCHEMA.fields}, tile(5))
 
 
 def test_a_store_of_an_earlier_version_gets_the_fields_that_it_lacks(tmp_path: Path) -> None:

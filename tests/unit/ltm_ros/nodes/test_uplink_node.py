@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +13,12 @@ from scenes.outlets import Kept
 from scenes.region_scene import REGION, RegionScene, write_region_scene
 
 from ltm_core.errors import ConfigError, MessageError, StoreError
-from ltm_core.uplink.outbox_io import Outbox
+from ltm_core.uplink.config import BrokerConfig, UplinkConfig
+from ltm_core.uplink.outbox_io import Outbox, OutboxFrame
 from ltm_msgs_py.label_info import label_set_to_msg
 from ltm_msgs_py.votes import votes_to_msg
 from ltm_ros.nodes.uplink import OUTBOX_FILE, SECTORS, Uplink, UplinkNodeConfig, sector
+from ltm_ros.region.tower_link import TowerLink
 from ltm_ros.runtime.health import Health
 
 SECTION = {
@@ -77,6 +80,42 @@ def test_frames_that_no_disk_took_are_lost_aloud(scene: RegionScene, monkeypatch
     with pytest.raises(StoreError, match="frames are lost"):
         node.finish()
     assert health.dropped == {"outbox_full": 3}
+
+
+def test_a_tower_without_an_outbox_tells_what_waits_all_the_same(
+    scene: RegionScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A monitoring system shall see link and age while the outbox's disk is away, and the outbox once it is back."""
+    away = True
+
+    def opened(*arguments: Any) -> Outbox:
+        if away:
+            raise StoreError("outbox.sqlite: disk I/O error")
+        return Outbox(*arguments)
+
+    monkeypatch.setattr("ltm_ros.region.tower_link.Outbox", opened)
+    now_ns, health = stamp_of_frame(0) + 90 * 10**9, Health()
+    certs = scene.certs
+    broker = BrokerConfig(
+        host="127.0.0.1",
+        port=1,
+        ca=certs / "ca.crt",
+        certificate=certs / "alta.crt",
+        key=certs / "alta.key",
+    )
+    config = UplinkConfig(name=REGION, tower="alta", broker=broker)
+    link = TowerLink(config, scene.grid, scene.folder / "map" / OUTBOX_FILE, health, lambda: now_ns)
+    for number in (1, 0, 2):
+        link.offer(OutboxFrame("mast", stamp_of_frame(number), 0, "", b"votes" * number))
+    with pytest.raises(StoreError, match="I/O"):
+        link.step(10.0)
+    expected = {"outbox_frames": "3", "outbox_bytes": "15", "outbox_age_s": "90.0", "link_up": "0"}
+    assert {key: health.summary().get(key) for key in expected} == expected
+    away = False
+    link.step(100.0)
+    assert {key: health.summary().get(key) for key in expected} == expected
+    assert link.kept == 3
+    link.close()
 
 
 def test_votes_that_no_region_takes_are_refused_at_once(scene: RegionScene) -> None:
