@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import defaultdict
 from typing import Any
 
@@ -11,6 +12,7 @@ from std_srvs.srv import Trigger
 
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.discovery_check import unmatched
+from ltm_ros.runtime.message_info import with_info
 from ltm_ros.runtime.outlet_node import stream_qos
 from ltm_ros.runtime.spinning_node import SpinningNode
 
@@ -25,7 +27,8 @@ class Bystander(SpinningNode):
         self.summaries: dict[str, dict[str, str]] = {}
         """The last diagnostics of every node, by full name."""
         self._senders: dict[str, Any] = {}
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, 200)
+        self._since_ns = 0
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", with_info(self._diagnosed), 200)
 
     def listen(self, topic: str, message_type: type, latched: bool = False, depth: int = 10) -> None:
         """Keep what comes on `topic`, an absolute name."""
@@ -49,14 +52,20 @@ class Bystander(SpinningNode):
         wait_for(lambda: stamp_ns in self.stamps(topic), f"stamp {stamp_ns} on {topic}", lambda: self.summaries)
         return self.heard[topic][self.stamps(topic).index(stamp_ns)]
 
+    def forget(self) -> None:
+        """The diagnostics so far, with those that are still on their way: of a node that was killed a moment ago."""
+        self._since_ns = time.time_ns()
+        self.summaries = {}
+
     def count(self, node: str, key: str) -> int:
         """A counter of a node's diagnostics; 0 where it is not there."""
         return int(self.summaries.get(node, {}).get(key, "0"))
 
     def dropped(self, node: str) -> dict[str, int]:
         """What a node has dropped so far, by cause."""
-        drops = {k.partition(".")[2]: int(v) for k, v in self.summaries[node].items() if k.startswith("dropped.")}
-        assert sum(drops.values()) == self.count(node, "dropped")
+        summary = self.summaries[node]
+        drops = {k.partition(".")[2]: int(v) for k, v in summary.items() if k.startswith("dropped.")}
+        assert sum(drops.values()) == int(summary.get("dropped", "0"))
         return drops
 
     def wait_for_wiring(self, nodes: int) -> None:
@@ -80,6 +89,8 @@ class Bystander(SpinningNode):
         self.node.destroy_client(client)
         return bool(answer.result().success), str(answer.result().message)
 
-    def _diagnosed(self, message: Any) -> None:
-        for status in message.status:
-            self.summaries[status.name] = {item.key: item.value for item in status.values}
+    def _diagnosed(self, message: Any, info: Any) -> None:
+        summaries = self.summaries
+        if info["source_timestamp"] >= self._since_ns:
+            for status in message.status:
+                summaries[status.name] = {item.key: item.value for item in status.values}

@@ -29,11 +29,13 @@ GRAPHS = (os.cpu_count() or 1) + 2
 LONGEST_FIRST = (
     "test_confirmed_surface_fused.py",
     "test_site_graph.py",
-    "test_watchdog.py",
+    "test_runner_processes.py",
     "test_terrain.py",
     "test_health.py",
-    "test_hostile_input.py",
+    "test_watchdog.py",
     "test_fuel_map.py",
+    "test_hostile_input.py",
+    "test_patrolling_head.py",
 )
 """So that no worker begins with one of these when the others have done their part."""
 

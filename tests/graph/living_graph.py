@@ -107,7 +107,7 @@ class Living:
 
     def counters(self) -> dict[str, Counter[str]]:
         """Drops and notes of every node, from diagnostics that came after this call."""
-        self.bystander.summaries.clear()
+        self.bystander.forget()
         names = {label: f"/{NAME}/{label}" for label in NODES}
         wait_for(lambda: self.bystander.summaries.keys() >= {*names.values()}, "diagnostics of every node")
         latest = dict(self.bystander.summaries)

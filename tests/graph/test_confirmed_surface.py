@@ -80,9 +80,10 @@ def test_a_killed_depth_node_comes_back_to_the_version_that_counts_until_it_is_t
         starts = process.starts
         runner.kill(label)
         wait_for(lambda: process.starts > starts and process.running, "the process again")
-        bystander.summaries.clear()
+        bystander.forget()
         bystander.wait_for_wiring(2)
-        assert look(4) == told()
+        counts = told()
+        assert look(4) in (counts, told())  # which this very frame may have changed
         done, answer = bystander.call(f"/{NAME}/terrain/take_back")
         assert done, answer
         while msg_to_version(bystander.heard[SURFACE][-1]):

@@ -94,7 +94,7 @@ def test_any_process_may_be_killed_while_the_surface_changes(
         look(number)
         runner.kill(killed)
         wait_for(lambda: process.starts > starts and process.running, "the process again")
-        bystander.summaries.clear()
+        bystander.forget()
         bystander.wait_for_wiring(len(labels))
         stamp = look(number + 1)
         wait_for(lambda: fused(stamp), "a frame fused after the kill", lambda: bystander.summaries)

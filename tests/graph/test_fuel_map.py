@@ -114,7 +114,7 @@ def test_kills_under_load_lose_nothing_that_was_told_of(living: Living) -> None:
         living.runner.kill("fuel_map")
         told = living.told()
         wait_for(lambda n=starts: process.starts == n + 1 and process.running, "the node again")
-        living.bystander.summaries.clear()
+        living.bystander.forget()
         living.bystander.wait_for_wiring(1)
         # The cameras send again what nobody told them of, and some more.
         owed += 30
@@ -224,7 +224,7 @@ def test_what_the_terrain_finds_comes_out_of_the_fuel_map(ros_domain: int, wood:
         region.header.frame_id, region.header.stamp = "map", ns_to_time(stamp)
         corners = [fuel.to_map(r, c) for r, c in ((1.5, 1.5), (1.5, 9.5), (8.5, 9.5), (8.5, 1.5))]
         region.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners]
-        bystander.summaries.clear()
+        bystander.forget()
         bystander.wait_for_wiring(1)
         bystander.send(regions, region)
         wait_for(lambda: bystander.call(f"{NODE}/burn")[0], "the region to burn")

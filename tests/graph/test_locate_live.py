@@ -139,7 +139,8 @@ def test_marks_of_two_cameras_become_one_place(ros_domain: int, tmp_path: Path) 
         assert properties("east")["track"] == 1
 
         def told() -> Any:
-            newest = json.loads(bystander.heard[tracks][-1].data)["features"]
+            heard = bystander.heard[tracks]
+            newest = json.loads(heard[-1].data)["features"] if heard else []
             return newest[0]["properties"] if newest else {}
 
         wait_for(lambda: told().get("sources") == ["detector", "person"], "the track's two sources")

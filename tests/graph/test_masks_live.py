@@ -20,7 +20,8 @@ from ltm_ros.replay.run import ReplayOptions, run_offline
 from ltm_ros.replay.selection import Selection
 from ltm_ros.runtime.topics import DEPTH_IMAGE, FUEL_VOTES, FUSED_DEPTH, LABELS_IMAGE, camera_topic
 
-pytestmark = pytest.mark.graph
+# What masks do is tested in tests/replay/test_masks.py, that a living graph makes what a replay makes in test_layouts.
+pytestmark = [pytest.mark.graph, pytest.mark.slow]
 
 HIDDEN = {LABELS_IMAGE: 255.0, DEPTH_IMAGE: np.nan, FUSED_DEPTH: np.nan}
 

@@ -100,7 +100,9 @@ def test_from_a_patrolling_head_to_a_fuel_map(
         bystander.listen(infos, CAMERA_INFO.type)
         runner.wait_until_ready(120.0)
         wait_for(lambda: len(bystander.heard[update]) >= 6, "updates of the map", lambda: (bystander.summaries, lines))
-        said = dict(bystander.summaries[f"/{NAME}/tower/source"])
+        source = f"/{NAME}/tower/source"
+        wait_for(lambda: source in bystander.summaries, "the source's own word", lambda: lines)
+        said = dict(bystander.summaries[source])
         table = subprocess.run(
             [
                 sys.executable,

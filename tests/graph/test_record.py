@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -49,10 +48,16 @@ def test_records_what_it_is_asked_for(
                 wait_for(lambda: bystander.summaries.pop(f"/{NAME}/recorder", None) is not None, "diagnostics")
                 wait_for(lambda: f"/{NAME}/recorder" in bystander.summaries, "newer diagnostics")
                 tries += 1
+            before = bystander.count(f"/{NAME}/recorder", "frames_in")
             for i in range(COUNT):
                 bystander.send(info, camera_to_msg(TOWER, BEGIN_NS + i, "tower_optical"))
                 bystander.send(pose, pose_to_msg(small_site.tower_pose(float(i)), BEGIN_NS + i))
-                time.sleep(0.02)  # a publisher keeps its last ten, so a burst could outrun the reader
+                if i % 7 == 6:  # a publisher keeps its last ten, so a burst could outrun the reader
+                    wait_for(
+                        lambda n=before + i: bystander.count(f"/{NAME}/recorder", "frames_in") >= n,
+                        f"{i + 1} poses at the recorder",
+                        lambda: bystander.summaries,
+                    )
             wait_for(
                 lambda: bystander.count(f"/{NAME}/recorder", "frames_out") >= COUNT + 1,
                 f"{COUNT} poses",

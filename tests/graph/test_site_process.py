@@ -52,7 +52,7 @@ def test_a_camera_that_cannot_be_started_is_named_and_the_other_delivers_until_i
         (told,) = [line for line in lines if "cannot start" in line]
         assert f"/{NAME}/tower: cannot start" in told
         assert "later.yaml" in told
-        assert not any(name.startswith(f"/{NAME}/tower/") for name in seen.summaries)
+        assert not any(name.startswith(f"/{NAME}/tower/") for name in dict(seen.summaries))
         late = camera_topic(NAME, "tower", DEPTH_IMAGE)
         seen.listen(late, DEPTH_IMAGE.type)
         inputs = {camera_topic(NAME, "tower", topic): message for topic, message in small_site.messages().items()}

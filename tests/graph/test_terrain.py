@@ -173,7 +173,7 @@ class Living:
 
     def counted(self) -> dict[str, int]:
         """Drops and notes, from diagnostics that came after this call; less that stamps jump, as a test's do."""
-        self.bystander.summaries.clear()
+        self.bystander.forget()
         wait_for(lambda: NODE in self.bystander.summaries, "diagnostics")
         latest = self.bystander.summaries[NODE]
         counters = {k: int(v) for k, v in latest.items() if k.startswith(("dropped.", "noted."))}
@@ -202,7 +202,7 @@ def test_what_was_told_of_outlives_kills(living: Living, tmp_path: Path) -> None
         living.send(measured_messages(small, truth, BEGIN_NS + (10 + kill) * HOUR))
         living.runner.kill("terrain")
         wait_for(lambda n=starts: process.starts == n + 1 and process.running, "the node again")
-        bystander.summaries.clear()
+        bystander.forget()
         bystander.wait_for_wiring(1)
         # All frames come again: those that were told of are known, the others are counted now.
         for look in (0, 2, *range(10, 11 + kill)):

@@ -42,12 +42,13 @@ def _stream() -> list[list[str]]:
 
 def test_full_hd_at_10_hz_reaches_three_subscribers_whole(ros_domain: int) -> None:
     whole = [[str(number) for number in range(FRAMES)]] * 3
-    received = _stream()
-    if received != whole:
-        # A process that gets no core for longer than the queue's 10 frames last (1 s) loses some on any transport: on
-        # a machine that others keep busy, one more try tells the transport from the machine.
-        print(f"first try received {[len(numbers) for numbers in received]} of {FRAMES}")
+    for _ in range(3):
         received = _stream()
+        if received == whole:
+            break
+        # A process that gets no core for longer than the queue's 10 frames last (1 s) loses some on any transport: on
+        # a machine that others keep busy, more tries tell the transport from the machine.
+        print(f"received {[len(numbers) for numbers in received]} of {FRAMES}")
     assert received == whole
 
 

@@ -40,6 +40,8 @@ from ltm_ros.cli.main import cli
 from ltm_ros.replay.run import ReplayOptions, run_offline
 from ltm_ros.runtime.topics import IMAGE_COMPRESSED, camera_topic
 
+pytestmark = pytest.mark.usefixtures("without_page")
+
 
 def digest_of(store: Path) -> str:
     with TileStore.open_read_only(store, STORE_KIND) as opened:
@@ -292,6 +294,7 @@ def test_a_live_node_goes_on_from_the_store(options: ArchiveOptions, small_site:
     assert digest_of(out / STORE_FILE) == digest
 
 
+@pytest.mark.usefixtures("with_page")
 def test_the_journal_tells_the_end_of_each_day(small_site: SmallSite, tmp_path: Path) -> None:
     day = 86_400 * 10**9
     bags = tuple(small_site.write_bag(tmp_path / f"day_{number}", 2, BEGIN_NS + number * day) for number in range(2))
@@ -438,6 +441,7 @@ def test_a_site_whose_poses_hang_on_the_order_of_frames_is_refused(own_site: Sma
         look_through(ArchiveOptions((own_site.bag,), own_site.path, str(tmp_path / "out")), lambda done, total: None)
 
 
+@pytest.mark.usefixtures("with_page")
 def test_command_line(small_site: SmallSite, tmp_path: Path, expected: str) -> None:
     command = ["reprocess", str(small_site.bag), "--site", str(small_site.path), "--out", str(tmp_path / "out")]
     tried = CliRunner().invoke(cli, [*command, "--dry-run"], env={"COLUMNS": "160"})

@@ -29,6 +29,8 @@ from ltm_ros.archive.files import CacheConfig
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
 from ltm_ros.importer.build import import_photos
 
+pytestmark = pytest.mark.usefixtures("without_page")
+
 
 def reprocessed(options: ArchiveOptions) -> Summary:
     return run(look_through(options, lambda done, total: None), serial, lambda done, total: None)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ltm_core.bench.mountains import ridged_terrain
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.depth.class_priors import ClassPriors
@@ -23,6 +24,7 @@ from ltm_core.pose import Pose
 from ltm_core.pose_estimation.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.pose_from_picture import find_pose
 from ltm_core.pose_estimation.pose_prior import PosePrior
+from ltm_core.raster.dem_stack import DemStack
 from ltm_core.simulator.clouds import Clouds
 from ltm_core.simulator.run import make_site, rasters_at
 from ltm_core.simulator.scenario import CloudConfig
@@ -79,18 +81,24 @@ def _simulator(_: str) -> None:
     scenario = small_scenario()
     rasters_at(scenario, make_site(scenario))
     camera, pose = scenario.camera_model(70.0), Pose.from_angles((120.0, 90.0, 330.0), 30.0, 12.0)
-    Clouds(CloudConfig(cover=0.5), 300.0, scenario.sun, pose.position, seed=4).seen(camera, pose)
+    clouds = Clouds(CloudConfig(cover=0.5), 300.0, scenario.sun, pose.position, seed=4)
+    clouds.seen(camera, pose)
+    clouds.sunlight(np.array([pose.position]))
+    ridged_terrain(40)
 
 
 def _rays(_: str) -> None:
-    """Of rays in any direction over whole ground and over ground with holes, without and with a lens's distortion; what
-    a place sees; and the paper's march."""
+    """Of rays in any direction over whole ground, over ground with holes, over ground with a margin that is not known
+    and over a stack of two rasters, without and with a lens's distortion; what a place sees; and the paper's march."""
     whole = rough_terrain(5, (70, 90))
     holed = whole.elevation.copy()
     holed[30:40, 50:60] = np.nan
+    rimmed = holed.copy()
+    rimmed[:7] = np.nan
     camera = Camera(40, 30, 40.0, 40.0, 19.5, 14.5, (0.1, 0.0, 0.0, 0.0, 0.0))
     pose = Pose.from_angles(standing(whole, 40.0, 30.0, 25.0), 80.0, -15.0, 5.0)
-    for dem in (whole, Dem(holed, whole.geometry)):
+    stack = DemStack([Dem(holed, whole.geometry), rough_terrain(6, (90, 110), resolution=30.0)])
+    for dem in (whole, Dem(holed, whole.geometry), Dem(rimmed, whole.geometry), stack):
         for tracer in (TerrainTracer(dem), TerrainTracer(dem, possible=NOTHING_BEYOND)):
             tracer.trace(camera, pose)
             tracer.trace_rays(pose.position, camera.rays().reshape(-1, 3) @ pose.rotation.T)

@@ -8,9 +8,10 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scenes.any_votes import GRID, LABELS, frames
+from scenes.examples import examples
 
 from ltm_core.errors import ArchiveError
 from ltm_core.fuel.evidence import EvidenceMap
@@ -53,7 +54,7 @@ def assert_same(found: PartialEvidence, expected: PartialEvidence) -> None:
     assert {c: s.tolist() for c, s in found.stamps.items()} == {c: s.tolist() for c, s in expected.stamps.items()}
 
 
-@settings(max_examples=80, deadline=None)
+@examples(40, in_fuzz=80)
 @given(distinct_frames(), st.data())
 def test_any_tree_over_any_chunks_gives_the_map_of_all_frames(of: list[CellVotes], data: st.DataObject) -> None:
     """Which is that it is commutative and associative, and that nothing is lost or doubled on the way."""
@@ -67,7 +68,7 @@ def test_any_tree_over_any_chunks_gives_the_map_of_all_frames(of: list[CellVotes
     assert_same(parts[0], part(of, burned_at))
 
 
-@settings(max_examples=30, deadline=None)
+@examples(20, in_fuzz=30)
 @given(distinct_frames())
 def test_nothing_is_the_neutral_element(of: list[CellVotes]) -> None:
     whole, empty = part(of), EvidenceMap(GRID, None, LABELS)
@@ -77,7 +78,7 @@ def test_nothing_is_the_neutral_element(of: list[CellVotes]) -> None:
     assert_same(whole.merged(PartialEvidence()), whole)
 
 
-@settings(max_examples=30, deadline=None)
+@examples(20, in_fuzz=30)
 @given(distinct_frames(), distinct_frames())
 def test_what_two_parts_hold_is_refused_and_never_doubled(of: list[CellVotes], more: list[CellVotes]) -> None:
     whole, alike = part(of), {(frame.source, frame.stamp_ns) for frame in of}
@@ -88,7 +89,7 @@ def test_what_two_parts_hold_is_refused_and_never_doubled(of: list[CellVotes], m
         reduce(PartialEvidence.merged, [fresh, whole, part(of[:1]) if part(of[:1]).stamps else whole])
 
 
-@settings(max_examples=25, deadline=None)
+@examples(12, in_fuzz=25)
 @given(distinct_frames(), st.data())
 def test_days_that_know_of_their_own_burns_alone_give_the_map_that_was_told_of_all(
     of: list[CellVotes], data: st.DataObject

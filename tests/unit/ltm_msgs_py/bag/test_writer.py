@@ -258,7 +258,7 @@ def test_files_that_were_removed_take_no_memory(tmp_path: Path) -> None:
 
 def test_the_index_of_a_file_is_small_and_goes_with_it(tmp_path: Path) -> None:
     """What a writer holds grows with each chunk of the file at hand, and no further."""
-    topics, chunks, held = 20, 30, []
+    topics, chunks, held = 12, 20, []
     # Only what the writer and its library have asked for: threads that other tests left behind allocate as they like.
     ours = [tracemalloc.Filter(True, f"*/{package}/*") for package in ("ltm_msgs_py", "mcap")]
     with BagWriter(tmp_path / "long", split=Split(1 << 30, chunks * 10**9)) as writer:
