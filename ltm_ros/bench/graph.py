@@ -6,6 +6,7 @@ process, and what the graph costs while nothing comes.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tempfile
 import time
@@ -23,6 +24,7 @@ from ltm_core.resources import project_path
 from ltm_core.site_io import load_site
 from ltm_ros.bench.graph_sender import CameraSender, settle
 from ltm_ros.bench.graph_site import NAME, Load, write_site
+from ltm_ros.bench.graph_view import Onlooker, ViewResult, with_server
 from ltm_ros.bench.growth import GrowthWatch, HeldMore
 from ltm_ros.bench.listener import Listener
 from ltm_ros.bench.process_usage import Usage, usage_of
@@ -94,6 +96,10 @@ class GraphResult:
     grown_threads: int
     held_more: HeldMore
     """At the end of the run than at its middle."""
+    seen_cells: tuple[int, int]
+    """Cells of the map that frames have touched, before the run and after: what its files hold."""
+    view: ViewResult | None
+    """Of the live view, where there is one."""
     ready_s: float
     """From the start until every node had reported."""
     load_average: float
@@ -111,22 +117,26 @@ class GraphResult:
         return asdict(self) | {"lost": self.lost}
 
 
-def run_graph(load: Load, rate: float, seconds: float, domain_id: int | None = None) -> GraphResult:
-    """The graph of `load`, each of whose cameras sends `rate` frames a second for `seconds`. Raises LtmError where it
-    does not run."""
+def run_graph(
+    load: Load, rate: float, seconds: float, domain_id: int | None = None, onlooker: Onlooker | None = None
+) -> GraphResult:
+    """The graph of `load`, each of whose cameras sends `rate` frames a second for `seconds`; with a live view that
+    `onlooker` looks at. Raises LtmError where it does not run."""
     apply_to_process(domain_id)
     with tempfile.TemporaryDirectory(prefix="ltm-bench-") as name:
         folder = Path(name)
         traffic = write_site(folder, project_path("bags/demo"), load)
         site = load_site(traffic.site)
         prepare_heights(site.dem.path)  # as `ltm run` does
-        graph = describe(site, traffic.site, parameters={"fuel_map": {"folder": str(folder / "kept")}})
+        kept = {"fuel_map": {"folder": str(folder / "kept")}}
+        graph = describe(site, traffic.site, parameters=kept, view=onlooker.parameters if onlooker else None)
         runner = Runner(graph, domain_id=domain_id, log_folder=folder / "log", console=lambda line: None)
         with runner, Listener(NAME) as listener:
             started = time.monotonic()
             runner.wait_until_ready(READY_S)
             ready_s = time.monotonic() - started
-            with CameraSender(folder, traffic.cameras, domain_id) as sender:
+            looking = onlooker or contextlib.nullcontext()
+            with CameraSender(folder, traffic.cameras, domain_id) as sender, looking:
                 settle(listener, sender.stream(WARM_UP, 2.0 * load.cameras).stamps)
                 idle_ms_s, at_first = _idle_cpu_ms_s(runner), _usage(runner)
                 busy = os.getloadavg()[0]
@@ -136,6 +146,7 @@ def run_graph(load: Load, rate: float, seconds: float, domain_id: int | None = N
                 settle(listener, report.stamps)
                 after, cpu_after = dict(listener.summaries), _cpu_by_process(runner)
                 at_last = _usage(runner)
+                taken = onlooker.bytes_taken if onlooker else 0
             restarted = [label for label, process in runner.processes.items() if process.starts > 1]
             if restarted:
                 raise LtmError(f"died and were started again: {', '.join(restarted)}")
@@ -153,6 +164,8 @@ def run_graph(load: Load, rate: float, seconds: float, domain_id: int | None = N
                 "grown_descriptors": _total(at_last, "descriptors") - _total(at_first, "descriptors"),
                 "grown_threads": _total(at_last, "threads") - _total(at_first, "threads"),
                 "held_more": HeldMore.of(watch.samples),
+                "seen_cells": (_seen_cells(before), _seen_cells(after)),
+                "view": ViewResult.of(watch.samples, taken) if onlooker else None,
                 "ready_s": ready_s,
                 "load_average": busy,
                 "cameras_late_s": report.late_s,
@@ -244,7 +257,11 @@ def _usage(runner: Runner) -> dict[str, Usage]:
 
 
 def _running(runner: Runner) -> dict[str, int]:
-    return {label: process.pid for label, process in runner.processes.items() if process.pid}
+    return with_server({label: process.pid for label, process in runner.processes.items() if process.pid})
+
+
+def _seen_cells(said: Summaries) -> int:
+    return int(float(said.get(f"/{NAME}/fuel_map", {}).get("cells.seen", "0")))
 
 
 def _total(found: Mapping[str, Usage], what: str) -> int:

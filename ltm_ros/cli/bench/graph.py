@@ -25,6 +25,9 @@ def graph(
     dem: Annotated[
         int | None, typer.Option(help="Cells a side of the DEM: the demo's, resampled. Default: as it is.", min=100)
     ] = None,
+    view: Annotated[
+        bool, typer.Option("--view", help="With the live view of `ltm run --view`, and somebody who looks at it.")
+    ] = False,
     domain: Annotated[int | None, typer.Option(min=0, max=232, help="ROS domain.")] = None,
     json_path: JsonFile = None,
 ) -> None:
@@ -34,6 +37,7 @@ def graph(
     from ltm_core.bench.measure import conditions
     from ltm_ros.bench.graph import GraphResult, run_graph
     from ltm_ros.bench.graph_site import Load
+    from ltm_ros.bench.graph_view import SERVER, VIEWER, Onlooker
     from ltm_ros.bench.growth import SUM
 
     console = Console()
@@ -47,7 +51,7 @@ def graph(
             for layout in layouts:
                 with console.status(f"{count} cameras, {rate:g} frames a second each"):
                     load = Load(count, fusion, layout, not fixed, width, dem)
-                    results.append(run_graph(load, rate, seconds, domain))
+                    results.append(run_graph(load, rate, seconds, domain, Onlooker() if view else None))
     title = f"the demo's frames, {width} px wide, {'with' if fusion else 'without'} fusion, {seconds:g} s a run"
     caption = (
         "finished: labelled, traced, fused with its labels, voted and stored; latency: from stamp to the map's update, "
@@ -83,10 +87,22 @@ def graph(
             f"{r.held_more.descriptors}, {r.held_more.threads}, {r.held_more.shared_objects}"
         ),
         "second half: files of the map, kB": lambda r: f"{r.held_more.kept_bytes / 1024:.0f}",
+        "cells of the map that frames have touched": lambda r: f"{r.seen_cells[0]} to {r.seen_cells[1]}",
         "until all nodes were up, s": lambda r: f"{r.ready_s:.1f}",
         "load average before": lambda r: f"{r.load_average:.1f}",
         "cameras late by at most, s": lambda r: f"{r.cameras_late_s:.2f}",
     }
+    if view:
+        rows |= {
+            "live view and its server: at most, last, MB": lambda r: (
+                f"{r.view.most_mb:.0f}, {r.view.last_mb:.0f}" if r.view else ""
+            ),
+            "of it the server at most, MB": lambda r: f"{r.view.server_most_mb:.0f}" if r.view else "",
+            "second half: viewer, server, kB a minute": lambda r: ", ".join(
+                f"{r.held_more.memory[label].slope:.0f}" for label in (VIEWER, SERVER) if label in r.held_more.memory
+            ),
+            "sent to who looked on, MB": lambda r: f"{r.view.taken_mb:.0f}" if r.view else "",
+        }
     console.print(runs_table(title, caption, rows, results))
     if json_path is not None:
         write_runs(json_path, state, [r.as_dict() for r in results])
