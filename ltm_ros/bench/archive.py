@@ -14,9 +14,9 @@ from ltm_core.bench.measure import peak_mb
 from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
 from ltm_core.raster.tile_store import TileStore
 from ltm_ros.archive.engine import Engine, on_workers, serial
+from ltm_ros.archive.plan import VOTES
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, look_through, run
-from ltm_ros.archive.task import VOTES
 from ltm_ros.bench.archive_worker import EngineCost, WorkerCost, engine_cost, worker_cost
 from ltm_ros.replay.run import ReplayOptions, run_offline
 

@@ -10,8 +10,10 @@ from multiprocessing import get_context
 
 from ltm_core.bench.measure import peak_mb, resident_mb
 from ltm_ros.archive.engine import on_workers
+from ltm_ros.archive.frame_files import votes_file
 from ltm_ros.archive.manifest import ArchiveFrame
-from ltm_ros.archive.task import Task, TaskReport, TaskSettings, votes_file, work
+from ltm_ros.archive.plan import Task, TaskSettings
+from ltm_ros.archive.task import TaskReport, work
 
 
 @dataclass(frozen=True)
