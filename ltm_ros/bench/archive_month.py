@@ -51,6 +51,8 @@ class MonthBench:
     felled_found: float
     samples: tuple[SampleCost, ...]
     page: str
+    resumed: Way | None = None
+    """A run of which all is done, a frame a task."""
 
     @property
     def holds(self) -> bool:
@@ -94,7 +96,17 @@ def measure_month(folder: Path, days: int, said: Callable[[str], None]) -> Month
         float(changed[felled].mean()),
         tuple(samples),
         str(folder / "all/maps/index.html"),
+        resumed(options, folder / "single", said),
     )
+
+
+def resumed(options: ArchiveOptions, out: Path, said: Callable[[str], None]) -> Way:
+    """Looking through, finding all tasks done, and making the map again, where each frame is a task of its own."""
+    single = replace(options, out=str(out), frames_per_task=1)
+    said("a frame a task, serial")
+    done = run(look_through(single, _quiet), serial, _quiet)
+    said(f"{done.tasks} done tasks again")
+    return _way(f"serial, {done.tasks} tasks that are done", single, serial)
 
 
 def _way(name: str, options: ArchiveOptions, engine: Engine) -> Way:
