@@ -125,7 +125,10 @@ def _month(days: int, keep: Path | None, json_path: Path | None) -> bool:
         table.add_row(way.name, str(way.worked), f"{way.wall_s:.1f}", f"{way.cpu_s:.1f}", way.digest[:12])
     console.print(table)
     if (again := found.resumed) is not None:
-        console.print(f"{again.name}: {again.wall_s:.1f} s, {again.cpu_s:.1f} s of processor, map and layers included")
+        console.print(
+            f"{again.tasks} done tasks: {again.ready_s:.1f} s ({again.ready_cpu_s:.1f} s of processor) until a task "
+            f"would be worked, {again.whole_s:.1f} s ({again.whole_cpu_s:.1f} s) with the map and its layers"
+        )
     console.print(f"of the felled cells {found.felled_found:.0%} have changed by all frames")
     for one in found.samples:
         console.print(
