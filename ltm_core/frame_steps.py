@@ -1,26 +1,22 @@
 """The steps from a posed picture to votes, each made once for a camera: trace, label, vote.
 
-The nodes `depth`, `segmentation` and `fuel_votes` are these steps with messages around them, and `FrameSteps` is the
-three in a row for whoever has a frame and no graph. So there is one place for each step's arguments, and a frame has
-the same votes, to the last bit, whoever works on it.
+The nodes `depth`, `segmentation` and `fuel_votes` are these steps with messages around them, and `FrameSteps`
+(`frame_at_work`) is the three in a row for whoever has a frame and no graph. So there is one place for each step's
+arguments, and a frame has the same votes, to the last bit, whoever works on it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from ltm_core.camera import Camera
 from ltm_core.confirmed_terrain import ConfirmedTerrain
 from ltm_core.errors import PoseError
-from ltm_core.frame import PosedImage
-from ltm_core.fuel.vote_columns import fitting, no_columns, turn_of, votes_to_columns
+from ltm_core.fuel.vote_columns import fitting, turn_of
 from ltm_core.fuel.votes import CellVotes, VoteCaster
-from ltm_core.named_columns import Columns
 from ltm_core.pose import Pose
 from ltm_core.range_image import RangeImage
 from ltm_core.raster.surface_versions_io import AS_GIVEN
@@ -230,37 +226,3 @@ class VotingStep:
     def carried(self, votes: CellVotes) -> CellVotes:
         """Those of them that are counted: what fits into a message (`vote_columns.fitting`)."""
         return fitting(votes, turn_of(votes.stamp_ns))
-
-
-@dataclass(frozen=True)
-class FrameVotes:
-    """What a frame says: `columns` as of `vote_columns`; `reason`: why nothing of its picture was used, or empty."""
-
-    columns: Columns
-    reason: str
-
-
-class FrameSteps:
-    """All steps for the frames of one camera; frames may come in any order, so smoke, which earlier pictures tell, is
-    not told."""
-
-    def __init__(self, site: Site, camera: str, tracing: TracingConfig, labelling: LabellingConfig) -> None:
-        self._tracing = TracingStep(site, camera, tracing)
-        self._labelling = LabellingStep(site, camera, labelling)
-        self._voting = VotingStep(site, camera)
-
-    @property
-    def described(self) -> str:
-        """What labels, with its checksum."""
-        return self._labelling.described
-
-    def votes(self, frame: PosedImage, covariance: NDArray[Any] | None) -> FrameVotes:
-        """`covariance`: (6, 6) of the frame's pose; None: it is exact. Raises LtmError as the steps do."""
-        found, view = self._labelling.label(frame.image, Looking.of(frame.camera, frame.pose))
-        if view.reason is not None:
-            return FrameVotes(no_columns(), view.unusable)  # a picture that shows nothing needs no ranges
-        traced = self._tracing.trace(frame.camera, frame.pose)
-        depth = seen(traced.ranges.depth(), self._tracing.hidden(frame.camera, frame.pose))
-        cast = self._voting.cast(depth, frame.camera, frame.pose, found, frame.stamp_ns, covariance)
-        columns = votes_to_columns(self._voting.carried(cast), self._voting.labels.names)
-        return FrameVotes(columns, view.unusable)

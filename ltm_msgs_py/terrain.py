@@ -18,7 +18,7 @@ from ltm_core.named_columns import take
 from ltm_core.terrain.change import Changed
 from ltm_core.terrain.layers import SurfaceLayers
 from ltm_core.types import Float32Array
-from ltm_msgs_py.grid import UNKNOWN, classes_to_msg
+from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns
 
 
@@ -50,7 +50,4 @@ def msg_to_changed(msg: Any) -> tuple[Changed, Float32Array]:
 
 def change_to_msg(layers: SurfaceLayers, stamp_ns: int, frame_id: str = "map") -> OccupancyGrid:
     """Kinds of change of a window; -1 where independent views have not looked."""
-    known = layers.observed | (layers.change > 0)
-    return classes_to_msg(
-        np.where(known, layers.change, np.uint8(UNKNOWN)).astype(np.uint8), layers.geometry, stamp_ns, frame_id
-    )
+    return classes_to_msg(layers.told, layers.geometry, stamp_ns, frame_id)

@@ -19,6 +19,7 @@ _FIELDS = (
     "base", "kind", "shift", "since", "by",
 )  # fmt: skip
 _NO_LABEL = 255
+_NOT_LOOKED = 255
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,12 @@ class SurfaceLayers:
     since: UInt32Array
     by: UInt32Array
     label: UInt8Array
+
+    @property
+    def told(self) -> UInt8Array:
+        """(H, W) ChangeKind as others are told of it: 255 where independent views have not looked."""
+        known = self.observed | (self.change > 0)
+        return np.where(known, self.change, np.uint8(_NOT_LOOKED)).astype(np.uint8)
 
 
 def layers_of(pool: TilePool, reference: Reference, window: Window | None, rules: Rules) -> SurfaceLayers:

@@ -22,10 +22,13 @@ import ltm_core
 import ltm_msgs_py
 import ltm_ros.archive
 import ltm_ros.importer
+from ltm_core.depth.fusion_config_io import load_fusion_config
 from ltm_core.frame_steps import LabellingConfig, LabellingStep, TracingConfig
 from ltm_core.fuel.site_map import camera_label_errors, site_label_errors
+from ltm_core.fusing_step import FusingConfig, label_columns
 from ltm_core.resources import config_path
 from ltm_core.site import Site
+from ltm_core.vision.manifest import Manifest
 from ltm_msgs_py.bag.picture_cdr import CompressedPicture, RawPicture
 
 _STUDY = ("evaluation", "training", "simulator", "bench")
@@ -103,6 +106,15 @@ def votes_digest(site: Site, camera: str, tracing: TracingConfig, labelling: Lab
     settings["labels"] = file_digest(config_path(site.labels))
     settings["steps"] = [tracing.model_dump(), labelling.zoom]
     return digest(_by_content(settings))
+
+
+def measured_digest(site: Site, votes: str, fusing: FusingConfig) -> str:
+    """Of what measures a camera's frames, besides the frames. `votes`: `votes_digest` of the camera, which has what
+    they are traced to and labelled with. Raises LtmError for files that are not there."""
+    network = Manifest.find(fusing.model or site.depth_model)
+    constants = load_fusion_config(network).model_dump(mode="json")
+    labels = label_columns(fusing.label_model or site.model)
+    return digest(votes, network.model_dump(mode="json"), constants, labels, fusing.angle_sigma_deg, fusing.dem_sigma)
 
 
 def look_digest(site: Site, camera: str) -> str:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import mean, stdev
 
 from rich.table import Table
 
+from ltm_ros.archive.frame_files import frame_files
 from ltm_ros.archive.manifest import ArchiveFrame, days_of
+from ltm_ros.archive.plan import MEASURED, VOTES
 from ltm_ros.archive.run import Plan
-from ltm_ros.archive.task import Task, votes_file
 
 _TRIED = 3
 """Frames of a camera that are worked for the estimate, after one that is worked for the kernels and the network to be
@@ -21,30 +22,32 @@ there."""
 
 @dataclass(frozen=True)
 class Cost:
-    """CPU seconds a frame from picture to votes, the standard error of their mean, and bytes of votes a frame."""
+    """CPU seconds a frame from picture to votes, and to what the terrain takes where that is worked, the standard error
+    of their mean, and bytes of both a frame."""
 
     cpu_s: float
     error_s: float
-    votes_bytes: float
+    made_bytes: float
 
 
 def cost_of(frames: Sequence[ArchiveFrame], planned: Plan) -> Cost:
     """Of a camera's frames, from a few of them spread over all; nothing is kept."""
-    steps = {task.frames[0].camera: task.steps_key for task in planned.tasks}
+    steps = {task.frames[0].camera: task for task in planned.tasks}
+    wanted = [VOTES, MEASURED] if planned.options.terrain else [VOTES]
     chosen = [frames[round(k * (len(frames) - 1) / max(_TRIED - 1, 1))] for k in range(_TRIED)]
     seconds, sizes = [], []
     for frame in [chosen[0], *chosen]:
         begin = time.process_time()
-        content = votes_file(Task((frame,), steps[frame.camera], "", ""), planned.settings)
+        made = frame_files(replace(steps[frame.camera], frames=(frame,)), planned.settings, wanted)
         seconds.append(time.process_time() - begin)
-        sizes.append(len(content))
+        sizes.append(sum(map(len, made.values())))
     return Cost(mean(seconds[1:]), stdev(seconds[1:]) / math.sqrt(_TRIED), mean(sizes[1:]))
 
 
 def dry_run_table(planned: Plan) -> list[Table]:
     """Frames, gaps and costs by camera; and what could not be taken, with the reason."""
     about = Table(title=f"{len(planned.frames)} frames in {len(planned.tasks)} tasks", caption=_caption(planned))
-    for column in ("camera", "frames", "days", "days without", "GB in", "core-hours", "votes, MB"):
+    for column in ("camera", "frames", "days", "days without", "GB in", "core-hours", "made, MB"):
         about.add_column(column, justify="left" if column == "camera" else "right")
     days = days_of(planned.frames)
     for camera in sorted({frame.camera for frame in planned.frames}):
@@ -59,7 +62,7 @@ def dry_run_table(planned: Plan) -> list[Table]:
             str(its[-1] - its[0] + 1 - len(its)),
             f"{sum(frame.size_bytes for frame in frames) / 1e9:.3g}",
             f"{hours:.3g} ± {error:.1g}",
-            f"{cost.votes_bytes * len(frames) / 1e6:.3g}",
+            f"{cost.made_bytes * len(frames) / 1e6:.3g}",
         )
     lost = Table(title="not taken")
     for column in ("camera", "cause", "frames", "first reason"):
@@ -72,7 +75,9 @@ def dry_run_table(planned: Plan) -> list[Table]:
 
 
 def _caption(planned: Plan) -> str:
+    to = "votes and measured depth, without the terrain's map" if planned.options.terrain else "votes"
     return (
         f"{len(planned.manifest.frames)} frames found, {planned.manifest.repeated} held more than once; core-hours to "
-        f"votes, from {_TRIED} frames of each camera, with the standard error; bytes of votes as of single frames"
+        f"{to}, from {_TRIED} frames of each camera, with the standard error; bytes of {to.partition(',')[0]} as of "
+        "single frames"
     )

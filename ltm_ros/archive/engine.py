@@ -15,7 +15,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from ltm_core.errors import ArchiveError, LtmError
-from ltm_ros.archive.task import Task, TaskReport, TaskSettings, work
+from ltm_ros.archive.plan import Task, TaskSettings
+from ltm_ros.archive.task import TaskReport, work
 
 _DEATHS = 3
 """Workers beyond the first that may die while they have a task, before it is given up as their killer."""

@@ -40,7 +40,7 @@ class ArchiveFrame:
     """A frame that can be worked: the file, topic and log time by which its picture is found; `content`: its digest.
 
     `intrinsics`: width, height, fx, fy, cx, cy and the distortion. `position`, `quaternion` (x, y, z, w) and
-    `covariance` (36 numbers, row by row): of the pose.
+    `covariance` (36 numbers, row by row): of the pose; `covariance_known`: False where it is the site's assumption.
     """
 
     camera: str
@@ -54,6 +54,7 @@ class ArchiveFrame:
     position: tuple[float, ...]
     quaternion: tuple[float, ...]
     covariance: tuple[float, ...]
+    covariance_known: bool = True
 
     @property
     def day(self) -> int:
@@ -74,6 +75,11 @@ class ArchiveFrame:
     def pose_covariance(self) -> Float64Array:
         """(6, 6)"""
         return np.array(self.covariance).reshape(6, 6)
+
+    @property
+    def known_covariance(self) -> Float64Array | None:
+        """(6, 6), or None where nobody has stated it."""
+        return self.pose_covariance if self.covariance_known else None
 
     def identity(self) -> list[object]:
         """All that its votes hang on besides the site: not where it lies."""
@@ -241,12 +247,13 @@ def _frame(camera: str, image: _Picture, joined: JoinedFrame, assumed: Float64Ar
         tuple(position),
         tuple(quaternion),
         tuple(float(value) for value in covariance.ravel()),
+        msg_to_covariance(sent) is not None,
     )
 
 
 def packed(frames: Sequence[ArchiveFrame]) -> bytes:
     """Frames as Parquet."""
-    kinds = {"str": pa.string(), "int": pa.int64(), "tuple[float, ...]": pa.list_(pa.float64())}
+    kinds = {"str": pa.string(), "int": pa.int64(), "bool": pa.bool_(), "tuple[float, ...]": pa.list_(pa.float64())}
     schema = pa.schema([(item.name, kinds[str(item.type)]) for item in fields(ArchiveFrame)])
     file = io.BytesIO()
     pq.write_table(pa.Table.from_pylist([asdict(frame) for frame in frames], schema), file, compression="zstd")

@@ -20,12 +20,15 @@ from ltm_core.fuel.evidence_merge import PartialEvidence
 from ltm_core.fuel.evidence_state import TILE
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import fuel_schema
-from ltm_core.raster.tile_store import FrameRecord, Key, TileStore
+from ltm_core.raster.tile_store import CellChanges, FrameRecord, Key, TileStore
 from ltm_core.resources import config_path
 from ltm_core.site import Site
 from ltm_core.vision.labels import LabelSet
+from ltm_ros.archive.frame_files import LostFrame
 from ltm_ros.archive.manifest import DAY_NS
-from ltm_ros.archive.task import LostFrame, Task, TaskEvidence, read_evidence
+from ltm_ros.archive.plan import Task
+from ltm_ros.archive.task import TaskEvidence, read_evidence
+from ltm_ros.archive.terrain_fold import TerrainFold
 from ltm_ros.fuel_map.layers import ShownLayers
 
 
@@ -40,10 +43,16 @@ class Reduction:
 
 
 def reduce_to_store(
-    tasks: Sequence[Task], read: Callable[[Task], bytes], site: Site, path: Path, burns: Sequence[Burn] = ()
+    tasks: Sequence[Task],
+    read: Callable[[Task], bytes],
+    site: Site,
+    path: Path,
+    burns: Sequence[Burn] = (),
+    terrain: TerrainFold | None = None,
 ) -> Reduction:
     """Write the store into `path`, where nothing must be yet. `read`: the content of a task's evidence file. `burns`:
-    by their times; each is told when its day comes, so that the journal's days before it know nothing of it.
+    by their times; each is told when its day comes, so that the journal's days before it know nothing of it. `terrain`:
+    what it has found by the end of a day is told then: what cameras had seen until then where it has changed is void.
 
     Raises LtmError for evidence that does not fit the site, StoreError where the store cannot be written.
     """
@@ -70,7 +79,12 @@ def reduce_to_store(
                 found.unused.update(part.unused)
                 touched.update(part.touched)
             found.counted.update(record.source for record in records)
-            store.commit({}, records, shown.refresh_all())
+            news, changes = list[FrameRecord](), list[CellChanges]()
+            if terrain is not None:
+                terrain.take_day(of_day)
+                news, changes = terrain.tell(evidence)
+                touched.update(key for record in news for key in record.tiles)
+            store.commit({}, [*records, *news], [*changes, *shown.refresh_all()])
         tiles = {key: evidence.tile_state(key) for key in sorted(touched)}
         store.commit(tiles, last=True)
     found.newest_ns = evidence.newest_ns

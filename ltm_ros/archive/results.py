@@ -8,7 +8,7 @@ import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 import fsspec
 
@@ -52,6 +52,11 @@ class ResultFolder:
     def read(self, name: str) -> bytes:
         with self._reached():
             return bytes(self._files.cat_file(self._path(name)))
+
+    def open(self, name: str) -> BinaryIO:
+        """To read parts of it."""
+        with self._reached():
+            return cast(BinaryIO, self._files.open(self._path(name), "rb"))
 
     def write(self, name: str, content: bytes) -> None:
         """In one step: an object of S3 appears when it is whole, a file is written beside and renamed. Two that write

@@ -5,7 +5,6 @@ Nothing is kept but files named by what they hold, so a run that was stopped is 
 
 from __future__ import annotations
 
-import hashlib
 import json
 import tempfile
 from collections import Counter
@@ -14,34 +13,30 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from ltm_core.errors import ArchiveError, LtmError, RasterError
+from ltm_core.errors import ArchiveError, LtmError
 from ltm_core.fuel.burns_io import Burn, read_burns
 from ltm_core.fuel.export.provenance import software
-from ltm_core.fuel.prior import system_of
 from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
 from ltm_core.raster.tile_store import TileStore
 from ltm_core.site import Site
 from ltm_core.site_io import load_site
+from ltm_core.terrain.site_terrain import STORE_FILE as TERRAIN_FILE
+from ltm_core.terrain.tile_pool import KIND as TERRAIN_KIND
 from ltm_ros.archive.choice import chosen
 from ltm_ros.archive.content_digest import code_digest
 from ltm_ros.archive.engine import Engine
 from ltm_ros.archive.files import ArchiveFiles, CacheConfig
 from ltm_ros.archive.manifest import ArchiveFrame, Failure, Manifest, make_manifest, packed
-from ltm_ros.archive.node_rules import node_rules
-from ltm_ros.archive.page import write_page
+from ltm_ros.archive.node_rules import node_rules, refuse_terrain
+from ltm_ros.archive.plan import EVIDENCE, MEASURED, Task, TaskSettings, evidence_name, measured_name, plan
+from ltm_ros.archive.publish import publish
 from ltm_ros.archive.reduction import Reduction, reduce_to_store, store_digest
 from ltm_ros.archive.results import ResultFolder
 from ltm_ros.archive.sampling import Sample
 from ltm_ros.archive.scan import recordings, scan
-from ltm_ros.archive.task import EVIDENCE, Task, TaskSettings, plan
-from ltm_ros.fuel_map.export import export_site
-from ltm_ros.fuel_map.source import FuelSource
+from ltm_ros.archive.terrain_fold import TerrainFold
 
-MANIFEST, RUN, LAYERS, MAPS = "manifest.parquet", "run.json", "layers", "maps"
-LANDSCAPE = "landscape.tif"
-STORES = "stores.json"
-"""SHA-256 of the store that is there and of the one that takes its place: those that runs have written. A node goes on
-from a store of another."""
+MANIFEST, RUN = "manifest.parquet", "run.json"
 _NAMED = 1000
 """Failures that the record of a run names one by one; all are counted."""
 
@@ -50,7 +45,8 @@ _NAMED = 1000
 class ArchiveOptions:
     """What to work. `since_ns`, `until_ns`: stamps, both inclusive. `shard`: (i, n), the i-th of n parts of the tasks,
     from 1 on: these are worked, and no map is made. `max_failed`: share of all frames that may be lost before they are
-    chosen, and of the chosen ones after. `burns`: GeoJSON of what burned when (`burns_io`)."""
+    chosen, and of the chosen ones after. `burns`: GeoJSON of what burned when (`burns_io`). `terrain`: work the terrain
+    too, and have the fuel map know what it has found."""
 
     archives: tuple[str | Path, ...]
     site: Path
@@ -64,6 +60,7 @@ class ArchiveOptions:
     max_failed: float = 0.001
     cache: CacheConfig = field(default_factory=CacheConfig)
     burns: Path | None = None
+    terrain: bool = False
 
 
 @dataclass(frozen=True)
@@ -86,7 +83,7 @@ class Plan:
 @dataclass(frozen=True)
 class Summary:
     """What a run did. `worked`: frames from picture to votes in this run; `digest`: of the map's store, empty where
-    none was made."""
+    none was made; `terrain_digest`, `terrain_frames`: of the terrain's, and how many are in it."""
 
     tasks: int
     worked: int
@@ -94,6 +91,8 @@ class Summary:
     failures: tuple[Failure, ...]
     unused: dict[str, int]
     digest: str = ""
+    terrain_digest: str = ""
+    terrain_frames: int = 0
 
     @property
     def failed(self) -> int:
@@ -103,6 +102,8 @@ class Summary:
 def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) -> Plan:
     """`progress`: files looked through, of how many. Raises LtmError for what cannot be worked at all."""
     site = load_site(options.site)
+    if options.terrain:
+        refuse_terrain(site)
     grid = site.in_crs(site.fuel_geometry(site.open_dem()))
     # Before hours of looking through: a file of burns may be wrong.
     burns = () if options.burns is None else tuple(read_burns(options.burns, grid))
@@ -116,15 +117,23 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
         except (LtmError, OSError) as error:
             unread.append(Failure(recording.name, "unread", str(error)))
         progress(number, len(found))
-    rules, tracing, labelling = node_rules(site, options.site, cameras[0])
-    manifest = make_manifest(scans, site, cameras, rules)
+    rules = node_rules(site, options.site, cameras[0])
+    manifest = make_manifest(scans, site, cameras, rules.manifest)
     manifest.unread = unread
     since, until = options.since_ns or 0, options.until_ns or 2**63 - 1
     frames = [frame for frame in manifest.frames if since <= frame.stamp_ns <= until]
     passed = Counter[str]()
     if options.sample.count:
         frames, passed = chosen(manifest.frames, (since, until), options.sample, site, results, files)
-    settings = TaskSettings(str(options.site.resolve()), results.url, code_digest(), tracing, labelling, options.cache)
+    settings = TaskSettings(
+        str(options.site.resolve()),
+        results.url,
+        code_digest(),
+        rules.tracing,
+        rules.labelling,
+        options.cache,
+        rules.fusing if options.terrain else None,
+    )
     results.write(MANIFEST, packed(frames))
     tasks = plan(frames, site, settings, options.frames_per_task, burns)
     return Plan(options, site, results, settings, manifest, tuple(frames), passed, tuple(tasks), burns)
@@ -138,8 +147,8 @@ def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> 
     options, results = planned.options, planned.results
     part, parts = options.shard
     tasks = planned.tasks[part - 1 :: parts]
-    done = results.names(EVIDENCE)
-    waiting = [task for task in tasks if f"{task.evidence_key}.parquet" not in done]
+    done = {f"{folder}/{name}" for folder in (EVIDENCE, MEASURED) for name in results.names(folder)}
+    waiting = [task for task in tasks if not done.issuperset(task.files)]
     worked, broken = 0, dict[str, Failure]()
     progress(len(tasks) - len(waiting), len(tasks))
     for number, ended in enumerate(engine(waiting, planned.settings), start=1):
@@ -163,17 +172,29 @@ def _reduced(planned: Plan, mapped: Summary, broken: set[str]) -> Summary:
         path = Path(folder) / STORE_FILE
 
         def read(task: Task) -> bytes:
-            return results.read(f"{EVIDENCE}/{task.evidence_key}.parquet")
+            return results.read(evidence_name(task))
 
-        found = reduce_to_store(whole, read, planned.site, path, planned.burns)
-        failures = (*mapped.failures, *_lost(found))
+        terrain = None
+        if planned.options.terrain:
+            opened = path.with_name(TERRAIN_FILE)
+            terrain = TerrainFold(planned.site, opened, lambda task: results.open(measured_name(task)))
+        try:
+            found = reduce_to_store(whole, read, planned.site, path, planned.burns, terrain)
+        finally:
+            if terrain is not None:
+                terrain.close()
+        failures = (*mapped.failures, *_lost(found, terrain))
         summary = Summary(mapped.tasks, mapped.worked, found.counted.total(), failures, dict(found.unused))
         if refused := _too_many_failed(planned, failures):
             results.write(RUN, _record(planned, summary))
             raise ArchiveError(refused)
         with TileStore.open_read_only(path, STORE_KIND) as store:
             summary = replace(summary, digest=store_digest(store))
-        _publish(planned, path, summary)
+        if terrain is not None:
+            with TileStore.open_read_only(path.with_name(TERRAIN_FILE), TERRAIN_KIND) as store:
+                summary = replace(summary, terrain_digest=store_digest(store), terrain_frames=terrain.frames)
+        told = publish(results, planned.site, path, None if terrain is None else path.with_name(TERRAIN_FILE))
+        results.write(RUN, _record(planned, summary, told))  # last
     return summary
 
 
@@ -203,49 +224,17 @@ def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
     return ""
 
 
-def _publish(planned: Plan, store: Path, summary: Summary) -> None:
-    """The map's files, and last the record of the run. Raises ArchiveError where a node has gone on from the store."""
-    results = planned.results
-    former = _own_store(results)
-    out = store.parent / "out"
-    (out / LAYERS).mkdir(parents=True)
-    with FuelSource.open(store, planned.site) as map_:
-        system = system_of(map_.prior).value
-        export_site(map_, out / LAYERS, None, "layers", system, None, None)
-        landscape = LANDSCAPE
-        try:
-            export_site(map_, out / LANDSCAPE, None, "landscape", system, None, None)
-        except RasterError as error:  # without a prior, most cells may have no fuel model
-            landscape = f"not written: {error}"
-        (out / MAPS).mkdir()
-        write_page(map_, out / MAPS)
-    for file in sorted(path for path in out.rglob("*") if path.is_file()):
-        results.put(file, file.relative_to(out).as_posix())
-    for folder in (LAYERS, MAPS):  # days and layers of a former run that this one has not
-        for name in results.names(folder) - {file.name for file in (out / folder).iterdir()}:
-            results.remove(f"{folder}/{name}")
-    written = hashlib.sha256(store.read_bytes()).hexdigest()
-    # Before the store: a run that is killed in between shall know its own.
-    results.write(STORES, json.dumps([former, written]).encode())
-    results.put(store, STORE_FILE)
-    results.write(RUN, _record(planned, summary, {"store_sha256": written, "landscape": landscape}))
+def _lost(found: Reduction, terrain: TerrainFold | None) -> list[Failure]:
+    """A frame that gives neither votes nor a measurement is one."""
+    stamps = {(lost.camera, lost.stamp_ns) for lost in found.lost}
+    more = [] if terrain is None else [one for one in terrain.lost if (one.camera, one.stamp_ns) not in stamps]
+    return [Failure("frame", lost.cause, lost.why) for lost in (*found.lost, *more)]
 
 
-def _own_store(results: ResultFolder) -> str:
-    """SHA-256 of the store that is there; empty: none. Raises ArchiveError where no run has written it."""
-    if not results.has(STORE_FILE):
-        return ""
-    found = hashlib.sha256(results.read(STORE_FILE)).hexdigest()
-    if not results.has(STORES) or found not in json.loads(results.read(STORES)):
-        raise ArchiveError(
-            f"{results.url}/{STORE_FILE} is not what the last run wrote: a node may have gone on from it; move it away "
-            "or name another folder"
-        )
-    return found
-
-
-def _lost(found: Reduction) -> list[Failure]:
-    return [Failure("frame", lost.cause, lost.why) for lost in found.lost]
+def _terrain_record(planned: Plan, summary: Summary) -> dict[str, object] | str:
+    if not planned.options.terrain:
+        return "not worked: what the terrain tells the fuel map is none of this"
+    return {"frames": summary.terrain_frames, "digest": summary.terrain_digest}
 
 
 def _record(planned: Plan, summary: Summary, about: dict[str, str] | None = None) -> bytes:
@@ -268,11 +257,11 @@ def _record(planned: Plan, summary: Summary, about: dict[str, str] | None = None
             "unused": summary.unused,
         },
         "burns": [{"stamp_ns": burn.stamp_ns, "cells": len(burn.cells)} for burn in planned.burns],
-        "terrain": "not worked: what the terrain tells the fuel map is none of this",
+        "terrain": _terrain_record(planned, summary),
         "max_failed": options.max_failed,
         "failures": [asdict(failure) for failure in summary.failures[:_NAMED]],
         "damage": planned.manifest.damage,
-        "tasks": [{"of": t.label, "frames": len(t.frames), "evidence": t.evidence_key} for t in planned.tasks],
+        "tasks": [{"of": t.label, "frames": len(t.frames), "files": t.files} for t in planned.tasks],
         "digest": summary.digest,
         **(about or {}),
     }

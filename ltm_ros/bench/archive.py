@@ -14,10 +14,19 @@ from ltm_core.bench.measure import peak_mb
 from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
 from ltm_core.raster.tile_store import TileStore
 from ltm_ros.archive.engine import Engine, on_workers, serial
+from ltm_ros.archive.node_rules import node_rules
+from ltm_ros.archive.plan import VOTES, plan
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, look_through, run
-from ltm_ros.archive.task import VOTES
-from ltm_ros.bench.archive_worker import EngineCost, WorkerCost, engine_cost, worker_cost
+from ltm_ros.bench.archive_kills import run_under_kills
+from ltm_ros.bench.archive_worker import (
+    EngineCost,
+    EngineShare,
+    WorkerCost,
+    engine_cost,
+    engine_share,
+    worker_cost,
+)
 from ltm_ros.replay.run import ReplayOptions, run_offline
 
 
@@ -36,7 +45,8 @@ class Way:
 @dataclass(frozen=True)
 class ArchiveBench:
     """`votes_bytes`: of a frame, in files of `frames_per_file` at most. `peak_mb`: of the process that worked alone,
-    map and layers included. `worker`: of tasks alone; `engine`: of empty ones, None where none was asked for."""
+    map and layers included. `worker`: of tasks alone; `share`: what of processor time the engine takes; `engine`: of
+    empty tasks, None where none was asked for."""
 
     frames: int
     ways: tuple[Way, ...]
@@ -44,6 +54,7 @@ class ArchiveBench:
     frames_per_file: int
     peak_mb: float
     worker: WorkerCost
+    share: EngineShare
     engine: EngineCost | None
 
     @property
@@ -52,10 +63,18 @@ class ArchiveBench:
 
 
 def measure(
-    bag: Path, site: Path, folder: Path, kills: int, empty: int, seed: int, said: Callable[[str], None]
+    bag: Path,
+    site: Path,
+    folder: Path,
+    kills: int,
+    empty: int,
+    seed: int,
+    said: Callable[[str], None],
+    everything: int = 0,
 ) -> ArchiveBench:
     """In an empty `folder`. `kills`: runs on two workers in which one of them is killed at a random moment. `empty`:
-    tasks that do nothing, for the engine's own cost; 0: it is not measured."""
+    tasks that do nothing, for the engine's own cost; 0: it is not measured. `everything`: workers and whole commands,
+    their scheduler included, that are killed on the way to one more map."""
     options = ArchiveOptions((bag,), site, str(folder / "warm"), frames_per_task=1)
     planned = look_through(options, _quiet)
     said("kernels and networks")
@@ -78,6 +97,13 @@ def measure(
         name = f"2 workers, one killed ({number + 1})"
         said(name)
         ways.append(_killed(name, replace(options, out=str(folder / f"killed_{number}")), chance))
+    if everything:
+        said(f"{everything} kills of workers and of the command")
+        begin, out = time.perf_counter(), folder / "killed_all"
+        workers, commands = run_under_kills(bag, site, out, everything, chance)
+        last = _timed("", replace(options, out=str(out)), serial)
+        name = f"2 workers, {commands} times the scheduler killed too"
+        ways.append(replace(last, name=name, wall_s=time.perf_counter() - begin, kills=workers + commands))
     said("offline replay")
     state = folder / "replay"
     state.mkdir()
@@ -89,12 +115,18 @@ def measure(
         ways.append(Way("offline replay, with fused depth where the site has it", store_digest(store), frames, *spent))
     said("a worker alone")
     alone = look_through(replace(options, out=str(folder / "alone"), frames_per_task=1500), _quiet)
-    worker = worker_cost(alone.tasks, alone.settings)
+    fusing = node_rules(planned.site, site, planned.frames[0].camera).fusing
+    settings = replace(alone.settings, fusing=fusing)
+    measured = plan(alone.frames, alone.site, settings, 1500) if fusing is not None else ()
+    worker = worker_cost(alone.tasks, settings, measured)
+    said("the engine's share")
+    shared = look_through(replace(options, out=str(folder / "share"), frames_per_task=1), _quiet)
+    share = engine_share(shared.tasks, shared.settings)
     if empty:
         said(f"{empty} empty tasks")
     engine_alone = engine_cost(empty, alone.settings) if empty else None
     each = sum(sizes) / len(planned.frames)
-    return ArchiveBench(len(planned.frames), tuple(ways), each, 1500, peak, worker, engine_alone)
+    return ArchiveBench(len(planned.frames), tuple(ways), each, 1500, peak, worker, share, engine_alone)
 
 
 def _timed(name: str, options: ArchiveOptions, engine: Engine) -> Way:

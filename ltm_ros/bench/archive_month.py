@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,7 +11,8 @@ from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
 from ltm_core.raster.tile_store import TileStore
 from ltm_core.site_io import load_site
 from ltm_core.types import BoolArray, Int16Array
-from ltm_ros.archive.engine import Engine, on_workers, serial
+from ltm_ros.archive.engine import Done, Engine, on_workers, serial
+from ltm_ros.archive.plan import Task, TaskSettings
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, look_through, run
 from ltm_ros.archive.sampling import Sample
@@ -37,6 +38,18 @@ class SampleCost:
 
 
 @dataclass(frozen=True)
+class Resumed:
+    """A run whose `tasks` are done: wall and processor seconds until it would have worked the first that is not, and
+    with the map and its layers, which are made again."""
+
+    tasks: int
+    ready_s: float
+    ready_cpu_s: float
+    whole_s: float
+    whole_cpu_s: float
+
+
+@dataclass(frozen=True)
 class MonthBench:
     """`ways`: to the map without burns, which a replay is not told of; `burned_ways`: to that with them.
 
@@ -51,6 +64,7 @@ class MonthBench:
     felled_found: float
     samples: tuple[SampleCost, ...]
     page: str
+    resumed: Resumed | None = None
 
     @property
     def holds(self) -> bool:
@@ -94,7 +108,28 @@ def measure_month(folder: Path, days: int, said: Callable[[str], None]) -> Month
         float(changed[felled].mean()),
         tuple(samples),
         str(folder / "all/maps/index.html"),
+        resumed(options, folder / "single", said),
     )
+
+
+def resumed(options: ArchiveOptions, out: Path, said: Callable[[str], None]) -> Resumed:
+    """A run of which all is done, where each frame is a task of its own."""
+    single = replace(options, out=str(out), frames_per_task=1)
+    said("a frame a task, serial")
+    done = run(look_through(single, _quiet), serial, _quiet)
+    said(f"{done.tasks} done tasks again")
+    begin, cpu = time.perf_counter(), time.process_time()
+    ready = list[tuple[float, float]]()
+
+    def spent() -> tuple[float, float]:
+        return time.perf_counter() - begin, time.process_time() - cpu
+
+    def noting(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
+        ready.append(spent())
+        return serial(tasks, settings)
+
+    run(look_through(single, _quiet), noting, _quiet)
+    return Resumed(done.tasks, *ready[0], *spent())
 
 
 def _way(name: str, options: ArchiveOptions, engine: Engine) -> Way:

@@ -5,23 +5,29 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
 from ltm_core.bench.measure import peak_mb, resident_mb
 from ltm_ros.archive.engine import on_workers
+from ltm_ros.archive.frame_files import frame_files, votes_file
 from ltm_ros.archive.manifest import ArchiveFrame
-from ltm_ros.archive.task import Task, TaskReport, TaskSettings, votes_file, work
+from ltm_ros.archive.plan import MEASURED, VOTES, Task, TaskSettings
+from ltm_ros.archive.task import TaskReport, work
 
 
 @dataclass(frozen=True)
 class WorkerCost:
-    """CPU seconds a frame `to_votes`, and of `tasks` as a whole, with evidence and files, kernels and networks being
-    there; the most memory held."""
+    """CPU seconds a frame `to_votes`, `to_measured`, which is votes and what the terrain takes in one pass (None: the
+    site has no depth network), and of `tasks` as a whole, with evidence and files, kernels and networks being there;
+    the most memory held up to votes and evidence, and at all; bytes of what was measured of a frame."""
 
     to_votes_s: float
     tasks_s: float
     peak_mb: float
+    to_measured_s: float | None = None
+    fusing_peak_mb: float | None = None
+    measured_bytes: float | None = None
 
 
 @dataclass(frozen=True)
@@ -35,13 +41,28 @@ class EngineCost:
     late_mb: float
 
 
-def worker_cost(tasks: Sequence[Task], settings: TaskSettings) -> WorkerCost:
-    """Of tasks whose results are not there yet, in a fresh process."""
+@dataclass(frozen=True)
+class EngineShare:
+    """Of processor time from the first task's end to the last's: that of tasks in their workers, and of scheduler and
+    client, whose process is this one."""
+
+    tasks: int
+    tasks_s: float
+    engine_s: float
+
+    @property
+    def share(self) -> float:
+        return self.engine_s / (self.engine_s + self.tasks_s)
+
+
+def worker_cost(tasks: Sequence[Task], settings: TaskSettings, measured: Sequence[Task] = ()) -> WorkerCost:
+    """Of tasks whose results are not there yet, in a fresh process. `measured`: the same of a plan that measures, with
+    its settings' `fusing`; none: the site has no depth network."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return pool.submit(_worked, tasks, settings).result()
+        return pool.submit(_worked, tasks, settings, measured).result()
 
 
-def _worked(tasks: Sequence[Task], settings: TaskSettings) -> WorkerCost:
+def _worked(tasks: Sequence[Task], settings: TaskSettings, measured: Sequence[Task]) -> WorkerCost:
     frames = sum(len(task.frames) for task in tasks)
     for task in tasks:
         votes_file(Task(task.frames[:1], task.steps_key, "", ""), settings)
@@ -51,7 +72,39 @@ def _worked(tasks: Sequence[Task], settings: TaskSettings) -> WorkerCost:
     to_votes = time.process_time()
     for task in tasks:
         work(task, settings)
-    return WorkerCost((to_votes - begin) / frames, (time.process_time() - to_votes) / frames, peak_mb())
+    worked = time.process_time()
+    found = WorkerCost((to_votes - begin) / frames, (worked - to_votes) / frames, peak_mb())
+    if not measured:
+        return found
+    both = VOTES, MEASURED
+    for task in measured:
+        frame_files(replace(task, frames=task.frames[:1]), settings, both)
+    begin = time.process_time()
+    sizes = [len(frame_files(task, settings, both)[MEASURED]) for task in measured]
+    spent = (time.process_time() - begin) / frames
+    return replace(found, to_measured_s=spent, fusing_peak_mb=peak_mb(), measured_bytes=sum(sizes) / frames)
+
+
+@dataclass(frozen=True)
+class _Timed(TaskReport):
+    cpu_s: float
+
+
+def engine_share(tasks: Sequence[Task], settings: TaskSettings) -> EngineShare:
+    """Of tasks, at least three, whose results are not there yet, on two processes."""
+    spent, begin = 0.0, 0.0
+    for number, ended in enumerate(on_workers(2, timed_work)(tasks, settings)):
+        if number == 0:
+            begin = time.process_time()
+        elif isinstance(ended.report, _Timed):
+            spent += ended.report.cpu_s
+    return EngineShare(len(tasks) - 1, spent, time.process_time() - begin)
+
+
+def timed_work(task: Task, settings: TaskSettings) -> TaskReport:
+    """A task, and the processor time of its worker meanwhile, other threads included."""
+    begin = time.process_time()
+    return _Timed(work(task, settings).worked, time.process_time() - begin)
 
 
 def engine_cost(count: int, settings: TaskSettings) -> EngineCost:

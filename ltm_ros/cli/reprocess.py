@@ -35,6 +35,7 @@ def reprocess(
     frames_per_task: Annotated[int, typer.Option(min=1, help="Of one camera's day, at most.")] = 1500,
     max_failed: Annotated[str, typer.Option(help="Share of frames that may be lost.")] = "0.1%",
     burns: Annotated[Path | None, typer.Option(help="GeoJSON of what burned, with `burned_at`.")] = None,
+    terrain: Annotated[bool, typer.Option("--terrain", help="The site's terrain too, and what it tells.")] = False,
     cache: Annotated[str, typer.Option(help="Where files of stores lie while they are read.")] = "",
     cache_gb: Annotated[float, typer.Option(min=0.001, help="Of them at most, a machine.")] = 20.0,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only count, find gaps and estimate the cost.")] = False,
@@ -66,6 +67,7 @@ def reprocess(
         shard=_shard(shard),
         max_failed=_share(max_failed),
         burns=burns,
+        terrain=terrain,
         cache=CacheConfig(cache or CacheConfig().folder, round(cache_gb * 1e9)),
     )
     with counting_bar(console, "looking through") as progress:
@@ -98,6 +100,10 @@ def _print(console: Console, summary: Summary, out: str) -> None:
         console.print(f"{failure.place}: {failure.count} x {failure.cause}: {failure.why}")
     if summary.digest:
         console.print(f"fuel map: {out}/fuel_map.ltm, digest {summary.digest}")
+    if summary.terrain_digest:
+        console.print(
+            f"terrain: {out}/terrain.sqlite, {summary.terrain_frames} frames, digest {summary.terrain_digest}"
+        )
 
 
 def _shard(text: str) -> tuple[int, int]:

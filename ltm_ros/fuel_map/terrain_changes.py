@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from ltm_core.errors import MessageError
+from ltm_core.fuel.evidence import Window
 from ltm_core.fuel.stored_map import SURFACE_LAYER
-from ltm_core.fuel.surface_change import SOURCE, UNSEEN, SurfaceNews, news_of, record
+from ltm_core.fuel.surface_change import SOURCE, UNSEEN, SurfaceNews
+from ltm_core.fuel.surface_news import SurfaceMoves, take_news
 from ltm_core.grid import GridGeometry
 from ltm_core.named_columns import take
 from ltm_core.raster.tile_store import CellChanges
@@ -29,11 +31,11 @@ _POINT_BYTES = 64
 
 @dataclass(frozen=True, eq=False)
 class _Heard:
-    """A message that was found good."""
+    """A message that was found good. `window`: row, col, height, width in the terrain's grid."""
 
     stamp_ns: int
     kinds: UInt8Array
-    window: GridGeometry
+    window: Window
 
 
 class SurfaceListener:
@@ -55,7 +57,7 @@ class SurfaceListener:
         refuse_future: Callable[[str, int], bool],
     ) -> None:
         self._grid, self._persistence, self._health, self._refuse_future = grid, persistence, health, refuse_future
-        self._shift = np.zeros(grid.shape, np.float32)  # 0: not known; untouched pages take no memory
+        self._moves = SurfaceMoves(grid)
         self._newest = 0
         self._waiting: _Heard | None = None
         self._last: _Heard | None = None
@@ -90,7 +92,7 @@ class SurfaceListener:
                 f"{changed.cols[first]}), kind {changed.kind[first]}, shift {changed.shift[first]} m: not a change on "
                 "this site's terrain grid"
             )
-        self._shift[changed.rows, changed.cols] = np.where(changed.kind > 0, changed.shift, 0)
+        self._moves.take(changed)
 
     def on_change(self, message: Any) -> int:
         """The kinds of change of a window; how many fuel cells they are news to. Raises MessageError, StoreError."""
@@ -108,13 +110,13 @@ class SurfaceListener:
             self._health.drop("too_old", f"terrain changes of stamp {stamp} ns came after those of {self._newest} ns")
             return 0
         kinds, window = msg_to_classes(message)
-        tile_window(window, self._grid)
+        place = tile_window(window, self._grid)
         strange = (kinds > max(ChangeKind)) & (kinds != UNSEEN)
         if strange.any():
             row, col = np.argwhere(strange)[0]
             raise MessageError(f"terrain change: kind {kinds[row, col]} at row {row}, col {col}; there are 0 to 3")
         self._newest = stamp
-        self._waiting = self._last = _Heard(stamp, kinds, window)
+        self._waiting = self._last = _Heard(stamp, kinds, place)
         return self.retry()
 
     def retry(self) -> int:
@@ -122,10 +124,7 @@ class SurfaceListener:
         change, evidence = self._waiting, self._persistence.map
         if change is None or self._persistence.store is None:
             return 0
-        row, col, height, width = tile_window(change.window, self._grid)
-        shift = self._shift[row : row + height, col : col + width]
-        known = np.where(shift != 0, shift, np.float32(np.nan))
-        news = news_of(change.kinds, known, change.window, evidence.geometry, evidence.change_kinds)
+        news = self._moves.news(change.kinds, change.window, evidence)
         self._waiting = None
         if len(news):
             self._record(news, change.stamp_ns)
@@ -152,16 +151,8 @@ class SurfaceListener:
         self.retry()
 
     def _record(self, news: SurfaceNews, stamp_ns: int) -> None:
-        evidence = self._persistence.map
-        recorded, tiles = record(evidence, news)
-        cells = news.rows, news.cols
-        change = CellChanges(SURFACE_LAYER, stamp_ns, *cells, evidence.surface_changes[cells], recorded)
-        whole = evidence.surface_changes.copy()
-        whole[cells] = recorded
-        evidence.recall(whole)
-        top, left = int(news.rows.min()), int(news.cols.min())
-        window = (top, left, int(news.rows.max()) - top + 1, int(news.cols.max()) - left + 1)
-        self._persistence.replace_tiles(tiles, SOURCE, stamp_ns, window, [change])
+        taken = take_news(self._persistence.map, news, stamp_ns)
+        self._persistence.replace_tiles(taken.tiles, SOURCE, stamp_ns, taken.window, [taken.change])
         self._health.note("terrain_changes")
 
     def _check_frame(self, message: Any, what: str) -> None:

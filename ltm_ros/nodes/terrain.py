@@ -17,19 +17,16 @@ from std_msgs.msg import String
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, StoreError
-from ltm_core.fuel.site_map import site_label_errors
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
-from ltm_core.raster.tile_store import TileStore
-from ltm_core.resources import config_path
+from ltm_core.raster.tile_store import StoreSchema, TileStore
 from ltm_core.site_io import load_site
 from ltm_core.site_sections import TerrainConfig
 from ltm_core.terrain import DepthFrame, LabelImage, Reference, SurfaceMap
 from ltm_core.terrain.change import Changed, ChangeKind
+from ltm_core.terrain.site_terrain import STORE_FILE, UNCOMMITTED, SiteTerrain
 from ltm_core.terrain.terrain_io import write_surface
-from ltm_core.terrain.tile_pool import schema_of
 from ltm_core.tracing import TerrainTracer
-from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
@@ -56,9 +53,6 @@ from ltm_ros.runtime.topics import (
     camera_topic,
 )
 
-STORE_FILE = "terrain.sqlite"
-STABLE_CLASSES = ("grass", "bare", "built")
-"""Whose surface stays where it is: what a frame is registered on."""
 GRID_CELLS_PER_S = 1_000_000
 """Of the latched grid of changes: a large one goes out less often."""
 _PARTS: Mapping[str, Topic] = {
@@ -67,8 +61,6 @@ _PARTS: Mapping[str, Topic] = {
     "info": POSED_CAMERA_INFO,
     "pose": POSED_POSE,
 }
-UNCOMMITTED = 500
-"""Frames that wait for `commit_every` at most: in an offline replay no time passes."""
 _WAITING = 6
 """Frames of one camera that wait for their parts, and labels that wait for their frame: they come first, where they
 come at all."""
@@ -107,25 +99,9 @@ class Terrain(Handler[TerrainNodeConfig]):
                 f"{config.site}: terrain needs measured depth, and traced depth agrees with the DEM by construction: "
                 "give `depth_model` a depth network, or set the node's depth_from_elsewhere"
             )
-        labels = LabelSet.load(config_path(site.labels))
-        self._stable = np.zeros(256, np.bool_)
-        self._stable[[labels.id_of(name) for name in STABLE_CLASSES]] = True
-        bare = site.open_dem()
-        surface = site.open_surface(bare) if site.surface is not None else None
-        reference = Reference.of(bare, surface, site.terrain.resolution)
-        del bare, surface
         self._folder = Path(config.site).parent / Path(config.folder).expanduser() if config.folder else None
-        self._store = self._open_store(reference)
-        self._map = SurfaceMap(
-            reference,
-            site.terrain,
-            tuple(site.cameras),
-            self._store,
-            site.curvature,
-            site.refraction,
-            site_label_errors(site).open_odds(),
-            site.assumed_pose_error,
-        )
+        self._terrain = SiteTerrain(site, self._open_store)
+        self._store, self._map = self._terrain.store, self._terrain.map
         self._confirmation: Confirmation | None = None
         if config.surfaces:
             self._confirmation = Confirmation(site, config.surfaces, self._map, outlet, health)
@@ -200,6 +176,12 @@ class Terrain(Handler[TerrainNodeConfig]):
         if self._dirty and window and self._since_grid >= window[2] * window[3] / GRID_CELLS_PER_S:
             self._publish_grid()
 
+    def end_of_day(self) -> None:
+        """The fuel map shall take what was seen of the next day for what stands now."""
+        self._store_what_is_due()
+        if self._dirty:
+            self._publish_grid()
+
     def finish(self) -> None:
         """Raises StoreError where frames could not be stored; they are lost."""
         for join in self._joins.values():
@@ -245,7 +227,7 @@ class Terrain(Handler[TerrainNodeConfig]):
         if self._map.counted(camera, stamp):
             self.health.drop("duplicate", f"a frame of {camera} of stamp {stamp} ns came twice; counted once")
             return
-        frame = DepthFrame.of_photo(
+        added = self._terrain.add(
             msg_to_depth(depth),
             msg_to_depth(sigma),
             msg_to_camera(info),
@@ -255,9 +237,6 @@ class Terrain(Handler[TerrainNodeConfig]):
             msg_to_covariance(pose),
             None if labels is None else msg_to_array(labels, ("mono8",)),
         )
-        if frame.labels is not None:
-            frame = replace(frame, stable=self._stable[frame.labels])
-        added = self._map.add(frame)
         self._undecided += 1
         self.health.gauge("frames", self._store.frame_count() + self._map.uncommitted)
         self.health.gauge("tiles_in_memory", self._map.tiles_in_memory)
@@ -334,8 +313,7 @@ class Terrain(Handler[TerrainNodeConfig]):
                 if kind is not ChangeKind.NONE:
                     self.health.gauge(f"cells.{kind.name.lower()}", int((layers.change == kind).sum()))
 
-    def _open_store(self, reference: Reference) -> TileStore:
-        schema = schema_of(self._site.in_crs(reference.geometry))
+    def _open_store(self, schema: StoreSchema) -> TileStore:
         if self._folder is None:
             return TileStore.in_memory(schema)
         try:

@@ -20,6 +20,8 @@ from ltm_ros.runtime.handler import NodeType, Topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.pipeline import Job, Pipeline, absolute
 
+DAY_NS = 86_400 * 10**9
+
 
 class OfflineGraph:
     """Runs the nodes of a graph by calling their handlers, one message at a time, in the order of publication."""
@@ -39,6 +41,8 @@ class OfflineGraph:
 
     def feed(self, topic: str, message: Any, time_ns: int) -> None:
         """Deliver a message and all that follows from it."""
+        if 0 < self.now_ns // DAY_NS < time_ns // DAY_NS:
+            self._pipeline.end_of_day()
         self.now_ns = time_ns
         self.publish(topic, message)
         self._pipeline.settle()

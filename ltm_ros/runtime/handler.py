@@ -121,6 +121,10 @@ class Handler(Generic[ConfigT]):
     def tick(self, waited: float) -> None:
         """Called every half second with the seconds since the last call, on a clock that a replay does not stop."""
 
+    def end_of_day(self) -> None:
+        """Called in an offline replay, in which no time passes, where the recording goes over to another day, UTC:
+        what live goes out now and then is said at least then."""
+
     def finish(self) -> None:
         """Called once when no more messages will come."""
 

@@ -120,6 +120,12 @@ class Pipeline:
             self.drain()
             self.idle()
 
+    def end_of_day(self) -> None:
+        """Tell every handler that a day is over; what they say of it is delivered."""
+        for job in self.jobs.values():
+            self._run(job, lambda j=job: j.handler.end_of_day(), "", None)  # type: ignore[misc]
+        self.settle()
+
     def clear(self) -> None:
         """Forget what `drain` would deliver, to those too that have yet to get the message at work."""
         self._waiting.clear()

@@ -31,11 +31,12 @@ from ltm_msgs_py.image import compressed_to_msg, encode_rgb
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.archive.choice import REPEATED
 from ltm_ros.archive.engine import Engine, on_workers, serial
+from ltm_ros.archive.frame_files import read_votes
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.results import ResultFolder
 from ltm_ros.archive.run import RUN, ArchiveOptions, Summary, look_through, run
 from ltm_ros.archive.sampling import Sample
-from ltm_ros.archive.task import read_votes, work
+from ltm_ros.archive.task import work
 from ltm_ros.cli.main import cli
 from ltm_ros.replay.run import ReplayOptions, run_offline
 from ltm_ros.runtime.topics import IMAGE_COMPRESSED, camera_topic

@@ -20,10 +20,11 @@ from ltm_core.errors import ArchiveError
 from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
 from ltm_core.raster.tile_store import TileStore
 from ltm_ros.archive.engine import Cluster, Engine, on_cluster, on_workers, serial
+from ltm_ros.archive.plan import Task, TaskSettings
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.results import ResultFolder
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
-from ltm_ros.archive.task import Task, TaskReport, TaskSettings
+from ltm_ros.archive.task import TaskReport
 
 
 def reprocessed(options: ArchiveOptions, engine: Engine = serial) -> Summary:

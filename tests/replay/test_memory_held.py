@@ -13,8 +13,8 @@ from scenes.small_site import NAME
 
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import Field, FrameRecord, StoreSchema, TileStore
+from ltm_core.terrain.site_terrain import UNCOMMITTED
 from ltm_ros.launching.graph import describe
-from ltm_ros.nodes.terrain import UNCOMMITTED
 from ltm_ros.replay.offline import OfflineGraph
 from ltm_ros.runtime.process_memory import memory_in_use
 from ltm_ros.runtime.stamp_join import REMEMBERED

@@ -14,6 +14,9 @@ def archive(
     bag: Annotated[Path | None, typer.Argument(help="Bag; default: the demo's.")] = None,
     site: Annotated[Path | None, typer.Option("--site", help="Its site file.")] = None,
     kills: Annotated[int, typer.Option(help="Runs in which a worker is killed at a random moment.", min=0)] = 3,
+    kill_all: Annotated[
+        int, typer.Option("--kill-all", help="Kills of workers and of whole commands on one more way.", min=0)
+    ] = 0,
     seed: Annotated[int, typer.Option(help="Of these moments.")] = 1,
     empty: Annotated[int, typer.Option(help="Tasks that do nothing, for the engine's own cost.", min=0)] = 0,
     month: Annotated[
@@ -49,7 +52,14 @@ def archive(
     demo = project_path("bags/demo")
     with tempfile.TemporaryDirectory(prefix="ltm-bench-archive-") as folder, console.status("") as status:
         found = measure(
-            bag or demo / "recording", site or demo / "site.yaml", Path(folder), kills, empty, seed, status.update
+            bag or demo / "recording",
+            site or demo / "site.yaml",
+            Path(folder),
+            kills,
+            empty,
+            seed,
+            status.update,
+            kill_all,
         )
     table = Table(title=f"{found.frames} frames", caption="processor: of this process alone, not of workers")
     for column in ("way", "worked", "killed", "wall s", "processor s", "a frame", "digest"):
@@ -66,6 +76,15 @@ def archive(
     console.print(
         f"a worker alone: {found.worker.to_votes_s:.3f} s of processor a frame to votes, {found.worker.tasks_s:.3f} s "
         f"with evidence and files, {found.worker.peak_mb:.0f} MB at most"
+    )
+    if found.worker.to_measured_s is not None:
+        console.print(
+            f"the same with fusion: {found.worker.to_measured_s:.3f} s a frame to votes and measured depth, "
+            f"{found.worker.fusing_peak_mb:.0f} MB at most; measured {(found.worker.measured_bytes or 0) / 1e3:.0f} kB "
+            "a frame"
+        )
+    console.print(
+        f"engine: {found.share.share:.2%} of the processor time of {found.share.tasks} tasks of a frame on two workers"
     )
     if found.engine is not None:
         idle = found.engine
@@ -105,6 +124,11 @@ def _month(days: int, keep: Path | None, json_path: Path | None) -> bool:
     for way in (*found.ways, *found.burned_ways):
         table.add_row(way.name, str(way.worked), f"{way.wall_s:.1f}", f"{way.cpu_s:.1f}", way.digest[:12])
     console.print(table)
+    if (again := found.resumed) is not None:
+        console.print(
+            f"{again.tasks} done tasks: {again.ready_s:.1f} s ({again.ready_cpu_s:.1f} s of processor) until a task "
+            f"would be worked, {again.whole_s:.1f} s ({again.whole_cpu_s:.1f} s) with the map and its layers"
+        )
     console.print(f"of the felled cells {found.felled_found:.0%} have changed by all frames")
     for one in found.samples:
         console.print(

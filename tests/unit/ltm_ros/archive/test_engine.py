@@ -12,7 +12,8 @@ from ltm_core.frame_steps import LabellingConfig, TracingConfig
 from ltm_ros.archive import engine
 from ltm_ros.archive.engine import Cluster, on_cluster
 from ltm_ros.archive.manifest import ArchiveFrame
-from ltm_ros.archive.task import Task, TaskReport, TaskSettings
+from ltm_ros.archive.plan import Task, TaskSettings
+from ltm_ros.archive.task import TaskReport
 
 SETTINGS = TaskSettings("site.yaml", "out", "code", TracingConfig(), LabellingConfig())
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,10 +11,12 @@ import onnxruntime
 import pytest
 from scenes.small_site import FRAMES, write_small_site
 
-from ltm_ros.archive.run import ArchiveOptions, look_through
+from ltm_ros.archive.engine import serial
+from ltm_ros.archive.run import ArchiveOptions, look_through, run
 from ltm_ros.bench.archive import Way
+from ltm_ros.bench.archive_kills import run_under_kills
 from ltm_ros.bench.archive_month import MonthBench, SampleCost, measure_month
-from ltm_ros.bench.archive_worker import engine_cost, worker_cost
+from ltm_ros.bench.archive_worker import engine_cost, engine_share, worker_cost
 from ltm_ros.bench.colour_network import write_colour_network
 
 COLOURS = {"sky": (200, 210, 235), "soil": (175, 160, 150), "tree": (35, 75, 35)}
@@ -62,5 +65,28 @@ def test_what_a_worker_and_the_engine_cost(tmp_path: Path) -> None:
     assert found.to_votes_s > 0
     assert len(list((tmp_path / "out/evidence").iterdir())) == len(planned.tasks) == 2
     assert sum(len(task.frames) for task in planned.tasks) == 2 * FRAMES
+    assert found.to_measured_s is None
+    again = look_through(
+        ArchiveOptions((small_site.bag,), small_site.path, str(tmp_path / "shared"), frames_per_task=2),
+        lambda done, total: None,
+    )
+    share = engine_share(again.tasks, again.settings)
+    assert share.tasks == 2 * FRAMES // 2 - 1
+    assert 0 < share.share < 1
     spent = engine_cost(40, replace(planned.settings, code="another"))
     assert (spent.tasks, spent.each_ms > 0) == (40, True)
+
+
+@pytest.mark.slow
+def test_whatever_is_killed_the_map_is_the_same(tmp_path: Path) -> None:
+    """Twice, a worker or the whole command with its scheduler; results that were taken away are worked again."""
+    small_site = write_small_site(tmp_path)
+    serially = ArchiveOptions((small_site.bag,), small_site.path, str(tmp_path / "serial"), frames_per_task=1)
+
+    def reprocessed(options: ArchiveOptions) -> str:
+        return run(look_through(options, lambda done, total: None), serial, lambda done, total: None).digest
+
+    out = tmp_path / "killed"
+    workers, commands = run_under_kills(small_site.bag, small_site.path, out, 2, random.Random(3))
+    assert workers + commands == 2
+    assert reprocessed(replace(serially, out=str(out))) == reprocessed(serially)

@@ -1,0 +1,142 @@
+"""The step from a frame's traced depth, photo and labels to fused depth and what the network measures, made once for a
+camera. The node `topodepth` is this step with messages around it, and an archive's frames go through the same one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from ltm_core.camera import Camera
+from ltm_core.dem import Dem
+from ltm_core.depth.class_priors import ClassPriors
+from ltm_core.depth.monocular import DepthNetwork, NetworkDepth
+from ltm_core.depth.topodepth import FusedDepth, FusionSettings, fuse
+from ltm_core.errors import ConfigError, ModelError
+from ltm_core.frame import PosedImage
+from ltm_core.pose import Pose
+from ltm_core.range_image import DepthImage, RangeImage
+from ltm_core.resources import config_path
+from ltm_core.site import Site
+from ltm_core.strict_model import StrictModel
+from ltm_core.tracing import TerrainTracer
+from ltm_core.types import Float32Array, Float64Array, UInt8Array
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.scene_view import SceneFilter, SceneView
+from ltm_core.vision.view_masks import Looking
+
+
+class FusingConfig(StrictModel):
+    model: str = ""
+    """Manifest name or path of a depth network; empty: the site's `depth_model`."""
+    label_model: str = ""
+    """Manifest name or path of the network that makes the labels, which says how fine they are; empty: the site's
+    `model`."""
+    threads: int = Field(1, ge=1)
+    """Cores that the network may use."""
+    angle_sigma_deg: float = Field(0.03, ge=0)
+    """Standard deviation of a camera's direction, beside what its pose's covariance says."""
+    dem_sigma: float = Field(1.0, ge=0)
+    """Standard deviation of the terrain's heights, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class FusedFrame:
+    """`view`: what of the photo was taken to show the landscape. `trouble`: why the network gave nothing, where it
+    failed; the terrain's depth is worth having without one."""
+
+    fused: FusedDepth
+    view: SceneView
+    trouble: str = ""
+
+
+class FusingStep:
+    """Fuses a camera's frames. Raises ConfigError without a depth network, ModelError for one that cannot be taken."""
+
+    def __init__(self, site: Site, camera: str, config: FusingConfig) -> None:
+        model = config.model or site.depth_model
+        if not model:
+            raise ConfigError(f"site {site.name}: no depth network; give `depth_model` a manifest's name or path")
+        self._config, self._site = config, site
+        self._scene = SceneFilter.of(site, camera)
+        self.label_columns = label_columns(config.label_model or site.model)
+        """Of the network that makes the labels; 0: not known."""
+        self.network = DepthNetwork.open(model, config.threads)
+        self._classes = ClassPriors.of(LabelSet.load(config_path(site.labels)), self.network.fusion)
+        # Bare earth is asked for only where depth is traced to something else.
+        self.trace_to(None if site.surface is None else site.open_dem())
+
+    def trace_to(self, ground: Dem | None) -> None:
+        """`ground`: bare earth where depth is traced to what stands on it, which is then traced here besides."""
+        rays = self._site.curvature, self._site.refraction, self._site.possible_ground
+        self._ground = None if ground is None else TerrainTracer(ground, *rays)
+
+    def fuse(
+        self,
+        depth: Float32Array,
+        frame: PosedImage,
+        labels: UInt8Array | None,
+        covariance: Float64Array | None,
+        view: SceneView | None = None,
+    ) -> FusedFrame:
+        """`depth`: (H, W) traced, along the optical axis. `labels`: (H, W) class ids; None: they did not come.
+        `covariance`: (6, 6) of the pose as it is known; None: it is not. `view`: what was found of the photo already.
+
+        Raises ImageError and PoseError as `fuse` and the tracer do.
+        """
+        camera, pose = frame.camera, frame.pose
+        seen = self._scene.look(frame.image, Looking.of(camera, pose)) if view is None else view
+        ground: RangeImage | DepthImage = DepthImage(depth, camera, pose)
+        surface = None
+        if self._ground is not None:
+            ground, surface = self._ground.trace(camera, pose), ground
+        network, trouble = None, ""
+        try:
+            network = self.network.predict(frame.image, camera) if seen.reason is None else None
+        except ModelError as error:
+            trouble = str(error)
+        fused = fuse(
+            ground,
+            network,
+            frame.image,
+            labels,
+            self._classes,
+            self._settings(covariance),
+            surface,
+            self.network.fusion,
+            seen.hidden,
+            seen.unusable,
+        )
+        return FusedFrame(fused, seen, trouble)
+
+    def _settings(self, covariance: Float64Array | None) -> FusionSettings:
+        """With the camera's direction as sure as its pose's covariance says, where that is given."""
+        known = 0.0 if covariance is None else float(covariance.diagonal()[3:].max())
+        angle = np.radians(self._config.angle_sigma_deg)
+        return FusionSettings(
+            float(np.sqrt(angle**2 + known)), self._config.dem_sigma, label_columns=self.label_columns
+        )
+
+    def compile_kernels(self) -> None:
+        """Now, or load them from numba's cache: the first frame shall not wait for it."""
+        camera = Camera.from_fov(96, 64, 50.0)
+        rows, cols = np.mgrid[0:64, 0:96]
+        depth = (3000.0 / (4 + rows) + 0.1 * cols).astype(np.float32)
+        depth[:10] = np.inf
+        traced = DepthImage(depth, camera, Pose.from_angles((0.0, 0.0, 0.0), 0.0))
+        rgb, labels = np.zeros((64, 96, 3), np.uint8), np.ones((64, 96), np.uint8)
+        inverse = (1 / np.minimum(depth, 1e4)).astype(np.float32)
+        for given in (labels, None):
+            network = NetworkDepth(inverse, "relative_inverse")
+            fuse(traced, network, rgb, given, self._classes, config=self.network.fusion).measured()
+
+
+def label_columns(model: str) -> int:
+    """Of the network of this name or manifest; 0 where it is not known here: another computer may run it."""
+    try:
+        return Manifest.find(model).label_columns
+    except ModelError:
+        return 0
