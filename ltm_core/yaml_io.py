@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -105,9 +105,9 @@ class _BoundedLoader(_Bounds, yaml.SafeLoader):
 _BoundedLoader.add_constructor("tag:yaml.org,2002:int", _Bounds.construct_yaml_int)
 _FAST: type[_Bounds] | None = None
 """Where PyYAML was built with libyaml."""
-_ALIKE = re.compile(r"[\n -> @-~]*")
-"""Texts that both make the same of; with tabs, question marks or characters beyond ASCII, libyaml takes what PyYAML
-refuses."""
+_ALIKE = re.compile(r"[\n \"->@-~]*")
+"""Texts that both make the same of; with tabs, question or exclamation marks or characters beyond ASCII, libyaml takes
+what PyYAML refuses."""
 if yaml.__with_libyaml__:
 
     class _FastLoader(_Bounds, Composer, yaml.CSafeLoader):
@@ -126,29 +126,20 @@ if yaml.__with_libyaml__:
 def parse_yaml(text: str, place: str) -> Any:
     """What a YAML text holds; `place`: the file, for the message. Raises ConfigError: no YAML, keys twice, or more than
     the bounds above."""
-    if len(text) > LARGEST_FILE:
-        raise ConfigError(f"{place}: not YAML (more than {LARGEST_FILE} characters: no such file is that large)")
-    if _FAST is not None and _ALIKE.fullmatch(text):
-        with contextlib.suppress(*_BROKEN):  # said below in words that show the line
-            return _FAST(text).get_single_data()
-    try:
-        return _BoundedLoader(text).get_single_data()
-    except _BROKEN as error:
-        raise ConfigError(f"{place}: not YAML ({error or type(error).__name__})") from error
+    return _read(text, place, lambda loader: loader.get_single_data())
 
 
 def compose_yaml(text: str, place: str) -> yaml.Node | None:
     """The nodes of a YAML text, which say where each value stands. Raises ConfigError as `parse_yaml` does."""
     parse_yaml(text, place)
-    node: yaml.Node | None = _BoundedLoader(text).get_single_node()
-    return node
+    return _composed(text, place)
 
 
 def line_of(path: Path, keys: Sequence[int | str]) -> int | None:
     """The line on which a key stands in a YAML file that `read_yaml` has read; sections that the file does not have are
     stepped over. None where it stands nowhere.
     """
-    node = _BoundedLoader(read_text(path, LARGEST_FILE, ConfigError)).get_single_node()
+    node = _composed(read_text(path, LARGEST_FILE, ConfigError), str(path))
     line = None
     for key in keys:
         if isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(node.value):
@@ -165,3 +156,20 @@ def line_of(path: Path, keys: Sequence[int | str]) -> int | None:
 def read_yaml(path: Path) -> Any:
     """What a YAML file holds. Raises ConfigError as `parse_yaml` does, and where the file cannot be read."""
     return parse_yaml(read_text(path, LARGEST_FILE, ConfigError), str(path))
+
+
+def _composed(text: str, place: str) -> yaml.Node | None:
+    node: yaml.Node | None = _read(text, place, lambda loader: loader.get_single_node())
+    return node
+
+
+def _read(text: str, place: str, take: Callable[[_Bounds], Any]) -> Any:
+    if len(text) > LARGEST_FILE:
+        raise ConfigError(f"{place}: not YAML (more than {LARGEST_FILE} characters: no such file is that large)")
+    if _FAST is not None and _ALIKE.fullmatch(text):
+        with contextlib.suppress(*_BROKEN):  # said below in words that show the line
+            return take(_FAST(text))
+    try:
+        return take(_BoundedLoader(text))
+    except _BROKEN as error:
+        raise ConfigError(f"{place}: not YAML ({error or type(error).__name__})") from error

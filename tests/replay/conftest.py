@@ -7,7 +7,7 @@ from scenes.small_site import SmallSite, write_small_site
 
 from ltm_ros.archive.page import write_page
 
-PAGE = "ltm_ros.archive.run.write_page"
+PAGE = "ltm_ros.archive.publish.write_page"
 
 
 @pytest.fixture(scope="session")

@@ -114,7 +114,7 @@ class Watched:
             log_file=folder / "north.depth.log",
             console=self.lines.append,
             policy=RestartPolicy(initial_s=0.01, maximum_s=0.02),
-            watchdog=WatchdogConfig(silent=2.0, stuck=2.0, slow=60.0),
+            watchdog=WatchdogConfig(silent=5.0, stuck=2.0, slow=60.0),
         )
         self.process.start()
 
