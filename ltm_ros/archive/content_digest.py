@@ -21,6 +21,7 @@ from pydantic import BaseModel
 import ltm_core
 import ltm_msgs_py
 import ltm_ros.archive
+import ltm_ros.fuel_map
 import ltm_ros.importer
 from ltm_core.depth.fusion_config_io import load_fusion_config
 from ltm_core.frame_steps import LabellingConfig, LabellingStep, TracingConfig
@@ -45,9 +46,10 @@ _NOT_VOTES = {
     "refine_poses",
     "limits",
 }
-_NOT_VOTES |= {"watchdog", "health", "model", "heads", "labels", "name"}
+_NOT_VOTES |= {"watchdog", "health", "region", "model", "heads", "labels", "name"}
 """Of a site: what has no say in the votes of a frame of which image, pose and calibration are known, and what is given
 by its content beside it."""
+_NOT_MAP = _NOT_VOTES - {"terrain", "name"}
 _SEEN = {"mask", "view_masks", "judge_pictures"}
 """Of a camera: what of its pictures is taken to show the landscape (`SceneFilter`)."""
 _PLACES = {"crs", "origin", "dem", "coarser", "cameras", "assumed_pose_error"}
@@ -81,6 +83,12 @@ def code_digest() -> str:
 def importer_digest() -> str:
     """Of the program that places photos."""
     return _sources(ltm_core, ltm_msgs_py, ltm_ros.importer)
+
+
+@cache
+def map_code_digest() -> str:
+    """Of the program that makes a map of the tasks' results, and the layers of it."""
+    return _sources(ltm_core, ltm_msgs_py, ltm_ros.archive, ltm_ros.fuel_map)
 
 
 def _sources(*packages: ModuleType) -> str:
@@ -134,6 +142,11 @@ def evidence_digest(site: Site) -> str:
     settings = site.fuel.model_dump(include=_NOT_VOTES_OF_FUEL - {"label_errors"})
     frame = [site.crs, list(site.origin)]
     return digest(_by_content(settings), frame, _by_content(errors))
+
+
+def map_settings(site: Site) -> Any:
+    """Of a site, by content, what its map and the layers of it are made with besides evidence. Raises LtmError."""
+    return _by_content(site.model_dump(exclude=_NOT_MAP))
 
 
 def file_digest(path: Path) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
+from typing import Any
 
 from ltm_core.errors import ArchiveError, RasterError
 from ltm_core.fuel.prior import system_of
@@ -17,32 +18,37 @@ from ltm_ros.fuel_map.export import export_site
 from ltm_ros.fuel_map.source import FuelSource
 
 LAYERS, MAPS, LANDSCAPE = "layers", "maps", "landscape.tif"
+RUN = "run.json"
 STORES = "stores.json"
 """SHA-256 of the stores that are there and of those that take their place: those that runs have written. A node goes on
 from a store of another."""
 
 
-def publish(results: ResultFolder, site: Site, store: Path, terrain: Path | None) -> dict[str, str]:
+def publish(results: ResultFolder, site: Site, store: Path, terrain: Path | None) -> dict[str, Any]:
     """The files of the map in `store` and, where it was worked, of the terrain's store; what the record of the run says
     of them. Raises ArchiveError where a node has gone on from a store that is there."""
     former = [_own_store(results, name) for name in (STORE_FILE, TERRAIN_FILE)]
     out = store.parent / "out"
-    told = {"store_sha256": _sha256(store), "landscape": _write_map(store, site, out)}
-    for file in sorted(path for path in out.rglob("*") if path.is_file()):
-        results.put(file, file.relative_to(out).as_posix())
+    landscape = _write_map(store, site, out)
+    written = {file.relative_to(out).as_posix(): file for file in sorted(out.rglob("*")) if file.is_file()}
+    if results.has(RUN):  # of what is written over from here on
+        results.remove(RUN)
+    for name, file in written.items():
+        results.put(file, name)
     for folder in (LAYERS, MAPS):  # days and layers of a former run that this one has not
         for name in results.names(folder) - {file.name for file in (out / folder).iterdir()}:
             results.remove(f"{folder}/{name}")
-    if terrain is not None:
-        told["terrain_sha256"] = _sha256(terrain)
+    stores = {STORE_FILE: store} | ({} if terrain is None else {TERRAIN_FILE: terrain})
+    contents = {name: _sha256(file) for name, file in stores.items()}
     # Before the stores: a run that is killed in between shall know its own.
-    results.write(STORES, json.dumps([*former, *(told[n] for n in told if n.endswith("_sha256"))]).encode())
-    results.put(store, STORE_FILE)
-    if terrain is not None:
-        results.put(terrain, TERRAIN_FILE)
-    elif results.has(TERRAIN_FILE):  # of a former run: a node would tell this map of what another one knows
+    results.write(STORES, json.dumps([*former, *contents.values()]).encode())
+    for name, file in stores.items():
+        results.put(file, name)
+    if terrain is None and results.has(
+        TERRAIN_FILE
+    ):  # of a former run: a node would tell this map of what another one knows
         results.remove(TERRAIN_FILE)
-    return told
+    return {"stores": contents, "files": sorted(written), "landscape": landscape}
 
 
 def _write_map(store: Path, site: Site, out: Path) -> str:

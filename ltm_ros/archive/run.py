@@ -29,14 +29,15 @@ from ltm_ros.archive.files import ArchiveFiles, CacheConfig
 from ltm_ros.archive.manifest import ArchiveFrame, Failure, Manifest, make_manifest, packed
 from ltm_ros.archive.node_rules import node_rules, refuse_terrain
 from ltm_ros.archive.plan import EVIDENCE, MEASURED, Task, TaskSettings, evidence_name, measured_name, plan
-from ltm_ros.archive.publish import publish
+from ltm_ros.archive.publish import RUN, publish
 from ltm_ros.archive.reduction import Reduction, reduce_to_store, store_digest
 from ltm_ros.archive.results import ResultFolder
 from ltm_ros.archive.sampling import Sample
 from ltm_ros.archive.scan import recordings, scan
+from ltm_ros.archive.standing_map import map_digest, standing_record
 from ltm_ros.archive.terrain_fold import TerrainFold
 
-MANIFEST, RUN = "manifest.parquet", "run.json"
+MANIFEST = "manifest.parquet"
 _NAMED = 1000
 """Failures that the record of a run names one by one; all are counted."""
 
@@ -151,7 +152,7 @@ def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> 
     waiting = [task for task in tasks if not done.issuperset(task.files)]
     worked, broken = 0, dict[str, Failure]()
     progress(len(tasks) - len(waiting), len(tasks))
-    for number, ended in enumerate(engine(waiting, planned.settings), start=1):
+    for number, ended in enumerate(engine(waiting, planned.settings) if waiting else (), start=1):
         progress(len(tasks) - len(waiting) + number, len(tasks))
         if ended.report is None:
             broken[ended.task.evidence_key] = Failure(ended.task.label, "task", ended.error, len(ended.task.frames))
@@ -162,10 +163,30 @@ def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> 
         summary = Summary(len(tasks), worked, 0, failures, {})
         results.write(f"run_{part}_of_{parts}.json", _record(planned, summary))
         return summary
-    return _reduced(planned, Summary(len(tasks), worked, 0, failures, {}), set(broken))
+    mapped = Summary(len(tasks), worked, 0, failures, {})
+    files = [name for task in tasks if task.evidence_key not in broken for name in task.files]
+    allowed = [options.max_failed, *(asdict(failure) for failure in failures)]
+    made_of = map_digest(planned.site, files, planned.burns, options.terrain, allowed)
+    standing = None if broken else standing_record(results, made_of)
+    return _reduced(planned, mapped, set(broken), made_of) if standing is None else _as_it_stands(mapped, standing)
 
 
-def _reduced(planned: Plan, mapped: Summary, broken: set[str]) -> Summary:
+def _as_it_stands(mapped: Summary, record: dict[str, Any]) -> Summary:
+    """Of a run that had nothing to make: its map is that of an earlier run, whose record stays."""
+    frames, terrain = record["frames"], record["terrain"]
+    worked: dict[str, Any] = terrain if isinstance(terrain, dict) else {"digest": "", "frames": 0}
+    return replace(
+        mapped,
+        merged=frames["merged"],
+        unused=frames["unused"],
+        failures=tuple(Failure(**failure) for failure in record["failures"]),
+        digest=record["digest"],
+        terrain_digest=worked["digest"],
+        terrain_frames=worked["frames"],
+    )
+
+
+def _reduced(planned: Plan, mapped: Summary, broken: set[str], made_of: str) -> Summary:
     results = planned.results
     whole = [task for task in planned.tasks if task.evidence_key not in broken]
     with tempfile.TemporaryDirectory(prefix="ltm-archive-") as folder:
@@ -194,7 +215,7 @@ def _reduced(planned: Plan, mapped: Summary, broken: set[str]) -> Summary:
             with TileStore.open_read_only(path.with_name(TERRAIN_FILE), TERRAIN_KIND) as store:
                 summary = replace(summary, terrain_digest=store_digest(store), terrain_frames=terrain.frames)
         told = publish(results, planned.site, path, None if terrain is None else path.with_name(TERRAIN_FILE))
-        results.write(RUN, _record(planned, summary, told))  # last
+        results.write(RUN, _record(planned, summary, {"made_of": made_of, **told}))  # last
     return summary
 
 
@@ -237,7 +258,7 @@ def _terrain_record(planned: Plan, summary: Summary) -> dict[str, object] | str:
     return {"frames": summary.terrain_frames, "digest": summary.terrain_digest}
 
 
-def _record(planned: Plan, summary: Summary, about: dict[str, str] | None = None) -> bytes:
+def _record(planned: Plan, summary: Summary, about: dict[str, Any] | None = None) -> bytes:
     options = planned.options
     record: dict[str, Any] = {
         "software": software(),

@@ -204,6 +204,8 @@ def test_a_damaged_picture_is_named_and_no_map_written_above_the_share(
     summary = reprocessed(replace(options, max_failed=0.1))
     assert summary.digest == replayed(bag, small_site.path, tmp_path / "state")
     assert (summary.merged, summary.failed) == (2 * FRAMES - 1, 1)
+    with pytest.raises(ArchiveError, match=r"1 of 12 frames failed \(1 recording\)"):
+        reprocessed(options)  # though a map is there that was made with more patience
 
 
 def test_a_cut_recording_gives_what_it_has(options: ArchiveOptions, small_site: SmallSite, tmp_path: Path) -> None:

@@ -1,0 +1,120 @@
+"""A run of an archive that finds the map that it would make has nothing to do, and makes it anew where it hangs on what
+has changed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+from scenes.small_site import BEGIN_NS, FRAMES, SmallSite
+
+from ltm_core.fuel.stored_map import STORE_FILE
+from ltm_ros.archive.engine import serial
+from ltm_ros.archive.publish import LAYERS, RUN
+from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
+
+pytestmark = pytest.mark.usefixtures("without_page")
+
+
+def reprocessed(options: ArchiveOptions) -> Summary:
+    return run(look_through(options, lambda done, total: None), serial, lambda done, total: None)
+
+
+@pytest.fixture
+def options(small_site: SmallSite, tmp_path: Path) -> ArchiveOptions:
+    """The site file is a copy that a test may change."""
+    site = yaml.safe_load(small_site.path.read_text())
+    copy = small_site.path.with_name(f"{tmp_path.name}.yaml")  # beside the rasters that it names
+    copy.write_text(yaml.safe_dump(site))
+    return ArchiveOptions((small_site.bag,), copy, str(tmp_path / "out"))
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Grows by one with each map that is made."""
+    from ltm_ros.archive import run as module
+
+    counted, reduce_to_store = list[int](), module.reduce_to_store
+
+    def counting(*args: object) -> object:
+        counted.append(len(counted))
+        return reduce_to_store(*args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(module, "reduce_to_store", counting)
+    return counted
+
+
+def test_nothing_is_made_again_where_all_is_there(options: ArchiveOptions, made: list[int]) -> None:
+    first = reprocessed(options)
+    out = Path(options.out)
+    record = (out / RUN).read_bytes()
+    again = reprocessed(options)
+    assert len(made) == 1
+    assert again == replace(first, worked=0)
+    assert (out / RUN).read_bytes() == record
+
+
+def layer_gone(options: ArchiveOptions) -> ArchiveOptions:
+    next((Path(options.out) / LAYERS).iterdir()).unlink()
+    return options
+
+
+def map_gone(options: ArchiveOptions) -> ArchiveOptions:
+    (Path(options.out) / STORE_FILE).unlink()
+    return options
+
+
+def record_spoiled(options: ArchiveOptions) -> ArchiveOptions:
+    place = Path(options.out) / RUN
+    place.write_text(place.read_text()[:-40])
+    return options
+
+
+def other_rules(options: ArchiveOptions) -> ArchiveOptions:
+    site = yaml.safe_load(options.site.read_text())
+    site["fuel"] = {"fusion": {"frame_cap": 3.0}}
+    options.site.write_text(yaml.safe_dump(site))
+    return options
+
+
+def one_frame_fewer(options: ArchiveOptions) -> ArchiveOptions:
+    return replace(options, since_ns=BEGIN_NS + 1)
+
+
+@pytest.mark.parametrize("change", [layer_gone, map_gone, record_spoiled, other_rules, one_frame_fewer])
+def test_the_map_is_made_again_after(
+    options: ArchiveOptions, made: list[int], change: Callable[[ArchiveOptions], ArchiveOptions]
+) -> None:
+    reprocessed(options)
+    reprocessed(change(options))
+    assert len(made) == 2
+    out = Path(options.out)
+    files = json.loads((out / RUN).read_text())["files"]
+    assert files
+    assert all((out / name).is_file() for name in files)
+
+
+def test_a_run_that_is_stopped_while_it_writes_claims_nothing(
+    options: ArchiveOptions, made: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of another choice of frames, whose layers are there in part, and then the former one again."""
+    from ltm_ros.archive.results import ResultFolder
+
+    reprocessed(options)
+    put = ResultFolder.put
+
+    def killed(folder: ResultFolder, file: Path, name: str) -> None:
+        if name == STORE_FILE:
+            raise KeyboardInterrupt
+        put(folder, file, name)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(ResultFolder, "put", killed)
+        with pytest.raises(KeyboardInterrupt):
+            reprocessed(one_frame_fewer(options))
+    assert reprocessed(options).merged == 2 * FRAMES
+    assert len(made) == 3
