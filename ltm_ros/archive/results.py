@@ -8,7 +8,7 @@ import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO
 
 import fsspec
 
@@ -53,10 +53,11 @@ class ResultFolder:
         with self._reached():
             return bytes(self._files.cat_file(self._path(name)))
 
-    def open(self, name: str) -> BinaryIO:
-        """To read parts of it."""
-        with self._reached():
-            return cast(BinaryIO, self._files.open(self._path(name), "rb"))
+    @contextmanager
+    def open(self, name: str) -> Iterator[BinaryIO]:
+        """To read parts of it, and to do nothing else meanwhile that may fail."""
+        with self._reached(), self._files.open(self._path(name), "rb") as file:
+            yield file
 
     def write(self, name: str, content: bytes) -> None:
         """In one step: an object of S3 appears when it is whole, a file is written beside and renamed. Two that write

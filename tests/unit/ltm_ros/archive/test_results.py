@@ -55,3 +55,5 @@ def test_a_store_that_fails_in_whatever_way_is_named(monkeypatch: pytest.MonkeyP
             use()
     with pytest.raises(ArchiveError, match="cannot be used just now"):
         results.has("a")
+    with pytest.raises(ArchiveError, match="cannot be used just now"), results.open("a"):
+        broken()  # a store that serves parts fails as late as when they are read
