@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
+from typing import BinaryIO
 
 from ltm_core.errors import ArchiveError, RasterError
 from ltm_core.fuel.prior import system_of
@@ -27,14 +28,16 @@ def publish(results: ResultFolder, site: Site, store: Path, terrain: Path | None
     of them. Raises ArchiveError where a node has gone on from a store that is there."""
     former = [_own_store(results, name) for name in (STORE_FILE, TERRAIN_FILE)]
     out = store.parent / "out"
-    told = {"store_sha256": _sha256(store), "landscape": _write_map(store, site, out)}
+    told = {"landscape": _write_map(store, site, out)}
+    for name, made in (("store_sha256", store), ("terrain_sha256", terrain)):
+        if made is not None:
+            with made.open("rb") as content:
+                told[name] = _sha256(content)
     for file in sorted(path for path in out.rglob("*") if path.is_file()):
         results.put(file, file.relative_to(out).as_posix())
     for folder in (LAYERS, MAPS):  # days and layers of a former run that this one has not
         for name in results.names(folder) - {file.name for file in (out / folder).iterdir()}:
             results.remove(f"{folder}/{name}")
-    if terrain is not None:
-        told["terrain_sha256"] = _sha256(terrain)
     # Before the stores: a run that is killed in between shall know its own.
     results.write(STORES, json.dumps([*former, *(told[n] for n in told if n.endswith("_sha256"))]).encode())
     results.put(store, STORE_FILE)
@@ -61,16 +64,19 @@ def _write_map(store: Path, site: Site, out: Path) -> str:
     return landscape
 
 
-def _sha256(file: Path) -> str:
-    with file.open("rb") as opened:
-        return hashlib.file_digest(opened, "sha256").hexdigest()
+def _sha256(file: BinaryIO) -> str:
+    found = hashlib.sha256()
+    while piece := file.read(1 << 20):
+        found.update(piece)
+    return found.hexdigest()
 
 
 def _own_store(results: ResultFolder, name: str) -> str:
     """SHA-256 of the store that is there; empty: none. Raises ArchiveError where no run has written it."""
     if not results.has(name):
         return ""
-    found = hashlib.sha256(results.read(name)).hexdigest()
+    with results.open(name) as file:
+        found = _sha256(file)
     if not results.has(STORES) or found not in json.loads(results.read(STORES)):
         raise ArchiveError(
             f"{results.url}/{name} is not what the last run wrote: a node may have gone on from it; move it away "
