@@ -134,9 +134,8 @@ def _probability(
             own,
         )
     known = np.isfinite(own).all(axis=0)
-    pooled, cells = with_neighbours(
-        rows, cols, log_normalised(own[:, known]), stand, rules.context, rules.context_cells
-    )
+    of_known = np.ascontiguousarray(own[:, known])  # in one order of axes, however many cells: one kernel is compiled
+    pooled, cells = with_neighbours(rows, cols, log_normalised(of_known), stand, rules.context, rules.context_cells)
     probability = np.zeros(shares.shape)
     probability[:, known] = normalised(pooled, 1 + (cells - 1) * correlation.between_cells)
     return probability

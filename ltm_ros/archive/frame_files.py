@@ -65,7 +65,7 @@ def frame_files(task: Task, settings: TaskSettings, wanted: Collection[str]) -> 
     """
     camera = task.frames[0].camera
     steps = steps_of(task, settings, MEASURED in wanted)
-    votes, measured = _VotesFile(), _MeasuredFile()
+    votes, measured = _VotesFile(), MeasuredFile()
     with PictureReader(ArchiveFiles(settings.cache)) as reader:
         for frame in task.frames:
             picture = reader.read(frame)
@@ -102,8 +102,11 @@ class _Lost:
         self._lost: list[LostFrame] = []
 
     def lose(self, frame: ArchiveFrame, error: LtmError) -> None:
-        why = f"{error} ({frame.file}, stamp {frame.stamp_ns} ns)"
-        self._lost.append(LostFrame(frame.camera, frame.stamp_ns, cause_of(error), why))
+        self.tell_of(frame, cause_of(error), str(error))
+
+    def tell_of(self, frame: ArchiveFrame, cause: str, why: str) -> None:
+        place = f"{frame.file}, stamp {frame.stamp_ns} ns"
+        self._lost.append(LostFrame(frame.camera, frame.stamp_ns, cause, f"{why} ({place})"))
 
     @property
     def lost(self) -> list[dict[str, object]]:
@@ -125,14 +128,14 @@ class _VotesFile(_Lost):
         return packed_table(pa.table(_stacked(self._parts)), {**about, "frames": self._listed, "lost": self.lost})
 
 
-class _MeasuredFile(_Lost):
-    """One row group a frame, so that one frame at a time is read back; held compressed."""
+class MeasuredFile(_Lost):
+    """One row group a frame, so that one frame at a time is read back; held compressed. A frame of which the network
+    gave nothing is lost too, though the terrain takes it, as live."""
 
     def __init__(self) -> None:
         super().__init__()
         self._file = io.BytesIO()
         self._writer = pq.ParquetWriter(self._file, _MEASURED, compression="zstd")
-        self._troubles: list[dict[str, object]] = []
 
     def take(self, frame: ArchiveFrame, found: MeasuredFrame) -> None:
         row = {
@@ -145,11 +148,10 @@ class _MeasuredFile(_Lost):
         }
         self._writer.write_table(pa.Table.from_pylist([row], _MEASURED))
         if found.trouble:
-            self._troubles.append({"stamp_ns": frame.stamp_ns, "why": found.trouble})
+            self.tell_of(frame, "network", found.trouble)
 
     def content(self, about: Mapping[str, object]) -> bytes:
-        told = {**about, "lost": self.lost, "troubles": self._troubles}
-        self._writer.add_key_value_metadata({ABOUT: json.dumps(told)})
+        self._writer.add_key_value_metadata({ABOUT: json.dumps({**about, "lost": self.lost})})
         self._writer.close()
         return self._file.getvalue()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from ltm_core.errors import ArchiveError, RasterError
 from ltm_core.fuel.prior import system_of
@@ -39,15 +39,16 @@ def publish(results: ResultFolder, site: Site, store: Path, terrain: Path | None
         for name in results.names(folder) - {file.name for file in (out / folder).iterdir()}:
             results.remove(f"{folder}/{name}")
     stores = {STORE_FILE: store} | ({} if terrain is None else {TERRAIN_FILE: terrain})
-    contents = {name: _sha256(file) for name, file in stores.items()}
+    contents = {}
+    for name, file in stores.items():
+        with file.open("rb") as content:
+            contents[name] = sha256_of(content)
     # Before the stores: a run that is killed in between shall know its own.
     results.write(STORES, json.dumps([*former, *contents.values()]).encode())
     for name, file in stores.items():
         results.put(file, name)
-    if terrain is None and results.has(
-        TERRAIN_FILE
-    ):  # of a former run: a node would tell this map of what another one knows
-        results.remove(TERRAIN_FILE)
+    if terrain is None and results.has(TERRAIN_FILE):
+        results.remove(TERRAIN_FILE)  # of a former run: a node would tell this map of what another one knows
     return {"stores": contents, "files": sorted(written), "landscape": landscape}
 
 
@@ -67,16 +68,20 @@ def _write_map(store: Path, site: Site, out: Path) -> str:
     return landscape
 
 
-def _sha256(file: Path) -> str:
-    with file.open("rb") as opened:
-        return hashlib.file_digest(opened, "sha256").hexdigest()
+def sha256_of(file: BinaryIO) -> str:
+    """Of a file's content from here on, read in pieces."""
+    found = hashlib.sha256()
+    while piece := file.read(1 << 20):
+        found.update(piece)
+    return found.hexdigest()
 
 
 def _own_store(results: ResultFolder, name: str) -> str:
     """SHA-256 of the store that is there; empty: none. Raises ArchiveError where no run has written it."""
     if not results.has(name):
         return ""
-    found = hashlib.sha256(results.read(name)).hexdigest()
+    with results.open(name) as file:
+        found = sha256_of(file)
     if not results.has(STORES) or found not in json.loads(results.read(STORES)):
         raise ArchiveError(
             f"{results.url}/{name} is not what the last run wrote: a node may have gone on from it; move it away "

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import os
 import posixpath
+import shutil
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO
 
 import fsspec
 
@@ -53,10 +55,11 @@ class ResultFolder:
         with self._reached():
             return bytes(self._files.cat_file(self._path(name)))
 
-    def open(self, name: str) -> BinaryIO:
-        """To read parts of it."""
-        with self._reached():
-            return cast(BinaryIO, self._files.open(self._path(name), "rb"))
+    @contextmanager
+    def open(self, name: str) -> Iterator[BinaryIO]:
+        """To read parts of it, and to do nothing else meanwhile that may fail."""
+        with self._reached(), self._files.open(self._path(name), "rb") as file:
+            yield file
 
     def write(self, name: str, content: bytes) -> None:
         """In one step: an object of S3 appears when it is whole, a file is written beside and renamed. Two that write
@@ -64,23 +67,16 @@ class ResultFolder:
         if self.local is None:
             with self._reached():
                 self._files.pipe_file(self._path(name), content)
-            return
-        place = self.local / name
-        place.parent.mkdir(parents=True, exist_ok=True)
-        partial = place.with_name(f"{place.name}.{uuid.uuid4().hex}.partial")
-        try:
-            with partial.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())  # after a power cut, too, a name stands for all of its content
-            partial.replace(place)
-        except OSError:
-            partial.unlink(missing_ok=True)
-            raise
+        else:
+            _write_whole(self.local / name, io.BytesIO(content))
 
     def put(self, file: Path, name: str) -> None:
-        """Copy a file of this machine."""
-        self.write(name, file.read_bytes())
+        """Copy a file of this machine; to its own disk in pieces, for a terrain's store may be larger than memory."""
+        if self.local is None:
+            self.write(name, file.read_bytes())
+            return
+        with file.open("rb") as content:
+            _write_whole(self.local / name, content)
 
     def remove(self, name: str) -> None:
         """A file that is there."""
@@ -101,6 +97,20 @@ class ResultFolder:
 
     def _path(self, name: str) -> str:
         return posixpath.join(self._root, name)
+
+
+def _write_whole(place: Path, content: BinaryIO) -> None:
+    place.parent.mkdir(parents=True, exist_ok=True)
+    partial = place.with_name(f"{place.name}.{uuid.uuid4().hex}.partial")
+    try:
+        with partial.open("wb") as file:
+            shutil.copyfileobj(content, file)
+            file.flush()
+            os.fsync(file.fileno())  # after a power cut, too, a name stands for all of its content
+        partial.replace(place)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise
 
 
 def _names(protocol: Any) -> tuple[str, ...]:

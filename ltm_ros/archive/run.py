@@ -26,6 +26,7 @@ from ltm_ros.archive.choice import chosen
 from ltm_ros.archive.content_digest import code_digest
 from ltm_ros.archive.engine import Engine
 from ltm_ros.archive.files import ArchiveFiles, CacheConfig
+from ltm_ros.archive.frame_files import LostFrame
 from ltm_ros.archive.manifest import ArchiveFrame, Failure, Manifest, make_manifest, packed
 from ltm_ros.archive.node_rules import node_rules, refuse_terrain
 from ltm_ros.archive.plan import EVIDENCE, MEASURED, Task, TaskSettings, evidence_name, measured_name, plan
@@ -247,9 +248,10 @@ def _too_many_failed(planned: Plan, failures: tuple[Failure, ...]) -> str:
 
 def _lost(found: Reduction, terrain: TerrainFold | None) -> list[Failure]:
     """A frame that gives neither votes nor a measurement is one."""
-    stamps = {(lost.camera, lost.stamp_ns) for lost in found.lost}
-    more = [] if terrain is None else [one for one in terrain.lost if (one.camera, one.stamp_ns) not in stamps]
-    return [Failure("frame", lost.cause, lost.why) for lost in (*found.lost, *more)]
+    first: dict[tuple[str, int], LostFrame] = {}
+    for lost in (*found.lost, *(terrain.lost if terrain is not None else ())):
+        first.setdefault((lost.camera, lost.stamp_ns), lost)
+    return [Failure("frame", lost.cause, lost.why) for lost in first.values()]
 
 
 def _terrain_record(planned: Plan, summary: Summary) -> dict[str, object] | str:

@@ -16,7 +16,7 @@ from ltm_core.fuel.burns_io import Burn
 from ltm_core.resources import config_path
 from ltm_core.site import Site
 from ltm_ros.archive.content_digest import digest, evidence_digest, file_digest, map_code_digest, map_settings
-from ltm_ros.archive.publish import RUN
+from ltm_ros.archive.publish import RUN, sha256_of
 from ltm_ros.archive.results import ResultFolder
 
 
@@ -53,8 +53,11 @@ def standing_record(results: ResultFolder, made_of: str) -> dict[str, Any] | Non
         stores: dict[str, str] = record["stores"]
         files = set(record["files"])
         for name, expected in stores.items():
-            if not results.has(name) or hashlib.sha256(results.read(name)).hexdigest() != expected:
+            if not results.has(name):
                 return None
+            with results.open(name) as file:
+                if sha256_of(file) != expected:
+                    return None
         folders = {name.rpartition("/")[0] for name in files}
         there = {f"{folder}/{name}".lstrip("/") for folder in folders for name in results.names(folder)}
         named = sum(failure["count"] for failure in record["failures"])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -25,14 +25,17 @@ from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.plan import Task
 from ltm_ros.runtime.health import cause_of
 
+OpenMeasured = Callable[[Task], AbstractContextManager[BinaryIO]]
+"""Opens the file of a task's measured frames."""
+
 
 class TerrainFold:
-    """Writes the terrain's store into `path`, where nothing must be yet. `open_measured`: the file of a task.
+    """Writes the terrain's store into `path`, where nothing must be yet.
 
     Raises ConfigError for a site without a terrain, StoreError where the store cannot be written.
     """
 
-    def __init__(self, site: Site, path: Path, open_measured: Callable[[Task], BinaryIO]) -> None:
+    def __init__(self, site: Site, path: Path, open_measured: OpenMeasured) -> None:
         self._terrain = SiteTerrain(site, lambda schema: TileStore.open(path, schema))
         assert site.terrain is not None  # nosec B101 # tells the type checker what holds
         self._moves = SurfaceMoves(terrain_grid(site.open_dem().geometry, site.terrain.resolution))
@@ -43,15 +46,13 @@ class TerrainFold:
         """Of which nothing was measured, or what was measured could not be taken in."""
 
     def take_day(self, tasks: Sequence[Task]) -> None:
-        """The frames of a day's tasks, of all cameras, in the order of their stamps. Raises StoreError."""
+        """The frames of a day's tasks. Raises StoreError; ArchiveError, OSError where a file cannot be read now."""
         surface = self._terrain.map
-        with ExitStack() as files:
-            streams = [self._frames(task, files.enter_context(self._open(task))) for task in tasks]
-            for frame, measured in heapq.merge(*streams, key=lambda found: (found[0].stamp_ns, found[0].camera)):
-                self._take(frame, measured)
-                self._moves.take(surface.decide())
-                if surface.uncommitted >= UNCOMMITTED:
-                    surface.commit()
+        for frame, measured in measured_frames(tasks, self._open, self.lost):
+            self._take(frame, measured)
+            self._moves.take(surface.decide())
+            if surface.uncommitted >= UNCOMMITTED:
+                surface.commit()
 
     def tell(self, evidence: LivingFuelMap) -> tuple[list[FrameRecord], list[CellChanges]]:
         """Have a fuel map know what has changed by now: what belongs into its store."""
@@ -72,12 +73,6 @@ class TerrainFold:
         self._terrain.map.commit(last=True)
         self._terrain.map.close()
 
-    def _frames(self, task: Task, file: BinaryIO) -> Iterator[tuple[ArchiveFrame, MeasuredFrame]]:
-        self.lost += lost_of_measured(file)
-        frames = {frame.stamp_ns: frame for frame in task.frames}
-        for stamp, measured in read_measured(file):
-            yield frames[stamp], measured
-
     def _take(self, frame: ArchiveFrame, measured: MeasuredFrame) -> None:
         try:
             self._terrain.add(
@@ -97,3 +92,27 @@ class TerrainFold:
             self.lost.append(LostFrame(frame.camera, frame.stamp_ns, cause_of(error), why))
         else:
             self.frames += 1
+
+
+def measured_frames(
+    tasks: Sequence[Task], open_measured: OpenMeasured, lost: list[LostFrame]
+) -> Iterator[tuple[ArchiveFrame, MeasuredFrame]]:
+    """What tasks, each camera's in their order, have measured, in the order of stamps; of equal ones, as they were
+    logged, as a replay takes them. `lost` gets the frames of which nothing was. Of each camera one file is open at a
+    time, and one frame held."""
+    of_cameras: dict[str, list[Task]] = {}
+    for task in tasks:
+        of_cameras.setdefault(task.frames[0].camera, []).append(task)
+    streams = [_of_camera(its, open_measured, lost) for its in of_cameras.values()]
+    yield from heapq.merge(*streams, key=lambda found: (found[0].stamp_ns, found[0].log_time_ns, found[0].camera))
+
+
+def _of_camera(
+    tasks: Sequence[Task], open_measured: OpenMeasured, lost: list[LostFrame]
+) -> Iterator[tuple[ArchiveFrame, MeasuredFrame]]:
+    for task in tasks:
+        frames = {frame.stamp_ns: frame for frame in task.frames}
+        with open_measured(task) as file:
+            lost += lost_of_measured(file)
+            for stamp, measured in read_measured(file):
+                yield frames[stamp], measured

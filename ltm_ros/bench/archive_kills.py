@@ -7,6 +7,7 @@ import random
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -34,7 +35,11 @@ def run_under_kills(bag: Path, site: Path, out: Path, kills: int, chance: random
     results = ResultFolder(str(out))
     while workers + commands < kills:
         _forget_some(results, chance)
-        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+        # A file: nobody reads a pipe meanwhile, and a full one would stop the run.
+        with (
+            tempfile.TemporaryFile() as told,
+            subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=told) as process,
+        ):
             while process.poll() is None and workers + commands < kills:
                 _wait_for_results(process, results, chance.randint(1, 2))
                 time.sleep(chance.uniform(0.0, 0.3))
@@ -45,9 +50,9 @@ def run_under_kills(bag: Path, site: Path, out: Path, kills: int, chance: random
                     commands += 1
             if process.poll() is None:
                 process.kill()
-            said = (process.stderr.read() if process.stderr else b"").decode(errors="replace")
             if process.wait() not in (0, -signal.SIGKILL):
-                raise ArchiveError(f"a run under kills failed: {said[-400:]}")
+                told.seek(0)
+                raise ArchiveError(f"a run under kills failed: {told.read().decode(errors='replace')[-400:]}")
     return workers, commands
 
 

@@ -20,13 +20,13 @@ from ltm_core.fuel.cell_visibility import CellVisibility
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.fuel_map_io import write_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
-from ltm_core.fuel.site_map import site_evidence_map
+from ltm_core.fuel.site_map import camera_label_errors, site_evidence_map, site_label_errors
 from ltm_core.fuel.stored_map import STORE_FILE, fuel_schema
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import TileStore
 from ltm_core.resources import config_path
-from ltm_core.site import SITE_NAMES
+from ltm_core.site import SITE_NAMES, Site
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.label_info import msg_to_model
@@ -144,7 +144,7 @@ class FuelMap(Handler[FuelMapConfig]):
         self.outlet.publish(FUEL_MAP_INFO, String(data=json.dumps(info)))
         self._publisher.send_map()
         self._publisher.announce([])
-        _compile(self._labels)
+        _compile(self._site, self._labels)
 
     def on_votes(self, camera: str, message: Any) -> None:
         stamp = stamp_of(message)
@@ -291,13 +291,14 @@ def _folder(config: FuelMapConfig) -> Path | None:
     return folder
 
 
-def _compile(labels: LabelSet) -> None:
-    """The kernels, before the first frame waits for them."""
+def _compile(site: Site, labels: LabelSet) -> None:
+    """The kernels, before the first frame waits for them: also those that only the looks of a network's cells need."""
     one = np.ones(1, np.float32)
     cell, counts = np.zeros(1, np.int32), np.ones((1, len(labels)), np.uint32)
     tiny = GridGeometry(0.0, 60.0, 30.0, 3, 2)
     votes = CellVotes(tiny, cell, cell, counts, one, 0, "", one, CellVisibility(*([100 * one] * 5)))
-    EvidenceMap(tiny, None, labels).add(votes)
+    for errors in (site_label_errors(site), *camera_label_errors(site).values()):
+        EvidenceMap(tiny, None, labels, errors=errors).add(votes)
 
 
 NODE = NodeType("fuel_map", FuelMapConfig, FuelMap)

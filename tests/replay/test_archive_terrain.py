@@ -28,6 +28,8 @@ from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
 from ltm_ros.cli.main import cli
 from ltm_ros.replay.run import ReplayOptions, run_offline
 
+pytestmark = pytest.mark.usefixtures("without_page")
+
 DAY_NS = 86_400 * 10**9
 FRAMES = LOOKS + len(TOWER_HOURS)
 
@@ -72,10 +74,10 @@ def options(small: SmallSite, tmp_path: Path) -> ArchiveOptions:
     return ArchiveOptions((small.bag,), small.path, str(tmp_path / "out"), terrain=True)
 
 
-def edited(small: SmallSite, path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
+def edited(small: SmallSite, name: str, change: Callable[[dict[str, Any]], None]) -> Path:
     content = yaml.safe_load(small.path.read_text())
     change(content)
-    place = small.folder / path
+    place = small.folder / name
     place.write_text(yaml.safe_dump(content))
     return place
 

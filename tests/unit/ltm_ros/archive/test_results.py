@@ -55,3 +55,18 @@ def test_a_store_that_fails_in_whatever_way_is_named(monkeypatch: pytest.MonkeyP
             use()
     with pytest.raises(ArchiveError, match="cannot be used just now"):
         results.has("a")
+    with pytest.raises(ArchiveError, match="cannot be used just now"), results.open("a"):
+        broken()  # a store that serves parts fails as late as when they are read
+
+
+@pytest.mark.parametrize("remote", [False, True])
+def test_a_file_is_copied_as_it_is_and_read_in_parts(tmp_path: Path, remote: bool) -> None:
+    content = bytes(range(251)) * 4000
+    (tmp_path / "made").write_bytes(content)
+    results = ResultFolder("memory://copies" if remote else str(tmp_path / "out"))
+    results.put(tmp_path / "made", "maps/terrain.sqlite")
+    assert results.names("maps") == {"terrain.sqlite"}
+    assert results.read("maps/terrain.sqlite") == content
+    with results.open("maps/terrain.sqlite") as file:
+        file.seek(251)
+        assert file.read(2) == b"\x00\x01"

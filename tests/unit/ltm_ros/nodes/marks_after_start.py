@@ -6,16 +6,10 @@ import json
 import sys
 from pathlib import Path
 
-from numba.core.dispatcher import Dispatcher
+from scenes.kernel_counts import compiled
 from unit.ltm_ros.nodes.test_locate_node import TOWERS, Running, region, seen_by
 
 from ltm_ros.runtime.topics import LOCATE_REGION
-
-
-def compiled() -> dict[str, int]:
-    modules = [module for name, module in sys.modules.items() if name.startswith("ltm_")]
-    kernels = {kernel for module in modules for kernel in vars(module).values() if isinstance(kernel, Dispatcher)}
-    return {f"{kernel.py_func.__module__}.{kernel.py_func.__name__}": len(kernel.signatures) for kernel in kernels}
 
 
 def main() -> None:

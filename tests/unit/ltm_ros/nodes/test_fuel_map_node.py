@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from array import array
 from collections.abc import Callable
 from functools import partial
@@ -288,3 +291,15 @@ def test_classes_of_the_map_are_the_life_forms() -> None:
     classes = life_form_labels(LABELS)
     assert [classes.name_of(form) for form in LifeForm] == [form.name.lower() for form in LifeForm]
     assert classes.colors[: len(LABELS)] == LABELS.colors
+
+
+def test_nothing_is_compiled_after_the_start(tmp_path: Path) -> None:
+    """Nor for a frame of one cell, whose arrays have both orders of axes. In a process of its own: in this one other
+    tests have compiled."""
+    code = Path(__file__).with_name("votes_after_start.py")
+    paths = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    run = subprocess.run([sys.executable, code, tmp_path], env=paths, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    before, after = json.loads(run.stdout)
+    assert before["ltm_core.fuel.look_kernel.tell_by_look"] == 1
+    assert after == before
