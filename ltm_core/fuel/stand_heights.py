@@ -30,7 +30,8 @@ _SAID = 1 / 3
 def stand_heights(surface: SurfaceMap, fuel: GridGeometry, before: Float64Array) -> tuple[Float32Array, Float32Array]:
     """Of the cells of a fuel grid (in the map frame): mean height of what stands 2 m and more over bare earth where
     independent views have measured it, and its standard error, metres; NaN where hardly anything was seen to stand.
-    `before` (H, W): what a map said, metres, which meets what was measured by their standard errors; NaN: nothing.
+    `before` (H, W): what a map said, metres, which meets what was measured by their standard errors; NaN, or too low to
+    stand: nothing.
     """
     size = fuel.width * fuel.height
     count, total, squares, cubes, noise = (np.zeros(size) for _ in range(5))
@@ -53,7 +54,7 @@ def stand_heights(surface: SurfaceMap, fuel: GridGeometry, before: Float64Array)
         independent = np.maximum(count / ratio * (fuel.resolution / ALIKE) ** 2, 1.0)
         # What cameras measure errs alike over a stand.
         variance = _SEEN_ABOVE**2 * (spread / independent + (noise / total) ** 2)
-        said = np.where(before > 0, before, np.nan).ravel()
+        said = np.where(before >= TALL, before, np.nan).ravel()
         trust = 1 / variance, np.nan_to_num(1 / (_SAID * said) ** 2)
         height = (trust[0] * _SEEN_ABOVE * mean + trust[1] * np.nan_to_num(said)) / sum(trust)
         sigmas = 1 / np.sqrt(sum(trust))
