@@ -105,9 +105,9 @@ class _BoundedLoader(_Bounds, yaml.SafeLoader):
 _BoundedLoader.add_constructor("tag:yaml.org,2002:int", _Bounds.construct_yaml_int)
 _FAST: type[_Bounds] | None = None
 """Where PyYAML was built with libyaml."""
-_ALIKE = re.compile(r"[\n \"->@-~]*")
-"""Texts that both make the same of; with tabs, question or exclamation marks or characters beyond ASCII, libyaml takes
-what PyYAML refuses."""
+_ALIKE = re.compile(r"(?s)(?!.*[|>][-+\d]*#)[\n \"->@-~]*")
+"""Texts that both make the same of. With tabs, question marks, characters beyond ASCII, or a comment at the sign of a
+block (`|#`), libyaml takes what PyYAML refuses; and of `!` alone it makes a text, where PyYAML finds nothing."""
 if yaml.__with_libyaml__:
 
     class _FastLoader(_Bounds, Composer, yaml.CSafeLoader):

@@ -36,6 +36,8 @@ def billion(levels: int) -> str:
         "[" * 900 + "]" * 900,
         "{a: " * 60 + "1" + "}" * 60,
         "a: &a [*a]",
+        "a: |# libyaml takes it",
+        "a:\n  - >-2# libyaml takes it",
         billion(9),
         f"{billion(9)}\nsite: {{<<: [*a8, *a8]}}",
     ],
@@ -52,6 +54,7 @@ def test_what_people_write_is_taken() -> None:
         "b": {"x": 1},
         "c": {"x": 1, "y": 2},
     }
+    assert parse_yaml("a: !\nb: ! # libyaml makes texts of them", "x") == {"a": None, "b": None}
     assert parse_yaml(nested, "x")
     assert parse_yaml("stamp: 2024-05-06T07:08:09Z", "x")["stamp"].year == 2024
 
