@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
@@ -37,7 +37,7 @@ class _Believed:
 
     @classmethod
     def of(cls, certificate: x509.Certificate) -> _Believed:
-        """Raises ValueError where it cannot be read."""
+        """Raises ValueError or UnsupportedAlgorithm where it cannot be read."""
         key = certificate.public_key()
         return cls(
             common_name(certificate),
@@ -105,7 +105,7 @@ class Identity:
                 certificate = x509.load_der_x509_certificate(content)
                 self._check_issuer(certificate)
                 believed = _Believed.of(certificate)
-            except (ValueError, TypeError, x509.InvalidVersion) as error:
+            except (ValueError, TypeError, x509.InvalidVersion, UnsupportedAlgorithm) as error:
                 raise MessageError(f"an envelope's certificate cannot be read ({error})") from error
             self._believed[content] = believed
             if len(self._believed) > _REMEMBERED:

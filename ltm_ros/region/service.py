@@ -22,7 +22,9 @@ SHOWN_SHARE: Final = 0.1
 """Of the time, which deciding the map anew for those who follow it may take: while many frames come, it is done for
 many at once;"""
 SHOWN_SHARE_LATE: Final = 0.02
-"""while frames wait to be counted, as after an outage."""
+"""where more frames come than can be counted, as after an outage,"""
+LATE_S: Final = 2.0
+"""and until none have been left to wait for this long."""
 
 
 class RegionService:
@@ -58,7 +60,8 @@ class RegionService:
         self._tiles = TilePublisher(config.name, self.aggregator, self._link)
         self._exports = None if config.export is None else RegionExports(config.export, self.aggregator, health)
         self._connections = 0
-        self._show_at = self._last = self._tiles_at = 0.0
+        self._last = self._tiles_at = 0.0
+        self._shown_at, self._showing_s, self._late_at = 0.0, 0.0, -LATE_S
 
     def run(self, stopping: threading.Event) -> None:
         """Count, store, answer and send, until told to stop; then store the rest."""
@@ -94,12 +97,12 @@ class RegionService:
 
     def _show(self, now_s: float) -> bool:
         """Whether parts of the map were decided anew."""
-        if now_s < self._show_at:
+        share = SHOWN_SHARE_LATE if now_s - self._late_at < LATE_S else SHOWN_SHARE
+        if now_s < self._shown_at + self._showing_s * (1 / share - 1):
             return False
         windows = self.aggregator.show()
-        done = time.monotonic()
-        share = SHOWN_SHARE_LATE if self._inbox.bytes else SHOWN_SHARE
-        self._show_at = done + (done - now_s) * (1 / share - 1)
+        self._shown_at = time.monotonic()
+        self._showing_s = self._shown_at - now_s
         self._tiles.note(windows)
         return bool(windows)
 
@@ -110,6 +113,8 @@ class RegionService:
                 break
             self.aggregator.take(*came)
         self._health.gauge("waiting_bytes", self._inbox.bytes)
+        if self._inbox.bytes:
+            self._late_at = time.monotonic()
 
     def _greet(self) -> None:
         """Tell towers who is there, whenever the connection is a new one; the broker may have forgotten all."""

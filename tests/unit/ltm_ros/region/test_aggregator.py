@@ -10,6 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
 from rclpy.serialization import deserialize_message, serialize_message
 from scenes.fuel_frames import BEGIN_NS, LABELS, message, votes
 from scenes.region_scene import CAMERA, REGION, RegionScene, stamp_of, write_region_scene
@@ -19,7 +22,16 @@ from ltm_core.errors import ConfigError, MessageError
 from ltm_core.fuel.export.export_grid import snapped_grid
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.grid import GridGeometry
-from ltm_core.uplink.envelope import LARGEST, MOST_OUTCOMES, AckHeader, Outcome, VotesGrid, header_of, outcomes_of
+from ltm_core.uplink.envelope import (
+    LARGEST,
+    MOST_OUTCOMES,
+    AckHeader,
+    Outcome,
+    VotesGrid,
+    header_of,
+    outcomes_of,
+    packed,
+)
 from ltm_msgs_py.votes import msg_to_votes, votes_to_msg
 from ltm_ros.bench.region import same_map
 from ltm_ros.region.aggregator import Aggregator
@@ -217,6 +229,20 @@ def test_a_certificate_that_has_run_out_is_not_believed(scene: RegionScene, tmp_
     old = scene.identity("alta").sealed(b"{}")
     with pytest.raises(MessageError, match="renew it, or set the clock"):
         scene.identity("bear").opened(old, "alta")
+
+
+def test_a_key_of_a_kind_that_nobody_knows_is_refused(scene: RegionScene) -> None:
+    """Signed by the authority itself, whose operator has let a tower make its own key."""
+    own = x509.load_pem_x509_certificate((scene.certs / "alta.crt").read_bytes())
+    authority = serialization.load_pem_private_key((scene.certs / "ca.key").read_bytes(), None)
+    assert isinstance(authority, ec.EllipticCurvePrivateKey)
+    p_256, none, how = (bytes.fromhex(f"06082a8648ce3d{end}") for end in ("030107", "03017f", "040302"))
+    signed = own.tbs_certificate_bytes.replace(p_256, none)
+    signature = authority.sign(signed, ec.ECDSA(hashes.SHA256()))
+    parts = signed + bytes([0x30, len(how)]) + how + bytes([3, len(signature) + 1, 0]) + signature
+    odd = b"\x30\x82" + len(parts).to_bytes(2) + parts
+    with pytest.raises(MessageError, match="certificate cannot be read"):
+        scene.identity("bear").opened(packed(b"{}", odd, b"") + signature, "alta")
 
 
 def test_a_tower_that_means_harm_does_not_end_the_map(scene: RegionScene) -> None:
