@@ -36,7 +36,7 @@ from ltm_core.locating.posterior import Posterior
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_likelihood import OTHER_SLOPE
 from ltm_core.locating.sighting import LocatingTerrain, Sighting
-from ltm_core.locating.turn_evidence import TurnEvidence, pose_sigma, turn_evidence
+from ltm_core.locating.turn_evidence import TurnEvidence, turn_evidence
 from ltm_core.types import Float64Array
 
 MOST_SIGHTINGS = 64
@@ -118,8 +118,8 @@ class Locator:
         turned = [fused_closely(terrain, others, wrong) for others, wrong in parted.values()]
         evidences = np.array([part.log_evidence for part in turned])
         profiles = {name: part.profile for name, part in zip(names, turned, strict=True)}
-        sigmas = {name: pose_sigma(wrong) for name, (_, wrong) in parted.items()}
-        turns = turn_evidence(profiles, fused.log_evidence, _ELSEWHERE, sigmas)
+        marked = {name: wrong for name, (_, wrong) in parted.items()}
+        turns = turn_evidence(profiles, fused.log_evidence, _ELSEWHERE, marked)
         statistic = _log_mean(evidences) - fused.log_evidence if np.isfinite(fused.log_evidence) else math.inf
         if not statistic > limit:
             return _location(fused, Agreement(statistic, limit, {}, None, turns))

@@ -136,7 +136,8 @@ class Tracks:
             track.wrong = wrong if wrong in track.disputed else None
 
     def expire(self, now_ns: int) -> None:
-        """End tracks that nobody has seen for long."""
+        """End tracks that nobody has seen for long, and forget what was said of cameras long ago."""
+        self.watch.expire(now_ns)
         self.tracks = [track for track in self.tracks if now_ns - track.last_ns <= self.lifetime_ns]
 
     def _kept(self, sightings: Sequence[SeenAt]) -> list[SeenAt]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ltm_core.locating.direction_table import MOST_TURNED, turn_density
-from ltm_core.locating.directions import KNOTS
+from ltm_core.locating.directions import KNOTS, MarkedDirections
 from ltm_core.types import Float64Array
 
 if TYPE_CHECKING:
@@ -44,11 +44,13 @@ class TurnProfile:
 @dataclass(frozen=True, eq=False)
 class TurnEvidence:
     """Of one fire. `ratios`: by camera, (T,) logarithm of how much likelier its marks are where the camera is turned
-    than where none is. `sigmas`: of the azimuth of the camera's pose, radians, as its covariance has it.
+    than where none is. `sigmas`: of the azimuth of the camera's pose, radians, as its covariance has it. `azimuths`:
+    that it has marked, radians.
     """
 
     ratios: Mapping[str, Float64Array]
     sigmas: Mapping[str, float]
+    azimuths: Mapping[str, float]
 
 
 def turn_profile(
@@ -70,9 +72,8 @@ def turn_profile(
     off, prior, variance = np.zeros(len(x)), np.zeros(len(x)), 0.0
     for sight in turned:
         directions, to_x, to_y = sight.directions, x - sight.position[0], y - sight.position[1]
-        middle = float(directions.azimuth @ directions.weights)
         # The stated azimuth over the true one.
-        here = (middle - np.arctan2(to_x, to_y) + np.pi) % (2 * np.pi) - np.pi
+        here = (_azimuth(directions) - np.arctan2(to_x, to_y) + np.pi) % (2 * np.pi) - np.pi
         off += here / len(turned)
         prior += np.log(turn_density(directions, here)) / len(turned)
         wide = resolution**2 / np.maximum(to_x**2 + to_y**2, resolution**2) / 12
@@ -94,34 +95,47 @@ def turn_profile(
 
 
 def turn_evidence(
-    profiles: Mapping[str, TurnProfile | None], log_evidence: float, elsewhere: float, sigmas: Mapping[str, float]
+    profiles: Mapping[str, TurnProfile | None],
+    log_evidence: float,
+    elsewhere: float,
+    marked: Mapping[str, Sequence[Sight]],
 ) -> TurnEvidence:
     """Of one fire, by camera that may be turned.
 
     Args:
+        profiles: None where no place is possible with that camera turned.
         log_evidence: of all marks with no camera turned.
         elsewhere: density of a camera's mark that is of another thing, times the chance of that: whatever a single fire
             says, it may be two fires.
+        marked: the sightings of each camera.
     """
+    sigmas = {name: _pose_sigma(sights) for name, sights in marked.items()}
+    azimuths = {name: _azimuth(sights[-1].directions) for name, sights in marked.items()}
     others = [profile.apart for profile in profiles.values() if profile is not None]
-    floor = float(np.logaddexp.reduce(others)) + math.log(elsewhere) if others else -math.inf
+    if not others:
+        return TurnEvidence({name: np.zeros(len(TURNS)) for name in profiles}, sigmas, azimuths)
+    floor = float(np.logaddexp.reduce(others)) + math.log(elsewhere)
     none = float(np.logaddexp(log_evidence, floor))
     ratios = {}
     for name, profile in profiles.items():
         density = np.full(len(TURNS), -math.inf) if profile is None else profile.density
-        ratios[name] = np.logaddexp(density, floor) - none if math.isfinite(none) else np.zeros(len(TURNS))
-    return TurnEvidence(ratios, sigmas)
+        ratios[name] = np.logaddexp(density, floor) - none
+    return TurnEvidence(ratios, sigmas, azimuths)
 
 
-def pose_sigma(sights: Sequence[Sight]) -> float:
+def _pose_sigma(sights: Sequence[Sight]) -> float:
     """Radians: of the azimuth of a camera's pose, as its covariance has it; the greatest of its sightings."""
     return math.sqrt(max(float(sight.sighting.covariance[5, 5]) for sight in sights))
+
+
+def _azimuth(directions: MarkedDirections) -> float:
+    """Radians, mean over the marked places."""
+    return float(directions.azimuth @ directions.weights)
 
 
 def _mark_variance(sight: Sight) -> float:
     """Of the azimuth, without what the pose's has: that is the camera's, not the mark's."""
     directions = sight.directions
-    middle = float(directions.azimuth @ directions.weights)
     far = int(np.searchsorted(KNOTS, _FAR))
-    here = directions.covariance[:, far, 0, 0] + (directions.azimuth - middle) ** 2
-    return max(float(directions.weights @ here) - pose_sigma([sight]) ** 2, 0.0)
+    here = directions.covariance[:, far, 0, 0] + (directions.azimuth - _azimuth(directions)) ** 2
+    return max(float(directions.weights @ here) - _pose_sigma([sight]) ** 2, 0.0)

@@ -12,6 +12,9 @@ from ltm_core.locating.direction_table import turn_prior
 from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence
 from ltm_core.types import Float64Array
 
+_ONE_PLACE = math.radians(1.0)
+"""Within which the marks of all cameras are of one place."""
+
 
 @dataclass(frozen=True)
 class TurnVerdict:
@@ -66,6 +69,9 @@ def judged(fires: Sequence[TurnEvidence], sure: float) -> TurnVerdict:
 class TurnWatch:
     """What a site's fires say, newest last.
 
+    What the terrain model has wrong at a place makes the same camera suspect there again and again, so fires at one
+    place count as one: a chimney that is marked all day long is no more than one fire.
+
     Args:
         sure: `judged`.
         memory_ns: fires seen longer ago do not count: a mount that has been put right is right again.
@@ -78,18 +84,30 @@ class TurnWatch:
     _fires: dict[int, tuple[int, TurnEvidence]] = field(default_factory=dict)
 
     def note(self, fire: int, stamp_ns: int, evidence: TurnEvidence) -> None:
-        """Takes the place of what the same fire has said before, unless that was of more cameras."""
-        before = self._fires.pop(fire, None)
-        if before is not None and len(before[1].ratios) > len(evidence.ratios):
-            evidence = before[1]
-        self._fires[fire] = (stamp_ns, evidence)
-        newest = max(stamp for stamp, _ in self._fires.values())
-        kept = [(key, known) for key, known in self._fires.items() if newest - known[0] <= self.memory_ns]
-        self._fires = dict(kept[-self.most :])
+        """Takes the place of what the same fire, or one at its place, has said before, unless that was of more
+        cameras.
+        """
+        said = stamp_ns, evidence
+        for key in [key for key, (_, known) in self._fires.items() if key == fire or _of_one_place(known, evidence)]:
+            before = self._fires.pop(key)
+            said = before if len(before[1].ratios) > len(said[1].ratios) else said
+        self._fires[fire] = said
+        self._fires = dict(list(self._fires.items())[-self.most :])
+        self.expire(stamp_ns)
+
+    def expire(self, now_ns: int) -> None:
+        """Forget what was seen too long ago."""
+        self._fires = {key: fire for key, fire in self._fires.items() if now_ns - fire[0] <= self.memory_ns}
 
     @property
     def verdict(self) -> TurnVerdict:
         return judged([evidence for _, evidence in self._fires.values()], self.sure)
+
+
+def _of_one_place(one: TurnEvidence, other: TurnEvidence) -> bool:
+    shared = one.azimuths.keys() & other.azimuths.keys()
+    off = [math.remainder(one.azimuths[name] - other.azimuths[name], 2 * math.pi) for name in shared]
+    return len(off) > 1 and max(map(abs, off)) < _ONE_PLACE
 
 
 def _total(fires: Sequence[TurnEvidence], name: str) -> Float64Array:

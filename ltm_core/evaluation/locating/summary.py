@@ -17,7 +17,7 @@ class SmokeSummary:
     """Of trials of one kind. Shares are of all, an answer that was refused counts as a miss; errors are of those with
     one. `densest_50`, `densest_95`: how often the densest region held the foot; `ellipse_50`, `ellipse_95`: an ellipse.
     `long`: median half axis of the 95 % ellipse. `agreed`: cameras that were taken for agreeing. `named`: the wrong
-    camera was named; `slandered`: one that was not wrong.
+    camera was named; `wrongly_named`: one that was not wrong.
     """
 
     count: int
@@ -36,7 +36,7 @@ class SmokeSummary:
     short: float
     agreed: float
     named: float
-    slandered: float
+    wrongly_named: float
     milliseconds: float
 
     @classmethod

@@ -62,14 +62,14 @@ class TurnedCase:
 
 @dataclass(frozen=True)
 class NamingScore:
-    """Shares of cases after a number of fires: the turned camera `named`, a right one `slandered`, the turned one the
-    most `suspect`. `off_deg`: median error of the angle, where the turned one is named.
+    """Shares of cases after a number of fires: the turned camera `named`, a right one `wrongly_named`, the turned one
+    the most `suspect`. `off_deg`: median error of the angle, where the turned one is named.
     """
 
     fires: int
     count: int
     named: float
-    slandered: float
+    wrongly_named: float
     suspect: float
     off_deg: float
 
@@ -79,12 +79,12 @@ class NamingScore:
         found = [(case, verdict) for case, verdict in verdicts if case.turned and verdict.wrong == case.turned]
         most = [bool(case.turned) and said.suspect == case.turned for case, said in verdicts]
         off = [abs(math.degrees(verdict.turn) - case.turn_deg) for case, verdict in found]
-        slandered = [verdict.wrong is not None and verdict.wrong != case.turned for case, verdict in verdicts]
+        wrongly_named = [verdict.wrong is not None and verdict.wrong != case.turned for case, verdict in verdicts]
         return cls(
             fires,
             len(cases),
             len(found) / len(cases),
-            float(np.mean(slandered)),
+            float(np.mean(wrongly_named)),
             float(np.mean(most)),
             float(np.median(off)) if off else math.nan,
         )

@@ -171,7 +171,7 @@ def _table(trials: list[Trial], boxed: bool) -> Any:
         "95 % ellipse, half axes": lambda one: f"{one.long:.0f} x {one.short:.0f} m",
         "taken for agreeing": lambda one: f"{one.agreed:.1%}",
         "wrong camera named": lambda one: "" if one.named != one.named else f"{one.named:.1%}",
-        "right camera named": lambda one: f"{one.slandered:.1%}",
+        "right camera named": lambda one: f"{one.wrongly_named:.1%}",
         "wall time, median": lambda one: f"{one.milliseconds:.0f} ms",
     }
     for name, shown in lines.items():

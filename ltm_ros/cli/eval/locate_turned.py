@@ -56,8 +56,8 @@ def naming(
         one = NamingScore.of(cases[True], number, sure)
         none = NamingScore.of(cases[False], number, sure)
         table.add_row(
-            *(str(number), str(one.count), f"{one.named:.1%}", f"{one.slandered:.1%}", f"{one.suspect:.1%}"),
-            *(f"{one.off_deg:.2f} deg", str(none.count), f"{none.slandered:.1%}"),
+            *(str(number), str(one.count), f"{one.named:.1%}", f"{one.wrongly_named:.1%}", f"{one.suspect:.1%}"),
+            *(f"{one.off_deg:.2f} deg", str(none.count), f"{none.wrongly_named:.1%}"),
         )
         rows += [one.row() | {"turned": True}, none.row() | {"turned": False}]
     console.print(table)

@@ -90,15 +90,15 @@ def turned_case(turned: str, *turns_deg: float) -> TurnedCase:
     for other in turns_deg:
         off = {"a": TURNS - math.radians(2.0), "b": TURNS - math.radians(other)}
         ratios = {name: np.logaddexp(15.0 - 0.5 * (at / 0.002) ** 2, -9.0) for name, at in off.items()}
-        fires.append(TurnEvidence(ratios, {"a": 0.001, "b": 0.001}))
+        fires.append(TurnEvidence(ratios, {"a": 0.001, "b": 0.001}, {}))
     return TurnedCase("site", turned, 2.0 if turned else 0.0, tuple(fires))
 
 
 def test_naming_is_scored_by_fires() -> None:
     cases = [turned_case("a", 1.5, 0.3), turned_case("b", 1.5, 0.3), turned_case("", 1.5, 0.3), turned_case("a")]
     one, two = (NamingScore.of(cases, fires, 0.9) for fires in (1, 2))
-    assert (one.count, one.named, one.slandered, one.suspect) == (4, 0.0, 0.0, 0.25)
-    assert (two.named, two.slandered, two.suspect) == (0.25, 0.5, 0.25)
+    assert (one.count, one.named, one.wrongly_named, one.suspect) == (4, 0.0, 0.0, 0.25)
+    assert (two.named, two.wrongly_named, two.suspect) == (0.25, 0.5, 0.25)
     assert two.off_deg == pytest.approx(0.0, abs=0.05)
     assert [case.told for case in cases] == [True, False, False, False]
 
@@ -112,4 +112,4 @@ def test_a_turned_camera_is_named_by_three_fires() -> None:
     assert all(2 <= len(case.fires) <= 3 for case in cases)  # a mark that no ground explains is refused
     assert NamingScore.of(cases, 3, 0.9).suspect == 1.0
     none = list(turned_cases(site, 1, 2, False, PoseErrors(0.06), config, 1))
-    assert NamingScore.of(none, 2, 0.9).slandered == 0.0
+    assert NamingScore.of(none, 2, 0.9).wrongly_named == 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ def peak(turn_deg: float, sigma: float = 0.1 * DEG) -> Float64Array:
 
 
 def fire(**ratios: Float64Array) -> TurnEvidence:
-    return TurnEvidence(ratios, dict.fromkeys(ratios, SIGMA))
+    return TurnEvidence(ratios, dict.fromkeys(ratios, SIGMA), {})
 
 
 def alike(*turns_deg: float) -> TurnEvidence:
@@ -99,6 +100,25 @@ def test_the_watch_forgets_and_is_bounded() -> None:
     for number in range(4, 9):
         watch.note(number, 120, first)
     assert watch.verdict.fires == 2
+    watch.expire(221)  # though no other fire has come
+    assert watch.verdict == NOBODY
+
+
+def test_what_is_marked_again_and_again_at_one_place_counts_once() -> None:
+    """A chimney, say: where the terrain model errs there, it speaks against the same camera each time."""
+    watch = TurnWatch(0.9)
+    unsure = alike(2.0, -1.9, 2.2)
+
+    def marked(*degrees: float) -> TurnEvidence:
+        return replace(unsure, azimuths={name: at * DEG for name, at in zip("abc", degrees, strict=True)})
+
+    for number in range(10):
+        watch.note(number, number, marked(179.9 if number % 2 else -179.9, 40.0 + 0.05 * number, 70.0))
+    assert watch.verdict.fires == 1
+    watch.note(10, 10, marked(180.0, 42.0, 70.0))
+    assert watch.verdict.fires == 2
+    watch.note(11, 11, replace(unsure, azimuths={"a": math.pi}))  # one camera's direction is no place
+    assert watch.verdict.fires == 3
 
 
 @pytest.mark.kernel
