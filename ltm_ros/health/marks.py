@@ -66,12 +66,28 @@ class _Feature(_Told):
     properties: dict[str, Any]
 
 
+class _Turned(_Told):
+    camera: str
+    probability: float
+    turned_deg: float
+    sigma_deg: float
+    fires: int
+
+    def in_words(self) -> str:
+        return (
+            f"camera {self.camera} seems to be turned ({self.probability:.0%}): by the marks of {self.fires} fires its "
+            f"stated azimuths are {abs(self.turned_deg):.1f} degrees too {'great' if self.turned_deg > 0 else 'small'} "
+            f"(sigma {self.sigma_deg:.1f}); look after its mount"
+        )
+
+
 class _Tracks(_Told):
     features: list[_Feature]
+    turned: _Turned | None = None
 
 
 class Marks:
-    """`take` and `places` may be called from any thread.
+    """`take`, `places` and `wrong` may be called from any thread.
 
     `shown`: the picture of a camera that the page shows; None: there is none.
     """
@@ -90,6 +106,7 @@ class Marks:
             for name in cameras
         }
         self._places: list[dict[str, Any]] = []
+        self._wrong: list[str] = []
         self._lock = threading.Lock()
         node.create_subscription(
             LOCATE_TRACKS.type, site_topic(site, LOCATE_TRACKS), self._hear, stream_qos(LOCATE_TRACKS.latched, 1)
@@ -118,12 +135,19 @@ class Marks:
         with self._lock:
             return self._places
 
+    def wrong(self) -> list[str]:
+        """Sentences: of a camera that is named as turned, where one is."""
+        with self._lock:
+            return self._wrong
+
     def _hear(self, message: Any) -> None:
         try:
-            told = (one.properties for one in _Tracks.model_validate_json(message.data).features)
-            found = [_Place.model_validate(one) for one in told if one.get("role") == "place"]
+            told = _Tracks.model_validate_json(message.data)
+            about = (one.properties for one in told.features)
+            found = [_Place.model_validate(one) for one in about if one.get("role") == "place"]
         except ValidationError as error:
             self._health.drop("message", f"{LOCATE_TRACKS.name}: not what `locate` tells ({error.errors()[0]['msg']})")
             return
         with self._lock:
             self._places = [one.model_dump() for one in sorted(found, key=lambda place: -place.last_ns)]
+            self._wrong = [] if told.turned is None else [told.turned.in_words()]

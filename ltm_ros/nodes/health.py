@@ -82,8 +82,10 @@ class HealthNode(Node):  # type: ignore[misc]
     def _page_json(self) -> Answer:
         """What the page asks for, again and again while somebody looks at it."""
         self._pictures.look()
-        places = None if self._marks is None else self._marks.places()
-        return Answer.json(self.status().as_dict() | {"pictures": self._pictures.stamps_s(), "places": places})
+        said = self.status().as_dict() | {"pictures": self._pictures.stamps_s(), "places": None}
+        if self._marks is not None:
+            said |= {"places": self._marks.places(), "wrong": [*said["wrong"], *self._marks.wrong()]}
+        return Answer.json(said)
 
     def status(self) -> TowerStatus:
         """Now; may be asked for from any thread."""

@@ -116,7 +116,10 @@ def test_what_is_no_mark_is_told_and_not_sent(graph: Graph, marks: Marks, sent: 
     assert graph.sent == []
 
 
-def tracks(*last_ns: int, lon: float = -117.2) -> String:
+TURNED = {"camera": "east", "probability": 0.9712, "turned_deg": -2.04, "sigma_deg": 0.06, "fires": 3}
+
+
+def tracks(*last_ns: int, lon: float = -117.2, turned: object = None) -> String:
     """As `locate` tells of them, numbered from 1 on, each with an ellipse as a feature of its own."""
     features: list[Any] = []
     for number, last in enumerate(last_ns, start=1):
@@ -125,7 +128,7 @@ def tracks(*last_ns: int, lon: float = -117.2) -> String:
         about = {"role": "place", "track": number, "last_ns": last, "place": place, "ellipses": [ellipse]}
         about |= {"seen_by": ["north"], "sources": ["person"], "disagrees": None, "smoke": True}
         features += [{"properties": about}, {"properties": {"role": "ellipse", "share": 0.95}}]
-    return String(data=json.dumps({"type": "FeatureCollection", "features": features}))
+    return String(data=json.dumps({"type": "FeatureCollection", "turned": turned, "features": features}))
 
 
 def test_places_come_newest_first(graph: Graph, marks: Marks) -> None:
@@ -134,9 +137,26 @@ def test_places_come_newest_first(graph: Graph, marks: Marks) -> None:
     assert [place["track"] for place in marks.places()] == [2, 1]
 
 
+def test_a_turned_camera_is_told_in_words_until_it_is_not_named_any_more(graph: Graph, marks: Marks) -> None:
+    hear = graph.heard["/ridge/locate/tracks"]
+    assert marks.wrong() == []
+    hear(tracks(5, turned=TURNED))
+    (said,) = marks.wrong()
+    assert "camera east seems to be turned (97%): by the marks of 3 fires" in said
+    assert "2.0 degrees too small (sigma 0.1)" in said
+    hear(tracks(6))
+    assert marks.wrong() == []
+
+
 @pytest.mark.parametrize(
     "message",
-    [String(data="no JSON"), String(data='{"features": 3}'), String(data="[" * 100_000), tracks(7, lon=np.nan)],
+    [
+        String(data="no JSON"),
+        String(data='{"features": 3}'),
+        String(data="[" * 100_000),
+        tracks(7, lon=np.nan),
+        tracks(7, turned="east"),
+    ],
 )
 def test_what_is_no_word_of_locate_is_counted_and_changes_nothing(
     graph: Graph, marks: Marks, health: Health, message: String
