@@ -21,8 +21,9 @@ from ltm_core.errors import ConfigError
 LOOPBACK = "127.0.0.1"
 WEB_PORT, GRPC_PORT = 9090, 9876
 """Of the page, and of what feeds it, unless others are named."""
-LIVE_MEMORY = "768MiB"
-"""Of what is shown that the server of a live view keeps for those who look later; the oldest goes."""
+LIVE_MEMORY = "384MiB"
+"""Of what is shown that the server of a live view keeps for those who look later; the oldest goes. While somebody looks
+on, the server takes up to twice that."""
 OPEN_MEMORY = "1GiB"
 """Likewise of a window, and of the server of a recording. Rerun's own bound for a window is 75 % of the machine."""
 _PR_SET_PDEATHSIG = 1
