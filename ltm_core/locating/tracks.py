@@ -18,6 +18,7 @@ from ltm_core.errors import RegionError
 from ltm_core.locating.locator import Agreement, Location, Locator
 from ltm_core.locating.sighting import Sighting
 from ltm_core.locating.turn_watch import TurnWatch
+from ltm_core.utc_time import DAY_NS
 
 NEARBY_DEG = 4.0
 """Between a sighting's azimuth and a track's place: within it the two may be of one fire, a camera being wrong."""
@@ -81,7 +82,7 @@ class Tracks:
     lifetime_ns: int = 3_600_000_000_000
     most: int = 16
     of_a_camera: int = 2
-    memory_ns: int = 86_400_000_000_000
+    memory_ns: int = DAY_NS
     tracks: list[Track] = field(default_factory=list)
     watch: TurnWatch = field(init=False)
     _next: int = 1

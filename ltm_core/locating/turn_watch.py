@@ -11,6 +11,7 @@ import numpy as np
 from ltm_core.locating.direction_table import turn_prior
 from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence
 from ltm_core.types import Float64Array
+from ltm_core.utc_time import DAY_NS
 
 _ONE_PLACE = math.radians(1.0)
 """Within which the marks of all cameras are of one place."""
@@ -79,7 +80,7 @@ class TurnWatch:
     """
 
     sure: float
-    memory_ns: int = 86_400_000_000_000
+    memory_ns: int = DAY_NS
     most: int = 32
     _fires: dict[int, tuple[int, TurnEvidence]] = field(default_factory=dict)
 

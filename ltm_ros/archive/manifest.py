@@ -23,6 +23,7 @@ from ltm_core.errors import ArchiveError, LtmError, RecordingError
 from ltm_core.pose import Pose
 from ltm_core.site import Site
 from ltm_core.types import Float64Array
+from ltm_core.utc_time import DAY_NS
 from ltm_msgs_py.bag.picture_cdr import RAW_TYPE
 from ltm_msgs_py.bag.schemas import message_class
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
@@ -31,8 +32,6 @@ from ltm_ros.runtime.frame_join import FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.stamp_check import StampCheck
 from ltm_ros.runtime.topics import camera_topic
-
-DAY_NS = 86_400 * 10**9
 
 
 @dataclass(frozen=True)

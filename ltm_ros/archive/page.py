@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import html
 import json
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from ltm_core.fuel.prior import system_of
 from ltm_core.fuel.stored_map import JOURNALED
-from ltm_ros.archive.manifest import DAY_NS
+from ltm_core.utc_time import DAY_NS, moment_of_stamp
 from ltm_ros.fuel_map.export import export_site
 from ltm_ros.fuel_map.source import FuelSource
 
@@ -89,4 +88,4 @@ def _days(map_: FuelSource) -> list[str]:
     store = map_.store
     changed = sorted({change.stamp_ns // DAY_NS for layer in JOURNALED for change in store.changes(layer)})
     kept = np.linspace(0, len(changed) - 1, min(len(changed), _MOST)).round().astype(int)
-    return [datetime.fromtimestamp(changed[i] * DAY_NS // 10**9, UTC).date().isoformat() for i in kept]
+    return [moment_of_stamp(changed[i] * DAY_NS).date().isoformat() for i in kept]

@@ -12,9 +12,10 @@ from ltm_core.frame_steps import LabellingConfig, TracingConfig
 from ltm_core.fuel.burns_io import Burn
 from ltm_core.fusing_step import FusingConfig
 from ltm_core.site import Site
+from ltm_core.utc_time import DAY_NS
 from ltm_ros.archive.content_digest import digest, evidence_digest, measured_digest, votes_digest
 from ltm_ros.archive.files import CacheConfig
-from ltm_ros.archive.manifest import DAY_NS, ArchiveFrame
+from ltm_ros.archive.manifest import ArchiveFrame
 
 VOTES, EVIDENCE, MEASURED = "votes", "evidence", "measured"
 """Folders of results."""

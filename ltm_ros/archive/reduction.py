@@ -23,9 +23,9 @@ from ltm_core.fuel.stored_map import fuel_schema
 from ltm_core.raster.tile_store import CellChanges, FrameRecord, Key, TileStore
 from ltm_core.resources import config_path
 from ltm_core.site import Site
+from ltm_core.utc_time import DAY_NS
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.archive.frame_files import LostFrame
-from ltm_ros.archive.manifest import DAY_NS
 from ltm_ros.archive.plan import Task
 from ltm_ros.archive.task import TaskEvidence, read_evidence
 from ltm_ros.archive.terrain_fold import TerrainFold

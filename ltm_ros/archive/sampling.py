@@ -17,7 +17,8 @@ import numpy as np
 from ltm_core.errors import ArchiveError
 from ltm_core.site import Site
 from ltm_core.sun import sun_elevation
-from ltm_ros.archive.manifest import DAY_NS, ArchiveFrame
+from ltm_core.utc_time import DAY_NS
+from ltm_ros.archive.manifest import ArchiveFrame
 
 _SPANS = {"hour": DAY_NS // 24, "day": DAY_NS}
 _DAYLIGHT = np.radians(5.0)

@@ -10,6 +10,7 @@ from typing import Any
 
 from ltm_core.config_io import checked
 from ltm_core.errors import LtmError
+from ltm_core.utc_time import DAY_NS
 from ltm_msgs_py.bag.reader import BagMessage, BagReader
 from ltm_msgs_py.bag.schemas import type_name_of
 from ltm_msgs_py.bag.writer import BagWriter
@@ -19,8 +20,6 @@ from ltm_ros.replay.selection import Selection
 from ltm_ros.runtime.handler import NodeType, Topic
 from ltm_ros.runtime.health import Health, cause_of
 from ltm_ros.runtime.pipeline import Job, Pipeline, absolute
-
-DAY_NS = 86_400 * 10**9
 
 
 class OfflineGraph:

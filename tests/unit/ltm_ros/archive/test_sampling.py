@@ -12,7 +12,8 @@ from scenes.small_site import write_small_site
 
 from ltm_core.errors import ArchiveError
 from ltm_core.site_io import load_site
-from ltm_ros.archive.manifest import DAY_NS, ArchiveFrame
+from ltm_core.utc_time import DAY_NS
+from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.sampling import Sample, in_daylight, repeated, sampled, solar_day, spans
 
 HOUR_NS = DAY_NS // 24
