@@ -25,6 +25,7 @@ import ltm_ros.fuel_map
 import ltm_ros.importer
 from ltm_core.depth.fusion_config_io import load_fusion_config
 from ltm_core.frame_steps import LabellingConfig, LabellingStep, TracingConfig
+from ltm_core.fuel.burns_io import Burn
 from ltm_core.fuel.site_map import camera_label_errors, site_label_errors
 from ltm_core.fusing_step import FusingConfig, label_columns
 from ltm_core.resources import config_path
@@ -61,6 +62,11 @@ def digest(*parts: object) -> str:
     """Of values that JSON can write."""
     text = json.dumps(parts, sort_keys=True, separators=(",", ":"))
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def burns_digest(burns: Sequence[Burn]) -> str:
+    """Of what burned when."""
+    return digest(*([burn.stamp_ns, burn.cells.tolist()] for burn in burns))
 
 
 def picture_digest(picture: CompressedPicture | RawPicture) -> str:

@@ -13,7 +13,7 @@ from ltm_core.fuel.burns_io import Burn
 from ltm_core.fusing_step import FusingConfig
 from ltm_core.site import Site
 from ltm_core.utc_time import DAY_NS
-from ltm_ros.archive.content_digest import digest, evidence_digest, measured_digest, votes_digest
+from ltm_ros.archive.content_digest import burns_digest, digest, evidence_digest, measured_digest, votes_digest
 from ltm_ros.archive.files import CacheConfig
 from ltm_ros.archive.manifest import ArchiveFrame
 
@@ -112,8 +112,7 @@ def plan(
 
 def evidence_key(settings: TaskSettings, votes_key: str, of_evidence: str, burns: Sequence[Burn]) -> str:
     """`of_evidence`: `evidence_digest` of the site."""
-    told = [[burn.stamp_ns, burn.cells.tolist()] for burn in burns]
-    return digest(settings.code, votes_key, of_evidence, told)
+    return digest(settings.code, votes_key, of_evidence, burns_digest(burns))
 
 
 def other_files(site: str) -> ArchiveError:

@@ -6,7 +6,6 @@ written over, and comes last.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Sequence
 from typing import Any
@@ -15,7 +14,14 @@ from ltm_core.errors import ArchiveError
 from ltm_core.fuel.burns_io import Burn
 from ltm_core.resources import config_path
 from ltm_core.site import Site
-from ltm_ros.archive.content_digest import digest, evidence_digest, file_digest, map_code_digest, map_settings
+from ltm_ros.archive.content_digest import (
+    burns_digest,
+    digest,
+    evidence_digest,
+    file_digest,
+    map_code_digest,
+    map_settings,
+)
 from ltm_ros.archive.publish import RUN, sha256_of
 from ltm_ros.archive.results import ResultFolder
 
@@ -29,7 +35,7 @@ def map_digest(
         files: results of the tasks, whose names tell what they hold, in the order of the plan.
         allowed: the share that may fail, and what has failed until then.
     """
-    burned = [[burn.stamp_ns, hashlib.sha256(burn.cells.tobytes()).hexdigest()] for burn in burns]
+    burned = burns_digest(burns)
     shipped = file_digest(config_path("fuel")), file_digest(config_path(site.labels))
     return digest(
         map_code_digest(),
