@@ -38,6 +38,22 @@ def partners(code: int) -> range:
     return next((group for codes, group in _TYPES.items() if code in codes), range(0))
 
 
+def of_one_fuel_type(fbfm40: Int16Array, fbfm13: Int16Array) -> BoolArray:
+    """Where two maps of the same ground agree on the fuel type that carries the fire.
+
+    What does not burn agrees with such alone. True also where either is NODATA, where both hold the same number, and
+    where FBFM40 has an analyst's own model, of which no type is known.
+    """
+    agree = np.zeros((256, 256), np.bool_)
+    agree[list(CUSTOM)] = True
+    agree[np.ix_(list(NONBURNABLE), list(NONBURNABLE))] = True
+    for code in range(256):
+        agree[code, list(partners(code))] = True
+    known = (fbfm40 != NODATA) & (fbfm13 != NODATA)
+    same: BoolArray = agree[_index(fbfm40), _index(fbfm13)] | (fbfm40 == fbfm13) | ~known
+    return same
+
+
 def is_custom(codes: Int16Array) -> BoolArray:
     """Where a code is an analyst's own fuel model: no table knows it, and no label changes it."""
     return (codes >= CUSTOM.start) & (codes < CUSTOM.stop)

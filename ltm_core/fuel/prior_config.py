@@ -53,6 +53,10 @@ class PriorConfig(StrictModel):
     """What to do with codes that no fuel system has, such as the 256 by which ELMFIRE marks buildings: refuse the map,
     take their cells for unknown, take 256 for built (91) and refuse others, or let all of them pass into exports as
     they are. Numbers 14 to 89 are an analyst's own models in both systems: they always pass."""
+    own_fbfm13: Literal["within_fuel_type", "as_given"] = "within_fuel_type"
+    """Of a FBFM13 map beside the FBFM40 one, in exports to FBFM13: keep it where both are of one fuel type (grass,
+    shrub, timber, slash), or wherever it has a code. LANDFIRE's two maps differ in the type of up to 7 % of the cells.
+    """
     barriers: tuple[BarrierConfig, ...] = ()
     """Vector layers of what does not burn, laid over the fuel map in their order."""
 

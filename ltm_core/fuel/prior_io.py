@@ -13,7 +13,7 @@ import numpy as np
 from ltm_core.errors import RasterError
 from ltm_core.fuel.barriers_io import barrier_codes, with_barriers
 from ltm_core.fuel.codes import FuelSystem, fuel_models, system_of_codes
-from ltm_core.fuel.crosswalk import is_custom
+from ltm_core.fuel.crosswalk import is_custom, of_one_fuel_type
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import CANOPY_BANDS, FuelPrior
 from ltm_core.fuel.prior_config import PriorConfig
@@ -77,8 +77,13 @@ def load_prior(config: PriorConfig, geometry: GridGeometry) -> FuelPrior:
     if any(name in read for name in CANOPY_BANDS):
         unknown = np.full(geometry.shape, NODATA, np.int16)
         canopy = np.stack([read.get(name, unknown) for name in CANOPY_BANDS])
-    beside = read.get("fbfm13") if system is FuelSystem.FBFM40 else None
-    return FuelPrior(read[system.value], geometry, system, canopy, beside)
+    codes, beside, contradicting = read[system.value], None, 0
+    if system is FuelSystem.FBFM40 and "fbfm13" in read:
+        beside, same = read["fbfm13"], of_one_fuel_type(codes, read["fbfm13"])
+        contradicting = int((~same).sum())
+        if config.own_fbfm13 == "within_fuel_type":
+            beside = np.where(same, beside, NODATA).astype(np.int16)
+    return FuelPrior(codes, geometry, system, canopy, beside, contradicting)
 
 
 def prior_heights(config: PriorConfig, geometry: GridGeometry) -> Float32Array | None:

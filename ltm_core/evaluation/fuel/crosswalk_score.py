@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from ltm_core.evaluation.fuel.map_score import Share
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
-from ltm_core.fuel.crosswalk import Crosswalk
+from ltm_core.fuel.crosswalk import Crosswalk, of_one_fuel_type
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.landscape import surface_codes
 from ltm_core.fuel.life_form import NODATA
@@ -51,7 +51,10 @@ class CrosswalkScore:
 
 
 def score_crosswalk(prior: FuelPrior, region_name: str) -> list[CrosswalkScore]:
-    """The unbound table, the region's, and the unchanged export of a map that brings both systems."""
+    """The unbound table, the region's, and both unchanged exports of a map that brings both systems.
+
+    `prior`: loaded with its FBFM13 as given (`PriorConfig.own_fbfm13`).
+    """
     region = FuelRegion.named(region_name)
     cover = None if prior.canopy is None else prior.canopy[0]
     ways = {
@@ -62,7 +65,10 @@ def score_crosswalk(prior: FuelPrior, region_name: str) -> list[CrosswalkScore]:
         learned = region.as_crosswalk().learned(prior.codes, prior.fbfm13, cover)
         ways["its own pairs"] = learned.to_fbfm13(prior.codes, cover)
         layers = layers_of_classes(np.full(prior.codes.shape, UNSEEN, np.uint8), prior, region)
-        ways["export, with its own FBFM13"] = surface_codes(layers, prior, region, FuelSystem.FBFM13)
+        within = np.where(of_one_fuel_type(prior.codes, prior.fbfm13), prior.fbfm13, NODATA).astype(np.int16)
+        for way, own in (("within the fuel type", within), ("as given", prior.fbfm13)):
+            exported = surface_codes(layers, replace(prior, fbfm13=own), region, FuelSystem.FBFM13)
+            ways[f"export, its own FBFM13 {way}"] = exported
     return [_score(way, codes, prior) for way, codes in ways.items()]
 
 

@@ -153,8 +153,8 @@ def surface_codes(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegio
     """The layers' codes in a system, of the fuel type that they have in their own.
 
     Cells that have changed, or never had a prior, take what the region has for such cells in that system. The others
-    take the FBFM13 map that came with the prior where one did, else the crosswalk (`ltm_core.fuel.crosswalk`), with the
-    partners that the prior itself shows. An analyst's own models, 14 to 89, stay.
+    take the FBFM13 map that came with the prior where one did (`PriorConfig.own_fbfm13`), else the crosswalk
+    (`ltm_core.fuel.crosswalk`), with the partners that the prior itself shows. An analyst's own models, 14 to 89, stay.
     """
     own = system_of(prior)
     if system is own:

@@ -62,4 +62,4 @@ def _read(path: Path) -> FuelPrior:
         if source.crs is None or t.b or t.d or t.a <= 0 or t.e != -t.a:
             raise RasterError(f"{path}: a fuel map is north-up with square cells and a CRS")
         grid = GridGeometry(t.c, t.f, t.a, source.width, source.height, source.crs.to_wkt())
-    return load_prior(PriorConfig(path=path.parent, fbfm40=path, unknown_codes="nodata"), grid)
+    return load_prior(PriorConfig(path=path.parent, fbfm40=path, unknown_codes="nodata", own_fbfm13="as_given"), grid)

@@ -10,7 +10,7 @@ import yaml
 
 from ltm_core.errors import ConfigError
 from ltm_core.fuel.codes import FuelRegion, FuelSystem, fuel_models
-from ltm_core.fuel.crosswalk import partners
+from ltm_core.fuel.crosswalk import of_one_fuel_type, partners
 from ltm_core.fuel.decision import layers_of_classes
 from ltm_core.fuel.export.landscape import surface_codes
 from ltm_core.fuel.life_form import NODATA, NONBURNABLE, LifeForm
@@ -55,6 +55,13 @@ def test_a_map_of_both_systems_teaches_its_own_pairs_of_the_same_fuel_type() -> 
     theirs[:, 2] = np.where(np.arange(60) < 15, 9, 1)  # 15 cells are too few
     learned = FuelRegion.named("humid").as_crosswalk().learned(codes, theirs)
     np.testing.assert_array_equal(learned.to_fbfm13(codes[:1]), [[3, 6, 8]])
+
+
+def test_fuel_types_of_two_maps() -> None:
+    fbfm40 = np.array([[102, 102, 122, 122, 145], [91, 91, 20, NODATA, 183]], np.int16)
+    fbfm13 = np.array([[3, 5, 2, 8, 4], [98, 5, 7, 5, NODATA]], np.int16)
+    wanted = [[True, False, True, False, True], [True, False, True, True, True]]
+    np.testing.assert_array_equal(of_one_fuel_type(fbfm40, fbfm13), wanted)
 
 
 @pytest.mark.parametrize("region", REGIONS)

@@ -102,3 +102,18 @@ def test_elevations_beside_the_codes(tmp_path: Path) -> None:
     with rasterio.open(tmp_path / "landscape.tif") as source:
         assert source.count == 8
     assert prior_heights(PriorConfig(path=tmp_path / "fuels/fbfm40.tif"), GRID) is None
+
+
+def test_a_fbfm13_beside_the_codes_is_kept_within_the_fuel_type_or_as_given(tmp_path: Path) -> None:
+    """Of GR1, GR2, GS2 and NB1 in the first row, and so on: 5 and 8 are neither grass nor, in the last, brush."""
+    own = np.array([[1, 5, 2, 91], [5, 4, 98, 8], [8, 3, 9, 99]], np.int16)
+    write(tmp_path / "fbfm40.tif")
+    write(tmp_path / "fbfm13.tif", own)
+    given = load_prior(PriorConfig(path=tmp_path, own_fbfm13="as_given"), GRID)
+    kept = load_prior(PriorConfig(path=tmp_path), GRID)
+    assert given.contradicting == kept.contradicting == 2
+    assert given.fbfm13 is not None
+    assert kept.fbfm13 is not None
+    np.testing.assert_array_equal(given.fbfm13, own)
+    own[0, 1] = own[2, 0] = NODATA
+    np.testing.assert_array_equal(kept.fbfm13, own)
