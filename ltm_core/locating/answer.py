@@ -17,6 +17,7 @@ from ltm_core.geodesy import SiteFrame
 from ltm_core.locating.locator import Agreement, Location
 from ltm_core.locating.place import PlaceView, place_views
 from ltm_core.locating.posterior import Ellipse
+from ltm_core.locating.turn_watch import TurnVerdict
 from ltm_core.types import Float64Array
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
@@ -160,6 +161,20 @@ def agreement_data(agreement: Agreement | None) -> dict[str, Any] | None:
         "limit": _round(agreement.limit),
         "wrong": agreement.wrong,
         "suspicion": {name: _round(share) for name, share in agreement.suspicion.items()},
+        "turned": None if agreement.wrong is None else turned_data(agreement.verdict),
+    }
+
+
+def turned_data(verdict: TurnVerdict) -> dict[str, Any] | None:
+    """The camera that is named as turned: its probability, and by how much its stated azimuths are too great."""
+    if verdict.wrong is None:
+        return None
+    return {
+        "camera": verdict.wrong,
+        "probability": round(verdict.suspicion[verdict.wrong], 4),
+        "turned_deg": round(math.degrees(verdict.turn), 3),
+        "sigma_deg": round(math.degrees(verdict.sigma), 3),
+        "fires": verdict.fires,
     }
 
 

@@ -15,7 +15,8 @@ camera c is turned by an angle of which only a prior is known (`direction_table`
 Mounts slip and encoders lose their zero about the vertical: the camera's slope still agrees with the right place, and
 how far it must be turned for each place says something too. The cameras disagree where the mean of these ratios is
 above `wrong_odds`. The shares of the ratios are then the probabilities of each camera to be the wrong one, and the
-answer is the mixture, by these, of what the others say without it. Two cameras tell no more than that one is wrong.
+answer is the mixture, by these, of what the others say without it. Which is named is judged by how mounts slip
+(`turn_watch.judged`); of two cameras none is: one fire's marks tell no more than that one is wrong.
 
 `misfit` is T = -2 log of S and of the densities at the best place, each over the greatest that it could have.
 """
@@ -37,6 +38,7 @@ from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_likelihood import OTHER_SLOPE
 from ltm_core.locating.sighting import LocatingTerrain, Sighting
 from ltm_core.locating.turn_evidence import TurnEvidence, turn_evidence
+from ltm_core.locating.turn_watch import TurnVerdict, judged
 from ltm_core.types import Float64Array
 
 MOST_SIGHTINGS = 64
@@ -50,8 +52,8 @@ _ELSEWHERE = 0.02 * OTHER_SLOPE / (2 * math.pi)
 class Agreement:
     """`statistic`: logarithm of how much likelier the marks are where one camera is wrong than where none is; +inf
     where no place is possible for all. `limit`: of it. `suspicion`: by camera, the probability that it is the wrong
-    one, where they disagree; else empty. `wrong`: the one that is named. `turns`: what the marks say of each camera's
-    turn, to be taken together with other fires' (`turn_watch`).
+    one, where they disagree; else empty. `wrong`: the one that is named, `verdict` being sure of it. `turns`: what the
+    marks say of each camera's turn, to be taken together with other fires' (`turn_watch`); `verdict`: of these alone.
     """
 
     statistic: float
@@ -59,6 +61,7 @@ class Agreement:
     suspicion: dict[str, float]
     wrong: str | None
     turns: TurnEvidence
+    verdict: TurnVerdict
 
     @property
     def agree(self) -> bool:
@@ -121,16 +124,15 @@ class Locator:
         marked = {name: wrong for name, (_, wrong) in parted.items()}
         turns = turn_evidence(profiles, fused.log_evidence, _ELSEWHERE, marked)
         statistic = _log_mean(evidences) - fused.log_evidence if np.isfinite(fused.log_evidence) else math.inf
+        verdict = judged([turns], self.config.sure_of_wrong)
         if not statistic > limit:
-            return _location(fused, Agreement(statistic, limit, {}, None, turns))
+            return _location(fused, Agreement(statistic, limit, {}, None, turns, verdict))
         # What a wrong camera marks may be another thing, in any direction.
         without = [fused_closely(terrain, others) for others, _ in parted.values()]
         elsewhere = np.array([part.log_evidence for part in without]) + math.log(_ELSEWHERE)
         chances = _shares(np.logaddexp(evidences, elsewhere))
         suspicion = dict(zip(names, chances, strict=True))
-        suspect = max(suspicion, key=lambda name: suspicion[name])
-        named = suspicion[suspect] > self.config.sure_of_wrong and len(names) > 2
-        agreement = Agreement(statistic, limit, suspicion, suspect if named else None, turns)
+        agreement = Agreement(statistic, limit, suspicion, verdict.wrong, turns, verdict)
         likely = [k for k, chance in enumerate(chances) if chance >= _NEGLIGIBLE]
         return _location(mixture([without[k] for k in likely], [chances[k] for k in likely]), agreement)
 

@@ -33,5 +33,5 @@ class LocatingConfig(StrictModel):
     """Share of one camera's sightings of one thing that are taken for those of two."""
     wrong_odds: float = Field(2.0, gt=0)
     """How many times likelier marks must be with one camera wrong than with none, until cameras disagree."""
-    sure_of_wrong: float = Field(0.9, ge=0.5, lt=1)
-    """Probability above which a camera is named as the wrong one."""
+    sure_of_wrong: float = Field(0.75, ge=0.5, lt=1)
+    """Probability above which a camera is named as turned."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from ltm_core.locating.direction_table import turn_prior
+from ltm_core.locating.slips import HELD, slip_density
 from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence
 from ltm_core.types import Float64Array
 from ltm_core.utc_time import DAY_NS
@@ -32,38 +32,46 @@ class TurnVerdict:
     fires: int
 
 
+SLIPS = slip_density(TURNS, STEP)
 NOBODY = TurnVerdict({}, None, None, 0.0, 0.0, 0)
 
 
-def judged(fires: Sequence[TurnEvidence], sure: float) -> TurnVerdict:
+def judged(
+    fires: Sequence[TurnEvidence], sure: float, held: Collection[str] = (), slips: Float64Array = SLIPS
+) -> TurnVerdict:
     """Whether one camera is turned, and which.
 
-    That one is turned is as probable beforehand as that none is, and each camera as another. Where none is, the poses
-    still err by what their covariances say, and alike in all fires: of this the explanation by the one camera that
-    makes the marks likeliest stands for all, so that none is named for an error that its covariance allows.
+    That one is turned is as probable beforehand as that none is, and each camera as another, but for those that are
+    `held`; by how much is known as `slip_density` has it. Where none is, the poses still err by what their covariances
+    say, and alike in all fires: of this the explanation by the one camera that makes the marks likeliest stands for
+    all, so that none is named for an error that its covariance allows.
 
     Args:
         fires: of different fires; several sightings of one fire are one.
-        sure: probability above which a camera is named.
+        sure: probability above which a camera is named; of two that mark one fire none is: it may be two fires.
+        held: cameras whose pictures say that their poses are right.
+        slips: (T,) density of the angle of a camera that is turned.
     """
     names = list(dict.fromkeys(name for fire in fires for name in fire.ratios))
     if not names:
         return NOBODY
     totals = {name: _total(fires, name) for name in names}
     sigmas = {name: max(fire.sigmas[name] for fire in fires if name in fire.sigmas) for name in names}
-    turned = np.array([_integral(totals[name], turn_prior(TURNS)) for name in names])
+    turned = np.array([_integral(totals[name], slips) for name in names])
     stated = [_integral(totals[name], _normal(sigmas[name])) for name in names]
     none = max(0.0, *stated)
-    shares = turned - math.log(len(names))
+    chances = np.array([HELD if name in held else 1.0 for name in names]) / len(names)
+    shares = turned + np.log(chances)
     every = float(np.logaddexp.reduce([*shares, none]))
     suspicion = {name: math.exp(share - every) for name, share in zip(names, shares.tolist(), strict=True)}
     suspect = max(names, key=lambda name: suspicion[name])
-    weights = np.exp(totals[suspect] - totals[suspect].max()) * turn_prior(TURNS)
+    weights = np.exp(totals[suspect] - totals[suspect].max()) * slips
     weights /= weights.sum()
     turn = float(weights @ TURNS)
     sigma = math.sqrt(float(weights @ (TURNS - turn) ** 2) + STEP**2 / 12)
     seen = sum(suspect in fire.ratios for fire in fires)
-    return TurnVerdict(suspicion, suspect, suspect if suspicion[suspect] > sure else None, turn, sigma, seen)
+    sure_of_it = suspicion[suspect] > sure and (len(names) > 2 or seen > 1)
+    return TurnVerdict(suspicion, suspect, suspect if sure_of_it else None, turn, sigma, seen)
 
 
 @dataclass
@@ -77,11 +85,13 @@ class TurnWatch:
         sure: `judged`.
         memory_ns: fires seen longer ago do not count: a mount that has been put right is right again.
         most: fires that count, the newest.
+        held: cameras whose pictures say that their poses are right.
     """
 
     sure: float
     memory_ns: int = DAY_NS
     most: int = 32
+    held: set[str] = field(default_factory=set)
     _fires: dict[int, tuple[int, TurnEvidence]] = field(default_factory=dict)
 
     def note(self, fire: int, stamp_ns: int, evidence: TurnEvidence) -> None:
@@ -102,7 +112,7 @@ class TurnWatch:
 
     @property
     def verdict(self) -> TurnVerdict:
-        return judged([evidence for _, evidence in self._fires.values()], self.sure)
+        return judged([evidence for _, evidence in self._fires.values()], self.sure, self.held)
 
 
 def _of_one_place(one: TurnEvidence, other: TurnEvidence) -> bool:

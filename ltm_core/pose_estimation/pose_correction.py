@@ -28,6 +28,11 @@ class PoseCorrection:
         """Whether the angles of a pose are of use with it."""
         return self.angles is None or bool(self.angles.diagonal().max() < _UNKNOWN)
 
+    @property
+    def held(self) -> bool:
+        """Whether pictures have found it, and agree with it still."""
+        return self.angles is not None and self.known
+
     def applied(self, pose: Pose, covariance: Float64Array) -> tuple[Pose, Float64Array]:
         """A stated pose and its covariance (6, 6) as in `pose_covariance`, corrected."""
         if self.angles is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -215,10 +216,15 @@ def _tell(said: Answer, scene: LocatingScene, console: Console) -> None:
     console.print(table)
     agreement = said.location.agreement
     if agreement is not None and agreement.wrong is not None:
-        sure = agreement.suspicion[agreement.wrong]
+        verdict = agreement.verdict
+        turn, sigma = math.degrees(verdict.turn), math.degrees(verdict.sigma)
+        left_out = agreement.suspicion[agreement.wrong]
         console.print(
-            f"[yellow]The cameras disagree: {agreement.wrong} is wrong ({sure:.0%}) and is left out by as much. "
-            "Check its pose."
+            f"[yellow]The cameras disagree: {agreement.wrong} seems to be turned "
+            f"({verdict.suspicion[agreement.wrong]:.0%}), its stated azimuth is {abs(turn):.1f} degrees (sigma "
+            f"{sigma:.1f}) too {'great' if turn > 0 else 'small'}. It is left out of the place by {left_out:.0%}; "
+            "check its pose.",
+            highlight=False,
         )
     elif agreement is not None and not agreement.agree:
         shares = ", ".join(f"{camera} {share:.0%}" for camera, share in agreement.suspicion.items())

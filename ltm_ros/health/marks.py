@@ -75,7 +75,8 @@ class _Turned(_Told):
 
     def in_words(self) -> str:
         return (
-            f"camera {self.camera} seems to be turned ({self.probability:.0%}): by the marks of {self.fires} fires its "
+            f"camera {self.camera} seems to be turned ({self.probability:.0%}): by the marks of {self.fires} "
+            f"{'fire' if self.fires == 1 else 'fires'} its "
             f"stated azimuths are {abs(self.turned_deg):.1f} degrees too {'great' if self.turned_deg > 0 else 'small'} "
             f"(sigma {self.sigma_deg:.1f}); look after its mount"
         )

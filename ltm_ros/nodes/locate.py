@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -20,7 +19,7 @@ from ltm_core.errors import ConfigError, MessageError
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.prior_io import load_prior
 from ltm_core.grid import GridGeometry
-from ltm_core.locating.answer import Answer, answer, as_geojson
+from ltm_core.locating.answer import Answer, answer, as_geojson, turned_data
 from ltm_core.locating.locator import Location, Locator
 from ltm_core.locating.place import place_views
 from ltm_core.locating.region import marked_pixel, marked_polygon
@@ -36,6 +35,7 @@ from ltm_core.vision.view_masks import Looking
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.located import msg_to_outline, place_to_msg
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
+from ltm_msgs_py.pose_correction import msg_to_correction
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
@@ -48,6 +48,7 @@ from ltm_ros.runtime.topics import (
     LOCATE_POINT,
     LOCATE_REGION,
     LOCATE_TRACKS,
+    POSE_CORRECTION,
     POSED_CAMERA_INFO,
     POSED_POSE,
     camera_topic,
@@ -116,6 +117,8 @@ class Locate(Handler[LocateConfig]):
         for name in self._site.cameras:
             found[self._of(name, POSED_CAMERA_INFO)] = partial(self.on_camera_info, name)
             found[self._of(name, POSED_POSE)] = partial(self.on_pose, name)
+            if self._site.refine_poses is not None:
+                found[self._of(name, POSE_CORRECTION)] = partial(self.on_correction, name)
             found[self._of(name, LOCATE_REGION)] = partial(self.on_region, name, "detector")
             found[self._of(name, LOCATE_POINT)] = partial(self.on_region, name, "person")
         return found
@@ -134,6 +137,14 @@ class Locate(Handler[LocateConfig]):
         poses[stamp_of(message)] = (msg_to_pose(message, "map"), covariance)
         while len(poses) > _POSES:
             poses.popitem(last=False)
+
+    def on_correction(self, name: str, message: Any) -> None:
+        """Which cameras' pictures hold their poses: others are rather turned."""
+        held = self._tracks.watch.held
+        if msg_to_correction(message).held:
+            held.add(name)
+        else:
+            held.discard(name)
 
     def on_region(self, name: str, source: str, message: Any) -> None:
         outline = msg_to_outline(message, f"{name}_optical")
@@ -216,16 +227,7 @@ class Locate(Handler[LocateConfig]):
 
     def _turned(self) -> dict[str, Any] | None:
         """The camera that is turned by all that fires have said, if one is named."""
-        verdict = self._tracks.watch.verdict
-        if verdict.wrong is None:
-            return None
-        return {
-            "camera": verdict.wrong,
-            "probability": round(verdict.suspicion[verdict.wrong], 4),
-            "turned_deg": round(math.degrees(verdict.turn), 3),
-            "sigma_deg": round(math.degrees(verdict.sigma), 3),
-            "fires": verdict.fires,
-        }
+        return turned_data(self._tracks.watch.verdict)
 
 
 def _place_msg(said: Answer, stamp: int) -> Any:

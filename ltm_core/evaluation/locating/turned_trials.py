@@ -25,11 +25,13 @@ from ltm_core.geodesy import ray_bend
 from ltm_core.locating.locator import Locator
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sighting import Sighting
-from ltm_core.locating.turn_evidence import TURNS, TurnEvidence
-from ltm_core.locating.turn_watch import TurnVerdict, judged
+from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence
+from ltm_core.locating.turn_watch import SLIPS, TurnVerdict, judged
 from ltm_core.types import Float64Array
 from ltm_core.visibility.point_visibility import PointVisibility
 
+EXACTLY = np.where(np.abs(np.abs(TURNS) - math.radians(TURNED_DEG)) < STEP / 2, 1.0, 0.0)
+"""Density of slips for one who knows their angle, though not whether there is one."""
 _TRIES = 4_000
 """Places that are tried for fires that the same three towers see."""
 
@@ -43,9 +45,10 @@ class TurnedCase:
     turn_deg: float
     fires: tuple[TurnEvidence, ...]
 
-    def verdict(self, fires: int, sure: float) -> TurnVerdict:
-        """After the first ones."""
-        return judged(self.fires[:fires], sure)
+    def verdict(self, fires: int, sure: float, held: int = 0, slips: Float64Array = SLIPS) -> TurnVerdict:
+        """After the first ones. `held`: right cameras whose pictures hold their poses."""
+        right = [name for fire in self.fires[:1] for name in fire.ratios if name != self.turned]
+        return judged(self.fires[:fires], sure, right[:held], slips)
 
     @property
     def told(self) -> bool:
@@ -74,8 +77,11 @@ class NamingScore:
     off_deg: float
 
     @classmethod
-    def of(cls, cases: Sequence[TurnedCase], fires: int, sure: float) -> NamingScore:
-        verdicts = [(case, case.verdict(fires, sure)) for case in cases]
+    def of(
+        cls, cases: Sequence[TurnedCase], fires: int, sure: float, held: int = 0, slips: Float64Array = SLIPS
+    ) -> NamingScore:
+        """`held`, `slips`: `TurnedCase.verdict`."""
+        verdicts = [(case, case.verdict(fires, sure, held, slips)) for case in cases]
         found = [(case, verdict) for case, verdict in verdicts if case.turned and verdict.wrong == case.turned]
         most = [bool(case.turned) and said.suspect == case.turned for case, said in verdicts]
         off = [abs(math.degrees(verdict.turn) - case.turn_deg) for case, verdict in found]

@@ -35,6 +35,7 @@ def locate(
     fires: Annotated[
         int, typer.Option(help="Instead: three cameras, one or none of them turned, mark so many fires; who is named.")
     ] = 0,
+    draw: Annotated[int, typer.Option(help="With --dem: each number has other cases on the same rasters.", min=0)] = 0,
     points: Annotated[
         Path | None, typer.Option(help="Instead: control points, a CSV with id, x, y, z, u, v; with --guess and --dem.")
     ] = None,
@@ -66,7 +67,7 @@ def locate(
     if fires > 0:
         from ltm_ros.cli.eval.locate_turned import naming
 
-        naming(_sites(seeds, dem or []), count, fires, angle_sigma, dem_error, console, json_path)
+        naming(_sites(seeds, dem or [], draw), count, fires, angle_sigma, dem_error, console, json_path)
         return
     if marks not in ("click", "box", "both"):
         raise ConfigError(f"--marks is click, box or both, got {marks!r}")
@@ -77,16 +78,16 @@ def locate(
         raise ConfigError(f"--cases are one, two, same, three, turned, got {', '.join(unknown)}")
     chosen = tuple(Case[part.upper()] for part in cases.split(","))
     boxed = {"click": [False], "box": [True], "both": [False, True]}[marks]
-    _smoke(_sites(seeds, dem or []), chosen, count, angle_sigma, dem_error, boxed, pictures, console, json_path)
+    _smoke(_sites(seeds, dem or [], draw), chosen, count, angle_sigma, dem_error, boxed, pictures, console, json_path)
 
 
-def _sites(seeds: str, rasters: list[Path]) -> list[tuple[str, Dem, int]]:
+def _sites(seeds: str, rasters: list[Path], draw: int) -> list[tuple[str, Dem, int]]:
     from ltm_core.dem import Dem
     from ltm_core.errors import ConfigError
     from ltm_core.evaluation.locating.smoke_sites import ranged_mountains
 
     if rasters:
-        return [(path.parent.name + "/" + path.stem, Dem.open(path), k) for k, path in enumerate(rasters)]
+        return [(path.parent.name + "/" + path.stem, Dem.open(path), draw + k) for k, path in enumerate(rasters)]
     try:
         numbers = [int(part) for part in seeds.split(",") if part]
     except ValueError as error:

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ltm_core.dem import Dem
+    from ltm_core.evaluation.locating.turned_trials import NamingScore
 
 _STEPS = (1, 2, 3, 5, 8, 12)
 """Numbers of fires that are told of, up to the one that is asked for."""
@@ -29,7 +30,7 @@ def naming(
     from ltm_core.bench.measure import conditions
     from ltm_core.evaluation.locating.smoke_sites import smoke_site
     from ltm_core.evaluation.locating.smoke_trials import PoseErrors
-    from ltm_core.evaluation.locating.turned_trials import NamingScore, TurnedCase, turned_cases
+    from ltm_core.evaluation.locating.turned_trials import EXACTLY, NamingScore, TurnedCase, turned_cases
     from ltm_core.locating.settings import LocatingConfig
     from ltm_ros.evaluation.figures_io import write_figures
 
@@ -63,6 +64,18 @@ def naming(
     console.print(table)
     told = sum(case.told for case in cases[True]) / len(cases[True])
     console.print(f"of one fire, told that one camera is off by exactly 2 degrees: {told:.1%} right", highlight=False)
+    known = [NamingScore.of(cases[turned], 1, sure, slips=EXACTLY) for turned in (True, False)]
+    console.print(f"told that one may be, and that it is by exactly 2 degrees: {_named(*known)}", highlight=False)
+    for held, what in ((1, "one right camera"), (2, "both right cameras")):
+        scores = [NamingScore.of(cases[turned], 1, sure, held) for turned in (True, False)]
+        console.print(f"where pictures hold the pose of {what}: {_named(*scores)}", highlight=False)
     if json_path is not None:
         write_figures(json_path, rows)
         console.print(f"  {json_path}", highlight=False)
+
+
+def _named(one: NamingScore, none: NamingScore) -> str:
+    return (
+        f"{one.named:.1%} named, a right one in {one.wrongly_named:.1%}; where none is turned, one in "
+        f"{none.wrongly_named:.1%}"
+    )

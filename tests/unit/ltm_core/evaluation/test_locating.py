@@ -13,7 +13,7 @@ from ltm_core.evaluation.locating.smoke_score import Case, Trial, smoke_trials
 from ltm_core.evaluation.locating.smoke_sites import MAST, ranged_mountains, smoke_site
 from ltm_core.evaluation.locating.smoke_trials import CAMERA, Plume, PoseErrors, seen_plume, sighting
 from ltm_core.evaluation.locating.summary import SmokeSummary
-from ltm_core.evaluation.locating.turned_trials import NamingScore, TurnedCase, turned_cases
+from ltm_core.evaluation.locating.turned_trials import EXACTLY, NamingScore, TurnedCase, turned_cases
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.turn_evidence import TURNS, TurnEvidence
 from ltm_core.visibility.point_visibility import PointVisibility, project
@@ -101,6 +101,11 @@ def test_naming_is_scored_by_fires() -> None:
     assert (two.named, two.wrongly_named, two.suspect) == (0.25, 0.5, 0.25)
     assert two.off_deg == pytest.approx(0.0, abs=0.05)
     assert [case.told for case in cases] == [True, False, False, False]
+    # What two fires say of a camera outweighs that its pictures hold its pose.
+    held = NamingScore.of(cases[:2], 2, 0.9, held=1)
+    assert (held.named, held.wrongly_named) == (0.5, 0.5)
+    told = NamingScore.of(cases[:1], 2, 0.9, slips=EXACTLY)
+    assert (told.named, told.off_deg) == (1.0, pytest.approx(0.0, abs=0.01))
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from ltm_core.dem import Dem
 from ltm_core.errors import PoseError, RegionError
 from ltm_core.geodesy import ray_bend
 from ltm_core.grid import GridGeometry
+from ltm_core.locating.answer import agreement_data
 from ltm_core.locating.locator import Locator
 from ltm_core.locating.region import marked_box, marked_pixel
 from ltm_core.locating.settings import LocatingConfig
@@ -137,6 +138,11 @@ def test_the_camera_that_is_turned_is_named(turned: int) -> None:
     assert location.agreement is not None
     assert location.agreement.wrong == f"camera_{turned}"
     assert location.agreement.statistic > location.agreement.limit
+    said = agreement_data(location.agreement)
+    assert said is not None
+    assert said["turned"]["camera"] == f"camera_{turned}"
+    assert said["turned"]["turned_deg"] == pytest.approx(2.0, abs=0.2)
+    assert said["turned"]["probability"] > 0.75
     assert location.posterior.mean == pytest.approx(tuple(place[:2]), abs=15.0)
 
 

@@ -10,6 +10,7 @@ import pytest
 from scenes.located import plain, sighting
 
 from ltm_core.locating.locator import Locator
+from ltm_core.locating.slips import slip_density
 from ltm_core.locating.turn_evidence import STEP, TURNS, TurnEvidence, TurnProfile, turn_evidence
 from ltm_core.locating.turn_watch import NOBODY, TurnWatch, judged
 from ltm_core.types import Float64Array
@@ -44,6 +45,43 @@ def test_fires_tell_together_what_one_does_not() -> None:
     assert math.degrees(two.turn) == pytest.approx(2.0, abs=0.02)
     assert math.degrees(two.sigma) == pytest.approx(0.1 / math.sqrt(2), rel=0.1)
     assert two.fires == 2
+
+
+def test_slips_are_of_degrees() -> None:
+    """Lognormal: the sizes at -+ one standard deviation hold 68 %, and both sides count alike."""
+    density = slip_density(TURNS, STEP)
+    size = np.abs(TURNS) / DEG
+    assert density == pytest.approx(density[::-1])
+    assert density.sum() * STEP == pytest.approx(1.0, abs=0.01)
+    inner = (size > 1.5 * math.exp(-0.8)) & (size < 1.5 * math.exp(0.8))
+    assert density[inner].sum() * STEP == pytest.approx(0.683, abs=0.02)
+    assert density[(size > 0.475) & (size < 5.025)].sum() * STEP == pytest.approx(0.85, abs=0.02)
+
+
+def test_of_angles_that_explain_alike_the_likelier_slip_counts() -> None:
+    """Three narrow peaks of one height: the shares are the densities of slips there, and a tenth of it of who is
+    held.
+    """
+    at = {"a": 2.0, "b": -1.0, "c": 6.0}
+    fires = [alike(*at.values())]
+    density = {name: float(slip_density(np.array([turn * DEG]), STEP)[0]) for name, turn in at.items()}
+    free = judged(fires, 0.9)
+    total = sum(density.values())
+    assert free.suspicion == pytest.approx({name: one / total for name, one in density.items()}, rel=0.03)
+    assert free.wrong is None
+    weighed = density | {"b": 0.1 * density["b"], "c": 0.1 * density["c"]}
+    held = judged(fires, 0.8, held={"b", "c"})
+    total = sum(weighed.values())
+    assert held.suspicion == pytest.approx({name: one / total for name, one in weighed.items()}, rel=0.03)
+    assert held.wrong == "a"
+
+
+def test_of_two_cameras_one_fire_names_none() -> None:
+    marks = fire(a=peak(2.0), b=np.full(len(TURNS), -12.0))
+    once, twice = judged([marks], 0.75), judged([marks, marks], 0.75)
+    assert once.suspicion["a"] > 0.99
+    assert (once.suspect, once.wrong) == ("a", None)
+    assert twice.wrong == "a"
 
 
 def test_cameras_that_always_agree_are_not_suspect() -> None:

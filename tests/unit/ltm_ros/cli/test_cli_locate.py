@@ -24,13 +24,15 @@ FIRE = np.array([-100.0, 2480.0, 64.0])
 TOWERS = {"north": (-900.0, 1300.0, 180.0), "east": (1200.0, 1700.0, 190.0), "south": (200.0, 1250.0, 160.0)}
 
 
-def site(folder: Path) -> Path:
+def site(folder: Path, turned: str = "") -> Path:
+    """`turned`: the camera whose stated azimuth is 2 degrees too great."""
     dem = hills()
     moved = replace(dem.geometry, x_min=dem.geometry.x_min + 4e5, y_max=dem.geometry.y_max + 38e5, crs="EPSG:32611")
     Dem(dem.elevation, moved).save(folder / "dem.tif")
     cameras: dict[str, Any] = {"far": {}}
     for name, (x, y, z) in TOWERS.items():
-        azimuth, pitch, roll = sighting(name, (x, y, z), FIRE).pose.angles_deg
+        seen = sighting(name, (x, y, z), FIRE, turned_deg=2.0 if name == turned else 0.0)
+        azimuth, pitch, roll = seen.pose.angles_deg
         angles = {"azimuth_deg": azimuth, "pitch_deg": pitch, "roll_deg": roll, "azimuth_sigma_deg": 0.05}
         cameras[name] = {
             "calibration": {"width": CAMERA.width, "height": CAMERA.height, "fx": CAMERA.fx},
@@ -46,6 +48,14 @@ def site(folder: Path) -> Path:
 def marked(camera: str) -> str:
     u, v = sighting(camera, TOWERS[camera], FIRE).mark.pixels[0]
     return f"{u},{v}"
+
+
+def test_the_turned_one_of_three_is_named_with_its_angle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    locate(site=site(tmp_path, turned="east"), camera=list(TOWERS), pixel=[marked(name) for name in TOWERS])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "The cameras disagree: east seems to be turned (" in said
+    assert "its stated azimuth is 2.0 degrees" in said
+    assert "too great" in said
 
 
 def test_two_cameras_say_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

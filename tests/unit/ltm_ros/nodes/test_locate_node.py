@@ -20,8 +20,10 @@ from scenes.outlets import Kept
 from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, LtmError, MessageError, RegionError
 from ltm_core.locating.sighting import Sighting
+from ltm_core.pose_estimation.pose_correction import PoseCorrection
 from ltm_msgs_py.camera_info import camera_to_msg
 from ltm_msgs_py.pose import msg_to_covariance, pose_to_msg
+from ltm_msgs_py.pose_correction import correction_to_msg
 from ltm_msgs_py.stamp import make_header
 from ltm_ros.launching.graph import describe
 from ltm_ros.nodes.locate import Locate, LocateConfig
@@ -34,6 +36,7 @@ from ltm_ros.runtime.topics import (
     LOCATE_POINT,
     LOCATE_REGION,
     LOCATE_TRACKS,
+    POSE_CORRECTION,
     POSED_CAMERA_INFO,
     POSED_POSE,
     camera_topic,
@@ -187,6 +190,39 @@ def test_what_the_site_masks_is_not_located(tmp_path: Path) -> None:
         point.x += 60.0
     running.send("north", LOCATE_REGION, aside)
     assert len(running.kept.on(LOCATE_FUSED)) == 1
+
+
+def turned_says(running: Running, marks: dict[str, Sighting], second: int) -> dict[str, Any] | None:
+    """What is said of a turned camera once all have marked a fire again."""
+    for camera, seen in marks.items():
+        running.pose(seen, STAMP + second * SECOND)
+        message = PointStamped(header=make_header(STAMP + second * SECOND, f"{camera}_optical"))
+        message.point.x, message.point.y = (float(v) for v in seen.mark.pixels[0])
+        running.send(camera, LOCATE_POINT, message)
+    said: dict[str, Any] | None = json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"]
+    return said
+
+
+def test_a_camera_whose_pictures_hold_its_pose_is_not_so_soon_turned(tmp_path: Path) -> None:
+    towers = TOWERS | {"west": (-1300.0, 900.0, 120.0)}
+    running = Running(tmp_path, cameras={name: {} for name in towers}, refine_poses={})
+    fire = np.array([-100.0, 1900.0, 0.0])
+    marks = {name: sighting(name, at, fire, 0.05, 1.0 if name == "north" else 0.0) for name, at in towers.items()}
+    said = turned_says(running, marks, 0)
+    assert said is not None
+    assert (said["camera"], said["fires"]) == ("north", 1)
+    assert said["turned_deg"] == pytest.approx(1.0, abs=0.15)
+    correction = running.of("north", POSE_CORRECTION)
+    running.send("north", POSE_CORRECTION, correction_to_msg(PoseCorrection(np.zeros(3), np.eye(3) * 1e-6), STAMP))
+    assert correction.latched
+    assert turned_says(running, marks, 10) is None
+    running.send("north", POSE_CORRECTION, correction_to_msg(PoseCorrection(np.zeros(3), np.eye(3) * 4.0), STAMP))
+    assert turned_says(running, marks, 20) == said
+    for name in ("east", "west"):
+        running.send(name, POSE_CORRECTION, correction_to_msg(PoseCorrection(np.zeros(3), np.eye(3) * 1e-6), STAMP))
+    surer = turned_says(running, marks, 30)
+    assert surer is not None
+    assert surer["probability"] > said["probability"]
 
 
 def test_too_many_points_and_no_points_are_told(tmp_path: Path) -> None:
