@@ -41,6 +41,16 @@ def vector_of_matrix(matrix: ArrayLike) -> Float64Array:
     return np.asarray(Rotation.from_matrix(matrix).as_rotvec(), np.float64)
 
 
+def nearest_vector(vector: Float64Array, to: Float64Array) -> Float64Array:
+    """Of the rotation vectors (3,) of the same rotation as `vector`, a whole turn apart, that nearest to `to`."""
+    angle = float(np.linalg.norm(vector))
+    if angle == 0.0:
+        return vector
+    axis = vector / angle
+    turns = round((float(axis @ to) - angle) / (2 * np.pi))
+    return np.asarray(vector + 2 * np.pi * turns * axis, np.float64)
+
+
 def matrix_of_pan_tilt(pan: float, tilt: float) -> Float64Array:
     """(3, 3) of a turn about y by `pan` after one about x by `tilt`, radians."""
     from scipy.spatial.transform import Rotation

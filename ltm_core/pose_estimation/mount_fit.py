@@ -23,7 +23,7 @@ from ltm_core.pose_estimation.pose_hypothesis import mean_about_best
 from ltm_core.pose_estimation.pose_prior import PosePrior, turned
 from ltm_core.pose_estimation.pose_refinement import ROUNDS, picture_system, skyline_cost
 from ltm_core.pose_estimation.pose_verdict import MANY_PLANTS, Word
-from ltm_core.rotations import matrix_of_vector, vector_of_matrix
+from ltm_core.rotations import matrix_of_vector, nearest_vector, vector_of_matrix
 from ltm_core.types import Float64Array
 
 TILT_ZERO_SIGMA_DEG = 0.3
@@ -93,6 +93,9 @@ def fit_mount(
         state, covariance = _refined(pictures, starts[order[k]], sigma, config)
         fits.append((_cost(pictures, state, sigma, config), state, covariance))
     fits.sort(key=lambda fit: fit[0])
+    for _, state, _ in fits[1:]:
+        # Turns of half a circle to the right and to the left are one, and so is their mean.
+        state[3:6] = nearest_vector(state[3:6], fits[0][1][3:6])
     v = config.verdict
     gap = next(
         (
@@ -157,7 +160,7 @@ def _apart(turns: list[Float64Array]) -> list[int]:
     for k, turn in enumerate(turns):
         if len(kept) == _STARTS:
             break
-        if all(abs(turn[2] - turns[j][2]) > _APART for j in kept):
+        if all(abs(nearest_vector(turn, turns[j])[2] - turns[j][2]) > _APART for j in kept):
             kept.append(k)
     return kept
 
@@ -227,7 +230,12 @@ def _refined(
             covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
             covariance[3:6, 3:6] += pose_covariance(pictures[0].prior.pose, 0.0, 0.0, *FLOOR_DEG)[3:, 3:]
         else:
-            state[free] -= np.linalg.solve(normal[np.ix_(free, free)], gradient[free])
+            step = np.zeros(7)
+            step[free] = np.linalg.solve(normal[np.ix_(free, free)], gradient[free])
+            turn = matrix_of_vector(-step[3:6]) @ matrix_of_vector(state[3:6])
+            state -= step
+            # A turn about the map's axes comes after what the state has turned: of large ones no sum would do.
+            state[3:6] = vector_of_matrix(turn)
     return state, covariance
 
 

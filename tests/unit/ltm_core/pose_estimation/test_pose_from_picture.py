@@ -190,6 +190,21 @@ def test_presets_of_one_head_share_its_mount() -> None:
     assert fit.tilt_zero == pytest.approx(-tilt, abs=np.radians(0.1))
 
 
+def test_a_mount_that_looks_backwards_is_not_two() -> None:
+    """Of two presets the one asks for a turn of just less than half a circle to the right, the other to the left."""
+    little = np.radians(0.02)
+    priors, searches = [], []
+    true = [Pose.from_angles(eye(), azimuth, 2.0, 0.0) for azimuth in (20.0, 205.0)]
+    for pose, turn in zip(true, (np.pi - little, np.pi + little), strict=True):
+        told = turned(pose, np.array([0.0, 0.0, turn]))
+        priors.append(PosePrior(told, UNKNOWN_DEG, 0.5, 0.5))
+        searches.append(find_pose(picture_evidence(*view(pose), CAMERA), terrain(), PosePrior(pose, 1.5, 0.5, 0.5)))
+    fit = fit_mount(priors, searches, tilt_zero_sigma_deg=0.0)
+    assert fit.word == "accepted", fit.reason
+    for k, pose in enumerate(true):
+        assert np.abs(np.degrees(angles_between(pose, fit.poses[k]))).max() < 0.08
+
+
 def test_a_mean_that_fits_nowhere_is_not_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Here one that lies 1.5 degrees beside all that it is of."""
 
