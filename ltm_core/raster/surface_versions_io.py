@@ -15,24 +15,38 @@ import os
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import ValidationError
 
 from ltm_core.errors import RasterError, StoreError
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.confirmed_surface import ConfirmedSurface
-from ltm_core.strict_model import StrictModel
+from ltm_core.raster.surface_manifest import (
+    AS_GIVEN,
+    KEPT,
+    VERSION,
+    Counted,
+    SurfaceManifest,
+    SurfaceVersion,
+    of_later_release,
+)
+
+__all__ = [
+    "AS_GIVEN",
+    "FOLDER",
+    "KEPT",
+    "MANIFEST",
+    "VERSION",
+    "Counted",
+    "SurfaceManifest",
+    "SurfaceVersion",
+    "SurfaceVersions",
+]
 
 FOLDER = "surfaces"
 """Beside the store of the terrain."""
 MANIFEST = "surfaces.json"
-AS_GIVEN = ""
-"""In place of a version: nothing is confirmed, the terrain is as its rasters give it."""
-VERSION = r"[0-9a-f]{16}"
-KEPT = 100
-"""Versions whose files are kept: frames of months name the surface that they were traced to."""
 _MOST_MANIFEST = 1 << 20
 _MOST_FILE = 1 << 30
 _ARRAYS = ("rows", "cols", "surface", "ground")
@@ -40,103 +54,6 @@ _ARRAYS = ("rows", "cols", "surface", "ground")
 
 class BrokenManifestError(StoreError):
     """What stands in its place is no manifest, and will not become one by itself."""
-
-
-class SurfaceVersion(StrictModel):
-    """One version. `version`: the first 16 digits of `digest`, the SHA-256 of its file. `parent`: the version that it
-    followed when it came last. `as_of_ns`: stamp of the newest frame that had a say. `seen`: cells that independent
-    views have judged, of the `cells` of the grid; `changed` of them are confirmed as changed, `lowered` with their
-    bare earth.
-    """
-
-    version: str = Field(pattern=f"^{VERSION}$")
-    digest: str = Field(pattern="^[0-9a-f]{64}$")
-    parent: str = Field(pattern=f"^({VERSION})?$")
-    as_of_ns: int = Field(ge=0)
-    cells: int = Field(ge=1)
-    seen: int = Field(ge=0)
-    changed: int = Field(ge=0)
-    lowered: int = Field(ge=0)
-
-    @model_validator(mode="after")
-    def _named_by_content(self) -> SurfaceVersion:
-        if not self.digest.startswith(self.version):
-            raise ValueError(f"version {self.version} does not begin its digest {self.digest}")
-        return self
-
-    @property
-    def changed_share(self) -> float:
-        """Of what independent views have seen."""
-        return self.changed / max(1, self.seen)
-
-
-class Counted(StrictModel):
-    """That a version began to count, by frames up to `as_of_ns`."""
-
-    version: str = Field(pattern=f"^{VERSION}$")
-    as_of_ns: int = Field(ge=0)
-
-
-class SurfaceManifest(StrictModel):
-    """`current`: the version that counts. `held`: it was taken back, and none follows by itself. `history`: what has
-    counted, in order, without what was taken back; a version that returns is there twice. `forgotten`: there was more
-    before that.
-    """
-
-    site: str
-    current: str = Field(AS_GIVEN, pattern=f"^({VERSION})?$")
-    held: bool = False
-    versions: tuple[SurfaceVersion, ...] = ()
-    history: tuple[Counted, ...] = ()
-    forgotten: bool = False
-
-    @model_validator(mode="before")
-    @classmethod
-    def _history_of_parents(cls, content: Any) -> Any:
-        """Manifests of before had none: what counted was a version, its parent, and so on."""
-        if not isinstance(content, dict) or "history" in content or not isinstance(content.get("versions"), list):
-            return content
-        entries = [one for one in content["versions"] if isinstance(one, dict)]
-        known = {one["version"]: one for one in entries if isinstance(one.get("version"), str)}
-        chain, name = [], content.get("current", AS_GIVEN)
-        while isinstance(name, str) and name in known:
-            one = known.pop(name)
-            chain.append({"version": name, "as_of_ns": one.get("as_of_ns")})
-            name = one.get("parent")
-        return content | {"history": chain[::-1], "forgotten": bool(name)}
-
-    @model_validator(mode="after")
-    def _current_is_listed(self) -> SurfaceManifest:
-        if self.current and self.entry(self.current) is None:
-            raise ValueError(f"current version {self.current} is not among the versions")
-        if any(self.entry(one.version) is None for one in self.history):
-            raise ValueError("a version of the history is not among the versions")
-        if self.current != (self.history[-1].version if self.history else AS_GIVEN):
-            raise ValueError(f"current version {self.current!r} is not the last of the history")
-        return self
-
-    def entry(self, version: str) -> SurfaceVersion | None:
-        """What is known of a version; None where it is not listed."""
-        return next((one for one in self.versions if one.version == version), None)
-
-    def at(self, moment_ns: int | None) -> SurfaceVersion | None:
-        """The current version, or the one before it that counted at a moment, with the stamp from which on it did;
-        None: as given. Raises StoreError for a moment of which nothing is kept any more.
-        """
-        past = [one for one in self.history if moment_ns is None or one.as_of_ns <= moment_ns]
-        if past:
-            found = self.entry(past[-1].version)
-            return None if found is None else found.model_copy(update={"as_of_ns": past[-1].as_of_ns})
-        if self.forgotten and moment_ns is not None:
-            kept = "none is kept"
-            if self.history:
-                since = np.datetime64(self.history[0].as_of_ns, "ns").astype("datetime64[s]")
-                kept = f"{KEPT} are kept, the first of {since} UTC; ask for a later moment"
-            raise StoreError(
-                f"which surface counted then is forgotten: {kept}, or export bare earth as given with a site file "
-                "without terrain.trace_confirmed"
-            )
-        return None
 
 
 @dataclass(frozen=True)
@@ -151,17 +68,25 @@ class SurfaceVersions:
     geometry: GridGeometry
 
     def manifest(self) -> SurfaceManifest:
-        """Of no version where there is none yet. Raises StoreError where it cannot be read or is of another site."""
+        """Of no version where there is none yet. Raises StoreError where it cannot be read, a later release wrote it or
+        it is of another site."""
         path = self.folder / MANIFEST
         try:
-            found = SurfaceManifest.model_validate_json(_read(path, _MOST_MANIFEST))
+            content = _read(path, _MOST_MANIFEST)
         except FileNotFoundError:
             return SurfaceManifest(site=self.site)
-        except ValidationError as error:
-            problem = f"{path}: cannot be read as a list of surfaces ({error}); move the folder away"
-            raise BrokenManifestError(problem) from error
         except OSError as error:
             raise StoreError(f"{path}: cannot be read as a list of surfaces ({error}); move the folder away") from error
+        try:
+            found = SurfaceManifest.model_validate_json(content)
+        except ValidationError as error:
+            if later := of_later_release(content, error):
+                raise StoreError(
+                    f"{path}: a later release wrote this list of surfaces ({later}), and it stays as it is; start that "
+                    "release again, or move the folder away to begin anew"
+                ) from error
+            problem = f"{path}: cannot be read as a list of surfaces ({error}); move the folder away"
+            raise BrokenManifestError(problem) from error
         if found.site != self.site:
             raise StoreError(f"{path} is of site {found.site}, not {self.site}: give each site a folder of its own")
         return found
