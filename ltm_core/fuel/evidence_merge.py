@@ -20,23 +20,21 @@ merged, the map is told (`EvidenceMap.burn`), and parts of frames that all come 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import reduce
-from typing import Any
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.errors import ArchiveError
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.evidence_state import EPOCHS
-from ltm_core.fuel.label_cover import capped
+from ltm_core.fuel.evidence_state import EVIDENCE_FIELDS
+from ltm_core.fuel.merge_kernel import merge_cells
 from ltm_core.raster.tile_store_schema import Key, Tile
 from ltm_core.types import Int64Array
 
-_NONE = np.uint64(2**32)
-"""Sorts behind every hash of a camera."""
+_MERGED: Final = tuple(name for name in EVIDENCE_FIELDS if name != "burned_at")
+"""In the order of the kernel's arguments."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,19 +46,7 @@ class PartialEvidence:
 
     def merged(self, other: PartialEvidence) -> PartialEvidence:
         """Raises ArchiveError where both hold a frame, or know of different burns."""
-        stamps = dict(self.stamps)
-        for camera, theirs in other.stamps.items():
-            ours = stamps.get(camera, np.zeros(0, np.int64))
-            if len(twice := np.intersect1d(ours, theirs)):
-                raise ArchiveError(
-                    f"{len(twice)} frames of {camera}, the first of stamp {twice[0]} ns, are in both parts that are to "
-                    "be merged and would count twice; merge each result once"
-                )
-            stamps[camera] = np.union1d(ours, theirs)
-        tiles = dict(self.tiles)
-        for key, tile in other.tiles.items():
-            tiles[key] = merged_tile(tiles[key], tile) if key in tiles else tile
-        return PartialEvidence(stamps, dict(sorted(tiles.items())))
+        return merged_parts([self, other])
 
     def after(self, evidence: EvidenceMap) -> PartialEvidence:
         """The same, knowing of the burns that the map knows of, all of which must have been before its frames, or told
@@ -74,63 +60,55 @@ class PartialEvidence:
     def merge_into(self, evidence: EvidenceMap) -> None:
         """Into what a map holds, which must be of other frames. Raises ArchiveError where they know of other burns."""
         for key, tile in self.tiles.items():
-            evidence.load_tile(key, merged_tile(evidence.tile_state(key), tile))
+            state = evidence.tile_state(key)
+            _merge_into_tile(state, tile)
+            evidence.load_tile(key, state)
+
+
+def merged_parts(parts: Iterable[PartialEvidence]) -> PartialEvidence:
+    """What all of them say together; none of them is changed.
+
+    Raises ArchiveError where two hold a frame, or know of different burns.
+    """
+    stamps, tiles, own = dict[str, list[Int64Array]](), dict[Key, Tile](), set[Key]()
+    for part in parts:
+        for camera, theirs in part.stamps.items():
+            stamps.setdefault(camera, []).append(theirs)
+        for key, tile in part.tiles.items():
+            if key not in tiles:
+                tiles[key] = tile
+                continue
+            if key not in own:  # still the first part's
+                tiles[key] = {name: array.copy() for name, array in tiles[key].items()}
+                own.add(key)
+            _merge_into_tile(tiles[key], tile)
+    return PartialEvidence(
+        {camera: _distinct(camera, of) for camera, of in stamps.items()}, dict(sorted(tiles.items()))
+    )
 
 
 def merged_tile(one: Tile, other: Tile) -> Tile:
     """The state of a tile from two of disjoint frames; neither is changed. Raises ArchiveError for different burns."""
-    if not np.array_equal(one["burned_at"], other["burned_at"]):
+    result = {name: array.copy() for name, array in one.items()}
+    _merge_into_tile(result, other)
+    return result
+
+
+def _merge_into_tile(tile: Tile, other: Tile) -> None:
+    if not np.array_equal(tile["burned_at"], other["burned_at"]):
         raise ArchiveError(
             "evidence that knows of different burns cannot be merged: tell all burns to every part before its frames"
         )
-    return _merged_epochs(one, other) | {
-        "first": _least(one["first"], other["first"]),
-        "last": np.maximum(one["last"], other["last"]),
-        "camera_hashes": _least_distinct(one["camera_hashes"], other["camera_hashes"]),
-        "seen_by": _least_distinct(one["seen_by"], other["seen_by"]),
-        "last_seen": np.maximum(one["last_seen"], other["last_seen"]),
-        "burned_at": one["burned_at"].copy(),
-        **_merged_cover(one, other),
-    }
+    merge_cells(*(tile[name] for name in _MERGED), *(other[name] for name in _MERGED))
 
 
-def _merged_cover(one: Tile, other: Tile) -> Tile:
-    newest = np.maximum(one["woody_epoch"], other["woody_epoch"])
-    parts = [np.where((t["woody_epoch"] == newest)[..., None], t["woody"], 0).astype(np.uint64) for t in (one, other)]
-    return {"woody": capped(parts[0] + parts[1]), "woody_epoch": newest}
-
-
-def _merged_epochs(one: Tile, other: Tile) -> Tile:
-    """`epochs`, `shown`, `best` and `span` of the newest epochs; their axis is the fourth in each."""
-    both = {name: np.concatenate([one[name], other[name]], axis=3) for name in ("epochs", "shown", "best", "span")}
-    left = both["epochs"].copy()
-    newest = []
-    for _ in range(EPOCHS):
-        newest.append(left.max(axis=3))
-        left[left == newest[-1][..., None]] = 0
-    merged: dict[str, list[NDArray[Any]]] = {"epochs": newest, "shown": [], "best": [], "span": []}
-    for epoch in newest:
-        member = (both["epochs"] == epoch[..., None]) & (epoch[..., None] > 0)
-        shown = np.where(member[..., None], both["shown"], 0).sum(axis=3, dtype=np.uint64)
-        merged["shown"].append(np.minimum(shown, np.iinfo(np.uint32).max).astype(np.uint32))
-        merged["best"].append(np.where(member, both["best"], 0).max(axis=3))
-        spans = np.where(member[..., None], both["span"], 0)
-        begins = reduce(_least, np.moveaxis(spans[..., 0], 3, 0))
-        merged["span"].append(np.stack([begins, spans[..., 1].max(axis=3)], axis=-1))
-    return {name: np.stack(parts, axis=3) for name, parts in merged.items()}
-
-
-def _least(one: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
-    """The lesser of two, where 0 is none."""
-    return np.where((one == 0) | ((other > 0) & (other < one)), other, one)
-
-
-def _least_distinct(one: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
-    """(..., n): the n least of the union of two such rows, rising, 0 where there are no more."""
-    both = np.concatenate([one, other], axis=-1).astype(np.uint64)
-    both[both == 0] = _NONE
-    both.sort(axis=-1)
-    both[..., 1:][both[..., 1:] == both[..., :-1]] = _NONE
-    both.sort(axis=-1)
-    both[both == _NONE] = 0
-    return both[..., : one.shape[-1]].astype(one.dtype)
+def _distinct(camera: str, parts: list[Int64Array]) -> Int64Array:
+    """All stamps of a camera, rising. Raises ArchiveError where two parts hold one."""
+    found, counts = np.unique(np.concatenate(parts), return_counts=True)
+    twice = found[counts > 1]
+    if len(twice):
+        raise ArchiveError(
+            f"{len(twice)} frames of {camera}, the first of stamp {twice[0]} ns, are in two parts that are to "
+            "be merged and would count twice; merge each result once"
+        )
+    return found

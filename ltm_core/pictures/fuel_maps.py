@@ -14,7 +14,6 @@ from typing import Any, Final
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from ltm_core.dem import Dem
 from ltm_core.fuel.codes import FuelSystem, fuel_models
@@ -200,6 +199,8 @@ def bare_map(
     colors: RgbImage, shown: BoolArray, heights: NDArray[np.floating], cell: float, outlined: BoolArray
 ) -> RgbImage:
     """(n H, n W, 3): colours (H, W, 3) where they are `shown` over relief from heights (H, W), with outlines alone."""
+    from scipy import ndimage  # here, for the live pictures do without it, and it takes a fifth of a second to load
+
     finer = 4
     known = np.isfinite(heights)
     near = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)

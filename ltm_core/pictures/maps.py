@@ -10,7 +10,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from ltm_core.camera import Camera
 from ltm_core.dem import Dem
@@ -104,8 +103,10 @@ def fuel_map_picture(
 def draw_outline(picture: RgbImage, mask: BoolArray, cell: float) -> None:
     """The inner edge of the marked pixels in pink, with a white line outside; `cell`: pixels of a grid cell."""
     line = max(1, round(cell / 3.5))
-    around = ndimage.binary_dilation(mask) & ~mask
-    edge = mask & ~ndimage.binary_erosion(mask, iterations=line, border_value=1)
+    # Beyond its border a picture neither adds nor takes away.
+    sides = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    around = (cv2.dilate(mask.astype(np.uint8), sides) > 0) & ~mask
+    edge = mask & (cv2.erode(mask.astype(np.uint8), sides, iterations=line) == 0)
     picture[around] = (255, 255, 255)
     picture[edge] = _CHANGED
 

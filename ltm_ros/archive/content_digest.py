@@ -26,7 +26,7 @@ import ltm_ros.importer
 from ltm_core.depth.fusion_config_io import load_fusion_config
 from ltm_core.frame_steps import LabellingConfig, LabellingStep, TracingConfig
 from ltm_core.fuel.burns_io import Burn
-from ltm_core.fuel.site_map import camera_label_errors, site_label_errors
+from ltm_core.fuel.site_label_errors import camera_label_errors, site_label_errors
 from ltm_core.fusing_step import FusingConfig, label_columns
 from ltm_core.resources import config_path
 from ltm_core.site import Site

@@ -20,6 +20,14 @@ from ltm_ros.archive.task import TaskReport, work
 
 _DEATHS = 3
 """Workers beyond the first that may die while they have a task, before it is given up as their killer."""
+_QUIET = {
+    "distributed.scheduler.allowed-failures": _DEATHS,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "10s",
+    "distributed.worker.profile.enabled": False,
+}
+"""Of Dask on this machine: its servers would look at themselves 50 times a second, and profile workers 100 times, for a
+dashboard that nobody watches."""
 PATIENCE_S = 30.0
 """Seconds without a task that ends, after which a cluster without workers is told of, again and again."""
 _log = logging.getLogger(__name__)
@@ -78,7 +86,7 @@ def on_workers(count: int, job: Job | None = None) -> Engine:
 
         place: dict[str, object] = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
         with (
-            dask.config.set({"distributed.scheduler.allowed-failures": _DEATHS}),
+            dask.config.set(_QUIET),
             LocalCluster(
                 n_workers=count, threads_per_worker=1, memory_limit=0, silence_logs=logging.ERROR, **place
             ) as cluster,

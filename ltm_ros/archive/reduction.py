@@ -10,13 +10,12 @@ import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import reduce
 from pathlib import Path
 
 import numpy as np
 
 from ltm_core.fuel.burns_io import Burn
-from ltm_core.fuel.evidence_merge import PartialEvidence
+from ltm_core.fuel.evidence_merge import merged_parts
 from ltm_core.fuel.evidence_state import TILE
 from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import fuel_schema
@@ -71,7 +70,7 @@ def reduce_to_store(
                 rows, cols = np.divmod(burn.cells, geometry.width)
                 touched.update(zip((rows // TILE).tolist(), (cols // TILE).tolist(), strict=True))
             parts = [read_evidence(read(task), site, geometry) for task in of_day]
-            merged = reduce(PartialEvidence.merged, (part.partial for part in parts), PartialEvidence())
+            merged = merged_parts(part.partial for part in parts)
             merged.after(evidence).merge_into(evidence)
             records = [record for part in parts for record in _records(part)]
             for part in parts:

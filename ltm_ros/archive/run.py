@@ -9,6 +9,7 @@ import json
 import tempfile
 from collections import Counter
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -190,7 +191,8 @@ def _as_it_stands(mapped: Summary, record: dict[str, Any]) -> Summary:
 def _reduced(planned: Plan, mapped: Summary, broken: set[str], made_of: str) -> Summary:
     results = planned.results
     whole = [task for task in planned.tasks if task.evidence_key not in broken]
-    with tempfile.TemporaryDirectory(prefix="ltm-archive-") as folder:
+    dem = planned.site.open_dem()  # shared by all who open it while it is held: of each day a picture is drawn
+    with tempfile.TemporaryDirectory(prefix="ltm-archive-") as folder, nullcontext(dem):
         path = Path(folder) / STORE_FILE
 
         def read(task: Task) -> bytes:

@@ -29,7 +29,7 @@ from ltm_core.site import Site
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.archive.content_digest import code_digest, evidence_digest
-from ltm_ros.archive.frame_files import ABOUT, LostFrame, frame_files, packed_table, read_votes
+from ltm_ros.archive.frame_files import ABOUT, LostFrame, frame_files, packed_table, read_packed, read_votes
 from ltm_ros.archive.plan import (
     MEASURED,
     VOTES,
@@ -138,7 +138,7 @@ def _evidence_file(votes: bytes, ground: _Ground, burns: Sequence[Burn]) -> byte
 
 def read_evidence(content: bytes, site: Site, geometry: GridGeometry) -> TaskEvidence:
     """The inverse of what a task writes; `geometry`: the fuel grid in the map frame. Raises ConfigError on damage."""
-    table, schema = pq.read_table(io.BytesIO(content)), fuel_schema(site, geometry)
+    table, schema = read_packed(content), fuel_schema(site, geometry)
     about = json.loads(table.schema.metadata[ABOUT.encode()])
     tiles, touched = {}, {}
     for row in table.to_pylist():

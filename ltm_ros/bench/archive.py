@@ -45,8 +45,8 @@ class Way:
 @dataclass(frozen=True)
 class ArchiveBench:
     """`votes_bytes`: of a frame, in files of `frames_per_file` at most. `peak_mb`: of the process that worked alone,
-    map and layers included. `worker`: of tasks alone; `share`: what of processor time the engine takes; `engine`: of
-    empty tasks, None where none was asked for."""
+    map and layers included. `worker`: of tasks alone; `shares`: what of processor time the engine takes, by
+    the size of tasks; `engine`: of empty tasks, None where none was asked for."""
 
     frames: int
     ways: tuple[Way, ...]
@@ -54,7 +54,7 @@ class ArchiveBench:
     frames_per_file: int
     peak_mb: float
     worker: WorkerCost
-    share: EngineShare
+    shares: tuple[EngineShare, ...]
     engine: EngineCost | None
 
     @property
@@ -120,13 +120,17 @@ def measure(
     measured = plan(alone.frames, alone.site, settings, 1500) if fusing is not None else ()
     worker = worker_cost(alone.tasks, settings, measured)
     said("the engine's share")
-    shared = look_through(replace(options, out=str(folder / "share"), frames_per_task=1), _quiet)
-    share = engine_share(shared.tasks, shared.settings)
+    shares = []
+    for per_task in (1, 4):
+        shared = replace(options, out=str(folder / f"share_{per_task}"), frames_per_task=per_task)
+        found = look_through(shared, _quiet)
+        if len(found.tasks) > 2:
+            shares.append(engine_share(found.tasks, found.settings))
     if empty:
         said(f"{empty} empty tasks")
     engine_alone = engine_cost(empty, alone.settings) if empty else None
     each = sum(sizes) / len(planned.frames)
-    return ArchiveBench(len(planned.frames), tuple(ways), each, 1500, peak, worker, share, engine_alone)
+    return ArchiveBench(len(planned.frames), tuple(ways), each, 1500, peak, worker, tuple(shares), engine_alone)
 
 
 def _timed(name: str, options: ArchiveOptions, engine: Engine) -> Way:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ltm_core.errors import ArchiveError
 from ltm_core.fuel.stored_map import STORE_FILE, STORE_KIND
 from ltm_core.raster.tile_store import TileStore
 from ltm_core.site_io import load_site
 from ltm_core.types import BoolArray, Int16Array
-from ltm_ros.archive.engine import Done, Engine, on_workers, serial
-from ltm_ros.archive.plan import Task, TaskSettings
+from ltm_ros.archive.engine import Engine, on_workers, serial
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, look_through, run
 from ltm_ros.archive.sampling import Sample
@@ -39,14 +39,14 @@ class SampleCost:
 
 @dataclass(frozen=True)
 class Resumed:
-    """A run whose `tasks` are done: wall and processor seconds until it would have worked the first that is not, and
-    with the map and its layers, which are made again."""
+    """A run whose `tasks` are done: wall and processor seconds where its map is there too (`whole`), and where that was
+    taken away and is made again, with its layers and page (`remade`)."""
 
     tasks: int
-    ready_s: float
-    ready_cpu_s: float
     whole_s: float
     whole_cpu_s: float
+    remade_s: float
+    remade_cpu_s: float
 
 
 @dataclass(frozen=True)
@@ -113,23 +113,22 @@ def measure_month(folder: Path, days: int, said: Callable[[str], None]) -> Month
 
 
 def resumed(options: ArchiveOptions, out: Path, said: Callable[[str], None]) -> Resumed:
-    """A run of which all is done, where each frame is a task of its own."""
+    """A run of which all is done, where each frame is a task of its own.
+
+    Raises ArchiveError where a task is worked again, or the map that is made again is another one.
+    """
     single = replace(options, out=str(out), frames_per_task=1)
     said("a frame a task, serial")
     done = run(look_through(single, _quiet), serial, _quiet)
     said(f"{done.tasks} done tasks again")
-    begin, cpu = time.perf_counter(), time.process_time()
-    ready = list[tuple[float, float]]()
-
-    def spent() -> tuple[float, float]:
-        return time.perf_counter() - begin, time.process_time() - cpu
-
-    def noting(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
-        ready.append(spent())
-        return serial(tasks, settings)
-
-    run(look_through(single, _quiet), noting, _quiet)
-    return Resumed(done.tasks, *ready[0], *spent())
+    whole = _way("all is there", single, serial)
+    said("and without their map")
+    (out / STORE_FILE).unlink()
+    remade = _way("its map is made again", single, serial)
+    for way in (whole, remade):
+        if way.worked or way.digest != done.digest:
+            raise ArchiveError(f"{way.name}: {way.worked} frames were worked again, digest {way.digest[:12]}")
+    return Resumed(done.tasks, whole.wall_s, whole.cpu_s, remade.wall_s, remade.cpu_s)
 
 
 def _way(name: str, options: ArchiveOptions, engine: Engine) -> Way:

@@ -44,8 +44,9 @@ class EngineCost:
 @dataclass(frozen=True)
 class EngineShare:
     """Of processor time from the first task's end to the last's: that of tasks in their workers, and of scheduler and
-    client, whose process is this one."""
+    client, whose process is this one. `frames`: of a task, at most."""
 
+    frames: int
     tasks: int
     tasks_s: float
     engine_s: float
@@ -53,6 +54,11 @@ class EngineShare:
     @property
     def share(self) -> float:
         return self.engine_s / (self.engine_s + self.tasks_s)
+
+    @property
+    def each_ms(self) -> float:
+        """Of scheduler and client, a task."""
+        return 1e3 * self.engine_s / self.tasks
 
 
 def worker_cost(tasks: Sequence[Task], settings: TaskSettings, measured: Sequence[Task] = ()) -> WorkerCost:
@@ -92,13 +98,14 @@ class _Timed(TaskReport):
 
 def engine_share(tasks: Sequence[Task], settings: TaskSettings) -> EngineShare:
     """Of tasks, at least three, whose results are not there yet, on two processes."""
-    spent, begin = 0.0, 0.0
+    spent, begin, end = 0.0, 0.0, 0.0
     for number, ended in enumerate(on_workers(2, timed_work)(tasks, settings)):
+        end = time.process_time()  # of the last: workers are not yet let go
         if number == 0:
-            begin = time.process_time()
+            begin = end
         elif isinstance(ended.report, _Timed):
             spent += ended.report.cpu_s
-    return EngineShare(len(tasks) - 1, spent, time.process_time() - begin)
+    return EngineShare(max(len(task.frames) for task in tasks), len(tasks) - 1, spent, end - begin)
 
 
 def timed_work(task: Task, settings: TaskSettings) -> TaskReport:

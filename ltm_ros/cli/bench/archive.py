@@ -83,9 +83,11 @@ def archive(
             f"{found.worker.fusing_peak_mb:.0f} MB at most; measured {(found.worker.measured_bytes or 0) / 1e3:.0f} kB "
             "a frame"
         )
-    console.print(
-        f"engine: {found.share.share:.2%} of the processor time of {found.share.tasks} tasks of a frame on two workers"
-    )
+    for share in found.shares:
+        console.print(
+            f"engine: {share.share:.2%} of the processor time of {share.tasks} tasks of up to {share.frames} frames on "
+            f"two workers, {share.each_ms:.0f} ms each"
+        )
     if found.engine is not None:
         idle = found.engine
         console.print(
@@ -126,8 +128,8 @@ def _month(days: int, keep: Path | None, json_path: Path | None) -> bool:
     console.print(table)
     if (again := found.resumed) is not None:
         console.print(
-            f"{again.tasks} done tasks: {again.ready_s:.1f} s ({again.ready_cpu_s:.1f} s of processor) until a task "
-            f"would be worked, {again.whole_s:.1f} s ({again.whole_cpu_s:.1f} s) with the map and its layers"
+            f"{again.tasks} done tasks again: {again.whole_s:.1f} s ({again.whole_cpu_s:.1f} s of processor) where all "
+            f"is there, {again.remade_s:.1f} s ({again.remade_cpu_s:.1f} s) where the map and its layers are made again"
         )
     console.print(f"of the felled cells {found.felled_found:.0%} have changed by all frames")
     for one in found.samples:

@@ -29,8 +29,8 @@ from ltm_core.fuel.evidence_state import EPOCH_S, EVIDENCE_FIELDS, TILE
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import NODATA, LifeForm
 from ltm_core.fuel.prior import FuelPrior
-from ltm_core.fuel.rules import FusionRules
-from ltm_core.fuel.votes import FRAME_CAP, CellVotes
+from ltm_core.fuel.rules import FRAME_CAP, FusionRules
+from ltm_core.fuel.votes import CellVotes
 from ltm_core.grid import GridGeometry
 from ltm_core.vision.labels import Label, LabelSet
 

@@ -21,8 +21,8 @@ from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.frame_evidence import frame_evidence
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import LifeForm, label_forms
-from ltm_core.fuel.rules import FusionRules
-from ltm_core.fuel.votes import FRAME_CAP, CellVotes
+from ltm_core.fuel.rules import FRAME_CAP, FusionRules
+from ltm_core.fuel.votes import CellVotes
 from ltm_core.vision.labels import Label
 
 pytestmark = pytest.mark.kernel

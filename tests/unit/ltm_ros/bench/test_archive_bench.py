@@ -15,7 +15,7 @@ from ltm_ros.archive.engine import serial
 from ltm_ros.archive.run import ArchiveOptions, look_through, run
 from ltm_ros.bench.archive import Way
 from ltm_ros.bench.archive_kills import run_under_kills
-from ltm_ros.bench.archive_month import MonthBench, SampleCost, measure_month
+from ltm_ros.bench.archive_month import MonthBench, SampleCost, measure_month, resumed
 from ltm_ros.bench.archive_worker import engine_cost, engine_share, worker_cost
 from ltm_ros.bench.colour_network import write_colour_network
 
@@ -53,6 +53,18 @@ def test_a_drawn_day_gives_one_map_on_all_ways(tmp_path: Path) -> None:
     assert 6 <= found.samples[0].frames <= 16
     assert found.samples[0].frames < found.samples[1].frames <= 32
     assert Path(found.page).is_file()
+    assert found.resumed is not None
+    assert found.resumed.tasks == 48
+
+
+def test_a_resumed_run_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Raises where it works a task again, or its map is another one."""
+    monkeypatch.setattr("ltm_ros.archive.publish.write_page", lambda map_, folder: None)
+    small_site = write_small_site(tmp_path)
+    options = ArchiveOptions((small_site.bag,), small_site.path, "")
+    found = resumed(options, tmp_path / "out", lambda words: None)
+    assert found.tasks == 2 * FRAMES
+    assert min(found.whole_cpu_s, found.remade_cpu_s) > 0
 
 
 @pytest.mark.slow
@@ -71,7 +83,8 @@ def test_what_a_worker_and_the_engine_cost(tmp_path: Path) -> None:
         lambda done, total: None,
     )
     share = engine_share(again.tasks, again.settings)
-    assert share.tasks == 2 * FRAMES // 2 - 1
+    assert (share.tasks, share.frames) == (2 * FRAMES // 2 - 1, 2)
+    assert share.each_ms > 0
     assert 0 < share.share < 1
     spent = engine_cost(40, replace(planned.settings, code="another"))
     assert (spent.tasks, spent.each_ms > 0) == (40, True)
