@@ -121,7 +121,7 @@ deb: $(INSTALLED)
 
 # As root, with debootstrap: a clean Debian with a real systemd, in namespaces of this machine, and without a network.
 try-deb: deb
-	$(BIN)/python packaging/try_deb.py "$$(ls -t out/deb/ltm_*.deb | head -n 1)"
+	$(BIN)/python packaging/try_deb.py $(TRY) "$$(ls -t out/deb/ltm_*.deb | head -n 1)"
 
 bench: $(VENV)/.installed-dev
 	$(BIN)/ltm bench trace

@@ -112,7 +112,8 @@ class TrialMachine:
         shutil.rmtree(self._work, ignore_errors=True)
 
     def run(self, command: str, *, check: bool = True, timeout_s: float = 900.0) -> subprocess.CompletedProcess[str]:
-        """A shell command on the machine. Raises TrialError with what it said when it fails and `check`."""
+        """A shell command on the machine. Raises TrialError with what it said when it fails and `check`, where it takes
+        longer than `timeout_s`, and where the machine is gone."""
         enter = ["nsenter", f"--target={self._init}", *(f"--{n}" for n in ("mount", "net", "pid", "ipc", "uts"))]
         enter += ["--cgroup", "--root", "--wd"]
         environment = {
@@ -121,16 +122,24 @@ class TrialMachine:
             "LC_ALL": "C.UTF-8",
             "DEBIAN_FRONTEND": "noninteractive",
         }
-        ran = subprocess.run(
-            [*enter, "/bin/sh", "-c", command],
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            timeout=timeout_s,
-        )
+        try:
+            ran = subprocess.run(
+                [*enter, "/bin/sh", "-c", command],
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                errors="replace",
+                timeout=timeout_s,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise TrialError(f"{command}: not done after {timeout_s:.0f} s") from error
+        if self._machine is None or self._machine.poll() is not None:
+            # Else what is asked of it next would look as if the package had failed.
+            raise TrialError(
+                f"{command}: the machine has ended meanwhile: somebody has killed it\n{ran.stdout[-1000:]}"
+            )
         if check and ran.returncode:
             raise TrialError(f"{command}: exit code {ran.returncode}\n{ran.stdout[-4000:]}")
         return ran

@@ -28,6 +28,8 @@ BROKEN = {
     "its own doctor refuses": {"ltm_ros/doctor.py": "raise RuntimeError('a broken build')\n"},
 }
 """Releases that shall not be taken: modules with what they are replaced by."""
+WATCHED_S = {"never gets ready": 60, "crashes": 600}
+"""Of those that a power cut may leave on trial: seconds until the guard looks, which the second does not need."""
 BACK_S = 180
 """From the stop of a release until it is ready again, where the new one was not taken."""
 RELEASES = "ls /opt/ltm/releases"
@@ -36,6 +38,10 @@ PROCESSES = "for p in /proc/[0-9]*; do grep -qas '[l]tm_ros' $p/cmdline && stat 
 """The owners of all that runs of ours."""
 READY_S = 900.0
 """For the first start, which compiles kernels."""
+UPGRADE_S = 3600.0
+"""For an upgrade with its questions, one of which compiles kernels, on a machine that others use."""
+STAGES = ("running", "upgrade", "broken", "removed")
+"""What `--only` chooses from, in their order. Each needs the package installed and, but for the last, started."""
 
 
 class Trial:
@@ -82,6 +88,20 @@ def installed(machine: TrialMachine, trial: Trial, package: str) -> None:
     trial.holds("ltm doctor", doctor.returncode == 0, doctor.stdout.splitlines()[-1])
 
 
+def ready(machine: TrialMachine, trial: Trial) -> bool:
+    """Start it on the site that is there."""
+    begun = time.monotonic()
+    machine.run("systemctl reset-failed ltm; systemctl start --no-block ltm")
+    try:
+        machine.wait_for(f"{SHOW} ActiveState", "active", READY_S)
+    except TrialError as error:
+        trial.holds("is ready", False, f"{error}\n{why(machine)}")
+        return False
+    took = f"{time.monotonic() - begun:.0f} s; {machine.says(f'{SHOW} StatusText')}"
+    trial.holds("is ready, kernels compiled", True, took)
+    return True
+
+
 def started(machine: TrialMachine, trial: Trial) -> None:
     template = machine.run("systemctl start ltm", check=False).returncode
     trial.holds(
@@ -90,16 +110,8 @@ def started(machine: TrialMachine, trial: Trial) -> None:
         machine.says(f"{SHOW} StatusText"),
     )
     put_site(machine)
-    begun = time.monotonic()
-    machine.run("systemctl reset-failed ltm; systemctl start --no-block ltm")
-    try:
-        machine.wait_for(f"{SHOW} ActiveState", "active", READY_S)
-    except TrialError as error:
-        trial.holds("is ready", False, f"{error}\n{why(machine)}")
+    if not ready(machine, trial):
         return
-    trial.holds(
-        "is ready, kernels compiled", True, f"{time.monotonic() - begun:.0f} s; {machine.says(f'{SHOW} StatusText')}"
-    )
     owners = machine.says(PROCESSES)
     trial.holds("runs as ltm alone", owners == "ltm", owners)
     main = machine.says(f"{SHOW} MainPID")
@@ -157,7 +169,7 @@ def changed_and_back(machine: TrialMachine, trial: Trial, shared: Path, package:
     first = machine.says(CURRENT)
     good = changed(package, "0.9+good", shared)
     begun = time.monotonic()
-    said = machine.run(f"ltm upgrade /opt/trial/{good.name}", check=False)
+    said = machine.run(f"ltm upgrade /opt/trial/{good.name}", check=False, timeout_s=UPGRADE_S)
     steps = [line for line in said.stdout.splitlines() if line.startswith(("--", "ltm:"))]
     fine = said.returncode == 0 and machine.says(CURRENT) == "releases/0.9+good"
     trial.holds("an upgrade", fine, f"{time.monotonic() - begun:.0f} s\n  " + "\n  ".join(steps))
@@ -176,9 +188,9 @@ def broken(machine: TrialMachine, trial: Trial, shared: Path, package: Path) -> 
     for what, spoilt in BROKEN.items():
         unfit = changed(package, "0.9+broken", shared, spoilt)
         begun = time.monotonic()
-        said = machine.run(f"ltm upgrade /opt/trial/{unfit.name}", check=False)
+        said = machine.run(f"ltm upgrade /opt/trial/{unfit.name}", check=False, timeout_s=UPGRADE_S)
         back = machine.says(CURRENT) == first and machine.says(f"{SHOW} ActiveState") == "active"
-        word = said.stdout.strip().splitlines()[-1]
+        word = (said.stdout.strip().splitlines() or ["it says nothing"])[-1]
         took = f"{time.monotonic() - begun:.0f} s with the questions before: {word}"
         trial.holds(f"back by itself from a release: {what}", said.returncode == 1 and back, took)
         stood = [int(seconds) for seconds in re.findall(r"is ready (\d+) s after it was stopped", said.stdout)]
@@ -188,17 +200,26 @@ def broken(machine: TrialMachine, trial: Trial, shared: Path, package: Path) -> 
         trial.holds(
             "nothing of it is left to return to", machine.says(RELEASES) == kept, machine.says(RELEASES).split()
         )
-        if what == "crashes":
-            # As a power cut in the midst of an upgrade leaves it: the release on trial is current, nobody waits for it.
-            former = first.removeprefix("releases/")
-            machine.run(f"dpkg-deb --extract /opt/trial/{unfit.name} /opt/unpacked")
-            machine.run("mv /opt/unpacked/opt/ltm/releases/0.9+broken /opt/ltm/releases/ && rm -r /opt/unpacked")
-            machine.run(f"mkdir /opt/ltm/trial; printf '{former}\\n0.9+broken\\n\\n' > /opt/ltm/trial/release")
-            machine.run("ln -sfnT releases/0.9+broken /opt/ltm/current; systemctl restart --no-block ltm")
-            took_s = machine.wait_for(f"{CURRENT}; {SHOW} ActiveState", f"{first}\nactive", 180)
-            trial.holds("back by itself after a power cut in an upgrade", True, f"{took_s:.0f} s")
-            machine.run("rm -r /opt/ltm/releases/0.9+broken")
+        if what in WATCHED_S:
+            power_cut(machine, trial, first, what, unfit)
         unfit.unlink()
+
+
+def power_cut(machine: TrialMachine, trial: Trial, first: str, what: str, unfit: Path) -> None:
+    """As one in the midst of an upgrade leaves it: the release on trial is current, nobody waits for it."""
+    former, watched_s = first.removeprefix("releases/"), WATCHED_S[what]
+    machine.run(f"dpkg-deb --extract /opt/trial/{unfit.name} /opt/unpacked")
+    machine.run("mv /opt/unpacked/opt/ltm/releases/0.9+broken /opt/ltm/releases/ && rm -r /opt/unpacked")
+    machine.run("mkdir /opt/ltm/trial")
+    machine.run(f"printf '{former}\\n0.9+broken\\n\\n{watched_s}\\n' > /opt/ltm/trial/release")
+    machine.run("ln -sfnT releases/0.9+broken /opt/ltm/current; systemctl restart --no-block ltm")
+    held = f"back by itself after a power cut in an upgrade to a release: {what}"
+    try:
+        took_s = machine.wait_for(f"{CURRENT}; {SHOW} ActiveState", f"{first}\nactive", 240 + watched_s)
+        trial.holds(held, True, f"{took_s:.0f} s")
+    except TrialError as error:
+        trial.holds(held, False, f"{error}\n{why(machine)}")
+    machine.run("rm -rf /opt/ltm/releases/0.9+broken")
 
 
 def removed(machine: TrialMachine, trial: Trial) -> None:
@@ -224,7 +245,13 @@ def main() -> None:
         "--root", type=Path, default=REPOSITORY / "out/trial/debian", help="Made by debootstrap if missing."
     )
     parser.add_argument("--quick", action="store_true", help="Without upgrades, each of which compiles kernels anew.")
+    parser.add_argument(
+        "--only", default=",".join(STAGES), help=f"Some of {','.join(STAGES)}; it is installed and started before."
+    )
     options = parser.parse_args()
+    stages = [stage for stage in options.only.split(",") if not (options.quick and stage in ("upgrade", "broken"))]
+    if foreign := set(stages) - set(STAGES):
+        parser.error(f"--only: {', '.join(sorted(foreign))}: there are {', '.join(STAGES)}")
     trial = Trial()
     try:
         make_debian_root(options.root)
@@ -236,11 +263,17 @@ def main() -> None:
             with TrialMachine(options.root, shared) as machine:
                 trial.holds("a clean Debian boots", True, machine.says("systemctl --version | head -1"))
                 installed(machine, trial, options.package.name)
-                started(machine, trial)
-                if not options.quick:
+                if "running" in stages:
+                    started(machine, trial)
+                else:
+                    put_site(machine)
+                    ready(machine, trial)
+                if "upgrade" in stages:
                     changed_and_back(machine, trial, shared, options.package)
+                if "broken" in stages:
                     broken(machine, trial, shared, options.package)
-                removed(machine, trial)
+                if "removed" in stages:
+                    removed(machine, trial)
     except TrialError as error:
         print(f"cannot be tried: {error}", file=sys.stderr)
         sys.exit(2)

@@ -1,7 +1,7 @@
 """Process that is a tower of the region's benchmark: `python -m ltm_ros.bench.region_tower ORDER FIRST`.
 
-It offers the frames from FIRST on to the outbox as quickly as that keeps them, and says twice a second how many are
-kept and how many wait, until its stdin closes.
+It offers the frames from FIRST on to the outbox as quickly as that keeps them, and says five times a second how many
+are kept and how many wait, until its stdin closes.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ltm_ros.runtime.health import Health
 CAMERA: Final = "mast"
 AHEAD: Final = 64
 """Frames that are offered and not yet kept, at most."""
-SAY_EVERY_S: Final = 0.5
+SAY_EVERY_S: Final = 0.2
 
 
 class TowerOrder(StrictModel):

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-import random
 import shutil
-import socket
 import subprocess  # nosec B404 # argument lists, no shell
 import sys
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
@@ -31,6 +28,7 @@ from ltm_core.uplink.envelope import VotesGrid
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.votes import msg_to_votes
 from ltm_ros.bench.network_site import Traffic
+from ltm_ros.bench.ports import free_ports
 from ltm_ros.bench.region_tower import CAMERA, TowerOrder
 from ltm_ros.launching.ros_environment import ros_environment
 from ltm_ros.launching.watchdog import process_use
@@ -184,7 +182,7 @@ class RegionTrial:
         site |= {"cameras": {f"{name}_{CAMERA}": {} for name in self.towers}}
         site["dem"] = {"path": str(self._traffic.site.parent / "dem.tif")}
         (self._folder / "site.yaml").write_text(yaml.safe_dump(site), encoding="utf-8")
-        port = _free_port()
+        port = free_ports(1)[0]
         certs = self._folder / "certs"
         TrialAuthority(certs, days=2).make(REGION, self.towers, ["127.0.0.1"], "127.0.0.1", port)
 
@@ -218,12 +216,3 @@ class RegionTrial:
                 folder=folder,
             )
             (self._folder / f"{name}.json").write_text(order.model_dump_json(), encoding="utf-8")
-
-
-def _free_port() -> int:
-    """Below those that Linux gives to connections: while the broker is away, none of them takes its port."""
-    while True:
-        port = random.SystemRandom().randrange(32_000, 32_768)  # nosec B311 # no secret
-        with socket.socket() as probe, suppress(OSError):
-            probe.bind(("127.0.0.1", port))
-            return port

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -62,6 +63,7 @@ def rollback(
 
 def _upgrade(ready_minutes: float) -> Upgrade:
     import os
+    import signal
 
     from ltm_core.errors import ConfigError
     from ltm_ros.deployment.releases import ROOT, Releases
@@ -72,4 +74,11 @@ def _upgrade(ready_minutes: float) -> Upgrade:
     _ = releases.current  # first: that this is an installed tower at all
     if os.geteuid() != 0 or not os.access(ROOT, os.W_OK):
         raise ConfigError("releases are changed by root: sudo ltm upgrade ...")
-    return Upgrade(releases, SystemdService(), Places(), lambda line: typer.echo(f"-- {line}"), ready_minutes * 60.0)
+    # A radio link that drops takes the shell with it, and its terminal: the change goes on, or back, to its end.
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    return Upgrade(releases, SystemdService(), Places(), _say, ready_minutes * 60.0)
+
+
+def _say(line: str) -> None:
+    with contextlib.suppress(OSError):
+        typer.echo(f"-- {line}")

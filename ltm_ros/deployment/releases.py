@@ -30,6 +30,8 @@ class Trial:
     candidate: str
     copy: str
     """Folder with the copy of the stores as `former` left them; empty: there was none."""
+    watched_s: int = 600
+    """From its first start on, after which nobody watches any more whether it gets ready: then the guard looks."""
 
 
 class Releases:
@@ -109,17 +111,19 @@ class Releases:
     @property
     def trial(self) -> Trial | None:
         try:
-            former, candidate, copy = (self._trial / "release").read_text(encoding="utf-8").split("\n")[:3]
+            former, candidate, copy, *more = (self._trial / "release").read_text(encoding="utf-8").split("\n")
         except (OSError, ValueError):
             return None
-        return Trial(former, candidate, copy)
+        told = [int(line) for line in more[:1] if line.isdecimal()]  # a release of before has not written it
+        return Trial(former, candidate, copy, *told)
 
     def begin_trial(self, trial: Trial) -> None:
         """Before the switch: from here on a second start of the service is one too many."""
         self.end_trial()
         self._trial.mkdir(mode=0o755)
         partial = self._trial / ".release"
-        partial.write_text(f"{trial.former}\n{trial.candidate}\n{trial.copy}\n", encoding="utf-8")
+        lines = trial.former, trial.candidate, trial.copy, trial.watched_s
+        partial.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
         with partial.open("rb") as file:
             os.fsync(file.fileno())
         partial.rename(self._trial / "release")

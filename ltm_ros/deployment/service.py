@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import subprocess  # nosec B404 # argument lists, no shell
+import time
 from dataclasses import dataclass
 from typing import Protocol
 
 from ltm_core.errors import LtmError
 
 UNIT = "ltm.service"
+LOOK_S = 0.5
 
 
 class ServiceError(LtmError):
@@ -26,9 +28,10 @@ class ServiceState:
 
 
 class Service(Protocol):
-    """Start returns at once; `state` says how that goes."""
+    """Start returns at once; `state` says how that goes. Stop kills what has not ended after `patience_s` seconds;
+    None: after the time that the unit itself gives."""
 
-    def stop(self) -> None: ...
+    def stop(self, patience_s: float | None = None) -> None: ...
 
     def start(self) -> None: ...
 
@@ -38,8 +41,18 @@ class Service(Protocol):
 class SystemdService:
     """By systemctl, whose word on Type=notify is the service's own READY=1."""
 
-    def stop(self) -> None:
-        _systemctl("stop", UNIT)
+    def stop(self, patience_s: float | None = None) -> None:
+        if patience_s is not None:
+            _systemctl("stop", "--no-block", UNIT)
+            deadline = time.monotonic() + patience_s
+            while self._runs() and time.monotonic() < deadline:
+                time.sleep(LOOK_S)
+            if self._runs():
+                _systemctl("kill", "--signal=KILL", UNIT, check=False)
+        _systemctl("stop", UNIT)  # returns once it has ended
+
+    def _runs(self) -> bool:
+        return _systemctl("show", UNIT, "--property=ActiveState", "--value").strip() not in ("inactive", "failed")
 
     def start(self) -> None:
         _systemctl("reset-failed", UNIT, check=False)  # also sets the number of restarts to 0

@@ -24,6 +24,10 @@ from ltm_ros.deployment.store_copy import copy_stores, return_stores
 LOOK_S = 0.5
 CHECK_S = 1800.0
 """For each question to a new release; compiling its kernels takes minutes on a slow tower."""
+WATCHED_S = 300.0
+"""Longer than that this program takes to judge a release once its time is up: then it is gone itself."""
+STOP_S = 25.0
+"""For a release that is not taken, to stop in order; then it is killed. The runner gives its processes 10 s."""
 RETURN_S = 600.0
 """For the former release to be ready again; its kernels are compiled."""
 
@@ -63,7 +67,7 @@ class Upgrade:
         try:
             self._ask(package.version)
             self._change(former, package.version)
-        except (LtmError, OSError):
+        except BaseException:  # somebody's Ctrl-C among them
             if new and self._releases.current == former:
                 self._releases.remove(package.version)  # else the next `ltm rollback` would go to it
             raise
@@ -95,14 +99,16 @@ class Upgrade:
     def _change(self, former: str, target: str) -> None:
         begun = time.monotonic()
         self._say(f"stopping {former}")
-        self._service.stop()
         try:
+            self._service.stop()
             copy = copy_stores(self._places.state, self._places.copies, former)
             self._say(f"the stores are copied to {copy}" if copy else "there are no stores yet")
-            self._releases.begin_trial(Trial(former, target, str(copy or "")))
-        except (LtmError, OSError) as error:
+            watched_s = round(self._ready_s + WATCHED_S)
+            self._releases.begin_trial(Trial(former, target, str(copy or ""), watched_s))
+        except (LtmError, OSError, KeyboardInterrupt) as error:
             self._service.start()
-            raise UpgradeError(f"{target} was not taken: {error}; {former} is started again") from error
+            why = str(error) or "interrupted"
+            raise UpgradeError(f"{target} was not taken: {why}; {former} is started again") from error
         try:
             self._releases.switch(target)
             self._say(f"starting {target}")
@@ -110,12 +116,18 @@ class Upgrade:
             wrong = self._wait_until_ready(target, self._ready_s)
         except (LtmError, OSError) as error:
             wrong = str(error)
+        except KeyboardInterrupt:
+            wrong = "interrupted"
         if not wrong:
             self._releases.end_trial()
             self._say(f"the tower stood still for {time.monotonic() - begun:.0f} s")
             return
         self._say(f"{target}: {wrong}; going back to {former}")
-        self._service.stop()
+        try:
+            self._service.stop(STOP_S)
+        except LtmError as error:
+            # Whatever is left of it: a tower that stands still for good is worse than one that is started once more.
+            self._say(f"{target} cannot be stopped in order ({error})")
         self.return_unconfirmed()
         self._service.start()
         again = self._wait_until_ready(former, RETURN_S)

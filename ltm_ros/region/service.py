@@ -8,7 +8,12 @@ import time
 from collections.abc import Callable
 from typing import Final
 
+from nav_msgs.msg import OccupancyGrid
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import PointCloud2
+
 from ltm_core.uplink.config import AGGREGATOR, RegionConfig
+from ltm_ros.fuel_map.kernels import compile_kernels
 from ltm_ros.region.aggregator import Aggregator
 from ltm_ros.region.exports import RegionExports
 from ltm_ros.region.inbox import Inbox
@@ -45,6 +50,7 @@ class RegionService:
     ) -> None:
         self._config, self._health = config, health
         self.aggregator = Aggregator(config, health, now_ns)
+        _prepare(self.aggregator)
         self._inbox = Inbox(config.towers, health)
         self._life = secrets.token_hex(8).encode()
         self._presence = presence_topic(config.name)
@@ -133,3 +139,10 @@ class RegionService:
     def _offer(self, topic: str, payload: bytes) -> None:
         """From the connection's thread."""
         self._inbox.put(topic.rpartition("/")[2], payload)
+
+
+def _prepare(aggregator: Aggregator) -> None:
+    """What the first frame and the first tile would load: towers shall not wait for it after an outage."""
+    compile_kernels(aggregator.site, aggregator.labels)
+    for message in (PointCloud2(), OccupancyGrid()):
+        serialize_message(message)

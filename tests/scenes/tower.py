@@ -70,10 +70,12 @@ class PaperService:
     releases: Releases
     behaviour: dict[str, ServiceState] = field(default_factory=dict)
     on_start: Callable[[str], None] = lambda version: None
+    on_stop: Callable[[str], None] = lambda version: None
     did: list[str] = field(default_factory=list)
 
-    def stop(self) -> None:
+    def stop(self, patience_s: float | None = None) -> None:
         self.did.append("stop")
+        self.on_stop(self.releases.current)
 
     def start(self) -> None:
         version = self.releases.current

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import sqlite3
 import subprocess
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -16,7 +18,7 @@ from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import Field, StoreSchema, TileStore
 from ltm_ros.deployment.package_file import PackageError
 from ltm_ros.deployment.releases import Trial
-from ltm_ros.deployment.service import ServiceError, ServiceState
+from ltm_ros.deployment.service import ServiceError, ServiceState, SystemdService
 from ltm_ros.deployment.store_copy import copy_stores, return_stores
 from ltm_ros.deployment.upgrade import UpgradeError
 
@@ -195,6 +197,43 @@ def test_a_service_that_cannot_be_started_with_it_brings_the_former_release_back
     assert tower.releases.current == "1.0"
 
 
+def test_a_release_that_cannot_be_stopped_in_order_is_taken_back_all_the_same(tower: Tower, tmp_path: Path) -> None:
+    def refuses(version: str) -> None:
+        if version == "2.0":
+            raise ServiceError("systemctl stop: timed out")
+
+    tower.service.behaviour["2.0"] = ServiceState(False, False, "starting")
+    tower.service.on_stop = refuses
+    with pytest.raises(UpgradeError, match=r"not ready within .*; 1\.0 runs again"):
+        tower.install(write_package(tmp_path, "2.0"))
+    assert (tower.releases.current, tower.releases.trial) == ("1.0", None)
+    assert tower.service.did == ["stop", "start 2.0", "stop", "start 1.0"]
+    assert "2.0 cannot be stopped in order (systemctl stop: timed out)" in tower.said
+
+
+def test_a_former_release_that_cannot_be_stopped_is_started_again(tower: Tower, tmp_path: Path) -> None:
+    def refuses(version: str) -> None:
+        raise ServiceError("systemctl stop: timed out")
+
+    tower.service.on_stop = refuses
+    with pytest.raises(UpgradeError, match=r"2\.0 was not taken: systemctl stop: timed out; 1\.0 is started again"):
+        tower.install(write_package(tmp_path, "2.0"))
+    assert (tower.releases.current, tower.service.did) == ("1.0", ["stop", "start 1.0"])
+    assert tower.releases.installed == ["1.0"]
+
+
+def test_ctrl_c_while_a_release_is_on_trial_brings_the_former_one_back(tower: Tower, tmp_path: Path) -> None:
+    def interrupts(version: str) -> None:
+        if version == "2.0":
+            raise KeyboardInterrupt
+
+    tower.service.on_start = interrupts
+    with pytest.raises(UpgradeError, match=r"2\.0 was not taken: interrupted; 1\.0 runs again"):
+        tower.install(write_package(tmp_path, "2.0"))
+    assert (tower.releases.current, tower.releases.trial) == ("1.0", None)
+    assert tower.releases.installed == ["1.0"]
+
+
 def test_what_is_no_package_of_ours_is_refused(tower: Tower, tmp_path: Path) -> None:
     with pytest.raises(PackageError, match="package 'other', expected 'ltm'"):
         tower.install(write_package(tmp_path, "2.0", name="other"))
@@ -220,17 +259,42 @@ def test_there_must_be_something_to_return_to(tower: Tower, tmp_path: Path) -> N
         tower.upgrade.go_back("../../etc")
 
 
+@dataclass
+class Guard:
+    """The guard's script over a tower in a folder, with programs of systemd that write down what they are asked."""
+
+    tower: Tower
+    folder: Path
+
+    def __post_init__(self) -> None:
+        self.folder.mkdir()
+        for name in ("systemctl", "systemd-run"):
+            program = self.folder / name
+            program.write_text(
+                f'#!/bin/sh\necho "{name} $*" >> "{self.folder}/did"\n[ "$1" != show ] || cat "{self.folder}/state"\n'
+            )
+            program.chmod(0o755)
+        (self.folder / "guard").write_text(GUARD.read_text().replace("/opt/ltm", str(self.tower.releases.root)))
+
+    def runs(self, *arguments: str, state: str = "inactive") -> list[str]:
+        """What it asks systemd for, where the service is in that state."""
+        (self.folder / "state").write_text(state)
+        (self.folder / "did").write_text("")
+        path = f"{self.folder}:{os.environ['PATH']}"
+        subprocess.run(["sh", str(self.folder / "guard"), *arguments], check=True, env={"PATH": path})
+        return [line for line in (self.folder / "did").read_text().splitlines() if " show " not in line]
+
+
 def test_the_guard_lets_a_release_start_once_and_then_asks_the_former_one_to_return(
     tower: Tower, tmp_path: Path
 ) -> None:
     """As after a crash, or a power cut in the midst of an upgrade: nobody waits for READY any more."""
     tower.install(write_package(tmp_path, "2.0"))
-    guard = tmp_path / "guard"
-    guard.write_text(GUARD.read_text().replace("/opt/ltm", str(tower.releases.root)))
+    guard = Guard(tower, tmp_path / "systemd")
     begun = tower.asked
 
     def start() -> str:
-        subprocess.run(["sh", str(guard)], check=True)
+        guard.runs()
         return tower.asked.removeprefix(begun)
 
     assert start() == start() == "", "nothing is on trial"
@@ -241,3 +305,43 @@ def test_the_guard_lets_a_release_start_once_and_then_asks_the_former_one_to_ret
     assert tower.releases.current == "1.0"
     assert tower.upgrade.return_unconfirmed() is None
     assert not (tower.releases.root / "trial").exists()
+
+
+def test_where_nobody_watches_a_trial_the_guard_ends_it(tower: Tower, tmp_path: Path) -> None:
+    """After a power cut, or where the upgrade was killed: a release that never gets ready is not started a second time
+    by itself, for its runner asks systemd for more time without end."""
+    guard = Guard(tower, tmp_path / "systemd")
+    assert guard.runs() == guard.runs("late", state="activating") == [], "nothing is on trial"
+    tower.releases.begin_trial(Trial("1.0", "2.0", "", 420))
+    assert tower.releases.trial == Trial("1.0", "2.0", "", 420)
+    stops, arms = guard.runs()
+    assert stops == "systemctl stop ltm-trial.timer"
+    assert re.fullmatch(r"systemd-run .*--unit=ltm-trial --on-active=420 \S+/release-guard late", arms)
+    assert guard.runs("late") == [], "somebody has stopped it"
+    assert guard.runs("late", state="activating") == ["systemctl restart --no-block ltm.service"]
+    assert tower.releases.trial is not None, "the second start returns"
+    assert guard.runs("late", state="active") == []
+    assert not (tower.releases.root / "trial").exists(), "it is ready: taken"
+
+
+def test_a_trial_of_a_release_that_did_not_say_how_long_it_is_watched(tower: Tower, tmp_path: Path) -> None:
+    tower.releases.begin_trial(Trial("1.0", "2.0", "copy"))
+    (tower.releases.root / "trial/release").write_text("1.0\n2.0\ncopy\n")
+    assert tower.releases.trial == Trial("1.0", "2.0", "copy")
+    assert "--on-active=600" in Guard(tower, tmp_path / "systemd").runs()[1]
+
+
+@pytest.mark.parametrize(("hangs", "asked"), [(True, ["stop", "kill", "stop"]), (False, ["stop", "stop"])])
+def test_a_service_that_does_not_end_is_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hangs: bool, asked: list[str]
+) -> None:
+    did = tmp_path / "did"
+    state = "deactivating" if hangs else "inactive"
+    (tmp_path / "systemctl").write_text(
+        f'#!/bin/sh\n[ "$1" = show ] || {{ echo "$1" >> "{did}"; exit 0; }}\n'
+        f'grep -q kill "{did}" && echo inactive || echo {state}\n'
+    )
+    (tmp_path / "systemctl").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    SystemdService().stop(patience_s=0.0)
+    assert did.read_text().split() == asked
