@@ -13,7 +13,8 @@ from typing import NamedTuple
 ARENAS = 2
 """Of glibc's malloc, in a process: the main one, and one for all other threads."""
 
-TRIM_EVERY_S = 600.0
+TRIM_EVERY_S = 60.0
+TIDY_EVERY_S = 600.0
 
 MAPPED_FROM = 128 << 10
 """Bytes from which a block is mapped by itself where large blocks pass through: glibc's own value at first."""
@@ -129,12 +130,18 @@ def tidy() -> None:
 
 
 class Trimming:
-    """Calls `tidy` every `TRIM_EVERY_S`, so that holes do not add up. `now_s`: a steady clock; `act`: for tests."""
+    """Calls `trim` every `TRIM_EVERY_S`, before small things that stay come to lie in what large ones have left, and
+    `tidy` instead every `TIDY_EVERY_S`. `now_s`: a steady clock; `trim`, `tidy`: for tests.
+    """
 
-    def __init__(self, now_s: float, act: Callable[[], None] = tidy) -> None:
-        self._last, self._act = now_s, act
+    def __init__(self, now_s: float, trim: Callable[[], None] = trim, tidy: Callable[[], None] = tidy) -> None:
+        self._trimmed = self._tidied = now_s
+        self._trim, self._tidy = trim, tidy
 
     def look(self, now_s: float) -> None:
-        if now_s - self._last >= TRIM_EVERY_S:
-            self._last = now_s
-            self._act()
+        if now_s - self._tidied >= TIDY_EVERY_S:
+            self._tidied = self._trimmed = now_s
+            self._tidy()
+        elif now_s - self._trimmed >= TRIM_EVERY_S:
+            self._trimmed = now_s
+            self._trim()

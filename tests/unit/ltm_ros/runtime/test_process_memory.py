@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import ltm_ros
-from ltm_ros.runtime.process_memory import TRIM_EVERY_S, Trimming
+from ltm_ros.runtime.process_memory import TIDY_EVERY_S, TRIM_EVERY_S, Trimming
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="glibc's malloc")
 
@@ -216,13 +216,17 @@ def test_strings_that_come_and_go_take_no_more_memory_later() -> None:
     assert int(_run(_STRINGS, None, "settle")) < 300
 
 
-def test_heaps_are_trimmed_now_and_then() -> None:
-    moments: list[float] = []
-    trimming = Trimming(70.0, lambda: moments.append(second))
-    for second in range(70, 70 + round(3 * TRIM_EVERY_S), 7):
+def test_heaps_are_trimmed_now_and_then_and_tidied_more_seldom() -> None:
+    done: list[tuple[float, str]] = []
+    trimming = Trimming(70.0, lambda: done.append((second, "trim")), lambda: done.append((second, "tidy")))
+    for second in range(70, 70 + round(2.5 * TIDY_EVERY_S), 7):
         trimming.look(second)
-    assert len(moments) == 2
-    assert all(TRIM_EVERY_S <= later - former < TRIM_EVERY_S + 7 for former, later in pairwise([70.0, *moments]))
+    tidied = [moment for moment, what in done if what == "tidy"]
+    assert len(tidied) == 2
+    assert all(TIDY_EVERY_S <= later - former < TIDY_EVERY_S + 7 for former, later in pairwise([70.0, *tidied]))
+    moments = [70.0, *(moment for moment, _ in done)]
+    assert all(later - former < TRIM_EVERY_S + 7 for former, later in pairwise(moments))
+    assert len(done) <= 2.5 * TIDY_EVERY_S / TRIM_EVERY_S
 
 
 def test_a_trim_gives_back_what_lies_free_between_others() -> None:
