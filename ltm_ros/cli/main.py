@@ -97,7 +97,7 @@ def app() -> None:
             "rerun": "view",
             "mitsuba": "sim",
             "torch": "train",
-            "matplotlib": "train",
+            "matplotlib": "report",
             "jinja2": "report",
             "laspy": "export",
             "pyarrow": "archive",

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ltm_core.evaluation.pictures.depth_sheet import residual
+from ltm_core.evaluation.pictures.depth_sheet import depth_bar, error_bar, frame_figure, show_depth, show_error
+from ltm_core.evaluation.pictures.figure import picture_of
 from ltm_core.evaluation.terrain.hillside_scenes import HillsideScene
-from ltm_core.pictures.panel import panel
-from ltm_core.pictures.ranges import RangeScale, depth_colors
+from ltm_core.pictures.ranges import RangeScale
 from ltm_core.terrain.observation import DepthFrame
 from ltm_core.tracing import TerrainTracer
 from ltm_core.types import BoolArray, Float32Array, Int32Array, RgbImage
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 CHANGED = 1.5
 """Metres by which a cell's true surface has moved that counts as changed: the map's own threshold."""
@@ -66,21 +70,27 @@ def score_update(
 def update_sheet(
     scene: HillsideScene, frames: Sequence[DepthFrame], depths: Mapping[tuple[str, int], tuple[str, Float32Array]]
 ) -> RgbImage:
+    """`update_figure` as a picture."""
+    return picture_of(update_figure(scene, frames, depths))
+
+
+def update_figure(
+    scene: HillsideScene, frames: Sequence[DepthFrame], depths: Mapping[tuple[str, int], tuple[str, Float32Array]]
+) -> Figure:
     """The last frame of the first camera: what is seen now, and the errors of the depth that is traced to the terrain
     as it was given, and of the depth that it has.
     """
     frame = next(one for one in reversed(frames) if one.source == frames[0].source)
     true, given = (TerrainTracer(dem).trace(frame.camera, frame.pose).depth() for dem in (scene.true_now, scene.given))
     version, traced = depths[frame.source, frame.stamp_ns]
-    return panel(
-        [
-            (f"{scene.name}, a made scene: true depth", depth_colors(true, RangeScale.of(true))),
-            ("as given: error / true depth, red too far, blue too near", residual(given, true)),
-            (f"traced to surface {version or 'as given'}: error / true depth", residual(traced, true)),
-        ],
-        columns=3,
-        width=640,
-    )
+    figure, rows = frame_figure(1, true.shape)
+    scale = RangeScale.of(true)
+    show_depth(rows[0][0], true, scale, f"{scene.name}, a made scene: true depth")
+    show_error(rows[0][1], given, true, "error of depth traced to the terrain as given")
+    show_error(rows[0][2], traced, true, f"error of depth traced to surface {version or 'as given'}")
+    depth_bar(figure, rows[0][:1], scale)
+    error_bar(figure, rows[0][1:])
+    return figure
 
 
 def _on(cells: BoolArray, places: Int32Array) -> BoolArray:

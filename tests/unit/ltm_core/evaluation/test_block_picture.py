@@ -8,7 +8,6 @@ import pytest
 from ltm_core.dem import Dem
 from ltm_core.errors import ImageError
 from ltm_core.evaluation.pictures.block import BlockView, Pin, block_picture
-from ltm_core.evaluation.pictures.height_legend import height_legend
 from ltm_core.grid import GridGeometry
 from ltm_core.pictures.error_colors import error_colors, error_legend
 from ltm_core.pictures.ranges import SKY_COLOR
@@ -71,10 +70,3 @@ def test_error_colors() -> None:
     assert tuple(sky) == SKY_COLOR
     assert tuple(missed) == tuple(unknown) == (190, 192, 196)
     assert error_legend(400).shape[1] == 400
-
-
-def test_height_legend_is_as_wide_as_asked() -> None:
-    heights = np.linspace(300, 812, 40 * 60, dtype=np.float32).reshape(40, 60)
-    legend = height_legend(Dem(heights, flat().geometry), 500)
-    assert legend.shape[1:] == (500, 3)
-    assert len(np.unique(legend.reshape(-1, 3), axis=0)) > 50
