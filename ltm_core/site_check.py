@@ -20,7 +20,7 @@ from ltm_core.fuel.codes import FuelRegion
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.prior_io import load_prior, prior_heights
-from ltm_core.fuel.site_map import site_label_errors
+from ltm_core.fuel.site_label_errors import site_label_errors
 from ltm_core.grid import GridGeometry
 from ltm_core.plausibility import doubt_of_dem, doubt_of_heights
 from ltm_core.resources import config_path
@@ -28,10 +28,9 @@ from ltm_core.site import Site
 from ltm_core.site_io import load_site
 from ltm_core.types import Float64Array
 from ltm_core.visibility.viewshed import PosedCamera
-from ltm_core.vision.label_head import SHIPPED_HEAD
 from ltm_core.vision.label_head_io import find_head, read_head
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.manifest import Manifest
+from ltm_core.vision.manifest import SHIPPED_HEAD, Manifest
 from ltm_core.vision.onnx_model import OnnxModel
 
 _FAR_ORIGIN = 30_000.0
@@ -165,6 +164,8 @@ def _fuel(site: Site, check: SiteCheck) -> Iterator[Finding]:
 def _prior(prior: FuelPrior, grid: GridGeometry) -> Finding:
     share = float((prior.codes != NODATA).mean())
     found = f"{prior.system}, known for {share:.0%} of {grid.width} x {grid.height} cells of {grid.resolution:g} m"
+    if prior.contradicting:
+        found += f"; in {prior.contradicting} cells its FBFM13 is of another fuel type (`own_fbfm13` of the prior)"
     if share < 0.5:
         return Finding("fuel", "prior", Verdict.DOUBTFUL, f"{found}: does it lie elsewhere, or end there?")
     return Finding("fuel", "prior", Verdict.OK, found)

@@ -19,7 +19,7 @@ from ltm_core.sensor_pose import SensorsConfig
 from ltm_core.source_config import NetworkSettings, SnapshotConfig, SourceConfig
 from ltm_core.strict_model import StrictModel
 from ltm_core.types import Float64Array
-from ltm_core.vision.label_head import SHIPPED_HEAD
+from ltm_core.vision.manifest import SHIPPED_HEAD
 from ltm_core.vision.mask_config import MOST_VIEW_MASKS, MaskConfig, ViewMask
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Final
 
+import cv2
 import numpy as np
-from scipy import ndimage
 from scipy.special import betainc, entr
 
 from ltm_core.fuel.codes import FuelRegion, FuelSystem
@@ -230,7 +230,7 @@ def _in_regions(forms: UInt8Array, least: int) -> BoolArray:
         return forms > 0
     kept = np.zeros(forms.shape, np.bool_)
     for form in np.unique(forms[forms > 0]):
-        regions, _ = ndimage.label(forms == form, np.ones((3, 3)))
+        _, regions = cv2.connectedComponents((forms == form).astype(np.uint8), connectivity=8)
         large = np.bincount(regions.ravel()) >= least
         large[0] = False
         kept |= large[regions]

@@ -34,7 +34,7 @@ def _gaussian(weight: float, sigma: float) -> Any:
     return kernel
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def with_neighbours(
     rows: Any, cols: Any, values: Any, stands: Any, weight: float, sigma: float
 ) -> tuple[Float64Array, Float64Array]:
@@ -64,7 +64,7 @@ def with_neighbours(
     return out, cells
 
 
-@numba.njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def spread(
     rows: Any,
     cols: Any,
@@ -136,7 +136,7 @@ def spread(
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _remember(row: Any, value: Any) -> None:
+def remember(row: Any, value: Any) -> None:
     """Keep `value` among the least distinct ones of `row`, which are sorted; 0 is an empty place."""
     for k in range(row.size):
         if row[k] == value:
@@ -149,7 +149,7 @@ def _remember(row: Any, value: Any) -> None:
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
-def _slot(epochs: Any, epoch: Any, shown: Any, best: Any, span: Any) -> int:
+def slot_of(epochs: Any, epoch: Any, shown: Any, best: Any, span: Any) -> int:
     """Index of an epoch among the newest ones of a view, which are kept newest first; 0 is an empty place.
 
     A new one pushes the oldest out; -1 for one that is older than all that are kept.
@@ -204,14 +204,14 @@ def accumulate(
         if second < burned_at[r, c]:
             continue  # it shows what has burned since
         last_seen[r, c] = max(last_seen[r, c], second)
-        _remember(seen_by[r, c], camera)
+        remember(seen_by[r, c], camera)
         f = supported[i]
         if f >= 0:
             first[r, c, f] = second if first[r, c, f] == 0 else min(first[r, c, f], second)
             last[r, c, f] = max(last[r, c, f], second)
-            _remember(camera_hashes[r, c, f], camera)
+            remember(camera_hashes[r, c, f], camera)
         v = views[i]
-        e = _slot(epochs[r, c, v], epoch, shown[r, c, v], best[r, c, v], span[r, c, v])
+        e = slot_of(epochs[r, c, v], epoch, shown[r, c, v], best[r, c, v], span[r, c, v])
         if e < 0:
             continue  # the view has newer looks enough
         whole = np.uint64(0)

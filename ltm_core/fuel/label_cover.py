@@ -105,11 +105,6 @@ def _add(
             woody[r, c, v, k] = min(np.uint64(woody[r, c, v, k]) + np.uint64(sums[i, k]), ceiling)
 
 
-def capped(sums: NDArray[np.uint64]) -> UInt32Array:
-    """At the largest number, which does not depend on the order of the frames: of one view, 17 million in ten days."""
-    return np.minimum(sums, np.iinfo(np.uint32).max).astype(np.uint32)
-
-
 def label_cover(woody: UInt32Array, before: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Cover and its standard error (...), %, from the sums (..., V, 3) of views and what a map said `before` (...), %;
     NaN where nobody has looked, or nothing was said. Worked on ln(-ln(1 - cover)), in which k is a shift.
@@ -119,8 +114,8 @@ def label_cover(woody: UInt32Array, before: Float64Array) -> tuple[Float64Array,
         share, cosine = woody[..., 1] / (_SCALE * frames), woody[..., 2] / (_SCALE * frames)
     # Cosine of incidence: the sine of the angle between sight and ground.
     sine = np.clip(cosine, 0.02, 0.999)
-    shadow = np.sqrt(1 + CROWN_ASPECT**2 * (1 - sine**2) / sine**2)
-    each = _log_density(share) - 0.5 * np.log(shadow**2)
+    shadow_squared = 1 + CROWN_ASPECT**2 * (1 - sine**2) / sine**2
+    each = _log_density(share) - 0.5 * np.log(shadow_squared)
     weight = np.where(frames > 0, np.where(share > _SURE, _BLIND, 1.0), 0.0)
     whole = weight.sum(axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):

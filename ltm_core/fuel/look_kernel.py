@@ -15,7 +15,7 @@ from ltm_core.fuel.life_form import FORMS
 from ltm_core.types import Float64Array, Int64Array
 
 
-@numba.njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def tell_by_look(
     rows: Any,
     cols: Any,
@@ -94,7 +94,7 @@ def tell_by_look(
             own[i, f] = max(told[f] - most - np.log(whole), least) if known[f] else least
 
 
-@numba.njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def log_normalised(values: Any) -> Float64Array:
     """(N, F) logarithms, shifted so that their exponentials sum to 1 in each row."""
     n, width = values.shape
@@ -111,7 +111,7 @@ def log_normalised(values: Any) -> Float64Array:
     return out
 
 
-@numba.njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def normalised(logs: Any, divisors: Any) -> Float64Array:
     """(N, F) the exponentials of logarithms over `divisors` (N,), as shares of their sum in each row."""
     n, width = logs.shape
@@ -129,7 +129,7 @@ def normalised(logs: Any, divisors: Any) -> Float64Array:
     return out
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def shown_forms(amounts: Any, most: Any, least: float) -> Int64Array:
     """(N,) index of the form that has most of `amounts` (N, F), -1 where that is less than `least` or than half of the
     cell's `most` (N,)."""

@@ -5,8 +5,11 @@ from __future__ import annotations
 from pydantic import Field
 
 from ltm_core.fuel.life_form import NONBURNABLE
-from ltm_core.fuel.votes import FRAME_CAP
 from ltm_core.strict_model import StrictModel
+
+FRAME_CAP = 10.0
+"""Pixels of one frame in one cell that count as evidence at most: they see the same plants under the same light, so a
+thousand of them say hardly more than a few."""
 
 
 class DecayYears(StrictModel):

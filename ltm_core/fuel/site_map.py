@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 from ltm_core.fuel.codes import FuelRegion
-from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.prior_io import load_prior, prior_heights
+from ltm_core.fuel.site_label_errors import camera_label_errors, site_label_errors
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.grid import GridGeometry
 from ltm_core.site import Site
 from ltm_core.types import Float32Array
-from ltm_core.vision.label_head import SHIPPED_HEAD
 from ltm_core.vision.labels import LabelSet
 
 
@@ -33,25 +31,6 @@ def empty_maps(site: Site, geometry: GridGeometry, labels: LabelSet) -> Callable
     return lambda: LivingFuelMap(geometry, prior, labels, fuel.fusion, errors, region, of_cameras)
 
 
-def site_label_errors(site: Site) -> LabelErrors:
-    """What is known of the errors of the site's network. Raises ConfigError."""
-    given = site.fuel.label_errors
-    return LabelErrors.of_model(site.model) if given is None else LabelErrors.load(Path(given))
-
-
 def spare_heights(site: Site, geometry: GridGeometry) -> Float32Array | None:
     """The elevations that came with the prior on the fuel grid (in the map frame); None: it has none."""
     return None if site.fuel.prior is None else prior_heights(site.fuel.prior, site.in_crs(geometry))
-
-
-def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
-    """Those of the cameras whose network has a head of its own: a head errs otherwise than what it corrects.
-
-    Empty where the site file states its errors. Raises ConfigError; ModelError for a head that cannot be taken.
-    """
-    if site.fuel.label_errors is not None:
-        return {}
-    known: dict[str, LabelErrors] = {}
-    for head in {camera.head for camera in site.cameras.values()} - {SHIPPED_HEAD}:
-        known[head] = LabelErrors.of_head(site.model, head, site.heads)
-    return {name: known[camera.head] for name, camera in site.cameras.items() if camera.head in known}

@@ -12,14 +12,10 @@ from ltm_core.camera import Camera
 from ltm_core.dem import Dem
 from ltm_core.errors import ImageError
 from ltm_core.fuel.cell_visibility import CellVisibility, cell_visibility
-from ltm_core.fuel.vote_kernel import sum_pixels
+from ltm_core.fuel.rules import FRAME_CAP
 from ltm_core.grid import GridGeometry
 from ltm_core.pose import Pose
 from ltm_core.types import BoolArray, Float32Array, Int32Array, UInt8Array, UInt32Array
-
-FRAME_CAP = 10.0
-"""Pixels of one frame in one cell that count as evidence at most: they see the same plants under the same light, so a
-thousand of them say hardly more than a few."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +144,9 @@ class VoteCaster:
         for name, image in [*images, ("confidence", confidence)]:
             if image is not None and image.shape != shape:
                 raise ImageError(f"{name} of {image.shape} and a camera of {shape} of {source} are not of one image")
+        # Here, for who only passes votes on (the uplink, the viewer) needs no numba.
+        from ltm_core.fuel.vote_kernel import sum_pixels
+
         sums = sum_pixels(
             distance,
             along_axis,

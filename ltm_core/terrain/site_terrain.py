@@ -9,7 +9,7 @@ import numpy as np
 
 from ltm_core.camera import Camera
 from ltm_core.errors import ConfigError
-from ltm_core.fuel.site_map import site_label_errors
+from ltm_core.fuel.site_label_errors import site_label_errors
 from ltm_core.pose import Pose
 from ltm_core.raster.tile_store import StoreSchema, TileStore
 from ltm_core.resources import config_path

@@ -4,7 +4,23 @@
 `baselines.reference` is a slow, independent float64 tracer that tests hold the fast one against.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from ltm_core.range_image import RangeImage
-from ltm_core.tracing.tracer import TerrainTracer
+
+if TYPE_CHECKING:
+    from ltm_core.tracing.tracer import TerrainTracer
 
 __all__ = ["RangeImage", "TerrainTracer"]
+
+
+def __getattr__(name: str) -> object:
+    """The tracer when somebody asks for it: a site's configuration needs no more than `possible_ground`, and the tracer
+    loads numba with all its kernels."""
+    if name == "TerrainTracer":
+        from ltm_core.tracing.tracer import TerrainTracer
+
+        return TerrainTracer
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
 
 import cv2
 import numpy as np
@@ -18,9 +17,6 @@ from ltm_core.errors import ModelError
 from ltm_core.types import Float32Array
 from ltm_core.vision.label_agreement import Agreement
 from ltm_core.vision.manifest import Withdrawal
-
-SHIPPED_HEAD: Final = "landscape"
-"""Name of the head that is the network's own scores: no correction."""
 
 
 @dataclass(frozen=True, eq=False)

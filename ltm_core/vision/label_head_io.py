@@ -16,8 +16,8 @@ from ltm_core.errors import ConfigError, ModelError
 from ltm_core.strict_model import StrictModel
 from ltm_core.vision.label_agreement import Agreement
 from ltm_core.vision.label_calibration_io import Calibration, doubt_of_photographs
-from ltm_core.vision.label_head import SHIPPED_HEAD, LabelHead
-from ltm_core.vision.manifest import Manifest, Withdrawal, added_folder
+from ltm_core.vision.label_head import LabelHead
+from ltm_core.vision.manifest import SHIPPED_HEAD, Manifest, Withdrawal, added_folder
 
 _Weight = Annotated[float, Field(ge=-1e4, le=1e4)]
 _DIGITS: Final = 4

@@ -20,6 +20,9 @@ CALIBRATION_SUFFIX: Final = "_calibration.yaml"
 FUSION_SUFFIX: Final = "_fusion.yaml"
 """Ends the name of the file beside a manifest that says how the model errs."""
 
+SHIPPED_HEAD: Final = "landscape"
+"""Name of the head that is the network's own scores: no correction."""
+
 
 class InputSpec(StrictModel):
     """The image that the network takes: one image a run, resized (aspect not kept) to `width` x `height` pixels.

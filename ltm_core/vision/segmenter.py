@@ -13,10 +13,10 @@ from ltm_core.errors import ImageError, ModelError
 from ltm_core.types import Float32Array, UInt8Array
 from ltm_core.vision.label_agreement import agreed
 from ltm_core.vision.label_calibration_io import doubt_of_photographs, load_calibration
-from ltm_core.vision.label_head import SHIPPED_HEAD, LabelHead
+from ltm_core.vision.label_head import LabelHead
 from ltm_core.vision.label_head_io import find_head, read_head
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
-from ltm_core.vision.manifest import InputSpec, Manifest
+from ltm_core.vision.manifest import SHIPPED_HEAD, InputSpec, Manifest
 from ltm_core.vision.onnx_model import OnnxModel
 from ltm_core.vision.photo_colour import against_green
 from ltm_core.vision.text_io import load_text

@@ -15,7 +15,8 @@ from ltm_core.fuel.fuel_map_io import read_fuel_map
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import label_forms
 from ltm_core.fuel.majority import UNSEEN, MajorityFuelMap
-from ltm_core.fuel.site_map import site_evidence_map, site_label_errors
+from ltm_core.fuel.site_label_errors import site_label_errors
+from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.resources import config_path
 from ltm_core.types import Int64Array

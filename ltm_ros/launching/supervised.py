@@ -6,6 +6,8 @@
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import ctypes
 import faulthandler
 import os
@@ -95,8 +97,23 @@ def _end() -> None:
     os.kill(0, signal.SIGKILL)
 
 
+def _leave(status: list[int]) -> None:
+    """The end of the process, where the module came to its own. For the interpreter to take every module apart first,
+    as it does otherwise, takes a fifth to a third of a second of processor time, while the site waits for its stop.
+    """
+    if status:
+        for output in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):
+                output.flush()
+        os._exit(status[0])
+
+
 def main() -> None:
     steady_allocation()
+    status: list[int] = []
+    # Before the module registers anything: the last to run, when its threads have ended and all that it asked for is
+    # done.
+    atexit.register(_leave, status)
     STARTING.begin(sys.argv[1], slow=True)
     faulthandler.register(SHOW_STACKS)
     descriptor = int(os.environ.pop(DESCRIPTOR))
@@ -105,7 +122,13 @@ def main() -> None:
     # When the runner has gone already, the pipe says so at once.
     HEARTBEAT.start(descriptor, prepare=_wake, reader_gone=_end)
     del sys.argv[0]
-    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+    try:
+        runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+    except SystemExit as end:
+        if isinstance(end.code, int):
+            status.append(end.code)
+        raise
+    status.append(0)
 
 
 if __name__ == "__main__":

@@ -9,29 +9,25 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import Field
 from std_msgs.msg import String
 
 from ltm_core.confirmed_terrain import terrain_grid
 from ltm_core.disk_io import make_folder
 from ltm_core.errors import ConfigError, MessageError, StoreError
-from ltm_core.fuel.cell_visibility import CellVisibility
-from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.fuel_map_io import write_fuel_map
 from ltm_core.fuel.life_form import life_form_labels
-from ltm_core.fuel.site_map import camera_label_errors, site_evidence_map, site_label_errors
+from ltm_core.fuel.site_map import site_evidence_map
 from ltm_core.fuel.stored_map import STORE_FILE, fuel_schema
-from ltm_core.fuel.votes import CellVotes
-from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import TileStore
 from ltm_core.resources import config_path
-from ltm_core.site import SITE_NAMES, Site
+from ltm_core.site import SITE_NAMES
 from ltm_core.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.label_info import msg_to_model
 from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.votes import msg_to_votes
+from ltm_ros.fuel_map.kernels import compile_kernels
 from ltm_ros.fuel_map.persistence import Counting, FuelMapPersistence
 from ltm_ros.fuel_map.publisher import FuelPublisher
 from ltm_ros.fuel_map.services import DrawnRegion, answer, burned, forgotten, region_of, write_landscapes
@@ -144,7 +140,7 @@ class FuelMap(Handler[FuelMapConfig]):
         self.outlet.publish(FUEL_MAP_INFO, String(data=json.dumps(info)))
         self._publisher.send_map()
         self._publisher.announce([])
-        _compile(self._site, self._labels)
+        compile_kernels(self._site, self._labels)
 
     def on_votes(self, camera: str, message: Any) -> None:
         stamp = stamp_of(message)
@@ -289,16 +285,6 @@ def _folder(config: FuelMapConfig) -> Path | None:
     folder = Path(config.site).parent / Path(config.folder).expanduser()
     make_folder(folder)
     return folder
-
-
-def _compile(site: Site, labels: LabelSet) -> None:
-    """The kernels, before the first frame waits for them: also those that only the looks of a network's cells need."""
-    one = np.ones(1, np.float32)
-    cell, counts = np.zeros(1, np.int32), np.ones((1, len(labels)), np.uint32)
-    tiny = GridGeometry(0.0, 60.0, 30.0, 3, 2)
-    votes = CellVotes(tiny, cell, cell, counts, one, 0, "", one, CellVisibility(*([100 * one] * 5)))
-    for errors in (site_label_errors(site), *camera_label_errors(site).values()):
-        EvidenceMap(tiny, None, labels, errors=errors).add(votes)
 
 
 NODE = NodeType("fuel_map", FuelMapConfig, FuelMap)

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -75,12 +76,16 @@ def within(module: str, places: set[str]) -> bool:
     return any(module == place or module.startswith(f"{place}.") for place in places)
 
 
-def runtime() -> Iterator[tuple[str, set[str]]]:
-    """Each module of the runtime wing with all that it imports."""
-    for top in ("ltm_core", "ltm_msgs_py", "ltm_ros"):
-        for module, path in modules(top).items():
-            if not within(module, STUDY | {DOOR}):
-                yield module, set(imported(path.read_text(encoding="utf-8"), module.rpartition(".")[0]))
+@cache
+def runtime() -> frozenset[tuple[str, str]]:
+    """Each module of the runtime wing with each name that it imports."""
+    return frozenset(
+        (module, name)
+        for top in ("ltm_core", "ltm_msgs_py", "ltm_ros")
+        for module, path in modules(top).items()
+        if not within(module, STUDY | {DOOR})
+        for name in imported(path.read_text(encoding="utf-8"), module.rpartition(".")[0])
+    )
 
 
 @pytest.mark.parametrize(
@@ -98,14 +103,14 @@ def test_nothing_imports_upwards(package: str, forbidden: set[str]) -> None:
 
 
 def test_runtime_imports_nothing_of_the_study_wing() -> None:
-    crossing = {f"{module} imports {name}" for module, names in runtime() for name in names if within(name, STUDY)}
+    crossing = {f"{module} imports {name}" for module, name in runtime() if within(name, STUDY)}
     assert not crossing
 
 
 def test_runtime_imports_no_package_that_only_the_study_wing_needs() -> None:
     own = {"ltm_core", "ltm_msgs_py", "ltm_ros", ""}
     allowed = TOWER | set(ON_DEMAND) | ROS | own | set(sys.stdlib_module_names)
-    strangers = {f"{m} imports {n}" for m, names in runtime() for n in names if n.partition(".")[0] not in allowed}
+    strangers = {f"{m} imports {n}" for m, n in runtime() if n.partition(".")[0] not in allowed}
     assert not strangers
 
 
@@ -129,7 +134,9 @@ def test_nodes_load_no_study_package() -> None:
     assert len(nodes) > 5
     code = f"""
 import importlib, sys
-import ltm_ros.launching.runner, ltm_ros.nodes.recorder, ltm_ros.nodes.uplink
+import ltm_ros.launching.runner
+for node in ("capture", "health", "recorder", "source", "uplink"):
+    importlib.import_module(f"ltm_ros.nodes.{{node}}")
 print(*("first." + name for name in sys.modules), sep="\\n")
 for node in {nodes}:
     importlib.import_module(f"ltm_ros.nodes.{{node}}")
@@ -139,10 +146,9 @@ print(*sys.modules, sep="\\n")
     study = {"matplotlib", "jinja2", "torch", "mitsuba", "skimage", "onnx", "rosbags", "laspy", "rerun"}
     study |= {"pyarrow", "dask", "distributed"}
     assert not {name for name in loaded if within(name, STUDY | study)}
-    # Those that look at no picture and turn nothing do without what costs a third of a second and 25 MB a process.
-    absent = {
-        f"first.{name}" for name in ("scipy.spatial", "scipy.special", "scipy.interpolate", "rasterio", "onnxruntime")
-    }
+    # Those that trace, label and weigh nothing do without what costs up to a third of a second and 70 MB a process.
+    heavy = ("numba", "scipy.spatial", "scipy.special", "scipy.ndimage", "scipy.interpolate", "rasterio", "onnxruntime")
+    absent = {f"first.{name}" for name in heavy}
     assert not {name for name in loaded if within(name, absent)}
 
 

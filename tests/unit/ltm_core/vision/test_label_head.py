@@ -18,10 +18,10 @@ from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.vision.label_agreement import Agreement
 from ltm_core.vision.label_calibration_io import load_calibration
-from ltm_core.vision.label_head import SHIPPED_HEAD, LabelHead
+from ltm_core.vision.label_head import LabelHead
 from ltm_core.vision.label_head_io import HeadFile, find_head, heads_folder, read_head, write_head
 from ltm_core.vision.labels import UNLABELLED, Label
-from ltm_core.vision.manifest import Manifest, Withdrawal
+from ltm_core.vision.manifest import SHIPPED_HEAD, Manifest, Withdrawal
 from ltm_core.vision.segmenter import Segmenter
 
 
