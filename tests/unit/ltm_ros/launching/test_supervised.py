@@ -13,7 +13,7 @@ import pytest
 from scenes.waiting import wait_for
 
 from ltm_core.site_sections import WatchdogConfig
-from ltm_ros.launching.supervised import supervised_command
+from ltm_ros.launching.supervised import start_supervised, supervised_command
 from ltm_ros.launching.supervisor import NodeProcess, RestartPolicy
 
 MODULE = """
@@ -114,7 +114,8 @@ class Watched:
             log_file=folder / "north.depth.log",
             console=self.lines.append,
             policy=RestartPolicy(initial_s=0.01, maximum_s=0.02),
-            watchdog=WatchdogConfig(silent=5.0, stuck=2.0, slow=60.0),
+            # `stuck` also bounds how long a new one may take to its first sign of life, which a busy machine delays.
+            watchdog=WatchdogConfig(silent=4.0, stuck=8.0, slow=60.0),
         )
         self.process.start()
 
@@ -159,3 +160,41 @@ def test_what_hangs_is_killed_and_started_again_with_its_reason(folder: Path, wa
     assert (well.process.starts, well.process.hangs) == (1, 0)
     standing.wait_for("stands_still", times=2)
     assert standing.process.hangs == 1, "no stale state: the new one is well"
+
+
+LAST_WORDS = """
+import atexit, os, sys, threading, time
+
+class Kept:
+    def __del__(self, write=os.write):
+        write(1, b"taken apart\\n")
+
+threading.kept = Kept()
+atexit.register(print, "what was asked for at the end")
+threading.Thread(target=lambda: (time.sleep(0.2), print("a thread's end"))).start()
+print("the module's end")
+{end}
+"""
+
+
+@pytest.mark.parametrize(
+    ("end", "status", "apart"),
+    [
+        ("", 0, False),
+        ("sys.exit(74)", 74, False),
+        ("sys.exit('wrong')", 1, True),
+        ("raise ValueError('wrong')", 1, True),
+    ],
+)
+def test_a_process_does_what_it_still_has_to_do_and_is_not_taken_apart(
+    folder: Path, end: str, status: int, apart: bool
+) -> None:
+    """One that fails ends as any other of Python."""
+    (folder / "actor.py").write_text(LAST_WORDS.format(end=end))
+    process, heard = start_supervised(supervised_command("actor"), dict(os.environ))
+    said, _ = process.communicate(timeout=60)
+    os.close(heard)
+    assert process.returncode == status
+    words = ["the module's end", "a thread's end", "what was asked for at the end", *(["taken apart"] if apart else [])]
+    assert [line for line in said.splitlines() if line in {*words, "taken apart"}] == words
+    assert ("wrong" in said) == apart
