@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,8 @@ from types import TracebackType
 from typing import Self
 
 from ltm_ros.bench.growth import Sample
-from ltm_ros.viewer.server import LOOPBACK, RerunProcess, grpc_url
+from ltm_ros.bench.ports import free_ports
+from ltm_ros.viewer.server import RerunProcess, grpc_url
 
 VIEWER = "viewer"
 SERVER = "viewer's server"
@@ -25,14 +25,8 @@ class Onlooker:
     """
 
     def __init__(self) -> None:
-        with socket.socket() as web, socket.socket() as grpc:
-            for probe in (web, grpc):
-                probe.bind((LOOPBACK, 0))
-            self.parameters = {
-                "serve": True,
-                "web_port": int(web.getsockname()[1]),
-                "grpc_port": int(grpc.getsockname()[1]),
-            }
+        web, grpc = free_ports(2)
+        self.parameters = {"serve": True, "web_port": web, "grpc_port": grpc}
 
     def __enter__(self) -> Self:
         self._client = RerunProcess(["--save", os.devnull, grpc_url(self.parameters["grpc_port"])])
