@@ -41,16 +41,17 @@ def partners(code: int) -> range:
 def of_one_fuel_type(fbfm40: Int16Array, fbfm13: Int16Array) -> BoolArray:
     """Where two maps of the same ground agree on the fuel type that carries the fire.
 
-    What does not burn agrees with such alone. True also where either is NODATA, where both hold the same number, and
-    where FBFM40 has an analyst's own model, of which no type is known.
+    What does not burn agrees with such alone. True also where either has no fuel type that is known: NODATA, an
+    analyst's own model, a code that no system has.
     """
-    agree = np.zeros((256, 256), np.bool_)
-    agree[list(CUSTOM)] = True
-    agree[np.ix_(list(NONBURNABLE), list(NONBURNABLE))] = True
+    agree = np.ones((256, 256), np.bool_)
+    burnable = range(_GRASS.start, _SLASH.stop)
+    agree[np.ix_(list(NONBURNABLE), burnable)] = False
     for code in range(256):
-        agree[code, list(partners(code))] = True
-    known = (fbfm40 != NODATA) & (fbfm13 != NODATA)
-    same: BoolArray = agree[_index(fbfm40), _index(fbfm13)] | (fbfm40 == fbfm13) | ~known
+        if own := partners(code):
+            agree[code, [*burnable, *NONBURNABLE]] = False
+            agree[code, own] = True
+    same: BoolArray = agree[_index(fbfm40), _index(fbfm13)]
     return same
 
 
