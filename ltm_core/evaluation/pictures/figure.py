@@ -19,6 +19,8 @@ def picture_of(figure: Figure) -> RgbImage:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     canvas = FigureCanvasAgg(figure)
+    # Once for the ticks, which change as the layout gives axes their size: it then has room for them, and for titles.
+    figure.draw_without_rendering()
     canvas.draw()
     return np.asarray(canvas.buffer_rgba(), np.uint8)[..., :3].copy()
 

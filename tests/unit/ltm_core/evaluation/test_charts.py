@@ -125,6 +125,20 @@ def test_a_sheet_of_changes() -> None:
     assert names(figure.axes[3].get_legend()) == ["found", "false", "missed"]
 
 
+def test_titles_are_within_the_picture() -> None:
+    """Nothing is drawn on its edges, whatever the shape of the map."""
+    for rows, cols, known in ((30, 100, True), (82, 100, True), (82, 100, False), (100, 82, True)):
+        flat = np.full((rows, cols), 100.0, np.float32)
+        change = np.zeros(flat.shape, np.uint8)
+        change[3:6, 4:9] = 1
+        grid = GridGeometry(0.0, float(rows), 1.0, cols, rows)
+        truth = change > 0 if known else None
+        figure = surface_figure(flat, flat / 100, flat - 105, change, change < 2, grid, truth)
+        picture = picture_of(figure)
+        for edge in (picture[0], picture[-1], picture[:, 0], picture[:, -1]):
+            assert (edge == 255).all(), (rows, cols, known)
+
+
 def test_a_sheet_of_changes_without_truth_or_without_change() -> None:
     still = surface(change=np.zeros(GRID.shape, np.uint8), sigma=np.full(GRID.shape, np.nan, np.float32))
     figure = surface_figure(**still)
