@@ -14,8 +14,8 @@ _SPREAD = 0.8
 record of slips to fit: a knock, a loose clamp and a lost encoder step are of degrees, what is less a calibrated pose's
 covariance has, and what is more is seen at once."""
 HELD = 0.1
-"""How often a camera is turned, against others, whose pictures hold its pose: those of the last minutes, or, by night
-and in fog, of the last day."""
+"""How often a camera is turned, against others, whose pictures hold its pose: since its last clear picture, which by
+night and in fog is hours old. A choice too: nothing has been measured of it."""
 
 
 def slip_density(turn: Float64Array, step: float) -> Float64Array:

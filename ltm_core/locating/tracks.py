@@ -37,7 +37,7 @@ class SeenAt:
 class Track:
     """One fire. `sightings`: newest last. `fire`: number of the first track of those that may be of the same fire, some
     camera being wrong. `disputed`: cameras that disagree about it. `wrong`: the one of them that is wrong, once that is
-    known.
+    known. `closed`: it takes no more sightings (`Tracks.forget`).
     """
 
     number: int
@@ -46,6 +46,7 @@ class Track:
     fire: int
     disputed: frozenset[str] = frozenset()
     wrong: str | None = None
+    closed: bool = False
 
     @property
     def cameras(self) -> list[str]:
@@ -100,7 +101,7 @@ class Tracks:
         best: tuple[float, Track, Location] | None = None
         disputes: list[tuple[Track, Agreement]] = []
         for track in self.tracks:
-            if not _nearby(seen.sighting, track, alone):
+            if track.closed or not _nearby(seen.sighting, track, alone):
                 continue
             together = self._kept([*track.sightings, seen])
             try:
@@ -129,6 +130,29 @@ class Tracks:
         self.tracks = sorted([*self.tracks, track], key=lambda each: each.last_ns)[-self.most :]
         self._name()
         return track, alone, track.wrong
+
+    def forget(self, camera: str) -> bool:
+        """Begin anew with a camera whose mount has been fitted again: what it has marked was seen from other poses, and
+        nothing is to be told from it. Whether anything was.
+
+        A track that others have marked too goes on by their marks. One that only it has marked stays where it is, and
+        takes no more, until it ends.
+        """
+        found = self.watch.forget(camera)
+        for track in self.tracks:
+            if camera in track.disputed:
+                track.disputed = frozenset()
+            others = [seen for seen in track.sightings if seen.sighting.name != camera]
+            if track.closed or len(others) == len(track.sightings):
+                continue
+            found = True
+            try:
+                track.location = self.locator.locate([seen.sighting for seen in others], self.smoke)
+                track.sightings = others
+            except RegionError:  # none, or none that fit without it
+                track.closed = True
+        self._name()
+        return found
 
     def _name(self) -> None:
         """What is known now of whom each track's cameras disagree with."""

@@ -106,6 +106,14 @@ class TurnWatch:
         self._fires = dict(list(self._fires.items())[-self.most :])
         self.expire(stamp_ns)
 
+    def forget(self, camera: str) -> bool:
+        """Begin anew with a camera whose poses are others now: of fires that it has marked, what was said of the others
+        hung on its direction too. Whether there were any.
+        """
+        before = len(self._fires)
+        self._fires = {key: fire for key, fire in self._fires.items() if camera not in fire[1].ratios}
+        return len(self._fires) < before
+
     def expire(self, now_ns: int) -> None:
         """Forget what was seen too long ago."""
         self._fires = {key: fire for key, fire in self._fires.items() if now_ns - fire[0] <= self.memory_ns}

@@ -25,7 +25,9 @@ from ltm_core.locating.place import place_views
 from ltm_core.locating.region import marked_pixel, marked_polygon
 from ltm_core.locating.sighting import Sighting
 from ltm_core.locating.tracks import SeenAt, Track, Tracks
+from ltm_core.locating.turn_evidence import STEP
 from ltm_core.pose import Pose
+from ltm_core.rotations import matrix_of_vector, vector_of_matrix
 from ltm_core.site_io import load_site
 from ltm_core.types import Float64Array
 from ltm_core.visibility.point_visibility import PointVisibility
@@ -101,6 +103,8 @@ class Locate(Handler[LocateConfig]):
         self._tracks = Tracks(self._locator, config.smoke, lifetime, config.max_tracks, memory_ns=memory)
         self._scenes = {name: SceneFilter.of(site, name) for name in site.cameras}
         self._cameras: dict[str, Camera] = {}
+        self._turns: dict[str, Float64Array] = {name: np.eye(3) for name in site.cameras}
+        """By which stated poses are corrected."""
         self._poses: dict[str, OrderedDict[int, tuple[Pose, Float64Array]]] = {
             name: OrderedDict() for name in site.cameras
         }
@@ -139,12 +143,19 @@ class Locate(Handler[LocateConfig]):
             poses.popitem(last=False)
 
     def on_correction(self, name: str, message: Any) -> None:
-        """Which cameras' pictures hold their poses: others are rather turned."""
-        held = self._tracks.watch.held
-        if msg_to_correction(message).held:
+        """Which cameras' pictures hold their poses: others are rather turned. With one whose mount has been fitted anew
+        it begins anew.
+        """
+        correction, held = msg_to_correction(message), self._tracks.watch.held
+        if correction.held:
             held.add(name)
         else:
             held.discard(name)
+        before, self._turns[name] = self._turns[name], matrix_of_vector(correction.rotation)
+        turned = float(np.linalg.norm(vector_of_matrix(self._turns[name] @ before.T)))
+        if turned > STEP and self._tracks.forget(name):
+            self.health.note(f"refitted.{name}")
+            self._publish_tracks(stamp_of(message))
 
     def on_region(self, name: str, source: str, message: Any) -> None:
         outline = msg_to_outline(message, f"{name}_optical")

@@ -52,6 +52,29 @@ def test_a_turned_camera_is_told_and_does_not_move_the_track() -> None:
     assert (other.fire, wrong) == (3, None)
 
 
+def test_marks_of_a_camera_that_was_turned_otherwise_say_no_more() -> None:
+    tracks = Tracks(Locator(hills(), 0.0))
+    shared, _, _ = tracks.add(seen("a", FIRE, 0))
+    tracks.add(seen("b", FIRE, 1))
+    alone = tracks.tracks[0].location.posterior.mean
+    turned, _, wrong = tracks.add(seen("c", FIRE, 2, turned_deg=2.0))
+    assert wrong == "c"
+    assert not tracks.forget("d")
+    assert tracks.forget("c")
+    assert (tracks.watch.verdict.wrong, shared.wrong, turned.wrong) == (None, None, None)
+    assert shared.location.posterior.mean == alone
+    stays = turned.location
+    # From the mount as it is fitted now: with the marks of the others, and not with its own of before.
+    joined, _, wrong = tracks.add(seen("c", FIRE, 3))
+    assert (joined, wrong) == (shared, None)
+    assert turned.location is stays
+    assert tracks.forget("a")
+    assert shared.cameras == ["b", "c"]
+    assert shared.location.posterior.mean == pytest.approx(tuple(FIRE[:2]), abs=20)
+    assert tracks.watch.verdict.fires == 0
+    assert not tracks.forget("a")
+
+
 def test_what_is_kept_is_bounded() -> None:
     tracks = Tracks(Locator(hills(), 0.0), lifetime_ns=10 * MINUTE, most=2)
     for minute in range(6):

@@ -142,6 +142,20 @@ def test_the_watch_forgets_and_is_bounded() -> None:
     assert watch.verdict == NOBODY
 
 
+def test_with_a_camera_whose_mount_is_fitted_again_it_begins_anew() -> None:
+    """What its marks said of others hung on its direction too."""
+    watch = TurnWatch(0.9)
+    first, second = alike(2.0, -1.9, 2.2), alike(2.0, 0.8, -3.4)
+    watch.note(1, 0, first)
+    watch.note(2, 10, second)
+    watch.note(3, 20, fire(b=peak(0.0), d=peak(0.0)))
+    assert named(watch) == "a"
+    assert not watch.forget("e")
+    assert watch.forget("a")
+    assert (watch.verdict.suspicion.keys(), watch.verdict.fires) == ({"b", "d"}, 1)
+    assert named(watch) == ""
+
+
 def test_what_is_marked_again_and_again_at_one_place_counts_once() -> None:
     """A chimney, say: where the terrain model errs there, it speaks against the same camera each time."""
     watch = TurnWatch(0.9)

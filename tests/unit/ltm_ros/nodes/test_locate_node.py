@@ -225,6 +225,44 @@ def test_a_camera_whose_pictures_hold_its_pose_is_not_so_soon_turned(tmp_path: P
     assert surer["probability"] > said["probability"]
 
 
+def places(running: Running) -> list[dict[str, Any]]:
+    """What is said last of each track."""
+    features = json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["features"]
+    return [one["properties"] for one in features if one["properties"]["role"] == "place"]
+
+
+def test_a_mount_that_is_fitted_again_begins_anew(tmp_path: Path) -> None:
+    towers = TOWERS | {"west": (-1300.0, 900.0, 120.0)}
+    running = Running(tmp_path, cameras={name: {} for name in towers}, refine_poses={})
+    fire = np.array([-100.0, 1900.0, 0.0])
+    marks = {name: sighting(name, at, fire, 0.05, 1.0 if name == "north" else 0.0) for name, at in towers.items()}
+    said = turned_says(running, marks, 0)
+    assert said is not None
+    assert said["camera"] == "north"
+    told = len(running.kept.on(LOCATE_TRACKS))
+
+    def correct(yaw_deg: float, variance: float) -> None:
+        found = PoseCorrection(np.radians([0.0, 0.0, yaw_deg]), np.eye(3) * variance)
+        running.send("north", POSE_CORRECTION, correction_to_msg(found, STAMP + 5 * SECOND))
+
+    correct(0.0, 4.0)  # it has slipped: by how much is not known yet
+    assert len(running.kept.on(LOCATE_TRACKS)) == told
+    correct(1.0, 1e-6)
+    assert running.health.summary()["noted.refitted.north"] == "1"
+    assert json.loads(running.kept.on(LOCATE_TRACKS)[-1].data)["turned"] is None
+    assert {place["disagrees"] for place in places(running)} == {None}
+    correct(1.0, 1e-6)  # as a node that starts again is told
+    assert running.health.summary()["noted.refitted.north"] == "1"
+    straight = marks | {"north": sighting("north", towers["north"], fire, 0.05)}
+    assert turned_says(running, straight, 10) is None
+    assert {"north", "west"} in [{*place["seen_by"]} for place in places(running)]
+    message = correction_to_msg(PoseCorrection(np.zeros(3), np.eye(3) * 1e-6), STAMP)
+    message.pose.covariance[21] = np.nan
+    with pytest.raises(LtmError):
+        running.send("north", POSE_CORRECTION, message)
+    assert running.health.summary()["noted.refitted.north"] == "1"
+
+
 def test_too_many_points_and_no_points_are_told(tmp_path: Path) -> None:
     running = Running(tmp_path)
     seen = seen_by("north")
