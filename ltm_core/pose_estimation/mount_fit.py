@@ -113,7 +113,7 @@ def fit_mount(
     found = tuple(_posed(p.prior.pose, w, tilt, shift) for p in pictures)
     turns = np.degrees(np.sqrt(np.diag(covariance)[3:6]))
     support, veiled = _seen(pictures, found, config)
-    away = np.abs(np.array([*w, tilt])) / np.where(sigma[3:] > 0, sigma[3:], np.inf)
+    away = np.abs(_deviation(mean)[3:]) / np.where(sigma[3:] > 0, sigma[3:], np.inf)
     word: Word = "accepted"
     reason = f"{len(pictures)} pictures agree"
     if turns.max() > v.most_sigma_deg or turns[2] > v.most_azimuth_sigma_deg:
@@ -165,9 +165,17 @@ def _apart(turns: list[Float64Array]) -> list[int]:
     return kept
 
 
+def _deviation(state: Float64Array) -> Float64Array:
+    """(7,) of a state from what is stated, in the terms of its sigmas: of the rotation by how much it tips the vertical
+    about x and y, and its turn about it. The vector of half a turn has pi / 2 times as much for the same tip.
+    """
+    tipped = matrix_of_vector(state[3:6])[:, 2]
+    return np.array([*state[:3], -tipped[1], tipped[0], *state[5:]])
+
+
 def _cost(pictures: list[_Picture], state: Float64Array, sigma: Float64Array, config: PicturePoseConfig) -> float:
     """Of a state (7,): shift, rotation, tilt zero."""
-    away = state / np.where(sigma > 0, sigma, np.inf)
+    away = _deviation(state) / np.where(sigma > 0, sigma, np.inf)
     total = 0.5 * float(away @ away)
     for p in pictures:
         pose = _posed(p.prior.pose, state[3:6], float(state[6]), state[:3])
@@ -225,7 +233,7 @@ def _refined(
             gradient += alone * (shared.T @ g[:6])
         inverse = np.where(sigma > 0, 1 / np.maximum(sigma, 1e-12) ** 2, 0.0)
         normal += np.diag(inverse)
-        gradient += inverse * state
+        gradient += inverse * _deviation(state)
         if last:
             covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
             covariance[3:6, 3:6] += pose_covariance(pictures[0].prior.pose, 0.0, 0.0, *FLOOR_DEG)[3:, 3:]
