@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import subprocess  # nosec B404 # argument lists, no shell
@@ -23,6 +22,8 @@ class CleanupProcess:
         self._lock = threading.Lock()
         self._listed: dict[str, None] = {}
         self._process: subprocess.Popen[bytes] | None = None
+        self._orders: int | None = None
+        """The end of its pipe that is written to, while there is one."""
         self._stopping = threading.Event()
         # One thread for all its life: Linux tells a process of the end of the thread that started it.
         self._thread = threading.Thread(target=self._keep, name="orphan cleanup", daemon=True)
@@ -43,8 +44,8 @@ class CleanupProcess:
         self._stopping.set()
         with self._lock:
             process = self._process
-            if process is not None and process.stdin is not None:
-                process.stdin.close()
+            self._close_pipe()
+            if process is not None:
                 process.send_signal(signal.SIGCONT)
         if self._thread.ident is not None:
             self._thread.join(PATIENCE_S)
@@ -61,15 +62,20 @@ class CleanupProcess:
             self._send(order if exists else forget)
 
     def _send(self, order: str) -> None:
-        process = self._process
-        if process is None or process.stdin is None or process.stdin.closed:
+        if self._orders is None:
             return
         try:
-            os.write(process.stdin.fileno(), order.encode() + b"\n")
+            os.write(self._orders, order.encode() + b"\n")
         except BlockingIOError:
-            process.kill()  # it does not read; the next will be told of all
+            if self._process is not None:
+                self._process.kill()  # it does not read; the next will be told of all
         except BrokenPipeError:
             return
+
+    def _close_pipe(self) -> None:
+        if self._orders is not None:
+            os.close(self._orders)
+            self._orders = None
 
     def _keep(self) -> None:
         while not self._stopping.is_set():
@@ -87,24 +93,30 @@ class CleanupProcess:
         with self._lock:
             if self._stopping.is_set():
                 return 0
-            process = self._process = self._start()
-            assert process.stdin is not None  # nosec B101 # tells the type checker what holds
-            os.set_blocking(process.stdin.fileno(), False)
+            read, self._orders = os.pipe()
+            os.set_blocking(self._orders, False)
+            # Before it is there to read them, so that no runner can be killed with the process there and not told. The
+            # pipe takes 64 kB, which is more than all processes of a graph and all folders are.
             for order in self._listed:
                 self._send(order)
+            try:
+                process = self._process = self._start(read)
+            except OSError:
+                self._close_pipe()
+                raise
+            finally:
+                os.close(read)
         status = process.wait()
         with self._lock:
             self._process = None
-            with contextlib.suppress(OSError):
-                process.stdin.close()
+            self._close_pipe()
         return status
 
-    def _start(self) -> subprocess.Popen[bytes]:
+    def _start(self, orders: int) -> subprocess.Popen[bytes]:
         return subprocess.Popen(  # nosec B603 # no shell, no argument from the wire
             [sys.executable, "-m", "ltm_ros.launching.orphan_cleanup"],
-            stdin=subprocess.PIPE,
+            stdin=orders,
             stdout=subprocess.DEVNULL,
             env=self._environment(),
             start_new_session=True,
-            bufsize=0,
         )
