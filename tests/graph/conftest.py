@@ -35,6 +35,9 @@ LONGEST_FIRST = (
     "test_watchdog.py",
     "test_fuel_map.py",
     "test_hostile_input.py",
+    "test_readme_camera.py",
+    "test_full_disk.py",
+    "test_layouts.py",
     "test_patrolling_head.py",
 )
 """So that no worker begins with one of these when the others have done their part."""
