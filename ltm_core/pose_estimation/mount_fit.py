@@ -27,6 +27,8 @@ from ltm_core.rotations import matrix_of_vector, nearest_vector, vector_of_matri
 from ltm_core.types import Float64Array
 
 TILT_ZERO_SIGMA_DEG = 0.3
+_SURE = 3.0
+"""Sigmas by which a tilt zero must be shown."""
 _PROPOSALS = 3
 """Hypotheses of each picture that are tried on all."""
 _STARTS, _APART = 6, math.radians(0.25)
@@ -37,7 +39,7 @@ _STARTS, _APART = 6, math.radians(0.25)
 class MountFit:
     """`rotation`: (3,) about the map's axes (rad), `tilt_zero` (rad), `shift` (3,) m: what is to be added to the stated
     poses; `covariance`: (7, 7) of shift, rotation, tilt zero. `poses`: of the pictures, with it, where it is accepted,
-    else as stated. `gap`: by which the next best correction costs more.
+    else as stated. `gap`: by which the next best correction costs more. `cost`: of the correction, by pictures and prior.
     """
 
     rotation: Float64Array
@@ -49,6 +51,7 @@ class MountFit:
     word: Word
     reason: str
     gap: float
+    cost: float
 
     def pose_covariance(self, picture: int) -> Float64Array:
         """(6, 6) of a picture's pose, as in `pose_covariance`."""
@@ -125,12 +128,39 @@ def fit_mount(
     elif away.max() > v.contradiction:
         word, reason = "contradicts_prior", f"the mount is {away.max():.1f} sigmas from where it is said to be"
     poses = found if word == "accepted" else tuple(p.prior.pose for p in pictures)
-    return MountFit(w, tilt, shift, covariance, poses, found, word, reason, gap)
+    return MountFit(w, tilt, shift, covariance, poses, found, word, reason, gap, _cost(pictures, mean, sigma, config))
+
+
+def fit_head(
+    priors: Sequence[PosePrior],
+    searches: Sequence[PictureSearch],
+    config: PicturePoseConfig,
+    tilt_zero_sigma_deg: float,
+) -> MountFit:
+    """Of a head: with the zero of its tilt axis where pictures in several directions ask for one, else without.
+
+    A second freedom always fits better. It is taken where it lowers the cost by what three sigmas do, and is itself
+    three sigmas from none; no picture is then surer of its direction than without it.
+    """
+    plain = fit_mount(priors, searches, config, tilt_zero_sigma_deg=0.0)
+    if tilt_zero_sigma_deg == 0:
+        return plain
+    head = fit_mount(priors, searches, config, tilt_zero_sigma_deg)
+    sigma = math.sqrt(head.covariance[6, 6])
+    if head.word != "accepted" or abs(head.tilt_zero) < _SURE * sigma or plain.cost - head.cost < _SURE**2 / 2:
+        return plain
+    traces = [[np.trace(fit.pose_covariance(k)[3:, 3:]) for k in range(len(priors))] for fit in (plain, head)]
+    wider = max(1.0, float(np.max(np.divide(*traces))))
+    return replace(
+        head,
+        covariance=head.covariance * wider,
+        reason=f"{head.reason}, with the tilt axis read {math.degrees(head.tilt_zero):+.2f} deg off its zero",
+    )
 
 
 def _stated(pictures: list[_Picture], word: Word, reason: str, sigma: Float64Array) -> MountFit:
     poses = tuple(p.prior.pose for p in pictures)
-    return MountFit(np.zeros(3), 0.0, np.zeros(3), np.diag(sigma**2), poses, poses, word, reason, 0.0)
+    return MountFit(np.zeros(3), 0.0, np.zeros(3), np.diag(sigma**2), poses, poses, word, reason, 0.0, math.inf)
 
 
 def _sigmas(prior: PosePrior, tilt_zero_sigma_deg: float) -> Float64Array:

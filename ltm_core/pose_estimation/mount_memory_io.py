@@ -35,6 +35,8 @@ class _Memory(StrictModel):
     reason: str = Field(max_length=2000)
     rotation: _Three
     angles: tuple[_Three, _Three, _Three] | None
+    tilt_zero: float = 0.0
+    tilt_covariance: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
 def memory_file(folder: Path, camera: str) -> Path:
@@ -65,6 +67,8 @@ def write_memory(path: Path, watch: MountWatch, terms: str) -> None:
         reason=watch.reason[:2000],
         rotation=watch.correction.rotation.tolist(),
         angles=None if angles is None else angles.tolist(),
+        tilt_zero=watch.correction.tilt_zero,
+        tilt_covariance=watch.correction.tilt_covariance.tolist(),
     )
     partial = path.with_name(f".{path.name}.partial")
     try:
@@ -94,5 +98,6 @@ def recall_memory(path: Path, watch: MountWatch, terms: str) -> bool:
     if memory.layout != _LAYOUT or memory.terms != terms:
         return False
     angles = None if memory.angles is None else np.array(memory.angles)
-    watch.recall(memory.state, PoseCorrection(np.array(memory.rotation), angles), memory.reason)
+    tilt = memory.tilt_zero, np.array(memory.tilt_covariance)
+    watch.recall(memory.state, PoseCorrection(np.array(memory.rotation), angles, *tilt), memory.reason)
     return True

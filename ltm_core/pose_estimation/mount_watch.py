@@ -1,6 +1,7 @@
 """Keeps the pose of a mounted camera: corrects what is stated of it by its pictures, and notices when it has slipped.
 
-A mount has one error, of its yaw, pitch and roll, for all that its camera sees. It is found in several clear pictures
+A mount has one error, of its yaw, pitch and roll, for all that its camera sees, and a head that of its tilt axis' zero.
+It is found in several clear pictures
 together (`mount_fit`), so that one wrong skyline moves nothing, and fog only delays it. From then on each clear picture
 is laid on the terrain from the corrected pose; where most of the last ones say that the camera looks elsewhere, the
 mount is said to have slipped, its poses are of no use, and the error is sought anew.
@@ -19,13 +20,13 @@ from scipy.spatial.transform import Rotation
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import UNKNOWN_AZIMUTH_SIGMA_DEG
 from ltm_core.pose_estimation.contour_scores import ContourDirections
-from ltm_core.pose_estimation.mount_fit import fit_mount
+from ltm_core.pose_estimation.mount_fit import fit_head
 from ltm_core.pose_estimation.picture_evidence import PictureEvidence
 from ltm_core.pose_estimation.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.pose_correction import PoseCorrection
 from ltm_core.pose_estimation.pose_from_picture import PictureSearch, Terrain, find_pose
 from ltm_core.pose_estimation.pose_hypothesis import search_reach
-from ltm_core.pose_estimation.pose_prior import PosePrior, angle_slopes, angles_between, turned
+from ltm_core.pose_estimation.pose_prior import PosePrior, angle_slopes, angles_between
 from ltm_core.pose_estimation.pose_refinement import ROUNDS, refine, skyline_cost
 from ltm_core.pose_estimation.terrain_horizon import TerrainHorizon
 from ltm_core.pose_estimation.turn_search import clearer_turn
@@ -60,6 +61,7 @@ class MountWatch:
         terrain: what its skylines are compared with.
         config: how many pictures it takes.
         picture_config: constants of the search in a single picture.
+        tilt_zero_sigma_deg: of a head, how far the zero of its tilt axis may be off; 0: none is sought.
     """
 
     def __init__(
@@ -67,7 +69,9 @@ class MountWatch:
         terrain: Terrain,
         config: PoseRefinementConfig,
         picture_config: PicturePoseConfig = PicturePoseConfig(),
+        tilt_zero_sigma_deg: float = 0.0,
     ) -> None:
+        self._tilt_zero_sigma_deg = tilt_zero_sigma_deg
         self._terrain, self._config, self._search = terrain, config, picture_config
         self.correction = PoseCorrection(np.zeros(3), None)
         self.state = MountState.STATED
@@ -94,7 +98,7 @@ class MountWatch:
         Raises PoseError for a camera beside the DEM or under its ground.
         """
         if self.state is MountState.HELD:
-            return self._track(evidence, turned(stated, self.correction.rotation))
+            return self._track(evidence, self.correction.applied(stated, covariance)[0])
         return self._gather(evidence, self._prior(stated, covariance))
 
     def _prior(self, stated: Pose, covariance: Float64Array) -> PosePrior:
@@ -102,7 +106,7 @@ class MountWatch:
             return PosePrior.of_covariance(stated, covariance)
         # The place stays, whatever has turned the camera.
         sigma = self._config.slip_sigma_deg
-        return PosePrior(turned(stated, self.correction.rotation), sigma, sigma, sigma)
+        return PosePrior(self.correction.applied(stated, covariance)[0], sigma, sigma, sigma)
 
     def _gather(self, evidence: PictureEvidence, prior: PosePrior) -> bool:
         search = self._find(evidence, prior)
@@ -138,25 +142,30 @@ class MountWatch:
                 f"{roll:+.1f} deg in azimuth, pitch and roll from the stated pose, which its sigmas do not allow: mend "
                 "one of them"
             )
-            self._become(MountState.CONTRADICTED, PoseCorrection(self.correction.rotation, unknown_angles()), reason)
+            self._become(MountState.CONTRADICTED, self._nowhere(), reason)
         return True
 
     def _fit(self) -> None:
-        fit = fit_mount(self._priors, self._searches, self._search, tilt_zero_sigma_deg=0.0)
+        fit = fit_head(self._priors, self._searches, self._search, self._tilt_zero_sigma_deg)
         before = self.correction
         if fit.word == "accepted":
-            rotation = fit.rotation
+            rotation, tilt_zero = fit.rotation, fit.tilt_zero
             if self.state is MountState.SLIPPED:  # its poses were those of the former correction
                 both = Rotation.from_rotvec(fit.rotation) * Rotation.from_rotvec(before.rotation)
                 rotation = np.asarray(both.as_rotvec(), np.float64)
+                tilt_zero += before.tilt_zero
             angles = np.asarray(fit.covariance[3:6, 3:6], np.float64)
-            self._become(MountState.HELD, PoseCorrection(rotation, angles), fit.reason)
+            found = PoseCorrection(rotation, angles, tilt_zero, fit.covariance[6, 3:7])
+            self._become(MountState.HELD, found, fit.reason)
         elif fit.word == "contradicts_prior":
-            nowhere = PoseCorrection(before.rotation, unknown_angles())
-            self._become(MountState.CONTRADICTED, nowhere, fit.reason)
+            self._become(MountState.CONTRADICTED, self._nowhere(), fit.reason)
         elif len(self._searches) >= self._config.most_gathered:
             half = len(self._searches) // 2  # the others may show more, under another sky
             del self._priors[:half], self._searches[:half]
+
+    def _nowhere(self) -> PoseCorrection:
+        """The correction so far, of which it is no longer known that it is right."""
+        return PoseCorrection(self.correction.rotation, unknown_angles(), self.correction.tilt_zero)
 
     def _become(self, state: MountState, correction: PoseCorrection, reason: str) -> None:
         self.state, self.correction, self.reason = state, correction, reason
@@ -188,9 +197,8 @@ class MountWatch:
             best = search.hypotheses[0].refined
             refined, covariance = best.pose, best.covariance[3:6, 3:6]
         off = angles_between(pose, refined)
-        assert self.correction.angles is not None  # nosec B101 # tells the type checker what holds
         slopes = angle_slopes(refined)
-        sigmas = np.sqrt(np.diag(slopes @ (covariance + self.correction.angles) @ slopes.T))
+        sigmas = np.sqrt(np.diag(slopes @ (covariance + self.correction.angles_at(pose)) @ slopes.T))
         limits = math.radians(self._config.least_slip_deg) + self._config.slip_sigmas * sigmas
         self._tracked.append(off if (np.abs(off) > limits).any() else None)
         self._judge()
@@ -206,7 +214,7 @@ class MountWatch:
             f"{len(elsewhere)} of the last {len(self._tracked)} clear pictures say that the camera has turned by "
             f"{azimuth:+.2f}, {pitch:+.2f}, {roll:+.2f} deg in azimuth, pitch and roll"
         )
-        self._become(MountState.SLIPPED, PoseCorrection(self.correction.rotation, unknown_angles()), reason)
+        self._become(MountState.SLIPPED, self._nowhere(), reason)
 
     def _find(self, evidence: PictureEvidence, prior: PosePrior) -> PictureSearch:
         return find_pose(evidence, self._terrain, prior, self._search, horizon=self._horizon(evidence, prior)[0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,9 @@ class PoseKeeping(Handler[PoseKeepingConfig]):
         if site.refine_poses is None:
             raise ConfigError(f"{config.site}: the node `pose` needs a section `refine_poses`")
         terrain, self._search = site_terrain(site)
-        self._watch = MountWatch(terrain, site.refine_poses, self._search)
+        mount = site.camera(config.camera).mount
+        tilt_zero_sigma = 0.0 if mount is None else mount.angle_sigmas_deg[3]
+        self._watch = MountWatch(terrain, site.refine_poses, self._search, tilt_zero_sigma)
         self._assumed = site.assumed_pose_error.covariance()
         self._site, self._terms = site, ""
         folder = Path(config.site).parent / Path(config.folder).expanduser()
@@ -150,6 +153,7 @@ class PoseKeeping(Handler[PoseKeepingConfig]):
             "reason": watch.reason,
             "rotation_deg": np.degrees(rotation).round(4).tolist(),
             "sigma_deg": None if angles is None else np.degrees(np.sqrt(angles.diagonal())).round(4).tolist(),
+            "tilt_zero_deg": round(math.degrees(watch.correction.tilt_zero), 4),
             "slips": watch.slips,
         }
 
