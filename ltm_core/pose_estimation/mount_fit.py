@@ -39,7 +39,8 @@ _STARTS, _APART = 6, math.radians(0.25)
 class MountFit:
     """`rotation`: (3,) about the map's axes (rad), `tilt_zero` (rad), `shift` (3,) m: what is to be added to the stated
     poses; `covariance`: (7, 7) of shift, rotation, tilt zero. `poses`: of the pictures, with it, where it is accepted,
-    else as stated. `gap`: by which the next best correction costs more. `cost`: of the correction, by pictures and prior.
+    else as stated. `gap`: by which the next best correction costs more. `cost`: by the pictures and by
+    what is stated.
     """
 
     rotation: Float64Array
@@ -149,8 +150,11 @@ def fit_head(
     sigma = math.sqrt(head.covariance[6, 6])
     if head.word != "accepted" or abs(head.tilt_zero) < _SURE * sigma or plain.cost - head.cost < _SURE**2 / 2:
         return plain
-    traces = [[np.trace(fit.pose_covariance(k)[3:, 3:]) for k in range(len(priors))] for fit in (plain, head)]
-    wider = max(1.0, float(np.max(np.divide(*traces))))
+    surer = [
+        np.trace(plain.pose_covariance(k)[3:, 3:]) / np.trace(head.pose_covariance(k)[3:, 3:])
+        for k in range(len(priors))
+    ]
+    wider = max(1.0, *(float(share) for share in surer))
     return replace(
         head,
         covariance=head.covariance * wider,

@@ -393,7 +393,8 @@ def _locate(folder: Path) -> tuple[Callable[[], Handler[Any]], list[tuple[str, A
     region, point = PolygonStamped(header=parts["info"].header), PointStamped(header=parts["info"].header)
     region.polygon.points = [Point32(x=x, y=y) for x, y in ((20.0, 14.0), (26.0, 14.0), (25.0, 24.0), (21.0, 23.0))]
     point.point.x, point.point.y = 24.0, 25.0
-    correction = correction_to_msg(PoseCorrection(np.zeros(3), np.eye(3) * 1e-6), stamp_of(parts["info"]))
+    found = PoseCorrection(np.zeros(3), np.eye(3) * 1e-6, 0.01, np.array([0.0, 0.0, 0.0, 1e-6]))
+    correction = correction_to_msg(found, stamp_of(parts["info"]))
     messages = [
         (f"/{NAME}/tower/posed/camera_info", parts["info"]),
         (f"/{NAME}/tower/posed/pose", parts["pose"]),

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scenes.mountain_view import CAMERA, eye, terrain, view
 
 from ltm_core.pose import Pose
 from ltm_core.pose_covariance import pose_covariance
+from ltm_core.pose_estimation.mount_memory_io import memory_file, recall_memory, write_memory
 from ltm_core.pose_estimation.mount_watch import MountState, MountWatch
 from ltm_core.pose_estimation.picture_evidence import picture_evidence
 from ltm_core.pose_estimation.pose_correction import PoseCorrection
@@ -54,7 +58,6 @@ def most_off_deg(correction: PoseCorrection, tilt_zero_deg: float) -> float:
 def test_a_tilt_zero_is_found_beside_a_lean() -> None:
     head, plain = watched(0.8, 0.5), watched(0.8, 0.0)
     assert head.state is MountState.HELD, head.reason
-    print(head.reason, most_off_deg(head.correction, 0.8), plain.reason, most_off_deg(plain.correction, 0.8))
     assert np.degrees(head.correction.tilt_zero) == pytest.approx(0.8, abs=0.12)
     assert most_off_deg(head.correction, 0.8) < 0.15
     assert plain.correction.tilt_zero == 0.0
@@ -81,3 +84,20 @@ def test_its_message_and_its_variance_in_each_direction() -> None:
     np.testing.assert_allclose(pose.rotation, true_pose(stated, np.degrees(0.014)).rotation, atol=1e-12)
     slopes = np.column_stack([np.eye(3), pose.rotation[:, 0]])
     np.testing.assert_allclose(after[3:, 3:], slopes @ joint @ slopes.T, atol=1e-15)
+
+
+def test_a_restart_keeps_it_and_reads_files_from_before_it(tmp_path: Path) -> None:
+    kept, path = MountWatch(terrain(), CONFIG), memory_file(tmp_path, "mast")
+    found = PoseCorrection(LEAN, np.eye(3) * 1e-6, 0.014, np.array([1e-8, 0.0, -1e-8, 2e-6]))
+    kept.recall(MountState.HELD, found, "4 pictures agree")
+    write_memory(path, kept, "terms")
+    again = MountWatch(terrain(), CONFIG)
+    assert recall_memory(path, again, "terms")
+    assert again.correction.tilt_zero == found.tilt_zero
+    np.testing.assert_array_equal(again.correction.tilt_covariance, found.tilt_covariance)
+    older = {key: value for key, value in json.loads(path.read_text()).items() if not key.startswith("tilt")}
+    path.write_text(json.dumps(older))
+    assert recall_memory(path, again, "terms")
+    assert again.correction.tilt_zero == 0.0
+    assert not again.correction.tilt_covariance.any()
+    np.testing.assert_array_equal(again.correction.rotation, LEAN)
