@@ -39,8 +39,7 @@ _STARTS, _APART = 6, math.radians(0.25)
 class MountFit:
     """`rotation`: (3,) about the map's axes (rad), `tilt_zero` (rad), `shift` (3,) m: what is to be added to the stated
     poses; `covariance`: (7, 7) of shift, rotation, tilt zero. `poses`: of the pictures, with it, where it is accepted,
-    else as stated. `gap`: by which the next best correction costs more. `cost`: by the pictures and by
-    what is stated.
+    else as stated. `gap`: by which the next best correction costs more. `cost`: by the pictures and by what is stated.
     """
 
     rotation: Float64Array

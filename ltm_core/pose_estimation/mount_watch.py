@@ -1,10 +1,10 @@
 """Keeps the pose of a mounted camera: corrects what is stated of it by its pictures, and notices when it has slipped.
 
 A mount has one error, of its yaw, pitch and roll, for all that its camera sees, and a head that of its tilt axis' zero.
-It is found in several clear pictures
-together (`mount_fit`), so that one wrong skyline moves nothing, and fog only delays it. From then on each clear picture
-is laid on the terrain from the corrected pose; where most of the last ones say that the camera looks elsewhere, the
-mount is said to have slipped, its poses are of no use, and the error is sought anew.
+It is found in several clear pictures together (`mount_fit`), so that one wrong skyline moves nothing, and fog only
+delays it. From then on each clear picture is laid on the terrain from the corrected pose; where most of the last ones
+say that the camera looks elsewhere, the mount is said to have slipped, its poses are of no use, and the error is sought
+anew.
 """
 
 from __future__ import annotations
