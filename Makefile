@@ -57,7 +57,7 @@ demo-real: $(INSTALLED)
 # to be up) leaves its core to the others.
 UNITS := -n 3 --dist worksteal
 # By file: the tests of one file may share a graph. The order is that of tests/graph/conftest.py.
-GRAPHS := -n 5 --dist loadfile --no-loadscope-reorder
+GRAPHS := -n 4 --dist loadfile --no-loadscope-reorder
 
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "not slow and not graph" $(UNITS) -q --durations=20

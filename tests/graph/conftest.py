@@ -24,7 +24,7 @@ from scenes.waiting import wait_for
 from ltm_ros.launching.ros_environment import PROFILE_VARIABLES, ros_environment
 
 DOMAINS = range(100, 201)
-GRAPHS = (os.cpu_count() or 1) + 3
+GRAPHS = (os.cpu_count() or 1) + 2
 """That are up at a time on this machine, of all runs: much of a graph's time is waiting."""
 LONGEST_FIRST = (
     "test_confirmed_surface_fused.py",

@@ -89,25 +89,27 @@ def test_votes_of_a_running_graph_reach_the_map_of_the_region(small_site: SmallS
     tower, map_, region = write_files(small_site, tmp_path, port)
     update, store = site_topic(NAME, FUEL_MAP_UPDATE), tmp_path / "map" / STORE_FILE
     run = ("run", str(tower), "--only", "tower", "--state", str(tmp_path / "state"), "--logs", str(tmp_path / "logs"))
-    with running(tmp_path / "console", *run) as graph, Bystander() as bystander:
-        bystander.listen(update, FUEL_MAP_UPDATE.type, depth=200)
-        for topic in TOPICS:
-            bystander.open(camera_topic(NAME, "tower", topic), topic.type, listeners=1)
-        bystander.wait_for_wiring(6)  # the camera's four, the map and the uplink
-        for _ in range(FRAMES):
-            bystander.wait_for_stamp(update, send_frame(bystander, small_site))
+    with running(tmp_path / "console", *run) as graph:
+        with Bystander() as bystander:
+            bystander.listen(update, FUEL_MAP_UPDATE.type, depth=200)
+            for topic in TOPICS:
+                bystander.open(camera_topic(NAME, "tower", topic), topic.type, listeners=1)
+            bystander.wait_for_wiring(6)  # the camera's four, the map and the uplink
+            for _ in range(FRAMES):
+                bystander.wait_for_stamp(update, send_frame(bystander, small_site))
 
-        def waits(frames: int) -> bool:
-            return bystander.summaries[f"/{NAME}/uplink"].get("outbox_frames") == str(frames)
+            def waits(frames: int) -> bool:
+                return bystander.summaries[f"/{NAME}/uplink"].get("outbox_frames") == str(frames)
 
-        wait_for(lambda: waits(FRAMES), "the outbox", lambda: bystander.summaries[f"/{NAME}/uplink"])
-        with (
-            Broker(tmp_path / "certs/mosquitto.conf", port),
-            running(tmp_path / "region", "region", str(region)) as kern,
-        ):
-            wait_for(lambda: waits(0), "an empty outbox", (tmp_path / "region").read_text, patience_s=120.0)
-            kern.send_signal(signal.SIGTERM)
-            assert kern.wait(60) == 0, (tmp_path / "region").read_text()
+            wait_for(lambda: waits(FRAMES), "the outbox", lambda: bystander.summaries[f"/{NAME}/uplink"])
+            with (
+                Broker(tmp_path / "certs/mosquitto.conf", port),
+                running(tmp_path / "region", "region", str(region)) as kern,
+            ):
+                wait_for(lambda: waits(0), "an empty outbox", (tmp_path / "region").read_text, patience_s=120.0)
+                kern.send_signal(signal.SIGTERM)
+                assert kern.wait(60) == 0, (tmp_path / "region").read_text()
+        # The bystander has gone: what it maps of a node that had to be ended (`dds_shutdown`), no runner can remove.
         graph.send_signal(signal.SIGTERM)
         assert graph.wait(60) == 0
     own, of_tower = stored(tower, tmp_path / "state" / STORE_FILE)
