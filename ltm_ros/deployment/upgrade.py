@@ -124,12 +124,15 @@ class Upgrade:
             return
         self._say(f"{target}: {wrong}; going back to {former}")
         try:
-            self._service.stop(STOP_S)
-        except LtmError as error:
-            # Whatever is left of it: a tower that stands still for good is worse than one that is started once more.
-            self._say(f"{target} cannot be stopped in order ({error})")
-        self.return_unconfirmed()
-        self._service.start()
+            try:
+                self._service.stop(STOP_S)
+            except LtmError as error:
+                # Whatever is left of it: to stand still for good is worse for a tower than to be started once more.
+                self._say(f"{target} cannot be stopped in order ({error})")
+            self.return_unconfirmed()
+        finally:
+            # Also after a second Ctrl-C, or on a full disk: this start returns to the former one as well, by the guard.
+            self._service.start()
         again = self._wait_until_ready(former, RETURN_S)
         self._say(
             f"{former} {'is not ready' if again else 'is ready'} {time.monotonic() - begun:.0f} s after it was stopped"

@@ -234,6 +234,25 @@ def test_ctrl_c_while_a_release_is_on_trial_brings_the_former_one_back(tower: To
     assert tower.releases.installed == ["1.0"]
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError("No space left on device")])
+def test_a_way_back_that_is_cut_short_leaves_a_service_that_is_started(
+    tower: Tower, tmp_path: Path, error: BaseException
+) -> None:
+    """Its start finds the trial, and returns."""
+
+    def cut_short(version: str) -> None:
+        if version == "2.0":
+            raise error
+
+    tower.service.behaviour["2.0"] = ServiceState(False, True, "")
+    tower.service.on_stop = cut_short
+    with pytest.raises(type(error)):
+        tower.install(write_package(tmp_path, "2.0"))
+    assert tower.service.did == ["stop", "start 2.0", "stop", "start 2.0"]
+    assert tower.releases.trial is not None
+    assert tower.upgrade.return_unconfirmed() == tower.releases.current == "1.0"
+
+
 def test_what_is_no_package_of_ours_is_refused(tower: Tower, tmp_path: Path) -> None:
     with pytest.raises(PackageError, match="package 'other', expected 'ltm'"):
         tower.install(write_package(tmp_path, "2.0", name="other"))
@@ -271,14 +290,19 @@ class Guard:
         for name in ("systemctl", "systemd-run"):
             program = self.folder / name
             program.write_text(
-                f'#!/bin/sh\necho "{name} $*" >> "{self.folder}/did"\n[ "$1" != show ] || cat "{self.folder}/state"\n'
+                f'#!/bin/sh\necho "{name} $*" >> "{self.folder}/did"\n'
+                f'case "$*" in\n'
+                f'show*ActiveState*) cat "{self.folder}/state" ;;\n'
+                f'show*) cat "{self.folder}/exit" ;;\n'
+                f"esac\n"
             )
             program.chmod(0o755)
         (self.folder / "guard").write_text(GUARD.read_text().replace("/opt/ltm", str(self.tower.releases.root)))
 
-    def runs(self, *arguments: str, state: str = "inactive") -> list[str]:
-        """What it asks systemd for, where the service is in that state."""
+    def runs(self, *arguments: str, state: str = "inactive", status: int = 0) -> list[str]:
+        """What it asks systemd for, where the service is in that state, and has ended with that exit status."""
         (self.folder / "state").write_text(state)
+        (self.folder / "exit").write_text(str(status))
         (self.folder / "did").write_text("")
         path = f"{self.folder}:{os.environ['PATH']}"
         subprocess.run(["sh", str(self.folder / "guard"), *arguments], check=True, env={"PATH": path})
@@ -318,7 +342,10 @@ def test_where_nobody_watches_a_trial_the_guard_ends_it(tower: Tower, tmp_path: 
     assert stops == "systemctl stop ltm-trial.timer"
     assert re.fullmatch(r"systemd-run .*--unit=ltm-trial --on-active=420 \S+/release-guard late", arms)
     assert guard.runs("late") == [], "somebody has stopped it"
-    assert guard.runs("late", state="activating") == ["systemctl restart --no-block ltm.service"]
+    assert guard.runs("late", state="failed") == [], "it had to be killed"
+    restarts = ["systemctl restart --no-block ltm.service"]
+    assert guard.runs("late", state="failed", status=78) == restarts, "it refuses the site file"
+    assert guard.runs("late", state="activating") == restarts
     assert tower.releases.trial is not None, "the second start returns"
     assert guard.runs("late", state="active") == []
     assert not (tower.releases.root / "trial").exists(), "it is ready: taken"
