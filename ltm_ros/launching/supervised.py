@@ -125,8 +125,8 @@ def main() -> None:
     try:
         runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
     except SystemExit as end:
-        if isinstance(end.code, int):
-            status.append(end.code)
+        if end.code is None or isinstance(end.code, int):  # else Python prints it first
+            status.append(end.code or 0)
         raise
     status.append(0)
 

@@ -28,12 +28,13 @@ signal.signal(signal.SIGTERM, end)
 print(sys.argv[1], os.getpid(), flush=True)
 worker = HEARTBEAT.activity("worker")
 STARTING.end()
-if sys.argv[1] == "holds_the_lock":
+well_now = os.path.exists(sys.argv[2])
+open(sys.argv[2], "w").close()
+if sys.argv[1] == "holds_the_lock" and not well_now:
     libc, mutex = ctypes.PyDLL(None), ctypes.create_string_buffer(64)
     libc.pthread_mutex_lock(mutex)
     libc.pthread_mutex_lock(mutex)  # for ever, and no signal interrupts it
-if sys.argv[1] == "stands_still" and not os.path.exists(sys.argv[2]):
-    open(sys.argv[2], "w").close()
+if sys.argv[1] == "stands_still" and not well_now:
     worker.begin("Image")
 while True:
     time.sleep(0.1)
@@ -42,7 +43,8 @@ PARENT = """
 import os, select, sys, threading
 from ltm_ros.launching.supervised import start_supervised, supervised_command
 for behaviour in sys.argv[2:]:
-    process, heard = start_supervised(supervised_command("actor", behaviour), dict(os.environ))
+    command = supervised_command("actor", behaviour, f"{sys.argv[1]}/{behaviour}_once")
+    process, heard = start_supervised(command, dict(os.environ))
     threading.Thread(target=lambda out=process.stdout: [print(line, end="", flush=True) for line in out]).start()
     while behaviour == "holds_the_lock" and select.select([heard], [], [], 3.0)[0]:
         os.read(heard, 4096)
@@ -109,7 +111,7 @@ class Watched:
         self.lines: list[str] = []
         self.process = NodeProcess(
             label="north/depth",
-            command=supervised_command("actor", behaviour, str(folder / "second_time")),
+            command=supervised_command("actor", behaviour, str(folder / f"{behaviour}_once")),
             environment=os.environ,
             log_file=folder / "north.depth.log",
             console=self.lines.append,
@@ -158,8 +160,9 @@ def test_what_hangs_is_killed_and_started_again_with_its_reason(folder: Path, wa
     log = (folder / "north.depth.log").read_text()
     assert "hangs: " in log
     assert (well.process.starts, well.process.hangs) == (1, 0)
-    standing.wait_for("stands_still", times=2)
-    assert standing.process.hangs == 1, "no stale state: the new one is well"
+    for one, behaviour in ((standing, "stands_still"), (locked, "holds_the_lock")):
+        one.wait_for(behaviour, times=2)
+        assert one.process.hangs == 1, "no stale state: the new one is well"
 
 
 LAST_WORDS = """
@@ -181,6 +184,7 @@ print("the module's end")
     ("end", "status", "apart"),
     [
         ("", 0, False),
+        ("sys.exit()", 0, False),
         ("sys.exit(74)", 74, False),
         ("sys.exit('wrong')", 1, True),
         ("raise ValueError('wrong')", 1, True),
