@@ -27,6 +27,8 @@ BYTES_PER_PARTICIPANT = 72 << 20
 
 _OBJECT = re.compile(r"^(?:sem\.)?(?P<base>fastrtps_(?:port\d{1,5}|[0-9a-f]{16}))(?:_el|_sl|_mutex)?$")
 
+_LOCKED_FILE = re.compile(r" ([0-9a-f]+):([0-9a-f]+):(\d+) ")
+
 
 @dataclass(frozen=True)
 class SharedMemory:
@@ -44,7 +46,9 @@ class SharedMemory:
 
 
 def survey(folder: Path = SHM_FOLDER, min_age_s: float = MIN_AGE_S) -> SharedMemory:
-    """Look at every Fast DDS object in `folder`; changes nothing."""
+    """Look at every Fast DDS object in `folder`; changes nothing and takes no lock, so it is in nobody's way: a
+    participant that starts finds its port free, and who removes what is stale finds it so. What a process of another
+    PID namespace holds counts as stale, for its locks cannot be seen."""
     return _walk(folder, min_age_s, remove=False)
 
 
@@ -72,6 +76,7 @@ def _walk(folder: Path, min_age_s: float, remove: bool) -> SharedMemory:
         if match:
             objects.setdefault(match["base"], []).append(path)
     mapped = _mapped_names(folder) if objects else set()
+    held = None if remove else _held_locks()
     in_use: list[str] = []
     stale: list[str] = []
     young: list[str] = []
@@ -85,7 +90,10 @@ def _walk(folder: Path, min_age_s: float, remove: bool) -> SharedMemory:
         if _age_s(paths) < min_age_s:
             young.append(base)
             continue
-        locks = _take_locks(paths)
+        if held is None:
+            locks = _take_locks(paths)
+        else:
+            locks = None if any(_file_key(path) in held for path in filter(_is_lock, paths)) else []
         if locks is None:
             in_use.append(base)
             continue
@@ -105,6 +113,25 @@ def _walk(folder: Path, min_age_s: float, remove: bool) -> SharedMemory:
 
 def _is_lock(path: Path) -> bool:
     return path.name.endswith(("_el", "_sl"))
+
+
+def _held_locks() -> frozenset[tuple[int, int, int]] | None:
+    """Files that a process of this PID namespace has a lock on, by their device's two numbers and their inode; None
+    where the kernel does not say (proc(5), /proc/locks)."""
+    try:
+        content = Path("/proc/locks").read_text()
+    except OSError:
+        return None
+    keys = (_LOCKED_FILE.search(line) for line in content.splitlines())
+    return frozenset((int(key[1], 16), int(key[2], 16), int(key[3])) for key in keys if key)
+
+
+def _file_key(path: Path) -> tuple[int, int, int] | None:
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return os.major(status.st_dev), os.minor(status.st_dev), status.st_ino
 
 
 def _take_locks(paths: list[Path]) -> list[int] | None:

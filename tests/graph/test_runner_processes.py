@@ -181,7 +181,9 @@ def test_stops_a_node_that_takes_long_to_start(start: Callable[..., Started]) ->
     graph = start(spec("depth", behaviour="slow_to_start"))
     graph.wait_for(lambda: any("hello" in line for line in graph.lines), "its first line")
     graph.runner.stop()
-    assert len(graph.lines) == 1, graph.lines
+    # Fast DDS may tell of another graph's port that was being removed as it looked.
+    said = [line for line in graph.lines if "RTPS_TRANSPORT_SHM" not in line]
+    assert len(said) == 1, graph.lines
 
 
 RUN = """

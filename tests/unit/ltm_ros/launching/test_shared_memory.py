@@ -34,11 +34,37 @@ def test_removes_what_nobody_owns_and_nothing_else(folder: Path) -> None:
 def test_leaves_what_is_locked(folder: Path, owned: str) -> None:
     with (folder / f"{owned}_el").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
+        assert shared_memory.survey(folder, min_age_s=0.0).in_use == (owned,)
         assert shared_memory.remove_stale(folder, min_age_s=0.0).in_use == (owned,)
         assert (folder / owned).exists()
         assert (folder / f"{owned}_el").exists()
     assert shared_memory.remove_stale(folder, min_age_s=0.0).stale == (owned,)
     assert not (folder / owned).exists()
+
+
+def test_looking_is_in_nobodys_way(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A participant that starts just then would find its port taken, and a runner leave what is stale."""
+    taken: list[int] = []
+    flock = fcntl.flock
+
+    def told(descriptor: int, operation: int) -> None:
+        taken.append(descriptor)
+        flock(descriptor, operation)
+
+    monkeypatch.setattr(fcntl, "flock", told)
+    assert shared_memory.survey(folder, min_age_s=0.0).stale == (SEGMENT, PORT)
+    assert taken == []
+    shared_memory.remove_stale(folder, min_age_s=0.0)
+    assert len(taken) == 2
+
+
+def test_looks_where_the_kernel_does_not_tell_of_locks(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shared_memory, "_held_locks", lambda: None)
+    with (folder / f"{SEGMENT}_el").open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        seen = shared_memory.survey(folder, min_age_s=0.0)
+    assert (seen.in_use, seen.stale) == ((SEGMENT,), (PORT,))
+    assert (folder / PORT).exists()
 
 
 def test_leaves_a_port_whose_shared_lock_is_held(folder: Path) -> None:
