@@ -86,7 +86,9 @@ def test_at_rest_no_picture_is_refused_and_the_pose_is_that_of_the_picture(camer
     assert 0.03 < math.degrees(math.sqrt(covariance[5, 5])) < 0.04
 
 
-@pytest.mark.parametrize("rate", [1.0, -1.0, 2.0, 5.0, 20.0, 90.0])
+@pytest.mark.parametrize(
+    "rate", [-1.0, 1.0, *(pytest.param(rate, marks=pytest.mark.slow) for rate in (2.0, 5.0, 20.0)), 90.0]
+)
 def test_while_the_head_slews_every_picture_is_refused(camera: HttpCamera, head: FakeHead, rate: float) -> None:
     tested = sourced(camera)
     tested.steps(1)
