@@ -101,13 +101,24 @@ class GrowthWatch:
             self.sample()
 
 
-def memory_growth(samples: list[Sample]) -> dict[str, Growth]:
-    """Of what each process that lived through all samples has asked for (`Usage.own`), by label and in `SUM`."""
+def medians(values: Float64Array, size: int) -> Float64Array:
+    """Medians of each `size` values; what is left at the end of a longer series is left out.
+
+    What a process holds rises and falls by megabytes between the moments, a minute apart, at which it gives back: two
+    samples a minute see that beat, and not what grows.
+    """
+    count = len(values) // size * size if len(values) >= size else len(values)
+    return np.median(values[:count].reshape(-1, min(size, count)), axis=1)
+
+
+def memory_growth(samples: list[Sample], size: int = 1) -> dict[str, Growth]:
+    """Of what each process that lived through all samples has asked for (`Usage.own`), by label and in `SUM`; of the
+    medians of each `size` samples."""
     minutes = np.array([sample.seconds for sample in samples]) / 60.0
     lasting = sorted(set.intersection(*(set(sample.usage) for sample in samples)))
     series = {label: np.array([sample.usage[label].own for sample in samples], float) for label in lasting}
     series[SUM] = np.sum(list(series.values()), axis=0)
-    return {label: Growth.of(minutes, memory) for label, memory in series.items()}
+    return {label: Growth.of(medians(minutes, size), medians(memory, size)) for label, memory in series.items()}
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,12 @@ import numpy as np
 
 from chaos.heartbeats import Heartbeats
 from chaos.running_site import RunningSite
-from ltm_ros.bench.growth import SUM, Growth, GrowthWatch, Sample, memory_growth
+from ltm_ros.bench.growth import SUM, Growth, GrowthWatch, Sample, medians, memory_growth
 from ltm_ros.runtime.process_memory import MemoryInUse
 
-EVERY_S = 30.0
+EVERY_S = 5.0
+A_MINUTE = 12
+"""Samples of which the median is taken: processes give back once a minute."""
 SETTLED_AFTER = 1 / 3
 """Share of the time after which growth is taken: before it, caches fill and what is rare happens first."""
 MOST_KB_A_MINUTE = 10.0
@@ -41,7 +43,7 @@ class Soak:
     def watch(
         self, site: RunningSite, heartbeats: Heartbeats, state: Path, minutes: float, tell: Callable[[str], None]
     ) -> None:
-        """Sample every 30 s for so long."""
+        """Sample for so long."""
         begun = time.monotonic()
         watch = GrowthWatch(site.processes, state, EVERY_S)
         self.samples = watch.samples
@@ -50,12 +52,13 @@ class Soak:
             self.in_use.append(heartbeats.memory_in_use())
             last = self.samples[-1]
             own, private = (sum(getattr(one, what) for one in last.usage.values()) for what in ("own", "private"))
-            tell(f"{last.seconds:6.0f} s: {len(last.usage)} processes, {own} kB of their own, {private} kB private")
+            if len(self.samples) % A_MINUTE == 1:
+                tell(f"{last.seconds:6.0f} s: {len(last.usage)} processes, {own} kB of their own, {private} kB private")
             time.sleep(max(0.0, begun + EVERY_S * len(self.samples) - time.monotonic()))
 
     def growth(self) -> dict[str, Growth]:
         """Of the memory of its own (`Usage.own`) of each process that lived through the last two thirds, and in sum."""
-        return memory_growth(self.samples[self._settled :])
+        return memory_growth(self.samples[self._settled :], A_MINUTE)
 
     def growth_in_use(self) -> dict[str, InUseGrowth]:
         """Likewise, of the processes that say what they use."""
@@ -63,7 +66,8 @@ class Soak:
         said = self.in_use[self._settled :]
 
         def of(label: str, what: str, unit: float) -> Growth:
-            return Growth.of(minutes, np.array([getattr(one[label], what) / unit for one in said]))
+            values = np.array([getattr(one[label], what) / unit for one in said])
+            return Growth.of(medians(minutes, A_MINUTE), medians(values, A_MINUTE))
 
         lasting = sorted(set.intersection(*(set(one) for one in said)))
         return {

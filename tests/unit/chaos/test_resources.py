@@ -53,9 +53,9 @@ def test_bytes_of_a_folder(tmp_path: Path) -> None:
 
 
 def _soak(minutes: float, *memory: Callable[[float], float]) -> Soak:
-    """Samples each half minute of processes whose own memory, kB, is a function of the minutes."""
+    """Samples each 5 s of processes whose own memory, kB, is a function of the minutes."""
     soak = Soak()
-    for minute in np.arange(0.0, minutes + 0.5, 0.5):
+    for minute in np.arange(12 * minutes + 1) / 12:
         own = {str(number): round(kb(minute)) for number, kb in enumerate(memory)}
         # What is private changes as programs come and go that have mapped the same files.
         usage = {label: Usage(0, kb + round(900 * minute) % 7000, kb, 9, 3, 0.0) for label, kb in own.items()}
@@ -76,6 +76,13 @@ def test_growth_is_that_of_the_last_two_thirds() -> None:
     np.testing.assert_allclose(total.grown, 12.0 * 30 * 7 / 8, rtol=0.05)
     assert soak.missed() == ["memory grows by 12.0 kB a minute in sum"]
     assert _soak(29, lambda t: 12 * t).missed() == []
+
+
+def test_what_comes_and_goes_each_minute_is_no_growth() -> None:
+    """Twelve samples a minute: until it gives back once a minute, what a process holds grows by 4 MB, evenly or not."""
+    for swing in (lambda part: 4000 * part, lambda part: 4000 * (part > 0.3)):
+        soak = _soak(60, lambda t, swing=swing: 5000 + 3 * t + swing(t % 1))  # type: ignore[misc]
+        np.testing.assert_allclose(soak.growth()["0"].slope, 3.0, atol=0.2)
 
 
 def test_a_single_step_is_no_slope_and_is_told() -> None:
