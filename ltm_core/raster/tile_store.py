@@ -11,8 +11,8 @@ from __future__ import annotations
 import contextlib
 import os
 import sqlite3
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from math import prod
 from pathlib import Path
 from types import TracebackType
@@ -24,14 +24,15 @@ from ltm_core.disk_io import DiskReserve
 from ltm_core.errors import ConfigError, StoreError
 from ltm_core.raster.tile_store_file import (
     TABLES,
+    checked_rows,
     create_store,
     grow,
     lock_store,
-    named_errors,
     open_store,
     transaction,
     wants_room,
 )
+from ltm_core.raster.tile_store_frames import KEPT_FRAMES, MOST_FRAMES, Remembered, count_frames
 from ltm_core.raster.tile_store_schema import (
     CellChanges,
     Field,
@@ -40,19 +41,11 @@ from ltm_core.raster.tile_store_schema import (
     StoreSchema,
     Tile,
     Touch,
-    compressed,
     decompressed,
 )
 
 __all__ = ["CellChanges", "Field", "FrameRecord", "Key", "StoreSchema", "Tile", "TileStore", "Touch"]
 
-KEPT_FRAMES = 20_000
-"""Stamps remembered of each source at least, a week of a frame every 30 s; older ones are refused, as nobody knows."""
-KEPT_NS = 7 * 86_400 * 10**9
-"""Up to the newest, in which a source's stamps are remembered however many they are: thousands of one minute push out
-none of the same day."""
-MOST_FRAMES = 1_000_000
-"""Stamps remembered of a source at most, some 30 MB: nobody shall fill the disk."""
 RESERVE_BYTES = 32 << 20
 """Held on the disk beside a store, for transactions on a full one; twice the store's size where that is more."""
 WAITING_CELL_BYTES, WAITING_HEADER_BYTES = 512, 64 << 10
@@ -81,7 +74,8 @@ class TileStore:
     ) -> None:
         self.schema = schema
         self._db, self._name, self._lock, self._reserve = database, name, lock, reserve
-        self._kept_frames, self._most_frames = kept_frames, most_frames
+        self._rows = partial(checked_rows, database, name)
+        self._remembered = Remembered(kept_frames, most_frames)
         self.strain = ""
         """Where the last commit was made on a full disk: what that means, in words."""
 
@@ -203,7 +197,7 @@ class TileStore:
         return bool(found and found[0][0])
 
     def forgotten(self, source: str, stamp_ns: int) -> bool:
-        """Whether a frame is older than those that the store remembers of its source (see `_forget`)."""
+        """Whether a frame is older than those that the store remembers of its source (`tile_store_frames`)."""
         found = self._rows("SELECT horizon_ns FROM sources WHERE name = ?", (source,), int)
         return bool(found and stamp_ns <= found[0][0])
 
@@ -301,10 +295,7 @@ class TileStore:
         self, packed: Sequence[tuple[int, int, bytes]], frames: Sequence[FrameRecord], changes: Sequence[CellChanges]
     ) -> None:
         with transaction(self._db, self._name) as db:
-            self._count(db, frames, keep=not packed)
-            self._touch(db, frames)
-            for source in {frame.source for frame in frames}:
-                self._forget(db, source)
+            count_frames(db, self._name, frames, not packed, self._remembered)
             db.executemany(
                 "INSERT INTO changes (layer, stamp_ns, content) VALUES (?, ?, ?)",
                 [(c.layer, c.stamp_ns, c.pack()) for c in changes if len(c.rows)],
@@ -312,92 +303,6 @@ class TileStore:
             if packed:
                 db.executemany("INSERT OR REPLACE INTO tiles VALUES (?, ?, ?)", packed)
                 db.execute("DELETE FROM waiting")
-
-    def _count(self, db: sqlite3.Connection, frames: Sequence[FrameRecord], keep: bool) -> None:
-        """`keep`: their payloads too, until the tiles that hold them are written."""
-        sources = {
-            name: db.execute(
-                "INSERT INTO sources (name, counted, kept) VALUES (?1, ?2, ?2) "
-                "ON CONFLICT (name) DO UPDATE SET counted = counted + ?2, kept = kept + ?2 RETURNING id",
-                (name, count),
-            ).fetchone()[0]
-            for name, count in Counter(frame.source for frame in frames).items()
-        }
-        for frame in frames:
-            try:
-                db.execute("INSERT INTO frames VALUES (?, ?)", (sources[frame.source], frame.stamp_ns))
-            except sqlite3.IntegrityError as error:
-                raise ValueError(f"the frame {frame.stamp_ns} of {frame.source} has been counted already") from error
-        if keep:
-            db.executemany(
-                "INSERT INTO waiting (source, stamp_ns, model, payload) VALUES (?, ?, ?, ?)",
-                (
-                    (sources[frame.source], frame.stamp_ns, frame.model, compressed(frame.payload))
-                    for frame in frames
-                    if frame.payload
-                ),
-            )
-
-    def _touch(self, db: sqlite3.Connection, frames: Sequence[FrameRecord]) -> None:
-        """One row for each tile, source and network, however many frames of a transaction there are."""
-        touches: dict[tuple[int, int, str, str], tuple[int, int, int]] = {}
-        for frame in frames:
-            at = frame.stamp_ns
-            for row, col in frame.tiles:
-                key = row, col, frame.source, frame.model
-                count, first, last = touches.get(key, (0, at, at))
-                touches[key] = count + 1, min(first, at), max(last, at)
-        db.executemany(
-            "INSERT INTO touches SELECT ?, ?, id, ?, ?, ?, ? FROM sources WHERE name = ? "
-            "ON CONFLICT DO UPDATE SET frames = frames + excluded.frames, "
-            "first_ns = min(first_ns, excluded.first_ns), last_ns = max(last_ns, excluded.last_ns)",
-            [(row, col, model, *touch, source) for (row, col, source, model), touch in touches.items()],
-        )
-
-    def _forget(self, db: sqlite3.Connection, source: str) -> None:
-        """Bound what is remembered of a source: the newest `kept_frames`, and those within `KEPT_NS` of the newest, up
-        to `most_frames`.
-
-        Not by age alone: a camera whose clock was once set to another year shall neither be refused from then on nor
-        be counted twice. Not by number alone: whoever sends many frames would make those that are late too old.
-        """
-        ((number, kept),) = self._rows("SELECT id, kept FROM sources WHERE name = ?", (source,), int, int)
-        ((newest,),) = self._rows("SELECT max(stamp_ns) FROM frames WHERE source = ?", (number,), int)
-        old = self._old_among(db, number, kept - self._kept_frames, newest - KEPT_NS)
-        spare = max(old, kept - self._most_frames)
-        if spare <= min(self._kept_frames, self._most_frames) // 20:
-            return
-        found = self._rows(
-            "SELECT stamp_ns FROM frames WHERE source = ? ORDER BY stamp_ns LIMIT 1 OFFSET ?", (number, spare - 1), int
-        )
-        if not found:
-            raise ConfigError(
-                f"{self._name}: the store is damaged: {source} has no {spare} frames; restore it from a copy"
-            )
-        ((horizon,),) = found
-        db.execute("DELETE FROM frames WHERE source = ? AND stamp_ns <= ?", (number, horizon))
-        db.execute("UPDATE sources SET kept = kept - ?, horizon_ns = ? WHERE id = ?", (spare, horizon, number))
-
-    def _old_among(self, db: sqlite3.Connection, number: int, spare: int, limit_ns: int) -> int:
-        """How many of a source's `spare` oldest frames are older than that; counts a bounded number at a time."""
-        if spare <= 0:
-            return 0
-        (old,) = db.execute(
-            "SELECT count(*) FROM (SELECT 1 FROM frames WHERE source = ? AND stamp_ns < ? LIMIT ?)",
-            (number, limit_ns, min(spare, self._kept_frames)),
-        ).fetchone()
-        return int(old)
-
-    def _rows(self, query: str, values: Sequence[object], *types: type) -> list[tuple[Any, ...]]:
-        """Raises ConfigError where a column is of another type: SQLite keeps to the types of its tables only where
-        their writer does."""
-        with named_errors(self._name):
-            rows = self._db.execute(query, values).fetchall()
-        for row in rows:
-            if tuple(map(type, row)) != types:
-                found = ", ".join(f"{value!r:.40}" for value in row)
-                raise ConfigError(f"{self._name}: the store is damaged: a row holds {found}; restore it from a copy")
-        return rows
 
 
 @contextlib.contextmanager

@@ -7,8 +7,9 @@ import fcntl
 import os
 import sqlite3
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from ltm_core.errors import ConfigError, StoreError
 from ltm_core.raster.tile_store_schema import StoreSchema, with_all_fields
@@ -158,6 +159,20 @@ def named_errors(name: str) -> Iterator[None]:
         raise StoreError(f"{name}: {error} ({code}); {remedy}") from error
     except UnicodeDecodeError as error:  # of SQLite's own words, which repeat a damaged name
         raise ConfigError(f"{name}: the store is damaged ({error}); restore it from a copy") from error
+
+
+def checked_rows(
+    db: sqlite3.Connection, name: str, query: str, values: Sequence[object], *types: type
+) -> list[tuple[Any, ...]]:
+    """What a query finds. Raises ConfigError where a column is of another type: SQLite keeps to the types of its tables
+    only where their writer does."""
+    with named_errors(name):
+        rows = db.execute(query, values).fetchall()
+    for row in rows:
+        if tuple(map(type, row)) != types:
+            found = ", ".join(f"{value!r:.40}" for value in row)
+            raise ConfigError(f"{name}: the store is damaged: a row holds {found}; restore it from a copy")
+    return rows
 
 
 def wants_room(error: StoreError) -> bool:
