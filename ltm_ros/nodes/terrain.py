@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -10,28 +9,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import Field
-from std_msgs.msg import String
 
-from ltm_core.camera import Camera
-from ltm_core.dem import Dem
 from ltm_core.errors import ConfigError, StoreError
-from ltm_core.grid import GridGeometry
-from ltm_core.pose import Pose
 from ltm_core.raster.tile_store import StoreSchema, TileStore
 from ltm_core.site_io import load_site
-from ltm_core.site_sections import TerrainConfig
-from ltm_core.terrain import DepthFrame, LabelImage, Reference, SurfaceMap
-from ltm_core.terrain.change import Changed, ChangeKind
+from ltm_core.terrain.change import Changed
+from ltm_core.terrain.compiled_kernels import compile_kernels
 from ltm_core.terrain.site_terrain import STORE_FILE, UNCOMMITTED, SiteTerrain
 from ltm_core.terrain.terrain_io import write_surface
-from ltm_core.tracing import TerrainTracer
 from ltm_msgs_py.camera_info import msg_to_camera
 from ltm_msgs_py.image import msg_to_array, msg_to_depth
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose
 from ltm_msgs_py.stamp import stamp_of
-from ltm_msgs_py.terrain import change_to_msg, changed_to_msg
 from ltm_ros.confirmed_surface.confirmation import Confirmation
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health, cause_of
@@ -52,6 +42,7 @@ from ltm_ros.runtime.topics import (
     TERRAIN_UPDATE,
     camera_topic,
 )
+from ltm_ros.terrain.publisher import TerrainPublisher
 
 GRID_CELLS_PER_S = 1_000_000
 """Of the latched grid of changes: a large one goes out less often."""
@@ -102,6 +93,7 @@ class Terrain(Handler[TerrainNodeConfig]):
         self._folder = Path(config.site).parent / Path(config.folder).expanduser() if config.folder else None
         self._terrain = SiteTerrain(site, self._open_store)
         self._store, self._map = self._terrain.store, self._terrain.map
+        self._publisher = TerrainPublisher(site, self._map, outlet, health)
         self._confirmation: Confirmation | None = None
         if config.surfaces:
             self._confirmation = Confirmation(site, config.surfaces, self._map, outlet, health)
@@ -120,7 +112,7 @@ class Terrain(Handler[TerrainNodeConfig]):
         self._untold = Changed.none()
         self._since_grid = self._since_commit = 0.0
         self._pace = RetryPace()
-        _compile_kernels(site.terrain)
+        compile_kernels(site.terrain)
 
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
@@ -139,20 +131,7 @@ class Terrain(Handler[TerrainNodeConfig]):
         return found
 
     def start(self) -> None:
-        geometry = self._site.in_crs(self._map.reference.geometry)
-        info = {
-            "kinds": {kind.name.lower(): int(kind) for kind in ChangeKind},
-            "crs": geometry.crs,
-            "x_min": geometry.x_min,
-            "y_max": geometry.y_max,
-            "resolution": geometry.resolution,
-            "width": geometry.width,
-            "height": geometry.height,
-            "threshold": self._map.config.threshold,
-            "canopy_known": self._map.reference.canopy_known,
-            "cameras": list(self._map.cameras),
-        }
-        self.outlet.publish(TERRAIN_INFO, String(data=json.dumps(info)))
+        self._publisher.info()
         self._publish_grid()
         if self._confirmation is not None:
             self._confirmation.start()
@@ -290,28 +269,14 @@ class Terrain(Handler[TerrainNodeConfig]):
         if last or len(self._untold.rows):
             self._map.commit(last)
         if len(self._untold.rows):
-            self._publish_update(self._untold)
+            self._publisher.update(self._untold)
             self._untold = Changed.none()
             if self._confirmation is not None:
                 self._confirmation.news = True
 
-    def _publish_update(self, changed: Changed) -> None:
-        heights = self._map.heights_at(changed)
-        self.outlet.publish(
-            TERRAIN_UPDATE, changed_to_msg(changed, heights, self._map.reference.geometry, self._map.newest_ns)
-        )
-
     def _publish_grid(self) -> None:
         self._dirty, self._since_grid = False, 0.0
-        window = self._map.seen_window()
-        if window is not None:
-            layers = self._map.layers(window)
-            self.outlet.publish(TERRAIN_CHANGE, change_to_msg(layers, self._map.newest_ns))
-            self.health.gauge("cells.seen", int((layers.frames > 0).sum()))
-            self.health.gauge("cells.judged", int(layers.observed.sum()))
-            for kind in ChangeKind:
-                if kind is not ChangeKind.NONE:
-                    self.health.gauge(f"cells.{kind.name.lower()}", int((layers.change == kind).sum()))
+        self._publisher.grid()
 
     def _open_store(self, schema: StoreSchema) -> TileStore:
         if self._folder is None:
@@ -321,24 +286,6 @@ class Terrain(Handler[TerrainNodeConfig]):
         except OSError as error:
             raise ConfigError(f"{self._folder}: no folder that can be used ({error.strerror})") from error
         return TileStore.open(self._folder / STORE_FILE, schema)
-
-
-def _compile_kernels(config: TerrainConfig) -> None:
-    """Now, or load them from numba's cache: a node that says it is ready shall not think for a minute at the first
-    frame. Two looks at a plain that has sunk go all the way to a change.
-    """
-    plain = Dem(np.zeros((64, 64), np.float32), GridGeometry(0.0, 64.0, 1.0, 64, 64))
-    camera, pose = Camera.from_fov(64, 48, 50.0), Pose.from_angles((32.0, 5.0, 30.0), 0.0, -45.0)
-    sunk = TerrainTracer(Dem(plain.elevation - 10, plain.geometry)).trace(camera, pose).depth()
-    sure, seen = np.full(sunk.shape, 0.1, np.float32), np.ones(sunk.shape, np.bool_)
-    covariance = np.diag([1e-4] * 3 + [1e-5] * 3)
-    told, gone = LabelImage(np.ones(sunk.shape, np.uint8), camera), np.ones(256, np.float32)
-    for stable in (None, seen):
-        small = config.model_copy(update={"cache_mb": 32.0})
-        tiny = SurfaceMap(Reference.of(plain), small, ("any",), gone=gone)
-        for stamp in (0, 7_200_000_000_000):
-            tiny.add(DepthFrame(sunk, sure, seen, camera, pose, stamp, "any", covariance, None, stable, told))
-        tiny.decide()
 
 
 NODE = NodeType("terrain", TerrainNodeConfig, Terrain)

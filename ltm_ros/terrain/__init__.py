@@ -1,0 +1,1 @@
+"""What the node `terrain` says of its map."""
