@@ -40,7 +40,8 @@ def record(
     from ltm_core.output_io import require_folder
     from ltm_core.site_io import load_site
     from ltm_ros.launching.graph import Graph, ParameterValue, describe
-    from ltm_ros.launching.runner import Runner, new_log_folder
+    from ltm_ros.launching.log_folder import new_log_folder
+    from ltm_ros.launching.runner import Runner
 
     parameters: dict[str, ParameterValue] = {"bag": str(out.resolve())}
     for name, gigabytes in (("max_bytes", max_gb), ("min_free_bytes", min_free_gb)):

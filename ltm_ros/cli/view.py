@@ -82,7 +82,8 @@ def _show_graph(
     from ltm_core.errors import ConfigError
     from ltm_core.site_io import load_site
     from ltm_ros.launching.graph import Graph, ParameterValue, describe
-    from ltm_ros.launching.runner import Runner, new_log_folder
+    from ltm_ros.launching.log_folder import new_log_folder
+    from ltm_ros.launching.runner import Runner
     from ltm_ros.viewer.server import OPEN_MEMORY, RerunProcess, grpc_url, web_url
 
     site = load_site(path)

@@ -19,25 +19,13 @@ from typing import TextIO
 from ltm_core.errors import LtmError
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.cleanup_process import CleanupProcess
-from ltm_ros.launching.graph import (
-    CAMERAS_MODULE,
-    Graph,
-    ProcessSpec,
-    nodes_json,
-    parameters_yaml,
-)
+from ltm_ros.launching.graph import Graph, ProcessSpec
+from ltm_ros.launching.process_command import process_command
 from ltm_ros.launching.ros_environment import ros_environment
 from ltm_ros.launching.run_status import all_watched, in_words
 from ltm_ros.launching.service_manager import ServiceManager
 from ltm_ros.launching.supervised import start_supervised, supervised_command
 from ltm_ros.launching.supervisor import Console, NodeProcess, ProcessState, RestartPolicy
-
-KEPT_RUNS = 10
-"""Log folders of former runs that `new_log_folder` leaves."""
-
-
-_QUIET = ("--disable-external-lib-logs",)
-"""A node's output is kept by us; ROS's own log files in ~/.ros would grow beside it."""
 
 
 class GraphError(LtmError):
@@ -53,23 +41,6 @@ def print_line(line: str) -> None:
         # Not through the stream's buffer: what it cannot get rid of makes the process end with an error.
         sys.stdout.flush()
         os.write(sys.stdout.fileno(), f"{line}\n".encode(errors="replace"))
-
-
-def new_log_folder(site: str) -> Path:
-    """A fresh folder for a run's logs under `$XDG_STATE_HOME/ltm`; removes all but the newest former ones.
-
-    On a full disk one that is not there yet: logs are made when there is room.
-    """
-    state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local/state") / "ltm" / site
-    begun = time.strftime("%Y%m%d-%H%M%S-")
-    try:
-        state.mkdir(parents=True, exist_ok=True)
-        former = sorted(path for path in state.iterdir() if path.is_dir())
-        for path in former[: max(0, len(former) - KEPT_RUNS + 1)]:
-            shutil.rmtree(path, ignore_errors=True)
-        return Path(tempfile.mkdtemp(prefix=begun, dir=state))
-    except OSError:
-        return state / f"{begun}{os.getpid()}"
 
 
 class Runner:
@@ -285,9 +256,10 @@ class Runner:
             manager.starting(f"starting; {status}")
 
     def _process(self, spec: ProcessSpec) -> NodeProcess:
+        assert self._folder is not None  # nosec B101 # tells the type checker what holds
         return NodeProcess(
             label=spec.label,
-            command=self._command(spec),
+            command=process_command(spec, self._folder),
             environment=self._environment(spec.busy),
             log_file=self.log_folder / f"{spec.label.replace('/', '.')}.log",
             console=self._say,
@@ -296,21 +268,6 @@ class Runner:
             on_group=self._on_group,
             on_given_up=self._changed.set,
         )
-
-    def _command(self, spec: ProcessSpec) -> list[str]:
-        assert self._folder is not None  # nosec B101 # tells the type checker what holds
-        file = self._folder / spec.label.replace("/", ".")
-        if spec.shared:
-            nodes = file.with_name(f"{file.name}.json")
-            nodes.write_text(nodes_json(spec.nodes), encoding="utf-8")
-            return supervised_command(CAMERAS_MODULE, str(nodes), "--ros-args", *_QUIET)
-        node = spec.nodes[0]
-        parameters = file.with_name(f"{file.name}.yaml")
-        parameters.write_text(parameters_yaml(node.parameters), encoding="utf-8")
-        remappings = [("__ns", node.namespace), ("__node", node.name), *node.remappings]
-        command = supervised_command(node.module, "--ros-args")
-        command += [part for old, new in remappings for part in ("-r", f"{old}:={new}")]
-        return [*command, "--params-file", str(parameters), *_QUIET]
 
     def _on_group(self, group: int, alive: bool) -> None:
         self._cleanup.group(group, alive)

@@ -45,7 +45,7 @@ def update(
     from ltm_ros.evaluation.update_score import score_update, update_sheet
     from ltm_ros.evaluation.update_site import NAME, write_update_site
     from ltm_ros.evaluation.update_trial import live_depths, offline_depths
-    from ltm_ros.launching.runner import new_log_folder
+    from ltm_ros.launching.log_folder import new_log_folder
 
     if layout not in ("site", "node"):
         raise ConfigError(f"--layout {layout}: there are site and node")
