@@ -50,6 +50,14 @@ class _StoppedEarly(BaseException):
     """Told to stop while the node was being made."""
 
 
+_AGAIN_S = 0.5
+
+
+def _unless_stopped_early(lost: sys.UnraisableHookArgs) -> None:
+    if lost.exc_type is not _StoppedEarly:
+        sys.__unraisablehook__(lost)
+
+
 def run_until_stopped(name: str, make: Callable[[], ClosableNode | NodeGroup]) -> None:
     """Spin what `make` makes until SIGINT or SIGTERM, then `close` it while it can still publish.
 
@@ -57,19 +65,29 @@ def run_until_stopped(name: str, make: Callable[[], ClosableNode | NodeGroup]) -
     where the configuration cannot work (LtmError), so that the graph does not start it for ever, with what `close`
     returns where that is not 0.
     """
+    sys.unraisablehook = _unless_stopped_early
     steady_allocation()  # where nobody has yet: under `ros2 launch`
     stopping = threading.Event()
     making = True
 
     def stop(*_: object) -> None:
-        first = not stopping.is_set()
         stopping.set()
         # A node may load and compile for long, and has nothing to finish yet.
-        if making and first:
+        if making:
             raise _StoppedEarly
 
+    def insist() -> None:
+        """Stop again, for where Python was just in a finalizer or a callback of weakref, what `stop` raised is lost."""
+        while making:
+            told = stopping.is_set()
+            time.sleep(_AGAIN_S)
+            if told and making:
+                signal.pthread_kill(main, signal.SIGTERM)
+
+    main = threading.get_ident()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
+    threading.Thread(target=insist, name="insist", daemon=True).start()
     try:
         # rclpy's own handlers would shut the context down before the node has finished and published.
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)

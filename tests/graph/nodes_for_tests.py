@@ -15,6 +15,13 @@ from ltm_core.errors import ConfigError
 from ltm_ros.runtime.node_process import run_until_stopped
 
 
+class Slow:
+    """Its end takes for ever, and what is raised there is lost."""
+
+    def __del__(self) -> None:
+        time.sleep(600)
+
+
 class Actor(Node):
     """Says hello and goodbye, and sends a diagnostic now and then unless it is silent."""
 
@@ -24,6 +31,8 @@ class Actor(Node):
         print(f"hello from {self.get_fully_qualified_name()} pid {os.getpid()}", flush=True)
         if behaviour == "config_error":
             raise ConfigError("the DEM moon.tif does not exist")
+        if behaviour == "loses_the_stop":
+            Slow()
         if behaviour == "with_child":
             child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
             print(f"child {child.pid}", flush=True)
@@ -31,7 +40,7 @@ class Actor(Node):
         if behaviour == "stubborn":
             signal.signal(signal.SIGINT, signal.SIG_IGN)
             signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        while behaviour in ("stubborn", "slow_to_start"):
+        while behaviour in ("stubborn", "slow_to_start", "loses_the_stop"):
             if behaviour == "stubborn":
                 self._diagnose()
             time.sleep(0.2)  # it does nothing else, for ever

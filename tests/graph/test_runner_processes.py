@@ -177,8 +177,9 @@ def test_stops_quietly_at_any_moment_of_the_start(start: Callable[..., Started],
     assert not [line for line in graph.lines if "Traceback" in line or "still running" in line], graph.lines
 
 
-def test_stops_a_node_that_takes_long_to_start(start: Callable[..., Started]) -> None:
-    graph = start(spec("depth", behaviour="slow_to_start"))
+@pytest.mark.parametrize("behaviour", ["slow_to_start", "loses_the_stop"])
+def test_stops_a_node_that_takes_long_to_start(start: Callable[..., Started], behaviour: str) -> None:
+    graph = start(spec("depth", behaviour=behaviour))
     graph.wait_for(lambda: any("hello" in line for line in graph.lines), "its first line")
     graph.runner.stop()
     # Fast DDS may tell of another graph's port that was being removed as it looked.
