@@ -82,6 +82,9 @@ class WatchdogConfig(StrictModel):
     Python's lock in hand."""
     stuck: float = Field(120.0, ge=2)
     """On one message, or in one callback of its executor."""
+    deaf: float = Field(120.0, ge=2)
+    """Without a message of any topic, while other processes of the graph send ten or more on topics that it listens to.
+    After each run in a row that heard nothing, the next has twice as long."""
     slow: float = Field(600.0, ge=2)
     """For what may take long: the start (kernels are compiled, the DEM is read), what a service was asked for, the end.
     After each start in a row that was too slow, the next has twice as long."""

@@ -20,6 +20,7 @@ from ltm_core.errors import LtmError
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.cleanup_process import CleanupProcess
 from ltm_ros.launching.graph import Graph, ProcessSpec
+from ltm_ros.launching.hearing import GraphTraffic
 from ltm_ros.launching.process_command import process_command
 from ltm_ros.launching.ros_environment import ros_environment
 from ltm_ros.launching.run_status import all_watched, in_words
@@ -73,6 +74,7 @@ class Runner:
         self._console = console
         self._policy = policy or RestartPolicy()
         self._stop_s = stop_s
+        self._traffic = GraphTraffic()
         self._extra_environment = dict(environment or {})
         self._lock = threading.RLock()
         self._folder: Path | None = None
@@ -265,6 +267,7 @@ class Runner:
             console=self._say,
             policy=self._policy,
             watchdog=self.graph.watchdog,
+            traffic=self._traffic,
             on_group=self._on_group,
             on_given_up=self._changed.set,
         )

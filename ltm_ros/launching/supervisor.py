@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import IO
 
 from ltm_core.site_sections import WatchdogConfig
+from ltm_ros.launching.hearing import GraphTraffic, HearingWatch
 from ltm_ros.launching.node_log import NodeLog
 from ltm_ros.launching.orphan_cleanup import end_groups, group_alive
 from ltm_ros.launching.supervised import SHOW_STACKS, start_supervised
@@ -101,6 +102,8 @@ class NodeProcess:
     policy: RestartPolicy = field(default_factory=RestartPolicy)
     watchdog: WatchdogConfig | None = None
     """When it hangs; None: only its death is noticed."""
+    traffic: GraphTraffic = field(default_factory=GraphTraffic)
+    """Of all processes of the graph, by which one that hears nothing is noticed."""
     on_group: Callable[[int, bool], None] = lambda group, alive: None
     """Told of every process group that comes (True) and is gone (False)."""
     on_given_up: Callable[[], None] = lambda: None
@@ -119,6 +122,8 @@ class NodeProcess:
         self._tail: deque[str] = deque(maxlen=12)
         self._backoff = Backoff(self.policy)
         self._slow_starts = 0
+        self._deaf_runs = 0
+        """In a row, that heard nothing at all; each doubles the time that the next one has."""
         self._look_due = time.monotonic()
         self._hang = ""
         """Why the last run was killed, where it hung."""
@@ -228,7 +233,12 @@ class NodeProcess:
 
         It is not reaped here: while the zombie is there its process id belongs to nobody else.
         """
-        watch = HangWatch(self.watchdog, self._slow_starts) if self.watchdog else None
+        hearing, watch = None, None
+        if self.watchdog:
+            self.traffic.begin(self.label)
+            patience_s = self.watchdog.deaf * 2.0 ** min(self._deaf_runs, 10)
+            hearing = HearingWatch(self.label, self.traffic, patience_s)
+            watch = HangWatch(self.watchdog, self._slow_starts, hearing)
         hang = ""
         end = os.pidfd_open(pid)
         poll = select.poll()
@@ -252,6 +262,7 @@ class NodeProcess:
             os.close(end)
             os.close(heartbeat)
         self._slow_starts = self._slow_starts + 1 if watch and hang and not watch.started else 0
+        self._deaf_runs = self._deaf_runs + 1 if hearing and hearing.deaf and not hearing.heard else 0
         return hang
 
     def _kill_hung(self, hang: str, end: int) -> None:

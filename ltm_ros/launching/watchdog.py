@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ltm_core.site_sections import WatchdogConfig
+from ltm_ros.launching.hearing import HearingWatch
 
 BUSY = 0.05
 """Share of a core from which a process that says nothing is taken to compute, in code that holds Python's lock."""
@@ -42,10 +43,11 @@ class HangWatch:
     Args:
         limits: of the site.
         slow_starts: starts in a row that were ended as too slow; each doubles the time that this one has.
+        hearing: of this run; None: whether it hears anything on DDS is not looked at.
     """
 
-    def __init__(self, limits: WatchdogConfig, slow_starts: int = 0) -> None:
-        self._limits = limits
+    def __init__(self, limits: WatchdogConfig, slow_starts: int = 0, hearing: HearingWatch | None = None) -> None:
+        self._limits, self._hearing = limits, hearing
         self._start_s = limits.slow * 2.0 ** min(slow_starts, 10)
         self.started = False
         """Whether the process has said that it is at work."""
@@ -57,6 +59,10 @@ class HangWatch:
         self._heard = False
         self._rest = b""
         self._beat: list[tuple[float, bool, str]] = []
+        self._topics_heard: dict[str, int] | None = None
+        """Messages by topic, where the process has just told of them."""
+        self._unlooked_s = 0.0
+        """Since `hearing` was looked at."""
 
     def look(self, elapsed_s: float, heard: bytes, use: ProcessUse) -> str:
         """What hangs, in words, or nothing. `heard`: what has come on the heartbeat's pipe since the last look."""
@@ -65,13 +71,28 @@ class HangWatch:
         if elapsed_s > INTERRUPTED_S:
             self._silent_s = self._idle_s = 0.0
             self._pardon_s = PARDON_S
+            self._topics_heard = None
+            if self._hearing is not None:
+                self._hearing.begin_anew()
             return ""
         self._begun_s += elapsed_s
         self._silent_s = 0.0 if heard else self._silent_s + elapsed_s
         works = cpu_s > BUSY * elapsed_s or use.state in WAITING
         self._idle_s = 0.0 if heard or works else self._idle_s + elapsed_s
         self._pardon_s -= elapsed_s
-        return "" if self._pardon_s > 0 else self._verdict(use)
+        deaf = self._listen(elapsed_s)
+        return "" if self._pardon_s > 0 else self._verdict(use) or deaf
+
+    def _listen(self, elapsed_s: float) -> str:
+        """Why it is taken to hear nothing, when it has just told what it has heard."""
+        self._unlooked_s += elapsed_s
+        heard, self._topics_heard = self._topics_heard, None
+        if self._hearing is None or heard is None:
+            return ""
+        if not self.started:
+            self._hearing.begin_anew()
+        elapsed_s, self._unlooked_s = self._unlooked_s, 0.0
+        return self._hearing.look(elapsed_s, heard)
 
     def _verdict(self, use: ProcessUse) -> str:
         limits = self._limits
@@ -90,7 +111,12 @@ class HangWatch:
 
     def _take(self, heard: bytes) -> None:
         *lines, self._rest = (self._rest + heard).split(b"\n")
-        if lines:
-            self._heard = True
-            self._beat = [(float(age), bool(slow), str(what)) for age, slow, what in json.loads(lines[-1])]
-            self.started = self.started or not any(what.startswith("start:") for _, _, what in self._beat)
+        self._heard = self._heard or bool(lines)
+        for told in map(json.loads, lines[-2:]):  # the newest of either kind, where a process tells both
+            if isinstance(told, dict):
+                if self._hearing is not None:
+                    self._hearing.take(told["said"])
+                self._topics_heard = told["heard"]
+            else:
+                self._beat = [(float(age), bool(slow), str(what)) for age, slow, what in told]
+                self.started = self.started or not any(what.startswith("start:") for _, _, what in self._beat)

@@ -28,6 +28,7 @@ from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.kernel_clock import kernel_clock
 from ltm_ros.runtime.node_process import run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
+from ltm_ros.runtime.traffic import TRAFFIC
 
 
 class HealthNodeConfig(NodeConfig):
@@ -52,6 +53,7 @@ class HealthNode(Node):  # type: ignore[misc]
         cameras = list(dict.fromkeys(filter(None, map(camera_of, config.expected))))
         self._pictures = LastPictures(self, site, cameras, self._health)
         self.create_timer(1.0, self._pictures.tick, clock=DiagnosticsPublisher.steady_clock())
+        self._heard = TRAFFIC.listener("/diagnostics")
         self.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 100)
         self._diagnostics = DiagnosticsPublisher(self, {self.get_fully_qualified_name(): self._health})
         page = (files("ltm_ros.health") / "status_page.html").read_bytes()
@@ -103,6 +105,7 @@ class HealthNode(Node):  # type: ignore[misc]
 
     def _hear(self, message: DiagnosticArray) -> None:
         now_s = time.monotonic()
+        self._heard.messages += 1
         with self._lock:
             for status in message.status:
                 values = {value.key: value.value for value in status.values}

@@ -33,6 +33,7 @@ from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
 from ltm_ros.runtime.outlet_node import read_parameters
 from ltm_ros.runtime.process_memory import map_large_blocks
 from ltm_ros.runtime.topics import RECORDED, camera_topic, site_topic
+from ltm_ros.runtime.traffic import TRAFFIC
 
 QUEUE_BYTES = 256 << 20
 """Bytes that may wait for the disk before messages are dropped and counted. DDS holds as much besides where messages
@@ -123,7 +124,10 @@ class Recorder(Node):  # type: ignore[misc]
             self.create_subscription(message_type, topic, taker, qos, raw=True)
 
     def _taker(self, topic: str, type_name: str, losses: LossCounter | None) -> Callable[[bytes, Any], None]:
+        heard = TRAFFIC.listener(topic)
+
         def take(cdr: bytes, info: Any) -> None:
+            heard.messages += 1
             if losses and (lost := losses.lost(info)):
                 self.health.drop("lost", loss_report(lost, topic), lost)
             self._take(topic, type_name, cdr)

@@ -10,6 +10,7 @@ from rclpy.node import Node
 
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.process_memory import memory_in_use
+from ltm_ros.runtime.traffic import TRAFFIC
 
 
 class DiagnosticsPublisher:
@@ -22,6 +23,7 @@ class DiagnosticsPublisher:
     def __init__(self, node: Node, healths: Mapping[str, Health], hardware_id: str = "") -> None:
         self._node, self._healths, self._hardware_id = node, healths, hardware_id
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._said = TRAFFIC.speaker("/diagnostics")
         node.create_timer(1.0, self.publish, clock=self.steady_clock())
 
     @staticmethod
@@ -36,6 +38,7 @@ class DiagnosticsPublisher:
         array = DiagnosticArray(status=[self._status(name, health) for name, health in self._healths.items()])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(array)
+        self._said.messages += 1
 
     def _status(self, name: str, health: Health) -> DiagnosticStatus:
         summary, troubled = health.summary(), health.troubled

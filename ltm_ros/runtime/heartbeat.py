@@ -2,7 +2,8 @@
 
 A thread of its own writes it into a pipe, so it needs no DDS, and is sent while a node loads and compiles. That the
 thread runs proves only that the process is scheduled and the interpreter's lock is free; what work goes on, and that it
-does go on, is what the activities say. Standard library only.
+does go on, is what the activities say; that messages come, the counts of what was sent and heard on DDS, in a line of
+their own before it. Standard library only.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ import select
 import threading
 import time
 from collections.abc import Callable, Iterator
+
+from ltm_ros.runtime.traffic import TRAFFIC, Traffic
 
 PERIOD_S = 1.0
 
@@ -50,9 +53,10 @@ class Activity:
 
 
 class Heartbeat:
-    """The activities of a process, and the thread that tells of them."""
+    """The activities of a process and its traffic, and the thread that tells of them."""
 
-    def __init__(self) -> None:
+    def __init__(self, traffic: Traffic | None = None) -> None:
+        self._traffic = traffic or Traffic()
         self._activities: list[Activity] = []
         self._ages: dict[Activity, tuple[int, float]] = {}
 
@@ -91,20 +95,28 @@ class Heartbeat:
     def _tell(self, descriptor: int) -> None:
         poll = select.poll()
         poll.register(descriptor, 0)  # errors alone: that nobody reads any more
-        last, wait_s = time.monotonic(), 0.0
+        last, wait_s, rest = time.monotonic(), 0.0, b""
         while not poll.poll(wait_s * 1000):
             wait_s = PERIOD_S
             now = time.monotonic()
             # Not longer than it could have been at work: this process, or the whole machine, may have been stopped.
             elapsed_s, last = min(now - last, 2 * PERIOD_S), now
+            lines = self._lines(elapsed_s)
             try:
-                os.write(descriptor, json.dumps(self.look(elapsed_s)).encode() + b"\n")
+                # What had no room is not left out, for what comes then would be no line.
+                lines = rest or lines
+                rest = lines[os.write(descriptor, lines) :]
             except BlockingIOError:
                 continue  # the runner is stopped; what it will want to know is the newest
             except BrokenPipeError:
                 return
 
+    def _lines(self, elapsed_s: float) -> bytes:
+        beat, counts = self.look(elapsed_s), self._traffic.counts()
+        told = [beat] if counts is None else [counts, beat]
+        return "".join(f"{json.dumps(one)}\n" for one in told).encode()
 
-HEARTBEAT = Heartbeat()
+
+HEARTBEAT = Heartbeat(TRAFFIC)
 """That of this process."""
 STARTING = HEARTBEAT.activity("start")

@@ -19,6 +19,7 @@ from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.message_info import with_info
 from ltm_ros.runtime.message_loss import LossCounter, loss_report, writers_of
+from ltm_ros.runtime.traffic import TRAFFIC, TopicCount
 
 WIRING_S = 5.0
 """Between two looks for topics that are published and do not reach a node."""
@@ -48,19 +49,21 @@ class OutletNode(Node):  # type: ignore[misc]
         self.config: Any = read_parameters(self, node_type.config)
         self.health = Health()
         self._publishers_by_topic: dict[Topic, Any] = {}
+        self._said: dict[Topic, TopicCount] = {}
+        self._heard: list[TopicCount] = []
         self._clock_watch = ClockWatch()
         self._unheard: dict[str, str] = {}
 
     def publish(self, topic: Topic, message: Any) -> None:
         """Part of Outlet."""
-        self._publishers_by_topic[topic].publish(message)
+        self.send(topic, message)
         if not topic.latched:
             self._count(topic, stamp_of(message))
 
     def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
         """Part of Outlet."""
         if self.wanted(topic):
-            self._publishers_by_topic[topic].publish(make())
+            self.send(topic, make())
         self._count(topic, stamp_ns)
 
     def wanted(self, topic: Topic) -> bool:
@@ -77,7 +80,7 @@ class OutletNode(Node):  # type: ignore[misc]
 
     def acknowledge(self, topic: Topic, stamp_ns: int) -> None:
         """Part of Outlet."""
-        self._publishers_by_topic[topic].publish(self.acknowledgement(stamp_ns))
+        self.send(topic, self.acknowledgement(stamp_ns))
 
     def workers(self, topic: Topic) -> Set[str]:
         """Part of Outlet."""
@@ -94,19 +97,34 @@ class OutletNode(Node):  # type: ignore[misc]
 
     def open(self, topic: Topic) -> None:
         """From here on it can be published on `topic`."""
-        self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, _qos(topic))
+        publisher = self._publishers_by_topic[topic] = self.create_publisher(topic.type, topic.name, _qos(topic))
+        if not topic.latched:
+            self._said[topic] = TRAFFIC.speaker(publisher.topic_name)
+
+    def send(self, topic: Topic, message: Any) -> None:
+        """To others, by DDS."""
+        self._publishers_by_topic[topic].publish(message)
+        if (said := self._said.get(topic)) is not None:
+            said.messages += 1
 
     def listen(self, topic: Topic, name: str, offer: Callable[[Any], None]) -> None:
         """Have `offer` take what comes on the topic of this name; what is lost on the way is counted."""
         losses = LossCounter(writers_of(self, name))
+        heard = TRAFFIC.listener(self.resolve_topic_name(name))
+        self._heard.append(heard)
 
         def take(message: Any, info: Any) -> None:
+            heard.messages += 1
             # Of a latched topic only the last message counts.
             if not topic.latched and (lost := losses.lost(info)):
                 self.health.drop("lost", loss_report(lost, name), lost)
             offer(message)
 
         self.create_subscription(topic.type, name, with_info(take), _qos(topic))
+
+    def destroy_node(self) -> None:
+        TRAFFIC.forget([*self._said.values(), *self._heard])
+        super().destroy_node()
 
     def state_listeners(self) -> None:
         """State how many listen to what is published here."""

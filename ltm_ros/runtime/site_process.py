@@ -95,7 +95,7 @@ class JobNode(OutletNode):
         message = self.acknowledgement(stamp_ns)
         self._hand_over(topic, message)
         if self._publishers_by_topic[topic].get_subscription_count() > (topic in self._heard_here):
-            self._publishers_by_topic[topic].publish(message)
+            self.send(topic, message)
 
     def workers(self, topic: Topic) -> Set[str]:
         """Part of Outlet."""
