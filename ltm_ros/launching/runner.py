@@ -28,6 +28,9 @@ from ltm_ros.launching.service_manager import ServiceManager
 from ltm_ros.launching.supervised import start_supervised, supervised_command
 from ltm_ros.launching.supervisor import Console, NodeProcess, ProcessState, RestartPolicy
 
+ASKED_AGAIN_S = 1.0
+"""Before it is asked anew which nodes are up, where that could not be said."""
+
 
 class GraphError(LtmError):
     """A graph that does not come up."""
@@ -234,13 +237,14 @@ class Runner:
         while not self._stopping.is_set():
             try:
                 self.wait_until_ready(120.0)
-            except GraphError as error:
+            except (GraphError, OSError) as error:  # of a machine that has no room for another process just now
                 if not told and not self._stopping.is_set():
                     for line in str(error).splitlines():
                         self._say(f"-- {line}")
                 told = True
                 if self._lost_for_good:
                     return
+                self._stopping.wait(ASKED_AGAIN_S)
             else:
                 without = f" but {', '.join(self.given_up)}, given up" if self.given_up else ""
                 self._say(f"-- all {len(self.graph)} nodes are up{without}")

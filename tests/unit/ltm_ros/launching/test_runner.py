@@ -1,0 +1,44 @@
+"""The runner of a graph, without ROS."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import threading
+from pathlib import Path
+
+import pytest
+
+from ltm_ros.launching import runner as runner_module
+from ltm_ros.launching.graph import Graph, NodeSpec
+from ltm_ros.launching.runner import Runner
+
+
+def test_a_machine_without_room_for_another_process_is_asked_again_what_is_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else nobody would ever tell the service manager that the graph is up, nor would its watchdog begin."""
+    (tmp_path / "idle_node.py").write_text("import time\ntime.sleep(600)\n")
+    lines: list[str] = []
+    tries: list[object] = []
+
+    def refuse(*command: object) -> None:
+        tries.append(command)
+        if len(tries) == 3:
+            os.kill(os.getpid(), signal.SIGTERM)
+        raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    monkeypatch.setattr(runner_module, "start_supervised", refuse)
+    graph = Graph("ridge", (NodeSpec("idle", "/ridge", "idle_node"),))
+    runner = Runner(graph, log_folder=tmp_path, console=lines.append, environment={"PYTHONPATH": str(tmp_path)})
+    patience = threading.Timer(60.0, os.kill, (os.getpid(), signal.SIGTERM))
+    patience.start()
+    try:
+        assert runner.run() == 0
+    finally:
+        patience.cancel()
+    assert len(tries) >= 3
+    assert [line for line in lines if os.strerror(errno.EAGAIN) in line] == [
+        f"-- {OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))}"
+    ]
