@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import hmac
 import ipaddress
 import json
+import socket
 import ssl
+import sys
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -21,7 +24,9 @@ from ltm_core.site_sections import HealthConfig
 from ltm_ros.runtime.service_credentials import service_credential
 
 TIMEOUT_S = 10.0
-"""For a request to come and an answer to be taken: who is slower is let go."""
+"""For each part of a request to come and of an answer to be taken: who is slower is let go,"""
+WHOLE_S = 30.0
+"""and who has not had all of it by then, however steadily it drips: there are few places."""
 CONNECTIONS = 16
 """At a time; others are closed at once."""
 LEAST_TOKEN = 16
@@ -100,8 +105,6 @@ class _BoundedServer(ThreadingHTTPServer):
     request_queue_size = CONNECTIONS
 
     def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler], config: HealthConfig) -> None:
-        import socket
-
         self.address_family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
         self._room = threading.BoundedSemaphore(CONNECTIONS)
         self._tls = _tls(config)
@@ -119,18 +122,30 @@ class _BoundedServer(ThreadingHTTPServer):
             raise
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
+        end = None
         try:
             if self._tls is not None:
+                request = self._tls.wrap_socket(request, server_side=True, do_handshake_on_connect=False)
+            end = threading.Timer(WHOLE_S, _hang_up, (request,))
+            end.start()
+            if self._tls is not None:
                 # Here, not where connections are accepted: a client that is slow with it holds up nobody.
-                request = self._tls.wrap_socket(request, server_side=True)
+                request.do_handshake()
             super().process_request_thread(request, client_address)
         except OSError:
             self.shutdown_request(request)
         finally:
+            if end is not None:
+                end.cancel()
             self._room.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A client that goes away, or sends junk, is nothing to write of."""
+
+
+def _hang_up(request: socket.socket) -> None:
+    with contextlib.suppress(OSError):
+        request.shutdown(socket.SHUT_RDWR)
 
 
 def _tls(config: HealthConfig) -> ssl.SSLContext | None:
@@ -172,12 +187,8 @@ def _handler(
                 answer = Answer(b"ask for this machine by its address\n", status=HTTPStatus.MISDIRECTED_REQUEST)
             elif token is not None and not _knows(self.headers.get("Authorization", ""), token):
                 answer = Answer(b"a token is needed\n", status=HTTPStatus.UNAUTHORIZED)
-            elif self.command == "POST":
-                answer = self._taken()
-            elif (route := routes.get(urlsplit(self.path).path)) is None:
-                answer = Answer(b"not found\n", status=HTTPStatus.NOT_FOUND)
             else:
-                answer = route()
+                answer = self._asked()
             self.send_response(answer.status)
             self.send_header("Content-Type", answer.kind)
             self.send_header("Content-Length", str(len(answer.body)))
@@ -189,6 +200,19 @@ def _handler(
             self.end_headers()
             if self.command != "HEAD":
                 self.wfile.write(answer.body)
+
+        def _asked(self) -> Answer:
+            route = self._taken if self.command == "POST" else routes.get(urlsplit(self.path).path)
+            if route is None:
+                return Answer(b"not found\n", status=HTTPStatus.NOT_FOUND)
+            try:
+                return route()
+            except OSError:
+                raise  # of the connection
+            except Exception:
+                # A bug. `handle_error` says nothing, and a person at night shall not look at an empty answer.
+                sys.excepthook(*sys.exc_info())
+                return Answer(b"a bug: see the log\n", status=HTTPStatus.INTERNAL_SERVER_ERROR)
 
         def _taken(self) -> Answer:
             take = taking.get(urlsplit(self.path).path)

@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 from ltm_core.errors import ConfigError
 from ltm_core.site_sections import HealthConfig
+from ltm_ros.health import web_server
 from ltm_ros.health.web_client import ask
 from ltm_ros.health.web_server import CONNECTIONS, Answer, WebServer
 
@@ -169,6 +170,41 @@ def get_again(server: WebServer) -> tuple[int, bytes]:
             return get(server, "/healthz")
         except (OSError, http.client.HTTPException):
             continue
+
+
+@pytest.mark.parametrize("secured", [False, True])
+def test_who_drips_is_let_go_of_though_something_always_comes(
+    start: Start, certificate: tuple[Path, Path], token: Path, monkeypatch: pytest.MonkeyPatch, secured: bool
+) -> None:
+    monkeypatch.setattr(web_server, "WHOLE_S", 1.0)
+    keys = {"certificate": str(certificate[0]), "key": str(certificate[1]), "token": str(token)} if secured else {}
+    server = start(**keys)
+    with socket.create_connection(("127.0.0.1", port_of(server)), timeout=10) as plain:
+        context = ssl.create_default_context(cafile=certificate[0])
+        # By TLS it needs no token for that.
+        dripping = context.wrap_socket(plain, server_hostname="127.0.0.1") if secured else plain
+        dripping.sendall(b"GET /healthz HTTP/1.0\r\nX: ")
+        dripping.settimeout(0.1)
+        for _ in range(200):
+            try:
+                dripping.sendall(b"a")
+                assert dripping.recv(1) == b""
+                break
+            except TimeoutError:
+                continue
+            except OSError:
+                break
+        else:
+            pytest.fail("it may hold its place for ever")
+
+
+def test_an_answer_that_a_bug_prevents_says_so_and_is_in_the_log(capsys: pytest.CaptureFixture[str]) -> None:
+    server = WebServer(HealthConfig(port=0), {"/status.json": lambda: Answer.json({"age": float("nan")})})
+    try:
+        assert get(server, "/status.json") == (500, b"a bug: see the log\n")
+    finally:
+        server.close()
+    assert "Out of range float values are not JSON compliant" in capsys.readouterr().err
 
 
 def test_a_header_without_end_is_not_taken(start: Start) -> None:
