@@ -2,14 +2,18 @@
 
 A release may move a store's schema forward, never back. On the way back the store is taken as it is where the schema is
 still the one of the copy, so that no frame is lost; else the copy returns and the newer store is put aside.
+
+Root does this in folders that the service's user owns, who reads what cameras send. So no link is followed there.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import shutil
 import sqlite3
+import stat
 import time
 from pathlib import Path
 
@@ -30,7 +34,10 @@ def copy_stores(state: Path, copies: Path, version: str) -> Path | None:
     stores = stores_of(state)
     if not stores:
         return None
-    copies.mkdir(parents=True, exist_ok=True, mode=0o750)
+    try:
+        _make_own(copies)
+    except OSError as error:
+        raise StoreError(f"{copies}: {error.strerror}; nothing was changed") from error
     size, free = sum(store.stat().st_size for store in stores), shutil.disk_usage(copies).free
     if free < ROOM * size:
         raise StoreError(
@@ -69,16 +76,16 @@ def return_stores(state: Path, copy: Path, aside: Path) -> list[Path]:
     for store in changed:
         partial = state / f".{store.name}.returned"
         try:
-            aside.mkdir(parents=True, exist_ok=True, mode=0o750)
+            _make_own(aside)
             for end in ("", "-wal", "-shm"):
                 former = state / f"{store.name}{end}"
                 if former.exists():
                     former.replace(aside / former.name)
-            shutil.copyfile(store, partial)
-            _give_to_owner_of(store, partial)
-            with partial.open("rb") as file:
-                os.fsync(file.fileno())
+            _copy(store, partial)
             partial.replace(state / store.name)
+            # Before the release is switched, on another disk perhaps: it must not find the newer store after a cut.
+            for folder in (aside, state):
+                _sync(folder)
         except OSError as error:
             failed.append(f"{store.name} ({error.strerror})")
             with contextlib.suppress(OSError):
@@ -112,6 +119,36 @@ def _backup(store: Path, target: Path) -> None:
             source.backup(copy)
     except sqlite3.Error as error:
         raise StoreError(f"{store}: cannot be copied ({error}); nothing was changed") from error
+
+
+def _make_own(folder: Path) -> None:
+    """Raises OSError where it cannot be made, and where it is a link or somebody else's."""
+    folder.mkdir(parents=True, exist_ok=True, mode=0o750)
+    stated = folder.lstat()
+    if not stat.S_ISDIR(stated.st_mode) or stated.st_uid != os.geteuid():
+        raise OSError(errno.EPERM, "a link, or a folder of somebody else's: move it away")
+
+
+def _copy(store: Path, target: Path) -> None:
+    """A file of its own, on the disk, with the store's owner and rights. Raises OSError."""
+    target.unlink(missing_ok=True)
+    descriptor = os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    with open(descriptor, "wb") as file, store.open("rb") as source:  # noqa: PTH123 # of a descriptor
+        shutil.copyfileobj(source, file, 1 << 20)
+        file.flush()
+        stated = store.stat()
+        if os.geteuid() == 0:
+            os.fchown(descriptor, stated.st_uid, stated.st_gid)
+        os.fchmod(descriptor, stated.st_mode & 0o7777)
+        os.fsync(descriptor)
+
+
+def _sync(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _give_to_owner_of(store: Path, file: Path) -> None:

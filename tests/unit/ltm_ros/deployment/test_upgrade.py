@@ -129,6 +129,61 @@ def test_a_map_whose_tiles_have_grown_fields_is_put_aside_for_a_release_that_doe
     TileStore.open(aside / "map.ltm", grown).close()
 
 
+def moved_forward(folder: Path) -> tuple[Path, Path]:
+    """A state folder whose store has another schema than its copy; and the copy."""
+    state = folder / "state"
+    state.mkdir()
+    write_store(state / "fuel_map.ltm", 5)
+    copy = copy_stores(state, folder / "copies", "1.0")
+    assert copy is not None
+    with sqlite3.connect(state / "fuel_map.ltm") as db:
+        db.execute("ALTER TABLE frames ADD COLUMN quality REAL")
+    return state, copy
+
+
+def test_what_the_service_s_user_lays_in_the_way_leads_root_nowhere(tmp_path: Path) -> None:
+    """Root writes, and gives away, what it finds by name in folders of the user who reads what cameras send."""
+    state, copy = moved_forward(tmp_path)
+    (tmp_path / "shadow").write_text("secret")
+    (state / ".fuel_map.ltm.returned").symlink_to(tmp_path / "shadow")
+    assert return_stores(state, copy, tmp_path / "aside") == [copy / "fuel_map.ltm"]
+    assert (tmp_path / "shadow").read_text() == "secret"
+    assert frames_of(state / "fuel_map.ltm") == 5
+    assert not (state / "fuel_map.ltm").is_symlink()
+
+
+def test_folders_that_are_links_are_not_tidied_nor_filled(tmp_path: Path) -> None:
+    state, copy = moved_forward(tmp_path)
+    etc = tmp_path / "etc"
+    etc.mkdir()
+    for name in ("apt", "dpkg", "ssh", "ssl", "systemd"):
+        (etc / name).mkdir()
+    for name in ("elsewhere", "aside"):
+        (tmp_path / name).symlink_to(etc)
+    with pytest.raises(StoreError, match="a link, or a folder of somebody else's"):
+        copy_stores(state, tmp_path / "elsewhere", "1.0")
+    with pytest.raises(StoreError, match="cannot be put back"):
+        return_stores(state, copy, tmp_path / "aside")
+    assert sorted(path.name for path in etc.iterdir()) == ["apt", "dpkg", "ssh", "ssl", "systemd"]
+    assert (state / "fuel_map.ltm").exists()
+
+
+def test_a_store_is_back_on_the_disk_before_the_release_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else a power cut could leave the former release with the newer store, which it refuses."""
+    state, copy = moved_forward(tmp_path)
+    synced: list[tuple[Path, bool]] = []
+    fsync = os.fsync
+
+    def noted(descriptor: int) -> None:
+        synced.append((Path(f"/proc/self/fd/{descriptor}").readlink(), (state / "fuel_map.ltm").exists()))
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    return_stores(state, copy, tmp_path / "aside")
+    assert (state, True) in synced
+    assert (tmp_path / "aside", True) in synced
+
+
 @pytest.mark.parametrize("gone", [True, False])
 def test_a_copy_that_cannot_be_put_back_does_not_keep_the_former_release_from_starting(
     tower: Tower, tmp_path: Path, gone: bool
@@ -329,6 +384,20 @@ def test_the_guard_lets_a_release_start_once_and_then_asks_the_former_one_to_ret
     assert tower.releases.current == "1.0"
     assert tower.upgrade.return_unconfirmed() is None
     assert not (tower.releases.root / "trial").exists()
+
+
+def test_a_trial_whose_former_release_is_gone_does_not_keep_the_tower_from_starting(
+    tower: Tower, tmp_path: Path
+) -> None:
+    """Else the service's start would fail every ten seconds, for good."""
+    tower.install(write_package(tmp_path, "2.0"))
+    guard = Guard(tower, tmp_path / "systemd")
+    tower.releases.begin_trial(Trial("1.0", "2.0", ""))
+    guard.runs()
+    shutil.rmtree(tower.releases.folder("1.0"))
+    assert guard.runs() == []
+    assert tower.releases.trial is None
+    assert tower.releases.current == "2.0"
 
 
 def test_where_nobody_watches_a_trial_the_guard_ends_it(tower: Tower, tmp_path: Path) -> None:
