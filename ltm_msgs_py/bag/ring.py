@@ -66,13 +66,14 @@ class RecordingRing:
         return sum(file.size for file in self.files() if not file.kept)
 
     def repair(self) -> list[Path]:
-        """End what a killed recorder left unfinished; the bags that were."""
+        """End what a killed recorder left unfinished; the bags that were. What cannot be just now is left for the next
+        start."""
         mended = []
         for _, folder in self._numbered():
             files = [file.path for file in self._files_in(folder)]
             if not files or (folder / FILE_NAME).exists():
                 continue
-            with suppress(RecordingError), _held(files[-1]) as free:
+            with suppress(RecordingError, OSError), _held(files[-1]) as free:
                 if free:
                     for leftover in folder.glob(".*.mcap.reserve"):
                         leftover.unlink(missing_ok=True)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import pytest
@@ -128,3 +130,42 @@ def test_what_is_written_stays_within_the_bound(tmp_path: Path) -> None:
     left = numbers(tmp_path / "bag")
     assert left == [*range(60 - len(left), 60)]
     assert len(left) >= 8
+
+
+def test_a_disk_that_is_read_only_after_a_power_cut_keeps_no_recorder_from_its_start(
+    ring: RecordingRing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It waits for the disk then; an error here would end it at each start."""
+    bag = record(ring, ring.new_folder(), 2)
+    (bag / "metadata.yaml").unlink()
+    reserve = bag / ".bag_1.mcap.reserve"
+    reserve.touch()
+    unlink = Path.unlink
+
+    def refuse(path: Path, missing_ok: bool = False) -> None:
+        if path == reserve:
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+        unlink(path, missing_ok)
+
+    with monkeypatch.context() as read_only:
+        read_only.setattr(Path, "unlink", refuse)
+        assert ring.repair() == []
+    assert ring.repair() == [bag]
+    assert numbers(bag) == [0, 1]
+
+
+def test_metadata_is_on_the_disk_before_it_has_its_name(
+    ring: RecordingRing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A power cut would else leave an empty one, which tells that the bag is finished."""
+    synced: list[tuple[str, bool]] = []
+    fsync = os.fsync
+
+    def noted(descriptor: int) -> None:
+        synced.append((Path(f"/proc/self/fd/{descriptor}").readlink().name, (bag / "metadata.yaml").exists()))
+        fsync(descriptor)
+
+    bag = ring.new_folder()
+    monkeypatch.setattr(os, "fsync", noted)
+    record(ring, bag, 1)
+    assert ("metadata.yaml.tmp", False) in synced
