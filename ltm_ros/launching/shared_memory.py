@@ -183,7 +183,8 @@ def _age_s(paths: list[Path]) -> float:
             newest = max(newest, path.stat().st_ctime)
         except OSError:
             continue
-    return time.time() - newest
+    # Of the future: the clock has been set back since, and so they are not of this moment.
+    return abs(time.time() - newest)
 
 
 def _allocated_bytes(path: Path) -> int:
