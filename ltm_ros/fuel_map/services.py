@@ -160,7 +160,7 @@ def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path, state: Pat
         spare=spare_heights(site, evidence.geometry),
         seen=canopy.seen,
     )
-    made = provenance_of(site, layers, system, landscape=landscape, surface=terrain.version)
+    made = provenance_of(site, layers, system, landscape=landscape, surface=terrain.version, prior=evidence.prior)
     lcp = write_lcp(folder / "landscape.lcp", landscape, made.line())
     tif = write_landscape(folder / "landscape.tif", landscape, made.tags() | landscape_units())
     for path, files in ((lcp, [lcp, lcp.with_suffix(".prj")]), (tif, [tif])):

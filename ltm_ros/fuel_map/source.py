@@ -128,7 +128,7 @@ class FuelSource:
 
         as_of = None if moment is None else when(moment)
         system = system or system_of(self.prior)
-        return provenance_of(self.site, layers, system, as_of, landscape, surface)
+        return provenance_of(self.site, layers, system, as_of, landscape, surface, self.prior)
 
     def seen_by(self) -> dict[str, BoolArray]:
         """The cells that each camera has seen, as far as the store's cells remember."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.errors import RasterError
-from ltm_core.fuel.codes import FuelRegion, FuelSystem
+from ltm_core.fuel.codes import FuelRegion, FuelSystem, fuel_models
 from ltm_core.fuel.crosswalk import to_fbfm40
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of
@@ -154,7 +154,8 @@ def surface_codes(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegio
 
     Cells that have changed, or never had a prior, take what the region has for such cells in that system. The others
     take the FBFM13 map that came with the prior where one did (`PriorConfig.own_fbfm13`), else the crosswalk
-    (`ltm_core.fuel.crosswalk`), with the partners that the prior itself shows. An analyst's own models, 14 to 89, stay.
+    (`ltm_core.fuel.crosswalk`), with the partners that the prior itself shows. An analyst's own models, 14 to 89, stay,
+    and so do codes of no system that the site keeps (`PriorConfig.unknown_codes`).
     """
     own = system_of(prior)
     if system is own:
@@ -169,6 +170,9 @@ def surface_codes(layers: FuelLayers, prior: FuelPrior | None, region: FuelRegio
         crossed = crosswalk.to_fbfm13(layers.code, cover)
         if prior is not None and prior.fbfm13 is not None:
             crossed = np.where(prior.fbfm13 != NODATA, prior.fbfm13, crossed)
+    crossed = np.where(
+        (crossed == NODATA) & ~np.isin(layers.code, list(fuel_models().codes(own))), layers.code, crossed
+    )
     new = layers.changed | (layers.prior == NODATA)
     changed = region.changed_codes(layers.code, own, system)
     fallback = crossed if system is FuelSystem.FBFM40 else region.as_crosswalk().to_fbfm13(layers.code)

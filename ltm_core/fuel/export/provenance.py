@@ -15,6 +15,7 @@ from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, LANDSCAPE_UNITS, Landscape
 from ltm_core.fuel.life_form import NODATA
+from ltm_core.fuel.prior import FuelPrior
 from ltm_core.raster.surface_versions_io import SurfaceVersion
 from ltm_core.site import Site
 
@@ -42,6 +43,9 @@ class Provenance:
     software: str
     terrain: str = ""
     surface: str = ""
+    own_fbfm13: str = ""
+    """What was kept of the FBFM13 map that came with the prior (`PriorConfig.own_fbfm13`); empty: there is none in it.
+    """
 
     def tags(self) -> dict[str, str]:
         """For GeoTIFF: TIFF's own, and ours."""
@@ -59,7 +63,8 @@ class Provenance:
             "TIFFTAG_SOFTWARE": self.software,
             "TIFFTAG_IMAGEDESCRIPTION": self.line(),
         }
-        tags |= {name: text for name, text in (("terrain", self.terrain), ("surface", self.surface)) if text}
+        more = {"terrain": self.terrain, "surface": self.surface, "own_fbfm13": self.own_fbfm13}
+        tags |= {name: text for name, text in more.items() if text}
         moment = self.moment()
         if moment is not None:
             tags["TIFFTAG_DATETIME"] = moment.strftime("%Y:%m:%d %H:%M:%S")
@@ -95,9 +100,11 @@ def provenance_of(
     moment_ns: int | None = None,
     landscape: Landscape | None = None,
     surface: SurfaceVersion | None = None,
+    prior: FuelPrior | None = None,
 ) -> Provenance:
     """Of the layers of a map; `moment_ns`: the moment that was asked for, of which nobody knows what had been seen.
-    `surface`: the confirmed one that its heights are of; None: they are the site's rasters'.
+    `surface`: the confirmed one that its heights are of; None: they are the site's rasters'. `prior`: that the codes of
+    a landscape were made with.
     """
     known = layers.code != NODATA
     cells = int(known.sum())
@@ -114,8 +121,11 @@ def provenance_of(
     of_prior = "none" if site.fuel.prior is None else ", ".join(filter(None, (released, f"sha256 {digest}")))
     terrain = "" if landscape is None else landscape.terrain_note()
     shape = "" if surface is None else surface_note(surface)
+    beside = prior is not None and prior.fbfm13 is not None and system is FuelSystem.FBFM13
+    own = site.fuel.prior.own_fbfm13 if beside and site.fuel.prior is not None else ""
+    region = site.fuel.region
     return Provenance(
-        site.name, as_of, cells, seen, changed, name, of_prior, site.fuel.region, system, software(), terrain, shape
+        site.name, as_of, cells, seen, changed, name, of_prior, region, system, software(), terrain, shape, own
     )
 
 

@@ -107,6 +107,25 @@ def test_a_prior_of_fbfm13_becomes_fbfm40(region: str) -> None:
     assert found[13:] == [91, 98, 20, NODATA]
 
 
+def test_codes_of_no_system_that_a_site_keeps_pass_into_the_other_system() -> None:
+    """The 256 by which ELMFIRE marks buildings; a map of the other system that has a code there goes before."""
+    region = FuelRegion.named("dry")
+    prior = prior_of([[256, 102, 256, NODATA], [183, 256, 101, 102]])
+    seen = np.full((2, 4), 255, np.uint8)
+    seen[0, 2] = LifeForm.SHRUB
+    layers = layers_of_classes(seen, prior, region)
+    found = surface_codes(layers, prior, region, F13)
+    assert (found[0, 0], found[1, 1], found[0, 3]) == (256, 256, NODATA)
+    assert 256 not in found[[0, 1], [1, 2]]
+    own = np.full(prior.codes.shape, NODATA, np.int16)
+    own[0, 0] = 91
+    found = surface_codes(layers, replace(prior, fbfm13=own), region, F13)
+    assert (found[0, 0], found[1, 1]) == (91, 256)
+    back = prior_of([[256, 4]], system=F13)
+    kept = layers_of_classes(np.full((1, 2), 255, np.uint8), back, region)
+    assert surface_codes(kept, back, region, F40)[0, 0] == 256
+
+
 @pytest.mark.parametrize("own", [14, 37, 89])
 def test_no_label_changes_an_analysts_own_model(own: int) -> None:
     prior = prior_of([[own, 102, own], [own, 102, 98]])

@@ -222,6 +222,11 @@ def test_of_a_map(tmp_path: Path) -> None:
     nothing = provenance_of(
         site, layers_of_classes(np.full(GRID.shape, 255, np.uint8), prior, FuelRegion.named("dry")), FuelSystem.FBFM40
     )
+    beside = FuelPrior(codes, GRID, fbfm13=np.ones(GRID.shape, np.int16))
+    kept = provenance_of(site, layers, FuelSystem.FBFM13, prior=beside).tags()
+    assert kept["own_fbfm13"] == "within_fuel_type", "the numbers depend on it"
+    for other_prior, system in ((prior, FuelSystem.FBFM13), (beside, FuelSystem.FBFM40)):
+        assert "own_fbfm13" not in provenance_of(site, layers, system, prior=other_prior).tags()
     assert nothing.as_of == NOTHING_SEEN
     assert "TIFFTAG_DATETIME" not in nothing.tags()
     assert software() in nothing.line()
