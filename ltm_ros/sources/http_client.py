@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import socket
 import ssl
+import threading
 import time
 from collections.abc import Collection, Generator, Iterator, Mapping
 from dataclasses import dataclass
@@ -71,6 +73,9 @@ class HttpClient:
         self._login = Login.of(settings)
         self._most_bytes = most_bytes
         self._whole_s = WHOLE_FACTOR * settings.timeout
+        self._sockets: list[socket.socket] = []
+        """Of its connections, the last ones."""
+        self._late = threading.Event()
         self._client = httpx.Client(
             auth=self._auth(settings),
             verify=_certificates(settings),
@@ -99,7 +104,10 @@ class HttpClient:
         accepted: Collection[int] = TAKEN,
     ) -> Answer:
         """As `get`; `accepted`: statuses that are no error."""
-        with self.stream(url, headers, method, body, accepted) as (response, asked, arrived):
+        with (
+            self.within(self._whole_s),
+            self.stream(url, headers, method, body, accepted) as (response, asked, arrived),
+        ):
             whole = bytearray()
             for part in self.parts(response, asked + self._whole_s):
                 whole += part
@@ -129,9 +137,16 @@ class HttpClient:
                 asked = time.monotonic()
 
             self._client.event_hooks = {"request": [note], "response": []}
-            response = stack.enter_context(
-                self._client.stream(method, self._login.filled(url), headers=dict(headers or {}), content=body)
-            )
+            with self.within(self._whole_s):
+                response = stack.enter_context(
+                    self._client.stream(
+                        method,
+                        self._login.filled(url),
+                        headers=dict(headers or {}),
+                        content=body,
+                        extensions={"trace": self._trace},
+                    )
+                )
             arrived = time.monotonic()
             self._check(response, accepted)
             yield response, asked, arrived
@@ -142,6 +157,42 @@ class HttpClient:
             yield part
             if time.monotonic() > until:
                 raise SourceError(f"the camera took more than {self._whole_s:g} s for one picture")
+
+    @contextlib.contextmanager
+    def within(self, seconds: float) -> Iterator[None]:
+        """What is done in here ends with SourceError after so many seconds. A limit for each part of an answer does not
+        do: of a head that comes letter by letter httpx waits for the end, and all cameras share a process, which the
+        watchdog would end.
+        """
+        late = threading.Event()
+
+        def hang_up() -> None:
+            late.set()
+            self._late.set()
+            for one in list(self._sockets):
+                _hang_up(one)
+
+        timer = threading.Timer(seconds, hang_up)
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        except (SourceError, httpx.HTTPError, httpx.StreamError, OSError) as error:
+            if late.is_set() and not isinstance(error, UnauthorisedError):
+                raise SourceError(f"the camera took more than {seconds:g} s for one picture") from None
+            raise
+        finally:
+            timer.cancel()
+            if late.is_set():
+                self._late.clear()
+
+    def _trace(self, event: str, told: Mapping[str, Any]) -> None:
+        """Of httpcore: connections that are made."""
+        if event in ("connection.connect_tcp.complete", "connection.start_tls.complete"):
+            made = told["return_value"].get_extra_info("socket")
+            self._sockets = [*[one for one in self._sockets if one.fileno() >= 0][-2:], made]
+            if self._late.is_set():
+                _hang_up(made)
 
     def _auth(self, settings: HttpSettings) -> httpx.Auth | None:
         if settings.user is None or "{password}" in settings.url:
@@ -180,6 +231,11 @@ class HttpClient:
             raise SourceError(
                 f"the camera breaks off or answers no HTTP ({kind}): {self._login.redact(error)}"
             ) from None
+
+
+def _hang_up(connection: socket.socket) -> None:
+    with contextlib.suppress(OSError):
+        connection.shutdown(socket.SHUT_RDWR)
 
 
 def http_time(headers: Mapping[str, str], name: str) -> CameraTime | None:

@@ -53,7 +53,8 @@ class MjpegReader:
 
     def _next(self) -> tuple[dict[str, str], bytes, float]:
         try:
-            return next(self._parts)
+            with self._client.within(self._whole_s):
+                return next(self._parts)
         except StopIteration:
             raise SourceError("the camera has ended its stream") from None
         except httpx.TimeoutException:
