@@ -52,11 +52,20 @@ class SourceThread:
             self._health.drop(cause_of(error), str(error))
             pause = self._crashes.failed()
         except Exception as error:
-            # Its message may hold what another library was given.
-            print(redacted("".join(traceback.format_exception(error, chain=False))), file=sys.stderr)
+            self._tell(error)
             self._health.drop("crash", f"{type(error).__name__}: a bug; the camera is asked again; see the log")
-            self._source.close()
+            try:
+                self._source.close()
+            except (
+                Exception
+            ) as another:  # of a connection that the bug has left half done: it is forgotten all the same
+                self._tell(another)
             pause = self._crashes.failed()
         else:
             self._crashes.succeeded()
         return pause
+
+    @staticmethod
+    def _tell(error: Exception) -> None:
+        # Its message may hold what another library was given.
+        print(redacted("".join(traceback.format_exception(error, chain=False))), file=sys.stderr)
