@@ -202,17 +202,10 @@ def _handler(
                 self.wfile.write(answer.body)
 
         def _asked(self) -> Answer:
-            route = self._taken if self.command == "POST" else routes.get(urlsplit(self.path).path)
-            if route is None:
-                return Answer(b"not found\n", status=HTTPStatus.NOT_FOUND)
-            try:
-                return route()
-            except OSError:
-                raise  # of the connection
-            except Exception:
-                # A bug. `handle_error` says nothing, and a person at night shall not look at an empty answer.
-                sys.excepthook(*sys.exc_info())
-                return Answer(b"a bug: see the log\n", status=HTTPStatus.INTERNAL_SERVER_ERROR)
+            if self.command == "POST":
+                return self._taken()
+            route = routes.get(urlsplit(self.path).path)
+            return Answer(b"not found\n", status=HTTPStatus.NOT_FOUND) if route is None else _made(route)
 
         def _taken(self) -> Answer:
             take = taking.get(urlsplit(self.path).path)
@@ -224,9 +217,20 @@ def _handler(
             length = self.headers.get("Content-Length", "")
             if not length.isascii() or not length.isdigit() or int(length) > LONGEST_BODY:
                 return Answer(b"say how long it is, at most 4096 bytes\n", status=HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
-            return take(self.rfile.read(int(length)))
+            body = self.rfile.read(int(length))
+            return _made(lambda: take(body))
 
     return Handler
+
+
+def _made(answer: Route) -> Answer:
+    """Where a bug, or the machine, prevents an answer, that is one: `handle_error` says nothing, and a person at night
+    shall not look at an empty page."""
+    try:
+        return answer()
+    except Exception:
+        sys.excepthook(*sys.exc_info())
+        return Answer(b"it failed: see the log\n", status=HTTPStatus.INTERNAL_SERVER_ERROR)
 
 
 def _host(header: str) -> str:

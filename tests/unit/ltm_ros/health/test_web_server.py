@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import base64
+import errno
 import http.client
+import os
 import shutil
 import socket
 import ssl
@@ -198,13 +200,26 @@ def test_who_drips_is_let_go_of_though_something_always_comes(
             pytest.fail("it may hold its place for ever")
 
 
-def test_an_answer_that_a_bug_prevents_says_so_and_is_in_the_log(capsys: pytest.CaptureFixture[str]) -> None:
-    server = WebServer(HealthConfig(port=0), {"/status.json": lambda: Answer.json({"age": float("nan")})})
+def test_an_answer_that_a_bug_or_the_machine_prevents_says_so_and_is_in_the_log(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def no_descriptors() -> Answer:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    def crash(body: bytes) -> Answer:
+        raise KeyError(f"{len(body)} bytes")
+
+    routes = {"/status.json": lambda: Answer.json({"age": float("nan")}), "/metrics": no_descriptors}
+    server = WebServer(HealthConfig(port=0), routes, {"/mark": crash})
+    said = (500, b"it failed: see the log\n")
     try:
-        assert get(server, "/status.json") == (500, b"a bug: see the log\n")
+        assert get(server, "/status.json") == get(server, "/metrics") == said
+        assert get(server, "/mark", {"Content-Type": "application/json"}, "POST", body=b"{}") == said
     finally:
         server.close()
-    assert "Out of range float values are not JSON compliant" in capsys.readouterr().err
+    log = capsys.readouterr().err
+    for cause in ("Out of range float values are not JSON compliant", os.strerror(errno.EMFILE), "2 bytes"):
+        assert cause in log
 
 
 def test_a_header_without_end_is_not_taken(start: Start) -> None:
