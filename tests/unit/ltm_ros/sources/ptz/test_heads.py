@@ -14,7 +14,7 @@ from scenes.waiting import wait_for
 from ltm_core.ptz_config import PtzConfig
 from ltm_core.source_config import RtspConfig, SnapshotConfig
 from ltm_ros.sources.errors import SourceError, UnauthorisedError
-from ltm_ros.sources.ptz.connection import settings_of
+from ltm_ros.sources.ptz.connection import parsed_xml, settings_of
 from ltm_ros.sources.ptz.head import Head, tolerance_of
 from ltm_ros.sources.ptz.onvif import OnvifHead
 from ltm_ros.sources.ptz.opening import open_head
@@ -194,6 +194,12 @@ def test_what_is_no_answer_is_told_as_such(turning: Turning, kind: str, body: by
     camera.routes = dict.fromkeys(camera.routes, _answering(body, status))
     with pytest.raises(SourceError):
         opened(camera, kind).read()
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-le", "utf-16-be"])
+def test_a_document_type_is_seen_in_every_encoding(encoding: str) -> None:
+    with pytest.raises(SourceError, match="document type"):
+        parsed_xml(BOMB.decode().encode(encoding))
 
 
 def test_an_answer_without_end_is_not_read_to_it(turning: Turning) -> None:
