@@ -139,7 +139,7 @@ class TowerStatus:
 
 
 def _fresh(camera: CameraState, limit_s: float) -> bool:
-    return camera.frame_age_s is not None and camera.frame_age_s <= limit_s
+    return camera.frame_age_s is not None and abs(camera.frame_age_s) <= limit_s
 
 
 class TowerWatch:

@@ -35,6 +35,9 @@ from ltm_ros.runtime.topics import (
     STATED_POSE,
 )
 
+AHEAD_NS = 10**10
+"""By which a camera's clock may be ahead; the nodes that keep what frames tell refuse others."""
+
 
 class CaptureConfig(NodeConfig, FrameJoinConfig):
     in_flight: int = Field(2, ge=1)
@@ -103,7 +106,10 @@ class Capture(Handler[CaptureConfig]):
             return
         if stamp < self._newest and not self._join.known(stamp):
             self.health.note("out_of_order")
-        self._newest = max(stamp, self._newest)
+        # One from the future, of before the clock was set back, would pass for a camera that delivers, for as long.
+        now = self.outlet.now_ns()
+        ahead = now > 0 and self._newest > now + AHEAD_NS
+        self._newest = stamp if ahead else max(stamp, self._newest)
         self.health.gauge("newest_stamp", f"{self._newest / 1e9:.3f}")
         self._join.add_image(stamp, message)
 

@@ -28,6 +28,8 @@ from ltm_ros.sources.thumbnail import is_night, thumbnail_of_bytes, thumbnail_of
 
 SETTLE_S = 1.0
 """After a picture that was taken while the head moved: it may rest by then."""
+SET_BACK_NS = 10**10
+"""By which a stamp is before the last one only where the clock was set; frames so far ahead are refused anyway."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,8 +267,12 @@ class CameraSource:
             except CameraError as error:
                 self._refuse("zoom", str(error))
                 return
-        # Equal stamps are one frame to all that listen.
-        self._stamp_ns = max(round((exposure.at + wall_less_monotonic) * 1e9), self._stamp_ns + 1)
+        stamp_ns = round((exposure.at + wall_less_monotonic) * 1e9)
+        # Equal stamps are one frame to all that listen. Where the clock was set back, what came before was wrong, and
+        # to go on from there would make all frames come from the future until the clock has caught up.
+        if stamp_ns <= self._stamp_ns < stamp_ns + SET_BACK_NS:
+            stamp_ns = self._stamp_ns + 1
+        self._stamp_ns = stamp_ns
         self._health.gauge("stamp_told_by", exposure.by)
         self._health.gauge("stamp_uncertainty_s", round(exposure.uncertainty, 3))
         self._deliver(

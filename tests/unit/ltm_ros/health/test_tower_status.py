@@ -57,8 +57,12 @@ def test_a_node_that_falls_silent_is_missed(now_s: float, alive: bool) -> None:
 
 def test_a_camera_clock_far_ahead_is_no_fresh_frame() -> None:
     made = healths()
+    for camera in ("north", "east"):
+        made[f"/ridge/{camera}/capture"].gauge("newest_stamp", "1749999999.0")
+    assert status_of(watch_of(made)).ready
     made["/ridge/north/capture"].gauge("newest_stamp", "1750007300.0")
     (said,) = [c.wrong for c in status_of(watch_of(made)).cameras if c.name == "north"]
+    assert not status_of(watch_of(made)).ready
     assert said == "camera north: its clock is 2.0 h ahead of this machine's"
 
 

@@ -446,6 +446,19 @@ def test_images_that_wait_hold_bounded_bytes(capture_of: CaptureOf) -> None:
     assert "MB of data wait too" in health.last_error
 
 
+def test_the_newest_frame_is_not_one_from_before_the_clock_was_set_back(capture_of: CaptureOf) -> None:
+    """Else a camera that delivers no more would pass for one that does, for a day where the clock was a day ahead."""
+    capture, outlet, health = capture_of()
+    outlet.now = 90_000 * S
+    capture.on_image(image(90_000 * S))
+    assert health.summary()["newest_stamp"] == "90000.000"
+    outlet.now = 3_600 * S
+    capture.on_image(image(3_599 * S))
+    assert health.summary()["newest_stamp"] == "3599.000"
+    capture.on_image(image(3_598 * S))
+    assert health.summary()["newest_stamp"] == "3599.000", "one that is late is not the newest"
+
+
 def test_clocks_that_were_never_set_are_refused(capture_of: CaptureOf) -> None:
     capture, outlet, health = capture_of()
     outlet.now = 1_800_000_000 * S

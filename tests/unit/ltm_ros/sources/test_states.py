@@ -146,13 +146,16 @@ def test_frames_of_a_clock_that_is_not_synchronised(policy: str, frames: int, to
 def test_stamps_differ_even_where_two_times_are_equal_and_follow_a_clock_that_is_set() -> None:
     clock, reader = TurnedClock(), Pictures()
     sourced = Sourced(settings(kind="snapshot", url="http://127.0.0.1/"), clock, reader=lambda: reader)
-    for step in (0.0, 0.0, 3600.0):
+    for step in (0.0, 0.0, 3600.0, -1.0, -7200.0, 0.0):
         clock.set(step)
         reader.next = Picture(Timing(clock.monotonic(), oldest=0.0), jpeg=jpeg(scene()))
         sourced.steps(1)
-    first, second, third = (frame.stamp_ns for frame in sourced.frames)
+    first, second, third, fourth, fifth, sixth = (frame.stamp_ns for frame in sourced.frames)
     assert second == first + 1
     assert third - first == pytest.approx(3600e9, abs=1e4)
+    assert fourth == third + 1, "a little back is no other time"
+    assert fifth - first == pytest.approx(-3601e9, abs=1e4), "frames of the right time, not of one hours ahead"
+    assert sixth == fifth + 1
 
 
 def detailed(wet: bool, seed: int = 1) -> bytes:
