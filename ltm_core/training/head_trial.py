@@ -10,6 +10,7 @@ import numpy as np
 
 from ltm_core.errors import ModelError
 from ltm_core.evaluation.segmentation.network_score import LabelScore, score_each
+from ltm_core.training.domain_fit import fit_head_domain, held_out_odds, picture_point
 from ltm_core.training.head_fit import FittedHead, fit_head
 from ltm_core.training.head_samples import PhotoSamples, photo_samples, sites_of
 from ltm_core.training.labelled_frames import Frame
@@ -21,6 +22,8 @@ from ltm_core.vision.label_head import LabelHead
 from ltm_core.vision.label_head_io import HeadFile
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import Withdrawal
+from ltm_core.vision.picture_domain import HeadDomain
+from ltm_core.vision.picture_domain_io import load_domain
 from ltm_core.vision.segmenter import Segmentation, Segmenter
 
 AGREEMENT: Final = Agreement(reach=0.006)
@@ -33,6 +36,8 @@ _DRAWN = 20_000  # pixels that the temperature is fitted on
 class HeadTrial:
     """A taught head and its scores. `before`, `after`: of the photos, by the network and by heads that photos of other
     sites taught (`folds`: how the photos were told apart); their macro F1 is of the classes that two sites show.
+    `odds`: of each photo, log odds that `head: auto` chooses a head that lies where the other sites' photos do; NaN
+    where that cannot be told; None of a network whose domains nobody measured.
     """
 
     file: HeadFile
@@ -40,6 +45,7 @@ class HeadTrial:
     folds: str
     before: LabelScore
     after: LabelScore
+    odds: Float64Array | None
 
     @property
     def better(self) -> bool:
@@ -101,6 +107,7 @@ def teach_head(
         photographs=sum(not frame.rendered for frame in frames),
         ece={name: ece for name, ece in errors.items() if np.isfinite(ece)},  # none where all is withdrawn
     )
+    domain, odds = _domain(segmenter, frames, groups, sites)
     final = as_head(name, fit_head(samples, manifest.maps), manifest.maps, temperature, rules)
     file = HeadFile(
         name=name,
@@ -114,9 +121,26 @@ def teach_head(
         agreement=alike,
         bias=tuple(map(float, final.bias)),
         maps={key: tuple(tuple(map(float, row)) for row in rows) for key, rows in final.weights.items()},
+        domain=domain,
         calibration=calibration,
     )
-    return HeadTrial(file, tuple(dict.fromkeys(sites)), folds, before, after)
+    return HeadTrial(file, tuple(dict.fromkeys(sites)), folds, before, after, odds)
+
+
+def _domain(
+    segmenter: Segmenter, frames: Sequence[Frame], groups: Sequence[str], sites: Sequence[str]
+) -> tuple[HeadDomain | None, Float64Array | None]:
+    """Where the photos lie, and the log odds of each by those of the other groups."""
+    space = load_domain(segmenter.manifest)
+    if space is None:
+        return None, None
+    points, odds = [picture_point(segmenter, space, frame.image) for frame in frames], np.full(len(frames), np.nan)
+    known = [k for k, point in enumerate(points) if point is not None]
+    if not known:
+        return None, odds
+    there = np.array([points[k] for k in known])
+    odds[known] = held_out_odds(there, [groups[k] for k in known], space.checksum)
+    return fit_head_domain(there, [sites[k] for k in known], space.checksum), odds
 
 
 def _temperature(samples: Sequence[PhotoSamples], scores: Sequence[Float64Array], rng: np.random.Generator) -> float:

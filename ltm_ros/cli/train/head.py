@@ -90,6 +90,14 @@ def head(
     console.print(score_table(names, scores, f"{photos}: by heads that the other sites taught"))
     for name, score in scores.items():
         console.print(confusion_table(names, score.labels, name))
+    if trial.odds is not None:
+        told = ", ".join(f"{f.path.name} {v:+.2f}" for f, v in zip(frames, trial.odds, strict=True) if np.isfinite(v))
+        likely = int((trial.odds > 0).sum())
+        console.print(
+            f"head auto would choose it, by where the other sites' photos lie, for {likely} of {len(frames)} photos: "
+            f"{told or 'nothing is known of other sites'}",
+            highlight=False,
+        )
     drawn = {f"{name}, {photos.resolve().name}": score for name, score in scores.items()}
     part = path.with_name(f".{path.name}.part")
     write_head(part, trial.file)
