@@ -16,9 +16,10 @@ from ltm_core.vision.segmenter import Segmenter
 AXES: Final = 16
 MAP: Final = "s1"
 """The coarsest map that heads read: it holds most of the place, and its channels are pooled over 3520 places."""
-_LEAST_SPREAD: Final = 0.1
-_UNKNOWN_SPREAD: Final = 1.0
-"""Of a single photo: others may lie as far apart as the network's own pictures."""
+_UNKNOWN: Final = 0.5
+"""Of a site, weight of what is known beforehand of a spread: that of the network's own pictures, 1. Chosen with map and
+axes on photos of a farm track and of a canyon, each one half against the other, mountain photos and rendered sites; the
+tower photos had no part in it."""
 
 
 def picture_statistics(segmenter: Segmenter, photo: UInt8Array, name: str = MAP) -> Float64Array | None:
@@ -71,17 +72,16 @@ def fit_head_domain(points: Float64Array, sites: Sequence[str], axes: str) -> He
     if len(groups) == 1:
         groups = [point[None] for point in points]
     means = np.array([group.mean(axis=0) for group in groups])
-    count, spread = len(groups), _UNKNOWN_SPREAD
+    count, off = len(groups), 0.0
     if count > 1:
-        off = [
-            ((group - (means.sum(axis=0) - mean) / (count - 1)) ** 2).mean()
-            for group, mean in zip(groups, means, strict=True)
-        ]
+        total = means.sum(axis=0)
+        others = [(total - mean) / (count - 1) for mean in means]
+        off = float(np.mean([((group - there) ** 2).mean() for group, there in zip(groups, others, strict=True)]))
         # The square of the distance from the mean of n - 1 others goes by 1 + 1 / (n - 1), from that of n by 1 + 1 / n.
-        spread = float(np.sqrt(np.mean(off) * (count**2 - 1) / count**2))
-    return HeadDomain(
-        axes=axes, centre=tuple(map(float, means.mean(axis=0))), spread=max(spread, _LEAST_SPREAD), sites=len(names)
-    )
+        off *= (count**2 - 1) / count**2
+    known = count if count > 1 else 0
+    spread = float(np.sqrt((known * off + _UNKNOWN) / (known + _UNKNOWN)))
+    return HeadDomain(axes=axes, centre=tuple(map(float, means.mean(axis=0))), spread=spread, sites=len(names))
 
 
 def held_out_odds(points: Float64Array, sites: Sequence[str], axes: str) -> Float64Array:
