@@ -21,13 +21,14 @@ from ltm_core.vision.picture_domain import DomainSpace
 
 _APART: Final = 60.0  # seconds, of pictures that are remembered: what follows shows the same
 _REMEMBERED: Final = 36
-_MARGIN: Final = 0.1
-"""By which another head's mean log odds must exceed those of the present one, once one was chosen."""
+LIKELIER: Final = 0.1
+"""By which another head's mean log odds must exceed those of the present one; at first that is the network's own, for a
+head is worse than none on other kinds of land."""
 
 
 class HeadChoice:
     """Chooses among heads that say where their photos lie (`heads_to_choose`); None stands for the network's own,
-    `landscape`, which is taken where no head is likelier."""
+    `landscape`, which is taken where no head is clearly likelier."""
 
     def __init__(self, space: DomainSpace, heads: Sequence[LabelHead]) -> None:
         self._space = space
@@ -75,7 +76,7 @@ class HeadChoice:
 
     def alone(self, odds: Float64Array | None) -> LabelHead | None:
         """The head for one picture by itself; nothing is remembered of it."""
-        return None if odds is None else ([None, *self.heads])[int(np.argmax(odds))]
+        return None if odds is None else ([None, *self.heads])[_likelier(odds, 0)]
 
     def look(self, odds: Float64Array | None, seconds: float) -> LabelHead | None:
         """The head for a picture of that time, which comes after those that were looked at before; where time goes
@@ -84,10 +85,13 @@ class HeadChoice:
             self._seen.clear()
             self._present, self._last = 0, -np.inf
         if odds is not None and seconds - self._last >= _APART:
-            first, self._last = not self._seen, seconds
+            self._last = seconds
             self._seen.append(odds)
-            mean = np.mean(self._seen, axis=0)
-            best = int(np.argmax(mean))
-            if first or mean[best] > mean[self._present] + _MARGIN:
-                self._present = best
+            self._present = _likelier(np.mean(self._seen, axis=0), self._present)
         return self.present
+
+
+def _likelier(odds: Float64Array, present: int) -> int:
+    """The place of the likeliest head; the present one where none is clearly likelier."""
+    best = int(np.argmax(odds))
+    return best if odds[best] > odds[present] + LIKELIER else present

@@ -64,6 +64,7 @@ def head(
     from ltm_core.evenly import evenly
     from ltm_core.training.head_trial import teach_head
     from ltm_core.training.labelled_frames import read_frames
+    from ltm_core.vision.head_choice import LIKELIER
     from ltm_core.vision.label_head_io import heads_folder, read_head, write_head
     from ltm_core.vision.manifest import Withdrawal
     from ltm_core.vision.segmenter import Segmenter
@@ -92,7 +93,7 @@ def head(
         console.print(confusion_table(names, score.labels, name))
     if trial.odds is not None:
         told = ", ".join(f"{f.path.name} {v:+.2f}" for f, v in zip(frames, trial.odds, strict=True) if np.isfinite(v))
-        likely = int((trial.odds > 0).sum())
+        likely = int((trial.odds > LIKELIER).sum())
         console.print(
             f"head auto would choose it, by where the other sites' photos lie, for {likely} of {len(frames)} photos: "
             f"{told or 'nothing is known of other sites'}",

@@ -111,7 +111,8 @@ def test_a_head_is_left_only_for_one_that_is_clearly_likelier() -> None:
         names.append("landscape" if head is None else head.name)
     assert names == ["near", "near", "far", "landscape"]
     assert choice.look(None, 400.0) is None  # shows no land: as before
-    assert choice.alone(np.array([0.0, 0.1, -1.0])) is choice.heads[0]
+    assert choice.alone(np.array([0.0, 0.11, -1.0])) is choice.heads[0]
+    assert choice.alone(np.array([0.0, 0.09, -1.0])) is None  # a head is worse than none on other land
     assert choice.alone(None) is None
 
 
