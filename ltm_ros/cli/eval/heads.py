@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ltm_ros.cli.output import JsonFile
+from ltm_ros.cli.output import JsonFile, writable_folder
 
 
 def heads(
@@ -18,6 +18,10 @@ def heads(
     model: Annotated[str, typer.Option(help="The network: name or manifest.")] = "landscape_lite0",
     limit: Annotated[int | None, typer.Option(min=1, help="At most so many of a folder, evenly chosen.")] = None,
     threads: Annotated[int, typer.Option(help="CPU threads of the network.")] = 1,
+    overlays: Annotated[
+        Path | None,
+        typer.Option(help="Draw each photo beside its labels, PNG, into this folder.", callback=writable_folder),
+    ] = None,
     json_path: JsonFile = None,
 ) -> None:
     """Tell which head `auto` chooses for each photo by itself, and all log odds against the network's own."""
@@ -26,6 +30,7 @@ def heads(
     from rich.console import Console
     from rich.table import Table
 
+    from ltm_core.evaluation.segmentation.overlays_io import write_answer
     from ltm_core.evenly import evenly
     from ltm_core.picture_io import read_rgb
     from ltm_core.vision.head_choice_io import heads_to_choose, open_choice
@@ -45,9 +50,12 @@ def heads(
         paths = pictures_in(folder)
         rows = []
         for path in paths if limit is None else evenly(paths, limit):
-            odds = segmenter.head_odds(read_rgb(path))
+            odds = segmenter.head_odds(photo := read_rgb(path))
             head = choice.alone(odds)
-            rows.append((path.name, SHIPPED_HEAD if head is None else head.name, odds))
+            name = SHIPPED_HEAD if head is None else head.name
+            rows.append((path.name, name, odds))
+            if overlays is not None:
+                write_answer(overlays, name, segmenter.labels, path, photo, segmenter.segment(photo))
         counted = Counter(name for _, name, _ in rows)
         table = Table("photo", "head", *(f"log odds, {name}" for name in names[1:]), title=f"{folder}")
         for photo, name, odds in rows:

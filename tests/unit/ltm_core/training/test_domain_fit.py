@@ -93,8 +93,20 @@ def test_the_commands_measure_and_choose(tmp_path: Path) -> None:
     assert taught.exit_code == 0, taught.output
     assert "for 6 of 6 photos" in " ".join(taught.output.split())
     folders = [str(tmp_path / name) for name in ("pink", "green")]
-    options = ["--heads", str(out.parent), "--json", str(tmp_path / "h.json"), *model]
+    options = [
+        "--heads",
+        str(out.parent),
+        "--json",
+        str(tmp_path / "h.json"),
+        "--overlays",
+        str(tmp_path / "o"),
+        *model,
+    ]
     assert run.invoke(cli, ["eval", "heads", *folders, *options]).exit_code == 0
     found = json.loads((tmp_path / "h.json").read_text())
     assert found["pink"]["chosen"] == {"pink": 6}
     assert found["green"]["chosen"] == {"landscape": 6}
+    sheet = cv2.imread(str(tmp_path / "o" / "green_site1_1_landscape.png"))
+    assert sheet.shape[1] == 320
+    assert sheet.shape[0] > 88
+    assert len(list((tmp_path / "o").glob("pink_*_pink.png"))) == 6
