@@ -58,17 +58,15 @@ def heads(
                 write_answer(overlays, name, segmenter.labels, path, photo, segmenter.segment(photo))
         counted = Counter(name for _, name, _ in rows)
         table = Table("photo", "head", *(f"log odds, {name}" for name in names[1:]), title=f"{folder}")
-        for photo, name, odds in rows:
-            table.add_row(
-                photo, name, *(["-"] * len(choice.heads) if odds is None else [f"{v:+.2f}" for v in odds[1:]])
-            )
+        for stem, name, odds in rows:
+            table.add_row(stem, name, *(["-"] * len(choice.heads) if odds is None else [f"{v:+.2f}" for v in odds[1:]]))
         console.print(table)
         told = ", ".join(f"{name} {counted[name]}" for name in names)
         console.print(f"{folder}: {len(rows)} photos: {told}", highlight=False)
         figures[folder.resolve().name] = {
             "photos": len(rows),
             "chosen": dict(counted),
-            "log_odds": {photo: None if odds is None else odds[1:].tolist() for photo, _, odds in rows},
+            "log_odds": {stem: None if odds is None else odds[1:].tolist() for stem, _, odds in rows},
         }
     if json_path is not None:
         write_figures(json_path, figures)
