@@ -204,13 +204,16 @@ def _heads(site: Site) -> Iterator[Finding]:
             manifest = Manifest.find(site.model)
             file = find_head(head, manifest, site.heads)
             if file is not None:
-                doubt = read_head(file, manifest)[0].doubt
+                found, content = read_head(file, manifest)
+                doubt = f"it was {found.doubt}" if found.doubt else ""
+                if content.one_view and len(names) > 1:
+                    doubt = "it was taught by one view and is for that alone; teach one for each"
         except LtmError as error:
             yield Finding.of("networks", f"head {head}", error)
         else:
             said = f"of {', '.join(names)}: {file}"
             verdict = Verdict.DOUBTFUL if doubt else Verdict.OK
-            yield Finding("networks", f"head {head}", verdict, f"{said}; it was {doubt}" if doubt else said)
+            yield Finding("networks", f"head {head}", verdict, f"{said}; {doubt}" if doubt else said)
 
 
 def _chosen_heads(site: Site, cameras: list[str]) -> Finding:

@@ -32,11 +32,13 @@ def heads_to_choose(manifest: Manifest, folder: Path | None = None) -> tuple[dic
     taken, passed = dict[Path, LabelHead](), dict[Path, str]()
     for _, path in sorted(named.items()):
         try:
-            head = read_head(path, manifest)[0]
+            head, content = read_head(path, manifest)
         except ModelError as reason:
             passed[path] = str(reason)
             continue
-        if head.domain is None or head.domain.axes != space.checksum:
+        if content.one_view:
+            passed[path] = "is for one view alone: name it at the camera that has that view"
+        elif head.domain is None or head.domain.axes != space.checksum:
             passed[path] = "does not say where its photos lie among the network's; teach it again: ltm train head"
         else:
             taken[path] = head

@@ -26,8 +26,8 @@ _DIGITS: Final = 4
 
 class HeadFile(StrictModel):
     """A head on disk. `network` and `sha256` are those of the network whose `maps` it reads, by name: a row for each of
-    `classes`, a column for each of the map's channels. `domain`: where its photos lie, for `head: auto`. `calibration`:
-    how its labels err, on photos held out.
+    `classes`, a column for each of the map's channels. `domain`: where its photos lie, for `head: auto`. `one_view`:
+    it was taught by one view and is for that alone. `calibration`: how its labels err, on photos held out.
     """
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,60}$")
@@ -42,6 +42,7 @@ class HeadFile(StrictModel):
     bias: tuple[_Weight, ...]
     maps: dict[str, tuple[tuple[_Weight, ...], ...]] = Field(min_length=1)
     domain: HeadDomain | None = None
+    one_view: bool = False
     calibration: Calibration | None = None
 
     @model_validator(mode="after")

@@ -23,6 +23,9 @@ def head(
         list[Path] | None,
         typer.Option(help="Labelled frames of other places: what the head forgets there; again for more."),
     ] = None,
+    one_view: Annotated[
+        bool, typer.Option("--one-view", help="PHOTOS are of one view, and the head is for that alone.")
+    ] = False,
     limit: Annotated[int, typer.Option(min=1, help="At most so many frames of each --also, evenly chosen.")] = 24,
     licence: Annotated[str, typer.Option(help="Of the photos, for the head's file.")] = "",
     threads: Annotated[int, typer.Option(help="CPU threads of the network.")] = 1,
@@ -82,7 +85,7 @@ def head(
     look = partial(write_overlay, overlays, tag, segmenter.labels) if overlays is not None else lambda *_: None
     rules = Withdrawal(confidence=confidence, tree_contrast=tree_contrast)
     with console.status("teaching"):
-        trial = teach_head(segmenter, frames, path.stem, made, licence, rules, look)
+        trial = teach_head(segmenter, frames, path.stem, made, licence, rules, one_view, look)
     conditions = f"{platform.machine()}, {threads} threads, network {segmenter.described}"
     console.print(
         f"{len(frames)} photos of {', '.join(trial.sites)}; held out {trial.folds}; {conditions}", highlight=False
