@@ -148,12 +148,17 @@ class LabellingStep:
         self._segmenter = Segmenter.of(site, camera, config.model, config.threads)
         chosen = {"confidence": config.confidence, "tree_contrast": config.tree_contrast}
         given = {name: value for name, value in chosen.items() if value is not None}
-        self._segmenter.withdrawal = self._segmenter.withdrawal.model_copy(update=given)
+        self._segmenter.withdraw_otherwise = given
 
     @property
     def described(self) -> str:
         """What labels, with its checksum."""
         return self._segmenter.described
+
+    @property
+    def chosen(self) -> str:
+        """Of a camera whose head is `auto`: which the pictures up to now speak for; empty where its head is named."""
+        return "" if self._segmenter.choice is None else self._segmenter.choice.told
 
     @property
     def manifest(self) -> Manifest:
@@ -176,11 +181,12 @@ class LabellingStep:
         """Of a picture (H, W, 3) RGB: its labels, and what of it was taken to show the landscape.
 
         `looking`: where the camera did; None: only what is masked in all views is. `stamp_ns`: of pictures that come in
-        their order, so that smoke is told by those before; None: by itself alone a picture shows none.
+        their order, so that smoke is told by those before, and a head chosen by them; None: by itself alone a picture
+        shows no smoke, and chooses its own head.
         """
         view = self._scene.look(photo, looking)
         if view.reason is None:
-            found = self._segmenter.segment(photo, self._zoom)
+            found = self._segmenter.segment(photo, self._zoom, None if stamp_ns is None else stamp_ns * 1e-9)
         else:
             found = Segmentation(np.zeros(photo.shape[:2], np.uint8), np.zeros(photo.shape[:2], np.uint8))
         view.unlabelled(found.labels, found.confidence)

@@ -28,9 +28,10 @@ from ltm_core.site import Site
 from ltm_core.site_io import load_site
 from ltm_core.types import Float64Array
 from ltm_core.visibility.viewshed import PosedCamera
+from ltm_core.vision.head_choice_io import heads_to_choose
 from ltm_core.vision.label_head_io import find_head, read_head
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.manifest import SHIPPED_HEAD, Manifest
+from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_HEAD, Manifest
 from ltm_core.vision.onnx_model import OnnxModel
 
 _FAR_ORIGIN = 30_000.0
@@ -195,15 +196,34 @@ def _heads(site: Site) -> Iterator[Finding]:
     for head, names in cameras.items():
         if head == SHIPPED_HEAD:
             continue
+        if head == AUTO_HEAD:
+            yield _chosen_heads(site, names)
+            continue
         doubt = ""
         try:
             manifest = Manifest.find(site.model)
             file = find_head(head, manifest, site.heads)
             if file is not None:
-                doubt = read_head(file, manifest)[0].doubt
+                found, content = read_head(file, manifest)
+                doubt = f"it was {found.doubt}" if found.doubt else ""
+                if content.one_view and len(names) > 1:
+                    doubt = "it was taught by one view and is for that alone; teach one for each"
         except LtmError as error:
             yield Finding.of("networks", f"head {head}", error)
         else:
             said = f"of {', '.join(names)}: {file}"
             verdict = Verdict.DOUBTFUL if doubt else Verdict.OK
-            yield Finding("networks", f"head {head}", verdict, f"{said}; it was {doubt}" if doubt else said)
+            yield Finding("networks", f"head {head}", verdict, f"{said}; {doubt}" if doubt else said)
+
+
+def _chosen_heads(site: Site, cameras: list[str]) -> Finding:
+    """Among which heads pictures choose, and which are passed over."""
+    try:
+        heads, passed = heads_to_choose(Manifest.find(site.model), site.heads)
+    except LtmError as error:
+        return Finding.of("networks", f"head {AUTO_HEAD}", error)
+    among = ", ".join([SHIPPED_HEAD, *(f"{h.name} ({h.doubt})" if h.doubt else h.name for h in heads.values())])
+    said = f"of {', '.join(cameras)}: chosen by the picture among {among}"
+    told = [said, *(f"passed over: {path}: {reason}" for path, reason in passed.items())]
+    doubtful = passed or not heads or any(head.doubt for head in heads.values())
+    return Finding("networks", f"head {AUTO_HEAD}", Verdict.DOUBTFUL if doubtful else Verdict.OK, "; ".join(told))

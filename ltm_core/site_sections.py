@@ -179,7 +179,7 @@ class CameraConfig(StrictModel):
     any of them has `mask` alone."""
     head: str = SHIPPED_HEAD
     """Head of the segmentation network for what this camera sees: `landscape` is the network's own, others are taught
-    (`ltm train head`); a name, or a path from the site's folder of heads."""
+    (`ltm train head`); a name, or a path from the site's folder of heads. `auto`: chosen by the picture."""
     mount: MountConfig | None = None
     """Of a pan-tilt-zoom head: what makes poses, and where it zooms calibrations, of what its encoders say."""
     ptz: PtzConfig | None = None

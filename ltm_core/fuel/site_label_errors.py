@@ -7,7 +7,8 @@ from pathlib import Path
 
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.site import Site
-from ltm_core.vision.manifest import SHIPPED_HEAD
+from ltm_core.vision.head_choice_io import heads_to_choose
+from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_HEAD, Manifest
 
 
 def site_label_errors(site: Site) -> LabelErrors:
@@ -19,11 +20,16 @@ def site_label_errors(site: Site) -> LabelErrors:
 def camera_label_errors(site: Site) -> dict[str, LabelErrors]:
     """Those of the cameras whose network has a head of its own: a head errs otherwise than what it corrects.
 
+    Which of several a camera's pictures have chosen is not known of its votes: they err as all of them do in the mean.
     Empty where the site file states its errors. Raises ConfigError; ModelError for a head that cannot be taken.
     """
     if site.fuel.label_errors is not None:
         return {}
     known: dict[str, LabelErrors] = {}
     for head in {camera.head for camera in site.cameras.values()} - {SHIPPED_HEAD}:
-        known[head] = LabelErrors.of_head(site.model, head, site.heads)
+        if head != AUTO_HEAD:
+            known[head] = LabelErrors.of_head(site.model, head, site.heads)
+        elif files := list(heads_to_choose(Manifest.find(site.model), site.heads)[0]):
+            every = [LabelErrors.of_head(site.model, str(file.absolute())) for file in files]
+            known[head] = LabelErrors.mean([LabelErrors.of_model(site.model), *every])
     return {name: known[camera.head] for name, camera in site.cameras.items() if camera.head in known}

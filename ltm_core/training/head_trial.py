@@ -10,6 +10,8 @@ import numpy as np
 
 from ltm_core.errors import ModelError
 from ltm_core.evaluation.segmentation.network_score import LabelScore, score_each
+from ltm_core.training.area_folds import by_area
+from ltm_core.training.domain_fit import fit_head_domain, held_out_odds, picture_point
 from ltm_core.training.head_fit import FittedHead, fit_head
 from ltm_core.training.head_samples import PhotoSamples, photo_samples, sites_of
 from ltm_core.training.labelled_frames import Frame
@@ -21,6 +23,8 @@ from ltm_core.vision.label_head import LabelHead
 from ltm_core.vision.label_head_io import HeadFile
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import Withdrawal
+from ltm_core.vision.picture_domain import HeadDomain
+from ltm_core.vision.picture_domain_io import load_domain
 from ltm_core.vision.segmenter import Segmentation, Segmenter
 
 AGREEMENT: Final = Agreement(reach=0.006)
@@ -33,6 +37,8 @@ _DRAWN = 20_000  # pixels that the temperature is fitted on
 class HeadTrial:
     """A taught head and its scores. `before`, `after`: of the photos, by the network and by heads that photos of other
     sites taught (`folds`: how the photos were told apart); their macro F1 is of the classes that two sites show.
+    `odds`: of each photo, log odds that `head: auto` chooses a head that lies where the other sites' photos do; NaN
+    where that cannot be told; None of a head for one view, and of a network whose domains nobody measured.
     """
 
     file: HeadFile
@@ -40,6 +46,7 @@ class HeadTrial:
     folds: str
     before: LabelScore
     after: LabelScore
+    odds: Float64Array | None
 
     @property
     def better(self) -> bool:
@@ -54,6 +61,7 @@ def teach_head(
     made: str,
     licence: str = "",
     withdrawal: Withdrawal | None = None,
+    one_view: bool = False,
     look: Callable[[Frame, Segmentation], None] = lambda frame, found: None,
 ) -> HeadTrial:
     """Teach a head to labelled photos.
@@ -61,8 +69,9 @@ def teach_head(
     Each site's photos are labelled by a head that the other sites taught; from these answers come scores, temperature,
     agreement and calibration. The head that is kept is taught by all. Where all photos are of one site, each photo is
     held out in turn, which says nothing of other sites. How sure a head is of a photo held out is fitted to others.
-    `withdrawal`: which labels the head leaves out. `look` gets the answer to each photo held out. Raises ModelError for
-    a network without maps, or a single photo.
+    `withdrawal`: which labels the head leaves out. `look` gets the answer to each photo held out. `one_view`: all
+    photos are of one view, which the head is for alone: areas are held out in their stead, and it is never chosen by
+    the picture. Raises ModelError for a network without maps, or for a single photo without `one_view`.
     """
     manifest = segmenter.manifest
     if not manifest.maps:
@@ -72,22 +81,29 @@ def teach_head(
         raise ModelError(
             f"model {manifest.name!r}: a head needs a network whose classes are the labels, in their order"
         )
-    if len(frames) < 2:
-        raise ModelError("one photo cannot both teach a head and judge it; name areas in a photo of another site too")
+    photos = len(frames)
+    if photos < 2 and not one_view:
+        raise ModelError(
+            "one photo cannot both teach a head and judge it; name areas in a photo of another site too, or say that "
+            "the head is for this view alone (--one-view)"
+        )
     rng = np.random.default_rng(_SEED)
     sites = sites_of(list(frames))
     folds, groups = "by site", sites
-    if len(set(sites)) == 1:
+    if one_view:
+        folds, (frames, groups) = "by area, all of one view", by_area(frames)
+    elif len(set(sites)) == 1:
         folds, groups = "by photo, all of one site", [frame.path.name for frame in frames]
     samples = [photo_samples(segmenter, frame, site, rng) for frame, site in zip(frames, groups, strict=True)]
+    counted = _shared(samples)
+    if not counted:
+        where = "areas" if one_view else "photos of two sites"
+        raise ModelError(f"no class is named in two {where}: nothing can be judged; name more areas")
     held_out = {g: fit_head([s for s in samples if s.site != g], manifest.maps) for g in dict.fromkeys(groups)}
     temperature = _temperature(samples, [held_out[s.site].scores(s) for s in samples], rng)
     rules = withdrawal or Withdrawal()
     heads = {g: as_head(name, fitted, manifest.maps, temperature, rules) for g, fitted in held_out.items()}
     judged = _judged_by_others(segmenter, samples, frames, heads, held_out, rng)
-    counted = _shared(samples)
-    if not counted:
-        raise ModelError("no class is named in photos of two sites: nothing can be judged; name more areas")
     alike = _agreement([_surety(segmenter, heads[g], frame) for g, frame in zip(groups, frames, strict=True)])
     with_heads = [_with_head(segmenter, judged[g]) for g in groups]
     before = score_each([segmenter] * len(frames), frames, macro=counted)
@@ -97,10 +113,11 @@ def teach_head(
     calibration = Calibration(
         classes=segmenter.labels.names,
         confusion=tuple(tuple(float(v) for v in row) for row in balanced([after.labels.confusion])),
-        measured_on=f"{len(frames)} photos of {len(set(sites))} sites, held out {folds}",
-        photographs=sum(not frame.rendered for frame in frames),
+        measured_on=f"{photos} photos of {len(set(sites))} sites, held out {folds}",
+        photographs=len({frame.path for frame in frames if not frame.rendered}),
         ece={name: ece for name, ece in errors.items() if np.isfinite(ece)},  # none where all is withdrawn
     )
+    domain, odds = (None, None) if one_view else _domain(segmenter, frames, groups, sites)
     final = as_head(name, fit_head(samples, manifest.maps), manifest.maps, temperature, rules)
     file = HeadFile(
         name=name,
@@ -114,9 +131,27 @@ def teach_head(
         agreement=alike,
         bias=tuple(map(float, final.bias)),
         maps={key: tuple(tuple(map(float, row)) for row in rows) for key, rows in final.weights.items()},
+        domain=domain,
+        one_view=one_view,
         calibration=calibration,
     )
-    return HeadTrial(file, tuple(dict.fromkeys(sites)), folds, before, after)
+    return HeadTrial(file, tuple(dict.fromkeys(sites)), folds, before, after, odds)
+
+
+def _domain(
+    segmenter: Segmenter, frames: Sequence[Frame], groups: Sequence[str], sites: Sequence[str]
+) -> tuple[HeadDomain | None, Float64Array | None]:
+    """Where the photos lie, and the log odds of each by those of the other groups."""
+    space = load_domain(segmenter.manifest)
+    if space is None:
+        return None, None
+    points, odds = [picture_point(segmenter, space, frame.image) for frame in frames], np.full(len(frames), np.nan)
+    known = [k for k, point in enumerate(points) if point is not None]
+    if not known:
+        return None, odds
+    there = np.array([points[k] for k in known])
+    odds[known] = held_out_odds(there, [groups[k] for k in known], space.checksum)
+    return fit_head_domain(there, [sites[k] for k in known], space.checksum), odds
 
 
 def _temperature(samples: Sequence[PhotoSamples], scores: Sequence[Float64Array], rng: np.random.Generator) -> float:

@@ -17,6 +17,7 @@ from ltm_core.errors import ModelError
 from ltm_core.types import Float32Array
 from ltm_core.vision.label_agreement import Agreement
 from ltm_core.vision.manifest import Withdrawal
+from ltm_core.vision.picture_domain import HeadDomain
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +25,8 @@ class LabelHead:
     """`weights`: map -> (K, C) float32; `bias`: (K,) float32; `temperature` divides the corrected scores.
 
     `withdraw`: labels that are left out. `agreement`: what those around say of how sure the others are. `described`:
-    name and checksum, for `labels/info`. `doubt`: what is to be told of how it was judged.
+    name and checksum, for `labels/info`. `doubt`: what is to be told of how it was judged. `domain`: where its photos
+    lie, for `head: auto`; None: nobody measured it.
     """
 
     name: str
@@ -35,6 +37,7 @@ class LabelHead:
     withdraw: Withdrawal = field(default_factory=Withdrawal)
     agreement: Agreement = field(default_factory=Agreement)
     doubt: str = ""
+    domain: HeadDomain | None = None
 
     @property
     def maps(self) -> tuple[str, ...]:

@@ -17,7 +17,8 @@ from ltm_core.strict_model import StrictModel
 from ltm_core.vision.label_agreement import Agreement
 from ltm_core.vision.label_calibration_io import Calibration, doubt_of_photographs
 from ltm_core.vision.label_head import LabelHead
-from ltm_core.vision.manifest import SHIPPED_HEAD, Manifest, Withdrawal, added_folder
+from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_HEAD, Manifest, Withdrawal, added_folder
+from ltm_core.vision.picture_domain import HeadDomain
 
 _Weight = Annotated[float, Field(ge=-1e4, le=1e4)]
 _DIGITS: Final = 4
@@ -25,7 +26,8 @@ _DIGITS: Final = 4
 
 class HeadFile(StrictModel):
     """A head on disk. `network` and `sha256` are those of the network whose `maps` it reads, by name: a row for each of
-    `classes`, a column for each of the map's channels. `calibration`: how its labels err, on photos held out.
+    `classes`, a column for each of the map's channels. `domain`: where its photos lie, for `head: auto`. `one_view`:
+    it was taught by one view and is for that alone. `calibration`: how its labels err, on photos held out.
     """
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,60}$")
@@ -39,6 +41,8 @@ class HeadFile(StrictModel):
     agreement: Agreement = Agreement()
     bias: tuple[_Weight, ...]
     maps: dict[str, tuple[tuple[_Weight, ...], ...]] = Field(min_length=1)
+    domain: HeadDomain | None = None
+    one_view: bool = False
     calibration: Calibration | None = None
 
     @model_validator(mode="after")
@@ -46,6 +50,8 @@ class HeadFile(StrictModel):
         count = len(self.classes)
         if self.name == SHIPPED_HEAD:
             raise ValueError(f"name: {SHIPPED_HEAD!r} is the network's own head; choose another")
+        if self.name == AUTO_HEAD:
+            raise ValueError(f"name: {AUTO_HEAD!r} stands for a choice among heads; choose another")
         if len(self.bias) != count:
             raise ValueError(f"bias has {len(self.bias)} values, expected {count}, one for each of classes")
         for name, rows in self.maps.items():
@@ -96,6 +102,7 @@ def read_head(path: Path, manifest: Manifest) -> tuple[LabelHead, HeadFile]:
         withdraw=content.withdraw,
         agreement=content.agreement,
         doubt=doubt_of_photographs(content.calibration),
+        domain=content.domain,
     )
     return head, content
 
@@ -112,8 +119,7 @@ def find_head(name: str, manifest: Manifest, folder: Path | None = None) -> Path
         path = Path(name) if folder is None else folder / name
         places = [path]
     else:
-        folders = [*([] if folder is None else [folder]), *(heads_folder(manifest, f) for f in _beside(manifest))]
-        places = [place / f"{name}.yaml" for place in folders]
+        places = [place / f"{name}.yaml" for place in places_of_heads(manifest, folder)]
     for place in places:
         if place.is_file():
             return place
@@ -121,6 +127,13 @@ def find_head(name: str, manifest: Manifest, folder: Path | None = None) -> Path
         f"no head {name!r} of network {manifest.name!r}; looked at {', '.join(map(str, places))}. Teach one: ltm train "
         f"head PHOTOS --out {Path(name).stem}"
     )
+
+
+def places_of_heads(manifest: Manifest, site: Path | None) -> list[Path]:
+    """The folders that heads of a network are looked for in, the first one first: `site` (a site's), beside the
+    manifest, among what the user taught."""
+    beside = dict.fromkeys([manifest.folder, added_folder()])
+    return [*([] if site is None else [site]), *(heads_folder(manifest, folder) for folder in beside)]
 
 
 def heads_folder(manifest: Manifest, folder: Path | None = None) -> Path:
@@ -133,16 +146,14 @@ def write_head(path: Path, content: HeadFile) -> None:
     data = content.model_dump(mode="json", exclude_none=True)
     data["bias"] = _rounded(data["bias"])
     data["maps"] = {name: [_rounded(row) for row in rows] for name, rows in data["maps"].items()}
+    if "domain" in data:
+        data["domain"]["centre"] = _rounded(data["domain"]["centre"])
     if "calibration" in data:
         data["calibration"]["confusion"] = [_rounded(row, 4) for row in data["calibration"]["confusion"]]
         data["calibration"]["ece"] = {key: round(value, 4) for key, value in data["calibration"]["ece"].items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=118)
     path.write_text(f"# A head of a label network, written by `ltm train head`: docs/labels.md.\n{text}", "utf-8")
-
-
-def _beside(manifest: Manifest) -> list[Path]:
-    return list(dict.fromkeys([manifest.folder, added_folder()]))
 
 
 def _rounded(row: list[float], digits: int = _DIGITS) -> list[float]:

@@ -19,9 +19,13 @@ DEPTH_KINDS: Final = ("relative_inverse", "affine_invariant", "metric")
 CALIBRATION_SUFFIX: Final = "_calibration.yaml"
 FUSION_SUFFIX: Final = "_fusion.yaml"
 """Ends the name of the file beside a manifest that says how the model errs."""
+DOMAIN_SUFFIX: Final = "_domain.yaml"
+"""Of the one that says where its pictures lie (`picture_domain`)."""
 
 SHIPPED_HEAD: Final = "landscape"
 """Name of the head that is the network's own scores: no correction."""
+AUTO_HEAD: Final = "auto"
+"""A camera's `head` that is chosen by the picture (`head_choice`)."""
 
 
 class InputSpec(StrictModel):
@@ -278,5 +282,7 @@ def added_names() -> list[str]:
 
 def _names(folder: Path) -> list[str]:
     return sorted(
-        path.stem for path in folder.glob("*.yaml") if not path.name.endswith((CALIBRATION_SUFFIX, FUSION_SUFFIX))
+        path.stem
+        for path in folder.glob("*.yaml")
+        if not path.name.endswith((CALIBRATION_SUFFIX, FUSION_SUFFIX, DOMAIN_SUFFIX))
     )

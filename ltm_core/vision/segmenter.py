@@ -1,6 +1,6 @@
 """Segments photos of any size into label images with the network of a manifest."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,13 +10,16 @@ import numpy as np
 import numpy.typing as npt
 
 from ltm_core.errors import ImageError, ModelError
-from ltm_core.types import Float32Array, UInt8Array
+from ltm_core.types import BoolArray, Float32Array, Float64Array, UInt8Array
+from ltm_core.vision.head_choice import HeadChoice
+from ltm_core.vision.head_choice_io import open_choice
+from ltm_core.vision.input_tensor import input_tensor
 from ltm_core.vision.label_agreement import agreed
 from ltm_core.vision.label_calibration_io import doubt_of_photographs, load_calibration
 from ltm_core.vision.label_head import LabelHead
 from ltm_core.vision.label_head_io import find_head, read_head
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
-from ltm_core.vision.manifest import SHIPPED_HEAD, InputSpec, Manifest
+from ltm_core.vision.manifest import AUTO_HEAD, SHIPPED_HEAD, Manifest, Withdrawal
 from ltm_core.vision.onnx_model import OnnxModel
 from ltm_core.vision.photo_colour import against_green
 from ltm_core.vision.text_io import load_text
@@ -48,8 +51,9 @@ class Segmenter:
 
     Probabilities of the network's classes that map to one label are summed before the winner is chosen, so that two
     halves of one label (`grass` and `field`, say) are not beaten by a third class. `words`: of a text network, those
-    that compete (None: all). `head`: what corrects the network's scores (None: nothing does). `threads` is the number
-    of CPU threads of ONNX Runtime. Raises ModelError: see OnnxModel, and for a mapping to a label that does not exist.
+    that compete (None: all). `head`: what corrects the network's scores (None: nothing does); with `choice`, each
+    picture's is chosen. `threads` is the number of CPU threads of ONNX Runtime. Raises ModelError: see OnnxModel, and
+    for a mapping to a label that does not exist.
     """
 
     def __init__(
@@ -59,6 +63,7 @@ class Segmenter:
         labels: LabelSet | None = None,
         words: Sequence[str] | None = None,
         head: LabelHead | None = None,
+        choice: HeadChoice | None = None,
     ) -> None:
         if manifest.output.is_depth:
             raise ModelError(
@@ -75,9 +80,10 @@ class Segmenter:
         self._label_of_id[: len(class_labels)] = class_labels[:256]
         self._model = OnnxModel(manifest, threads)
         self.head = head
-        self.withdrawal = manifest.output.withdraw if head is None else head.withdraw
-        """Which labels are left out; may be set to others."""
-        self._temperature = manifest.output.temperature if head is None else head.temperature
+        """Of the last picture, where it is chosen."""
+        self.choice = choice
+        self.withdraw_otherwise: Mapping[str, float] = {}
+        """Fields of `withdrawal` that are to be others than the head's or the network's."""
 
     @classmethod
     def open(
@@ -90,9 +96,13 @@ class Segmenter:
     ) -> "Segmenter":
         """A segmenter by its manifest's path, or the name of one in `config/models`, with a head by its name or path.
 
-        `heads`: a folder that is looked in for the head before others. Raises ModelError: see `find_head`, `read_head`.
+        Head `auto` is chosen by the picture.
+        `heads`: a folder that is looked in for the head before others. Raises ModelError: see `find_head`, `read_head`,
+        and for `auto` of a network whose domains nobody measured.
         """
         manifest = Manifest.find(path_or_name)
+        if head == AUTO_HEAD:
+            return cls(manifest, threads, labels, choice=open_choice(manifest, heads))
         file = find_head(head, manifest, heads)
         return cls(manifest, threads, labels, head=None if file is None else read_head(file, manifest)[0])
 
@@ -107,15 +117,25 @@ class Segmenter:
     @property
     def name(self) -> str:
         """What labels, for tables."""
+        if self.choice is not None:
+            return f"{self.manifest.name} {AUTO_HEAD}"
         return self.manifest.name if self.head is None else f"{self.manifest.name} {self.head.name}"
+
+    @property
+    def withdrawal(self) -> Withdrawal:
+        """Which labels are left out."""
+        own = self.manifest.output.withdraw if self.head is None else self.head.withdraw
+        return own.model_copy(update=dict(self.withdraw_otherwise))
 
     @property
     def described(self) -> str:
         """What labels, with its checksum, and whether photos have judged it: what `labels/info` tells. Raises
         ModelError for a calibration that cannot be read."""
         network = f"{self.manifest.name} {self.manifest.sha256[:12]}"
-        told = network if self.head is None else f"{network}, head {self.head.described}"
-        doubt = doubt_of_photographs(load_calibration(self.manifest)) if self.head is None else self.head.doubt
+        head, told = self.head, network if self.head is None else f"{network}, head {self.head.described}"
+        if self.choice is not None:
+            head, told = self.choice.present, f"{network}, head {self.choice.described}"
+        doubt = doubt_of_photographs(load_calibration(self.manifest)) if head is None else head.doubt
         return f"{told}, {doubt}" if doubt else told
 
     @property
@@ -123,8 +143,11 @@ class Segmenter:
         """The network file in use."""
         return self._model.path
 
-    def segment(self, image: UInt8Array, zoom: float = 1.0) -> Segmentation:
+    def segment(self, image: UInt8Array, zoom: float = 1.0, seconds: float | None = None) -> Segmentation:
         """Label a photo (H, W, 3) uint8 RGB; the result has the photo's size.
+
+        `seconds`: when it was taken, of photos of one camera that come in their order, for a head to be chosen by those
+        before too; None: it is chosen by this photo alone.
 
         With `zoom` above 1 the network looks a second time, at so much larger a scale, at the distant slopes: the
         strip along the skyline, in tiles; there the two answers are averaged (see `tiling`). Raises ImageError for
@@ -134,10 +157,14 @@ class Segmenter:
         height, width = image.shape[:2]
         if self.manifest.output.kind == "ids":
             return self._from_ids(self._model.run(input_tensor(image, self.manifest.input)), height, width)
-        probabilities = self._label_probabilities(image)
+        scores, maps = self._answer(image)
+        if self.choice is not None:
+            odds = self.choice.odds(maps, self.land(scores))
+            self.head = self.choice.alone(odds) if seconds is None else self.choice.look(odds, seconds)
+        probabilities = self._label_probabilities(self._corrected(scores, maps))
         if zoom > 1.0 and Label.SKY in self._group_labels:
             sky = int(np.flatnonzero(self._group_labels == Label.SKY)[0])
-            probabilities = with_distant_tiles(image, probabilities, sky, zoom, self._label_probabilities)
+            probabilities = with_distant_tiles(image, probabilities, sky, zoom, self._tile)
         winner, confidence = upsampled_winner(probabilities, height, width)
         labels = self._group_labels[winner]
         if UNLABELLED in self._group_labels:
@@ -168,7 +195,7 @@ class Segmenter:
         _check(image)
         if self.manifest.output.kind == "ids":
             raise ModelError(f"model {self.manifest.name!r} gives class ids; scores need logits or probabilities")
-        return self._corrected(image)
+        return self._corrected(*self._answer(image))
 
     def scores_and_maps(self, image: UInt8Array) -> tuple[Float32Array, dict[str, Float32Array]]:
         """The network's own scores (K, h, w), with the manifest's offsets and colours, and all decoder maps (C, h', w')
@@ -178,15 +205,37 @@ class Segmenter:
         output, maps = self._model.run_with_maps(input_tensor(image, self.manifest.input), names)
         return self._scores(output, image), dict(zip(names, maps, strict=True))
 
-    def _corrected(self, image: UInt8Array) -> Float32Array:
-        """Scores (K, h, w) of the network's classes for a photo, corrected by the head where there is one."""
+    def land(self, scores: Float32Array) -> BoolArray:
+        """(h, w) where the likeliest of the network's own classes, by scores (K, h, w), is not sky."""
+        sky = np.flatnonzero(self._group_labels == Label.SKY)
+        return ~np.isin(self._group_of_class[scores.argmax(axis=0)], sky)
+
+    def head_odds(self, image: UInt8Array) -> Float64Array | None:
+        """Of a segmenter that chooses its head: a photo's log odds (`HeadChoice.odds`). Raises as `logits` does."""
+        _check(image)
+        if self.choice is None:
+            raise ModelError(f"model {self.manifest.name!r}: its head is named, not chosen; open it with head 'auto'")
+        scores, maps = self._answer(image)
+        return self.choice.odds(maps, self.land(scores))
+
+    def _answer(self, image: UInt8Array) -> tuple[Float32Array, dict[str, Float32Array]]:
+        """The network's own scores (K, h, w) of a photo, and the maps (C, h', w') that a head may read."""
         tensor = input_tensor(image, self.manifest.input)
-        if self.head is None:
-            return self._scores(self._model.run(tensor), image)
-        output, maps = self._model.run_with_maps(tensor, self.head.maps)
-        scores = self._scores(output, image)
-        self.head.add_to(scores, maps)
+        names = self.choice.maps if self.choice is not None else self.head.maps if self.head is not None else ()
+        if not names:
+            return self._scores(self._model.run(tensor), image), {}
+        output, maps = self._model.run_with_maps(tensor, names)
+        return self._scores(output, image), dict(zip(names, maps, strict=True))
+
+    def _corrected(self, scores: Float32Array, maps: Mapping[str, Float32Array]) -> Float32Array:
+        """Scores (K, h, w), corrected in place by the head where there is one."""
+        if self.head is not None:
+            self.head.add_to(scores, [maps[name] for name in self.head.maps])
         return scores
+
+    def _tile(self, image: UInt8Array) -> Float32Array:
+        """Probabilities of a part of a photo, with the photo's head."""
+        return self._label_probabilities(self._corrected(*self._answer(image)))
 
     def class_probabilities(self, image: UInt8Array) -> dict[str, Float32Array]:
         """Probability (h, w) of each of the network's own classes, at its own resolution; raises as `logits` does."""
@@ -213,7 +262,8 @@ class Segmenter:
     def _probabilities(self, scores: Float32Array) -> Float32Array:
         """Scores (K, h, w) -> probabilities of the network's classes."""
         if self.manifest.output.kind in ("logits", "embeddings"):
-            scores = scores * np.float32(1.0 / self._temperature)
+            temperature = self.manifest.output.temperature if self.head is None else self.head.temperature
+            scores = scores * np.float32(1.0 / temperature)
             scores = np.exp(scores - scores.max(axis=0))
             return np.asarray(scores / scores.sum(axis=0), np.float32)
         low, high = float(scores.min()), float(scores.max())
@@ -224,9 +274,9 @@ class Segmenter:
             )
         return np.concatenate([1.0 - scores, scores]) if len(scores) == 1 else scores
 
-    def _label_probabilities(self, image: UInt8Array) -> Float32Array:
-        """Photo -> (G, h, w) probability of each label that the network knows."""
-        probabilities = self._probabilities(self._corrected(image))
+    def _label_probabilities(self, scores: Float32Array) -> Float32Array:
+        """Scores (K, h, w) -> (G, h, w) probability of each label that the network knows."""
+        probabilities = self._probabilities(scores)
         count, rows, cols = probabilities.shape
         grouped = self._grouped(probabilities.reshape(count, -1))
         return np.asarray(np.clip(grouped, 0.0, 1.0), dtype=np.float32).reshape(-1, rows, cols)
@@ -237,29 +287,6 @@ class Segmenter:
         for group, score in zip(self._group_of_class, scores, strict=True):
             grouped[group] += score
         return grouped
-
-
-def input_tensor(image: UInt8Array, spec: InputSpec) -> npt.NDArray[Any]:
-    """Photo (H, W, 3) uint8 RGB -> the tensor that a network takes, resized without keeping the aspect.
-
-    Shrinks by area (no aliasing), enlarges bilinearly.
-    """
-    height, width = image.shape[:2]
-    if (width, height) != (spec.width, spec.height):
-        shrinks = spec.width <= width and spec.height <= height
-        method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-        image = np.asarray(cv2.resize(image, (spec.width, spec.height), interpolation=method), dtype=np.uint8)
-    if spec.channels == "bgr":
-        image = image[..., ::-1]
-    tensor: npt.NDArray[Any] = image
-    if spec.dtype == "float32":
-        std = np.asarray(spec.std, dtype=np.float32)
-        factor = np.float32(spec.scale) / std
-        offset = np.asarray(spec.mean, dtype=np.float32) / std
-        tensor = image.astype(np.float32) * factor - offset
-    if spec.layout == "NCHW":
-        tensor = np.moveaxis(tensor, -1, 0)
-    return np.ascontiguousarray(tensor[None])
 
 
 def _check(image: UInt8Array) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import rclpy
 from rclpy.context import Context
@@ -20,6 +21,7 @@ from sensor_msgs.msg import Image
 from ltm_core.errors import LtmError
 from ltm_core.site_io import load_site
 from ltm_core.types import UInt8Array
+from ltm_core.vision.usable import judge
 from ltm_msgs_py.image import image_to_msg
 from ltm_ros.launching.dds_shutdown import wait_for_quiet
 from ltm_ros.launching.graph import Graph, describe
@@ -31,6 +33,20 @@ from ltm_ros.runtime.topics import LABELS_IMAGE, POSED_IMAGE, camera_topic
 IN_FLIGHT = 2  # photos sent and not yet answered: the next one waits at the node, as on a busy tower
 PATIENCE_S = 30.0
 WARM_UP = 3  # photos that are not counted
+
+
+def drawn_landscape(height: int, width: int) -> UInt8Array:
+    """(height, width, 3) a sky over ground of several scales: of noise alone a node would not run its network, since
+    it is no picture that can be used (`vision.usable`)."""
+    rng = np.random.default_rng(0)
+    photo = np.empty((height, width, 3), np.float32)
+    photo[: height // 3] = (120, 160, 220)
+    ground = np.zeros((height - height // 3, width), np.float32)
+    for cells in (8, 40, 200):
+        part = rng.normal(0.0, 22.0, (max(2, cells // 3), cells)).astype(np.float32)
+        ground += cv2.resize(part, (width, len(ground)), interpolation=cv2.INTER_CUBIC)
+    photo[height // 3 :] = np.array((125, 110, 80), np.float32) + ground[..., None]
+    return np.clip(photo + rng.normal(0.0, 3.0, photo.shape), 0, 255).astype(np.uint8)
 
 
 @dataclass(frozen=True)
@@ -47,7 +63,10 @@ class NodeRate:
 def run_segmentation(
     model: str, threads: int, photo: UInt8Array, frames: int, domain_id: int | None = None
 ) -> NodeRate:
-    """One node that labels `photo` (H, W, 3) so many times. Raises LtmError where it does not start or answer."""
+    """One node that labels `photo` (H, W, 3) so many times. Raises LtmError where it does not start or answer, and for
+    a photo that it would not label."""
+    if (reason := judge(photo).reason) is not None:
+        raise LtmError(f"the photo cannot be used ({reason}), so a node would not label it; give one of a landscape")
     apply_to_process(domain_id)
     with tempfile.TemporaryDirectory(prefix="ltm-bench-") as name:
         folder = Path(name)

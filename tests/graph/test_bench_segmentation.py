@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from ltm_core.errors import LtmError
-from ltm_ros.bench.segmentation import run_segmentation
+from ltm_core.vision.usable import judge
+from ltm_ros.bench.segmentation import drawn_landscape, run_segmentation
 from ltm_ros.cli.bench.segmentation import segmentation
 
 pytestmark = pytest.mark.graph
@@ -29,4 +30,13 @@ def test_a_node_labels_as_many_photos_as_it_is_sent(
 
 def test_a_node_without_its_network_is_told_of(ros_domain: int, tmp_path: Path) -> None:
     with pytest.raises(LtmError, match="segmentation"):
-        run_segmentation(str(tmp_path / "absent.yaml"), 1, np.zeros((64, 96, 3), np.uint8), 5, ros_domain)
+        run_segmentation(str(tmp_path / "absent.yaml"), 1, drawn_landscape(64, 96), 5, ros_domain)
+
+
+def test_what_a_node_would_not_label_is_not_timed() -> None:
+    """Noise is no picture that can be used, so the network would not run; the bench's own picture can be."""
+    noise = np.random.default_rng(0).integers(0, 256, (1080, 1920, 3), dtype=np.uint8)
+    with pytest.raises(LtmError, match="would not label it"):
+        run_segmentation("landscape_lite0", 1, noise, 5)
+    for height, width in ((1080, 1920), (192, 320), (64, 96)):
+        assert judge(drawn_landscape(height, width)).reason is None

@@ -1,4 +1,4 @@
-"""Draws a network's answer beside the truth over the photo, as PNG."""
+"""Draws a network's answer beside the truth over the photo, or beside the photo alone, as PNG."""
 
 from __future__ import annotations
 
@@ -10,15 +10,34 @@ from ltm_core.pictures.encode import to_png
 from ltm_core.pictures.legend import label_legend, with_legend
 from ltm_core.pictures.overlay import overlay_labels
 from ltm_core.training.labelled_frames import Frame
+from ltm_core.types import UInt8Array
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.segmenter import Segmentation
 
 
 def write_overlay(folder: Path, network: str, labels: LabelSet, frame: Frame, found: Segmentation) -> None:
     """`<folder>/<set>_<frame>_<network>.png`: truth at the left, the answer at the right, both at the photo's size."""
-    answer, truth = (overlay_labels(frame.image, ids, labels) for ids in (found.labels, frame.labels))
-    sheet = np.concatenate([truth, answer], axis=1)
+    _write(folder, network, labels, frame.path, overlay_labels(frame.image, frame.labels, labels), frame.image, found)
+
+
+def write_answer(
+    folder: Path, network: str, labels: LabelSet, path: Path, photo: UInt8Array, found: Segmentation
+) -> None:
+    """As `write_overlay`, of a photo (H, W, 3) of which no truth is known: the photo itself is at the left."""
+    _write(folder, network, labels, path, photo, photo, found)
+
+
+def _write(
+    folder: Path,
+    network: str,
+    labels: LabelSet,
+    path: Path,
+    left: UInt8Array,
+    photo: UInt8Array,
+    found: Segmentation,
+) -> None:
+    sheet = np.concatenate([left, overlay_labels(photo, found.labels, labels)], axis=1)
     sheet = with_legend(sheet, label_legend(sheet.shape[1], labels))
-    name = f"{frame.path.parent.resolve().name}_{frame.path.stem}_{network.replace(' ', '_')}.png"
     folder.mkdir(parents=True, exist_ok=True)
+    name = f"{path.parent.resolve().name}_{path.stem}_{network.replace(' ', '_')}.png"
     (folder / name).write_bytes(to_png(sheet))

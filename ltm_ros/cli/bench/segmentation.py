@@ -14,6 +14,9 @@ def segmentation(
     width: Annotated[int, typer.Option(help="Of the photo, pixels.", min=64)] = 1920,
     height: Annotated[int, typer.Option(help="Of the photo, pixels.", min=64)] = 1080,
     threads: Annotated[str, typer.Option(help="CPU threads of the network, with commas.")] = "1,2",
+    depth_model: Annotated[
+        str, typer.Option(help="Depth network that is timed beside it, by name or manifest.")
+    ] = "landscape_lite0_depth",
     frames: Annotated[int, typer.Option(help="Photos that a node labels.", min=5)] = 40,
     repeats: Annotated[int, typer.Option(help="Calls that each figure is the least of.", min=1)] = 15,
     domain: Annotated[int | None, typer.Option(min=0, max=232, help="ROS domain.")] = None,
@@ -22,21 +25,26 @@ def segmentation(
     """Label one photo: by the function, and by a node that gets it through DDS and publishes labels and confidence."""
     from dataclasses import asdict
 
-    import numpy as np
     from rich.console import Console
     from rich.table import Table
 
     from ltm_core.bench.measure import conditions, least_cost
+    from ltm_core.camera import Camera
+    from ltm_core.depth.monocular import DepthNetwork
     from ltm_core.vision.segmenter import DEFAULT_MODEL, Segmenter
-    from ltm_ros.bench.segmentation import run_segmentation
+    from ltm_ros.bench.segmentation import drawn_landscape, run_segmentation
     from ltm_ros.evaluation.figures_io import write_figures
 
-    console = Console()
+    console, counts = Console(), [int(part) for part in threads.split(",")]
     state = conditions(("numpy", "onnxruntime", "opencv-python-headless", "ros-jazzy-rclpy"))
-    photo = np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
-    rows = []
+    photo, camera = drawn_landscape(height, width), Camera.from_fov(width, height, 60.0)
+    rows, of_depth = [], {}
+    for count in counts:
+        network = DepthNetwork.open(depth_model, count)
+        network.predict(photo, camera)
+        of_depth[count] = least_cost(lambda network=network: network.predict(photo, camera), repeats)  # type: ignore[misc]
     for name in model or [DEFAULT_MODEL]:
-        for count in [int(part) for part in threads.split(",")]:
+        for count in counts:
             with console.status(f"{name}, {count} threads"):
                 segmenter = Segmenter.open(name, count)
                 segmenter.segment(photo)
@@ -62,6 +70,13 @@ def segmentation(
         figures = (cost.cpu_ms, cost.wall_ms, rate.cpu_ms, 1e3 / rate.cpu_ms, rate.hz)
         table.add_row(name, str(count), *(f"{value:.1f}" for value in figures))
     console.print(table)
+    for name, count, cost, _ in rows:
+        depth = of_depth[count]
+        console.print(
+            f"{name} and {depth_model}, {count} threads: {cost.cpu_ms:.1f} + {depth.cpu_ms:.1f} = "
+            f"{cost.cpu_ms + depth.cpu_ms:.1f} ms of processor time for labels and depth",
+            highlight=False,
+        )
     load = " ".join(f"{value:.2f}" for value in state.load_average)
     versions = ", ".join(f"{name} {number}" for name, number in state.versions.items())
     console.print(f"{state.cpu}, {state.cores} cores, load average {load}, Python {state.python}, {versions}")
@@ -71,7 +86,13 @@ def segmentation(
             "width": width,
             "height": height,
             "rows": [
-                {"model": name, "threads": count, "segment": asdict(cost), "node": asdict(rate)}
+                {
+                    "model": name,
+                    "threads": count,
+                    "segment": asdict(cost),
+                    "depth": asdict(of_depth[count]),
+                    "node": asdict(rate),
+                }
                 for name, count, cost, rate in rows
             ],
         }

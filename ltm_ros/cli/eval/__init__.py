@@ -16,6 +16,7 @@ from ltm_ros.cli.eval.depth import depth
 from ltm_ros.cli.eval.dirty_lens import dirty_lens
 from ltm_ros.cli.eval.fuel import fuel
 from ltm_ros.cli.eval.gallery import gallery
+from ltm_ros.cli.eval.heads import heads
 from ltm_ros.cli.eval.locate import locate
 from ltm_ros.cli.eval.mask import mask
 from ltm_ros.cli.eval.mount import mount
@@ -51,6 +52,7 @@ evaluate.command()(depth)
 evaluate.command()(dirty_lens)
 evaluate.command()(fuel)
 evaluate.command()(gallery)
+evaluate.command()(heads)
 evaluate.command()(mask)
 evaluate.command()(pose)
 evaluate.command()(pose_watch)

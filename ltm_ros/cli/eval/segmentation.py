@@ -89,7 +89,7 @@ def segmentation(
     segmenters = [Segmenter.open(name, threads, head=h) for name in model or [DEFAULT_MODEL] for h in heads]
     chosen = {"confidence": confidence, "tree_contrast": tree_contrast}
     for s in segmenters:
-        s.withdrawal = s.withdrawal.model_copy(update={k: v for k, v in chosen.items() if v is not None})
+        s.withdraw_otherwise = {k: v for k, v in chosen.items() if v is not None}
     labels = segmenters[0].labels
     counted = tuple(labels.id_of(name) for name in _names(macro))
     left_out = [labels.id_of(name) for name in _names(ignore)]

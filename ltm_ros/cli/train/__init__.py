@@ -15,6 +15,7 @@ from ltm_ros.cli.output import writable_folder
 from ltm_ros.cli.train.adapt import adapt
 from ltm_ros.cli.train.appearance import appearance
 from ltm_ros.cli.train.blend import blend
+from ltm_ros.cli.train.domains import domains
 from ltm_ros.cli.train.fusion import fusion
 from ltm_ros.cli.train.head import head
 from ltm_ros.cli.train.photos import photos
@@ -91,6 +92,7 @@ train = typer.Typer(cls=TrainGroup, no_args_is_help=True, help="Train the networ
 train.command(WHOLE)(run)
 train.command()(adapt)
 train.command()(fusion)
+train.command()(domains)
 train.command()(head)
 train.command()(photos)
 train.command()(appearance)

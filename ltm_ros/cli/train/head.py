@@ -23,6 +23,9 @@ def head(
         list[Path] | None,
         typer.Option(help="Labelled frames of other places: what the head forgets there; again for more."),
     ] = None,
+    one_view: Annotated[
+        bool, typer.Option("--one-view", help="PHOTOS are of one view, and the head is for that alone.")
+    ] = False,
     limit: Annotated[int, typer.Option(min=1, help="At most so many frames of each --also, evenly chosen.")] = 24,
     licence: Annotated[str, typer.Option(help="Of the photos, for the head's file.")] = "",
     threads: Annotated[int, typer.Option(help="CPU threads of the network.")] = 1,
@@ -64,6 +67,7 @@ def head(
     from ltm_core.evenly import evenly
     from ltm_core.training.head_trial import teach_head
     from ltm_core.training.labelled_frames import read_frames
+    from ltm_core.vision.head_choice import LIKELIER
     from ltm_core.vision.label_head_io import heads_folder, read_head, write_head
     from ltm_core.vision.manifest import Withdrawal
     from ltm_core.vision.segmenter import Segmenter
@@ -81,7 +85,7 @@ def head(
     look = partial(write_overlay, overlays, tag, segmenter.labels) if overlays is not None else lambda *_: None
     rules = Withdrawal(confidence=confidence, tree_contrast=tree_contrast)
     with console.status("teaching"):
-        trial = teach_head(segmenter, frames, path.stem, made, licence, rules, look)
+        trial = teach_head(segmenter, frames, path.stem, made, licence, rules, one_view, look)
     conditions = f"{platform.machine()}, {threads} threads, network {segmenter.described}"
     console.print(
         f"{len(frames)} photos of {', '.join(trial.sites)}; held out {trial.folds}; {conditions}", highlight=False
@@ -90,6 +94,14 @@ def head(
     console.print(score_table(names, scores, f"{photos}: by heads that the other sites taught"))
     for name, score in scores.items():
         console.print(confusion_table(names, score.labels, name))
+    if trial.odds is not None:
+        told = ", ".join(f"{f.path.name} {v:+.2f}" for f, v in zip(frames, trial.odds, strict=True) if np.isfinite(v))
+        likely = int((trial.odds > LIKELIER).sum())
+        console.print(
+            f"head auto would choose it, by where the other sites' photos lie, for {likely} of {len(frames)} photos: "
+            f"{told or 'nothing is known of other sites'}",
+            highlight=False,
+        )
     drawn = {f"{name}, {photos.resolve().name}": score for name, score in scores.items()}
     part = path.with_name(f".{path.name}.part")
     write_head(part, trial.file)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from scenes.networks import write_classifier, write_swapping_head
+from scenes.networks import COLORS, write_classifier, write_domain_of, write_swapping_head
 
 from ltm_core.camera import Camera
 from ltm_core.camera_check import check_views
@@ -130,6 +130,14 @@ def test_a_mask_of_a_head_that_hides_the_same_of_every_view(
     assert ("same pixels in every view" in message) is doubted
 
 
+CALIBRATION = {
+    "classes": ["sky", "grass"],
+    "confusion": [[1.0, 0.0], [0.0, 1.0]],
+    "measured_on": "photos",
+    "photographs": 5,
+}
+
+
 def test_a_head_under_the_ground_is_wrong(tmp_path: Path) -> None:
     below = {key: value for key, value in HEAD.items() if key != "height_above_ground"} | {"z": 5.0}
     ((name, message),) = said(checked(tmp_path, 890.0, cameras={"north": {"mount": below}}), Verdict.WRONG)
@@ -148,3 +156,34 @@ def test_a_head_that_no_network_has_is_told_with_its_cameras_place(tmp_path: Pat
     ((_, message),) = [found for found in said(check, Verdict.DOUBTFUL) if found[0] == name]
     assert message.startswith("of north: ")
     assert message.endswith("; it was never scored")
+
+
+def test_what_auto_chooses_among_and_what_it_passes_over_is_told(tmp_path: Path) -> None:
+    cameras = {"north": {"head": "auto"}, "south": {}}
+    network = write_classifier(tmp_path, maps=True)
+
+    def told(verdict: Verdict) -> str:
+        check = checked(tmp_path, 890.0, heads="heads", model="colors.yaml", cameras=cameras)
+        ((_, message),) = [found for found in said(check, verdict) if found[0] == "head auto"]
+        return message
+
+    assert "ltm train domains" in told(Verdict.WRONG)
+    space = write_domain_of(network, [np.full((40, 70, 3), COLORS["lime"], np.uint8)])
+    assert told(Verdict.DOUBTFUL).endswith("of north: chosen by the picture among landscape")
+    domain = {"axes": space.checksum, "centre": [0.0, 1.0, 0.0], "spread": 0.5, "sites": 2}
+    write_swapping_head(tmp_path / "heads" / "chaparral.yaml", network, domain=domain, calibration=CALIBRATION)
+    assert told(Verdict.OK).endswith("among landscape, chaparral")
+    write_swapping_head(tmp_path / "heads" / "old.yaml", network)
+    assert "passed over: " in told(Verdict.DOUBTFUL)
+
+
+def test_a_head_for_one_view_is_not_for_two_cameras(tmp_path: Path) -> None:
+    network = write_classifier(tmp_path, maps=True)
+    write_swapping_head(tmp_path / "heads" / "mast.yaml", network, one_view=True, calibration=CALIBRATION)
+    for cameras, verdict in (
+        ({"north": {"head": "mast"}, "south": {}}, Verdict.OK),
+        ({"north": {"head": "mast"}, "south": {"head": "mast"}}, Verdict.DOUBTFUL),
+    ):
+        check = checked(tmp_path, 890.0, heads="heads", model="colors.yaml", cameras=cameras)
+        ((_, message),) = [found for found in said(check, verdict) if found[0] == "head mast"]
+        assert message.endswith("teach one for each") is (verdict is Verdict.DOUBTFUL)

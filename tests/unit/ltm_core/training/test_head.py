@@ -13,12 +13,14 @@ from scenes.networks import write_classifier
 from typer.testing import CliRunner
 
 from ltm_core.errors import ImageError, ModelError, RecordingError
+from ltm_core.training.area_folds import by_area
 from ltm_core.training.decoder_maps import with_decoder_maps
 from ltm_core.training.head_fit import fit_head
 from ltm_core.training.head_samples import PhotoSamples, photo_samples, sites_of
 from ltm_core.training.head_trial import teach_head
 from ltm_core.training.labelled_frames import Frame, read_frames
 from ltm_core.types import UInt8Array
+from ltm_core.vision.head_choice_io import heads_to_choose
 from ltm_core.vision.label_head_io import read_head
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import Manifest
@@ -142,3 +144,59 @@ def test_a_network_without_the_decoder_s_convolutions_has_no_maps(tmp_path: Path
     model, channels = with_decoder_maps(onnx.load(Manifest.find("landscape_lite0").model_file()))
     assert channels == {"last": 32, "s2": 64, "s1": 64}
     assert [output.name for output in model.graph.output].count("last") == 1
+
+
+def _one_view(folder: Path) -> tuple[Path, UInt8Array]:
+    """A photo with two strokes of each of three classes, and what it shows in truth."""
+    photo, truth = _striped(True, 5)
+    strokes = np.full_like(truth, UNLABELLED)
+    for rows, cols in ((slice(10, 40), slice(20, 80)), (slice(10, 40), slice(200, 260))):
+        strokes[rows, cols] = Label.SKY
+    for rows in (slice(80, 105), slice(130, 160)):
+        strokes[rows, 20:80], strokes[rows, 200:260] = Label.BUILT, Label.BARE
+    folder.mkdir(parents=True)
+    cv2.imwrite(str(folder / "mast_1.png"), photo[..., ::-1])
+    cv2.imwrite(str(folder / "mast_1_labels.png"), strokes)
+    return folder, truth
+
+
+def test_areas_of_one_photo_are_in_folds_of_all_classes(tmp_path: Path) -> None:
+    folder, _ = _one_view(tmp_path / "view")
+    (frame,) = read_frames(folder, 7)
+    parts, names = by_area([frame])
+    assert names == [f"areas {k}" for k in (1, 2, 3, 4)]
+    for label in (Label.SKY, Label.BARE, Label.BUILT):
+        assert sum(bool((part.labels == label).any()) for part in parts) >= 2
+    assert (np.sum([part.labels != UNLABELLED for part in parts], axis=0) == (frame.labels != UNLABELLED)).all()
+    for part in parts:
+        np.testing.assert_array_equal(part.image, frame.image)
+        known = part.labels != UNLABELLED
+        np.testing.assert_array_equal(part.labels[known], frame.labels[known])
+    wide = np.full_like(frame.labels, UNLABELLED)
+    wide[:20] = Label.SKY  # one area across the picture still teaches and judges
+    assert len(by_area([Frame(frame.image, wide, frame.path)])[0]) == 4
+    small = np.full_like(frame.labels, UNLABELLED)
+    small[4:20, 4:20] = Label.SKY
+    with pytest.raises(ModelError, match="in two areas"):
+        teach_head(Segmenter.open(), [Frame(frame.image, small, frame.path)], "x", "", one_view=True)
+
+
+@pytest.mark.slow
+def test_strokes_of_one_view_make_a_head_for_that_view_alone(tmp_path: Path) -> None:
+    """It labels the view, is judged by areas that did not teach it, and no picture chooses it."""
+    folder, truth = _one_view(tmp_path / "view")
+    out = tmp_path / "heads" / "mast.yaml"
+    result = CliRunner().invoke(cli, ["train", "head", str(folder), "--out", str(out), "--one-view"])
+    assert result.exit_code == 0, result.output
+    manifest = Manifest.find("landscape_lite0")
+    head, content = read_head(out, manifest)
+    assert content.one_view
+    assert content.calibration is not None
+    assert content.calibration.measured_on == "1 photos of 1 sites, held out by area, all of one view"
+    assert content.calibration.photographs == 1
+    photo, _ = _striped(True, 11)
+    found = Segmenter(manifest, head=head).segment(photo).labels
+    assert (found == truth)[truth != UNLABELLED].mean() > 0.9
+    taken, passed = heads_to_choose(manifest, out.parent)
+    assert not taken
+    assert "for one view alone" in passed[out]

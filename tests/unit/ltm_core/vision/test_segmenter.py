@@ -13,9 +13,10 @@ from scenes.networks import COLORS, changed, write_classifier
 from ltm_core.errors import ImageError, ModelError
 from ltm_core.evaluation.metrics.segmentation import score_labels
 from ltm_core.types import BoolArray, UInt8Array
+from ltm_core.vision.input_tensor import input_tensor
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.manifest import MODEL_PATH_VARIABLE, InputSpec
-from ltm_core.vision.segmenter import Segmentation, Segmenter, input_tensor
+from ltm_core.vision.segmenter import Segmentation, Segmenter
 from ltm_core.vision.upsample import upsampled_winner
 
 SIZE = (110, 170)  # of the photos: no multiple of the network's size
