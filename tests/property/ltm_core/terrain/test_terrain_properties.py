@@ -8,8 +8,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from scenes.examples import examples
 
 from ltm_core.grid import GridGeometry
 from ltm_core.raster.tile_store import TileStore
@@ -52,7 +53,7 @@ def believed(one: TilePool) -> bool:
     )
 
 
-@settings(max_examples=200, deadline=None)
+@examples(80, in_fuzz=200)
 @given(
     st.lists(st.tuples(st.integers(0, 3599), st.just(4), heights, variances, st.booleans()), max_size=12),
     st.booleans(),
@@ -62,7 +63,7 @@ def test_one_view_is_never_believed(looks: list[Look], canopy_known: bool) -> No
     assert not believed(seen_by(looks, canopy_known))
 
 
-@settings(max_examples=200, deadline=None)
+@examples(80, in_fuzz=200)
 @given(
     st.lists(st.tuples(st.integers(0, 599), st.sampled_from([1, 2, 8]), heights, variances, st.booleans()), max_size=12)
 )
@@ -71,7 +72,7 @@ def test_cameras_that_look_at_once_are_not_believed(looks: list[Look]) -> None:
     assert not believed(seen_by([(BEGIN + seconds, *rest) for seconds, *rest in looks]))  # type: ignore[misc]
 
 
-@settings(max_examples=200, deadline=None)
+@examples(80, in_fuzz=200)
 @given(
     st.lists(st.integers(-9, 11).filter(bool), min_size=1, max_size=10, unique=True),
     st.data(),
@@ -90,7 +91,7 @@ def test_what_is_elsewhere_each_time_never_becomes_the_estimate(levels: list[int
     assert one.cells.estimate[0, 0]["looks"] <= sum(1 for look in looks if look[2] == 0.0)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(50, in_fuzz=100)
 @given(heights.filter(lambda h: abs(h) > 3.0), st.integers(1, 60), st.integers(1, 60))
 def test_what_stays_is_believed(height: float, first: int, second: int) -> None:
     """The same height three times, hours apart, from two cameras."""
@@ -100,7 +101,7 @@ def test_what_stays_is_believed(height: float, first: int, second: int) -> None:
     assert abs(float(one.cells.estimate[0, 0]["dz"]) - height) < 1e-3
 
 
-@settings(max_examples=40, deadline=None)
+@examples(25, in_fuzz=60)
 @given(st.floats(np.float32(0.1).item(), 3.0, width=32), st.integers(1, 40))
 def test_looks_of_years_ago_lose_weight_by_the_time_that_passed(rise: float, quarters: int) -> None:
     """Exactly so: the mean of two looks weighs the older by exp(-age / lasting)."""
@@ -116,7 +117,7 @@ def test_looks_of_one_day_all_count() -> None:
     assert one.cells.estimate[0, 0]["dz"] == pytest.approx(1.15, rel=1e-3)
 
 
-@settings(max_examples=200, deadline=None)
+@examples(80, in_fuzz=200)
 @given(
     st.floats(1.0, 8.0),
     st.floats(0.01, 30.0),
